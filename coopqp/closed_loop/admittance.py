@@ -65,7 +65,7 @@ class Admittance:
     most_speed: Positive = 0.05
     """How fast the hands may approach each other, or part, for it [m/s]."""
     most_way: Positive = 0.1
-    """How far they may be told to approach each other beyond what the model says [m]."""
+    """Largest commanded displacement towards each other beyond the model [m]."""
 
     def gain_of(self, dt: float, kappa: float) -> float:
         """The gain [m/(s N)], given or by default, from dt [s] and the loop correction's kappa."""

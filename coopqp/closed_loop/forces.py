@@ -28,7 +28,7 @@ from coopqp.closed_loop.transmission import (
 from coopqp.grasp import SAFETY
 from coopqp.model.closed_chain import ClosedChain
 
-#: What becomes of components of a section wrench, in the order in which it is told.
+#: Classes of components of a section wrench, in the order of the report.
 FATES = {
     COMMANDED: "the motors command",
     MIXED: "only together with others they command",
@@ -39,12 +39,7 @@ FATES = {
 
 @dataclass(frozen=True)
 class Squeeze:
-    """The range of squeeze between two hands at rest.
-
-    Attributes:
-        arms: their names.
-        least, most: with their active constraints; None where the object cannot be carried.
-    """
+    """Range of the squeeze of two arms at rest; None where the object cannot be carried."""
 
     arms: tuple[str, str]
     least: Bound | None

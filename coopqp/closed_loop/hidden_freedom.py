@@ -27,8 +27,8 @@ from coopqp.model.grasp_configuration import CLOSED_ORIENTATION, CLOSED_POSITION
 SLACK = 1e-3
 #: Steps of the walk, and their size [rad or m].
 STEPS, STEP = 6, 0.05
-#: Errors below this are not told apart [m or rad].
-LEAST_TOLD = 1e-6
+#: Errors below this count as equal [m or rad].
+RESOLUTION = 1e-6
 #: Newton steps back onto the loops, and a loop error that is rounding alone [m or rad].
 NEWTON, EXACT = 20, 1e-10
 
@@ -168,5 +168,5 @@ def _sizes(position: float, orientation: float) -> str:
 
 
 def _size(value: float) -> str:
-    """In thousandths; nobody reads 1.6e-13 mm."""
-    return f"{1e3 * value:.2g}" if value >= LEAST_TOLD else f"{1e3 * LEAST_TOLD:g}"
+    """In thousandths, rounded up to ``RESOLUTION``."""
+    return f"{1e3 * value:.2g}" if value >= RESOLUTION else f"{1e3 * RESOLUTION:g}"

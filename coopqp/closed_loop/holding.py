@@ -27,8 +27,8 @@ from coopqp.model.state import State
 
 #: Multipliers below this share of the largest do not hold a program back.
 IDLE = 1e-6
-#: Loads are told up to this many times the object's weight.
-MOST_LOAD = 100.0
+#: Loads are computed up to this many times the object's weight.
+MAX_LOAD = 100.0
 #: What rows of a contact are called.
 WORDS = {
     "friction": "friction", "edge": "pad's edge", "least": "least force", "most": "most force",
@@ -155,7 +155,7 @@ class StaticHold:
             np.append(np.zeros(size), -1.0),
             np.vstack([G, passive]),
             np.concatenate([np.zeros(6), self._passive[1]]),
-            [(0.0, MOST_LOAD)],
+            [(0.0, MAX_LOAD)],
             without,
         )
 

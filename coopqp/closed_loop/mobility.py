@@ -27,7 +27,7 @@ from coopqp.closed_loop.screw import LENGTH, MOTION_TOLERANCE, Screw, rank_of, s
 from coopqp.model.closed_chain import ClosedChain
 
 #: All schemes are tried up to this many; beyond it only the asked-for and the best.
-MOST_SCHEMES = 5000
+MAX_SCHEMES = 5000
 
 #: Motions below this are weak: the joints turn fast, and the object hardly moves.
 WEAK = 0.02
@@ -37,12 +37,8 @@ WEAK = 0.02
 class Scheme:
     """A choice of independent actuated joints.
 
-    Attributes:
-        joints: their names.
-        condition: of the block to be inverted, median over the generic poses.
-        condition_start: the same at the start.
-        admissible: whether the choice is regular at any generic pose.
-        admissible_start: whether it is at the start.
+    ``condition`` of the block to be inverted is the median over generic poses, and ``admissible``
+    says whether it is regular at any of them; ``_start`` is of the start.
     """
 
     joints: tuple[str, ...]
@@ -54,13 +50,9 @@ class Scheme:
 
 @dataclass(frozen=True)
 class TaskMobility:
-    """The freely assignable rows of a task.
+    """A task's rows, and how many of them, ``rank``, can be chosen freely at the start.
 
-    Attributes:
-        name: of the task.
-        rows: its dimension.
-        rank: how many of its rows can be chosen freely at the start.
-        weakest: smallest singular value of these [m or rad for a unit of joint motion].
+    ``weakest`` is their smallest singular value [m or rad for a unit of joint motion].
     """
 
     name: str
@@ -180,7 +172,8 @@ def mobility(
     ranks = [matrix_rank(pose.J_c) for pose in poses]
     rank = max(set(ranks), key=ranks.count)
     regular = [pose for pose, r in zip(poses, ranks, strict=True) if r == rank]
-    schemes, complete, total = _schemes(chain, active, regular, start, chain.n - rank)
+    total = math.comb(len(active), chain.n - rank)
+    schemes = _schemes(chain, active, regular, start, chain.n - rank)
     asked_index = scheme(chain, asked) if asked is not None else None
     tasks = [_of_task(name, J, start) for name, J in task_rows]
     together = _of_task("", np.vstack([np.zeros((0, chain.n)), *(J for _, J in task_rows)]), start)
@@ -205,7 +198,7 @@ def mobility(
         tasks_weakest=together.weakest,
         schemes_total=total,
         schemes=schemes,
-        schemes_complete=complete,
+        schemes_complete=total <= MAX_SCHEMES,
         asked=_rate(chain, [asked_index], regular, start)[0] if asked_index else None,
         hidden=hidden_freedom(chain),
     )
@@ -280,15 +273,14 @@ def _screws(twists: Array, chain: ClosedChain) -> tuple[Screw, ...]:
 
 def _schemes(
     chain: ClosedChain, active: Sequence[int], poses: Sequence[_Pose], start: _Pose, freedom: int
-) -> tuple[tuple[Scheme, ...], bool, int]:
-    total = math.comb(len(active), freedom)
-    if total <= MOST_SCHEMES:
+) -> tuple[Scheme, ...]:
+    """All schemes, or those that are best at some pose, best first."""
+    if math.comb(len(active), freedom) <= MAX_SCHEMES:
         choices = list(itertools.combinations(active, freedom))
     else:
         choices = list({_best_choice(pose, active, freedom) for pose in [start, *poses]})
     rated = _rate(chain, choices, poses, start)
-    ordered = sorted(rated, key=lambda s: (s.condition, s.condition_start))
-    return tuple(ordered), total <= MOST_SCHEMES, total
+    return tuple(sorted(rated, key=lambda s: (s.condition, s.condition_start)))
 
 
 def _best_choice(pose: _Pose, active: Sequence[int], freedom: int) -> tuple[int, ...]:
@@ -300,10 +292,7 @@ def _best_choice(pose: _Pose, active: Sequence[int], freedom: int) -> tuple[int,
 
 
 def _rate(
-    chain: ClosedChain,
-    choices: Sequence[Sequence[int]],
-    poses: Sequence[_Pose],
-    start: _Pose,
+    chain: ClosedChain, choices: Sequence[Sequence[int]], poses: Sequence[_Pose], start: _Pose
 ) -> list[Scheme]:
     """Condition of the block that each choice leaves to be inverted."""
     if not choices:

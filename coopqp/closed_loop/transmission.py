@@ -37,7 +37,7 @@ from coopqp.closed_loop.screw import (
 from coopqp.model.closed_chain import ClosedChain
 
 #: A wrench with less torque than this along its force is a force [N mm for a newton].
-MOST_TURNING = 0.5
+MAX_PITCH = 0.5
 
 COMMANDED, STRUCTURE, LET_GO, MIXED = "commanded", "structure", "not transmitted", "not alone"
 
@@ -67,13 +67,7 @@ class Counts:
 
 @dataclass(frozen=True)
 class ArmTransmission:
-    """One arm's wrenches on an object that is held fast.
-
-    Attributes:
-        arm: its name.
-        counts: of the six dimensions.
-        borne: wrenches that its links bear without any motor, as screws.
-    """
+    """One arm's wrenches on a fixed object, and those its links bear without motors, as screws."""
 
     arm: str
     counts: Counts
@@ -84,11 +78,8 @@ class ArmTransmission:
 class PairTransmission:
     """Wrenches of two hands against each other.
 
-    Attributes:
-        arms: their names.
-        counts: of the six dimensions.
-        components: of the section wrench, each by itself with the others zero: "commanded",
-            "structure", "not transmitted", or "not alone" where it comes with others only.
+    ``components`` of the section wrench, each with the others zero, are "commanded", "structure",
+    "not transmitted", or "not alone" where a component comes with others only.
     """
 
     arms: tuple[str, str]
@@ -98,14 +89,7 @@ class PairTransmission:
 
 @dataclass(frozen=True)
 class Transmission:
-    """The report.
-
-    Attributes:
-        dimensions: 6 (N - 1).
-        all: of all internal wrenches.
-        arms: one by one.
-        pairs: two by two.
-    """
+    """The 6 (N - 1) internal wrenches: all, of each arm alone, and of each pair."""
 
     dimensions: int
     all: Counts
@@ -184,4 +168,4 @@ def force_words(screw: Screw) -> str:
         return f"torque about {direction}"
     line = f"force along {direction} through {numbers(np.array(screw.point))} m"
     turning = 1e3 * screw.pitch
-    return line if abs(turning) < MOST_TURNING else f"{line}, with {turning:.0f} N mm a newton"
+    return line if abs(turning) < MAX_PITCH else f"{line}, with {turning:.0f} N mm a newton"

@@ -21,8 +21,7 @@ class WrenchStack:
         tasks: as given.
         rows: such as "task[internal_wrench].squeeze".
         slices: of each task's rows. sizes: their numbers.
-        C: shape (r, 6 N), on the wrenches of the hands that hold the object, each at its point,
-            in world axes.
+        C: shape (r, 6 N), on wrenches of the hands that hold, each at its point, in world axes.
         wanted: shape (r,) [N, N m].
         weights: of the rows; torques count as forces at LENGTH.
         hard: which of them must hold, shape (r,).

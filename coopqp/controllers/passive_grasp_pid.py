@@ -42,7 +42,7 @@ from coopqp.model.state import State
 from coopqp.solver import Status
 from coopqp.task import TaskStack
 from coopqp.torque_law.margins import (
-    LEAST_DAMPING,
+    MIN_DAMPING,
     ReferenceModel,
     TorqueLoop,
     VelocityLoop,
@@ -144,7 +144,7 @@ KINEMATIC_GAINS = (5.0, 2.0, 0.0)
 #: kp [N/m, N m/rad], ki [.../s], kd [... s] of the torque level, translation and rotation.
 TORQUE_GAINS = ((600.0, 4.0), (2400.0, 8.0), (40.0, 0.25))
 #: Control period up to which the torque level has these gains, translation and rotation [s]; at
-#: the start of passive_grasp_pose, rotation about x is what rings first with longer ones.
+#: the start of passive_grasp_pose, rotation about x is the first to oscillate with longer ones.
 FULL_GAINS_DT = (0.004, 0.002)
 #: Powers of one time scale that slow a motion down without changing its shape: of kp, ki, kd.
 POWERS = (2, 3, 1)
@@ -170,7 +170,7 @@ class PassiveGraspPid(Controller):
     kp: Gains | None = None
     """Proportional gains, one for all task rows or one each [N/m, N m/rad; kinematic 1/s].
 
-    Gains that ring at the start, with commands one tick late, are refused. The defaults of the
+    Gains that oscillate at the start, with commands one tick late, are refused. The defaults of the
     torque level are for dt to 4 ms (rotation 2 ms); beyond, kp goes as 1/dt^2, ki as 1/dt^3, kd as
     1/dt."""
     ki: Gains | None = None
@@ -185,7 +185,7 @@ class PassiveGraspPid(Controller):
         return self.level == "torque"
 
     def build(self, problem: ControlProblem) -> Law:
-        """Refuse tasks that the motors cannot decide, gains of the wrong number or that ring."""
+        """Refuse tasks that the motors cannot decide, a wrong number of gains, oscillating ones."""
         require_motor_freedom(problem, self.name or "passive_grasp_pid")
         law = TorquePid if self.level == "torque" else KinematicPid
         return law(problem, self)
@@ -224,9 +224,9 @@ class PassiveGraspPid(Controller):
         if damped(loop):
             return
         raise InvalidValueError(
-            f"{self.name or 'passive_grasp_pid'}: the gains ring at dt "
+            f"{self.name or 'passive_grasp_pid'}: the gains oscillate at dt "
             f"{1e3 * problem.dt:g} ms with commands a tick late (damping ratio "
-            f"{loop.damping():.2f}, needs {LEAST_DAMPING:.2f}); {_fix(loop)}"
+            f"{loop.damping():.2f}, needs {MIN_DAMPING:.2f}); {_fix(loop)}"
         )
 
 

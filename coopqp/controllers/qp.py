@@ -27,7 +27,7 @@ class QPController(Controller):
     engine: Literal["auto", "python", "kernel"] = "auto"
     """auto: the compiled kernel where it can do the problem; python: never; kernel: always."""
     admittance: Admittance | None = None
-    """How it comes to the squeeze that an internal_wrench task wants; needed there."""
+    """Internal force control for the squeeze of an internal_wrench task; needed there."""
 
     def build(self, problem: ControlProblem) -> Law:
         """Preallocate the QPs and open the solver, or the kernel, on them.

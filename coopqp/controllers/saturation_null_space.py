@@ -103,11 +103,7 @@ def _scales(a: Array, b: Array, lb: Array, ub: Array) -> tuple[Array, Array]:
 
 
 class SaturationNullSpaceLaw(Law):
-    """The law built for one problem.
-
-    Raises:
-        InvalidValueError: a limit is not one of joints.
-    """
+    """The law of one problem; raises InvalidValueError for limits of anything but joints."""
 
     def __init__(self, problem: ControlProblem) -> None:
         super().__init__(problem)

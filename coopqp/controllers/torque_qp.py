@@ -57,7 +57,7 @@ from coopqp.torque_law.program import Costs, Layout, hard_rows, programs
 from coopqp.torque_law.task_dynamics import TaskDynamics, require_motor_freedom
 
 #: Ticks in which a motion may die out, or a joint brake, at the fastest.
-LEAST_TICKS = 4
+MIN_TICKS = 4
 
 
 class TorqueQpLaw(Law):
@@ -93,11 +93,15 @@ class TorqueQpLaw(Law):
         self._impedances = Impedances(problem, level)
         self._followed = self._impedances.others
         self._model = ReferenceModel(level.gains[self._followed], problem.dt)
-        self._pull = settings.integral * level.gains[self._followed]
-        self._pushes = settings.observer(dynamics, problem.dt)
-        self._held = HeldTorques(self.hands, self.layout, dynamics)
-        seen = self._pushes.memory_sizes if self._pushes else {}
-        self.memory_sizes = {**self._model.memory_sizes, **self._held.memory_sizes, **seen}
+        self._integral_gains = settings.integral * level.gains[self._followed]
+        self._estimator = settings.observer(dynamics, problem.dt)
+        self._held_torques = HeldTorques(self.hands, self.layout, dynamics)
+        observed = self._estimator.memory_sizes if self._estimator else {}
+        self.memory_sizes = {
+            **self._model.memory_sizes,
+            **self._held_torques.memory_sizes,
+            **observed,
+        }
 
     @property
     def qp(self) -> QP:
@@ -117,7 +121,7 @@ class TorqueQpLaw(Law):
         self._say(causes)
         assert command.tau is not None
         command.tau[:] = 0.0
-        self._held.remember(state, self.qp, x)
+        self._held_torques.remember(state, self.qp, x)
         if x is not None:
             tau = x[self.layout.tau]
             command.tau[self._level.dynamics.actuated] = tau
@@ -132,8 +136,8 @@ class TorqueQpLaw(Law):
 
     def _say(self, causes: tuple[Status, ...]) -> None:
         """What became of the tick, and that the hands' wrenches were not measured."""
-        if isinstance(self._pushes, HandSensors) and self._pushes.fault:
-            self.command.note = self._pushes.fault
+        if isinstance(self._estimator, HandSensors) and self._estimator.fault:
+            self.command.note = self._estimator.fault
             others = (cause for cause in causes if cause is not Status.OPTIMAL)
             causes = (*others, Status.FORCE_NOT_MEASURED)
         self.command.say(*causes)
@@ -145,16 +149,16 @@ class TorqueQpLaw(Law):
         self.hands.update(state, self._level.dynamics)
         self.wrenches.update(state)
         self._bounds.update(state)
-        self._wrench = self._pushed(state)
+        self._wrench = self._external_wrench(state)
         self._fill(0, state, None)
-        self._held.foresee(state, self.qp)
+        self._held_torques.foresee(state, self.qp)
 
-    def _pushed(self, state: State) -> Array | None:
+    def _external_wrench(self, state: State) -> Array | None:
         """The external wrench on the object; None where unknown."""
-        if isinstance(self._pushes, HandSensors):
-            return self._pushes.update(state.memory, state)
-        if self._pushes:
-            return self._pushes.update(state.memory, state.q, state.v)
+        if isinstance(self._estimator, HandSensors):
+            return self._estimator.update(state.memory, state)
+        if self._estimator:
+            return self._estimator.update(state.memory, state.q, state.v)
         return self._impedances.guess()
 
     def _fill(self, number: int, state: State, before: Array | None, soften: bool = False) -> None:
@@ -168,14 +172,14 @@ class TorqueQpLaw(Law):
         x, status = self._solve_levels(state)
         if x is not None or status is not Status.INFEASIBLE:
             return x, (status,)
-        given_up: tuple[Status, ...] = ()
+        relaxed: tuple[Status, ...] = ()
         if self._has_hard:
             x, status = self._solve_levels(state, soften=True)
-            given_up = (Status.TASKS_RELAXED,)
+            relaxed = (Status.TASKS_RELAXED,)
         if x is None and self.hands.pressing:
             x, status = self._solve_levels(state, soften=True, keep=False)
-            given_up = (*given_up, Status.CONTACT_GIVEN_UP)
-        return (x, given_up) if x is not None else (None, (status,))
+            relaxed = (*relaxed, Status.CONTACT_GIVEN_UP)
+        return (x, relaxed) if x is not None else (None, (status,))
 
     def _solve_levels(
         self, state: State, *, soften: bool = False, keep: bool = True
@@ -198,7 +202,7 @@ class TorqueQpLaw(Law):
         """J a that the rows of all tasks ask for."""
         level, gains, given = self._level, self._gains, self._impedances
         held = level.tasks.e.copy()
-        held[self._followed] += self._pull * state.memory["integral"]
+        held[self._followed] += self._integral_gains * state.memory["integral"]
         wanted = -gains * (2.0 * level.e_dot + gains * held)
         if len(given.rows) and self._wrench is not None:
             wanted[given.rows] = given.accelerations(self._wrench, self._correction(state))
@@ -214,24 +218,24 @@ class TorqueQpLaw(Law):
     def _limits(self, state: State) -> tuple[Array, Array, Array, Array]:
         """The limits on v + a dt as bounds and rows on a."""
         bounds, v = self._bounds, state.v
-        dt, most = self.problem.dt, self.settings.acceleration
-        upper = np.clip((bounds.ub - v) / dt, -most, most)
-        lower = np.clip((bounds.lb - v) / dt, -most, most)
+        dt, max_a = self.problem.dt, self.settings.acceleration
+        upper = np.clip((bounds.ub - v) / dt, -max_a, max_a)
+        lower = np.clip((bounds.lb - v) / dt, -max_a, max_a)
         # No row asks for more than the joints' acceleration can give.
-        room = (bounds.h - bounds.G.dot(v)) / dt
-        room = np.maximum(room, -most * np.abs(bounds.G).sum(axis=1))
-        return np.minimum(lower, upper), upper, bounds.G, room
+        upper_rows = (bounds.h - bounds.G.dot(v)) / dt
+        upper_rows = np.maximum(upper_rows, -max_a * np.abs(bounds.G).sum(axis=1))
+        return np.minimum(lower, upper), upper, bounds.G, upper_rows
 
     def hold_still(self, state: State) -> None:
         assert self.command.tau is not None
-        self._held.remember(state, self.qp, None)
+        self._held_torques.remember(state, self.qp, None)
         self._level.dynamics.update(state.q, state.v)
         self.command.tau[:] = self._level.holding(state, self.settings.damping_time)
         self._remember(state)
 
     def _remember(self, state: State) -> None:
         """Keep what the motors do until the next tick, for the observer."""
-        if isinstance(self._pushes, MomentumObserver):
+        if isinstance(self._estimator, MomentumObserver):
             state.memory["observer.tau"][:] = self.command.tau
 
 
@@ -243,7 +247,7 @@ class TorqueQp(Controller):
     supports: ClassVar[Features] = frozenset({"limits", "modes", "priorities", "forces"})
 
     integral: NonNegative = 0.3
-    """Weight of the integral over gain cubed; refused where it rings, from 0.8 on or earlier."""
+    """Weight of the integral over gain cubed; refused where it oscillates, from 0.8 on or less."""
     damping: Positive = 1e-5
     """Cost of squared accelerations that do not brake [s4/rad2]."""
     damping_time: Positive = 0.05
@@ -314,10 +318,10 @@ class TorqueQp(Controller):
         """What dies out or brakes within a tick or two overshoots, and passes the stop."""
         for key in ("damping_time", "brake_time"):
             found = getattr(self, key)
-            if found < LEAST_TICKS * dt:
+            if found < MIN_TICKS * dt:
                 raise InvalidValueError(
-                    f"{name}.{key}: found {found:g} s, needs at least {LEAST_TICKS} ticks, "
-                    f"{LEAST_TICKS * dt:g} s"
+                    f"{name}.{key}: found {found:g} s, needs at least {MIN_TICKS} ticks, "
+                    f"{MIN_TICKS * dt:g} s"
                 )
 
     def _require_damped_integral(self, problem: ControlProblem, name: str) -> None:
@@ -328,7 +332,7 @@ class TorqueQp(Controller):
                 raise InvalidValueError(
                     f"{name}.integral: found {self.integral:g}, needs at most "
                     f"{largest(holds, self.integral):g} at gain {task.gain:g} 1/s (task "
-                    f"{task.name}) and dt {1e3 * dt:g} ms; more rings, so lower it"
+                    f"{task.name}) and dt {1e3 * dt:g} ms; more oscillates, so lower it"
                 )
 
 

@@ -45,17 +45,17 @@ def run(
     check_plant(scenario, chosen, controller)
     scenario.check_size()
     solver = scenario.solver_name if chosen.uses_solver else None
-    with _own_words(controller):
+    with _one_line_errors(controller):
         held = scenario.held_by(controller)
-        legs = list(_legs(held, chosen, controller, solver, progress, timed=timed))
-        return join(legs) if scenario.phases else legs[0][1]
+        phases = list(_run_phases(held, chosen, controller, solver, progress, timed=timed))
+        return join(phases) if scenario.phases else phases[0][1]
 
 
 def built(scenario: Scenario, controller: str) -> PhaseRun:
     """The first phase of a run, built and not run; arguments and errors as for :func:`run`."""
     chosen = controller_of(scenario, controller)
     check_plant(scenario, chosen, controller)
-    with _own_words(controller):
+    with _one_line_errors(controller):
         return begin_phase(scenario.held_by(controller), chosen)
 
 
@@ -69,7 +69,7 @@ def check_plant(scenario: Scenario, chosen: Controller, name: str) -> None:
 
 
 @contextmanager
-def _own_words(controller: str) -> Iterator[None]:
+def _one_line_errors(controller: str) -> Iterator[None]:
     """Turn unexpected errors into one line, so that other controllers can be run all the same."""
     try:
         yield
@@ -96,7 +96,7 @@ def controller_of(scenario: Scenario, name: str) -> Controller:
     return chosen
 
 
-def _legs(
+def _run_phases(
     scenario: Scenario,
     chosen: Controller,
     name: str,
@@ -111,7 +111,7 @@ def _legs(
         begun = begin_phase(scenario, chosen, begun, timed=timed)
         assert begun.plant is not None  # no robot takes its place
         begun.ticks = phase.ticks(scenario.dt)
-        leg = rollout(
+        trace = rollout(
             begun.law,
             begun.plant,
             begun.ticks,
@@ -123,9 +123,9 @@ def _legs(
             feed=begun.feed(),
             timed=timed,
         )
-        yield PhaseInfo(phase.name, begun.first, phase.released), leg
-        if not begun.is_last and leg.failures and leg.failures[-1].cause in ENDED:
-            words = f"phase '{phase.name}' does not end: {leg.failures[-1].note}"
+        yield PhaseInfo(phase.name, begun.first, phase.released), trace
+        if not begun.is_last and trace.failures and trace.failures[-1].cause in ENDED:
+            words = f"phase '{phase.name}' does not end: {trace.failures[-1].note}"
             raise InvalidValueError(f"{name}: {words}")
 
 

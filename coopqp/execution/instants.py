@@ -50,13 +50,13 @@ class Instants:
         self._velocities = [i for i, task in enumerate(asking) if task.asks_velocity]
         self._begin = _beginning(problem, start)
         self._goals = [task.at_goal() for task in problem.tasks]
-        self._survey: TrajectoryEvaluation | None = None
+        self._evaluation: TrajectoryEvaluation | None = None
         self.points: dict[str, Array] = {}
         if alone and plant.as_told and not problem.wrenches:
             points = itertools.chain.from_iterable(chain.once(joint_points).values())
             tasks = (*problem.tasks, *self._goals)
-            self._survey = survey(chain, tasks, self._begin, tuple(points))
-        self.at_end = self._survey is not None
+            self._evaluation = survey(chain, tasks, self._begin, tuple(points))
+        self.at_end = self._evaluation is not None
         if self.at_end:
             return
         self.position, self.rotation = np.zeros((rows, 3)), np.zeros((rows, 3, 3))
@@ -130,10 +130,10 @@ class Instants:
         ``gap`` of the closed loops, shape (6 L,) [m, rad], has not changed.
         """
         chain = self._problem.chain
-        if self._survey is None:
+        if self._evaluation is None:
             self.points = arm_points(chain, q)
             return
-        found = self._survey.look(t, q, v if self._velocities else None)
+        found = self._evaluation.look(t, q, v if self._velocities else None)
         self.position, self.rotation = found.position, found.rotation
         apart = found.loop_error[:, : len(gap)] - gap
         sizes = np.linalg.norm(apart.reshape(len(t), -1, 2, 3), axis=3)
@@ -154,13 +154,13 @@ class Instants:
             self.points[arm] = found.points[:, at : at + len(points)]
             at += len(points)
 
-    def leverage(self, start: State, end: State) -> Array:
-        """As :func:`leverage`, of each part, shape (K,)."""
+    def directional_manipulability(self, start: State, end: State) -> Array:
+        """As :func:`directional_manipulability`, of each part, shape (K,)."""
         parts = [part for _, part in self.parts]
         own = None if self.at_end else self._stacks[0][0]
         stack = own or TaskStack(self._problem.tasks, self._begin)
         with suppressed():  # a tick that met the same error names it
-            return leverage(stack, parts, self._velocities, start, end)
+            return directional_manipulability(stack, parts, self._velocities, start, end)
         return np.ones(len(parts))
 
 
@@ -192,7 +192,7 @@ def _springs(task: Task) -> tuple[tuple[int, int, float], ...]:
     return tuple((row, axis, stiffness) for row, (axis, stiffness) in enumerate(pairs))
 
 
-def leverage(
+def directional_manipulability(
     tasks: TaskStack, parts: Sequence[slice], velocities: Collection[int], start: State, end: State
 ) -> Array:
     """Directional manipulability of each part's error at the end over that at the start.
@@ -216,15 +216,15 @@ def leverage(
     if not (np.isfinite(start.q).all() and np.isfinite(end.q).all()):
         return ratios
     tasks.update(start)
-    before = tasks.J @ null_space(start.J_loop)
+    J_before = tasks.J @ null_space(start.J_loop)
     tasks.update(end)
-    now = tasks.J @ null_space(end.J_loop)
+    J_now = tasks.J @ null_space(end.J_loop)
     for i, part in enumerate(parts):
         slow = i in velocities
         missed = tasks.rate[part] - tasks.J[part] @ end.v if slow else tasks.e[part]
-        could = float(np.linalg.norm(missed @ before[part]))
+        could = float(np.linalg.norm(missed @ J_before[part]))
         if could > NOTHING:
-            ratios[i] = float(np.linalg.norm(missed @ now[part])) / could
+            ratios[i] = float(np.linalg.norm(missed @ J_now[part])) / could
     return ratios
 
 

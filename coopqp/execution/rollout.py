@@ -240,7 +240,7 @@ class _Recorder:
         found = self._margins(self.q[[0, 0]], np.zeros_like(self.q[:1]))
         return {row: float(margin[0]) for row, margin in found.items()}
 
-    def _leverage(self, errors: Array) -> Array:
+    def _directional_manipulability(self, errors: Array) -> Array:
         """Directional manipulability of what is missed, over the start's; shape (K,)."""
         parts = zip(errors, self.instants.parts, strict=True)
         if all(within(error, info.tolerance) for error, (info, _) in parts):
@@ -249,13 +249,13 @@ class _Recorder:
         start, end = (State(chain, q, self.t[-1]) for q in self.q[[0, -1]])
         start.inputs = end.inputs = self._inputs_at_end
         end.v[:] = self.v[-1] if len(self.v) else 0.0
-        return self.instants.leverage(start, end)
+        return self.instants.directional_manipulability(start, end)
 
     def trace(self, controller: str, solver: str | None, supports: Features) -> Trace:
         """Everything recorded, frozen."""
-        problem, seen = self._law.problem, self.instants
+        problem, instants = self._law.problem, self.instants
         chain = problem.chain
-        seen.follow(self.t, self.q, self.v, self._gap)
+        instants.follow(self.t, self.q, self.v, self._gap)
         return Trace(
             controller=controller,
             solver=solver,
@@ -268,7 +268,7 @@ class _Recorder:
             upper=chain.upper,
             velocity=chain.velocity,
             effort=chain.model.effortLimit.copy(),
-            tasks=tuple(info for info, _ in seen.parts),
+            tasks=tuple(info for info, _ in instants.parts),
             t=self.t,
             q=self.q,
             v=self.v,
@@ -276,16 +276,16 @@ class _Recorder:
             measured=self.measured,
             gap=self.gap,
             memory=self.memory,
-            position=seen.position,
-            rotation=seen.rotation,
-            loop_position=seen.loop[:, 0],
-            loop_orientation=seen.loop[:, 1],
-            task_error=seen.task_error,
-            leverage=self._leverage(seen.task_error[-1]),
-            goal_error=seen.goal_error,
+            position=instants.position,
+            rotation=instants.rotation,
+            loop_position=instants.loop[:, 0],
+            loop_orientation=instants.loop[:, 1],
+            task_error=instants.task_error,
+            leverage=self._directional_manipulability(instants.task_error[-1]),
+            goal_error=instants.goal_error,
             task_rows=_task_rows((*problem.tasks, *problem.wrenches), chain),
-            e=seen.e,
-            rate=seen.rate,
+            e=instants.e,
+            rate=instants.rate,
             usable=self.usable,
             inaccurate=self.inaccurate,
             status=tuple(self.status),
@@ -295,7 +295,7 @@ class _Recorder:
             unaudited=self._unaudited(),
             compiled=self.compiled,
             tick_us=self.tick_us,
-            points=seen.points,
+            points=instants.points,
             supports=supports,
             failures=tuple(self.failures),
             signals=self.signals,

@@ -12,11 +12,13 @@ TAKEN = 0.05
 
 def by_hand(trace: Trace, signal: str, width: int = 1) -> Array | None:
     """A signal of hands that press, shape (T', N, width); None where the plant has none."""
-    told = trace.signals.get(signal)
+    values = trace.signals.get(signal)
     first = min(round(TAKEN / trace.dt), trace.ticks - 1)
-    if told is None or not trace.ticks:
+    if values is None or not trace.ticks:
         return None
-    return np.asarray(told[first : end_of_hold(trace)].reshape(-1, told.shape[1] // width, width))
+    return np.asarray(
+        values[first : end_of_hold(trace)].reshape(-1, values.shape[1] // width, width)
+    )
 
 
 def margin(use: Array | None) -> float | None:

@@ -16,5 +16,5 @@ class AccelerationMax(Metric):
 
     def measure(self, trace: Trace) -> dict[str, Any] | None:
         worst = assess(trace).acceleration
-        told = ("value", "joint", "at", "allowed")
-        return None if worst is None else {name: getattr(worst, name) for name in told}
+        keys = ("value", "joint", "at", "allowed")
+        return None if worst is None else {name: getattr(worst, name) for name in keys}

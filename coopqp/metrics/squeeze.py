@@ -30,8 +30,8 @@ class Squeeze(Metric):
         if normal is not None:
             found = normal[:, :, 0][holds & (wrenches != 0.0).any(axis=2)]
         else:
-            told = zip(points, wrenches, strict=True)
-            found = np.array([newtons for p, h in told for newtons in squeezes(p, h)])
+            ticks = zip(points, wrenches, strict=True)
+            found = np.array([newtons for p, h in ticks for newtons in squeezes(p, h)])
         if not found.size:
             return None
         least, mean, worst = float(found.min()), float(found.mean()), float(found.max())

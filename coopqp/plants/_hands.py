@@ -25,7 +25,7 @@ class HandSignals:
         signals: ``hand_wrench`` (6 N,), of each hand on the object at its point, world axes [N,
             N m]; ``hand_point`` (3 N,), where that is [m]; and where any hand presses
             ``normal_force`` (N,) and ``tangential_force`` (N,) [N], ``friction_use`` (N,), required
-            over available friction, at most ``MOST_USE``, ``edge_use`` (N,), how far out on the pad
+            over available friction, at most ``MAX_USE``, ``edge_use`` (N,), how far out on the pad
             the pressure is, 1 at its edge, ``slip`` (N,), how far the object has moved along the
             contact [m], and ``held`` (1,), 1 until the object is lost. Both uses are NaN while a
             hand presses on nothing, and ``edge_use`` of a point always is.
@@ -79,7 +79,7 @@ class HandSignals:
                 if w[2] > NO_CONTACT:
                     needed = hand.contact.friction_needed(w) if borne is None else borne[k] / w[2]
                     use = needed / (self._friction * hand.contact.friction)
-                    self.signals["friction_use"][i] = min(use, MOST_USE)
+                    self.signals["friction_use"][i] = min(use, MAX_USE)
 
     def touch(self, dt: float) -> None:
         """Count how long hands have not pressed, by dt [s]; the object is lost after some time."""
@@ -109,5 +109,5 @@ class HandSignals:
         self.signals["held"][0] = 0.0
 
 
-#: Beyond this it is not told how much more friction would be needed.
-MOST_USE = 10.0
+#: Largest reported use of friction.
+MAX_USE = 10.0

@@ -75,7 +75,7 @@ class MisledModel(PlantModel):
 
 @spec
 class Kinematic(Plant):
-    """Joints that do exactly as told, q + v dt: shows the control law and nothing else."""
+    """Joints that follow commands exactly, q + v dt: shows the control law and nothing else."""
 
     takes_torques: ClassVar[bool] = False
 

@@ -30,7 +30,7 @@ from coopqp.plants._mjcf import OBJECT, Firmness, SpringHand, free_joints, hand_
 from coopqp.plants._servo import Servo
 
 #: A contact's time constant is at least so many steps, or MuJoCo makes it so.
-LEAST_STEPS = 2.0
+MIN_STEPS = 2.0
 
 
 class MujocoModel(DynamicModel):
@@ -60,7 +60,7 @@ class MujocoModel(DynamicModel):
         self._mujoco: Any = mujoco
         self._firm = Firmness(
             weld=settings.stiffness_time,
-            contact=max(settings.contact_time, LEAST_STEPS * self.h),
+            contact=max(settings.contact_time, MIN_STEPS * self.h),
             end_stops=settings.end_stops,
             mass=disturbance.object_mass,
             friction=disturbance.friction,

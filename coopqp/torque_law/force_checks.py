@@ -13,7 +13,7 @@ from coopqp.closed_loop.wrench_stack import WrenchStack
 from coopqp.controller import ControlProblem
 from coopqp.model.state import State
 
-#: Wanted forces may be beyond what can be had by rounding [N, N m].
+#: Wanted forces may be unreachable by rounding [N, N m].
 ROUNDING = 1e-6
 
 
@@ -36,12 +36,12 @@ def require_forces(problem: ControlProblem, safety: float, name: str) -> None:
             f"{cannot_carry(problem.chain, hold, load)}"
         )
     asked.update(start)
-    for fault in out_of_reach(hold, asked):
+    for fault in unreachable_wrenches(hold, asked):
         raise InvalidValueError(f"{name}: {fault}")
     _require_together(hold, asked, name)
 
 
-def out_of_reach(hold: StaticHold, asked: WrenchStack) -> Iterator[str]:
+def unreachable_wrenches(hold: StaticHold, asked: WrenchStack) -> Iterator[str]:
     """Wanted wrenches beyond what motors and friction give at rest, a sentence each.
 
     ``asked`` must be up to date at the pose of ``hold``.
@@ -49,7 +49,7 @@ def out_of_reach(hold: StaticHold, asked: WrenchStack) -> Iterator[str]:
     for row, C, wanted in zip(asked.rows, asked.C, asked.wanted, strict=True):
         least, most = (hold.extreme(C, sign) for sign in (-1.0, 1.0))
         if least is None or most is None:
-            return  # the object cannot be carried; told elsewhere where hands press
+            return  # the object cannot be carried; reported elsewhere where hands press
         if least.value - ROUNDING <= wanted <= most.value + ROUNDING:
             continue
         near: Bound = least if wanted < least.value else most

@@ -40,7 +40,7 @@ Shares = Mapping[str, float] | Literal["weights", "motors"]
 #: much for forces that grow, and torques held for a tick err more; cones need no small one here.
 HAND_RADIUS = LENGTH  # [m]
 #: An arm whose motors have nothing left still gets this share of what the strongest gets.
-LEAST_RESERVE = 1e-3
+MIN_RESERVE = 1e-3
 #: Sums of shares are one within this.
 SHARE_SUM = 1e-6
 
@@ -98,12 +98,11 @@ class HandWrenches:
         self.points, self.G = np.zeros((N, 3)), np.zeros((6, 6 * N))
         self.turned = np.zeros((N, 3, 3))
         self.feels = np.zeros((chain.n, 6 * N))
-        metric = np.tile(np.repeat([1.0, 1.0 / HAND_RADIUS], 3), N)
-        self._metric = metric
-        #: Loops between hands that press are closed by the contact, not by the model.
-        loops = [bool(self.hands[0].contact or hand.contact) for hand in self.hands[1:]]
+        self._metric = np.tile(np.repeat([1.0, 1.0 / HAND_RADIUS], 3), N)
+        # Loops between hands that press are closed by the contact, not by the model.
+        pressed = [bool(self.hands[0].contact or hand.contact) for hand in self.hands[1:]]
         idle = [False] * (len(chain.arms) - N)
-        self._loop_pulls = np.repeat(~np.array([*loops, *idle], bool), 6).astype(float)
+        self._loop_pulls = 1.0 - np.repeat([*pressed, *idle], 6)
 
     def _prepare_cones(self, safety: float) -> None:
         self._local, names, most = [], [], []
@@ -147,7 +146,7 @@ class HandWrenches:
     def _make_split(self, state: State) -> Split:
         if self._split == "walker":
             return walker(self.points, state.p_WO, self.shares / self.shares.sum())
-        masses = np.maximum(self.shares, LEAST_RESERVE)
+        masses = np.maximum(self.shares, MIN_RESERVE)
         inertias = self._inertia * masses
         if self._split == "minimum_norm":
             masses = inertias = np.ones(len(masses))
@@ -184,7 +183,7 @@ class HandWrenches:
             felt = np.abs(dynamics.J_arms[part].T @ (self.G[:, part] @ h))
             felt[chain.passive] = 0.0
             found[i] = np.min(np.maximum(left, 0.0) / np.maximum(felt, 1e-9))
-        found = np.maximum(found, LEAST_RESERVE * max(float(found.max()), 1e-9))
+        found = np.maximum(found, MIN_RESERVE * max(float(found.max()), 1e-9))
         return np.asarray(found / found.sum(), float)
 
 

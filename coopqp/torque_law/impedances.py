@@ -27,7 +27,7 @@ from coopqp.closed_loop.screw import LENGTH
 from coopqp.controller import ControlProblem
 from coopqp.model.closed_chain import AXES
 from coopqp.model.state import State
-from coopqp.torque_law.margins import DELAY, LEAST_DAMPING, spring_damping
+from coopqp.torque_law.margins import DELAY, MIN_DAMPING, spring_damping
 from coopqp.torque_law.task_dynamics import TaskDynamics
 
 
@@ -139,18 +139,18 @@ def require_impedances(
     which = f"{name}: task {' and '.join(tasks)}"
     if impedances.stated.any() and not knows_wrench:
         raise InvalidValueError(
-            f"{which} states a mass, which only who knows the push can feign; say "
-            "external_wrench: observed, or leave mass out: object and arms as they are"
+            f"{which} states a mass, which needs the external wrench; say "
+            "external_wrench: observed, or leave mass out for the inertia of object and arms"
         )
     level.update(State(problem.chain))
     impedances.update()
     C, R, dt = impedances.B * impedances.K, impedances.R, problem.dt
     asked, found = spring_damping(C, R, dt, None), spring_damping(C, R, dt, DELAY)
-    if found < (needed := min(LEAST_DAMPING, 0.5 * asked)):
+    if found < (needed := min(MIN_DAMPING, 0.5 * asked)):
         raise InvalidValueError(
-            f"{which} rings at dt {1e3 * dt:g} ms when commands are a tick late (damping ratio "
-            f"{found:.2f}, needs {_at_least(needed)}); lower stiffness and damping, or dt, or "
-            "state more mass"
+            f"{which} oscillates at dt {1e3 * dt:g} ms when commands are a tick late (damping "
+            f"ratio {found:.2f}, needs {_at_least(needed)}); lower stiffness and damping, or dt, "
+            "or state more mass"
         )
 
 

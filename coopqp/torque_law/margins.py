@@ -34,8 +34,8 @@ from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.model.state import Memory
 
-#: Least damping ratio of a pole: a swing is half as high as the one before, ln 2 / hypot(ln 2, pi).
-LEAST_DAMPING = math.log(2.0) / math.hypot(math.log(2.0), math.pi)
+#: Least damping ratio of a pole: half the amplitude each time, ln 2 / hypot(ln 2, pi).
+MIN_DAMPING = math.log(2.0) / math.hypot(math.log(2.0), math.pi)
 #: Ticks that a command is late where settings are judged; a robot's bus has no less.
 DELAY = 1
 #: Poles slower than this in a tick are what nothing moves: rows without an integral [-].
@@ -85,7 +85,7 @@ def damping_ratio(step: Callable[[Array], Array], size: int) -> float:
     """
     matrix = np.column_stack([step(unit) for unit in np.eye(size)])
     z = np.linalg.eigvals(matrix).astype(complex)
-    s = np.log(z[np.abs(z) > STILL])  # what is gone in a tick has no swing
+    s = np.log(z[np.abs(z) > STILL])  # what is gone in a tick does not oscillate
     s = s[np.abs(s) > STILL]
     return float((-s.real / np.abs(s)).min(initial=1.0))
 
@@ -136,9 +136,7 @@ class TorqueLoop:
 class VelocityLoop:
     """All rows of a velocity law with a reference model of first order, e_m_dot = -kp e_m.
 
-    Attributes:
-        kp, ki, kd: shape (k,) [1/s, 1/s2, 1].
-        dt: control period [s].
+    kp, ki, kd have shape (k,) [1/s, 1/s2, 1], and dt is the control period [s].
     """
 
     kp: Array
@@ -200,7 +198,7 @@ def row_loop(gain: float, integral: float, dt: float) -> TorqueLoop:
 
 def damped(loop: TorqueLoop | VelocityLoop) -> bool:
     """Whether it is damped enough with one tick of delay."""
-    return loop.damping() >= LEAST_DAMPING
+    return loop.damping() >= MIN_DAMPING
 
 
 def largest(good: Callable[[float], bool], most: float) -> float:
@@ -230,6 +228,6 @@ def require_damped_models(problem: ControlProblem, controller: str) -> None:
             most = largest(lambda gain: damped(row_loop(gain, 0.0, dt)), task.gain)
             raise InvalidValueError(
                 f"task {task.name}: found gain {task.gain:g} 1/s, {controller} needs at most "
-                f"{most:g} 1/s at dt {1e3 * dt:g} ms; more rings when commands are a tick late, "
-                "so lower it, or dt"
+                f"{most:g} 1/s at dt {1e3 * dt:g} ms; more oscillates when commands are a tick "
+                "late, so lower it, or dt"
             )

@@ -32,7 +32,7 @@ Indices = NDArray[np.intp]
 Mask = NDArray[np.bool_]
 
 #: Cost of squared wrenches, so that those that nothing else decides are the least [1/N2].
-LEAST_WRENCH = 1e-5
+WRENCH_COST = 1e-5
 #: Cost of leaving a cone, per newton and squared: far above what any task gains by it.
 LEAVING = (1e4, 1.0)
 #: Weight of a hard task, over its own, where it has to become soft.
@@ -122,7 +122,7 @@ class Program:
         self.solution = Solution(self.qp)
         n, k = layout.n, layout.k
         dynamics = level.dynamics
-        self._diagonal = np.repeat([costs.damping, costs.effort, LEAST_WRENCH], [n, k, hands.size])
+        self._diagonal = np.repeat([costs.damping, costs.effort, WRENCH_COST], [n, k, hands.size])
         effort = level.dynamics.chain.model.effortLimit[dynamics.actuated]
         self.qp.lb[layout.tau], self.qp.ub[layout.tau] = -effort, effort
         self.qp.A[dynamics.actuated, n + np.arange(k)] = -1.0
@@ -234,7 +234,7 @@ class Program:
         rows[:], right[:] = 0.0, 0.0
         if not len(right):
             return
-        hard = self._hard(motion, forces)
+        hard = np.concatenate([hard_rows(self._level)[motion], self._wrenches.hard[forces]])
         if soften and not (~hard).any():
             return
         rows[: len(motion), layout.a] = self._level.tasks.J[motion]
@@ -252,11 +252,6 @@ class Program:
             left[np.linalg.norm(left, axis=1) < DECIDED * np.abs(rows).max()] = 0.0
             again = np.setdiff1d(np.arange(len(rows)), independent_rows(left))
             rows[again], right[again] = 0.0, 0.0
-
-    def _hard(self, motion: Indices, forces: Indices) -> Mask:
-        """Which of the rows that must hold are those of hard tasks."""
-        hard = hard_rows(self._level)
-        return np.concatenate([hard[motion], self._wrenches.hard[forces]])
 
 
 def hard_rows(level: TaskDynamics) -> Mask:
