@@ -4,7 +4,7 @@
 
 h (6 N,) are the hands' wrenches on the object at their points, and C has a row for each component
 given; all others are free. They are those of the section wrench at the middle between the hands
-(:mod:`coopqp.closed_loop.section`), with equal shares Walker's internal wrench; between three hands
+(:mod:`coopqp.closed_loop.grasp_matrix`), with equal shares Walker's internal wrench; between three hands
 only the push along their edge, by the virtual linkage. The squeeze is the mean of both normal
 forces, which differ by the object's weight along the line between the hands.
 
@@ -23,8 +23,8 @@ import numpy as np
 from coopqp.base.errors import GraspError, UnknownNameError
 from coopqp.base.spec import Array, Positive, spec
 from coopqp.closed_loop.forces import squeeze_rows
+from coopqp.closed_loop.grasp_matrix import COMPONENTS, UNITS, section
 from coopqp.closed_loop.hands import Hand, hands, points
-from coopqp.closed_loop.section import COMPONENTS, UNITS, section
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.signal import Kind, Reads, Signal, trajectory_of
