@@ -4,7 +4,7 @@
 
 h (6 N,) are the hands' wrenches on the object at their points, and C has a row for each component
 given; all others are free. They are those of the section wrench at the middle between the hands
-(:mod:`coopqp.closed_loop.grasp_matrix`), with equal shares Walker's internal wrench; between three hands
+(``closed_loop.grasp_matrix``), with equal shares Walker's internal wrench; between three hands
 only the push along their edge, by the virtual linkage. The squeeze is the mean of both normal
 forces, which differ by the object's weight along the line between the hands.
 
