@@ -344,14 +344,12 @@ class Assessment:
 
     @property
     def _at_effort(self) -> NDArray[np.bool_]:
-        """Which motors were at their limits in each tick, shape (T, n), or (0, 0)."""
-        signals, effort = self.trace.signals, self.trace.effort
-        if "saturated" in signals:
-            return np.asarray(signals["saturated"] > 0.0)
-        if "tau" not in signals:
+        """Which motors were at their limits at each tick's end, shape (T, n), or (0, 0)."""
+        tau, effort = self.trace.signals.get("tau"), self.trace.effort
+        if tau is None:
             return np.zeros((0, 0), bool)
         limited = np.isfinite(effort) & (effort > 0.0)
-        return np.asarray((np.abs(signals["tau"]) >= AT_EFFORT * effort) & limited)
+        return np.asarray((np.abs(tau) >= AT_EFFORT * effort) & limited)
 
 
 class Accelerations(NamedTuple):

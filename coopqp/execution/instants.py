@@ -48,7 +48,7 @@ class Instants:
     ) -> None:
         self._problem, self._plant, rows = problem, plant, ticks + 1
         chain = problem.chain
-        self.parts = _parts((*problem.tasks, *problem.wrenches), chain)
+        self.parts = parts_of((*problem.tasks, *problem.wrenches), chain)
         asking = [task for task in problem.tasks for _ in task.parts(chain)]
         self._velocities = [i for i, task in enumerate(asking) if task.asks_velocity]
         self._begin = _beginning(problem, start)
@@ -197,7 +197,7 @@ class _MeasuredWrenches:
         return self.stack.error(self._told.reshape(-1, 6)[self._at])
 
 
-def _parts(tasks: Sequence[Task], chain: ClosedChain) -> list[tuple[TaskInfo, slice]]:
+def parts_of(tasks: Sequence[Task], chain: ClosedChain) -> list[tuple[TaskInfo, slice]]:
     """What the trace says of each part of each task, and its rows in the stack."""
     found, at = [], 0
     for task in tasks:
@@ -212,6 +212,11 @@ def _parts(tasks: Sequence[Task], chain: ClosedChain) -> list[tuple[TaskInfo, sl
             found.append((info, slice(at, at + part.rows)))
             at += part.rows
     return found
+
+
+def rows_of(tasks: Sequence[Task], chain: ClosedChain) -> tuple[str, ...]:
+    """What the rows of all tasks are called."""
+    return tuple(f"{task.name}.{row}" for task in tasks for row in task.rows(chain))
 
 
 def _springs(task: Task) -> tuple[tuple[int, int, float], ...]:

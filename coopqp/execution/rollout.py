@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
@@ -13,13 +13,11 @@ from coopqp.base.spec import Array, type_name
 from coopqp.base.wording import suppressed
 from coopqp.controller import NO_FEATURES, Command, Features, Law
 from coopqp.execution.guarded_plant import GuardedPlant, settled
-from coopqp.execution.instants import Instants
-from coopqp.model.closed_chain import ClosedChain
+from coopqp.execution.instants import Instants, rows_of
 from coopqp.model.state import State
 from coopqp.plant import PlantModel
 from coopqp.scenario.input import Sender
 from coopqp.solver import Status, written
-from coopqp.task import Task
 from coopqp.trace import Failure, Trace, no_input
 
 Progress = Callable[[int], None]
@@ -286,7 +284,7 @@ class _Recorder:
             task_error=seen.task_error,
             leverage=self._leverage(seen.task_error[-1]),
             goal_error=seen.goal_error,
-            task_rows=_task_rows((*problem.tasks, *problem.wrenches), chain),
+            task_rows=rows_of((*problem.tasks, *problem.wrenches), chain),
             e=seen.e,
             rate=seen.rate,
             usable=self.usable,
@@ -305,8 +303,3 @@ class _Recorder:
             signals=self.signals,
             inputs=self.inputs,
         )
-
-
-def _task_rows(tasks: Sequence[Task], chain: ClosedChain) -> tuple[str, ...]:
-    """What the rows of all tasks are called."""
-    return tuple(f"{task.name}.{row}" for task in tasks for row in task.rows(chain))

@@ -31,6 +31,7 @@ from pydantic import BaseModel, PydanticUserError
 from coopqp.base.errors import CoopqpError, Fault, unknown_name
 from coopqp.base.reading import absolute
 from coopqp.base.wording import said
+from coopqp.metric import OF_STUDIES
 from coopqp.scenario.plugin import COLLECTIONS, Entry, entry_of
 from coopqp.scenario.user_folders import package_of
 
@@ -57,7 +58,7 @@ class Shelf:
 
     def _entry(self, file: Path) -> Entry | Fault:
         name = file.stem
-        if wrong := _wrong_name(name):
+        if wrong := _wrong_name(name, self.kind):
             return Fault(str(file), f"{wrong}; rename the file")
         module = f"{self.package}.{name}"
         try:
@@ -137,12 +138,14 @@ def _in_subfolders(folder: Path, package: str | None) -> Iterator[Shelf | Fault]
         yield Shelf(found.name, found, f"{package}.{found.name}" if package else package_of(found))
 
 
-def _wrong_name(name: str) -> str:
+def _wrong_name(name: str, kind: str) -> str:
     """Why a scenario cannot name a plug-in so; empty when it can."""
     if not name.isidentifier() or keyword.iskeyword(name):
         return f"'{name}' is not a name in Python: letters, digits and _ alone, no keyword"
     if hasattr(BaseModel, name) or name.startswith("model_"):
         return f"'{name}' is a name that pydantic, which reads scenarios, keeps for itself"
+    if kind == "metrics" and name in OF_STUDIES:
+        return f"every study has a column '{name}' of its own"
     return ""
 
 
