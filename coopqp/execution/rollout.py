@@ -7,10 +7,9 @@ from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
+from coopqp.assessment.audit import audit
 from coopqp.assessment.thresholds import within
-from coopqp.base.qp import Row
-from coopqp.base.spec import Array, type_name
-from coopqp.base.wording import suppressed
+from coopqp.base.spec import Array
 from coopqp.controller import NO_FEATURES, Command, Features, Law
 from coopqp.execution.guarded_plant import GuardedPlant, settled
 from coopqp.execution.instants import Instants, rows_of
@@ -218,29 +217,6 @@ class _Recorder:
             self.usable[k] = False
             self.failures.append(Failure(k, status.value, note))
 
-    def _margins(self, q: Array, v: Array) -> dict[Row, Array]:
-        """What every limit had left after each tick."""
-        problem = self._law.problem
-        found: dict[Row, Array] = {}
-        for limit in problem.limits:
-            with suppressed():  # a tick that met the same error names it
-                found |= limit.margins(problem.chain, q, v, problem.dt)
-        return found
-
-    def _unaudited(self) -> tuple[str, ...]:
-        """Limits that do not say what they had left, by name."""
-        found, chain = [], self._law.problem.chain
-        for limit in self._law.problem.limits:
-            with suppressed():
-                if not limit.audited(chain):
-                    found.append(type_name(type(limit)))
-        return tuple(dict.fromkeys(found))
-
-    def _starts(self) -> dict[Row, float]:
-        """What it had left before the first."""
-        found = self._margins(self.q[[0, 0]], np.zeros_like(self.q[:1]))
-        return {row: float(margin[0]) for row, margin in found.items()}
-
     def _leverage(self, errors: Array) -> Array:
         """How much of what is missed can still be brought about, over the start's; shape (K,)."""
         parts = zip(errors, self.instants.parts, strict=True)
@@ -257,6 +233,7 @@ class _Recorder:
         problem, seen = self._law.problem, self.instants
         chain = problem.chain
         seen.follow(self.t, self.q, self.v, self._gap)
+        kept = audit(problem.limits, chain, self.q, self.v, problem.dt)
         return Trace(
             controller=controller,
             solver=solver,
@@ -291,9 +268,9 @@ class _Recorder:
             inaccurate=self.inaccurate,
             status=tuple(self.status),
             scale=self.scale,
-            margins=self._margins(self.q, self.v),
-            starts=self._starts(),
-            unaudited=self._unaudited(),
+            margins=kept.margins,
+            starts=kept.starts,
+            unaudited=kept.unaudited,
             compiled=self.compiled,
             rows_in_python=self._law.rows_in_python,
             tick_us=self.tick_us,

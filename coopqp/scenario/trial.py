@@ -23,7 +23,7 @@ import numpy as np
 from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.qp import names_of
 from coopqp.base.rank import null_space
-from coopqp.base.spec import Array, type_name
+from coopqp.base.spec import Array, taken_names, type_name
 from coopqp.base.wording import raised
 from coopqp.limit import Limit, LimitRows
 from coopqp.model.closed_chain import ClosedChain
@@ -31,7 +31,7 @@ from coopqp.model.marker import marks_fault
 from coopqp.model.state import State
 from coopqp.plant import Plant
 from coopqp.signal import Moment
-from coopqp.task import Evaluate, Task, TaskRows, evaluate_all
+from coopqp.task import Evaluate, Part, Task, TaskRows, evaluate_all
 
 #: How far the configurations nearby are, as the standard deviation of a joint [rad or m].
 NEARBY = 0.03
@@ -106,9 +106,7 @@ def try_task(task: Task, places: Places, duration: float) -> None:
     with blamed(task):
         start = places.start
         names = task.rows(start.chain)
-        counts = [part.rows for part in task.parts(start.chain)]
-        if sum(counts) != len(names) or not names:
-            raise _PromiseError(f"rows() names {len(names)} rows, parts() has {sum(counts)}")
+        _check_parts(names, task.parts(start.chain))
         columns = 6 * start.chain.holding if task.of_forces else start.chain.n
         look = _Look(task, names, task.bind(start), columns)
         look.at(start, start.t)
@@ -120,6 +118,23 @@ def try_task(task: Task, places: Places, duration: float) -> None:
             for place, share in zip(places.nearby, SHARES, strict=True)
         ]
         _check_kind(task, look, seen, places)
+
+
+def _check_parts(names: Sequence[str], parts: Sequence[Part]) -> None:
+    count = sum(part.rows for part in parts)
+    if count != len(names) or not names:
+        raise _PromiseError(f"rows() names {len(names)} rows, parts() has {count}")
+    _check_names("rows", names)
+    _check_names("parts", [part.name for part in parts])
+    for part in parts:
+        if not part.tolerance > 0.0:
+            words = f"found a tolerance of {part.tolerance}, needs more than 0"
+            raise _PromiseError(f"parts(): {words}")
+
+
+def _check_names(method: str, names: Sequence[str]) -> None:
+    for _, taken in taken_names(names):
+        raise _PromiseError(f"{method}(): {taken}; give each one of its own")
 
 
 def _check_kind(task: Task, look: _Look, seen: Sequence[_Seen], places: Places) -> None:
@@ -212,6 +227,7 @@ def try_limit(limit: Limit, places: Places, dt: float) -> None:
     with blamed(limit):
         start, chain = places.start, places.start.chain
         names = names_of(limit.rows(chain))
+        _check_names("rows", names)
         tighten = limit.bind(chain, dt)
         _check_marks(limit.marks(0.0))
         for state in (start, *(place.here for place in places.nearby)):

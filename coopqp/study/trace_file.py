@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from coopqp.assessment import assess
+from coopqp.assessment.audit import audit
 from coopqp.assessment.ends import FORCES
 from coopqp.base.errors import CoopqpError, InvalidValueError, UnknownNameError
-from coopqp.base.qp import Row
 from coopqp.base.reading import absolute
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem, Features, Law
@@ -124,10 +124,7 @@ def _phase(
     e, rate = (run.numbers(of_field(name, layout), empty=True) for name in ("e", "rate"))
     causes = [causes_of(word)[0] for word in told.columns["status"]]
     failed = [(k, cause.value) for k, cause in enumerate(causes) if not cause.usable]
-    margins, starts = dict[Row, Array](), dict[Row, Array]()
-    for limit in scenario.limits:
-        margins |= limit.margins(chain, q, v, dt)
-        starts |= limit.margins(chain, q[[0, 0]], np.zeros_like(q[:1]), dt)
+    kept = audit(problem.limits, chain, q, v, dt)
     return Trace(
         controller=run.controllers[0], solver=None, engine=None, dt=dt, kappa=problem.kappa,
         joints=joints, units=chain.joint_units, lower=chain.lower, upper=chain.upper,
@@ -140,7 +137,7 @@ def _phase(
         task_rows=rows, e=e, rate=rate,
         usable=np.array([cause.usable for cause in causes]), inaccurate=np.zeros(ticks, bool),
         status=tuple(told.columns["status"].tolist()), scale=np.ones(ticks),
-        margins=margins, starts={row: float(left[0]) for row, left in starts.items()},
+        margins=kept.margins, starts=kept.starts, unaudited=kept.unaudited,
         compiled=np.zeros(ticks, bool), tick_us=np.zeros(ticks), points={}, supports=supports,
         failures=tuple(Failure(*each) for each in failed),
     )  # fmt: skip

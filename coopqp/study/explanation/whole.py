@@ -76,6 +76,9 @@ def _explained(
     stops = replace(base, sentence=words.stops(leg)) if leg.missed else base
     if (leg.missed or not found.reached) and (failed := _failed(leg)):
         return stops.because("failed", failed)
+    if strange := [words.stops_short(part, error) for part, error in leg.missed if np.isnan(error)]:
+        said = "; ".join(dict.fromkeys((stops.sentence, *strange)))
+        return replace(base, kind="failed", sentence=said)
     given_up = relaxed([leg] if leg.missed else phases)
     if not leg.missed:
         return _kept(found, phases, replace(base, relaxed=given_up))
