@@ -35,7 +35,7 @@ GIVEN_UP = {
     "ACCELERATION_GIVEN_UP": "gives up an acceleration limit",
     "SQUEEZE_GIVEN_UP": "stands at most_way without the squeeze",
 }
-#: Speeds below so many times the limit are told by what they are beyond it.
+#: Speeds and accelerations below so many times the limit are told by what they are beyond it.
 HARDLY = 1.1
 MOST_NAMES = 3
 
@@ -237,10 +237,13 @@ def _acceleration(found: Assessment) -> str:
     worst = found.acceleration
     if worst is None or not worst.exceeds:
         return ""
-    share = _round(worst.value / worst.allowed)
+    share = worst.value / worst.allowed
+    beyond = (
+        f"{_round(share)} times" if share >= HARDLY else f"{100.0 * (share - 1.0):.1g} % more than"
+    )
     cure = ": add joint_acceleration to limits" if found.acceleration_free else ""
     return (
-        f"accelerates {worst.joint} by {_amount(worst.value, worst.unit)}, {share} times what the "
+        f"accelerates {worst.joint} by {_amount(worst.value, worst.unit)}, {beyond} what the "
         f"loop for robots allows{cure}"
     )
 

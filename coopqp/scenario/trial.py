@@ -48,6 +48,8 @@ WIDENED = "widens the bounds; tighten them by np.maximum(rows.lb, ...), np.minim
 SHARES = (0.21, 0.43)
 #: Step of the differences, in v's length [rad or m] and in time [s].
 STEP = 1e-6
+#: An error that no goal of arms has, whose differences are lost in rounding [m, rad].
+FAR = 1e4
 #: What derivatives may differ by: a share of their size, and of one unit per second.
 RELATIVE, ABSOLUTE = 1e-3, 1e-5
 
@@ -148,7 +150,7 @@ def _check_kind(task: Task, look: _Look, seen: Sequence[_Seen], places: Places) 
             if s.disagreement():
                 s = _Seen(look, places.farther[i], s.t)
             if wrong := s.disagreement():
-                raise _PromiseError(wrong)
+                raise s.too_far() or _PromiseError(wrong)
 
 
 class _Look:
@@ -187,6 +189,14 @@ class _Seen:
         return self._compare("J v", self.rows.J @ place.v, moved / (2.0 * STEP)) or self._compare(
             "rate", self.rows.rate, -passed / (2.0 * STEP)
         )
+
+    def too_far(self) -> InvalidValueError | None:
+        """What to say where errors are so large that differences of them are lost in rounding."""
+        e, names = np.abs(self.rows.e), self._look.names
+        if not e.max() > FAR:
+            return None
+        words = "farther than arms reach; look at the size of the goal"
+        return InvalidValueError(f"row {names[int(e.argmax())]}: is {e.max():.3g} off, {words}")
 
     def _compare(self, what: str, said: Array, found: Array) -> str:
         allowed = RELATIVE * (np.abs(said) + np.abs(found)) + ABSOLUTE

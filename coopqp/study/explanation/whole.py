@@ -144,6 +144,9 @@ def _failed(leg: ExplainedPhase) -> str:
 
 def _blocked(leg: ExplainedPhase, base: RunExplanation, report: Report) -> RunExplanation:
     """Of a run that missed, with what it misses in ``base``."""
+    first = leg.missed[0][0].task
+    if leg.ordered and first.mode == "soft" and not first.weight:
+        return base.because("weight", f"{first.name} has weight: 0, so nothing moves for it")
     goal = leg.goal()
     places = [part for part, _ in leg.missed if part.task in goal.tasks]
     velocities = [part for part, _ in leg.missed if part.task.asks_velocity]
