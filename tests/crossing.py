@@ -18,6 +18,7 @@ from typing import Literal
 
 import numpy as np
 from stress import goals
+from walks import vector
 
 from coopqp.base.rank import null_space
 from coopqp.base.spec import Array
@@ -30,7 +31,6 @@ from coopqp.model.state import State
 from coopqp.signals import Circle
 from coopqp.solver import Status, written
 from coopqp.solvers import Daqp
-from coopqp.study.statistics.draw import vector
 from coopqp.task import TaskStack
 from coopqp.tasks import JointCentering, Orientation, PointOnPoint
 

@@ -15,6 +15,7 @@ import pinocchio as pin
 from stress import arrangements, goals
 from stress.firmness import as_soft
 from stress.goals import Aim, pick
+from walks import walk
 
 from coopqp.base.rank import null_space
 from coopqp.base.spec import Array
@@ -27,7 +28,6 @@ from coopqp.model.state import State
 from coopqp.scenario.loader import load
 from coopqp.solver import written
 from coopqp.solvers import Daqp
-from coopqp.study.statistics.draw import walk
 from coopqp.task import Task, TaskStack
 from coopqp.tasks import JointCentering
 

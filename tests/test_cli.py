@@ -140,9 +140,10 @@ def test_explain_says_what_was_in_the_way_and_replay_solves_it_again(tmp_path: P
         (["replay", "OUT/metrics.json"], "is not a tick saved by"),
         (["replay", "/no/such"], "cannot be read"),
         (["stress", "--rollouts", "0", "--help"], "are a test now: python -m tests.stress"),
+        (["statistics", "--goals", "9"], "are a test now: python -m tests.random_goals"),
     ],
 )
-def test_explain_replay_and_stress_refuse_in_words(
+def test_explain_replay_and_what_has_moved_refuse_in_words(
     written: Path, words: list[str], message: str
 ) -> None:
     result = typed(*[word.replace("OUT", str(written)) for word in words])

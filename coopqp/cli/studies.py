@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +9,7 @@ import click
 
 from coopqp.base.errors import CoopqpError
 from coopqp.base.reading import absolute
-from coopqp.cli.options import JSON, WRITTEN, catalogued, engined, read_tick, read_trace, say
+from coopqp.cli.options import JSON, WRITTEN, catalogued, read_tick, read_trace, say
 
 FORMATS = ("mcap", "rosbag2", "parquet")
 
@@ -172,63 +170,21 @@ def replay(
     console().print(table.replay(record, answers))
 
 
-@click.command(
-    hidden=True, add_help_option=False, context_settings={"ignore_unknown_options": True}
-)
-@click.argument("words", nargs=-1, type=click.UNPROCESSED)
-def stress(words: tuple[str, ...]) -> None:
-    """Say where the random rollouts have gone."""
-    raise CoopqpError(
-        "the random rollouts are a test now: python -m tests.stress, with the same options, "
-        "in a checkout of coopqp (docs/stress.md)"
+def _moved(name: str, what: str, module: str) -> click.Command:
+    """A command that is none any more says where it has gone."""
+
+    @click.command(
+        name, hidden=True, add_help_option=False, context_settings={"ignore_unknown_options": True}
     )
+    @click.argument("words", nargs=-1, type=click.UNPROCESSED)
+    def command(words: tuple[str, ...]) -> None:
+        raise CoopqpError(
+            f"the random {what} are a test now: python -m tests.{module}, with the same options, "
+            f"in a checkout of coopqp (docs/{name}.md)"
+        )
+
+    return command
 
 
-@click.command()
-@click.option("--goals", type=click.IntRange(1), default=200, help="How many on each robot.")
-@click.option("--seed", type=click.IntRange(0), default=0, help="Of the first; others count up.")
-@click.option("--out", type=WRITTEN, help="File that keeps each goal; goes on from what it has.")
-@engined
-@JSON
-def statistics(goals: int, seed: int, out: Path | None, engine: Any, as_json: bool) -> None:
-    """Count how often each law reaches random goals inside all limits."""
-    from dataclasses import asdict
-
-    from coopqp.report import strict_json
-    from coopqp.report.terminal import console, progress_bars
-    from coopqp.study import statistics as study
-
-    bars = progress_bars(["goals"], goals * len(study.arenas()))
-    with _kept_goals(out) as (known, keep), bars as progress:
-        report = (lambda done: progress("goals", done)) if progress else None
-        where: Any = {"seed": seed, "engine": engine, "progress": report}
-        done = study.statistics(goals, **where, known=known, keep=keep)
-    lines = study.summarize(done)
-    if as_json:
-        data = {"lines": [asdict(x) for x in lines], "goals": [asdict(g) for g in done]}
-        click.echo(strict_json.text(data))
-        return
-    for table in study.tables(lines):
-        console().print(table, "")
-
-
-@contextmanager
-def _kept_goals(path: Path | None) -> Iterator[tuple[list[Any], Callable[[Any], None] | None]]:
-    """Goals that a file has, and who writes others to it as they are done."""
-    from dataclasses import asdict
-
-    from coopqp import __version__
-    from coopqp.study.statistics import kept
-    from coopqp.study.sweep.journal import Journal, head_of, records
-
-    if path is None:
-        yield [], None
-        return
-    head = {"statistics": __version__}
-    before = head_of(path) if path.exists() else None
-    if before is not None and before.get("statistics") != __version__:
-        words = "has no goals of this version of coopqp; give another --out"
-        raise CoopqpError(f"'{path}' {words}")
-    with Journal.opened(path, head) as journal:
-        known = [kept(found["goal"]) for _, found in records(path) if found]
-        yield known, lambda goal: journal.append([(None, {"goal": asdict(goal)})])
+stress = _moved("stress", "rollouts", "stress")
+statistics = _moved("statistics", "goals", "random_goals")

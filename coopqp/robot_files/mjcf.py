@@ -1,130 +1,124 @@
-"""Reading MuJoCo files (MJCF).
+"""Reading MuJoCo files (MJCF) with MuJoCo's own compiler.
 
-pinocchio reads MJCF, but of several bodies in the world only the first, of several joints in a
-body one composite, of bodies without a name nothing, and a slide's range as degrees. So it is
-handed a plain copy of the file: includes filled in, every body and joint named, one body round the
-whole world and one round each of its geoms, one joint to a body, keyframes left out, bodies that
-are free in space fixed. A body with several joints keeps its name for the last of them.
+The XML is read here, within bounds and with all that it includes, and written anew an element to a
+line, so that lines in MuJoCo's messages are elements of the file. Sections that say nothing of
+what the robot is are left out. Of meshes MuJoCo gets triangles that were read here, and only where
+a body's mass is that of its mesh.
 """
 
 from __future__ import annotations
 
-import copy
-import tempfile
+import difflib
+import re
+import warnings
 import xml.etree.ElementTree as ET
 from functools import cache
 from pathlib import Path
+from types import ModuleType
+from typing import Any
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
-import pinocchio as pin
 
-from coopqp.base.errors import InvalidValueError
+from coopqp.base.errors import InvalidValueError, MissingDependencyError
 from coopqp.base.reading import absolute
-from coopqp.robot_files.description import Description, Follower
-from coopqp.robot_files.mjcf_attributes import check, check_schema
-from coopqp.robot_files.mjcf_defaults import all_given
-from coopqp.robot_files.mjcf_geoms import without_unread
-from coopqp.robot_files.shapes import (
-    hidden,
-    read_collision_shapes,
-    read_shapes,
-    with_numbered_meshes,
-)
+from coopqp.base.spec import FARTHEST
+from coopqp.robot_files.description import Description
+from coopqp.robot_files.mjcf_geoms import Geoms
+from coopqp.robot_files.mjcf_model import Named, floating, followers, pinocchio_model
 from coopqp.robot_files.xml import (
+    ALIKE,
     DEEPEST,
     MOST_ELEMENTS,
-    numbers_of,
     pinocchio_says,
     place_of,
-    places,
     read_xml,
+    stderr_lines,
 )
 
-#: Name of the body round the world; a slash keeps it apart from names in files.
-WORLD = "world/"
+#: Elements that are left out with all that is in them, by what they are in.
+LEFT_OUT = {
+    "mujoco": "size statistic visual extension contact deformable tendon sensor custom keyframe",
+    "asset": "hfield skin texture material model",
+    "default": "texture material camera light pair equality tendon plugin",
+    "equality": "connect weld tendon flex flexvert flexstrain distance",
+    "body": "camera light plugin",
+    "worldbody": "camera light",
+    "frame": "camera light",
+    "geom": "plugin",
+    "mesh": "plugin",
+    "compiler": "lengthrange",
+    "actuator": "plugin",
+}
+#: What MuJoCo makes bodies of, in a few lines as many as one likes.
+NOT_READ = {
+    "replicate": "write out what it repeats",
+    "attach": "write out what it attaches, or include it",
+    "composite": "take it out",
+    "flexcomp": "take it out",
+}
+#: Attributes that name something, which may be called "nan".
+NAMES = ("name", "class", "childclass", "model", "file", "joint", "joint1", "joint2", "mesh")
+#: Letters of an attribute or its name; MuJoCo cuts long messages, and the line with them.
+LONGEST = 250
+LONG = ("vertex", "normal", "texcoord", "face", "user", "file")  # that may be longer
+NOT_A_NUMBER = re.compile(r"(^|\s)[+-]?nan", re.IGNORECASE)
+#: What MuJoCo says, and what is said of it.
+PLAIN = {
+    "^(XML )?Error: (Error: )?": "",
+    "Schema violation: unrecognized attribute:": "unknown attribute",
+    "Schema violation: unrecognized element": "unknown element",
+    "mass and inertia of moving bodies must.*": "moves, but has no mass or inertia of its own",
+    r"size \d must be positive in .*": "none may be missing, and each size must be above 0",
+    "mesh geom .* must have valid meshid": "type mesh needs a mesh",
+}
+#: Words of URDF files, and what MuJoCo has for them.
+OTHERWISE = {
+    "revolute": "hinge", "continuous": "hinge", "prismatic": "slide", "floating": "free",
+    "spherical": "ball", "link": "body", "collision": "geom", "visual": "geom", "origin": "pos",
+    "xyz": "pos", "position": "pos", "rpy": "euler", "radius": "size", "length": "size",
+    "filename": "file", "lower": "range", "upper": "range", "cube": "box",
+}  # fmt: skip
+#: Largest sizes of what MuJoCo has made of a file: elements, their array, and the bound.
+BOUNDS = (
+    ("joints", "jnt_pos", FARTHEST),
+    ("geoms", "geom_pos", FARTHEST),
+    ("geoms", "geom_size", FARTHEST),
+    ("sites", "site_pos", FARTHEST),
+    ("bodies", "body_pos", FARTHEST),
+    ("bodies", "body_ipos", FARTHEST),
+    ("bodies", "body_mass", 1e6),
+    ("bodies", "body_inertia", 1e12),
+)
+#: Words that stand for themselves.
+KEYWORDS = (
+    "hinge", "slide", "ball", "free", "sphere", "capsule", "cylinder", "ellipsoid", "box", "plane",
+    "mesh", "true", "false", "auto", "degree", "radian",
+)  # fmt: skip
 
 
 def read_mjcf(path: Path) -> Description:
     """Read a MuJoCo file.
 
-    Args:
-        path: of the file.
-
     Raises:
         InvalidValueError: no such file, or not an MJCF file.
+        MissingDependencyError: mujoco is not installed.
     """
     xml = read_xml(path, ["mujoco"], "MJCF")
     _Includes(absolute(path)).fill_in(xml)
-    check_schema(xml)  # while every attribute has its own line
-    _merge(xml)
-    check(xml)
-    _without_looks(xml)
-    if not xml.findall("worldbody/body"):
+    _take_out(xml)
+    if xml.find("worldbody//body") is None:
         raise InvalidValueError(f"{place_of(xml)}: is not a robot: has no <body>")
-    folder = _absolute_folders(xml, absolute(path).parent)
-    floating = _prepare(xml)
-    unseen = without_unread(xml)
+    return _Compiled(_mujoco(), xml, path).description()
+
+
+def _mujoco() -> ModuleType:
     try:
-        model, followers = _parsed(xml), _followers(xml)
-    except Exception as error:  # noqa: BLE001 - pinocchio may raise anything
-        raise InvalidValueError(
-            f"{place_of(xml)}: is not a robot that can be read: {pinocchio_says(error)}"
-        ) from None
-    shapes, warnings = read_shapes(xml, model, folder, path.name)
-    collide, lost = read_collision_shapes(xml, model, folder)
-    return Description(
-        name=xml.get("model") or path.stem,
-        model=model,
-        followers=followers,
-        floating=floating,
-        shapes=shapes,
-        collision_shapes=collide,
-        unseen=(*unseen, *lost),
-        warnings=(*warnings, *hidden(collide, shapes, path.name)),
-        places=places(xml.iter("joint")),
-    )
-
-
-def _parsed(xml: ET.Element) -> pin.Model:
-    model = _pinocchio(with_numbered_meshes(xml))
-    compiler = xml.find("compiler")
-    in_degrees = compiler is None or compiler.get("angle", "degree") == "degree"
-    lower, upper = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
-    for kind in list(model.joints)[1:]:
-        slides = "Prismatic" in kind.shortname() or kind.shortname()[-2:] in ("PX", "PY", "PZ")
-        if slides and in_degrees:
-            lower[kind.idx_q] /= _slide_scale()
-            upper[kind.idx_q] /= _slide_scale()
-    for name in _unlimited(xml):
-        kind = model.joints[model.getJointId(name)]
-        if kind.nq == 1:
-            lower[kind.idx_q], upper[kind.idx_q] = -np.inf, np.inf
-    model.lowerPositionLimit, model.upperPositionLimit = lower, upper
-    return model
-
-
-def _unlimited(xml: ET.Element) -> list[str]:
-    """Joints whose range does not count: ``limited="false"``, their own or their class's."""
-    return [
-        joint.element.get("name", "")
-        for joint in all_given(xml, "joint")
-        if joint.attributes.get("limited") == "false"
-    ]
-
-
-@cache
-def _slide_scale() -> float:
-    """What pinocchio makes of a slide of 1 m when angles are in degrees: 4.1 takes it for one."""
-    body = '<body name="a"><joint name="s" type="slide" axis="1 0 0" range="0 1"/></body>'
-    xml = ET.fromstring(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
-    return float(_pinocchio(xml).upperPositionLimit[0])
-
-
-def _pinocchio(xml: ET.Element) -> pin.Model:
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "robot.xml"
-        ET.ElementTree(xml).write(file, encoding="utf-8")
-        return pin.buildModelFromMJCF(str(file))
+        import mujoco
+    except ImportError:
+        raise MissingDependencyError("a robot from an MJCF file", "mujoco") from None
+    found: ModuleType = mujoco
+    return found
 
 
 class _Includes:
@@ -173,118 +167,171 @@ class _Includes:
         return found
 
 
-def _merge(xml: ET.Element) -> None:
-    """Make sections of one name one, as MuJoCo reads them."""
-    first: dict[str, ET.Element] = {}
-    for section in xml:
-        same = first.setdefault(section.tag, section)
-        if same is not section:
-            same.attrib.update(section.attrib)
-            same.extend(list(section))
-    xml[:] = list(first.values())
+def _take_out(xml: ET.Element) -> None:
+    """Leave out what is not looked at, and refuse what MuJoCo would not refuse.
+
+    Raises:
+        InvalidValueError: with file and line.
+    """
+    for element in xml.iter():
+        if element.tag in NOT_READ:
+            raise InvalidValueError(f"{place_of(element)}: is not read; {NOT_READ[element.tag]}")
+        texts = [text for key, text in element.attrib.items() if key not in LONG]
+        said = (element.tag, *element.attrib, *texts)
+        if len(longest := max(said, key=len)) > LONGEST:
+            words = f"found '{longest[:40]}...', which has more than {LONGEST} letters"
+            raise InvalidValueError(f"{getattr(element, 'place', '')}: {words}")
+        for key, text in element.attrib.items():
+            if key not in NAMES and NOT_A_NUMBER.search(text):
+                words = f"found '{text[:40]}', needs finite numbers"
+                raise InvalidValueError(f"{place_of(element)} {key}: {words}")
+        out = LEFT_OUT.get(element.tag, "").split()
+        element[:] = [child for child in element if child.tag not in out]
+        if element.tag == "actuator":
+            element[:] = [e for e in element if "joint" in e.attrib or "jointinparent" in e.attrib]
+        element.attrib.pop("material", None)
+        if element.tag == "mesh" and (file := element.get("file")):
+            element.set("name", element.get("name") or Path(file).stem)  # older MuJoCo wants one
 
 
-def _without_looks(xml: ET.Element) -> None:
-    """Take out colours, which nothing here shows, so that none can be wrong."""
-    for asset in xml.findall("asset"):
-        asset[:] = [part for part in asset if part.tag == "mesh"]
-    for geom in xml.iter("geom"):
-        geom.attrib.pop("material", None)
+def _lines(xml: ET.Element) -> tuple[str, list[ET.Element]]:
+    """The file anew, an element to a line, and the elements in the order of their lines."""
+    lines, elements = list[str](), list[ET.Element]()
+
+    def write(element: ET.Element) -> None:
+        given = "".join(f" {key}={quoteattr(text)}" for key, text in element.attrib.items())
+        lines.append(f"<{element.tag}{given}>")
+        elements.append(element)
+        for child in element:
+            write(child)
+        lines[-1] += f"</{element.tag}>"
+
+    write(xml)
+    return "\n".join(lines), elements
 
 
-def _absolute_folders(xml: ET.Element, folder: Path) -> Path:
-    """Make the folder of the meshes absolute, since the copy lies elsewhere; returns it."""
-    compiler = xml.find("compiler")
-    if compiler is None:
-        compiler = ET.Element("compiler")
-        xml.insert(0, compiler)
-    meshes = folder / (compiler.get("meshdir") or compiler.get("assetdir") or "")
-    compiler.set("meshdir", str(meshes))
-    return meshes
+class _Compiled:
+    """A file as MuJoCo has it.
 
+    Args:
+        mujoco: the package.
+        xml: with all includes filled in.
+        path: of the file.
 
-def _prepare(xml: ET.Element) -> dict[str, frozenset[str]]:
-    """Turn the world into one tree that pinocchio reads; returns the floating joints."""
-    for keyframe in xml.findall("keyframe"):
-        xml.remove(keyframe)
-    world = xml.find("worldbody")
-    assert world is not None  # it has bodies
-    _name_all(world)
-    _bodies_of_geoms(world)
-    floating = _without_floating(world)
-    for parent in reversed(list(world.iter())):  # inside before outside
-        for i, body in enumerate(list(parent)):
-            if body.tag == "body":
-                parent[i] = _one_joint_each(body)
-    everything = ET.Element("body", {"name": WORLD})
-    everything.extend(list(world))
-    world[:] = [everything]
-    return floating
+    Raises:
+        InvalidValueError: MuJoCo refuses it, or nobody has built what it describes.
+    """
 
+    def __init__(self, mujoco: ModuleType, xml: ET.Element, path: Path) -> None:
+        self._path = path
+        text, self._elements = _lines(xml)
+        try:
+            self._spec: Any = mujoco.MjSpec.from_string(text)
+            self._spec.compiler.fusestatic = self._spec.compiler.discardvisual = False
+            self._spec.compiler.LRopt.mode = mujoco.mjtLRMode.mjLRMODE_NONE  # it would simulate
+            self._geoms = Geoms(mujoco, self._spec, path)
+            with warnings.catch_warnings(), stderr_lines([]):
+                warnings.simplefilter("ignore")  # of a first step in a simulation
+                self._model: Any = self._spec.compile()
+        except (ValueError, mujoco.FatalError) as error:
+            raise self._refusal(str(error)) from None
+        self._check_bounds()
 
-def _name_all(world: ET.Element) -> None:
-    """Name bodies and joints that have no name, after their place in the file."""
-    for i, body in enumerate(world.iter("body")):
-        body.set("name", body.get("name") or f"body_{i + 1}")
-        for k, joint in enumerate(_joints(body)):
-            joint.set("name", joint.get("name") or f"{body.get('name')}_joint_{k + 1}")
-
-
-def _bodies_of_geoms(world: ET.Element) -> None:
-    """Put each geom of the world into a body with its name, so that limits can name it."""
-    taken = {element.get("name") for element in world.iter() if element not in list(world)}
-    taken |= {child.get("name") for child in world if child.tag != "geom"}
-    for i, geom in enumerate(list(world)):
-        if geom.tag == "geom":
-            name = geom.get("name") or f"geom_{i + 1}"
-            body = ET.Element("body", {"name": f"{WORLD}{name}" if name in taken else name})
-            body.append(geom)
-            world[i] = body
-
-
-def _joints(body: ET.Element) -> list[ET.Element]:
-    return [child for child in body if child.tag in ("joint", "freejoint")]
-
-
-def _without_floating(world: ET.Element) -> dict[str, frozenset[str]]:
-    """Fix floating bodies where the file puts them; returns what each of their joints moves."""
-    floating: dict[str, frozenset[str]] = {}
-    for body in world.iter("body"):
-        for joint in _joints(body):
-            if joint.tag == "freejoint" or joint.get("type") == "free":
-                moved = [e.get("name", "") for e in body.iter() if e.tag != "geom"]
-                floating[joint.get("name", "")] = frozenset(moved)
-                body.remove(joint)
-    return floating
-
-
-def _one_joint_each(body: ET.Element) -> ET.Element:
-    """The body, with one body round it for every joint but the last."""
-    others = _joints(body)[:-1]
-    if not others:
-        return body
-    inner = copy.copy(body)
-    inner.attrib = {k: v for k, v in body.attrib.items() if k in ("name", "childclass")}
-    outermost = ET.Element("body", {k: v for k, v in body.attrib.items() if k != "name"})
-    outer = outermost
-    for i, joint in enumerate(others):
-        if i:
-            outer = ET.SubElement(outer, "body")
-        outer.set("name", f"{body.get('name')}/{joint.get('name')}")
-        outer.append(joint)
-        inner.remove(joint)
-    outer.append(inner)
-    return outermost
-
-
-def _followers(xml: ET.Element) -> dict[str, Follower]:
-    """Joints that an equality ties to another one."""
-    followers = {}
-    for tie in xml.findall("equality/joint"):
-        if tie.get("active", "true") == "false":
-            continue
-        polynomial = (*numbers_of(tie.get("polycoef"), "0 1 0 0 0"), 0.0, 0.0)
-        followers[tie.get("joint1", "")] = Follower(
-            leader=tie.get("joint2", ""), ratio=polynomial[1], offset=polynomial[0]
+    def description(self) -> Description:
+        """What it says of the robot."""
+        named = Named(self._model)
+        try:
+            model = pinocchio_model(self._model, named)
+        except ValueError as error:  # of names
+            words = f"is not a robot that can be read: {pinocchio_says(error)}"
+            raise InvalidValueError(f"{place_of(self._elements[0])}: {words}") from None
+        drawn, collide = self._geoms.shapes(self._model, named)
+        return Description(
+            name=self._elements[0].get("model") or self._path.stem,
+            model=model,
+            followers=followers(self._model, named),
+            floating=floating(self._model, named),
+            shapes=drawn,
+            collision_shapes=collide,
+            unseen=self._geoms.unseen(named),
+            warnings=self._geoms.warnings(named, drawn, collide),
+            places={
+                named.joints[joint.id]: place
+                for joint in self._spec.joints
+                if (place := getattr(self._element(joint.info or joint.parent.info), "place", ""))
+            },
         )
-    return followers
+
+    def _element(self, said: str) -> ET.Element:
+        """The element whose line is named; the outermost one where none is."""
+        line = re.search(r"line (\d+)", said)
+        return self._elements[int(line[1]) - 1 if line else 0]
+
+    def _refusal(self, said: str) -> InvalidValueError:
+        """MuJoCo's words, with the place in the file and the nearest name of what is misspelt."""
+        words, element = said.strip().partition("\n")[0], self._element(said)
+        for pattern, plain in PLAIN.items():
+            words = re.sub(pattern, plain, words)
+        if element.tag == "body" and re.search("mass|inertia", words):
+            element = element if (own := element.find("inertial")) is None else own
+        if words == "unknown element":
+            words += f" '{element.tag}'"
+        place = f"{place_of(element)}{_attribute(words, element)}"
+        return InvalidValueError(f"{place}: {words}{self._hint(words, element)}")
+
+    def _hint(self, words: str, element: ET.Element) -> str:
+        """What a word that MuJoCo does not know may have been meant to be."""
+        quoted = re.search("'(.+?)'", words)
+        word = quoted[1] if quoted else ""
+        schema = _schema()
+        if words == f"unknown element '{element.tag}'":
+            known = set(schema)
+        elif words.startswith("unknown attribute"):
+            known = schema.get(element.tag, set()) - set(element.attrib)
+        else:
+            names = (e.get(key, "") for e in self._elements for key in ("name", "class"))
+            known = {*KEYWORDS, *names}
+        if word in known:
+            return ""
+        if OTHERWISE.get(word) in known:
+            return f"; it is called '{OTHERWISE[word]}' here"
+        alike = difflib.get_close_matches(word, known, 1, ALIKE)
+        return f"; did you mean '{alike[0]}'?" if alike else ""
+
+    def _check_bounds(self) -> None:
+        """Refuse what no robot has, which MuJoCo does not.
+
+        Raises:
+            InvalidValueError: with file and line.
+        """
+        for elements, array, most in BOUNDS:
+            values = np.abs(getattr(self._model, array))
+            if not (values <= most).all():
+                row = int(np.argwhere(~(values <= most))[0][0])
+                wrong = next(e for e in getattr(self._spec, elements) if e.id == row)
+                place = f"{place_of(self._element(wrong.info))} {array.partition('_')[2]}"
+                words = f"comes to {np.max(values[row]):g}, needs sizes of at most {most:g}"
+                raise InvalidValueError(f"{place}: {words}")
+
+
+def _attribute(words: str, element: ET.Element) -> str:
+    """Which of an element's attributes the words are about, as far as that can be told."""
+    for key, text in element.attrib.items():
+        if f"'{text}'" in words:
+            return f" {key}"
+    for key, text in element.attrib.items():
+        if key not in NAMES and re.search(rf"\b{key}\b", words):
+            return f" {key}: found '{text[:40]}'"
+    return ""
+
+
+@cache
+def _schema() -> dict[str, set[str]]:
+    """The attributes of each element of MuJoCo's own schema."""
+    found, tag = dict[str, set[str]](), ""
+    for line in _mujoco().mj_printSchema(False, False).splitlines():
+        words = line.split()
+        if len(words) > 1 and re.fullmatch(r"\(.\)", words[1]):
+            tag, words = words[0].removeprefix("(world)"), words[2:]
+        found.setdefault(tag, set()).update(words)
+    return found

@@ -1,125 +1,226 @@
-"""What MuJoCo asks of geoms and joints beyond numbers, with what their classes give them."""
+"""What the bodies of a MuJoCo file look like, weigh and must not hit others with.
+
+Meshes take time to read and matter mostly when drawn: MuJoCo gets the triangles of those alone
+that a moving body has its mass of, and they are read here, within bounds. In the place of others,
+and of what we have no shape for, a geom that weighs next to nothing stands while it compiles.
+Left out are planes; drawn are no geoms that only collide (group above 2).
+"""
 
 from __future__ import annotations
 
-import math
-import xml.etree.ElementTree as ET
-from collections.abc import Collection, Mapping
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
-from coopqp.base.errors import InvalidValueError, unknown_name
-from coopqp.robot_files.mjcf_defaults import Given, all_given
-from coopqp.robot_files.xml import numbers_of, place_of
+import numpy as np
+import pinocchio as pin
 
-#: How many sizes above zero each kind of geom needs, and what they are.
-SIZES = {
-    "sphere": (1, "its radius"),
-    "capsule": (2, "its radius and half its length"),
-    "cylinder": (2, "its radius and half its length"),
-    "ellipsoid": (3, "its radii"),
-    "box": (3, "half its edges"),
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.reading import absolute
+from coopqp.robot import Shape
+from coopqp.robot_files.meshes import Mesh, read_mesh
+from coopqp.robot_files.mjcf_model import Named, pose
+from coopqp.robot_files.xml import missing_meshes
+
+#: Of MuJoCo's geoms kind and size as a shape has them.
+SIZES: dict[str, Callable[[list[float]], tuple[float, ...]]] = {
+    "box": lambda half: (2.0 * half[0], 2.0 * half[1], 2.0 * half[2]),
+    "sphere": lambda size: (size[0],),
+    "ellipsoid": lambda radii: (radii[0], radii[1], radii[2]),
+    "capsule": lambda size: (size[0], 2.0 * size[1]),
+    "cylinder": lambda size: (size[0], 2.0 * size[1]),
 }
-#: Kinds of geoms that are not drawn and not watched: neither pinocchio nor coal has them.
+#: Kinds that neither pinocchio nor coal has.
 NOT_READ = ("hfield", "sdf")
-KINDS = (*SIZES, "plane", "mesh", *NOT_READ)
-#: Kinds that may go from one point to another.
-FROM_TO = ("capsule", "cylinder", "ellipsoid", "box")
-NEAREST = 1e-9  # such points [m]
+#: Mass [kg] and radius [m] of what stands for a geom, and what does so for a mesh.
+STAND_IN = 1e-9, 0.1
+TETRAHEDRON = Mesh(
+    np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
+    np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]),
+)
+DRAWN = 2  # the last group that is
 
 
-def mesh_names(xml: ET.Element) -> dict[str, ET.Element]:
-    """The meshes of a file by name; one without a name is called as its file."""
-    meshes = xml.findall("asset/mesh")
-    return {mesh.get("name") or Path(mesh.get("file", "")).stem: mesh for mesh in meshes}
+@dataclass(frozen=True, eq=False)
+class _Form:
+    """A geom as the file has it.
 
-
-def check_geoms(xml: ET.Element) -> None:
-    """Refuse geoms that MuJoCo refuses: a mesh that is none, sizes that are missing.
-
-    Raises:
-        InvalidValueError: with file and line.
+    Attributes:
+        geom, mesh: of MuJoCo's; no mesh where it neither is one nor is fitted to one.
+        name: of the mesh.
+        kind: of the geom.
+        collides, drawn: what it is for.
     """
-    meshes = mesh_names(xml)
-    for mesh in meshes.values():
-        if not (mesh.get("file") or mesh.get("vertex")):
-            raise InvalidValueError(f"{place_of(mesh)}: needs a file, or vertices")
-    for geom in all_given(xml, "geom"):
-        wrong = _wrong_mesh(geom.attributes, meshes) or _wrong_size(geom.attributes)
-        if wrong:
-            raise InvalidValueError(f"{place_of(geom.element)} {wrong}")
+
+    geom: Any
+    mesh: Any
+    name: str
+    kind: str
+    collides: bool
+    drawn: bool
 
 
-def _wrong_mesh(given: Mapping[str, str], meshes: Collection[str]) -> str:
-    mesh = given.get("mesh")
-    if mesh is not None and mesh not in meshes:
-        return f"mesh: {unknown_name('mesh', mesh, meshes)}"
-    if mesh is None and given.get("type") in ("mesh", "sdf"):
-        known = ", ".join(meshes) or "none, put one under <asset>"
-        return f"type: is {given['type']}, but no mesh is named; add mesh, known: {known}"
-    return ""
-
-
-def _wrong_size(given: Mapping[str, str]) -> str:
-    kind, ends = given.get("type", "sphere"), given.get("fromto")
-    if ends is not None:
-        if kind not in FROM_TO:
-            return f"fromto: a {kind} has none; type must be one of {', '.join(FROM_TO)}"
-        numbers = numbers_of(ends, "")
-        if math.dist(numbers[:3], numbers[3:]) < NEAREST:
-            return f"fromto: found '{ends}', needs two points apart"
-    if "mesh" in given or kind not in SIZES:
-        return ""  # fitted to the mesh
-    count, what = (1, "its radius, or half its width") if ends else SIZES[kind]
-    sizes = numbers_of(given.get("size"), "")
-    if len(sizes) >= count and min(sizes[:count]) > 0.0:
-        return ""
-    found = f"found '{given['size']}'" if "size" in given else "is missing"
-    return f"size: {found}; a {kind} needs {count} above 0, {what} [m]"
-
-
-def check_ranges(xml: ET.Element) -> None:
-    """Refuse ranges of joints whose lower end is above the upper one.
-
-    Raises:
-        InvalidValueError: with file and line.
-    """
-    for joint in all_given(xml, "joint"):
-        given = joint.attributes
-        lower, upper = numbers_of(given.get("range"), "0 0")
-        if lower > upper and given.get("limited") != "false":
-            raise InvalidValueError(
-                f"{place_of(joint.element)} range: found '{given['range']}', needs the lower "
-                "number first"
-            )
-
-
-def without_unread(xml: ET.Element) -> tuple[str, ...]:
-    """Take geoms out that pinocchio does not read; returns what is not watched, a sentence each.
+class Geoms:
+    """The geoms of a file, made ready for being compiled.
 
     Args:
-        xml: with a name for every body.
+        mujoco: the package.
+        spec: the file as MuJoCo has read it; is changed.
+        path: of the file.
     """
-    meshes, unseen = mesh_names(xml), []
-    for geom in all_given(xml, "geom"):
-        why = _why_unseen(geom, meshes)
-        if why and _collides(geom.attributes):
-            unseen.append(f"{geom.body.get('name')}: {why}")
-        if geom.attributes.get("type") in NOT_READ:
-            geom.body.remove(geom.element)
-    for asset in xml.findall("asset"):
-        for hfield in asset.findall("hfield"):
-            asset.remove(hfield)
-    return tuple(unseen)
+
+    def __init__(self, mujoco: ModuleType, spec: Any, path: Path) -> None:
+        self._mujoco, self._spec, self._path = mujoco, spec, path
+        self._meshes = {mesh.name: mesh for mesh in spec.meshes}
+        self._files = {name: self._file(mesh) for name, mesh in self._meshes.items()}
+        self._given = {name: mesh.file for name, mesh in self._meshes.items()}
+        self._forms = [self._form(geom) for geom in spec.geoms]
+        weigh = [form for form in self._forms if form.mesh is not None and self._weighs(form.geom)]
+        meshes = [form for form in weigh if form.kind == "mesh"]
+        surfaces = {form.name: self._surface(form.name) for form in meshes}
+        known = [form for form in meshes if surfaces[form.name] or not self._files[form.name]]
+        self._light = [form for form in weigh if form not in known]
+        for form in self._forms:
+            if form in known:
+                form.geom.contype = form.geom.conaffinity = 0  # so that it needs no hull
+            elif form.kind in NOT_READ or form.mesh is not None:
+                self._stand_in(form.geom)
+        for name, mesh in self._meshes.items():
+            if mesh.file:
+                surface = surfaces.get(name) or TETRAHEDRON
+                mesh.uservert, mesh.userface = surface.vertices.ravel(), surface.corners.ravel()
+                mesh.file = mesh.content_type = ""
+
+    def _file(self, mesh: Any) -> Path | None:
+        """Of a mesh; None where it has its vertices in the robot's file."""
+        if not mesh.file:
+            return None
+        name = Path(mesh.file).name if self._spec.strippath else mesh.file
+        return Path(absolute(self._path).parent / self._spec.meshdir / name)
+
+    def _form(self, geom: Any) -> _Form:
+        looks = not (geom.contype or geom.conaffinity)
+        return _Form(
+            geom=geom,
+            mesh=self._meshes.get(geom.meshname),
+            name=geom.meshname,
+            kind=self._mujoco.mjtGeom(geom.type).name.removeprefix("mjGEOM_").lower(),
+            collides=not looks,
+            drawn=looks or geom.group <= DRAWN,
+        )
+
+    def _weighs(self, geom: Any) -> bool:
+        """Whether a body that moves has mass of a geom."""
+        body, of_all = geom.parent, self._spec.compiler.inertiafromgeom
+        kinds = self._mujoco.mjtInertiaFromGeom
+        own = body.explicitinertial and of_all != kinds.mjINERTIAFROMGEOM_TRUE
+        if own or of_all == kinds.mjINERTIAFROMGEOM_FALSE or 0.0 in (geom.mass, geom.density):
+            return False
+        while body.name != "world" and not body.joints:
+            body = body.parent
+        return bool(body.joints)
+
+    def _surface(self, name: str) -> Mesh | None:
+        """The triangles of a mesh, without its scale; None where they cannot be read."""
+        file = self._files[name]
+        try:
+            return read_mesh(file, (1.0, 1.0, 1.0)) if file else None
+        except InvalidValueError:
+            return None
+
+    def _stand_in(self, geom: Any) -> None:
+        geom.type, geom.meshname, geom.hfieldname = self._mujoco.mjtGeom.mjGEOM_SPHERE, "", ""
+        geom.mass, geom.size[0] = STAND_IN
+
+    def shapes(self, model: Any, named: Named) -> tuple[tuple[Shape, ...], tuple[Shape, ...]]:
+        """What is drawn, and what must not hit others; a mesh whose file is not there only here.
+
+        Args:
+            model: that MuJoCo has compiled.
+            named: names in it.
+        """
+        drawn, collide = [], []
+        for form in self._forms:
+            if shape := self._shape(form, model, named):
+                if form.drawn and (shape.mesh is None or os.path.isfile(shape.mesh)):
+                    drawn.append(shape)
+                if form.collides:
+                    collide.append(shape)
+        return tuple(drawn), tuple(collide)
+
+    def _shape(self, form: _Form, model: Any, named: Named) -> Shape | None:
+        """As Shape has it; nothing for a plane, or what cannot be seen."""
+        i = form.geom.id
+        if _why_unseen(form, self._files) or form.kind not in (*SIZES, "mesh"):
+            return None
+        X, kind, mesh = pose(model.geom_pos[i], model.geom_quat[i]), form.kind, None
+        if form.mesh is None:
+            size = SIZES[kind](model.geom_size[i].tolist())
+        else:
+            if (moved := model.geom_dataid[i]) >= 0:  # MuJoCo has put it about its middle
+                X = X * pose(model.mesh_pos[moved], model.mesh_quat[moved]).inverse()
+            R, size = (
+                pose(np.zeros(3), form.mesh.refquat).rotation.T,
+                tuple(form.mesh.scale.tolist()),
+            )
+            X = X * pin.SE3(R, -np.array(size) * (R @ form.mesh.refpos))
+            kind, mesh = "mesh", self._files[form.name]
+        named_kind: Any = kind
+        return Shape(frame=named.geoms[i], placement=X, kind=named_kind, size=size, mesh=mesh)
+
+    def unseen(self, named: Named) -> tuple[str, ...]:
+        """What is not watched, a sentence each."""
+        return tuple(
+            f"{named.geoms[form.geom.id]}: {why}"
+            for form in self._forms
+            if form.collides and (why := _why_unseen(form, self._files))
+        )
+
+    def warnings(
+        self, named: Named, drawn: Sequence[Shape], collide: Sequence[Shape]
+    ) -> tuple[str, ...]:
+        """What is not drawn as it is, or weighs less than it does.
+
+        Args:
+            named: names in the compiled model.
+            drawn: shapes of the bodies.
+            collide: the same.
+        """
+        missing = [
+            self._given[name] or f"{name}, of vertices"
+            for name, file in self._files.items()
+            if file is None or not os.path.isfile(file)
+        ]
+        light = dict.fromkeys(named.geoms[form.geom.id] for form in self._light)
+        seen = {shape.frame for shape in drawn}
+        there = [shape for shape in collide if shape.mesh is None or os.path.isfile(shape.mesh)]
+        hidden = dict.fromkeys(shape.frame for shape in there if shape.frame not in seen)
+        found = [*missing_meshes(self._path.name, missing, len(self._files))]
+        if light:
+            words = "lack the mass of meshes that are not read; give <inertial>"
+            found.append(f"{self._path.name}: {len(light)} bodies {words} ({_first(light)})")
+        if hidden:
+            words = "are not drawn as they are, since all their geoms are of groups above 2"
+            found.append(f"{self._path.name}: {len(hidden)} bodies {words} ({_first(hidden)})")
+        return tuple(found)
 
 
-def _why_unseen(geom: Given, meshes: Mapping[str, ET.Element]) -> str:
-    kind, name = geom.attributes.get("type", "sphere"), geom.attributes.get("mesh", "")
-    if kind in NOT_READ:
-        return f"a geom of type {kind} is not read"
-    if kind == "mesh" and not meshes[name].get("file"):
-        return f"mesh {name}: is given by vertices, which are not read; put them in a file"
+def _why_unseen(form: _Form, files: Mapping[str, Path | None]) -> str:
+    """Why no shape is made of what is no plane; empty if one is."""
+    if form.kind in NOT_READ:
+        return f"a geom of type {form.kind} is not read"
+    if form.mesh is None:
+        return ""
+    if files[form.name] is None:
+        return f"mesh {form.name}: is given by vertices, which are not read; put them in a file"
+    if len(set(form.mesh.scale)) > 1 and any(form.mesh.refquat[1:]):
+        return f"mesh {form.name}: is turned by refquat and scaled unevenly, which is not read"
     return ""
 
 
-def _collides(given: Mapping[str, str]) -> bool:
-    return given.get("contype") != "0" or given.get("conaffinity") != "0"
+def _first(names: Iterable[str]) -> str:
+    first = list(names)
+    return ", ".join(first[:3]) + (", ..." if len(first) > 3 else "")

@@ -2,8 +2,8 @@
 
 A description has all joints of a robot; what is controlled are the joints that move a tip:
 
-1. free are the joints on the arms' ways to their tips (:mod:`coopqp.robot_files.free_joints`);
-2. all others are locked (:mod:`coopqp.robot_files.locked_joints`);
+1. free are the joints on the arms' ways to their tips, or those that an arm names;
+2. all others are locked;
 3. joints that turn without end get one coordinate, an angle without limits;
 4. a velocity or effort limit that is 0 or missing counts as no limit, and so does any limit of
    1e9 or more.
@@ -12,19 +12,20 @@ A description has all joints of a robot; what is controlled are the joints that 
 from __future__ import annotations
 
 import fnmatch
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from coopqp.base.errors import InvalidValueError, UnknownNameError
+from coopqp.base.errors import InvalidValueError, UnknownNameError, under
 from coopqp.base.spec import Array
 from coopqp.robot import Arm, RobotModel, copy_per_velocity
 from coopqp.robot_files.description import Description
-from coopqp.robot_files.free_joints import free_joints, still_followers
 from coopqp.robot_files.keys import ArmJoints, JointLimits
-from coopqp.robot_files.locked_joints import without_locked_joints
 
 #: A limit of this size is none; files write 1e10, 1e16 or 3.4e38 for it.
 BEYOND = 1e9
@@ -52,12 +53,12 @@ def robot_model(
         InvalidValueError: an arm without joints of its own, a free joint that cannot be one
             coordinate, a value outside the limits, a joint both free and locked.
     """
-    moving = free_joints(description, arms, free, locked)
-    reduced = without_locked_joints(description, moving, locked)
+    moving = _free_joints(description, arms, free, locked)
+    reduced = _without_locked_joints(description, moving, locked)
     model = _with_one_coordinate(reduced)
     _tell_frames_apart(model)
     _set_limits(description, model, joint_limits or {})
-    warnings = [*description.warnings, *still_followers(description, moving, locked)]
+    warnings = [*description.warnings, *_still_followers(description, moving, locked)]
     robot = RobotModel(
         name=description.name,
         model=model,
@@ -159,3 +160,186 @@ def _check_arms(robot: RobotModel) -> None:
                     f"arm {name}: all its joints ({', '.join(joints)}) also move arm {other}; "
                     "an arm needs joints of its own"
                 ).at("arms", name)
+
+
+#: Names and kinds of pinocchio's joints with more than one coordinate of motion.
+KINDS = {
+    "JointModelFreeFlyer": "floating",
+    "JointModelPlanar": "planar",
+    "JointModelTranslation": "translation",
+    "JointModelUniversal": "universal",
+    "JointModelComposite": "composite",
+}
+
+#: What pinocchio and others call the joint of a floating base: one that a file does not have is
+#: fixed anyway, so that locking it asks for nothing.
+FIXED_BASE = "root_joint"
+
+
+def _free_joints(
+    description: Description,
+    arms: Mapping[str, ArmJoints],
+    free: Sequence[str],
+    locked: Mapping[str, float | None],
+) -> set[str]:
+    """Names of the joints that move: those on arms' ways to tips, and free ones, but the locked."""
+    known = description.joint_names
+    for name in locked:
+        if name not in known and name != FIXED_BASE:
+            raise UnknownNameError("joint", name, known, "locked: ").at("locked", name)
+    for i, name in enumerate(free):
+        if name not in known:
+            raise UnknownNameError("joint", name, known, "free: ").at("free", i)
+    wanted = dict.fromkeys(free, "free")
+    moving = set(free)
+    for name, arm in arms.items():
+        with under("arms", name):
+            way = _way_to_tip(description, name, arm.tip, locked)
+            moving.update(way if arm.joints is None else _named(name, arm, way, known))
+        wanted.update(dict.fromkeys(arm.joints or (), f"arm {name}"))
+    for joint in locked:
+        if joint in wanted:
+            raise InvalidValueError(
+                f"joint {joint}: is listed under {wanted[joint]} and under locked; choose one"
+            ).at("locked", joint)
+    moving -= set(locked)
+    for joint in sorted(moving):
+        _check_free(description, joint)
+    return moving
+
+
+def _way_to_tip(
+    description: Description, name: str, tip: str, locked: Mapping[str, float | None]
+) -> list[str]:
+    """Joints between base and tip, base first."""
+    model = description.model
+    found = [frame for frame in model.frames if frame.name == tip]
+    found.sort(key=lambda frame: frame.type != pin.FrameType.BODY)  # of namesakes the link counts
+    if not found:
+        frames = [frame.name for frame in model.frames]
+        raise UnknownNameError("frame", tip, frames, f"arm {name}: ")
+    for joint, moved in description.floating.items():
+        if tip in moved and joint not in locked:
+            raise _cannot_move(description, joint, "is floating")
+    return [model.names[j] for j in model.supports[found[0].parentJoint] if j > 0]
+
+
+def _named(name: str, arm: ArmJoints, way: Sequence[str], known: Sequence[str]) -> Sequence[str]:
+    """The joints an arm names, checked."""
+    joints = arm.joints or ()
+    for joint in joints:
+        if joint not in known:
+            raise UnknownNameError("joint", joint, known, f"arm {name}: ")
+        if joint not in way:
+            raise InvalidValueError(
+                f"arm {name}: joint {joint} does not move the tip {arm.tip}; "
+                f"those that do: {', '.join(way) or 'none'}"
+            )
+    return joints
+
+
+def _check_free(description: Description, joint: str) -> None:
+    """Refuse a free joint that one coordinate cannot describe."""
+    follower = description.followers.get(joint)
+    if follower:
+        leader = follower.leader or "a fixed value"
+        raise _cannot_move(description, joint, f"follows {leader} (mimic)")
+    if joint in description.floating:
+        raise _cannot_move(description, joint, "is floating")
+    model = description.model
+    kind = model.joints[model.getJointId(joint)]
+    if kind.nv != 1:
+        word = KINDS.get(kind.shortname(), "spherical")
+        words = f"is {word}, with {kind.nv} coordinates,"
+        raise _cannot_move(description, joint, words)
+
+
+def _cannot_move(description: Description, joint: str, why: str) -> InvalidValueError:
+    words = f"{why} and cannot be a joint of an arm; list it under locked"
+    return InvalidValueError(f"{description.joint(joint)}: {words}")
+
+
+def _still_followers(
+    description: Description, moving: set[str], locked: Mapping[str, float | None]
+) -> list[str]:
+    """Warnings about locked joints that ought to follow one that moves."""
+    return [
+        f"{description.name}: joint {name} follows {follower.leader}, but is kept still"
+        for name, follower in description.followers.items()
+        if follower.leader in moving and name not in locked
+    ]
+
+
+#: Added to names for a moment; no name in a file ends so.
+NAMESAKE = "\0namesake"
+
+
+def _without_locked_joints(
+    description: Description, moving: set[str], locked: Mapping[str, float | None]
+) -> pin.Model:
+    """The model of the joints that move, a copy.
+
+    Others stand where locked says, where their leader puts them, or at zero (or at the limit
+    nearest to zero).
+    """
+    model = description.model.copy()  # for its names are changed for a moment
+    q = np.array(pin.neutral(model))
+    for joint in range(1, model.njoints):
+        name, kind = model.names[joint], model.joints[joint]
+        if name in moving:
+            continue
+        if kind.nv == 1:
+            value = _locked_value(description, name, locked)
+            at = [math.cos(value), math.sin(value)] if kind.nq == 2 else [value]
+            q[kind.idx_q : kind.idx_q + kind.nq] = at
+        elif locked.get(name) is not None:
+            raise InvalidValueError(
+                f"locked: joint {name} has {kind.nv} coordinates; give its name without a value"
+            ).at("locked", name)
+    still = [j for j in range(1, model.njoints) if model.names[j] not in moving]
+    if not still:
+        return model
+    with _joints_alone_by_name(model):
+        reduced = pin.buildReducedModel(model, still, q)
+    for frame in reduced.frames:
+        frame.name = frame.name.removesuffix(NAMESAKE)
+    return reduced
+
+
+@contextmanager
+def _joints_alone_by_name(model: pin.Model) -> Iterator[None]:
+    """Call frames that share a joint's name otherwise: pinocchio finds joints' frames by name."""
+    joints = set(model.names)
+    frames = list(model.frames)[1:]  # but the world's, which joint 0 shares its name with
+    namesakes = [f for f in frames if f.name in joints and f.type != pin.FrameType.JOINT]
+    for frame in namesakes:
+        frame.name += NAMESAKE
+    try:
+        yield
+    finally:
+        for frame in namesakes:
+            frame.name = frame.name.removesuffix(NAMESAKE)
+
+
+def _locked_value(description: Description, name: str, locked: Mapping[str, float | None]) -> float:
+    """Where a joint with one coordinate is locked [rad or m]."""
+    model, given = description.model, locked.get(name)
+    follower = description.followers.get(name)
+    if given is None and follower:
+        leader = 0.0
+        if follower.leader in model.names:
+            unled = replace(description, followers={})  # a chain of followers would be a circle
+            leader = _locked_value(unled, follower.leader, locked)
+        return follower.ratio * leader + follower.offset
+    kind = model.joints[model.getJointId(name)]
+    lower, upper = -math.inf, math.inf
+    if kind.nq == 1:
+        lower = float(model.lowerPositionLimit[kind.idx_q])
+        upper = float(model.upperPositionLimit[kind.idx_q])
+    if given is None:
+        return min(max(0.0, lower), upper)
+    if not lower <= given <= upper:
+        raise InvalidValueError(
+            f"locked: joint {name} at {given:g} is outside its limits {lower:g} to {upper:g}"
+        ).at("locked", name)
+    return given

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import os
-import tempfile
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +14,16 @@ import pinocchio as pin
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.reading import absolute
 from coopqp.robot import Shape
-from coopqp.robot_files.attributes import Numbers, check_names, check_numbers, negative_moment
 from coopqp.robot_files.description import Description, Follower
-from coopqp.robot_files.urdf_schema import check_schema
-from coopqp.robot_files.urdf_tree import check_circles, told_place
+from coopqp.robot_files.urdf_schema import (
+    Numbers,
+    check_circles,
+    check_names,
+    check_numbers,
+    check_schema,
+    negative_moment,
+    told_place,
+)
 from coopqp.robot_files.xml import (
     missing_meshes,
     numbers_of,
@@ -27,6 +31,7 @@ from coopqp.robot_files.xml import (
     place_of,
     places,
     read_xml,
+    stderr_lines,
 )
 
 
@@ -51,7 +56,7 @@ def read_urdf(path: Path, package_dirs: Sequence[Path] = ()) -> Description:
     impossible = _check(xml)
     heard: list[str] = []
     try:
-        with _stderr_lines(heard):
+        with stderr_lines(heard):
             model = pin.buildModelFromXML(ET.tostring(xml, encoding="unicode"))
     except Exception as error:  # noqa: BLE001 - pinocchio may raise anything
         why = heard or [pinocchio_says(error)]
@@ -119,24 +124,6 @@ def _check(xml: ET.Element) -> list[str]:
     strange = check_schema(xml)
     check_circles(xml)
     return [*(line for line in warnings if line), *strange]
-
-
-@contextmanager
-def _stderr_lines(heard: list[str]) -> Iterator[None]:
-    """Collect what the URDF parser, in C++, would print about errors."""
-    with tempfile.TemporaryFile() as file:
-        kept = os.dup(2)
-        os.dup2(file.fileno(), 2)
-        try:
-            yield
-        finally:
-            os.dup2(kept, 2)
-            os.close(kept)
-            file.seek(0)
-            for line in file.read().decode("utf-8", "replace").splitlines():
-                word, _, text = line.partition(":")
-                if word in ("Error", "Warning"):
-                    heard.append(text.strip())
 
 
 def _mimics(xml: ET.Element) -> list[tuple[str, Follower]]:

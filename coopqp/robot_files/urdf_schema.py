@@ -1,18 +1,179 @@
-"""Elements and attributes of a URDF file, as far as it is read, and how its parts fit together.
+"""What a URDF file may have, what its attributes must hold, and how its parts fit together.
 
-Robots in the world carry elements of simulators, of ROS and of their makers; these are passed over
-unless they are a known name misspelt.
+Parsers pass over what they do not know, read "a b c" as whatever was in memory, leave links out
+that go round in a circle, and tell without lines. So all that is looked at here, before any parser
+makes something of it. Robots in the world carry elements of simulators, of ROS and of their
+makers; these are passed over unless they are a known name misspelt.
 """
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
-from collections.abc import Collection
+import difflib
+import math
+import re
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+from xml.etree.ElementTree import Element
+
+import numpy as np
 
 from coopqp.base.errors import InvalidValueError, unknown_name
-from coopqp.robot_files.attributes import check_word
-from coopqp.robot_files.schema import Known, Unknown, check_known
-from coopqp.robot_files.xml import place_of
+from coopqp.base.spec import FARTHEST
+from coopqp.model.held_object import inertia_matrix
+from coopqp.robot_files.xml import ALIKE, place_of
+
+#: What happens to a name that is not known.
+Unknown = Literal["refused", "refused if alike"]
+
+
+@dataclass(frozen=True)
+class Known:
+    """What an element may have.
+
+    Attributes:
+        attributes: their names.
+        inside: of the elements in it, by name: which entry of the table describes them; empty for
+            those that are not read, and so not looked at.
+        required: attributes that it must have.
+        attribute, element: what happens to others; files of many makers bring elements and
+            attributes of their own, which are let pass unless they are known names misspelt.
+    """
+
+    attributes: str = ""
+    inside: Mapping[str, str] = field(default_factory=dict)
+    required: str = ""
+    attribute: Unknown = "refused"
+    element: Unknown = "refused"
+
+
+def _check_known(element: Element, entry: str) -> None:
+    """Refuse what an entry of KNOWN does not know, in an element and in all that is in it."""
+    known = KNOWN[entry]
+    names = known.attributes.split()
+    for name in element.attrib:
+        absent = [other for other in names if other not in element.attrib]
+        if name not in names and _is_refused(name, absent, known.attribute):
+            words = _nearest("attribute", name, names)
+            raise InvalidValueError(f"{place_of(element)}: {words}")
+    for name in known.required.split():
+        if not element.get(name):
+            raise InvalidValueError(f"{place_of(element)}: needs {name}")
+    for child in element:
+        inner = known.inside.get(child.tag)
+        if inner:
+            _check_known(child, inner)
+        elif inner is None and _is_refused(child.tag, known.inside, known.element):
+            words = _nearest("element", child.tag, known.inside)
+            raise InvalidValueError(f"{place_of(child)} in <{element.tag}>: {words}")
+
+
+def _is_refused(name: str, known: Collection[str], unknown: Unknown) -> bool:
+    if ":" in name:  # somebody's own, and said to be so
+        return False
+    alike = difflib.get_close_matches(name.lower(), known, cutoff=ALIKE)
+    return unknown == "refused" or bool(alike)
+
+
+def _nearest(kind: str, name: str, known: Collection[str]) -> str:
+    """Sentence for a name that is not known, with what it is called here or the nearest ones."""
+    here = OTHERWISE.get(name)
+    if here in known:
+        return f"unknown {kind} '{name}'; it is called '{here}' here"
+    return unknown_name(kind, name, known)
+
+
+#: Largest size of a number of each kind; what is beyond it nobody has built.
+LARGEST = {"length": FARTHEST, "mass": 1e6, "other": 1e12, "limit": math.inf}
+#: What rounding may make a principal moment negative by [kg m2].
+ROUNDING = 1e-6
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """What an attribute holds.
+
+    Attributes:
+        least, most: how many numbers.
+        kind: lengths [m], masses [kg], limits, which may be infinite, or others.
+        positive: whether none may be negative.
+        direction: whether they are one, so that not all may be zero.
+    """
+
+    least: int
+    most: int
+    kind: Literal["length", "mass", "other", "limit"] = "other"
+    positive: bool = False
+    direction: bool = False
+
+
+def check_numbers(element: Element, attributes: Mapping[str, Numbers]) -> None:
+    """Check those attributes of an element that hold numbers.
+
+    Raises:
+        InvalidValueError: with the element's place, what was found and what is needed.
+    """
+    for key, needs in attributes.items():
+        text = element.get(key)
+        if text is not None:
+            wrong = _wrong(text, needs)
+            if wrong:
+                shown = text if len(text) <= 40 else text[:37] + "..."
+                raise InvalidValueError(f"{place_of(element)} {key}: found '{shown}', {wrong}")
+
+
+def _wrong(text: str, needs: Numbers) -> str:
+    """What is wrong with the numbers of an attribute; empty if nothing is."""
+    count = f"{needs.least}" if needs.least == needs.most else f"{needs.least} to {needs.most}"
+    try:
+        values = [float(word) for word in text.split()]
+    except ValueError:
+        return f"needs {count} numbers" if needs.most > 1 else "needs a number"
+    if not needs.least <= len(values) <= needs.most:
+        return f"needs {count} numbers" if needs.most > 1 else "needs a number"
+    largest = LARGEST[needs.kind]
+    if any(math.isnan(value) or (math.isinf(value) and needs.kind != "limit") for value in values):
+        return "needs finite numbers"
+    if any(abs(value) > largest for value in values):
+        return f"needs sizes of at most {largest:g}"
+    if needs.positive and min(values) < 0.0:
+        return "needs no negative number"
+    if needs.direction and math.hypot(*values) < 1e-9:
+        return "needs a direction, but all numbers are zero"
+    return ""
+
+
+def negative_moment(element: Element, moments: Iterable[str | None]) -> str:
+    """What to say of an inertia with which turning would give energy away; empty of others.
+
+    That principal moments exceed the sum of the others is let pass: many published robots have it.
+
+    Args:
+        element: for its place.
+        moments: ixx ixy ixz iyy iyz izz as the file has them [kg m2]; what is missing is zero.
+    """
+    least, *_ = np.linalg.eigvalsh(inertia_matrix([float(m or 0.0) for m in moments]))
+    if least >= -ROUNDING:
+        return ""
+    return f"{place_of(element)}: a principal moment is {least:.3g} kg m2; no body has that"
+
+
+def check_names(elements: Iterable[Element], kind: str) -> None:
+    """Refuse two elements of one kind with one name.
+
+    Raises:
+        InvalidValueError: with the place of the second.
+    """
+    taken = set[str]()
+    for element in elements:
+        name = element.get("name")
+        if name is not None:
+            if name in taken:
+                raise InvalidValueError(
+                    f"{place_of(element)}: another {kind} has this name already; rename one"
+                )
+            taken.add(name)
+
 
 _LIKE: Unknown = "refused if alike"
 _PART = Known(
@@ -93,7 +254,7 @@ OTHERWISE = {
 }
 
 
-def check_schema(xml: ET.Element) -> list[str]:
+def check_schema(xml: Element) -> list[str]:
     """Refuse what is misspelt or missing, and links and joints that are no tree.
 
     Returns what is only to be warned of: some published robots have joints that follow none.
@@ -101,12 +262,13 @@ def check_schema(xml: ET.Element) -> list[str]:
     Raises:
         InvalidValueError: with file and line.
     """
-    check_known(xml, "robot", KNOWN, OTHERWISE)
+    _check_known(xml, "robot")
     for part in (*xml.findall("link/visual"), *xml.findall("link/collision")):
         if part.find("geometry/*") is None:
             raise InvalidValueError(f"{place_of(part)}: needs a <geometry> with a shape in it")
     for joint in xml.findall("joint"):
-        check_word(joint, "type", KINDS, OTHERWISE)
+        if (kind := joint.get("type", "")) not in KINDS:
+            raise InvalidValueError(f"{place_of(joint)} type: {_nearest('type', kind, KINDS)}")
         _check_limit(joint)
     _check_tree(xml)
     names = [joint.get("name", "") for joint in xml.findall("joint")]
@@ -117,7 +279,7 @@ def check_schema(xml: ET.Element) -> list[str]:
     ]
 
 
-def _check_limit(joint: ET.Element) -> None:
+def _check_limit(joint: Element) -> None:
     kind, limit = joint.get("type"), joint.find("limit")
     if kind not in ("revolute", "prismatic"):
         return
@@ -134,7 +296,7 @@ def _check_limit(joint: ET.Element) -> None:
         )
 
 
-def _check_tree(xml: ET.Element) -> None:
+def _check_tree(xml: Element) -> None:
     """Every link hangs on one other, but one."""
     links = {link.get("name", ""): link for link in xml.findall("link")}
     carried: dict[str, str] = {}
@@ -161,7 +323,7 @@ def _check_tree(xml: ET.Element) -> None:
         )
 
 
-def _end(joint: ET.Element, tag: str, links: Collection[str]) -> ET.Element:
+def _end(joint: Element, tag: str, links: Collection[str]) -> Element:
     """Where a joint says which link is before it, or after it."""
     end = joint.find(tag)
     if end is None:
@@ -170,3 +332,50 @@ def _end(joint: ET.Element, tag: str, links: Collection[str]) -> ET.Element:
         words = unknown_name("link", link, links)
         raise InvalidValueError(f"{place_of(end)} of joint {joint.get('name')}: {words}")
     return end
+
+
+#: Joints between a link and the base; the parser in C++ dies of some thousands.
+LONGEST = 500
+
+
+def check_circles(xml: Element) -> None:
+    """Refuse links whose way to the base comes back to them.
+
+    Raises:
+        InvalidValueError: with the line.
+    """
+    moved_by = {_link(joint, "child"): joint for joint in xml.findall("joint")}
+    joints_to: dict[str, int] = {}
+    for first in moved_by:
+        way, link = dict[str, None](), first
+        while link in moved_by and link not in joints_to:
+            if link in way:
+                words = f"link '{link}' moves itself: the joints from it on go round in a circle"
+                raise InvalidValueError(f"{place_of(moved_by[link])}: {words}")
+            way[link] = None
+            link = _link(moved_by[link], "parent")
+        before = joints_to.get(link, 0)
+        joints_to.update((link, before + i) for i, link in enumerate(reversed(way), 1))
+        if joints_to[first] > LONGEST:
+            words = f"more than {LONGEST} joints are between link '{first}' and the base"
+            raise InvalidValueError(f"{place_of(moved_by[first])}: {words}")
+
+
+def _link(joint: Element, tag: str) -> str:
+    """The link before or behind a joint."""
+    end = joint.find(tag)
+    return "" if end is None else end.get("link", "")
+
+
+def told_place(xml: Element, words: Sequence[str]) -> str:
+    """The place of the first joint or link that the parser's words name in brackets; else the top.
+
+    Args:
+        xml: the file.
+        words: such as "joint [elbow]: limit has no velocity".
+    """
+    named = {part.get("name"): part for tag in ("link", "joint") for part in xml.findall(tag)}
+    for name in re.findall(r"\[(.*?)\]", "; ".join(words)):
+        if name in named:
+            return place_of(named[name])
+    return place_of(xml)

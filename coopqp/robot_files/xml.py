@@ -6,8 +6,11 @@ checked. So no parser behind it meets entities, odd encodings or words where num
 
 from __future__ import annotations
 
+import os
+import tempfile
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 from xml.parsers import expat
@@ -18,6 +21,8 @@ from coopqp.base.reading import read_bytes
 MOST_BYTES = 32 << 20  # of a file
 MOST_ELEMENTS = 100_000  # in a file
 DEEPEST = 150  # elements inside elements
+#: Names that are as alike as these are one name misspelt: "axes" and "axis" have 0.75.
+ALIKE = 0.75
 
 
 class Element(ET.Element):
@@ -148,3 +153,21 @@ def pinocchio_says(error: Exception) -> str:
         line for line in lines if not line.startswith(("From file:", "in function:", "at line:"))
     ]
     return " ".join(told).removeprefix("message: ") or type(error).__name__
+
+
+@contextmanager
+def stderr_lines(heard: list[str]) -> Iterator[None]:
+    """Collect what parsers in C and C++ would print; of errors and warnings alone."""
+    with tempfile.TemporaryFile() as file:
+        kept = os.dup(2)
+        os.dup2(file.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+            file.seek(0)
+            for line in file.read().decode("utf-8", "replace").splitlines():
+                word, _, text = line.partition(":")
+                if word in ("Error", "Warning"):
+                    heard.append(text.strip())

@@ -1,1 +1,1 @@
-"""What is asked of runs: why a tick was blocked, random trials, what a grasp allows."""
+"""What is asked of runs: why one was blocked, how many fare, what a robot's hands really hold."""

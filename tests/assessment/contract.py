@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from unittest import mock
 
+from random_goals.trial import _judge
 from stress.draw import DAQP, LAW, draw
 from stress.trial import one_rollout
 
@@ -22,7 +23,6 @@ from coopqp.plants import Kinematic
 from coopqp.report.cells import cells
 from coopqp.scenario.scenario import Scenario
 from coopqp.study.explanation import explain_run
-from coopqp.study.statistics.trial import _judge
 from coopqp.study.sweep import variant
 from coopqp.trace import Trace
 from coopqp.viewer.picture import drawn
@@ -117,12 +117,12 @@ def _judged(
     problem: ControlProblem, trace: Trace, found: Assessment
 ) -> dict[str, tuple[object, object]]:
     if len(trace.tasks) != sum(len(task.parts(problem.chain)) for task in problem.tasks):
-        return {}  # phases and forces, of which there are no statistics
+        return {}  # phases and forces, which no random goal has
     judged = _judge(trace.controller, trace, problem)
     return {
-        "statistics, reached": (judged.reached, found.reached),
-        "statistics, inside": (judged.inside, not (found.joints or found.speeds)),
-        "statistics, loop": (judged.loop, found.loop_closed),
+        "random goals, reached": (judged.reached, found.reached),
+        "random goals, inside": (judged.inside, not (found.joints or found.speeds)),
+        "random goals, loop": (judged.loop, found.loop_closed),
     }
 
 

@@ -1,4 +1,4 @@
-"""Verdict, metrics, table, study, statistics, explanation and page say the same of every run.
+"""Verdict, metrics, table, study, random goals, explanation and page say the same of every run.
 
 ``python -m tests.assessment`` asks the same of all shipped scenarios and of many random rollouts.
 """

@@ -7,9 +7,9 @@ import pytest
 from laws import problem
 from side_by_side import laws
 from stress import arrangements
+from walks import walk
 
 from coopqp.kernel import native
-from coopqp.study.statistics.draw import walk
 from coopqp.tasks import Manipulability
 
 pytestmark = pytest.mark.skipif(native.module() is None, reason="the kernel is not built")

@@ -19,7 +19,7 @@ from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.marker import SolidMarker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
-from coopqp.robot_files import obj
+from coopqp.robot_files import meshes
 from coopqp.scenario.loader import load
 from coopqp.tasks import PointOnPoint
 
@@ -178,7 +178,7 @@ def test_a_mesh_that_is_too_large_is_not_read(
 ) -> None:
     mesh = tmp_path / "pyramid.obj"
     mesh.write_text(PYRAMID)
-    monkeypatch.setattr(obj, "LARGEST", 50)
+    monkeypatch.setattr(meshes, "LARGEST", 50)
     with pytest.raises(InvalidValueError, match=r"thing: mesh .*pyramid.obj: is larger than"):
         of(Obstacle(mesh=mesh)).rows(held_box)
 

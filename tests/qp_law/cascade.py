@@ -27,6 +27,7 @@ from oracle import UndeterminedError
 from out_of_reach import OTHERS, chain_of, robots
 from stress import arrangements, goals
 from stress.goals import pick
+from walks import walk
 
 from coopqp.controller import Command, ControlProblem, Law
 from coopqp.controllers import QPController
@@ -37,7 +38,6 @@ from coopqp.qp_law.equations import Damping
 from coopqp.solver import Status, written
 from coopqp.solvers import Daqp
 from coopqp.study.engine import Engine, Lost
-from coopqp.study.statistics.draw import walk
 from coopqp.tasks import JointCentering
 
 SAME = 1e-7  # [rad/s, m/s]

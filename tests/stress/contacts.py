@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pinocchio as pin
+from walks import vector, walk
 
 from coopqp.base.errors import CoopqpError
 from coopqp.base.spec import Array
@@ -29,7 +30,6 @@ from coopqp.model.state import State
 from coopqp.plant import Disturbance, Push
 from coopqp.plants.rigid_body import RigidBody
 from coopqp.solver import Solver, Status
-from coopqp.study.statistics.draw import vector, walk
 from coopqp.task import Task
 from coopqp.tasks import InternalWrench
 

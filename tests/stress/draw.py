@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from walks import vector, walk
 
 from coopqp.controller import ControlProblem, OnInfeasible
 from coopqp.controllers import QPController
@@ -14,7 +15,6 @@ from coopqp.limits import JointAcceleration, JointPosition, JointVelocity, Objec
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.solver import Solver
 from coopqp.solvers.daqp import Daqp
-from coopqp.study.statistics.draw import vector, walk
 from coopqp.task import Task
 from coopqp.tasks import JointCentering, Manipulability, MinimumVelocity, Posture
 

@@ -12,12 +12,12 @@ from typing import Any, TypeVar
 
 import numpy as np
 import pinocchio as pin
+from walks import vector
 
 from coopqp.base.spec import Array, cross
 from coopqp.base.spec import Pose as PoseValue
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.profile import KINDS, Profile
-from coopqp.study.statistics.draw import vector
 from coopqp.task import Task
 from coopqp.tasks import (
     Distance,

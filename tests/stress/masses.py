@@ -20,6 +20,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from walks import vector, walk
 
 from coopqp.base.spec import Array
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
@@ -34,7 +35,6 @@ from coopqp.plant import Disturbance, Plant, PlantModel, Push, Slip
 from coopqp.plants._dynamic import DynamicModel
 from coopqp.plants._servo import fair_shares
 from coopqp.solver import Solver
-from coopqp.study.statistics.draw import vector, walk
 from coopqp.task import Task
 from coopqp.tasks import JointCentering
 

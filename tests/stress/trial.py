@@ -52,7 +52,7 @@ def stress(
     """
     done: dict[int, One] = {}
     work = partial(_batch, one=one or one_rollout)
-    for own, found in engine.results(work, range(seed, seed + count)):
+    for own, found in engine.results(work, engine.share.taken(range(seed, seed + count))):
         done[own] = kind(own, broken=(found.reason,)) if isinstance(found, Lost) else found
         if progress:
             progress(len(done))

@@ -86,7 +86,7 @@ def test_errors_go_from_process_to_process(error: CoopqpError) -> None:
 
 
 def test_batches_grow_to_a_second_and_end_small() -> None:
-    batches: Batches[int] = Batches(range(3000), workers=2)
+    batches: Batches = Batches(range(3000), workers=2)
     sizes, seen = [], []
     for batch in batches:
         sizes.append(len(batch.items))
@@ -98,7 +98,7 @@ def test_batches_grow_to_a_second_and_end_small() -> None:
 
 
 def test_slow_items_go_one_by_one() -> None:
-    batches: Batches[int] = Batches(range(20), workers=2)
+    batches: Batches = Batches(range(20), workers=2)
     assert [len(batches.back(b.number, 3.0 * len(b.items)).items) for b in batches] == [1] * 20
 
 

@@ -14,9 +14,8 @@ from coopqp.base.errors import ScenarioError
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.yaml import parsed
 from coopqp.study.sweep import read_study
-from coopqp.study.sweep.form import GRID, StudyFile
-from coopqp.study.sweep.points import METHODS
-from coopqp.study.sweep.space import KINDS
+from coopqp.study.sweep.form import StudyFile
+from coopqp.study.sweep.space import KINDS, SAMPLES
 
 
 def seen(text: str) -> None:
@@ -43,7 +42,7 @@ def test_what_is_read_is_in_the_schema(plate: Path, over: str) -> None:
     seen(text)
 
 
-@pytest.mark.parametrize("method", [*METHODS, GRID])
+@pytest.mark.parametrize("method", SAMPLES)
 def test_every_way_to_sample_is_in_the_schema(plate: Path, method: str) -> None:
     text = STUDY.replace("sobol: 8", f"{method}: 8")
     read_study(written(plate, text))

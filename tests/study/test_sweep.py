@@ -336,7 +336,7 @@ def test_a_folder_whose_points_cannot_be_drawn_again_is_refused(
     plate: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sweep(read_study(plate / "study.yaml"), plate / "out", engine=HERE)
-    monkeypatch.setattr("coopqp.study.sweep.points.SAMPLES", 1)
+    monkeypatch.setattr("coopqp.study.sweep.space.MIXED", 1)
     result = typed("sweep", plate / "out", "--table")
     assert result.exit_code == 2
     assert "by another scipy or numpy" in result.stderr

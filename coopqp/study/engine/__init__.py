@@ -6,7 +6,6 @@ cluster    workers of a Dask scheduler
 engine     the results of all items, whatever becomes of the workers
 """
 
-from coopqp.study.engine.engine import Engine, Lost
-from coopqp.study.engine.share import Share
+from coopqp.study.engine.engine import Engine, Lost, Share
 
 __all__ = ["Engine", "Lost", "Share"]

@@ -11,22 +11,17 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from typing import Any
 
+from joblib._dask import DaskDistributedBackend  # there without Dask as well
+
 from coopqp.base.errors import CoopqpError, MissingDependencyError
-from coopqp.study.engine.batches import Batch
-from coopqp.study.engine.work import Outcome, Work, WorkersLostError, done
+from coopqp.study.engine.batches import Batch, Outcome, Work, WorkersLostError, by_joblib, done
 
 PATIENCE = 15.0  # s within which a scheduler must answer, and have a worker
-AHEAD = 2  # batches that are handed out before they are asked for, a worker
 
 
 @dataclass(frozen=True)
 class Cluster:
-    """The workers of a scheduler.
-
-    Attributes:
-        address: of the scheduler.
-        client: connected to it.
-    """
+    """The workers of the scheduler at an address, to which the client is connected."""
 
     address: str
     client: Any
@@ -69,28 +64,16 @@ class Cluster:
         """Threads of all workers."""
         return max(1, int(sum(self.client.ncores().values())))
 
-    def outcomes(self, work: Work, batches: Iterable[Batch[Any]]) -> Iterator[Outcome]:
-        """As :class:`coopqp.study.engine.work.Workers` has it.
-
-        Dask itself does again what a worker had under way that went, up to three times.
-        """
+    def outcomes(self, work: Work, batches: Iterable[Batch]) -> Iterator[Outcome]:
+        """Dask itself does again what a worker had under way that went, up to three times."""
         from distributed import KilledWorker
-        from joblib import Parallel, delayed
 
-        from coopqp.study.engine.dask_backend import backend
-
-        asked = (delayed(done)(work, batch) for batch in batches)
         try:
-            parallel = Parallel(
-                n_jobs=-1,
-                backend=backend(self.client, PATIENCE),
-                return_as="generator_unordered",
-                batch_size=1,
-                pre_dispatch=AHEAD * self.count,
-            )
+            backend = _Answering(client=self.client, wait_for_workers_timeout=PATIENCE)
             with warnings.catch_warnings():
                 warnings.filterwarnings("ignore", module=r"(joblib|distributed)\.")
-                with closing(parallel(asked)) as outcomes:
+                started = by_joblib(done, work, batches, self.count, n_jobs=-1, backend=backend)
+                with closing(started) as outcomes:
                     yield from outcomes
         except KilledWorker as error:
             raise WorkersLostError(f"ended {error.allowed_failures + 1} Dask workers") from None
@@ -109,3 +92,38 @@ def _hush() -> None:
     for name in list(logging.root.manager.loggerDict):
         if name.partition(".")[0] in ("distributed", "tornado", "asyncio"):
             logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+
+
+class _Answering(DaskDistributedBackend):  # type: ignore[misc]
+    """joblib's back-end, with an answer also where Dask gives a task up.
+
+    A task whose workers died too often ends in an error without a result. joblib 1.6 calls nobody
+    back then, so that who waits for results as they come would wait for ever.
+    """
+
+    def effective_n_jobs(self, n_jobs: int) -> int:
+        # With one, joblib would do the work in this process, whatever it is.
+        return max(2, int(super().effective_n_jobs(n_jobs)))
+
+    async def _collect(self) -> None:
+        while self._continue:
+            async for future, result in self.waiting_futures:
+                asked, answer = self._results.pop(future), self._callbacks.pop(future)
+                if future.status == "error":
+                    error = result[1]  # of type, error and traceback
+                    asked.set_exception(error)
+                    answer(_GivenUp(error))
+                else:
+                    asked.set_result(result)
+                    answer(result)
+            await asyncio.sleep(0.01)
+
+    def retrieve_result_callback(self, out: Any) -> Any:
+        if isinstance(out, _GivenUp):
+            raise out.error
+        return super().retrieve_result_callback(out)
+
+
+@dataclass
+class _GivenUp:
+    error: BaseException

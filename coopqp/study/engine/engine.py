@@ -7,31 +7,79 @@ time. An item that ends its worker although it is alone is tried once more, and 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeVar
 
-from coopqp.study.engine.batches import Batch, Batches
-from coopqp.study.engine.cluster import Cluster
+from coopqp.base.errors import InvalidValueError
+from coopqp.study.engine.batches import (
+    Batch,
+    Batches,
+    Items,
+    Outcome,
+    Work,
+    Workers,
+    WorkersLostError,
+    done,
+)
 from coopqp.study.engine.processes import Processes, cores
-from coopqp.study.engine.share import Share
-from coopqp.study.engine.work import Here, Work, Workers, WorkersLostError
+
+Item = TypeVar("Item")
 
 TRIES = 2  # of an item that is done alone
+MOST = 100_000  # commands that may share a job; job arrays of clusters have fewer
 
 Done = list[tuple[Any, Any]]
 """Items with what came of each."""
 
 
 @dataclass(frozen=True)
-class Lost:
-    """What there is instead of a result.
+class Share:
+    """Every so manyeth item, from the first, second ... on, where several commands share them."""
 
-    Attributes:
-        reason: how the worker ended, whenever it did this item.
-    """
+    number: int = 1
+    of: int = 1
+
+    @classmethod
+    def read(cls, text: str) -> Share:
+        """From what is written, such as "2/8".
+
+        Raises:
+            InvalidValueError: that is none.
+        """
+        found = re.fullmatch(r"\s*(\d{1,6})\s*/\s*(\d{1,6})\s*", text)
+        number, of = (int(part) for part in found.groups()) if found else (0, 0)
+        if not 1 <= number <= of <= MOST:
+            raise InvalidValueError(f"--shard: found '{text}', needs I/N such as 2/8, I of 1 to N")
+        return cls(number, of)
+
+    @property
+    def whole(self) -> bool:
+        """Whether it is all there is."""
+        return self.of == 1
+
+    def taken(self, items: Sequence[Item]) -> Sequence[Item]:
+        """The items of this share."""
+        return items[self.number - 1 :: self.of]
+
+
+@dataclass(frozen=True)
+class Lost:
+    """What there is instead of a result: how the worker ended, whenever it did this item."""
 
     reason: str
+
+
+@dataclass(frozen=True)
+class Here:
+    """No worker but this process, as a debugger wants it; an item that ends it ends all."""
+
+    count: int = 1
+
+    def outcomes(self, work: Work, batches: Iterable[Batch]) -> Iterator[Outcome]:
+        """One after the other."""
+        return (done(work, batch) for batch in batches)
 
 
 @dataclass(frozen=True)
@@ -42,40 +90,38 @@ class Engine:
         jobs: processes on this machine, all cores when 0; with 1 the work is done in this process,
             which then ends where an item ends its process.
         scheduler: address of a Dask scheduler, whose workers then do the work.
-        share: of the items, where several commands share them.
+        share: what of a job its owner is to ask for here.
     """
 
     jobs: int = 0
     scheduler: str = ""
     share: Share = field(default_factory=Share)
 
-    def batches(self, work: Work, items: Sequence[Any]) -> Iterator[Done]:
-        """The share's items with their results, or Lost, in batches as they are done.
+    def batches(self, work: Work, items: Items) -> Iterator[Done]:
+        """Items with their results, or Lost, in batches as they are done.
 
-        Args:
-            work: a function of a module that takes some items and gives as many results. What it
-                raises comes out here, and ends all.
-            items: of all shares.
+        What the work raises comes out here, and ends all.
 
         Raises:
             CoopqpError: the scheduler does not answer.
         """
-        mine = self.share.taken(items)
-        jobs = min(self.jobs or cores(), len(mine))
         if self.scheduler:
-            with Cluster.at(self.scheduler) as cluster:
-                yield from _results(cluster, work, mine)
-        else:
-            yield from _results(Processes(jobs) if jobs > 1 else Here(), work, mine)
+            from coopqp.study.engine.cluster import Cluster
 
-    def results(self, work: Work, items: Sequence[Any]) -> Iterator[tuple[Any, Any]]:
+            with Cluster.at(self.scheduler) as cluster:
+                yield from _results(cluster, work, items)
+            return
+        jobs = min(self.jobs or cores(), len(items))
+        yield from _results(Processes(jobs) if jobs > 1 else Here(), work, items)
+
+    def results(self, work: Work, items: Items) -> Iterator[tuple[Any, Any]]:
         """The same one by one."""
         for batch in self.batches(work, items):
             yield from batch
 
 
-def _results(workers: Workers, work: Work, items: Sequence[Any]) -> Iterator[Done]:
-    batches: Batches[Any] = Batches(items, workers.count)
+def _results(workers: Workers, work: Work, items: Items) -> Iterator[Done]:
+    batches = Batches(items, workers.count)
     while True:
         try:
             for outcome in workers.outcomes(work, batches):
@@ -87,10 +133,10 @@ def _results(workers: Workers, work: Work, items: Sequence[Any]) -> Iterator[Don
                 yield from _alone(workers, work, batch)
 
 
-def _alone(workers: Workers, work: Work, batch: Batch[Any]) -> Iterator[Done]:
+def _alone(workers: Workers, work: Work, batch: Batch) -> Iterator[Done]:
     """A batch with nothing beside it."""
-    reason = ""
-    for _ in range(TRIES if len(batch.items) == 1 else 1):
+    reason, single = "", len(batch.items) == 1
+    for _ in range(TRIES if single else 1):
         try:
             (outcome,) = workers.outcomes(work, [batch])
         except WorkersLostError as error:
@@ -98,7 +144,7 @@ def _alone(workers: Workers, work: Work, batch: Batch[Any]) -> Iterator[Done]:
         else:
             yield list(zip(batch.items, outcome.results, strict=True))
             return
-    if len(batch.items) == 1:
+    if single:
         yield [(batch.items[0], Lost(reason))]
         return
     for item in batch.items:

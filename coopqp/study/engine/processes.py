@@ -16,43 +16,30 @@ from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from multiprocessing import resource_tracker
-from typing import Any
 
-from coopqp.study.engine.batches import Batch
-from coopqp.study.engine.work import Outcome, Work, WorkersLostError, done
+from coopqp.study.engine.batches import Batch, Outcome, Work, WorkersLostError, by_joblib, done
 
 LOOKS = 1.0  # s between two looks whether the parent still lives
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
-AHEAD = 2  # batches that are handed out before they are asked for, a worker
 
 
 @dataclass(frozen=True)
 class Processes:
-    """Some processes.
-
-    Attributes:
-        count: how many; at least 2, because joblib does the work of one in this process.
-    """
+    """So many, at least 2, because joblib does the work of one in this process."""
 
     count: int
 
-    def outcomes(self, work: Work, batches: Iterable[Batch[Any]]) -> Iterator[Outcome]:
-        """As :class:`coopqp.study.engine.work.Workers` has it."""
-        from joblib import Parallel, delayed, parallel_config
+    def outcomes(self, work: Work, batches: Iterable[Batch]) -> Iterator[Outcome]:
+        """Those of processes that are started, or go on from the last call."""
+        from joblib import parallel_config
         from joblib.externals.loky.process_executor import BrokenProcessPool
 
-        asked = (delayed(_done)(work, batch) for batch in batches)
         settings = {"initializer": _leave_with, "initargs": (os.getpid(),)}
         try:
             with _quiet(), ExitStack() as opened:
                 with _unsignalled(), parallel_config("loky", inner_max_num_threads=1, **settings):
-                    parallel = Parallel(
-                        n_jobs=self.count,
-                        return_as="generator_unordered",
-                        batch_size=1,
-                        pre_dispatch=AHEAD * self.count,
-                    )
-                    outcomes = opened.enter_context(closing(parallel(asked)))
+                    started = by_joblib(_done, work, batches, self.count, n_jobs=self.count)
+                    outcomes = opened.enter_context(closing(started))
                 yield from outcomes
         except BrokenProcessPool as error:
             raise WorkersLostError(_said(error)) from None
@@ -119,7 +106,7 @@ def _leave_with(parent: int) -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-def _done(work: Work, batch: Batch[Any]) -> Outcome:
+def _done(work: Work, batch: Batch) -> Outcome:
     """Do a batch. What there is after a worker's first, most of it imported, is there for good.
 
     No more cycles are looked for in it, which would take some 60 ms each time: where psutil is not

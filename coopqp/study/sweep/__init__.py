@@ -1,12 +1,10 @@
 """Studies that users write: a scenario, what of it is varied, over what, and what is measured.
 
-space      what a key is varied over
+space      what a key is varied over, and the points of that
 path       a key of the scenario by its path
-points     which points of the space are looked at
 reader     from the file to a study, or to its faults
 study      the study, and its variants
 variant    a variant under some controllers: its rows
-identity   hashes of what results follow from
 journal    a record for each finished variant
 results    the journals as one Parquet file, and its columns
 folder     whether a folder is a study's own; the study from its folder alone

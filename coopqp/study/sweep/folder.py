@@ -8,7 +8,7 @@ from __future__ import annotations
 import inspect
 import io
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
@@ -29,6 +29,7 @@ from coopqp.study.sweep.journal import PATTERN, head_of, journals
 from coopqp.study.sweep.reader import study_text
 from coopqp.study.sweep.results import NAME
 from coopqp.study.sweep.study import CONTROLLERS, Study
+from coopqp.study.sweep.variant import Folders
 
 #: Modules of shipped plug-ins; their files count as the version.
 SHIPPED = tuple(f"coopqp.{kind}." for kind in COLLECTIONS)
@@ -45,12 +46,13 @@ PARTS = {
 
 def identity(study: Study) -> dict[str, str]:
     """A hash of each part, by name."""
+    scenario = json.dumps(study.scenario.data, sort_keys=True)
+    folder = _folder_of(study.scenario.path, study.scenario.data)
+    named = {absolute(folder / name) for name in _files([study.scenario.data, study.file.data])}
     return {
         "study": _hash(json.dumps(study.file.data, sort_keys=True)),
-        "scenario": _hash(
-            study.scenario.path.stem, json.dumps(study.scenario.data, sort_keys=True)
-        ),
-        "files": _hash(*_of_files(sorted(set(_named(study)), key=str))),
+        "scenario": _hash(study.scenario.path.stem, scenario),
+        "files": _hash(*_of_files(named)),
         "plugins": plugins_hash(study),
         "points": study.points.digest,
         "version": f"{coopqp.__version__} ({_code()})",
@@ -58,13 +60,11 @@ def identity(study: Study) -> dict[str, str]:
 
 
 def plugins_hash(study: Study) -> str:
-    """Of the plug-ins that are not shipped."""
-    return _hash(*_of_files(sorted(_plugins(study))))
-
-
-def differences(one: dict[str, str], other: dict[str, str]) -> list[str]:
-    """Names of the parts that are not the same."""
-    return [part for part in PARTS if one.get(part) != other.get(part)]
+    """Of the plug-ins that are not shipped, and of files beside them."""
+    classes = [e.cls for kind in COLLECTIONS for e in study.catalog.entries(kind).values()]
+    own = (cls for cls in classes if not cls.__module__.startswith(SHIPPED))
+    folders = {absolute(Path(inspect.getfile(cls))).parent for cls in own}
+    return _hash(*_of_files(file for folder in folders for file in folder.glob("*.py")))
 
 
 def _hash(*texts: str) -> str:
@@ -78,41 +78,30 @@ def _hash(*texts: str) -> str:
 @cache
 def _code() -> str:
     """A hash of coopqp's own files, so that two versions in development are two."""
-    root = Path(coopqp.__file__).parent
-    return _hash(*_of_files(sorted(root.rglob("*.py"))))
+    return _hash(*_of_files(Path(coopqp.__file__).parent.rglob("*.py")))
 
 
-def _of_files(paths: list[Path]) -> Iterator[str]:
-    for path in paths:
+def _of_files(paths: Iterable[Path]) -> Iterator[str]:
+    for path in sorted(paths):
         try:
             yield f"{path.name} {sha256(path.read_bytes()).hexdigest()}"
         except OSError:
             yield f"{path.name} -"
 
 
-def _named(study: Study) -> Iterator[Path]:
-    """Files that the scenario names, such as its robot's."""
-    own = study.scenario.data.get("folder")
-    folder = (
-        study.scenario.path.parent / own if isinstance(own, str) else study.scenario.path.parent
-    )
-    waiting: list[Any] = [study.scenario.data, study.file.data]
-    while waiting:
-        found = waiting.pop()
-        if isinstance(found, dict):
-            named = (value for key, value in found.items() if key in FILE_KEYS)
-            yield from (absolute(folder / value) for value in named if isinstance(value, str))
-            waiting += found.values()
-        elif isinstance(found, list):
-            waiting += found
+def _files(value: Any) -> Iterator[str]:
+    """What of a scenario or a study names a file, such as its robot's."""
+    if isinstance(value, dict):
+        yield from (x for key, x in value.items() if key in FILE_KEYS and isinstance(x, str))
+        value = list(value.values())
+    for inside in value if isinstance(value, list) else ():
+        yield from _files(inside)
 
 
-def _plugins(study: Study) -> set[Path]:
-    """The files of plug-ins that are not shipped, and those beside them."""
-    classes = [e.cls for kind in COLLECTIONS for e in study.catalog.entries(kind).values()]
-    own = (cls for cls in classes if not cls.__module__.startswith(SHIPPED))
-    files = (absolute(Path(inspect.getfile(cls))) for cls in own)
-    return {beside for file in files for beside in file.parent.glob("*.py")}
+def _folder_of(path: Path, data: Mapping[str, Any]) -> Path:
+    """Where the files that a scenario names lie."""
+    own = data.get("folder")
+    return path.parent / own if isinstance(own, str) else path.parent
 
 
 #: Files that only a comparison's folder has.
@@ -121,8 +110,19 @@ MOST_KEYS = 4  # that are named
 AWAY = "give another --out, or move the folder away"
 
 
-def check_folder(folder: Path, study: Study, identity: dict[str, str]) -> None:
-    """Refuse what is not the folder of this study.
+def head_for(study: Study, folders: Folders) -> dict[str, Any]:
+    """What a journal says of its study."""
+    return {
+        "name": study.name,
+        "identity": identity(study),
+        "study": [str(study.file.path), study.file.text],
+        "scenario": list(map(str, study.scenario_text)),
+        "folders": [[str(one) for one in kind] for kind in folders],
+    }
+
+
+def check_folder(folder: Path, own: dict[str, Any]) -> None:
+    """Refuse what is not the folder of the study with this head.
 
     Raises:
         CoopqpError: it is a file, or holds a comparison, results without their journal, or another
@@ -140,24 +140,24 @@ def check_folder(folder: Path, study: Study, identity: dict[str, str]) -> None:
         raise CoopqpError(f"'{folder}' has {NAME}, but {why}; {AWAY}")
     for path in found:
         head = head_of(path) or {}
-        if different := list(_different(head, study, identity)):
+        if different := list(_different(head, own)):
             words = f"'{folder}' belongs to another study ('{head.get('name')}'), or an older one"
             raise CoopqpError(
                 f"{words}: {', '.join(different)} differ{'' if len(different) > 1 else 's'}; {AWAY}"
             )
 
 
-def _different(head: dict[str, Any], study: Study, identity: dict[str, str]) -> Iterator[str]:
+def _different(head: dict[str, Any], own: dict[str, Any]) -> Iterator[str]:
     """What is not the same, with its keys; the points follow from the study."""
-    texts = {"study": (study.file.path, study.file.text), "scenario": study.scenario_text}
-    parts = differences(head["identity"], identity)
+    one, other = head["identity"], own["identity"]
+    parts = [part for part in PARTS if one.get(part) != other.get(part)]
     for part in parts:
         if part == "points" and "study" in parts:
             continue
         keys: list[str] = []
-        if part in texts:
-            before = parsed(Path(head[part][0]), head[part][1]).data
-            keys = list(_keys(before, parsed(*texts[part]).data))
+        if part in ("study", "scenario"):
+            before, now = (parsed(Path(x[part][0]), x[part][1]).data for x in (head, own))
+            keys = list(_keys(before, now))
         more = f" and {len(keys) - MOST_KEYS} more" if len(keys) > MOST_KEYS else ""
         told = f" ({', '.join(keys[:MOST_KEYS])}{more})" if keys else ""
         yield f"{PARTS[part]}{told}"
@@ -222,9 +222,8 @@ def _head(folder: Path) -> dict[str, Any]:
         raise CoopqpError(f"'{folder}' is neither a study file nor the folder of a study")
     found = journals(folder)
     if not found:
-        raise CoopqpError(
-            f"'{folder}' holds no study: needs a journal, as 'coopqp sweep' writes it"
-        )
+        words = "holds no study: needs a journal, as 'coopqp sweep' writes it"
+        raise CoopqpError(f"'{folder}' {words}")
     return head_of(found[0]) or {}
 
 
@@ -243,9 +242,7 @@ def scenario_of_row(study: Study, row: int) -> tuple[str, str]:
     if controllers:
         data = {**data, CONTROLLERS: [controllers[k]]}
     if has_files(data):
-        own = data.get("folder")
-        base = study.scenario_text[0].parent
-        data = {**data, "folder": str(base / own if isinstance(own, str) else base)}
+        data = {**data, "folder": str(_folder_of(study.scenario_text[0], data))}
     columns = zip(study.columns, study.parts(variant), strict=True)
     values = ", ".join(f"{name} {value}" for name, value in columns)
     head = f"# Row {row} of the study {study.name}, variant {number}: {values}\n"

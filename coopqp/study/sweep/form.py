@@ -22,17 +22,10 @@ from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.form import STRICT, Words, file_model
 from coopqp.scenario.yaml import Wrong, YamlFile
 from coopqp.study.sweep import space
-from coopqp.study.sweep.points import METHODS, MOST
+from coopqp.study.sweep.space import GRID, MOST, SAMPLES
 from coopqp.study.sweep.study import CONTROLLERS, SEED
 
-GRID = "grid"
-SAMPLES = {
-    "sobol": "Points of Sobol's sequence, even from the first on; best a power of two.",
-    "random": "Points, each by itself.",
-    "latin_hypercube": "Points, in each dimension in as many even parts.",
-    GRID: "Every level with every other; this many levels where none are said.",
-}
-assert set(SAMPLES) == {*METHODS, GRID}
+NAMED = "needs the path of a scenario, or the name of a shipped one"
 
 
 def _variation(value: Any) -> Any:
@@ -47,16 +40,13 @@ def _variation(value: Any) -> Any:
     return value
 
 
-def _scenario(value: Any) -> Any:
-    if not isinstance(value, str) or not value:
-        raise ValueError("needs the path of a scenario, or the name of a shipped one")
-    return value
+def _filled(kind: type, words: str) -> BeforeValidator:
+    def check(value: Any) -> Any:
+        if not isinstance(value, kind) or not value:
+            raise ValueError(words)
+        return value
 
-
-def _paths(value: Any) -> Any:
-    if not isinstance(value, dict) or not value:
-        raise ValueError("is empty; needs a path of the scenario: what to vary it over")
-    return value
+    return BeforeValidator(check)
 
 
 def _samples(value: Any) -> Any:
@@ -69,7 +59,7 @@ def _samples(value: Any) -> Any:
         if key not in SAMPLES:
             raise ValueError(unknown_name("way to sample", key, SAMPLES))
     if len(asked) != 1:
-        ways = ", ".join((GRID, *METHODS))
+        ways = ", ".join((GRID, *(way for way in SAMPLES if way != GRID)))
         raise ValueError(f"found {len(asked)}; needs exactly one of {ways}, such as sobol: 1024")
     return named
 
@@ -117,13 +107,13 @@ class StudyFile(BaseModel):
 
     model_config = STRICT
 
-    scenario: Annotated[str, Field(min_length=1), BeforeValidator(_scenario)] = Field(
+    scenario: Annotated[str, Field(min_length=1), _filled(str, NAMED)] = Field(
         description="A file beside the study, or the name of a shipped scenario."
     )
     vary: Annotated[
         dict[str, Annotated[Over, BeforeValidator(_variation)]],
         Field(min_length=1),
-        BeforeValidator(_paths),
+        _filled(dict, "is empty; needs a path of the scenario: what to vary it over"),
     ] = Field(description="Paths of the scenario, such as tasks.reach.goal, and over what.")
     samples: Annotated[Samples, BeforeValidator(_samples), Words((GRID,))] = Field(
         description="A way to sample and how many variants, and a seed (0)."

@@ -27,29 +27,34 @@ def located(data: Mapping[str, Any], path: str, defaults: Mapping[str, Any]) -> 
     Raises:
         InvalidValueError: the path is none, or leads to what is not there.
     """
-    rest, location, here = path, [], data
+    rest, location, here = path, list[Any](), data
     while rest:
         if isinstance(here, list):
-            key, rest = _in_list(here, rest, path)
-            location += key
-            here = _inside(here, key)
-            continue
-        step, rest = _step(here if isinstance(here, dict) else {}, rest, path)
-        if not isinstance(here, dict):
-            raise InvalidValueError(f"'{_upto(path, rest)}' leads into a value, which has no keys")
-        if isinstance(step, int):
-            raise InvalidValueError(f"'{_upto(path, rest)}': there is no list; needs a name")
-        location.append(step)
-        if not rest:
-            break
-        if not location[:-1] and step not in here and step in defaults:
-            here[step] = copy.deepcopy(defaults[step])
-        if isinstance(here.get(step), str):
-            here[step] = {here[step]: {}}
-        if here.get(step) is None:
-            here[step] = {}
-        here = here[step]
+            keys, rest = _in_list(here, rest, path)
+        else:
+            step, rest = _step(here if isinstance(here, dict) else {}, rest, path)
+            if not isinstance(here, dict):
+                words = "leads into a value, which has no keys"
+                raise InvalidValueError(f"'{_upto(path, rest)}' {words}")
+            if isinstance(step, int):
+                raise InvalidValueError(f"'{_upto(path, rest)}': there is no list; needs a name")
+            if rest and not location and step not in here and step in defaults:
+                here[step] = copy.deepcopy(defaults[step])
+            keys = [step]
+        location += keys
+        for key in keys if rest else keys[:-1]:
+            here = _opened(here, key)
     return tuple(location)
+
+
+def _opened(here: Any, key: str | int) -> Any:
+    """What is inside; a mapping where that was a plain slot, or a key without a value."""
+    inside = here.get(key) if isinstance(here, dict) else here[key]
+    if isinstance(inside, str):
+        here[key] = {inside: {}}
+    elif inside is None and isinstance(here, dict):
+        here[key] = {}
+    return here[key]
 
 
 def _upto(path: str, rest: str) -> str:
@@ -78,11 +83,10 @@ def _in_list(here: list[Any], rest: str, path: str) -> tuple[list[str | int], st
     if isinstance(step, int):
         if step >= len(here):
             raise InvalidValueError(f"'{_upto(path, after)}': the list has {len(here)} values")
-        if after and isinstance(here[step], str):
-            here[step] = {here[step]: {}}
-        _check_slot(here[step], after, path)
+        if after:
+            _check_slot(_opened(here, step), after, path)
         return [step], after
-    found = [i for i, item in enumerate(names) if step in item]
+    found: list[str | int] = [i for i, item in enumerate(names) if step in item]
     if not found and not known:
         words = "is a list of values; needs a place in it, from [0] on"
         raise InvalidValueError(f"'{_upto(path, rest).rstrip('.')}' {words}")
@@ -91,10 +95,8 @@ def _in_list(here: list[Any], rest: str, path: str) -> tuple[list[str | int], st
         raise InvalidValueError(unknown_name(what, step, known))
     if len(found) > 1:
         raise InvalidValueError(f"'{step}' is the name of {len(found)} of them; needs [i] instead")
-    i = found[0]
-    if isinstance(here[i], str):
-        here[i] = {here[i]: {}}
-    return ([i] if "name" in here[i] else [i, next(iter(here[i]))]), after
+    item = _opened(here, found[0])
+    return (found if "name" in item else [*found, next(iter(item))]), after
 
 
 def _check_slot(item: Any, after: str, path: str) -> None:
@@ -120,22 +122,12 @@ def _names(item: Any) -> set[str]:
     return {kind, own} if isinstance(own, str) else {kind}
 
 
-def _inside(here: Any, keys: list[str | int]) -> Any:
-    for key in keys:
-        if isinstance(here, dict) and here.get(str(key)) is None:
-            here[key] = {}
-        here = here[key]
-    return here
-
-
 def put(data: Any, location: tuple[Any, ...], value: Any) -> Any:
     """The data with another value at a location; what is not on the way there is shared."""
     if not location:
         return value
-    key, *rest = location
+    key, rest = location[0], location[1:]
     if isinstance(data, list):
-        changed = list(data)
-        changed[key] = put(data[key], tuple(rest), value)
-        return changed
+        return [*data[:key], put(data[key], rest, value), *data[key + 1 :]]
     inside = data.get(key) if rest else None
-    return {**data, key: put({} if inside is None else inside, tuple(rest), value)}
+    return {**data, key: put({} if inside is None else inside, rest, value)}

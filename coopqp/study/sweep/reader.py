@@ -20,11 +20,9 @@ from coopqp.scenario.checks import refuse
 from coopqp.scenario.form import check, file_model
 from coopqp.scenario.loader import find
 from coopqp.scenario.yaml import MisplacedError, Wrong, YamlFile, parsed, read_yaml
-from coopqp.study.sweep import points as sampling
-from coopqp.study.sweep.form import GRID, StudyFile, read_form
+from coopqp.study.sweep.form import StudyFile, read_form
 from coopqp.study.sweep.path import located, put
-from coopqp.study.sweep.points import MOST, Points
-from coopqp.study.sweep.space import Box, Listed, Normal, Variation
+from coopqp.study.sweep.space import GRID, MOST, Listed, Points, Variation, drawn, grid
 from coopqp.study.sweep.study import CONTROLLERS, Study, Varied
 
 #: Measured in every study, because its page shows them.
@@ -153,7 +151,7 @@ def _controllers(
         if f": {CONTROLLERS}" in fault.place
     ]
     yield from found
-    names = list(map(_name, chosen)) if not found else []
+    names = [] if found else list(map(_name, chosen))
     for i, taken in taken_names(names):
         words = f"{taken}; give this one another, such as {{{names[i]}: {{name: other}}}}"
         yield Wrong(place, words, ["choice", i])
@@ -217,22 +215,21 @@ def _points(form: StudyFile, varied: Sequence[Varied]) -> tuple[Points, Sequence
     method, count = form.sampled
     if method != GRID:
         dimensions = sum(one.over.dimensions for one in varied)
-        return sampling.drawn(method, count, dimensions, form.samples.seed), varied
+        return drawn(method, count, dimensions, form.samples.seed), varied
     wrong, levels, found = list[Wrong](), list[int](), list[Varied]()
     for one in varied:
         own = one.over.levels(count)
         if not all(own):
-            normal = isinstance(one.over, Normal)
-            cure = "values: [...]" if normal else "levels, or say samples: {grid: LEVELS}"
+            some = all(one.over.levels(1))
+            cure = "levels, or say samples: {grid: LEVELS}" if some else "values: [...]"
             wrong.append(Wrong(["vary", one.path], f"has no levels for a grid; give it {cure}"))
         levels += own
-        over = one.over.gridded(own) if isinstance(one.over, Box) else one.over
-        found.append(replace(one, over=over))
+        found.append(replace(one, over=one.over.gridded(own)))
     if math.prod(levels) > MOST:
         words = f"the grid has {math.prod(levels):,} points; needs at most {MOST:,}"
         wrong.append(Wrong(["samples"], words))
     refuse(wrong)
-    return sampling.grid(levels), found
+    return grid(levels), found
 
 
 def _defaults(model: type[BaseModel]) -> dict[str, Any]:

@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import fcntl
 import os
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
 from heapq import merge
 from itertools import islice
 from operator import itemgetter
@@ -26,8 +25,7 @@ import coopqp
 from coopqp.base.errors import CoopqpError, MissingDependencyError
 from coopqp.base.spec import Array
 from coopqp.study.sweep.journal import journals, records
-from coopqp.study.sweep.space import Box, Listed, Normal
-from coopqp.study.sweep.study import SEED, Study, Varied
+from coopqp.study.sweep.study import Study, Varied
 from coopqp.study.sweep.variant import Row
 
 NAME = "results.parquet"
@@ -38,9 +36,7 @@ FIRST = {"row": "int", "variant": "int", "controller": "text", "state": "text", 
 LAST = {"success": "bool", "blocked_by": "text", "broken": "text"}
 OWN_SEED = "variant_seed"
 
-KINDS: dict[str, type] = {"bool": bool, "int": int, "float": float, "text": str}
-#: The same of the types themselves, which most values have.
-PLAIN: dict[type, str] = {**{cls: kind for kind, cls in KINDS.items()}, type(None): ""}
+KINDS = {bool: "bool", int: "int", float: "float", type(None): ""}
 
 
 class Index:
@@ -48,28 +44,22 @@ class Index:
 
     Attributes:
         damaged: how many records are not as they were written; what they said is not there.
-        states: how many rows are in each state.
-        columns: kind of each column that is not fixed, "bool", "int", "float" or "text", in the
-            order of the first variant that has it.
+        columns: kind of each column of rows, "bool", "int", "float" or "text", as they come.
     """
 
     def __init__(self, folder: Path, study: Study) -> None:
         self._paths, self._controllers = journals(folder), len(study.controllers)
         self._there = np.zeros(study.points.count, bool)
-        self.damaged, self.states = 0, Counter[str]()
-        found: dict[str, tuple[tuple[int, int], str]] = {}
+        self.damaged = 0
+        kinds: dict[str, str] = {}
         for variant, rows in self._records():
             if rows is None:
                 self.damaged += 1
                 continue
             self._there[variant] = True
-            for row in rows:
-                self.states[row["state"]] += 1
-                for place, (name, value) in enumerate(row.items()):
-                    first, kind = found.get(name, ((variant, place), ""))
-                    found[name] = min(first, (variant, place)), wider(kind, kind_of(value))
-        ordered = sorted(found.items(), key=lambda item: item[1][0])
-        self.columns = {name: kind or "float" for name, (_, kind) in ordered}
+            for name, value in (item for row in rows for item in row.items()):
+                kinds[name] = wider(kinds.get(name, ""), kind_of(value))
+        self.columns = {name: kind or "float" for name, kind in kinds.items()}
 
     def _records(self) -> Iterator[tuple[int, list[Row] | None]]:
         """Each variant once, in order, with its rows; what is damaged besides, with None."""
@@ -110,13 +100,8 @@ def _by_variant(path: Path) -> Iterator[tuple[int, Path, dict[str, Any] | None]]
 
 
 def kind_of(value: Any) -> str:
-    """What a column must be to hold a value; empty for None."""
-    if (known := PLAIN.get(type(value))) is not None:
-        return known
-    for kind, cls in KINDS.items():
-        if isinstance(value, cls):
-            return kind
-    return "" if value is None else "text"
+    """What a column must be to hold a value; empty for None. Lists are written as text."""
+    return KINDS.get(type(value), "text")
 
 
 def wider(one: str, other: str) -> str:
@@ -160,7 +145,6 @@ def _alone(folder: Path) -> Iterator[None]:
 
 def _write(study: Study, index: Index, path: Path) -> None:
     import pyarrow as pa
-    from pyarrow import parquet as pq
 
     types = {"int": pa.int64(), "float": pa.float64(), "bool": pa.bool_(), "text": pa.string()}
     kinds = _kinds(study, index)
@@ -171,7 +155,7 @@ def _write(study: Study, index: Index, path: Path) -> None:
     }
     schema = pa.schema([pa.field(name, types[kind]) for name, kind in kinds.items()], kept)
     rows = _rows(study, index, kinds)
-    with pq.ParquetWriter(path, schema, compression="zstd") as writer:
+    with _parquet().ParquetWriter(path, schema, compression="zstd") as writer:
         while group := list(islice(rows, GROUP)):
             columns = zip(zip(*group, strict=True), schema, strict=True)
             arrays = [pa.array(values, field.type) for values, field in columns]
@@ -187,39 +171,21 @@ def _kinds(study: Study, index: Index) -> dict[str, str]:
 
 
 def _varied_kinds(one: Varied) -> Iterator[tuple[str, str]]:
-    over = one.over
-    if isinstance(over, Box):
-        for name, side in zip(one.columns, over.sides, strict=True):
-            yield name, "int" if side.whole and not over.grows else "float"
-    elif isinstance(over, Normal):
-        yield one.path, "float"
-    elif isinstance(over, Listed):
-        values = [over.parts(value) for value in over.values]
-        for name, column in zip(one.columns, zip(*values, strict=True), strict=True):
-            kind = ""
-            for value in column:
-                kind = wider(kind, kind_of(value))
-            yield name, kind or "text"
+    values = zip(*map(one.over.parts, one.over.tried()), strict=True)
+    for name, column in zip(one.columns, values, strict=True):
+        yield name, reduce(wider, map(kind_of, column)) or "text"
 
 
 def _rows(study: Study, index: Index, kinds: dict[str, str]) -> Iterator[list[Any]]:
     rest = list(kinds)[len(FIRST) + 1 + len(study.columns) :]
-    texts = {name for name, kind in kinds.items() if kind == "text"}
-    columns, places = study.columns, [one.location for one in study.varied]
-    seed_at = places.index((SEED,)) if (SEED,) in places else None
     for number, rows in index.rows():
         variant = study.variant(number)
-        seed = variant.seed if seed_at is None else variant.values[seed_at]
-        values = [_text(x) if name in texts else x
-                  for name, x in zip(columns, study.parts(variant), strict=True)]  # fmt: skip
+        values = [study.seed_of(variant), *study.parts(variant)]
         for k, (controller, row) in enumerate(zip(study.controllers, rows, strict=True)):
-            own = [_text(row.get(name)) if name in texts else row.get(name) for name in rest]
+            own = [row["state"], row["reason"], *values, *map(row.get, rest)]
             place = number * len(study.controllers) + k
-            yield [place, number, controller, row["state"], row["reason"], seed, *values, *own]
-
-
-def _text(value: Any) -> Any:
-    return value if value is None or isinstance(value, str) else str(value)
+            found = zip([place, number, controller, *own], kinds.values(), strict=True)
+            yield [str(x) if kind == "text" and x is not None else x for x, kind in found]
 
 
 @dataclass(frozen=True)
@@ -238,19 +204,13 @@ class Columns:
     @cached_property
     def kinds(self) -> Mapping[str, str]:
         """By name, what is in a column: "bool", "int64", "double" or "string"."""
-        from pyarrow import parquet as pq
-
-        return {field.name: str(field.type) for field in pq.read_schema(self.path)}
+        return {field.name: str(field.type) for field in _parquet().read_schema(self.path)}
 
     def __len__(self) -> int:
-        from pyarrow import parquet as pq
-
-        return int(pq.read_metadata(self.path).num_rows)
+        return int(_parquet().read_metadata(self.path).num_rows)
 
     def _column(self, name: str) -> Any:
-        from pyarrow import parquet as pq
-
-        return pq.read_table(self.path, columns=[name]).column(0).combine_chunks()
+        return _parquet().read_table(self.path, columns=[name]).column(0).combine_chunks()
 
     def numbers(self, name: str) -> Array:
         """A column of numbers or truths, shape (rows,); NaN where there is none.
@@ -259,10 +219,7 @@ class Columns:
         """
         if name not in self.kinds:
             return np.full(len(self), np.nan)
-        import pyarrow as pa
-
-        column = self._column(name).cast(pa.float64())
-        found: Array = column.to_numpy(zero_copy_only=False)
+        found: Array = self._column(name).cast("double").to_numpy(zero_copy_only=False)
         return found
 
     def codes(self, name: str) -> tuple[NDArray[np.int64], list[str]]:
@@ -270,3 +227,9 @@ class Columns:
         column = self._column(name).dictionary_encode()
         codes = column.indices.fill_null(-1).to_numpy(zero_copy_only=False)
         return codes.astype(np.int64), [str(text) for text in column.dictionary.to_pylist()]
+
+
+def _parquet() -> Any:
+    from pyarrow import parquet
+
+    return parquet

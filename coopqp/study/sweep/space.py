@@ -1,4 +1,4 @@
-"""What a key of a scenario is varied over.
+"""What a key of a scenario is varied over, and which points of that a study looks at.
 
     box: [[0.1, -0.05], [0.2, 0.05]]          numbers between two corners, even; and levels
     range: [0.5, 2.0]                         a number between two, even; a third: so many levels
@@ -7,16 +7,19 @@
     values: [1, 2, 5]                         one of some numbers, or of lists of them
     choice: [quintic, {kind: linear}]         one of anything
 
-A variation maps numbers u of the unit interval, one a dimension, to a value.
+A variation maps numbers u of the unit interval, one a dimension, to a value. The points of a study
+follow from its seed alone, through scipy.stats.qmc; each is found without the others.
 """
 
 from __future__ import annotations
 
 import math
 import types
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from hashlib import sha256
 from typing import Annotated, Any
 
 import numpy as np
@@ -28,7 +31,18 @@ from coopqp.base.wording import shown
 
 LEAST = 2.0**-40  # u of a normal variation is between this and 1 - this
 MOST_LEVELS = 1_000_000
+MOST = 10_000_000  # points of a study
 CORNERS = "needs two corners, [[lows], [highs]], and levels if you like"
+#: What the samples' seed is mixed with, so that it gives other numbers than the variants' seeds.
+MIXED = 0x5A3B
+GRID = "grid"
+#: Ways to sample.
+SAMPLES = {
+    "sobol": "Points of Sobol's sequence, even from the first on; best a power of two.",
+    "random": "Points, each by itself.",
+    "latin_hypercube": "Points, in each dimension in as many even parts.",
+    GRID: "Every level with every other; this many levels where none are said.",
+}
 
 
 class Variation(ABC):
@@ -50,6 +64,10 @@ class Variation(ABC):
         """What is added to the key's path for each number of a value; one empty for one."""
         return tuple(f"[{i}]" for i in range(self.numbers)) if self.numbers else ("",)
 
+    def parts(self, value: Any) -> tuple[Any, ...]:
+        """The numbers or texts that stand in the columns of a value."""
+        return tuple(value) if self.numbers else (value,)
+
     @abstractmethod
     def at(self, u: Array) -> Any:
         """The value of numbers in [0, 1), shape (dimensions,)."""
@@ -58,13 +76,13 @@ class Variation(ABC):
     def levels(self, count: int) -> tuple[int, ...]:
         """How many levels a grid has in each dimension; ``count`` where none is said, 0 if none."""
 
+    def gridded(self, levels: Sequence[int]) -> Variation:
+        """The same with levels."""
+        return self
+
     @abstractmethod
     def tried(self) -> list[Any]:
         """Values that stand for all, to see whether the key takes them."""
-
-    def parts(self, value: Any) -> tuple[Any, ...]:
-        """The numbers or texts that stand in the columns of a value."""
-        return tuple(value) if self.numbers else (value,)
 
 
 def as_written(number: float) -> float:
@@ -74,33 +92,25 @@ def as_written(number: float) -> float:
 
 @dataclass(frozen=True)
 class Interval:
-    """Numbers between two.
-
-    Attributes:
-        low, high: the ends.
-        count: levels; 0 where all numbers count.
-        whole: whether the levels are whole numbers.
-    """
+    """Numbers between two; at levels, which may be whole numbers, if there is a count of them."""
 
     low: float
     high: float
     count: int = 0
     whole: bool = False
 
-    def at(self, u: float, levels: int) -> float:
+    def at(self, u: float) -> float:
         """The number at u; the nearest level where there are levels."""
-        if levels == 1:
+        if self.count == 1:
             return self.low
-        if levels == 1:
-            return self.low
-        share = min(int(u * levels), levels - 1) / (levels - 1) if levels else u
+        share = min(int(u * self.count), self.count - 1) / (self.count - 1) if self.count else u
         number = self.low + share * (self.high - self.low)
         return round(number) if self.whole else number
 
 
 @dataclass(frozen=True)
 class Box(Variation):
-    """One number, or as many as the corners have."""
+    """One number, or as many as the corners have; powers of ten if it grows."""
 
     sides: tuple[Interval, ...]
     numbers: int = 0
@@ -111,7 +121,7 @@ class Box(Variation):
         return len(self.sides)
 
     def at(self, u: Array) -> Any:
-        found = [side.at(float(x), side.count) for side, x in zip(self.sides, u, strict=True)]
+        found = [side.at(float(x)) for side, x in zip(self.sides, u, strict=True)]
         if self.grows:
             found = [10.0**x for x in found]
         sides = zip(found, self.sides, strict=True)
@@ -122,7 +132,6 @@ class Box(Variation):
         return tuple(1 if s.low == s.high else s.count or count for s in self.sides)
 
     def gridded(self, levels: Sequence[int]) -> Box:
-        """The same with levels."""
         sides = zip(self.sides, levels, strict=True)
         return replace(self, sides=tuple(replace(side, count=n) for side, n in sides))
 
@@ -145,7 +154,7 @@ class Normal(Variation):
         return (0,)
 
     def tried(self) -> list[Any]:
-        return [self.mean]
+        return [self.at(np.full(1, 0.5))]
 
 
 @dataclass(frozen=True)
@@ -165,13 +174,56 @@ class Listed(Variation):
         return list(self.values)
 
 
-def _as_given(value: Any, check: Callable[[Any], float]) -> Any:
-    """A number as it is, so that levels between whole numbers are whole."""
-    check(value)
-    return value
+@dataclass(frozen=True)
+class Points:
+    """Points of the unit cube.
+
+    Attributes:
+        levels: of a grid, in each dimension; empty for others.
+        drawn: others, shape (count, dimensions); empty for a grid.
+    """
+
+    count: int
+    levels: tuple[int, ...]
+    drawn: Array
+
+    def at(self, index: int) -> Array:
+        """A point, shape (dimensions,); of a grid in the middle of a level's part."""
+        if not self.levels:
+            point: Array = self.drawn[index]
+            return point
+        found = np.empty(len(self.levels))
+        for k in reversed(range(len(self.levels))):
+            index, level = divmod(index, self.levels[k])
+            found[k] = (level + 0.5) / self.levels[k]
+        return found
+
+    @property
+    def digest(self) -> str:
+        """A hash; libraries may draw otherwise one day."""
+        return sha256(repr(self.levels).encode() + self.drawn.tobytes()).hexdigest()[:16]
 
 
-Number = Annotated[float, WrapValidator(_as_given)]
+def grid(levels: Sequence[int]) -> Points:
+    """Every level with every other; the last dimension changes first."""
+    return Points(math.prod(levels), tuple(levels), np.zeros((0, 0)))
+
+
+def drawn(method: str, count: int, dimensions: int, seed: int) -> Points:
+    """Points of another way to sample."""
+    rng = np.random.default_rng([seed, MIXED])
+    if method == "random" or not dimensions:
+        return Points(count, (), rng.random((count, dimensions)))
+    from scipy.stats import qmc  # workers, who draw nothing, do not wait for it
+
+    sampler = {"sobol": qmc.Sobol, "latin_hypercube": qmc.LatinHypercube}[method]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # counts that are no power of two; the reader notes it
+        return Points(count, (), sampler(dimensions, seed=rng).random(count))
+
+
+#: A number as it is, so that levels between whole numbers are whole.
+Number = Annotated[float, WrapValidator(lambda value, check: (check(value), value)[1])]
 Numbers = Annotated[list[Number], Field(min_length=1)]
 
 
@@ -238,42 +290,28 @@ def _values(given: list[Any]) -> Variation:
     lengths = {len(one) if isinstance(one, list) else 0 for one in given}
     if len(lengths) != 1:
         raise ValueError("needs numbers, or lists of one length")
-    return Listed(tuple(_distinct(given)), lengths.pop())
+    return replace(_choice(given), numbers=lengths.pop())
 
 
-def _choice(given: list[Any]) -> Variation:
-    return Listed(tuple(_distinct(given)))
-
-
-def _distinct(given: list[Any]) -> list[Any]:
+def _choice(given: list[Any]) -> Listed:
     for i, one in enumerate(given):
         # Python has True equal to 1.
         if any(one == x and isinstance(one, bool) is isinstance(x, bool) for x in given[:i]):
             raise ValueError(f"has {shown(one)} twice; leave one out")
-    return given
+    return Listed(tuple(given))
 
 
 _ENDS = _list(Number, 2, 3, "needs [least, most], or [least, most, levels]")
-_SIDES = _list(Numbers | Number, 2, 3, CORNERS)
-_ONES = "is empty; needs a list of at least one value"
+_MANY = "is empty; needs a list of at least one value"
 #: What stands behind each variation, what makes it of that, and what it means.
 KINDS: dict[str, tuple[Any, Callable[[Any], Variation], str]] = {
-    "box": (
-        _SIDES,
-        _box,
-        "Lists of numbers between two corners; a third list, or one number: levels.",
-    ),
-    "values": (
-        _list(Number | Numbers, 1, None, _ONES),
-        _values,
-        "These numbers, or these lists of numbers.",
-    ),
+    "box": (_list(Numbers | Number, 2, 3, CORNERS), _box,
+            "Lists of numbers between two corners; a third list, or one number: levels."),
+    "values": (_list(Number | Numbers, 1, None, _MANY), _values,
+               "These numbers, or these lists of numbers."),
     "range": (_ENDS, _range, "Even between two numbers; a third is the number of levels."),
     "log": (_ENDS, _log, "Even in the logarithm between two numbers above 0; a third: levels."),
-    "choice": (_list(Any, 1, None, _ONES), _choice, "These, whatever they are."),
-    "normal": (
-        _list(Number, 2, 2, "needs [mean, standard deviation]"),
-        _normal,
-        "Mean and standard deviation.",
-    ),
-}
+    "choice": (_list(Any, 1, None, _MANY), _choice, "These, whatever they are."),
+    "normal": (_list(Number, 2, 2, "needs [mean, standard deviation]"), _normal,
+               "Mean and standard deviation."),
+}  # fmt: skip

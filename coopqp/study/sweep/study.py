@@ -14,8 +14,7 @@ import numpy as np
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.yaml import YamlFile
 from coopqp.study.sweep.path import put
-from coopqp.study.sweep.points import Points
-from coopqp.study.sweep.space import Variation
+from coopqp.study.sweep.space import Points, Variation
 
 CONTROLLERS = "controllers"
 SEED = "seed"
@@ -23,11 +22,7 @@ SEED = "seed"
 
 @dataclass(frozen=True)
 class Varied:
-    """A key of the scenario that is varied.
-
-    Attributes:
-        location: keys and indices to it in the scenario's data.
-    """
+    """A key of the scenario that is varied; keys and indices lead to it in the scenario's data."""
 
     path: str
     location: tuple[Any, ...]
@@ -41,12 +36,7 @@ class Varied:
 
 @dataclass(frozen=True)
 class Variant:
-    """One point of a study.
-
-    Attributes:
-        seed: of everything random in it.
-        values: of what is varied, in order.
-    """
+    """One point of a study: the seed of all that is random in it, and what is varied, in order."""
 
     index: int
     seed: int
@@ -61,8 +51,7 @@ class Study:
         scenario: the scenario's, with slots on the way to what is varied written out.
         scenario_text: path and text of its file.
         controllers: names; each variant is run under all of them.
-        points: of the unit cube, a dimension for each number that is varied.
-        seed: of the points and of everything random in the variants.
+        points: a dimension for each number that is varied.
         notes: what is odd, but no fault.
     """
 
@@ -79,7 +68,6 @@ class Study:
 
     @property
     def name(self) -> str:
-        """Of its file."""
         return self.file.path.stem
 
     @property
@@ -108,6 +96,11 @@ class Study:
         child = np.random.SeedSequence(self.seed, spawn_key=(index,))
         return Variant(index, int(child.generate_state(1)[0]), tuple(values))
 
+    def seed_of(self, variant: Variant) -> Any:
+        """The scenario's in a variant; the variant's own unless it is varied."""
+        values = zip(self.varied, variant.values, strict=True)
+        return next((x for one, x in values if one.location == (SEED,)), variant.seed)
+
     def parts(self, variant: Variant) -> tuple[Any, ...]:
         """What stands in the columns; what is neither number nor text, as JSON."""
         found: list[Any] = []
@@ -116,7 +109,6 @@ class Study:
         return tuple(json.dumps(x) if isinstance(x, dict | list) else x for x in found)
 
     def changed(self, variant: Variant) -> dict[str, Any]:
-        """The scenario's data for a variant."""
         places = [one.location for one in self.varied]
         return changed(self.scenario.data, places, variant)
 

@@ -10,9 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from coopqp.study.statistics.paired import Difference, Success, median
-from coopqp.study.statistics.paired import success as paired
-from coopqp.study.statistics.summary import Share, wilson
+from coopqp.study.sweep.paired import Difference, Share, Success, median, wilson
+from coopqp.study.sweep.paired import success as paired
 from coopqp.study.sweep.results import Columns
 from coopqp.study.sweep.variant import DONE
 

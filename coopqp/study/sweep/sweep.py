@@ -4,23 +4,21 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, overload
 
 import numpy as np
+from numpy.typing import NDArray
 
-from coopqp.study.engine import Engine, Lost, Share
-from coopqp.study.sweep.folder import check_folder, identity
+from coopqp.study.engine import Engine, Lost
+from coopqp.study.sweep.folder import check_folder, head_for
 from coopqp.study.sweep.journal import Journal, path_of
 from coopqp.study.sweep.results import Index, compact, needs_arrow
 from coopqp.study.sweep.study import Study, Variant
-from coopqp.study.sweep.variant import job_of, lost_rows, run_variants
+from coopqp.study.sweep.variant import Folders, job_of, lost_rows, run_variants
 
-Folders = tuple[tuple[Path, ...], tuple[Path, ...]]
-"""With the user's own tasks, and plug-ins."""
 HERE = Engine()
 
 
@@ -29,12 +27,9 @@ class Progress:
     """How far a sweep is.
 
     Attributes:
-        total: variants of this share.
-        before: of them, those that were there when it began.
-        done: of them, those that are there.
-        states: of the rows that came since, by state.
+        total: variants of this share; so many were there ``before``, and are ``done``.
+        states: of the rows that came since it began.
         damaged: records that were not as they were written; what they said is done again.
-        begun: when [s].
     """
 
     total: int
@@ -71,7 +66,7 @@ def sweep(
         study: what is asked.
         folder: for its journal and results; made if it does not exist.
         engine: where, and which share; on all cores when omitted.
-        folders: with the plug-ins that the study's catalogue was made from.
+        folders: that the study's catalogue was made from.
         progress: called after each batch.
 
     Raises:
@@ -79,24 +74,16 @@ def sweep(
             at the scheduler's address.
     """
     needs_arrow()
-    own = identity(study)
-    check_folder(folder, study, own)
+    head = head_for(study, folders)
+    check_folder(folder, head)
     job = job_of(study, folders)
-    head = {
-        "name": study.name,
-        "identity": own,
-        "study": [str(study.file.path), study.file.text],
-        "scenario": list(map(str, study.scenario_text)),
-        "folders": [[str(one) for one in kind] for kind in folders],
-    }
     with Journal.opened(path_of(folder, engine.share), head) as journal:
         mine = engine.share.taken(range(study.points.count))
         index = Index(folder, study)
         missing = index.missing(mine)
         there = len(mine) - len(missing)
         state = Progress(len(mine), there, there, damaged=index.damaged)
-        alone = replace(engine, share=Share())
-        for batch in alone.batches(partial(run_variants, job=job), _Variants(study, missing)):
+        for batch in engine.batches(partial(run_variants, job=job), _Variants(study, missing)):
             found = [
                 (variant.index, lost_rows(job, rows.reason) if isinstance(rows, Lost) else rows)
                 for variant, rows in batch
@@ -110,22 +97,14 @@ def sweep(
     return state
 
 
-class _Variants(Sequence[Variant]):
+class _Variants:
     """Variants that are made when they are asked for."""
 
-    def __init__(self, study: Study, numbers: np.ndarray[Any, np.dtype[np.int64]]) -> None:
+    def __init__(self, study: Study, numbers: NDArray[np.int64]) -> None:
         self._study, self._numbers = study, numbers
 
     def __len__(self) -> int:
         return len(self._numbers)
 
-    @overload
-    def __getitem__(self, index: int) -> Variant: ...
-
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[Variant]: ...
-
-    def __getitem__(self, index: int | slice) -> Variant | Sequence[Variant]:
-        if isinstance(index, slice):
-            return _Variants(self._study, self._numbers[index])
+    def __getitem__(self, index: int) -> Variant:
         return self._study.variant(int(self._numbers[index]))

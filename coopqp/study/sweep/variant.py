@@ -30,19 +30,15 @@ from coopqp.study.sweep.study import Study, Variant, changed
 
 DONE, INVALID, FAILED = "done", "invalid", "failed"
 
+Folders = tuple[tuple[Path, ...], tuple[Path, ...]]
+"""With the user's own tasks, and plug-ins."""
 Row = dict[str, Any]
 """What came of one variant under one controller: state, reason, success and so on, metrics."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """What a worker must know of a study.
-
-    Attributes:
-        path, text: of the scenario's file, for faults.
-        data: of the scenario, as JSON.
-        folders: with the user's own tasks, and plug-ins.
-    """
+    """What a worker must know: the scenario's file, for faults, its data as JSON, and so on."""
 
     path: Path
     text: str
@@ -50,15 +46,14 @@ class Job:
     places: tuple[tuple[Any, ...], ...]
     controllers: tuple[str, ...]
     metrics: tuple[str, ...]
-    folders: tuple[tuple[Path, ...], tuple[Path, ...]]
+    folders: Folders
 
 
-def job_of(study: Study, folders: tuple[tuple[Path, ...], tuple[Path, ...]]) -> Job:
+def job_of(study: Study, folders: Folders) -> Job:
     """What the workers must know."""
-    path, text = study.scenario_text
     places = tuple(one.location for one in study.varied)
     data = json.dumps(study.scenario.data)
-    return Job(path, text, data, places, study.controllers, study.metrics, folders)
+    return Job(*study.scenario_text, data, places, study.controllers, study.metrics, folders)
 
 
 def run_variants(variants: Sequence[Variant], *, job: Job) -> list[list[Row]]:

@@ -18,7 +18,7 @@ from coopqp.scenario.loader import shipped
 from coopqp.scenario.plugin import COLLECTIONS, Entry
 from coopqp.scenario.yaml import read_yaml
 from coopqp.solver import Status
-from coopqp.study.sweep import points, reader, space
+from coopqp.study.sweep import reader, space
 from coopqp.study.sweep.form import StudyFile
 from coopqp_site.fields import SLOTS, common_keys, keys, own_keys, schema_of
 from coopqp_site.writing import ROOT, plain, table
@@ -137,9 +137,7 @@ def study_keys() -> str:
         text += f"\n## {part}\n\n{keys(schema['$defs'][part])}"
     always = ", ".join(f"[`{name}`](metrics.md#{name})" for name in reader.ALWAYS)
     text += f"\nMeasured always: {always}.\n"
-    for module, title in ((space, "Under `vary`"), (points, "Under `samples`")):
-        text += f"\n## {title}\n\n{plain(module.__doc__)}\n"
-    return text
+    return f"{text}\n## Under `vary` and `samples`\n\n{plain(space.__doc__)}\n"
 
 
 def statuses() -> str:

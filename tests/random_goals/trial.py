@@ -24,12 +24,12 @@ from coopqp.controllers import (
 from coopqp.execution.rollout import rollout
 from coopqp.plant import Disturbance
 from coopqp.plants import Kinematic
-from coopqp.study.engine import Engine, Lost, Share
-from coopqp.study.statistics.draw import arenas, draw
-from coopqp.study.statistics.reach import holds_inside
+from coopqp.study.engine import Engine, Lost
 from coopqp.task import Task
 from coopqp.tasks import JointLimitBarrier
 from coopqp.trace import Trace
+from random_goals.draw import arenas, draw
+from random_goals.reach import holds_inside
 
 AFTER = 2.5  # time after the references have arrived [s]
 HERE = Engine()
@@ -126,8 +126,7 @@ def statistics(
     before = {(goal.robot, goal.seed): goal for goal in known}
     mine = engine.share.taken(asked)
     done = [before[one] for one in mine if one in before]
-    alone = replace(engine, share=Share())
-    for (robot, own), goal in alone.results(_goals, [x for x in mine if x not in before]):
+    for (robot, own), goal in engine.results(_goals, [x for x in mine if x not in before]):
         if isinstance(goal, Lost):
             raise CoopqpError(f"{robot}, seed {own}: {goal.reason}")
         done.append(goal)

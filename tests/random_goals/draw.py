@@ -13,15 +13,13 @@ from functools import cache
 
 import numpy as np
 import pinocchio as pin
+from walks import vector, walk
 
 from coopqp.base.errors import MissingDependencyError
-from coopqp.base.rank import null_space
 from coopqp.base.spec import Array
 from coopqp.base.spec import Pose as PoseValue
 from coopqp.controller import ControlProblem
-from coopqp.kernel.slide import Slide, slide
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.state import State
 from coopqp.robots.example_robot import robots
 from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario
@@ -34,12 +32,6 @@ NEAR, AWAY = 0.05, 0.1
 WALKS = 20  # random walks that look for such a start, one after the other
 PACE = 1.5  # the references take so much longer than the scenario's, so that speeds bind less
 NEAREST_GOAL = 0.1  # least distance of a goal, as a share of the largest
-
-WALK, WALK_STEPS = 0.05, 40  # a random walk along the loops [rad], steps ...
-NEWTON = 3  # iterations that close the loops after each
-FARTHER = 3  # ... so many times as many to get outside
-FARTHEST_OUTSIDE = 0.3  # [rad, m]
-OPEN = 1e-7  # a walk ends where the loops do not close any more [m, rad]
 
 
 @dataclass(frozen=True)
@@ -162,55 +154,3 @@ def _aimed(task: Task, X: pin.SE3) -> Task:
         return replace(task, through=p, profile=slower)
     goal = PoseValue(position=p, rpy=vector(pin.rpy.matrixToRpy(X.rotation)))
     return replace(task, goal=goal, profile=slower)
-
-
-def vector(numbers: Array) -> tuple[float, float, float]:
-    """Three plain numbers."""
-    x, y, z = np.asarray(numbers, float).tolist()
-    return x, y, z
-
-
-def walk(
-    rng: np.random.Generator, chain: ClosedChain, *, outside: bool = False, stay: bool = False
-) -> Array:
-    """Where a random walk along the loops ends: inside the limits, or as soon as it is outside.
-
-    Args:
-        rng: of which as many numbers are drawn for a walk that stays where it begins.
-        chain: the closed chain.
-        outside: whether to look for the outside.
-        stay: whether to stay; for those who have no use for a walk inside.
-    """
-    q, go = chain.q_start.copy(), slide(chain) or _slide(chain)
-    direction = rng.normal(size=chain.n)
-    steps = FARTHER * WALK_STEPS if outside else int(rng.integers(1, WALK_STEPS))
-    inside = q.copy()
-    for _ in range(0 if stay else steps):
-        if not 0.0 <= go(q, direction, WALK, NEWTON) <= OPEN:
-            return inside
-        beyond = np.maximum(chain.lower - q, q - chain.upper).max()
-        if beyond <= 0.0:
-            inside[:] = q
-        elif not outside or beyond >= FARTHEST_OUTSIDE:
-            return inside
-        elif rng.random() < 0.5:
-            return q
-    return inside
-
-
-def _slide(chain: ClosedChain) -> Slide:
-    """The same without the kernel."""
-    state = State(chain)
-
-    def go(q: Array, direction: Array, size: float, newton: int) -> float:
-        state.q[:] = q
-        state.update()
-        basis = null_space(state.J_loop)
-        step = basis @ (basis.T @ direction)
-        state.q += size * step / max(float(np.linalg.norm(step)), 1e-9)
-        state.update()
-        state.close_loops(newton)
-        q[:] = state.q
-        return max(state.loop_position_error, state.loop_orientation_error)
-
-    return go

@@ -1,4 +1,4 @@
-"""What ``coopqp statistics`` prints; fits 80 columns."""
+"""What ``python -m tests.random_goals`` prints; fits 80 columns."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 from rich import box
 from rich.table import Table
 
-from coopqp.study.statistics.paired import Difference
-from coopqp.study.statistics.summary import Line
+from coopqp.study.sweep.paired import Difference
+from random_goals.summary import Line
 
 #: Goals beyond the limits cannot be reached inside them, so that "all three" says nothing there.
 COLUMNS = {

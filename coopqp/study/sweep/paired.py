@@ -1,4 +1,4 @@
-"""One controller against another on the same variants, by what differs from variant to variant.
+"""How often a controller succeeds, and it against another on the same variants.
 
 Variants differ more than controllers do. Two intervals, one for each controller, overlap for that
 alone; the interval and the test of the difference do not see it.
@@ -26,6 +26,34 @@ TAIL = 0.025  # of it, on each side
 
 
 @dataclass(frozen=True)
+class Share:
+    """How often something was so, of how many, and the 95 % interval of the share."""
+
+    count: int
+    of: int
+    low: float
+    high: float
+
+    def percent(self, digits: int, *, exact: bool = False) -> str:
+        """Such as "93.1 90.2-95.4", without the interval if exact; a dash where there was none."""
+        if not self.of:
+            return "-"
+        part, low, high = 100.0 * self.count / self.of, 100 * self.low, 100 * self.high
+        told = f"{part:.{digits}f}"
+        return told if exact else f"{told} {low:.{digits}f}-{high:.{digits}f}"
+
+
+def wilson(count: int, of: int) -> Share:
+    """A share with its interval (Wilson 1927), which holds near 0 and 1 and for few as well."""
+    if not of:
+        return Share(0, 0, 0.0, 1.0)
+    p, spread = count / of, Z * Z / of
+    middle = (p + 0.5 * spread) / (1.0 + spread)
+    half = math.sqrt(spread * p * (1.0 - p) + 0.25 * spread**2) / (1.0 + spread)
+    return Share(count, of, max(0.0, middle - half), min(1.0, middle + half))
+
+
+@dataclass(frozen=True)
 class Difference:
     """A controller's value less that of the reference.
 
@@ -50,12 +78,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class Success:
-    """How often two controllers succeed on the same variants.
-
-    Attributes:
-        both, only_one, only_reference, neither: variants.
-        difference: of the shares; McNemar's test.
-    """
+    """On how many variants two controllers succeed, and the difference of the shares."""
 
     both: int
     only_one: int
@@ -65,16 +88,10 @@ class Success:
 
 
 def success(one: NDArray[np.bool_], reference: NDArray[np.bool_]) -> Success:
-    """Compare on which variants two controllers succeed.
-
-    Args:
-        one: whether the one does, for each variant, shape (n,).
-        reference: whether the other does, shape (n,).
-    """
-    counts = [int(x.sum()) for x in (one & reference, one & ~reference, reference & ~one)]
-    both, b, c = counts
-    n = len(one)
-    return Success(both, b, c, n - both - b - c, _of_shares(b, c, n))
+    """Compare whether two controllers succeed, for each variant, shapes (n,)."""
+    counts = (one & reference, one & ~reference, reference & ~one, ~one & ~reference)
+    both, b, c, neither = (int(x.sum()) for x in counts)
+    return Success(both, b, c, neither, _of_shares(b, c, len(one)))
 
 
 def _of_shares(b: int, c: int, n: int) -> Difference:
@@ -89,12 +106,7 @@ def _of_shares(b: int, c: int, n: int) -> Difference:
 
 
 def median(one: Array, reference: Array) -> Difference:
-    """Compare numbers of two controllers.
-
-    Args:
-        one: for each variant, shape (n,); what is no difference, as that of a NaN, does not count.
-        reference: the same of the other.
-    """
+    """Compare numbers of two controllers, shapes (n,); a NaN is no difference."""
     with np.errstate(invalid="ignore"):  # of two infinite errors
         found = one - reference
     found = np.sort(found[~np.isnan(found)])

@@ -8,49 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from coopqp.study.statistics.paired import Success, Z, success
-from coopqp.study.statistics.trial import GoalRun, LawRun
+from coopqp.study.sweep.paired import Share, Success, success, wilson
+from random_goals.trial import GoalRun, LawRun
 
 AS_NEAR = 1.05  # an error up to so many times the best, plus the tolerance, counts as nearest
-
-
-@dataclass(frozen=True)
-class Share:
-    """How often something was so.
-
-    Attributes:
-        count: so often.
-        of: in so many.
-        low, high: 95 % interval of the share, Wilson.
-    """
-
-    count: int
-    of: int
-    low: float
-    high: float
-
-    def percent(self, digits: int, *, exact: bool = False) -> str:
-        """Such as "93.1 90.2-95.4", without the interval if exact; a dash where there was none."""
-        if not self.of:
-            return "-"
-        part, low, high = 100.0 * self.count / self.of, 100 * self.low, 100 * self.high
-        told = f"{part:.{digits}f}"
-        return told if exact else f"{told} {low:.{digits}f}-{high:.{digits}f}"
-
-
-def wilson(count: int, of: int) -> Share:
-    """The share with its 95 % interval (Wilson 1927), which holds near 0 and 1 and for few as well.
-
-    Args:
-        count: how often.
-        of: in how many; 0 to 1 is the interval of none.
-    """
-    if not of:
-        return Share(0, 0, 0.0, 1.0)
-    p, spread = count / of, Z * Z / of
-    middle = (p + 0.5 * spread) / (1.0 + spread)
-    half = math.sqrt(spread * p * (1.0 - p) + 0.25 * spread**2) / (1.0 + spread)
-    return Share(count, of, max(0.0, middle - half), min(1.0, middle + half))
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_line import typed
+from click.testing import CliRunner, Result
 from rich.console import Console
 
 import coopqp
@@ -24,21 +24,16 @@ from coopqp.model.state import State
 from coopqp.plant import Disturbance
 from coopqp.plants import Kinematic
 from coopqp.report import strict_json
-from coopqp.study.statistics import (
-    GoalRun,
-    LawRun,
-    Line,
-    one_goal,
-    summarize,
-    tables,
-    trial,
-    wilson,
-)
-from coopqp.study.statistics.draw import NEAR, OWN, draw, least_margin
-from coopqp.study.statistics.reach import holds_inside
-from coopqp.study.statistics.trial import LAWS
 from coopqp.study.sweep.journal import records
+from coopqp.study.sweep.paired import wilson
 from coopqp.tasks import PointOnPoint
+from random_goals import __main__ as command
+from random_goals import trial
+from random_goals.draw import NEAR, OWN, draw, least_margin
+from random_goals.reach import holds_inside
+from random_goals.summary import Line, summarize
+from random_goals.table import tables
+from random_goals.trial import LAWS, GoalRun, LawRun, one_goal
 
 SMALL = {"nao_t14": OWN["nao_t14"], "planar_pair": OWN["planar_pair"]}
 
@@ -46,6 +41,11 @@ SMALL = {"nao_t14": OWN["nao_t14"], "planar_pair": OWN["planar_pair"]}
 @pytest.fixture(scope="module")
 def small() -> list[GoalRun]:
     return [one_goal(robot, seed) for robot in SMALL for seed in range(2)]
+
+
+def asked(*words: str) -> Result:
+    """What ``python -m tests.random_goals WORDS`` prints, and its exit code."""
+    return CliRunner().invoke(command.main, list(words), catch_exceptions=False)
 
 
 # A small share of it.
@@ -65,9 +65,9 @@ def test_the_command_draws_the_same_from_the_same_seed(
     small: list[GoalRun], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     planar = {"planar_pair": OWN["planar_pair"]}
-    monkeypatch.setattr("coopqp.study.statistics.arenas", lambda: planar)
-    monkeypatch.setattr("coopqp.study.statistics.trial.arenas", lambda: planar)
-    result = typed("statistics", "--goals", "1", "--seed", "1", "--jobs", "1", "--json")
+    monkeypatch.setattr("random_goals.__main__.arenas", lambda: planar)
+    monkeypatch.setattr("random_goals.trial.arenas", lambda: planar)
+    result = asked("--goals", "1", "--seed", "1", "--jobs", "1", "--json")
     assert result.exit_code == 0
     printed = json.loads(result.stdout)
     assert printed["goals"] == json.loads(strict_json.text([asdict(small[3])]))
@@ -78,13 +78,13 @@ def test_the_command_goes_on_from_what_it_has_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     planar = {"planar_pair": OWN["planar_pair"]}
-    monkeypatch.setattr("coopqp.study.statistics.arenas", lambda: planar)
-    monkeypatch.setattr("coopqp.study.statistics.trial.arenas", lambda: planar)
+    monkeypatch.setattr("random_goals.__main__.arenas", lambda: planar)
+    monkeypatch.setattr("random_goals.trial.arenas", lambda: planar)
     out = tmp_path / "goals.sqlite3"
 
     def printed(goals: int) -> Any:
-        words = ("statistics", "--goals", str(goals), "--jobs", "1", "--json", "--out", str(out))
-        result = typed(*words)
+        words = ("--goals", str(goals), "--jobs", "1", "--json", "--out", str(out))
+        result = asked(*words)
         assert result.exit_code == 0, result.output
         return json.loads(result.stdout)
 
@@ -101,7 +101,7 @@ def test_the_command_goes_on_from_what_it_has_kept(
     assert printed(2) == both
     assert run == [("planar_pair", 1)] * 2
     out.write_text("{}\n", encoding="utf-8")
-    assert typed("statistics", "--goals", "1", "--out", str(out)).exit_code == 2
+    assert asked("--goals", "1", "--out", str(out)).exit_code == 2
 
 
 def test_laws_are_compared_on_the_same_goals() -> None:
