@@ -95,13 +95,14 @@ def _row(job: Job, scenario: Scenario, controller: str) -> Row:
             "blocked_by": ", ".join(found.blocked_by),
             "broken": ", ".join(found.broken),
         }
-        for name, value in measured(metrics, trace)[0].items():
+        values, faults = measured(metrics, trace)
+        for name, value in values.items():
             own |= _flat(name, value)
     except InternalError as error:
         return _without(FAILED, str(error))
     except CoopqpError as error:
         return _without(INVALID, str(error))
-    return {"state": DONE, "reason": "", **own}
+    return {"state": DONE, "reason": "; ".join(faults), **own}
 
 
 def _without(state: str, reason: str) -> Row:
