@@ -169,6 +169,7 @@ def test_shipped_studies_can_be_read(path: Path) -> None:
         ("log: [0.1", "log: [0.0", 4, "a logarithm needs numbers above 0"),
         ("log: [0.1, 2.0]", "log: [2.0, 0.1]", 4, "is empty: 2 to 0.1; give the least first"),
         ("log: [0.1, 2.0]", "lgo: [1, 2]", 4, "unknown variation 'lgo'; did you mean 'log'?"),
+        ("log: [0.1, 2.0]", "values: [a]", 4, 'values[0]: found "a"; needs a number or a list'),
         ("log: [0.1, 2.0]", "values: []", 4, "is empty; needs a list of at least one value"),
         ("log: [0.1, 2.0]", "values: [1, 1]", 4, "has 1 twice; leave one out"),
         ("log: [0.1, 2.0]", "choice: [heavy, light]", 4, 'found "heavy"; needs a number'),
