@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -365,6 +365,22 @@ class Trace:
     def last_instants(self) -> tuple[int, ...]:
         """The last row for which each task counts."""
         return tuple(range(len(self.t))[task.rows][-1] for task in self.tasks)
+
+
+Kept = TypeVar("Kept")
+
+
+def read_only(kept: Kept) -> Kept:
+    """The same, with views of its arrays that nobody can write to."""
+    found: Any = kept
+    if isinstance(kept, np.ndarray):
+        found = kept.view()
+        found.flags.writeable = False
+    elif isinstance(kept, dict):
+        found = {key: read_only(value) for key, value in kept.items()}
+    elif isinstance(kept, Trace | InputTrace):
+        found = replace(kept, **{of.name: read_only(getattr(kept, of.name)) for of in fields(kept)})
+    return found  # type: ignore[no-any-return]
 
 
 def join(phases: Phases) -> Trace:

@@ -7,7 +7,7 @@ import re
 import traceback
 import types
 import typing
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from typing import Annotated, Any
@@ -67,7 +67,7 @@ def faults(
     found = [(detail["type"], *_fault(detail, data, model, instead or {})) for detail in details]
     places = [place for _, place, _ in found]
     kept = [(place, words) for kind, place, words in found if not _follows(kind, place, places)]
-    return list(dict.fromkeys(kept))
+    return list(_either(dict.fromkeys(kept)))
 
 
 def said(error: BaseException) -> str:
@@ -135,6 +135,16 @@ def _follows(kind: str, place: Location, places: Sequence[Location]) -> bool:
     return kind in ("too_short", "float_type") and any(
         other[: len(place)] == place and len(other) > len(place) for other in places
     )
+
+
+def _either(kept: Iterable[tuple[Location, str]]) -> Iterator[tuple[Location, str]]:
+    """What would do at one place, where that is one or the other."""
+    needs: dict[tuple[Location, str], list[str]] = {}
+    for place, words in kept:
+        found, _, needed = words.partition("; needs ")
+        needs.setdefault((place, found), []).append(needed)
+    for (place, found), ways in needs.items():
+        yield place, "; needs ".join(filter(None, (found, " or ".join(ways))))
 
 
 def _fault(

@@ -45,7 +45,7 @@ class Instants:
     ) -> None:
         self._problem, self._plant, rows = problem, plant, ticks + 1
         chain = problem.chain
-        self.parts = _parts((*problem.tasks, *problem.wrenches), chain)
+        self.parts = parts_of((*problem.tasks, *problem.wrenches), chain)
         asking = [task for task in problem.tasks for _ in task.parts(chain)]
         self._velocities = [i for i, task in enumerate(asking) if task.asks_velocity]
         self._begin = _beginning(problem, start)
@@ -171,7 +171,7 @@ def _beginning(problem: ControlProblem, start: State) -> State:
     return begin
 
 
-def _parts(tasks: Sequence[Task], chain: ClosedChain) -> list[tuple[TaskInfo, slice]]:
+def parts_of(tasks: Sequence[Task], chain: ClosedChain) -> list[tuple[TaskInfo, slice]]:
     """Trace info of each part of each task, and its rows in the stack."""
     found, at = [], 0
     for task in tasks:
@@ -186,6 +186,11 @@ def _parts(tasks: Sequence[Task], chain: ClosedChain) -> list[tuple[TaskInfo, sl
             found.append((info, slice(at, at + part.rows)))
             at += part.rows
     return found
+
+
+def rows_of(tasks: Sequence[Task], chain: ClosedChain) -> tuple[str, ...]:
+    """What the rows of all tasks are called."""
+    return tuple(f"{task.name}.{row}" for task in tasks for row in task.rows(chain))
 
 
 def _springs(task: Task) -> tuple[tuple[int, int, float], ...]:

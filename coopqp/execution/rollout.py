@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
+from coopqp.assessment.audit import audit
 from coopqp.assessment.thresholds import within
-from coopqp.base.qp import Row
-from coopqp.base.spec import Array, type_name
-from coopqp.base.wording import suppressed
+from coopqp.base.spec import Array
 from coopqp.controller import NO_FEATURES, Command, Features, Law
 from coopqp.execution.guarded_plant import GuardedPlant, settled
-from coopqp.execution.instants import Instants
-from coopqp.model.closed_chain import ClosedChain
+from coopqp.execution.instants import Instants, rows_of
 from coopqp.model.state import State
 from coopqp.plant import PlantModel
 from coopqp.scenario.input import Sender
 from coopqp.solver import Status, written
-from coopqp.task import Task
 from coopqp.trace import Failure, Trace, no_input
 
 Progress = Callable[[int], None]
@@ -217,29 +214,6 @@ class _Recorder:
             self.usable[k] = False
             self.failures.append(Failure(k, status.value, note))
 
-    def _margins(self, q: Array, v: Array) -> dict[Row, Array]:
-        """Margins of every limit after each tick."""
-        problem = self._law.problem
-        found: dict[Row, Array] = {}
-        for limit in problem.limits:
-            with suppressed():  # a tick that met the same error names it
-                found |= limit.margins(problem.chain, q, v, problem.dt)
-        return found
-
-    def _unaudited(self) -> tuple[str, ...]:
-        """Names of limits that give no margins."""
-        found, chain = [], self._law.problem.chain
-        for limit in self._law.problem.limits:
-            with suppressed():
-                if not limit.audited(chain):
-                    found.append(type_name(type(limit)))
-        return tuple(dict.fromkeys(found))
-
-    def _starts(self) -> dict[Row, float]:
-        """Margins of every limit before the first tick."""
-        found = self._margins(self.q[[0, 0]], np.zeros_like(self.q[:1]))
-        return {row: float(margin[0]) for row, margin in found.items()}
-
     def _directional_manipulability(self, errors: Array) -> Array:
         """Directional manipulability of what is missed, over the start's; shape (K,)."""
         parts = zip(errors, self.instants.parts, strict=True)
@@ -256,6 +230,7 @@ class _Recorder:
         problem, instants = self._law.problem, self.instants
         chain = problem.chain
         instants.follow(self.t, self.q, self.v, self._gap)
+        kept = audit(problem.limits, chain, self.q, self.v, problem.dt)
         return Trace(
             controller=controller,
             solver=solver,
@@ -283,16 +258,16 @@ class _Recorder:
             task_error=instants.task_error,
             leverage=self._directional_manipulability(instants.task_error[-1]),
             goal_error=instants.goal_error,
-            task_rows=_task_rows((*problem.tasks, *problem.wrenches), chain),
+            task_rows=rows_of((*problem.tasks, *problem.wrenches), chain),
             e=instants.e,
             rate=instants.rate,
             usable=self.usable,
             inaccurate=self.inaccurate,
             status=tuple(self.status),
             scale=self.scale,
-            margins=self._margins(self.q, self.v),
-            starts=self._starts(),
-            unaudited=self._unaudited(),
+            margins=kept.margins,
+            starts=kept.starts,
+            unaudited=kept.unaudited,
             compiled=self.compiled,
             rows_in_python=self._law.rows_in_python,
             tick_us=self.tick_us,
@@ -302,7 +277,3 @@ class _Recorder:
             signals=self.signals,
             inputs=self.inputs,
         )
-
-
-def _task_rows(tasks: Sequence[Task], chain: ClosedChain) -> tuple[str, ...]:
-    return tuple(f"{task.name}.{row}" for task in tasks for row in task.rows(chain))

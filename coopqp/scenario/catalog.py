@@ -40,7 +40,7 @@ from coopqp.base.wording import said
 from coopqp.controller import Controller, Law
 from coopqp.grasp import Grasp
 from coopqp.limit import Limit
-from coopqp.metric import Metric
+from coopqp.metric import OF_STUDIES, Metric
 from coopqp.plant import Plant, PlantModel
 from coopqp.robot import Robot
 from coopqp.scenario.user_folders import package_of
@@ -154,13 +154,16 @@ class Shelf:
         files = sorted(p for p in self.folder.glob("*.py") if not p.name.startswith("_"))
         if not files:
             word = self.kind.removesuffix("s")
-            yield Fault(str(self.folder), f"no {word} files (*.py) here; write one a {word}")
+            yield Fault(
+                str(self.folder),
+                f"no {word} files (*.py) here; each {word} needs a file of its own",
+            )
         for file in files:
             yield self._entry(file)
 
     def _entry(self, file: Path) -> Entry | Fault:
         name = file.stem
-        if wrong := _wrong_name(name):
+        if wrong := _wrong_name(name, self.kind):
             return Fault(str(file), f"{wrong}; rename the file")
         module = f"{self.package}.{name}"
         try:
@@ -240,11 +243,13 @@ def _in_subfolders(folder: Path, package: str | None) -> Iterator[Shelf | Fault]
         yield Shelf(found.name, found, f"{package}.{found.name}" if package else package_of(found))
 
 
-def _wrong_name(name: str) -> str:
+def _wrong_name(name: str, kind: str) -> str:
     if not name.isidentifier() or keyword.iskeyword(name):
         return f"'{name}' is not a name in Python: letters, digits and _ alone, no keyword"
     if hasattr(BaseModel, name) or name.startswith("model_"):
         return f"'{name}' is a name that pydantic, which reads scenarios, keeps for itself"
+    if kind == "metrics" and name in OF_STUDIES:
+        return f"every study has a column '{name}' of its own"
     return ""
 
 

@@ -254,6 +254,7 @@ def check_start(data: Mapping[str, Any], scenario: Scenario, known: Known) -> No
     if new_limits:
         wrong_plugins += _broken_limits(scenario, next(iter(places.values())))
     refuse(wrong_plugins)
+    refuse(_alike(scenario, places))
     wrong_starts = [*_broken_inputs(data, scenario, tasks, places)]
     if not allowed and not wrong_starts and new_limits:
         for i, limit in enumerate(scenario.limits):
@@ -321,6 +322,22 @@ def _broken_tasks(tasks: Sequence[Placed], places: Mapping[str, Places]) -> Iter
             try_task(task, places[phase.name], phase.duration)
         except CoopqpError as error:
             yield Wrong(place, str(error), error.keys)
+
+
+def _alike(scenario: Scenario, places: Mapping[str, Places]) -> Iterator[Wrong]:
+    """Tasks of which a trace would call a part, or a row, as it calls another task's."""
+    known: dict[str, str] = {}
+    for place, task, phase in placed_tasks(scenario):
+        if place[0] == "secondary":
+            continue
+        chain = places[phase.name].start.chain
+        whole = f"{phase.name}.{task.name}" if scenario.phases else task.name
+        inside = (*(part.name for part in task.parts(chain)), *task.rows(chain))
+        names = {f"{whole}.{name}" if name else whole for name in inside}
+        if alike := sorted(names & known.keys()):
+            words = f"'{alike[0]}' would be a part of '{known[alike[0]]}' too"
+            yield Wrong(place, f"{words}; give '{task.name}' another name")
+        known |= dict.fromkeys(names, whole)
 
 
 def _broken_inputs(

@@ -19,7 +19,7 @@ import numpy as np
 from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.qp import names_of
 from coopqp.base.rank import null_space
-from coopqp.base.spec import Array, type_name
+from coopqp.base.spec import Array, taken_names, type_name
 from coopqp.base.wording import counted, raised
 from coopqp.limit import Limit, LimitRows
 from coopqp.model.closed_chain import ClosedChain
@@ -27,7 +27,7 @@ from coopqp.model.marker import markers_fault
 from coopqp.model.state import State
 from coopqp.plant import Plant
 from coopqp.signal import Moment
-from coopqp.task import Evaluate, Task, TaskRows, evaluate_all
+from coopqp.task import Evaluate, Part, Task, TaskRows, evaluate_all
 
 #: How far the configurations nearby are, as the standard deviation of a joint [rad or m].
 NEARBY = 0.03
@@ -44,6 +44,8 @@ WIDENED = "widens the bounds; tighten them by np.maximum(rows.lb, ...), np.minim
 SHARES = (0.21, 0.43)
 #: Step of the differences, in v's length [rad or m] and in time [s].
 STEP = 1e-6
+#: An error that no goal of arms has, whose differences are lost in rounding [m, rad].
+FAR = 1e4
 #: What derivatives may differ by: a share of their size, and of one unit per second.
 RELATIVE, ABSOLUTE = 1e-3, 1e-5
 
@@ -95,11 +97,7 @@ def try_task(task: Task, places: Places, duration: float) -> None:
     with blamed(task):
         start = places.start
         names = task.rows(start.chain)
-        counts = [part.rows for part in task.parts(start.chain)]
-        if sum(counts) != len(names) or not names:
-            raise _PromiseError(
-                f"rows() names {counted(len(names), 'row')}, parts() has {sum(counts)}"
-            )
+        _check_parts(names, task.parts(start.chain))
         columns = 6 * start.chain.holding if task.of_forces else start.chain.n
         look = _Look(task, names, task.bind(start), columns)
         look.at(start, start.t)
@@ -115,9 +113,27 @@ def try_task(task: Task, places: Places, duration: float) -> None:
             _check_zero_error(names, rows)
         elif not task.of_forces and any(r.e.any() or r.rate.any() for r in rows):
             for i, t in enumerate(times):
-                wrong = look.disagreement(places.nearby[i], t)
-                if wrong and (wrong := look.disagreement(places.farther[i], t)):
-                    raise _PromiseError(wrong)
+                if look.disagreement(places.nearby[i], t) and (
+                    wrong := look.disagreement(places.farther[i], t)
+                ):
+                    raise look.too_far(places.farther[i], t) or _PromiseError(wrong)
+
+
+def _check_parts(names: Sequence[str], parts: Sequence[Part]) -> None:
+    count = sum(part.rows for part in parts)
+    if count != len(names) or not names:
+        raise _PromiseError(f"rows() names {counted(len(names), 'row')}, parts() has {count}")
+    _check_names("rows", names)
+    _check_names("parts", [part.name for part in parts])
+    for part in parts:
+        if not part.tolerance > 0.0:
+            words = f"found a tolerance of {part.tolerance}, needs more than 0"
+            raise _PromiseError(f"parts(): {words}")
+
+
+def _check_names(method: str, names: Sequence[str]) -> None:
+    for _, taken in taken_names(names):
+        raise _PromiseError(f"{method}(): {taken}; give each one of its own")
 
 
 class _Look:
@@ -147,6 +163,15 @@ class _Look:
         return self._compare("J v", rows.J @ place.v, moved / (2.0 * STEP)) or self._compare(
             "rate", rows.rate, -passed / (2.0 * STEP)
         )
+
+    def too_far(self, place: _Nearby, t: float) -> InvalidValueError | None:
+        """What to say where errors are so large that differences of them are lost in rounding."""
+        e = np.abs(self.at(place.here, t).e)
+        if not e.max() > FAR:
+            return None
+        words = "farther than arms reach; look at the size of the goal"
+        row = self.names[int(e.argmax())]
+        return InvalidValueError(f"row {row}: is {e.max():.3g} off, {words}")
 
     def _compare(self, what: str, promised: Array, measured: Array) -> str:
         allowed = RELATIVE * (np.abs(promised) + np.abs(measured)) + ABSOLUTE
@@ -183,6 +208,7 @@ def try_limit(limit: Limit, places: Places, dt: float) -> None:
     with blamed(limit):
         start, chain = places.start, places.start.chain
         names = names_of(limit.rows(chain))
+        _check_names("rows", names)
         tighten = limit.bind(chain, dt)
         _check_marks(limit.marks(0.0))
         for state in (start, *(place.here for place in places.nearby)):

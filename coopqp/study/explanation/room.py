@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from coopqp.assessment.audit import audit
 from coopqp.base.qp import Row
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
@@ -58,7 +59,7 @@ class Room:
             self._left.append((left, _slope(limit, self.chain, self._dt, len(rows))))
             return
         q, v = np.vstack([self.chain.q_start] * 2), np.zeros((1, self.chain.n))
-        for row, margin in limit.margins(self.chain, q, v, self._dt).items():
+        for row, margin in audit([limit], self.chain, q, v, self._dt).margins.items():
             if row.joint and row.side and row.unit in PLACE_UNITS:
                 self._bound(row, float(margin[0]))
 
