@@ -133,19 +133,23 @@ def _given_start(file: YamlFile, robot: RobotModel, scenario: Scenario) -> Start
     return {} if file.data.get("start") == SOLVE else scenario.start
 
 
-def shipped() -> dict[str, Path]:
-    """The scenarios that come with coopqp, by name."""
-    folder = Path(__file__).parents[1] / "scenarios"
-    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+#: Folders of files that come with coopqp, and what one of them is.
+FILES = {"scenarios": "scenario", "studies": "study"}
 
 
-def find(path: str | Path) -> Path:
-    """The file behind a path or a shipped scenario's name; ScenarioError if there is neither."""
-    given, known = Path(path), shipped()
+def shipped(folder: str = "scenarios") -> dict[str, Path]:
+    """The files that come with coopqp, by name."""
+    files = (Path(__file__).parents[1] / folder).glob("*.yaml")
+    return {path.stem: path for path in sorted(files)}
+
+
+def find(path: str | Path, folder: str = "scenarios") -> Path:
+    """The file behind a path or a shipped one's name; ScenarioError if there is neither."""
+    given, known = Path(path), shipped(folder)
     if os.path.exists(given) or given.suffix or given.name != str(path):
         return given
     if given.name not in known:
-        words = f"no such file, and {unknown_name('shipped scenario', given.name, known)}"
+        words = f"no such file, and {unknown_name(f'shipped {FILES[folder]}', given.name, known)}"
         raise ScenarioError([Fault(str(path), words)])
     return known[given.name]
 

@@ -58,7 +58,7 @@ def test_there_is_an_example_and_a_page_for_every_collection() -> None:
     assert {file.parent.name for file in FILES} == set(COLLECTIONS)
     pages = {page.stem + "s" for page in (ROOT / "docs" / "plugins").glob("*.md")}
     assert pages == set(COLLECTIONS)
-    assert (*COLLECTIONS, "scenarios") == cli.scenarios.COLLECTIONS
+    assert (*COLLECTIONS, "scenarios", "studies") == cli.scenarios.COLLECTIONS
 
 
 @pytest.mark.parametrize("kind", COLLECTIONS)

@@ -14,7 +14,7 @@ from coopqp.assessment import assess
 from coopqp.base.errors import CoopqpError, ScenarioError
 from coopqp.cli.studies import _LivePage
 from coopqp.execution.controller_run import run
-from coopqp.scenario.loader import load
+from coopqp.scenario.loader import load, shipped
 from coopqp.study.engine import Engine, Share
 from coopqp.study.sweep import kept_study, read_study, scenario_of_row, sweep
 
@@ -46,6 +46,17 @@ def test_points_are_scipys_in_the_units_of_the_study(plate: Path) -> None:
         goal, mass = study.variant(k).values
         np.testing.assert_allclose(goal, [0.30 + 0.1 * u[k, 0], -0.05 + 0.15 * u[k, 1], 0.0])
         assert mass == pytest.approx(0.1 * 20.0 ** u[k, 3])
+
+
+def test_shipped_studies_go_by_name_as_scenarios_do() -> None:
+    names = shipped("studies")
+    assert "reach_of_nao" in names
+    for name, path in names.items():
+        assert read_study(Path(name)).file.text == path.read_text(encoding="utf-8")
+        assert name in typed("list", "studies").stdout
+        assert typed("validate", name).stdout == f"{name}: ok\n"
+    with pytest.raises(ScenarioError, match="unknown shipped study 'reach_of_nap'; did you mean"):
+        read_study(Path("reach_of_nap"))
 
 
 def test_seeds_are_spawned_from_one(plate: Path) -> None:

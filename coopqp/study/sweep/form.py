@@ -107,6 +107,7 @@ class StudyFile(BaseModel):
 
     model_config = STRICT
 
+    description: str = Field(default="", description="What the study asks, in a line.")
     scenario: Annotated[str, Field(min_length=1), _filled(str, NAMED)] = Field(
         description="A file beside the study, or the name of a shipped scenario."
     )
