@@ -22,12 +22,12 @@ class Comparison:
     """The outcome of one scenario under several controllers.
 
     Attributes:
-        scenario: what was run.
+        scenario: as run.
         traces: by controller.
         metrics: by controller, then by metric.
         verdicts: one sentence each, by controller.
         refused: why a controller could not be run, by controller.
-        faults: what metrics raised, one sentence each.
+        faults: errors of metrics, one sentence each.
         notes: what of the robot the limits do not bound, one sentence each.
     """
 
@@ -44,7 +44,7 @@ class Comparison:
         return "\n".join(f"{name}: {words}" for name, words in said.items())
 
     def as_json(self) -> dict[str, Any]:
-        """What ``metrics.json`` holds."""
+        """The content of ``metrics.json``."""
         return {
             "scenario": self.scenario.name,
             "kappa": self.scenario.drift_gain,

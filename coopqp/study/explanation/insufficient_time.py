@@ -128,7 +128,7 @@ def _told(share: Share, room: Room, q: Array) -> Share:
 def _leash(leg: ExplainedPhase) -> str:
     """Commands that had to wait for the measured joints; empty where they had not."""
     limits = leg.scenario.limits
-    leash = [limit for limit in limits if limit.heeds_measured]
+    leash = [limit for limit in limits if limit.uses_measurements]
     free = tuple(limit for limit in limits if limit not in leash)
     if not leash or rerun(leg, limits=free).missed:
         return ""

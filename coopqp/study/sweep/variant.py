@@ -21,7 +21,7 @@ from coopqp.base.errors import CoopqpError, InternalError
 from coopqp.base.wording import by_user, raised
 from coopqp.execution.controller_run import run
 from coopqp.scenario.catalog import Catalog
-from coopqp.scenario.known import Known
+from coopqp.scenario.checks import Known
 from coopqp.scenario.loader import load_file
 from coopqp.scenario.scenario import Scenario
 from coopqp.scenario.yaml import YamlFile, parsed

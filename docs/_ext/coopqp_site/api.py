@@ -6,13 +6,20 @@ import ast
 import importlib
 import inspect
 from collections.abc import Iterator
+from pathlib import Path
 from types import ModuleType
 
 import coopqp
 from coopqp_site.writing import plain, table
 
-#: Module of each public name.
-HOMES: dict[str, str] = vars(coopqp)["_HOMES"]
+STUB = ast.parse(Path(coopqp.__file__).with_suffix(".pyi").read_text(encoding="utf-8"))
+#: Module of each public name, as the stub imports it.
+HOMES = {
+    alias.name: f"coopqp.{node.module}"
+    for node in STUB.body
+    if isinstance(node, ast.ImportFrom)
+    for alias in node.names
+}
 
 
 def pages() -> Iterator[tuple[str, str]]:
