@@ -68,11 +68,6 @@ def test_the_code_on_a_page_is_the_example(kind: str) -> None:
     assert blocks[0] == EXAMPLE[kind].read_text(encoding="utf-8")
 
 
-def test_the_task_in_the_readme_is_the_example() -> None:
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert EXAMPLE["tasks"].read_text(encoding="utf-8").split("\n\n\n", 1)[1] in readme
-
-
 def test_a_scenario_of_plug_ins_alone_runs_and_its_metric_is_measured(tmp_path: Path) -> None:
     out = tmp_path / "out"
     scenario = EXAMPLES / "own.yaml"
