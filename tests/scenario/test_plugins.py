@@ -347,6 +347,12 @@ def test_a_metric_that_would_need_keys_is_refused(tmp_path: Path) -> None:
     assert said.endswith("'share' needs a default, because scenarios have no keys for metrics")
 
 
+def test_a_metric_called_as_a_column_of_every_study_is_refused(tmp_path: Path) -> None:
+    text = EXAMPLE["metrics"].read_text(encoding="utf-8")
+    said = line_of("metrics", "success", text, tmp_path)
+    assert said.endswith("every study has a column 'success' of its own; rename the file")
+
+
 @pytest.mark.parametrize(
     ("folder", "said"),
     [

@@ -47,7 +47,8 @@ class RunExplanation:
         phase: that missed, empty where there is one only.
         tick: its last.
         kind: reached, broken, open, input, lost, limits, elsewhere, reach, contradiction,
-            freedom, speed, budget, short, rest, model, motors, springs, way, failed or unplaced.
+            freedom, speed, budget, short, rest, model, motors, springs, way, weight, failed or
+            unplaced.
         sentence: all of it in words.
         missed: what ended outside its tolerance, hard and scaled tasks first, then the worst.
         held_back: limits by their share of the force.

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from coopqp.assessment.audit import audit
 from coopqp.base.qp import Row
 from coopqp.execution.controller_run import run
 from coopqp.grasp import PassiveJoint
@@ -86,7 +87,7 @@ def without_places(scenario: Scenario) -> tuple[Limit, ...]:
     return tuple(
         limit
         for limit in scenario.limits
-        if all(row.unit not in PLACE_UNITS for row in limit.margins(chain, q, v, 0.01))
+        if all(row.unit not in PLACE_UNITS for row in audit([limit], chain, q, v, 0.01).margins)
     )
 
 

@@ -1,7 +1,7 @@
 """The limits as geometry: where the joints may be, and what room there is in space.
 
 Margins of joints that are lengths or angles bound their positions; limits in space say what room
-they leave (:meth:`coopqp.limit.Limit.room`). What bounds speeds is not in here.
+they leave (:meth:`coopqp.limit.Limit.clearance`). What bounds speeds is not in here.
 """
 
 from __future__ import annotations
@@ -11,10 +11,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from coopqp.assessment.audit import audit
 from coopqp.base.qp import Row
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
-from coopqp.limit import Limit, LimitRows, RoomLeft
+from coopqp.limit import Clearance, Limit, LimitRows
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 
@@ -42,14 +43,14 @@ class Room:
         self.rows: tuple[Row, ...] = ()
         self.owners: list[int] = []
         self.limits: list[Limit] = []
-        self._left: list[tuple[RoomLeft, Callable[[State], Array]]] = []
+        self._left: list[tuple[Clearance, Callable[[State], Array]]] = []
         self._state = State(chain)
         self._kept: tuple[Array, Array, Array] | None = None
         for limit in problem.limits:
             self._add(limit)
 
     def _add(self, limit: Limit) -> None:
-        left = limit.room(self.chain)
+        left = limit.clearance(self.chain)
         if left is not None:
             rows = limit.rows(self.chain)[: len(left(self._state))]
             self.owners += [len(self.limits)] * len(rows)
@@ -58,7 +59,7 @@ class Room:
             self._left.append((left, _slope(limit, self.chain, self._dt, len(rows))))
             return
         q, v = np.vstack([self.chain.q_start] * 2), np.zeros((1, self.chain.n))
-        for row, margin in limit.margins(self.chain, q, v, self._dt).items():
+        for row, margin in audit([limit], self.chain, q, v, self._dt).margins.items():
             if row.joint and row.side and row.unit in PLACE_UNITS:
                 self._bound(row, float(margin[0]))
 

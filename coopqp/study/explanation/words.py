@@ -198,7 +198,7 @@ def broken(found: Assessment) -> str:
     overruns = [o for o in (*found.joints, *found.limits, *found.speeds) if o.farther]
     if not overruns:
         return ""
-    said = [f"{o.row.words} by {size(o.by - o.at_start, o.row.unit)}" for o in overruns[:MOST]]
+    said = [f"{o.row.words} by {size(o.by, o.row.unit)}" for o in overruns[:MOST]]
     more = [f"{len(overruns) - MOST} more"] if len(overruns) > MOST else []
     return f"beyond limits: {listed([*said, *more])}"
 

@@ -6,6 +6,7 @@ import ast
 import importlib
 import inspect
 from collections.abc import Iterator
+from pathlib import Path
 from types import ModuleType
 
 import coopqp
@@ -19,8 +20,14 @@ tasks, limits and their like are in `coopqp.tasks`, `coopqp.limits` and so on, w
 their pages here. What is not on this page may change in any version.
 """
 
-#: Module of each public name.
-HOMES: dict[str, str] = vars(coopqp)["_HOMES"]
+STUB = ast.parse(Path(coopqp.__file__).with_suffix(".pyi").read_text(encoding="utf-8"))
+#: Module of each public name, as the stub imports it.
+HOMES = {
+    alias.name: f"coopqp.{node.module}"
+    for node in STUB.body
+    if isinstance(node, ast.ImportFrom)
+    for alias in node.names
+}
 
 
 def pages() -> Iterator[tuple[str, str]]:
