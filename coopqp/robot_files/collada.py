@@ -1,6 +1,6 @@
 """Triangles of COLLADA files (.dae): the geometry of the scene, where its nodes put it.
 
-As pinocchio has it, a file's unit and its upward axis are not looked at.
+A file's unit and upward axis are ignored, as by pinocchio.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from coopqp.robot_files.xml import DEEPEST, place_of, read_xml
 
 Ints = NDArray[np.int64]
 
-#: Nodes and corners of triangles that the instances of a file may come to.
+#: Largest numbers of nodes and corners of triangles of a file's instances.
 MOST_NODES, MOST_CORNERS = 10_000, 10_000_000
-#: Geometry with faces; lines and points are read over.
+#: Geometry with faces; lines and points are ignored.
 FACES = ("triangles", "polylist", "polygons", "tristrips", "trifans")
-#: What a node may have that would put its geometry elsewhere.
+#: Parts of a node that would move its geometry.
 NOT_READ = ("lookat", "skew", "instance_controller")
 
 
@@ -57,22 +57,14 @@ class _Faces:
 
 
 class _Library:
-    """The elements of a file by their ids, and their triangles.
-
-    Args:
-        xml: of the file.
-    """
+    """The elements of a file by their ids, and their triangles."""
 
     def __init__(self, xml: ET.Element) -> None:
         self._by_id = {(e.tag, e.get("id")): e for e in xml.iter() if e.get("id")}
         self._read: dict[ET.Element, list[_Faces]] = {}
 
     def named(self, user: ET.Element, tag: str, key: str) -> ET.Element:
-        """What an element refers to by ``#id``.
-
-        Raises:
-            InvalidValueError: there is no such element.
-        """
+        """The element that an attribute refers to by ``#id``."""
         address = user.get(key, "")
         found = self._by_id.get((tag, address.removeprefix("#")))
         if found is None or not address.startswith("#"):
@@ -189,13 +181,7 @@ TRANSFORMS: dict[str, tuple[int, Callable[[Array], Array]]] = {
 
 
 def _corners(part: ET.Element, counts: Ints, total: int) -> Ints:
-    """Where the corners of triangles are in the list of an element's corners.
-
-    Args:
-        part: of :data:`FACES`.
-        counts: corners of each ``p`` in it.
-        total: of them.
-    """
+    """Indices of triangles' corners among an element's; counts: corners of each ``p`` in it."""
     if part.tag == "triangles":
         if total % 3:
             raise InvalidValueError(f"{place_of(part)}: {total} corners are no whole triangles")
