@@ -240,9 +240,8 @@ class Keeper:
 
     def go_on(self) -> None:
         """The loop goes on from another state, as after a stop or in another phase."""
-        if self._record is not None:
-            now, record = self._loop.phases[-1], self._record
-            self._safely("_record", lambda: record.begin(now.state, now.since))
+        now = self._loop.phases[-1]
+        self._safely("_record", "begin", now.state, now.since)
 
     def arrived(self, arrivals: Sequence[Arrival]) -> None:
         """Add what arrived and was accepted to the session; write it when it is much."""
@@ -260,30 +259,28 @@ class Keeper:
 
     def tick(self, state: State, command: Command, us: float) -> None:
         """Record a tick."""
-        record = self._record
-        if record is not None:
-            self._safely("_record", lambda: record.tick(state, command, us))
+        if self._record is not None:
+            self._safely("_record", "tick", state, command, us)
 
     def flush(self) -> None:
         """Write what is new of the session."""
         if self.session is None or not self._loop.phases:
             return
-        run, session = self._loop.phases[-1], self.session
-        now = self._flushed = run.since + run.state.t
-        self._safely("session", lambda: session.flush(now, self._loop.phases))
+        run = self._loop.phases[-1]
+        self._flushed = run.since + run.state.t
+        self._safely("session", "flush", self._flushed, self._loop.phases)
 
     def close(self) -> None:
         """Write the rest of both."""
-        if self._record is not None:
-            self._safely("_record", self._record.close)
-            self._record = None
+        self._safely("_record", "close")
         if self.session is not None:
-            session, self.session = self.session, None
-            self._safely("session", lambda: session.close(self._loop.phases))
+            self._safely("session", "close", self._loop.phases)
+        self.session = self._record = None
 
-    def _safely(self, whose: Literal["session", "_record"], write: Callable[[], None]) -> None:
+    def _safely(self, whose: Literal["session", "_record"], method: str, *given: Any) -> None:
         try:
-            write()
+            if (written := getattr(self, whose)) is not None:
+                getattr(written, method)(*given)
         except Exception as error:  # noqa: BLE001 - the robot comes before its record
             self.fault = f"the record is not whole: {error}"
             setattr(self, whose, None)

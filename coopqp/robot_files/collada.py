@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -38,22 +37,14 @@ def collada_corners(path: Path) -> tuple[Array, Ints]:
     library, points, corners = _Library(xml), [np.zeros((0, 3))], [np.zeros(0, np.int64)]
     before, total = 0, 0
     for X, geometry in _instances(xml, library):
-        for part in library.faces(geometry):
-            corners.append(part.corners + before)
-            points.append(part.points @ X[:3, :3].T + X[:3, 3])
-            before, total = before + len(part.points), total + len(part.corners)
+        for places, rows in library.faces(geometry):
+            corners.append(rows + before)
+            points.append(places @ X[:3, :3].T + X[:3, 3])
+            before, total = before + len(places), total + len(rows)
             if max(before, total) > MOST_CORNERS:
                 words = f"its instances have more than {MOST_CORNERS} corners"
                 raise InvalidValueError(f"{place_of(geometry)}: {words}")
     return np.concatenate(points), np.concatenate(corners).reshape(-1, 3)
-
-
-@dataclass(frozen=True, eq=False)
-class _Faces:
-    """Points, shape (v, 3), and corners of triangles, three to each, shape (3 t,)."""
-
-    points: Array
-    corners: Ints
 
 
 class _Library:
@@ -61,7 +52,7 @@ class _Library:
 
     def __init__(self, xml: ET.Element) -> None:
         self._by_id = {(e.tag, e.get("id")): e for e in xml.iter() if e.get("id")}
-        self._read: dict[ET.Element, list[_Faces]] = {}
+        self._read: dict[ET.Element, list[tuple[Array, Ints]]] = {}
 
     def named(self, user: ET.Element, tag: str, key: str) -> ET.Element:
         """The element that an attribute refers to by ``#id``."""
@@ -71,14 +62,14 @@ class _Library:
             raise InvalidValueError(f"{place_of(user)} {key}: no {tag} '{address[:40]}'")
         return found
 
-    def faces(self, geometry: ET.Element) -> list[_Faces]:
-        """The triangles of a geometry."""
+    def faces(self, geometry: ET.Element) -> list[tuple[Array, Ints]]:
+        """Points, shape (v, 3), and corners of triangles, three to each, shape (3 t,)."""
         if geometry not in self._read:
             parts = (part for mesh in geometry.findall("mesh") for part in mesh)
             self._read[geometry] = [self._faces(part) for part in parts if part.tag in FACES]
         return self._read[geometry]
 
-    def _faces(self, part: ET.Element) -> _Faces:
+    def _faces(self, part: ET.Element) -> tuple[Array, Ints]:
         inputs = {e.get("semantic"): e for e in part.findall("input")}
         if "VERTEX" not in inputs:
             raise InvalidValueError(f"{place_of(part)}: needs an input of vertices")
@@ -96,7 +87,7 @@ class _Library:
         if len(rows) and not (rows.min() >= 0 and rows.max() < len(points)):
             wrong = int(rows[(rows < 0) | (rows >= len(points))][0])
             raise InvalidValueError(f"{place_of(part)}: no vertex {wrong}; it has {len(points)}")
-        return _Faces(points, rows[_corners(part, counts, len(rows))])
+        return points, rows[_corners(part, counts, len(rows))]
 
     def _points(self, user: ET.Element) -> Array:
         """The places of vertices, shape (v, 3)."""

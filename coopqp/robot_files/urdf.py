@@ -62,8 +62,9 @@ def read_urdf(path: Path, package_dirs: Sequence[Path] = ()) -> Description:
         raise InvalidValueError(
             f"{told_place(xml, why)}: is not a robot that can be read: {'; '.join(why)}"
         ) from None
-    shapes, missing = _urdf_shapes(xml, path, package_dirs)
-    collide, unseen = _collision_shapes(xml, path, package_dirs)
+    shapes, undrawn = _shapes(xml, "visual", path, package_dirs)
+    collide, unread = _shapes(xml, "collision", path, package_dirs)
+    missing = [part.get("filename", "") for _, part in undrawn if part.tag == "mesh"]
     meshes = sum(shape.kind == "mesh" for shape in shapes) + len(missing)
     return Description(
         name=xml.get("name") or path.stem,
@@ -71,7 +72,7 @@ def read_urdf(path: Path, package_dirs: Sequence[Path] = ()) -> Description:
         followers=dict(_mimics(xml)),
         shapes=shapes,
         collision_shapes=collide,
-        unseen=unseen,
+        unseen=tuple(_why_unseen(frame, part) for frame, part in unread),
         places=places(xml.findall("joint")),
         warnings=(
             *impossible,
@@ -133,46 +134,28 @@ def _mimics(xml: ET.Element) -> list[tuple[str, Follower]]:
     return found
 
 
-def _urdf_shapes(
-    xml: ET.Element, path: Path, package_dirs: Sequence[Path]
-) -> tuple[tuple[Shape, ...], list[str]]:
-    """Visual shapes, and the meshes that cannot be found."""
-    shapes, missing = [], []
-    for frame, place, part in _parts(xml, "visual"):
-        mesh = None
-        if part.tag == "mesh":
-            uri = part.get("filename", "")
-            mesh = find_mesh(uri, path, package_dirs)
-            if mesh is None:
-                missing.append(uri)
-                continue
-        shapes += _shape(frame, place, part, mesh)
-    return tuple(shapes), missing
-
-
-def _collision_shapes(
-    xml: ET.Element, path: Path, package_dirs: Sequence[Path]
-) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
-    """Collision shapes, and a sentence for each that cannot be read."""
-    shapes, unseen = [], []
-    for frame, place, part in _parts(xml, "collision"):
-        uri, mesh = part.get("filename", ""), None
-        if part.tag not in SHAPES:
-            unseen.append(f"{frame}: <{part.tag}> is not read; known: {', '.join(SHAPES)}")
-        elif part.tag == "mesh" and (mesh := find_mesh(uri, path, package_dirs)) is None:
-            where = "; see package_dirs" if uri.startswith("package:") else ""
-            unseen.append(f"{frame}: mesh {uri}: there is no such file{where}")
+def _shapes(
+    xml: ET.Element, tag: str, path: Path, package_dirs: Sequence[Path]
+) -> tuple[tuple[Shape, ...], list[tuple[str, ET.Element]]]:
+    """Visual or collision shapes; link and geometry of those that cannot be read."""
+    shapes, unread = [], []
+    for frame, X, part in _parts(xml, tag):
+        kind: Any = part.tag
+        mesh = find_mesh(part.get("filename", ""), path, package_dirs) if kind == "mesh" else None
+        if kind not in SHAPES or (kind == "mesh" and mesh is None):
+            unread.append((frame, part))
         else:
-            shapes += _shape(frame, place, part, mesh)
-    return tuple(shapes), tuple(unseen)
+            size = _urdf_size(part)
+            shapes.append(Shape(frame=frame, placement=X, kind=kind, size=size, mesh=mesh))
+    return tuple(shapes), unread
 
 
-def _shape(frame: str, place: pin.SE3, part: ET.Element, mesh: Path | None) -> list[Shape]:
-    """One, or none of a kind that is not read."""
-    if part.tag not in SHAPES:
-        return []
-    named: Any = part.tag
-    return [Shape(frame=frame, placement=place, kind=named, size=_urdf_size(part), mesh=mesh)]
+def _why_unseen(frame: str, part: ET.Element) -> str:
+    if part.tag != "mesh":
+        return f"{frame}: <{part.tag}> is not read; known: {', '.join(SHAPES)}"
+    uri = part.get("filename", "")
+    where = "; see package_dirs" if uri.startswith("package:") else ""
+    return f"{frame}: mesh {uri}: there is no such file{where}"
 
 
 def _parts(xml: ET.Element, tag: str) -> Iterator[tuple[str, pin.SE3, ET.Element]]:
