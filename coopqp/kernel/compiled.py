@@ -67,17 +67,14 @@ class Limits:
 
     @property
     def in_python(self) -> tuple[str, ...]:
-        """Names of the limits whose rows Python fills."""
         rows = self.filled.rows if self.filled else ()
         return tuple(dict.fromkeys(row.owner for row in rows))
 
     @property
     def compiled(self) -> bool:
-        """Whether Python fills nothing."""
         return self.filled is None and self.q_measured is None
 
     def update(self, state: State) -> None:
-        """Fill Python's rows at a state."""
         if self.filled is not None:
             self.filled.update(state)
         if self.q_measured is not None:

@@ -186,12 +186,10 @@ class Levels:
 
     @property
     def compiled(self) -> bool:
-        """Whether the kernel fills all rows."""
         return not self.filled
 
     @property
     def in_python(self) -> tuple[str, ...]:
-        """Names of the tasks whose rows Python fills."""
         return tuple(task.name for stack in self.filled for task in stack.tasks)
 
     def follow(self, state: State) -> None:
@@ -204,7 +202,6 @@ class Levels:
             state.unlock()
 
     def update(self, state: State) -> None:
-        """Fill Python's rows at a state."""
         self.follow(state)
         for stack in self.filled:
             stack.update(state)

@@ -98,7 +98,6 @@ class History:
         ))  # fmt: skip
 
     def add(self, clock: float, state: State, measured: Array, command: Command, us: float) -> None:
-        """Copy a tick."""
         kept, i = self._all, self.count % self.capacity
         kept.number[i], kept.clock[i], kept.t[i], kept.us[i] = self.count, clock, state.t, us
         kept.q[i], kept.v[i], kept.measured[i] = state.q, command.v, measured
@@ -471,7 +470,6 @@ class OnlineLoop:
         return command
 
     def _refuse(self, why: Status, note: str) -> Command:
-        """Stand still at once."""
         command, self._moved = self._refusal, False
         self._last, self._wrong = command, why
         command.v[:] = 0.0

@@ -95,7 +95,6 @@ class Braking:
         self._still = Command(problem.chain.n)
 
     def can_stop(self, state: State) -> bool:
-        """Whether every joint could stop in one tick."""
         return bool((np.abs(state.v) <= self._step).all())
 
     def tick(self, state: State) -> Command:
@@ -146,7 +145,6 @@ class Phases:
         self._enter(None, None)
 
     def begin(self, q: Array, *, held: bool) -> None:
-        """Begin the first phase."""
         if held and not np.array_equal(q, self._given.chain.q_start):
             self.scenario = as_held(self._given, q)
         self._enter(None, q)
@@ -160,7 +158,6 @@ class Phases:
         self.braking = Braking(now.problem, now.law.squeezer)
 
     def ask(self) -> None:
-        """Ask for the end of the phase."""
         if self.now.is_last:
             raise InvalidValueError(f"phase '{self.now.phase.name}' is the last")
         self._asked = True

@@ -70,7 +70,6 @@ class Ended:
     longest_tick: int
 
     def __str__(self) -> str:
-        """One sentence."""
         if not self.ticks:
             return self.why
         slow = f"the longest wait was {1e3 * self.longest:.2f} ms, before tick {self.longest_tick}"
@@ -157,7 +156,6 @@ class _Run:
         self._loop.begin(q)
 
     def until_the_end(self) -> None:
-        """Tick after tick."""
         loop, due = self._loop, self._loop.now
         until = due + self._duration
         while loop.running:

@@ -75,14 +75,12 @@ class Session:
             raise CoopqpError(f"cannot write to '{folder}': {error.strerror or error}") from error
 
     def add(self, name: str, kind: Kind, t: float, sent: float, value: Array) -> None:
-        """Add what arrived at an input."""
         if name not in self._sent:
             file = file_name(name, {sent.path.name for sent in self._sent.values()})
             self._sent[name] = _File(self._folder / FOLDER / file, kind)
         self._sent[name].add(t, sent, value)
 
     def flush(self, now: float, phases: Sequence[PhaseRun]) -> None:
-        """Write what is new."""
         before = {name for name, sent in self._sent.items() if sent.written}
         for sent in self._sent.values():
             sent.flush(now)
@@ -95,7 +93,6 @@ class Session:
         self._write_scenario(phases)
 
     def replay(self, phases: Sequence[PhaseRun]) -> Scenario:
-        """The scenario that plays what is on disk again."""
         begun, feeds = self._scenario, self._feeds()
         inputs = {
             name: replace(settings, feed=None, feed_file=feeds.get(name))
@@ -232,7 +229,6 @@ class Keeper:
         self.fault, self._flushed = "", 0.0
 
     def begin(self, given: Scenario) -> None:
-        """The loop has begun."""
         if self._out is not None:
             self.session = Session(self._out, self._loop.scenario, given, self._loop.controller)
             self._out, self._flushed = None, 0.0
@@ -258,12 +254,10 @@ class Keeper:
             self.flush()
 
     def tick(self, state: State, command: Command, us: float) -> None:
-        """Record a tick."""
         if self._record is not None:
             self._safely("_record", "tick", state, command, us)
 
     def flush(self) -> None:
-        """Write what is new of the session."""
         if self.session is None or not self._loop.phases:
             return
         run = self._loop.phases[-1]
@@ -271,7 +265,6 @@ class Keeper:
         self._safely("session", "flush", self._flushed, self._loop.phases)
 
     def close(self) -> None:
-        """Write the rest of both."""
         self._safely("_record", "close")
         if self.session is not None:
             self._safely("session", "close", self._loop.phases)

@@ -43,7 +43,6 @@ class SimulatedRobot:
         return scenario.plant.build(self._loop.problem, scenario.seed, scenario.disturbance)
 
     def _hand_over(self) -> None:
-        """Follow the loop to another phase, in which other arms hold the object."""
         before, old, self._index = self.plant, self.state, len(self._loop.phases) - 1
         self.plant = self._built()
         self.plant.resume(before)

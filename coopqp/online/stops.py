@@ -83,12 +83,10 @@ class Waiting:
         self.forget()
 
     def forget(self) -> None:
-        """Begin anew."""
         self._q: Any = None
         self._inputs: dict[Any, Any] = {}
 
     def keep(self, q: Any, inputs: Any) -> None:
-        """Keep those that are there."""
         if q is not None:
             self._q = q
         if isinstance(inputs, Mapping):
@@ -120,7 +118,6 @@ class Stops:
         self.forget()
 
     def forget(self) -> None:
-        """Begin anew."""
         self.why, self.goes_on_again, self.by_itself = "", False, False
         self._stopped = self._ended = ""
         self._resumed = False
@@ -128,7 +125,6 @@ class Stops:
 
     @property
     def ends(self) -> bool:
-        """Whether it stands still for good."""
         return bool(self._ended)
 
     @property
@@ -207,14 +203,12 @@ class Interrupts:
         self._before: dict[signal.Signals, Any] = {}
 
     def take(self) -> None:
-        """Install the handlers."""
         self._depth += 1
         if self._depth == 1 and threading.current_thread() is threading.main_thread():
             self._caught = False
             self._before = {number: signal.signal(number, self._catch) for number in NAMES}
 
     def give_back(self) -> None:
-        """Restore the handlers of before."""
         self._depth -= 1
         if self._depth == 0:
             for number, before in self._before.items():

@@ -215,7 +215,6 @@ class _Compiled:
         self._check_bounds()
 
     def description(self) -> Description:
-        """The robot."""
         named = Named(self._model)
         try:
             model = pinocchio_model(self._model, named)

@@ -306,7 +306,6 @@ class Geoms:
         return tuple(drawn), tuple(collide)
 
     def _shape(self, form: _Form, model: Any, named: Named) -> Shape | None:
-        """None of a plane, or of what is not read."""
         i = form.geom.id
         if _why_unseen(form, self._files) or form.kind not in (*SIZES, "mesh"):
             return None

@@ -62,7 +62,6 @@ class Description:
 
     @property
     def joint_names(self) -> list[str]:
-        """Names of the model's joints and of floating ones."""
         return [*list(self.model.names)[1:], *self.floating]
 
     def joint(self, name: str) -> str:

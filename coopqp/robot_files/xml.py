@@ -85,7 +85,6 @@ class _Tree:
             self._parser.CharacterDataHandler = self._text
 
     def parsed(self, content: bytes) -> Element:
-        """The file's outermost element."""
         try:
             self._parser.Parse(content, True)
         except expat.ExpatError as error:

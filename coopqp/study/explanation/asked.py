@@ -195,7 +195,6 @@ class Unmet:
 
     @property
     def words(self) -> str:
-        """What a sentence calls it."""
         return f"{self.mode} task '{self.task}'"
 
 
@@ -213,7 +212,6 @@ class Relaxed:
 
     @property
     def words(self) -> str:
-        """A clause of a sentence."""
         ticks = f"{self.ticks} tick{'' if self.ticks == 1 else 's'}"
         end = f"lacks {percent(self.missing)} of its rate" if self.missing else "is met"
         return f"{self.mode} task '{self.task}' is not met in full in {ticks} and {end} at the end"

@@ -182,7 +182,6 @@ class OutOfReach:
 
     @property
     def distance(self) -> float:
-        """How far the goal is out of reach [the part's unit]."""
         return float(np.linalg.norm(self.gap))
 
 
@@ -216,7 +215,7 @@ def _blocked(
     held = held_back(goal, room, at.q)
     other = inside.best(at.q)
     other_or_none = other if other.reached else None
-    if other_or_none and not (near.reached and room.overrun(near.q) > BEYOND):
+    if other_or_none and not (near.reached and room.violation(near.q) > BEYOND):
         return Elsewhere(held, other)
     return BlockedByLimits(held, at, found.q, other_or_none)
 

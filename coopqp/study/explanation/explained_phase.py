@@ -84,7 +84,6 @@ class ExplainedPhase:
         return f"it stands still in {count} of {len(self.causes)} ticks"
 
     def followed(self, k: int) -> InputValues:
-        """Input values in a tick of the phase."""
         return followed(self.inputs, self.first + k)
 
     def goal(self) -> Goal:
@@ -138,7 +137,6 @@ class _Wider(Scenario):
 
     @cached_property
     def chain(self) -> ClosedChain:
-        """As the scenario's; later phases take over its limits."""
         return ClosedChain(_widened(super().chain.hold, self.wider))
 
 

@@ -90,11 +90,9 @@ class Goal:
         return other
 
     def only(self, tasks: Sequence[Task]) -> Goal:
-        """The same for some of the tasks."""
         return Goal(self.chain, tasks, self.t, self.state.inputs)
 
     def look(self, q: Array) -> None:
-        """Bring state and stack to a configuration."""
         self.state.q[:] = q
         self.state.update()
         self.stack.update(self.state)
@@ -170,7 +168,6 @@ class Place:
 
     @property
     def reached(self) -> bool:
-        """Whether all tasks are within tolerance there."""
         return self.valid and self.miss <= 1.0
 
 
@@ -180,7 +177,7 @@ class Search:
     def __init__(self, goal: Goal, room: Room | None = None) -> None:
         n = goal.chain.n
         self.goal, self.room = goal, room if room and room.rows else None
-        self._overrun = room.overrun if room else lambda q: 0.0
+        self._violation = room.violation if room else lambda q: 0.0
         far = np.full(n, np.inf)
         self._bounds = (room.lower, room.upper) if room else (-far, far)
         self._steps = BoundedSteps(n, len(room.rows) if room else 0)
@@ -249,5 +246,5 @@ class Search:
     def _place(self, x: Array) -> Place:
         goal = self.goal
         goal.look(x)
-        valid = goal.open < CLOSED and self._overrun(x) < CLOSED
+        valid = goal.open < CLOSED and self._violation(x) < CLOSED
         return Place(x.copy(), goal.stack.e.copy(), goal.miss, valid)

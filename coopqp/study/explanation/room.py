@@ -111,7 +111,7 @@ class Room:
         distance, row = min(found, key=lambda pair: pair[0] - pair[1].kept)
         return row, distance
 
-    def overrun(self, q: Array) -> float:
+    def violation(self, q: Array) -> float:
         """Largest violation at a configuration [rad, m]."""
         joints = np.maximum(self.lower - q, q - self.upper).max(initial=0.0)
         return float(max(joints, -self.at(q).min(initial=0.0)))

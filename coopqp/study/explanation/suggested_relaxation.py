@@ -154,7 +154,6 @@ class _Programs:
         return q
 
     def _equalities(self, q: Array) -> tuple[Array, Array]:
-        """Jacobian and residual of loops and goal."""
         goal = self._goal
         goal.look(q)
         C = np.vstack([goal.state.J_loop, goal.stack.J])
@@ -210,7 +209,6 @@ class SuggestedRelaxation:
 
     @property
     def reached(self) -> bool | None:
-        """Whether the rerun reached the goal; None if untried."""
         return None if self.after is None else not self.after.missed
 
 

@@ -280,5 +280,4 @@ class RunExplanation:
         return replace(self, kind=kind, sentence=said, held_back=held, **more)
 
     def as_json(self) -> dict[str, Any]:
-        """The explanation as JSON data."""
         return asdict(self)
