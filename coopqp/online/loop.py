@@ -406,7 +406,7 @@ class OnlineLoop:
             self._phases.arrivals.age(self.watch.elapsed - self.problem.dt)
         command = self._decide(inputs, now)
         if is_late:
-            _add(command, Status.LATE)
+            command.say(*(c for c in command.causes if c is not Status.OPTIMAL), Status.LATE)
         return command
 
     def _try_to_begin(self) -> Command | None:
@@ -488,7 +488,3 @@ class OnlineLoop:
     def _say(self, command: Command) -> Command:
         self.command, self.status, self.note = command, command.status, command.note
         return command
-
-
-def _add(command: Command, cause: Status) -> None:
-    command.say(*(c for c in command.causes if c is not Status.OPTIMAL), cause)

@@ -189,8 +189,10 @@ def build_model(name: str, rows: Sequence[MdhRow], tips: Mapping[str, Tip]) -> p
     if not model.check(model.createData()):
         words = f"MDH table {name}: list the rows arm by arm (depth first)"
         raise InvalidValueError(words).at("rows")
-    _add_links(model, rows, joint_of, frame_in_joint)
-    _add_tips(model, tips, joint_of, frame_in_joint)
+    data = model.createData()
+    pin.forwardKinematics(model, data, pin.neutral(model))
+    _add_links(model, data, rows, joint_of, frame_in_joint)
+    _add_tips(model, data, tips, joint_of, frame_in_joint)
     return model
 
 
@@ -205,26 +207,18 @@ def _add_joint(model: pin.Model, parent: int, placement: pin.SE3, row: MdhRow) -
     return int(index)
 
 
-def _zero_pose(model: pin.Model) -> pin.Data:
-    data = model.createData()
-    pin.forwardKinematics(model, data, pin.neutral(model))
-    return data
-
-
 def _add_links(
     model: pin.Model,
+    data: pin.Data,
     rows: Sequence[MdhRow],
     joint_of: Mapping[str | None, int],
     frame_in_joint: Mapping[str | None, pin.SE3],
 ) -> None:
-    data = _zero_pose(model)
     for row in rows:
         if row.link is None:
             continue
         joint, X = joint_of[row.name], frame_in_joint[row.name]
-        R = np.eye(3)
-        if row.link.axes == "base":
-            R = (data.oMi[joint] * X).rotation.T
+        R = (data.oMi[joint] * X).rotation.T if row.link.axes == "base" else np.eye(3)
         com = R @ np.asarray(row.link.com)
         body = pin.Inertia(row.link.mass, com, R @ row.link.matrix @ R.T)
         model.appendBodyToJoint(joint, body, X)
@@ -232,11 +226,11 @@ def _add_links(
 
 def _add_tips(
     model: pin.Model,
+    data: pin.Data,
     tips: Mapping[str, Tip],
     joint_of: Mapping[str | None, int],
     frame_in_joint: Mapping[str | None, pin.SE3],
 ) -> None:
-    data = _zero_pose(model)
     for name, tip in tips.items():
         if name in joint_of:
             raise InvalidValueError(f"tip {name}: a row has this name already").at("tips", name)

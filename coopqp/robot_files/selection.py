@@ -80,34 +80,30 @@ class ArmJoints:
     """Those that this arm moves by; all between base and tip when omitted."""
 
 
-class _TipAlone:
-    """Lets an arm be its tip's name alone, also in the JSON Schema."""
+@dataclass(frozen=True)
+class _Or:
+    """Adds the schema of a shorter form to the JSON Schema."""
 
-    @staticmethod
-    def read(value: Any) -> Any:
-        if isinstance(value, dict | ArmJoints):
-            return value
-        if type(value) not in (str, int):  # a number may be a row of an MDH table
-            raise ValueError("needs the tip's frame, or {tip: frame, joints: [...]}")
-        return {"tip": str(value)}
+    shorter: dict[str, Any]
 
     def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> Any:
-        return {"anyOf": [{"type": "string"}, handler(core)]}
+        return {"anyOf": [self.shorter, handler(core)]}
 
 
-class _NamesAlone:
-    """Lets locked joints be a list of names, also in the JSON Schema."""
-
-    @staticmethod
-    def read(value: Any) -> Any:
-        if isinstance(value, list | tuple) and all(isinstance(name, str) for name in value):
-            return dict.fromkeys(value)
-        if not isinstance(value, dict):
-            raise ValueError("needs a list of joints, or joints with values")
+def _arm_or_tip(value: Any) -> Any:
+    if isinstance(value, dict | ArmJoints):
         return value
+    if type(value) not in (str, int):  # a number may be a row of an MDH table
+        raise ValueError("needs the tip's frame, or {tip: frame, joints: [...]}")
+    return {"tip": str(value)}
 
-    def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> Any:
-        return {"anyOf": [{"type": "array", "items": {"type": "string"}}, handler(core)]}
+
+def _values_or_names(value: Any) -> Any:
+    if isinstance(value, list | tuple) and all(isinstance(name, str) for name in value):
+        return dict.fromkeys(value)
+    if not isinstance(value, dict):
+        raise ValueError("needs a list of joints, or joints with values")
+    return value
 
 
 def _some_arms(value: Any) -> Any:
@@ -117,12 +113,16 @@ def _some_arms(value: Any) -> Any:
 
 
 Arms = Annotated[
-    dict[str, Annotated[ArmJoints, BeforeValidator(_TipAlone.read), _TipAlone()]],
+    dict[str, Annotated[ArmJoints, BeforeValidator(_arm_or_tip), _Or({"type": "string"})]],
     BeforeValidator(_some_arms),
 ]
 """Arms by name, each its tip's frame or {tip: frame, joints: [...]}; the first is the reference."""
 
-Locked = Annotated[dict[str, float | None], BeforeValidator(_NamesAlone.read), _NamesAlone()]
+Locked = Annotated[
+    dict[str, float | None],
+    BeforeValidator(_values_or_names),
+    _Or({"type": "array", "items": {"type": "string"}}),
+]
 """Joints that stay where they are: names, or names with values [rad or m]."""
 
 

@@ -90,16 +90,16 @@ def _friction(leg: ExplainedPhase) -> str:
     there = leg.scenario.disturbance.friction
     if there >= 1.0:
         return ""
-    known = _with_friction(leg, 1.0)
+
+    def tried(friction: float) -> Trace | None:
+        return _again(leg, disturbance=replace(leg.scenario.disturbance, friction=friction))
+
+    known = tried(1.0)
     margin = FrictionMargin().measure(known) if known else None
     needed = 1.0 if margin is None else round(SPARE * (1.0 - margin), 2)
-    if not there < needed < 1.0 or _with_friction(leg, needed) is None:
+    if not there < needed < 1.0 or tried(needed) is None:
         return ""
     return f"{needed:g} of the modelled friction instead of {there:g}"
-
-
-def _with_friction(leg: ExplainedPhase, friction: float) -> Trace | None:
-    return _again(leg, disturbance=replace(leg.scenario.disturbance, friction=friction))
 
 
 def _pressing(leg: ExplainedPhase) -> str:

@@ -180,9 +180,10 @@ def _falls(before: ExplainedPhase, after: ExplainedPhase) -> bool:
 
 
 def _pushed(leg: ExplainedPhase, goal: Goal) -> str:
-    """What displaces an impedance at the end; empty where nothing does, or it still moves.
+    """What pushes an impedance away at the end; empty where nothing does, or it still moves.
 
-    At rest a steady force displaces its springs by F/K: as asked for, not a goal that was missed.
+    In the end a steady force moves its springs, F = K e, by F/K: that is no goal that was missed
+    but what was asked for.
     """
     task = leg.missed[0][0].task
     springs, push = task.impedance, leg.scenario.disturbance.push
