@@ -1,11 +1,11 @@
-"""The command line. Heavy imports wait until a command needs them, so that --help is quick."""
+"""The command line; heavy imports wait until a command needs them, so that --help is quick."""
 
 from __future__ import annotations
 
 import click
 
 from coopqp import __version__
-from coopqp.cli import live, ros, scenarios, studies, sweep
+from coopqp.cli import live, scenarios, studies
 from coopqp.cli.ending import Group
 
 
@@ -19,7 +19,7 @@ def main(debug: bool) -> None:
     """
 
 
-for module in (scenarios, studies, sweep, live, ros):
+for module in (scenarios, studies, live):
     for command in vars(module).values():
         if isinstance(command, click.Command):
             main.add_command(command)

@@ -21,7 +21,7 @@ from coopqp.base.errors import CoopqpError, InternalError, one_line
 BAD_INPUT = 2  # the same that click uses for wrong options
 OUR_FAULT = 70  # EX_SOFTWARE of sysexits.h
 INTERRUPTED, TERMINATED = 130, 143  # 128 and the signal's number, as shells have it
-#: What a stream says that takes no more; files of ours are said by name.
+#: Errors of a full output stream; those of files have a name.
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 REPORT = (
     "this is a fault of coopqp, please report it with the command and its files; "
@@ -30,31 +30,28 @@ REPORT = (
 
 
 class _Terminated(KeyboardInterrupt):
-    """SIGTERM; it goes the way of Ctrl-C, past all that catches what users' code raises."""
+    """SIGTERM; like Ctrl-C it is not caught as an error of users' code."""
 
 
 class Command(click.Command):
-    """A command whose bad input ends in one clear message per fault, and exit code 2.
-
-    What nobody foresaw ends in one line too, with how to report it, and exit code 70.
-    """
+    """A command whose errors end in one line each: bad input with exit code 2, our faults 70."""
 
     def invoke(self, ctx: click.Context) -> Any:
         debug = ctx.params.get("debug", False)
         try:
             with warnings.catch_warnings(), _terminable():
-                if not debug:  # numpy's on what overflows; what comes of it is checked and said
+                if not debug:  # of numpy on overflows; results are checked
                     warnings.simplefilter("ignore", RuntimeWarning)
-                found = super().invoke(ctx)
+                result = super().invoke(ctx)
                 sys.stdout.flush()  # what cannot be written is known now, and not when Python ends
-                return found
+                return result
         except (click.ClickException, click.exceptions.Exit, BrokenPipeError):
             raise
         except BaseException as error:  # noqa: BLE001 - the last resort; code of users may exit
-            code, told = _ending(error)
+            code, words = _ending(error)
             if debug and code == OUR_FAULT:
                 traceback.print_exception(error.__cause__ or error)
-        for line in told.splitlines():
+        for line in words.splitlines():
             click.echo(one_line(line), err=True)
         return ctx.exit(code)
 
@@ -64,7 +61,7 @@ class Group(Command, click.Group):
 
 
 def _ending(error: BaseException) -> tuple[int, str]:
-    """The exit code, and what is said."""
+    """The exit code, and what is printed."""
     if isinstance(error, _Terminated):
         return TERMINATED, "terminated"
     if isinstance(error, KeyboardInterrupt | click.Abort):
@@ -74,13 +71,18 @@ def _ending(error: BaseException) -> tuple[int, str]:
     if isinstance(error, OSError) and error.errno in FULL and error.filename is None:
         _drop_output()
         return BAD_INPUT, f"error: cannot write what the command prints: {error.strerror}"
-    told = str(error) if isinstance(error, InternalError) else _said(error)
-    line = f"error: {' '.join(told.split())}"
-    return (BAD_INPUT, line) if _by_user(error) else (OUR_FAULT, f"{line}; {REPORT}")
+    from coopqp.base.wording import by_user, raised  # brings in numpy, which --help does not need
+
+    if isinstance(error, InternalError):
+        words = str(error)
+    else:
+        words = "out of memory" if isinstance(error, MemoryError) else raised(error)
+    line = f"error: {' '.join(words.split())}"
+    return (BAD_INPUT, line) if by_user(error) else (OUR_FAULT, f"{line}; {REPORT}")
 
 
 def _drop_output() -> None:
-    """Send what is still in the buffer nowhere, or Python says so in its own words at its end."""
+    """Discard what is still in the buffer, or Python reports it at its end."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, sys.stdout.fileno())
     os.close(nowhere)
@@ -88,7 +90,7 @@ def _drop_output() -> None:
 
 @contextmanager
 def _terminable() -> Iterator[None]:
-    """Let SIGTERM end a command as Ctrl-C does, with what it holds open put away."""
+    """Let SIGTERM end a command as Ctrl-C does, so that its resources are closed."""
 
     def end(*_: object) -> NoReturn:
         raise _Terminated
@@ -101,18 +103,3 @@ def _terminable() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGTERM, before)
-
-
-def _by_user(error: BaseException) -> bool:
-    from coopqp.base.wording import by_user  # brings in numpy, for which --help does not wait
-
-    return by_user(error)
-
-
-def _said(error: BaseException) -> str:
-    """``FILE:LINE: raises ZeroDivisionError: division by zero``."""
-    if isinstance(error, MemoryError):
-        return "out of memory"
-    from coopqp.base.wording import raised
-
-    return raised(error)

@@ -23,10 +23,10 @@ class _Speed(click.FloatRange):
     """A share of real time; NaN is in no range."""
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:
-        found = super().convert(value, param, ctx)
-        if math.isnan(found):
+        speed = super().convert(value, param, ctx)
+        if math.isnan(speed):
             self.fail(f"{value} is not in the range {self._describe_range()}.", param, ctx)
-        return found
+        return speed
 
 
 @click.command()
@@ -60,6 +60,7 @@ def play(
     """
     from coopqp.base.errors import CoopqpError
     from coopqp.viewer import play as viewer
+    from coopqp.viewer.player import Player
     from coopqp.viewer.recording import check_folder
 
     viewer.check_viewer()
@@ -68,22 +69,36 @@ def play(
         check_folder(record)
     loaded = read_scenario(scenario, catalog, solver)
     print_notes(loaded, controllers, steered=True)
-    from coopqp.viewer.player import Player
 
     player = Player(loaded, controllers, record)
     player.speed = speed
-    for name, why in player.refused.items():
-        say(f"warning: {name} is left out: {why}")
-    for fault in player.faults:
-        say(f"warning: {fault}")
+    left_out = (f"{name} is left out: {why}" for name, why in player.refused.items())
+    for line in (*left_out, *player.faults):
+        say(f"warning: {line}")
     try:
         viewer.play(player, host, port, lambda page: click.echo(f"{page}  (Ctrl-C ends it)"))
     except CoopqpError:
-        player.save()  # what was played is not lost for the page
+        player.save()  # the recording survives the page
         raise
     except KeyboardInterrupt:
-        words = f"ended after {player.lanes[0].t:.2f} s"
+        words = f"ended after {player.controllers[0].t:.2f} s"
         if record:
             player.save()
             words += f"; {player.note}"
         click.echo(words)
+
+
+@click.command(context_settings={"ignore_unknown_options": True})
+@SCENARIO
+@click.argument("ros_args", nargs=-1, type=click.UNPROCESSED, metavar="[--ros-args ...]")
+@catalogued
+def ros(scenario: str, ros_args: tuple[str, ...], catalog: Any) -> None:
+    """Run a scenario on a robot as a node of ROS 2 (docs/ros.md).
+
+    Its parameters and topics are ROS's own, after --ros-args.
+    """
+    from coopqp.ros.node import run_node
+
+    if ros_args and ros_args[0] != "--ros-args":
+        raise click.UsageError(f"found {ros_args[0]}; what is for ROS comes after --ros-args")
+    click.echo(str(run_node(read_scenario(scenario, catalog), ros_args)))

@@ -18,7 +18,7 @@ SCENARIO = click.argument("scenario")
 
 
 class _Written(click.Path):
-    """A path that is written to; an empty one would be the folder one is in."""
+    """A path that is written to; an empty one would be the current folder."""
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:
         if value == "":
@@ -27,7 +27,7 @@ class _Written(click.Path):
 
 
 def _filled(_: Any, __: Any, value: str | None) -> str | None:
-    """Refuse an empty text, as of a variable of the shell that is not set."""
+    """Refuse an empty text, as of a shell variable that is not set."""
     if value == "":
         raise click.BadParameter("is empty; leave the option out, or fill it in")
     return value
@@ -36,8 +36,8 @@ def _filled(_: Any, __: Any, value: str | None) -> str | None:
 WRITTEN = _Written(path_type=Path)
 FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
 SOLVER = click.option("--solver", help="QP solver, instead of the scenario's.")
-A_CORE = 4  # processes at most
-SAME = 1e-6  # velocities of a tick that is done again [rad/s, m/s]
+MAX_PER_CORE = 4  # processes
+SAME = 1e-6  # velocities of a tick that is computed again [rad/s, m/s]
 JSON = click.option("--json", "as_json", is_flag=True, help="Print JSON for machines.")
 
 
@@ -45,20 +45,14 @@ def catalogued(command: Callable[..., None]) -> Callable[..., None]:
     """Options that name plug-ins of the user's own; the command gets the catalogue with them."""
 
     @click.option(
-        "--plugins",
-        "plugin_folders",
-        multiple=True,
-        type=FOLDER,
+        "--plugins", "plugin_folders", multiple=True, type=FOLDER,
         help="Folder with plug-ins of your own in subfolders tasks, limits, controllers ...; "
         "may be given more than once.",
-    )
+    )  # fmt: skip
     @click.option(
-        "--tasks",
-        "task_folders",
-        multiple=True,
-        type=FOLDER,
+        "--tasks", "task_folders", multiple=True, type=FOLDER,
         help="Folder with task files of your own; may be given more than once.",
-    )
+    )  # fmt: skip
     @wraps(command)
     def with_catalog(
         *, plugin_folders: tuple[Path, ...], task_folders: tuple[Path, ...], **options: Any
@@ -82,30 +76,21 @@ def engined(command: Callable[..., None]) -> Callable[..., None]:
     )
     @wraps(command)
     def with_engine(*, jobs: int, scheduler: str | None, shard: str, **options: Any) -> None:
+        from coopqp.base.errors import InvalidValueError
         from coopqp.study.engine import Engine, Share
+        from coopqp.study.engine.processes import cores
 
-        _check_jobs(jobs)
+        if jobs > MAX_PER_CORE and jobs > (limit := MAX_PER_CORE * cores()):
+            words = f"--jobs: found {jobs}; needs at most {limit}, {MAX_PER_CORE} for each core"
+            raise InvalidValueError(f"{words}, because each process takes 0.2 GB")
         command(engine=Engine(jobs, scheduler or "", Share.read(shard)), **options)
 
     return with_engine
 
 
-def _check_jobs(jobs: int) -> None:
-    from coopqp.base.errors import InvalidValueError
-    from coopqp.study.engine.processes import cores
-
-    if jobs > A_CORE and jobs > (most := A_CORE * cores()):
-        words = f"--jobs: found {jobs}; needs at most {most}, {A_CORE} for each core"
-        raise InvalidValueError(f"{words}, because each process takes 0.2 GB")
-
-
 @contextlib.contextmanager
 def printed_aside(aside: bool) -> Iterator[None]:
-    """Let what plug-ins print, here and in workers, go where messages go.
-
-    Args:
-        aside: whether to do so; else nothing is changed.
-    """
+    """Send what plug-ins print, here and in workers, to the error stream, if aside."""
     if not aside:
         yield
         return
@@ -121,7 +106,7 @@ def printed_aside(aside: bool) -> Iterator[None]:
 
 
 def read_scenario(name: str, catalog: Any, solver: str | None = None) -> Any:
-    """A scenario, with another solver if one is asked for; says what its robot leaves out."""
+    """A scenario, with another solver if one is named; prints what its robot leaves out."""
     from coopqp.scenario.loader import load, with_solver
 
     loaded = load(name, catalog)
@@ -135,7 +120,7 @@ def read_trace(trace: Path, catalog: Any) -> tuple[Any, Any]:
 
     _refuse_other(trace)
     path = trace_in(trace)
-    run = read(path)  # a trace that is missing is said before its scenario is
+    run = read(path)  # before the scenario, so that a missing trace is named first
     if format_of(path).cut_short(path):
         words = "was cut short, as by a kill; what follows is of what had been written"
         say(f"warning: {path}: {words}")
@@ -158,7 +143,7 @@ def _refuse_other(path: Path) -> None:
 
 
 def read_tick(trace: Path, catalog: Any, controller: str | None, tick: int | None) -> Any:
-    """A tick of a recorded run, done again; says where it does not come out as recorded."""
+    """A tick of a recorded run, computed again; warns where it differs from the record."""
     from coopqp.study.trace_file import off_the_record, recorded_tick
 
     run, scenario = read_trace(trace, catalog)
@@ -172,27 +157,21 @@ def read_tick(trace: Path, catalog: Any, controller: str | None, tick: int | Non
 
 
 def _warn(scenario: Any) -> None:
-    """Say what a scenario's robot leaves out."""
     for line in scenario.robot_model.warnings:
         say(f"warning: {line}")
 
 
 def say(line: str, *, aside: bool = True) -> None:
-    """Print one line, whatever the names in it hold.
-
-    Args:
-        line: of text.
-        aside: whether beside what a command is asked for.
-    """
+    """Print one line, whatever the names in it hold, to the error stream if aside."""
     click.echo(one_line(line), err=aside)
 
 
 def print_notes(scenario: Any, controllers: Sequence[str] = (), *, steered: bool = False) -> None:
-    """Say which parts of a scenario have no effect on which of the controllers that are to run."""
+    """Print which parts of a scenario have no effect on which of the controllers."""
     from coopqp.execution.controller_run import controller_of
     from coopqp.scenario.notes import notes
 
-    chosen = controllers or list(scenario.controllers)
-    heeding = {name: controller_of(scenario, name) for name in chosen}
-    for line in notes(scenario, heeding, steered=steered):
+    names = controllers or list(scenario.controllers)
+    chosen = {name: controller_of(scenario, name) for name in names}
+    for line in notes(scenario, chosen, steered=steered):
         say(f"note: {line}")

@@ -32,21 +32,14 @@ COLLECTIONS = (
 @SOLVER
 @catalogued
 @JSON
-def compare(
-    scenario: str,
-    out: Path | None,
-    controllers: str,
-    solver: str | None,
-    catalog: Any,
-    as_json: bool,
-) -> None:
+def compare(scenario: str, controllers: str, solver: str | None, catalog: Any, **to: Any) -> None:
     """Run a scenario under several controllers and report what each of them did.
 
     SCENARIO is a YAML file or the name of a shipped scenario (coopqp list scenarios).
     """
     loaded = read_scenario(scenario, catalog, solver)
     names = [name.strip() for name in controllers.split(",") if name.strip()]
-    compare_on(loaded, names or list(loaded.controllers), out, as_json=as_json)
+    compare_on(loaded, names or list(loaded.controllers), **to)
 
 
 @click.command()
@@ -56,16 +49,9 @@ def compare(
 @SOLVER
 @catalogued
 @JSON
-def run(
-    scenario: str,
-    controller: str,
-    out: Path | None,
-    solver: str | None,
-    catalog: Any,
-    as_json: bool,
-) -> None:
+def run(scenario: str, controller: str, solver: str | None, catalog: Any, **to: Any) -> None:
     """Run one controller on a scenario."""
-    compare_on(read_scenario(scenario, catalog, solver), [controller], out, as_json=as_json)
+    compare_on(read_scenario(scenario, catalog, solver), [controller], **to)
 
 
 @click.command()
@@ -88,8 +74,8 @@ def mobility(
     from coopqp.report import mobility as report
     from coopqp.report.terminal import console
 
-    asked = [name.strip() for name in actuated.split(",")] if actuated is not None else None
-    study = report.study(read_scenario(scenario, catalog), asked, phase=phase)
+    scheme = [name.strip() for name in actuated.split(",")] if actuated is not None else None
+    study = report.study(read_scenario(scenario, catalog), scheme, phase=phase)
     if page:
         files.write_one(page, report.page(study))
     if as_json:
@@ -122,12 +108,12 @@ def solve_start(scenario: str, seed: int | None, catalog: Any, as_json: bool) ->
 
     with progress_bars(["solving"], 1) as progress:
         report = (lambda done, total: progress("solving", done / total)) if progress else None
-        found = load_and_solve(scenario, catalog, seed=seed, progress=report)
+        start = load_and_solve(scenario, catalog, seed=seed, progress=report)
     if as_json:
-        asked = ("start", "margin", "tries", "found")
-        click.echo(strict_json.text({key: getattr(found, key) for key in asked}))
+        keys = ("start", "margin", "tries", "found")
+        click.echo(strict_json.text({key: getattr(start, key) for key in keys}))
         return
-    click.echo(yaml_text(found), nl=False)
+    click.echo(yaml_text(start), nl=False)
 
 
 @click.command()
@@ -141,7 +127,10 @@ def validate(scenarios: tuple[str, ...], catalog: Any) -> None:
     for name in scenarios:
         try:
             if _is_study(name):
-                _check_study(name, catalog)
+                from coopqp.study.sweep import read_study
+
+                for note in read_study(Path(name), catalog).notes:
+                    say(f"note: {note}")
             else:
                 loaded = read_scenario(name, catalog)
                 print_notes(loaded)
@@ -157,7 +146,7 @@ def validate(scenarios: tuple[str, ...], catalog: Any) -> None:
 
 
 def _is_study(name: str) -> bool:
-    """Whether a file says what is varied, and not which robot."""
+    """Whether a file has the keys of a study, and names no robot."""
     from coopqp.scenario.loader import find
     from coopqp.scenario.yaml import read_yaml
 
@@ -165,19 +154,8 @@ def _is_study(name: str) -> bool:
     return "robot" not in data and bool({"vary", "samples"} & set(data))
 
 
-def _check_study(name: str, catalog: Any) -> None:
-    from coopqp.study.sweep import read_study
-
-    for note in read_study(Path(name), catalog).notes:
-        say(f"note: {note}")
-
-
 def _build_all(scenario: Any, name: str) -> None:
-    """Build what a comparison builds before it runs; a controller that is refused is told.
-
-    Raises:
-        CoopqpError: all of them are refused; why the last one is.
-    """
+    """Build all controllers; warn of those that are refused, raise where all of them are."""
     from coopqp.base.errors import CoopqpError
     from coopqp.execution.controller_run import built
 
@@ -216,19 +194,12 @@ def schema(catalog: Any, study: bool) -> None:
     from coopqp.scenario.form import file_model
     from coopqp.study.sweep import form
 
-    found = form.schema(catalog) if study else file_model(catalog).model_json_schema()
-    click.echo(json.dumps(found, indent=2))
+    data = form.schema(catalog) if study else file_model(catalog).model_json_schema()
+    click.echo(json.dumps(data, indent=2))
 
 
 def compare_on(scenario: Any, controllers: list[str], out: Path | None, *, as_json: bool) -> None:
-    """Run, print the table or JSON, and write the report.
-
-    Args:
-        scenario: read.
-        controllers: names.
-        out: folder for the report; none is written if None.
-        as_json: whether to print JSON for machines.
-    """
+    """Run, print the table or JSON, and write the report to a folder, if one is given."""
     from coopqp.execution.comparison import compare as run_all
     from coopqp.report import files, table
     from coopqp.report.terminal import console, progress_bars
@@ -238,10 +209,9 @@ def compare_on(scenario: Any, controllers: list[str], out: Path | None, *, as_js
         files.check_folder(out)
     with progress_bars(controllers, scenario.ticks) as progress:
         comparison = run_all(scenario, controllers=controllers, progress=progress)
-    for name, why in comparison.refused.items():
-        say(f"warning: {name} is left out: {why}")
-    for fault in comparison.faults:
-        say(f"warning: {fault}")
+    left_out = (f"{name} is left out: {why}" for name, why in comparison.refused.items())
+    for line in (*left_out, *comparison.faults):
+        say(f"warning: {line}")
     if as_json:
         click.echo(files.metrics_json(comparison), nl=False)
     else:

@@ -1,7 +1,8 @@
-"""Commands on recorded runs, and on many runs."""
+"""Commands on recorded runs, and on studies of many runs."""
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,17 @@ import click
 
 from coopqp.base.errors import CoopqpError
 from coopqp.base.reading import absolute
-from coopqp.cli.options import JSON, WRITTEN, catalogued, read_tick, read_trace, say
+from coopqp.cli.options import (
+    JSON,
+    WRITTEN,
+    catalogued,
+    engined,
+    printed_aside,
+    read_scenario,
+    read_tick,
+    read_trace,
+    say,
+)
 
 FORMATS = ("mcap", "rosbag2", "parquet")
 
@@ -60,8 +71,8 @@ def explain(
         recorded = worth_explaining(run, scenario)
     with progress_bars(["explaining"], 1) as progress:
         report = (lambda share: progress("explaining", share)) if progress else lambda share: None
-        found = explain_run(scenario, recorded, report)
-    click.echo(table.run_text(found, absolute(run.path.parent).name, as_json=as_json))
+        explained = explain_run(scenario, recorded, report)
+    click.echo(table.run_text(explained, absolute(run.path.parent).name, as_json=as_json))
 
 
 @click.command()
@@ -76,7 +87,6 @@ def export(run: Path, to: str, controller: str | None, out: Path | None, catalog
     RUN is a trace.csv, or its folder, written by 'coopqp compare --out', or what a live loop
     recorded; explain and replay work on the files as on RUN.
     """
-    from coopqp.base.errors import CoopqpError
     from coopqp.recordings.known import EXPORTS
     from coopqp.recordings.known import export as write
     from coopqp.study.trace_file import check_trace
@@ -86,10 +96,8 @@ def export(run: Path, to: str, controller: str | None, out: Path | None, catalog
     for name in names:
         check_trace(kept, scenario, name)
     if out and len(names) > 1:
-        listed = ", ".join(names)
-        raise CoopqpError(
-            f"--out is one file, but '{kept.path}' has {listed}; add --controller NAME"
-        )
+        words = f"'{kept.path}' has {', '.join(names)}; add --controller NAME"
+        raise CoopqpError(f"--out is one file, but {words}")
     suffix = {known.name: known.suffix for known in EXPORTS}[to]
     for name in names:
         if not out and Path(name).name != name:
@@ -121,14 +129,14 @@ def calibrate(
     run, scenario = read_trace(trace, catalog)
     name, q = measured_run(run, scenario, controller)
     held = scenario.held_by(name)
-    found = find(held.chain, q, encoders=encoders)
+    result = find(held.chain, q, encoders=encoders)
     if as_json:
-        click.echo(strict_json.text(report.as_json(found)))
+        click.echo(strict_json.text(report.as_json(result)))
         return
-    console().print(report.table(found))
-    for sentence in report.sentences(found, encoders=encoders):
+    console().print(report.table(result))
+    for sentence in report.sentences(result, encoders=encoders):
         click.echo(sentence)
-    click.echo(f"\n{report.yaml_text(found, held)}", nl=False)
+    click.echo(f"\n{report.yaml_text(result, held)}", nl=False)
 
 
 @click.command()
@@ -151,19 +159,18 @@ def replay(
     FILE is a tick saved by 'coopqp explain --save', or a recorded run as for 'coopqp explain'.
     """
     from coopqp.recordings.known import is_run
+    from coopqp.report import strict_json, table
     from coopqp.report.terminal import console
     from coopqp.scenario.loader import solver_by_name, solver_names
     from coopqp.study.tick_record import TickRecord
     from coopqp.study.tick_record import replay as solve_again
 
-    recorded = is_run(file)
-    record = read_tick(file, catalog, controller, tick) if recorded else TickRecord.read(file)
+    is_tick = not is_run(file)
+    record = TickRecord.read(file) if is_tick else read_tick(file, catalog, controller, tick)
     answers = {
         name: solve_again(record, solver_by_name(name, catalog))
         for name in solver or solver_names(catalog)
     }
-    from coopqp.report import strict_json, table
-
     if as_json:
         click.echo(strict_json.text({name: a.as_json() for name, a in answers.items()}))
         return
@@ -171,7 +178,7 @@ def replay(
 
 
 def _moved(name: str, what: str, module: str) -> click.Command:
-    """A command that is none any more says where it has gone."""
+    """A removed command that says what has replaced it."""
 
     @click.command(
         name, hidden=True, add_help_option=False, context_settings={"ignore_unknown_options": True}
@@ -188,3 +195,155 @@ def _moved(name: str, what: str, module: str) -> click.Command:
 
 stress = _moved("stress", "rollouts", "stress")
 statistics = _moved("statistics", "goals", "random_goals")
+
+
+@click.command()
+@click.argument("what", type=click.Path(path_type=Path), metavar="STUDY.yaml | FOLDER")
+@click.option("--out", type=WRITTEN, help="Folder for journal, results and page.")
+@engined
+@click.option("--watch", is_flag=True, help="Draw the page anew while it runs.")
+@click.option("--table", is_flag=True, help="Print what there is by now; with a folder.")
+@click.option("--show", type=int, metavar="ROW", help="Compare on one row; with a folder.")
+@catalogued
+@JSON
+def sweep(
+    what: Path,
+    out: Path | None,
+    engine: Any,
+    watch: bool,
+    table: bool,
+    show: int | None,
+    catalog: Any,
+    as_json: bool,
+) -> None:
+    """Run a scenario in many variants, and go on where it was when it is called again.
+
+    With the FOLDER of a study: print its table, draw its page, or run one of its rows again.
+    """
+    if out is None and (what.is_dir() or table or show is not None):
+        if table and show is not None:
+            raise click.UsageError("--table and --show are two questions; ask one at a time")
+        if engine.scheduler or not engine.share.whole:
+            raise click.UsageError("--shard and --scheduler need a study file and --out FOLDER")
+        _look(what, catalog, watch=watch, show=show, as_json=as_json)
+        return
+    if out is None:
+        raise click.UsageError("needs --out FOLDER for the results of a study file")
+    if table or show is not None:
+        raise click.UsageError(f"--table and --show need the folder alone: coopqp sweep {out} ...")
+    _run(what, out, engine, catalog, watch=watch, as_json=as_json)
+
+
+def _run(what: Path, out: Path, engine: Any, catalog: Any, *, watch: bool, as_json: bool) -> None:
+    from coopqp.report.sweep.table import shown
+    from coopqp.study import sweep as study_of
+
+    with printed_aside(as_json):
+        study = study_of.read_study(what, catalog)
+    for note in study.notes:
+        say(f"note: {note}")
+    page = _LivePage(out, study) if watch else None
+    with printed_aside(as_json), shown(study) as show_progress:
+
+        def progress(state: Any) -> None:
+            show_progress(state)
+            if page:
+                page.update()
+
+        done = study_of.sweep(study, out, engine=engine, folders=catalog.folders, progress=progress)
+    if done.damaged:
+        say(f"warning: {_records(done.damaged)} damaged; what stood there has been done again")
+    _print(study, out, as_json=as_json)
+
+
+def _look(folder: Path, catalog: Any, *, watch: bool, show: int | None, as_json: bool) -> None:
+    """Print, draw or rerun from a folder, also while another command runs the study."""
+    from coopqp.study.sweep import kept_study
+    from coopqp.study.sweep.results import compact, needs_arrow
+
+    study = kept_study(folder, catalog)
+    if show is not None:
+        _show(study, folder, show)
+        return
+    needs_arrow()
+    index = compact(study, folder)
+    if index.damaged:
+        say(f"warning: {_records(index.damaged)} damaged; what stands there does not count")
+    while watch and index.done < study.points.count:
+        _print(study, folder, as_json=as_json)
+        time.sleep(_LivePage.EVERY)
+        index = compact(study, folder)
+    _print(study, folder, as_json=as_json)
+
+
+def _records(count: int) -> str:
+    return "a record of the journal is" if count == 1 else f"{count:,} records of the journal are"
+
+
+def _print(study: Any, folder: Path, *, as_json: bool) -> None:
+    from coopqp.report import strict_json
+    from coopqp.report.sweep import table
+    from coopqp.report.sweep.page import write
+    from coopqp.report.terminal import console
+    from coopqp.study.sweep.results import Columns
+    from coopqp.study.sweep.summary import summarize
+
+    columns = Columns.of(folder)
+    summary = summarize(columns, exact=study.exact)
+    if as_json:
+        click.echo(strict_json.text(table.as_json(study.name, summary)))
+    else:
+        console().print(table.table(study.name, summary))
+        if compared := table.paired(summary):
+            console().print("", compared)
+        for sentence in table.sentences(summary):
+            say(sentence, aside=False)
+        if summary.rows < study.rows:
+            say(f"{summary.rows:,} of {study.rows:,} rows are there yet", aside=False)
+    page = write(study, columns, summary, folder)
+    for path in (columns.path, page):
+        say(f"wrote {path}", aside=as_json)
+
+
+def _show(study: Any, folder: Path, row: int) -> None:
+    from coopqp.cli.scenarios import compare_on
+    from coopqp.report.files import write_one
+    from coopqp.report.sweep.page import ROWS
+    from coopqp.study.sweep import scenario_of_row
+    from coopqp.study.sweep.folder import check_plugins
+
+    for odd in check_plugins(folder, study):
+        say(f"warning: {odd}")
+    text, controller = scenario_of_row(study, row)
+    path = folder / ROWS / f"{row}.yaml"
+    write_one(path, text)
+    say(f"wrote {path}", aside=False)
+    loaded = read_scenario(str(path), study.catalog)
+    compare_on(loaded, [controller], folder / ROWS / str(row), as_json=False)
+
+
+class _LivePage:
+    """A study's page that is drawn anew now and then, and never costs much of the time."""
+
+    EVERY = 10.0  # s at least
+    SHARE = 0.1  # of the time at most
+
+    def __init__(self, folder: Path, study: Any) -> None:
+        self._folder, self._study = absolute(folder), study
+        self._next = time.monotonic() + self.EVERY
+
+    def update(self) -> None:
+        """Draw it if it is time."""
+        from coopqp.report.sweep.page import write
+        from coopqp.study.sweep.results import Columns, compact
+        from coopqp.study.sweep.summary import summarize
+
+        begun = time.monotonic()
+        if begun < self._next:
+            return
+        compact(self._study, self._folder)
+        columns = Columns.of(self._folder)
+        summary = summarize(columns, exact=self._study.exact)
+        write(self._study, columns, summary, self._folder)
+        took = time.monotonic() - begun
+        self._next = time.monotonic() + max(self.EVERY, took / self.SHARE)

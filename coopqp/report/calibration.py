@@ -1,4 +1,4 @@
-"""What a calibration says: a table, sentences, and lines to paste into the scenario."""
+"""Results of a calibration: a table, sentences, and lines to paste into the scenario."""
 
 from __future__ import annotations
 
@@ -12,19 +12,18 @@ from rich import box
 from rich.table import Table
 
 from coopqp.base.spec import Array
-from coopqp.grasp import Grasp
 from coopqp.model.grasp_configuration import with_passive_joints
 from coopqp.scenario.scenario import Scenario, by_arm
 from coopqp.scenario.start_solver import DIGITS, start_text
 from coopqp.study.calibration import Calibration, not_shown
 
 
-def table(found: Calibration) -> Table:
+def table(result: Calibration) -> Table:
     """One row an offset; fits 80 columns."""
     out = Table(box=box.SIMPLE_HEAD, padding=0, show_edge=False)
     for heading in ("offset", "", "standard deviation", ""):
         out.add_column(heading, justify="right" if heading else "left")
-    for offset in found.offsets:
+    for offset in result.offsets:
         unit, deviation = f" m{offset.unit}", (f"{1e3 * offset.deviation:.3f}", f" m{offset.unit}")
         if not np.isfinite(offset.deviation):
             deviation = ("not shown" if np.isinf(offset.deviation) else "one tick", "")
@@ -32,20 +31,20 @@ def table(found: Calibration) -> Table:
     return out
 
 
-def sentences(found: Calibration, *, encoders: bool) -> Iterator[str]:
-    """What was found, and how far it can be believed."""
+def sentences(result: Calibration, *, encoders: bool) -> Iterator[str]:
+    """The offsets' effect, and how reliable they are."""
     yield (
-        f"The hands were {_both(found.before)} apart from what the model says (root mean square, "
-        f"{found.ticks} tick{'s' * (found.ticks > 1)}); with these offsets {_both(found.after)}"
-        + (f", of which noise is {_both(found.noise)}." if found.ticks > 1 else ".")
+        f"The hands were {_both(result.before)} apart from what the model says (root mean square, "
+        f"{result.ticks} tick{'s' * (result.ticks > 1)}); with these offsets {_both(result.after)}"
+        + (f", of which noise is {_both(result.noise)}." if result.ticks > 1 else ".")
     )
-    if found.predicted is None:
+    if result.predicted is None:
         yield (
-            f"warning: the joints moved by {1e3 * found.travel:.2g} mrad or mm at most: this makes "
-            "one pose right, and does not tell whether the hands or the arms are wrong."
+            f"warning: the joints moved by {1e3 * result.travel:.2g} mrad or mm at most: this "
+            "makes one pose right, and does not tell whether the hands or the arms are wrong."
         )
-    elif found.explains:
-        yield f"What the ticks near the start tell leaves {_both(found.predicted)} far from it."
+    elif result.explains:
+        yield f"What the ticks near the start tell leaves {_both(result.predicted)} far from it."
     else:
         wrong, rest = (
             ("Object and encoders do not explain the run", "links")
@@ -54,15 +53,15 @@ def sentences(found: Calibration, *, encoders: bool) -> Iterator[str]:
         )
         yield (
             f"warning: {wrong}: what the ticks near the start tell leaves "
-            f"{_both(found.predicted)} far from it. The rest is of the arms themselves, {rest}"
+            f"{_both(result.predicted)} far from it. The rest is of the arms themselves, {rest}"
             f"{'' if encoders else ' (try --encoders)'}, or the object has slipped."
         )
-    if found.hidden:
+    if result.hidden:
         yield (
-            f"The motion does not show {found.hidden} combination{'s' * (found.hidden > 1)} of "
-            f"{', '.join(not_shown(found.offsets))}; taken for zero."
+            f"The motion does not show {result.hidden} combination{'s' * (result.hidden > 1)} of "
+            f"{', '.join(not_shown(result.offsets))}; taken for zero."
         )
-    chain = found.chain
+    chain = result.chain
     for i in chain.passive:
         yield (
             f"{chain.joint_names[i]}: its reading is taken for true; its own zero cannot be told "
@@ -72,35 +71,36 @@ def sentences(found: Calibration, *, encoders: bool) -> Iterator[str]:
         yield "Subtract the encoders' offsets from what they say; the lines below count on it."
 
 
-def as_json(found: Calibration) -> dict[str, Any]:
-    """All numbers of it; what is not shown is null."""
+def as_json(result: Calibration) -> dict[str, Any]:
+    """All numbers; those that the motion does not show are null."""
     return {
-        "offsets": [dataclasses.asdict(offset) for offset in found.offsets],
+        "offsets": [dataclasses.asdict(offset) for offset in result.offsets],
         "object_in_hand": {
-            arm: _pose(_object_in_hand(found, arm)) for arm in found.chain.hold.holders
+            arm: _pose(_object_in_hand(result, arm)) for arm in result.chain.hold.holders
         },
-        "start": dict(zip(found.chain.joint_names, found.chain.q_start.tolist(), strict=True)),
-        "before": found.before.tolist(),
-        "after": found.after.tolist(),
-        "noise": found.noise.tolist(),
-        "predicted": None if found.predicted is None else found.predicted.tolist(),
-        "explains": found.explains,
-        "hidden": found.hidden,
-        "ticks": found.ticks,
+        "start": dict(zip(result.chain.joint_names, result.chain.q_start.tolist(), strict=True)),
+        **{key: getattr(result, key).tolist() for key in ("before", "after", "noise")},
+        "predicted": None if result.predicted is None else result.predicted.tolist(),
+        **{key: getattr(result, key) for key in ("explains", "hidden", "ticks")},
     }
 
 
-def yaml_text(found: Calibration, scenario: Scenario) -> str:
+def yaml_text(result: Calibration, scenario: Scenario) -> str:
     """The grasps and the start of the scenario, corrected."""
-    chain = found.chain
+    chain = result.chain
     lines = ["grasps:   # instead of grasp, grasps and grasp_of"]
     for arm in chain.robot.arms:
         grasp = chain.grasps[arm.name]
         entries = scenario.catalog.entries("grasps").items()
         name = next(name for name, entry in entries if entry.cls is type(grasp))
-        settings = _settings(grasp)
+        settings = {
+            field.name: value
+            for field in dataclasses.fields(grasp)
+            if (value := getattr(grasp, field.name)) != field.default
+            and field.name != "object_in_hand"
+        }
         if arm.name in chain.hold.holders or grasp.object_in_hand:
-            settings["object_in_hand"] = _pose(_object_in_hand(found, arm.name))
+            settings["object_in_hand"] = _pose(_object_in_hand(result, arm.name))
         lines.append(f"  {arm.name}: {{{name}: {_flow(settings)}}}")
     if scenario.held.pose:
         pose = _flow(_pose(chain.object_pose(chain.q_start)))
@@ -110,18 +110,9 @@ def yaml_text(found: Calibration, scenario: Scenario) -> str:
     return "\n".join([*lines, start_text(by_arm(chain.robot, value), remark)])
 
 
-def _settings(grasp: Grasp) -> dict[str, Any]:
-    """What a grasp has been told."""
-    return {
-        field.name: getattr(grasp, field.name)
-        for field in dataclasses.fields(grasp)
-        if field.name != "object_in_hand" and getattr(grasp, field.name) != field.default
-    }
-
-
-def _object_in_hand(found: Calibration, arm: str) -> pin.SE3:
+def _object_in_hand(result: Calibration, arm: str) -> pin.SE3:
     """Pose of the object in the tip's frame, with passive joints at zero."""
-    hold = found.chain.hold
+    hold = result.chain.hold
     model, ends = with_passive_joints(hold.robot, hold.passive)
     data = model.createData()
     pin.framesForwardKinematics(model, data, np.array(pin.neutral(model)))
@@ -136,7 +127,6 @@ def _pose(X: pin.SE3) -> dict[str, Any]:
 
 
 def _flow(value: Any) -> str:
-    """A value in one line of YAML."""
     if isinstance(value, dict):
         return "{" + ", ".join(f"{key}: {_flow(v)}" for key, v in value.items()) + "}"
     if isinstance(value, tuple | list):

@@ -1,7 +1,4 @@
-"""Parts that all figures are made of: thinned lines, hatched regions, ranges and layouts.
-
-A figure is the plain data that ``Plotly.newPlot`` takes; nothing here knows what is plotted.
-"""
+"""Parts of all figures, as the data of ``Plotly.newPlot``: lines, hatched regions, layouts."""
 
 from __future__ import annotations
 
@@ -15,17 +12,16 @@ from typing import Any
 import numpy as np
 
 from coopqp.base.spec import Array
-from coopqp.report import strict_json
 from coopqp.report.style import Style
 
 Json = dict[str, Any]
 
-MOST_POINTS = 1000  # a line, more cannot be seen
+MAX_POINTS = 1000  # of a line, more cannot be seen
 MARGIN = 0.1  # of the range, left free above and below; a label fits in
 FONT = {"family": "system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif", "size": 12}
 INK, GRID, FORBIDDEN = "#333333", "#e6e6e6", "#f1f1f1"
 HEIGHT = 215  # px
-# What Plotly is told of each of a kind: marks, hatched regions, names of lines.
+# Plotly's settings of markers, hatched regions and labels of lines.
 MARKER = {"size": 10, "line": {"width": 1, "color": "white"}}
 MARKERS = {"type": "scatter", "mode": "markers", "hoverinfo": "skip", "cliponaxis": False}
 PATTERN = {"shape": "/", "size": 7, "solidity": 0.12, "fgcolor": "#8a8a8a", "bgcolor": FORBIDDEN}
@@ -38,13 +34,11 @@ UPRIGHT = {"showarrow": False, "font": {"size": 10.5, "color": "#555"}, "yref": 
 
 @dataclass(frozen=True, kw_only=True)
 class Figure:
-    """One figure of the page.
+    """One figure of the page, with data and layout for Plotly.
 
     Attributes:
-        title: above it. unit: of the vertical axis.
-        data, layout: for Plotly.
-        notes: below the title, such as what lies off the chart.
-        about: beside the title, such as whose joint it is.
+        unit: of the vertical axis.
+        notes: below the title, such as what lies off the chart. about: beside the title.
         alone: whether nothing is shown beside it.
         over_time: whether its horizontal axis is time.
     """
@@ -67,11 +61,11 @@ class Window:
     top: float
 
 
-def thinned(t: Array, y: Array, most: int = MOST_POINTS) -> tuple[Array, Array]:
-    """Keep the least and the largest value of each stretch, so that no peak is lost."""
-    if len(y) <= most:
+def thinned(t: Array, y: Array) -> tuple[Array, Array]:
+    """Keep the smallest and the largest value of each stretch, so that no peak is lost."""
+    if len(y) <= MAX_POINTS:
         return t, y
-    edges = np.linspace(0, len(y), most // 2 + 1).astype(int)
+    edges = np.linspace(0, len(y), MAX_POINTS // 2 + 1).astype(int)
     kept = {0, len(y) - 1}
     for a, b in itertools.pairwise(edges.tolist()):
         kept |= {a + int(y[a:b].argmin()), a + int(y[a:b].argmax())}
@@ -79,12 +73,9 @@ def thinned(t: Array, y: Array, most: int = MOST_POINTS) -> tuple[Array, Array]:
     return t[order], y[order]
 
 
-def listed(values: Array, digits: int = 7) -> list[float | None]:
+def listed(values: Array) -> list[float | None]:
     """Numbers for JSON, short; what is not finite becomes null."""
-    short: list[float | None] = strict_json.finite(
-        [float(f"{v:.{digits}g}") for v in values.tolist()]
-    )
-    return short
+    return [float(f"{v:.7g}") if math.isfinite(v) else None for v in values.tolist()]
 
 
 def curve(name: str, style: Style, t: Array, y: Array, *, steps: bool = False) -> Json:
@@ -137,11 +128,11 @@ def upright(t: float, text: str, *, after: bool = False) -> Json:
     return {"shapes": [shape], "annotations": [UPRIGHT | place]}
 
 
-def layout(end: float, y: Json, *levels: Json, height: int = HEIGHT) -> Json:
+def layout(end: float, y: Json, *levels: Json) -> Json:
     """Of a figure over time."""
     axis = {"gridcolor": GRID, "zeroline": False, "linecolor": "#999", "ticks": "outside"}
     return {
-        "height": height,
+        "height": HEIGHT,
         "margin": {"l": 56, "r": 12, "t": 8, "b": 38},
         "font": FONT | {"color": INK},
         "showlegend": False,
@@ -182,16 +173,15 @@ def window(low: float, high: float, lines: Sequence[Array], reach: float) -> Win
     return Window(bottom - pad, top + pad)
 
 
-def log_window(lines: Sequence[Array], floor: float, *levels: float) -> Window:
+def log_window(lines: Sequence[Array], floor: float, level: float) -> Window:
     """Show all but the rare dips towards zero; at least two decades."""
     values = np.maximum(np.concatenate([y[np.isfinite(y)] for y in lines]), floor)
-    bottom = min(float(np.percentile(values, 3)), *levels) if levels else np.percentile(values, 3)
-    top = max(float(values.max()), *levels, 0.0)
-    return Window(float(bottom) / 3.0, max(3.0 * top, 100.0 * float(bottom)))
+    bottom, top = min(float(np.percentile(values, 3)), level), max(float(values.max()), level, 0.0)
+    return Window(bottom / 3.0, max(3.0 * top, 100.0 * bottom))
 
 
-def off_chart(shown: Window, lines: Mapping[str, Array], unit: str) -> tuple[str, ...]:
-    """Say who leaves the chart, and how far it gets."""
+def off_chart(shown: Window, lines: Mapping[str, Array], unit: str = "") -> tuple[str, ...]:
+    """Notes on lines that leave the chart, and how far they get."""
     notes = []
     for name, line in lines.items():
         y = line[np.isfinite(line)]

@@ -20,8 +20,9 @@ from rich.text import Text
 from coopqp import __version__
 from coopqp.base.errors import CoopqpError, InvalidValueError, UnknownNameError
 from coopqp.base.spec import Array
+from coopqp.base.wording import counted
 from coopqp.closed_loop.forces import Forces, forces
-from coopqp.closed_loop.mobility import WEAK, Mobility, Scheme, manipulability, mobility
+from coopqp.closed_loop.mobility import WEAK, Mobility, manipulability, mobility
 from coopqp.closed_loop.transmission import force_words
 from coopqp.execution.controller_run import run
 from coopqp.model.closed_chain import ClosedChain
@@ -32,21 +33,20 @@ from coopqp.task import TaskStack
 
 HERE = Path(__file__).parent
 SHOWN = 8  # schemes in the tables
-MOST_POINTS = 400  # of the manipulability curve
+MAX_POINTS = 400  # of the manipulability curve
 
 
 @dataclass(frozen=True)
 class Study:
-    """What a scenario's grasp allows, and how well its tasks can be moved on the way.
+    """Mobility of a scenario's grasp, and manipulability of its tasks on the way.
 
     Attributes:
         mobility: at generic poses and at the start.
-        forces: between the hands at the start; None where one arm alone holds the object, and
-            where hands that are in one place have no direction between them.
+        forces: between the hands at the start; None for a single arm, or hands in one place.
         t: shape (K,) [s].
         manipulability: of the tasks along the run of the scenario's first controller, shape (K,);
-            at the start alone where that is refused.
-        refused: why it is; None where it is not.
+            at the start alone where that controller is refused.
+        refused: why it is.
     """
 
     scenario: Scenario
@@ -64,18 +64,18 @@ class Study:
 
     def verdict(self) -> str:
         """The report in a few sentences."""
-        told = self.forces.sentences() if self.forces else ()
-        return " ".join([self.mobility.verdict(), *told])
+        forces = self.forces.sentences() if self.forces else ()
+        return " ".join([self.mobility.verdict(), *forces])
 
 
 def study(
-    scenario: Scenario, asked: Sequence[str] | None = None, *, phase: str | None = None
+    scenario: Scenario, scheme: Sequence[str] | None = None, *, phase: str | None = None
 ) -> Study:
-    """Analyse a phase, the first if none is named; ``asked`` are joints by name, or q1, q2 ...
+    """Analyse a phase, the first if none is named, and a scheme: joints by name, or q1, q2 ...
 
     Raises:
-        CoopqpError: ``asked`` is no scheme, there is no such phase, the scenario cannot be built,
-            or its first controller is refused before a later phase.
+        CoopqpError: there is no such phase or scheme, the scenario cannot be built, or its first
+            controller is refused before a later phase.
     """
     if phase is not None and not scenario.phases:
         raise InvalidValueError("phase: this scenario has no phases; leave it out")
@@ -83,7 +83,7 @@ def study(
     if phase is not None and phase not in phases:
         raise UnknownNameError("phase", phase, phases)
     number = phases.index(phase) if phase else 0
-    times, path, refused = _way(scenario)
+    times, path, refused = _run(scenario)
     if refused and number:
         raise refused
     # Where its first controller is when the phase begins.
@@ -95,13 +95,19 @@ def study(
     slices = zip(tasks.tasks, tasks.slices, strict=True)
     rows = [(task.name, tasks.J[part].copy()) for task, part in slices]
     joints = {f"q{i}": name for i, name in enumerate(chain.joint_names, start=1)}
-    names = [joints.get(name, name) for name in asked] if asked is not None else None
-    found = mobility(chain, task_rows=rows, asked=names, seed=scenario.seed)
+    names = [joints.get(name, name) for name in scheme] if scheme is not None else None
+    analysis = mobility(chain, task_rows=rows, asked=names, seed=scenario.seed)
     first = scenario.first_ticks[number]
     last = first + scenario.schedule[number].ticks(scenario.dt)
-    kept = slice(first, last + 1, max(1, (last - first) // MOST_POINTS))
-    measure = _along(times[kept] - times[first], path[kept], tasks, state)
-    return Study(scenario, phases[number], found, _between(chain), times[kept], measure, refused)
+    kept = slice(first, last + 1, max(1, (last - first) // MAX_POINTS))
+    measure = []
+    for t, q in zip(times[kept] - times[first], path[kept], strict=True):
+        state.t, state.q[:] = float(t), q
+        state.update()
+        tasks.update(state)
+        measure.append(manipulability(chain, q, tasks.J))
+    on_the_way = times[kept], np.array(measure)
+    return Study(scenario, phases[number], analysis, _between(chain), *on_the_way, refused)
 
 
 def _between(chain: ClosedChain) -> Forces | None:
@@ -111,8 +117,8 @@ def _between(chain: ClosedChain) -> Forces | None:
         return None
 
 
-def _way(scenario: Scenario) -> tuple[Array, Array, CoopqpError | None]:
-    """Times and joints of its first controller's run; of the start where that is refused."""
+def _run(scenario: Scenario) -> tuple[Array, Array, CoopqpError | None]:
+    """Times and joints of the first controller's run; of the start where that is refused."""
     try:
         trace = run(scenario, controller=next(iter(scenario.controllers)))
     except CoopqpError as error:
@@ -120,23 +126,12 @@ def _way(scenario: Scenario) -> tuple[Array, Array, CoopqpError | None]:
     return trace.t, trace.q, None
 
 
-def _along(times: Array, path: Array, tasks: TaskStack, state: State) -> Array:
-    """Manipulability along a path."""
-    measure = []
-    for t, q in zip(times, path, strict=True):
-        state.t, state.q[:] = float(t), q
-        state.update()
-        tasks.update(state)
-        measure.append(manipulability(state.chain, q, tasks.J))
-    return np.array(measure)
-
-
 def as_json(result: Study) -> dict[str, Any]:
     """Everything, with infinities as null."""
     m = result.mobility
     data = dataclasses.asdict(m)
-    data["impossible"] = [_screw_json(s) for s in m.impossible]
-    data["uncontrolled"] = [_screw_json(s) for s in m.uncontrolled]
+    for key in ("impossible", "uncontrolled"):
+        data[key] = [dataclasses.asdict(s) | {"words": s.words()} for s in getattr(m, key)]
     data |= {
         "scenario": result.scenario.name,
         "phase": result.phase,
@@ -151,28 +146,28 @@ def as_json(result: Study) -> dict[str, Any]:
     return written
 
 
-def _forces_json(found: Forces | None) -> dict[str, Any] | None:
+def _forces_json(internal: Forces | None) -> dict[str, Any] | None:
     """Ranks by arm and pair, and the range of the squeeze."""
-    if found is None:
+    if internal is None:
         return None
-    told = found.transmission
+    ranks = internal.transmission
     return {
-        "dimensions": told.dimensions,
-        "all": dataclasses.asdict(told.all),
+        "dimensions": ranks.dimensions,
+        "all": dataclasses.asdict(ranks.all),
         "arms": {
             arm.arm: {**dataclasses.asdict(arm.counts), "borne": [*map(force_words, arm.borne)]}
-            for arm in told.arms
+            for arm in ranks.arms
         },
         "pairs": [
             {"arms": pair.arms, **dataclasses.asdict(pair.counts), "components": pair.components}
-            for pair in told.pairs
+            for pair in ranks.pairs
         ],
         "squeeze": [
             {"arms": s.arms, "least": _bound_json(s.least), "most": _bound_json(s.most)}
-            for s in found.squeezes
+            for s in internal.squeezes
         ],
-        "load": _bound_json(found.load),
-        "safety": found.safety,
+        "load": _bound_json(internal.load),
+        "safety": internal.safety,
     }
 
 
@@ -180,30 +175,23 @@ def _bound_json(bound: Any) -> dict[str, Any] | None:
     return bound and {"value": bound.value, "by": bound.by}
 
 
-def _screw_json(screw: Any) -> dict[str, Any]:
-    return {**dataclasses.asdict(screw), "words": screw.words()}
-
-
 def rows(result: Study) -> list[tuple[str, str, str]]:
-    """What is asked, at generic poses, at the start."""
+    """Name of a quantity, its value at generic poses, at the start."""
     m = result.mobility
     schemes = f"of {m.schemes_total}" if m.schemes_complete else f"of {len(m.schemes)} tried"
     motors = (str(m.motor_freedom), str(m.motor_freedom_start))
+    inadmissible = (f"{m.inadmissible} {schemes}", f"{m.inadmissible_start} {schemes}")
     lines = [
         ("joints (passive)", f"{len(m.joints)} ({len(m.passive)})", ""),
         ("rank of J_c", ", ".join(map(str, m.ranks)), str(m.rank_start)),
         ("degrees of freedom, l - rank", str(m.freedom), str(m.freedom_start)),
         ("object motions (largest task)", str(m.object_freedom), str(m.object_freedom_start)),
         ("object motions the motors decide", *motors),
-        (
-            "inadmissible schemes",
-            f"{m.inadmissible} {schemes}",
-            f"{m.inadmissible_start} {schemes}",
-        ),
+        ("inadmissible schemes", *inadmissible),
     ]
     lines += [("redundant loop row", name, "") for name in m.dropped]
     lines += [
-        (f"task '{task.name}', {task.rows} rows", "", _free(task.rank, task.weakest))
+        (f"task '{task.name}', {counted(task.rows, 'row')}", "", _free(task.rank, task.weakest))
         for task in m.tasks
     ]
     if len(m.tasks) > 1:
@@ -218,16 +206,16 @@ def rows(result: Study) -> list[tuple[str, str, str]]:
     return lines
 
 
-def _force_rows(found: Forces) -> list[tuple[str, str, str]]:
-    """Who decides which internal wrench, and how hard the hands can squeeze."""
-    told = found.transmission
-    lines = [(f"internal wrenches, {told.dimensions}", "", told.all.words)]
-    for arm in told.arms:
+def _force_rows(internal: Forces) -> list[tuple[str, str, str]]:
+    """What decides the internal wrenches, and the range of the squeeze."""
+    ranks = internal.transmission
+    lines = [(f"internal wrenches, {ranks.dimensions}", "", ranks.all.words)]
+    for arm in ranks.arms:
         borne = "".join(f"; borne: {force_words(screw)}" for screw in arm.borne)
         lines.append((f"wrenches of {arm.arm} alone, 6", "", f"{arm.counts.words}{borne}"))
-    if len(told.pairs) > 1:
-        lines += [(f"between {' and '.join(p.arms)}, 6", "", p.counts.words) for p in told.pairs]
-    lines += [(f"squeeze of {' and '.join(s.arms)}", "", s.words) for s in found.squeezes]
+    if len(ranks.pairs) > 1:
+        lines += [(f"between {' and '.join(p.arms)}, 6", "", p.counts.words) for p in ranks.pairs]
+    lines += [(f"squeeze of {' and '.join(s.arms)}", "", s.words) for s in internal.squeezes]
     return lines
 
 
@@ -236,16 +224,16 @@ def _free(rank: int, weakest: float) -> str:
 
 
 def schemes(result: Study) -> list[tuple[str, str, str]]:
-    """Asked, best and lost schemes with their condition."""
+    """The named and the best schemes with their condition at generic poses and at the start."""
     m = result.mobility
-    shown = ([m.asked] if m.asked else []) + list(m.schemes[:SHOWN])
-    return [(", ".join(s.joints), *_conditions(s)) for s in shown]
-
-
-def _conditions(s: Scheme) -> tuple[str, str]:
-    generic = f"{s.condition:.3g}" if s.admissible else "inadmissible"
-    start = f"{s.condition_start:.3g}" if s.admissible_start else "singular"
-    return generic, start
+    return [
+        (
+            ", ".join(s.joints),
+            f"{s.condition:.3g}" if s.admissible else "inadmissible",
+            f"{s.condition_start:.3g}" if s.admissible_start else "singular",
+        )
+        for s in ([m.asked] if m.asked else []) + list(m.schemes[:SHOWN])
+    ]
 
 
 def tables(result: Study) -> list[Table]:
@@ -255,13 +243,13 @@ def tables(result: Study) -> list[Table]:
         (f"mobility of {result.name}", ("", "generic poses", "at the start"), rows(result)),
         ("actuation schemes: condition number", (shown, "generic", "start"), schemes(result)),
     )
-    found = []
+    every = []
     for title, headings, lines in parts:
         table = Table(*headings, title=Text(title), title_justify="left")
         for row in lines:
             table.add_row(*map(Text, row))
-        found.append(table)
-    return found
+        every.append(table)
+    return every
 
 
 def page(result: Study) -> str:

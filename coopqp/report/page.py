@@ -37,11 +37,11 @@ def render(comparison: Comparison) -> str:
         for group in parts
         for figure in (*group.figures, *group.folded)
     ]
-    return Template(_read("page.html")).substitute(
+    return Template(asset("page.html")).substitute(
         title=text(comparison.scenario.name),
         description=text(comparison.scenario.description),
         version=text(__version__),
-        facts=_facts(comparison),
+        facts=" · ".join(f"{text(name)} <b>{text(value)}</b>" for name, value in facts(comparison)),
         summary=_summary(comparison, looks),
         notes="".join(f'<p class="notes">{text(note)}</p>' for note in comparison.notes),
         how="".join(f"<p>{text(paragraph)}</p>" for paragraph in how_to_read(comparison)),
@@ -54,12 +54,10 @@ def render(comparison: Comparison) -> str:
         audit_hidden="" if audit.audited(comparison.traces) else "hidden",
         scene=script_json(scene(comparison)),
         figures=script_json(plots),
-        css=_read("page.css"),
+        css=asset("page.css"),
         plotly=get_plotlyjs(),
-        playback_js="".join(
-            _read(f"scene/{name}.js") for name in ("surfaces", "camera", "playback")
-        ),
-        curves_js=_read("curves.js"),
+        playback_js="".join(asset(f"scene/{x}.js") for x in ("surfaces", "camera", "playback")),
+        curves_js=asset("curves.js"),
     )
 
 
@@ -78,12 +76,9 @@ def breakable(name: str) -> str:
     return text(name).replace("_", "_<wbr>")
 
 
-def _read(name: str) -> str:
+def asset(name: str) -> str:
+    """A text file of this folder."""
     return (HERE / name).read_text(encoding="utf-8")
-
-
-def _facts(comparison: Comparison) -> str:
-    return " · ".join(f"{text(name)} <b>{text(value)}</b>" for name, value in facts(comparison))
 
 
 def _summary(comparison: Comparison, looks: dict[str, Style]) -> str:
@@ -102,9 +97,7 @@ def _summary(comparison: Comparison, looks: dict[str, Style]) -> str:
 
 def _row(comparison: Comparison, name: str, style: Style) -> str:
     row = cells(comparison.traces[name], comparison.metrics[name])
-    entries = "".join(
-        _entry(row[key], column, wraps=key in WRAPPING) for key, column in COLUMNS.items()
-    )
+    entries = "".join(_entry(row[k], column, wraps=k in WRAPPING) for k, column in COLUMNS.items())
     return (
         f'<tr><th scope="row" class="name">{breakable(name)}{style.swatch()}</th>'
         f'<td class="verdict">{text(comparison.verdicts[name])}</td>{entries}</tr>'
@@ -112,7 +105,7 @@ def _row(comparison: Comparison, name: str, style: Style) -> str:
 
 
 def _entry(cell: Cell, column: Column, *, wraps: bool) -> str:
-    """The heading comes again where a page is too narrow for columns."""
+    """With its heading, for narrow pages without columns."""
     first, *more = map(text, cell.lines)
     lines = [f"{cell.symbol}&nbsp;{first}" if cell.symbol else first, *more]
     kind = {None: "", True: "bad", False: "good"}[cell.bad] + (" wraps" if wraps else "")
@@ -139,8 +132,8 @@ def _pane(name: str, style: Style) -> str:
 def _group(group: Group) -> str:
     hint = f'<p class="hint">{text(group.hint)}</p>' if group.hint else ""
     words = "".join(
-        f'<p class="hint"><b>{text(word)}</b>: {text(said)}</p>'
-        for word, said in group.words.items()
+        f'<p class="hint"><b>{text(word)}</b>: {text(meaning)}</p>'
+        for word, meaning in group.words.items()
     )
     shown = f'<div class="grid">{"".join(map(_figure, group.figures))}</div>'
     folded = (
@@ -169,7 +162,7 @@ def how_to_read(comparison: Comparison) -> Iterator[str]:
     yield (
         "All arms hold one object, so the joints are not free: whatever they do, every hand has "
         "to stay where it holds the object. This condition is the closed loop. The loop error is "
-        "what steps of finite length still let open; the drift correction κ pulls it back."
+        "what steps of finite length leave; Baumgarte stabilisation with the gain κ pulls it back."
     )
     yield _of_motors(comparison)
     of_forces = list(_forces(comparison))
@@ -227,7 +220,6 @@ def _forces(comparison: Comparison) -> Iterator[str]:
 
 
 def _laws(comparison: Comparison) -> Iterator[str]:
-    """Pseudoinverses and QPs."""
     bounded = (
         "and no joint goes beyond its limits"
         if comparison.scenario.limits
@@ -235,10 +227,10 @@ def _laws(comparison: Comparison) -> Iterator[str]:
     )
     yield (
         "The pseudoinverse laws compute joint speeds that move the object and keep the loop "
-        "closed, but they do not know the joint limits; the null-space variant leans away from "
-        "limits and cannot stop there. The QP solves a small optimisation problem in every "
-        f"control period, with two hard conditions: the loop stays closed, {bounded}. "
-        "It follows the task as well as these allow."
+        "closed, but they do not know the joint limits; the null-space variant follows a gradient "
+        "away from limits, projected into the null space, and cannot stop at them. The QP solves a "
+        "small optimisation problem in every control period, with two hard conditions: the loop "
+        f"stays closed, {bounded}. It follows the task as well as these allow."
     )
     yield (
         "So the curves are much alike while no limit is in the way. Where one is, the QP stops at "

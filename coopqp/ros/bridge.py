@@ -1,31 +1,234 @@
-"""Between messages of ROS and a loop: its robot, its inputs, and who is told what becomes of it.
+"""Between messages of ROS and an online loop: its robot, its inputs and its diagnostics.
 
 Messages are any objects with the fields of ROS's own, those of rclpy or of rosbags alike. They are
-put into a box by whoever receives them, in whatever thread, and read by the loop's next tick.
+put into a queue by whoever receives them, in whatever thread, and read by the loop's next tick.
 """
 
 from __future__ import annotations
 
+import math
 from collections import deque
-from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
 
-from coopqp.base.errors import InvalidValueError
-from coopqp.base.spec import Array
+from coopqp.base.errors import InvalidValueError, UnknownNameError
+from coopqp.base.qp import Row
+from coopqp.base.spec import Array, NonNegative, Positive, spec
 from coopqp.base.wording import raised
+from coopqp.model.closed_chain import AXES, ClosedChain
 from coopqp.online.loop import OnlineLoop
-from coopqp.recordings.messages import Remark
-from coopqp.ros.clocks import Clocks
-from coopqp.ros.diagnosis import HALTS, Diagnosis
-from coopqp.ros.joint_states import JointStates
-from coopqp.ros.settings import Joints, RosSettings
-from coopqp.ros.targets import value_of
+from coopqp.recordings.messages import AT, BROKEN, Remark, level_of
 from coopqp.signal import Kind
+from coopqp.solver import Status, written
 
+JOINT_STATE = "sensor_msgs/msg/JointState"
+POSE = "geometry_msgs/msg/PoseStamped"
+TWIST = "geometry_msgs/msg/TwistStamped"
 #: Messages that wait for a tick at most; older ones are dropped.
-BOX = 1000
+QUEUE_SIZE = 1000
+#: Nanoseconds in a second.
+NS = 1_000_000_000
+#: Statuses of ticks in which the robot comes to rest, or its joints are not known.
+HALTS = frozenset({
+    Status.ROBOT_SILENT, Status.NOT_MEASURED, Status.MEASURED_JUMPED, Status.STOPPED,
+    Status.NOT_BEGUN, Status.RAISED,
+})  # fmt: skip
+
+
+@spec
+class RosSettings:
+    """Parameters of the node."""
+
+    controllers: Annotated[list[str], Field(min_length=1)]
+    """Of ros2_control; each is sent velocities on /NAME/commands."""
+    law: str = "qp"
+    """The scenario's controller that decides."""
+    reference: Literal["commanded", "measured"] = "commanded"
+    """As :class:`coopqp.OnlineLoop` has it, and so the next one."""
+    grasp: Literal["as_held", "as_written"] = "as_held"
+    """Whether the object is held as the hands are at the first tick."""
+    joint_states: str = "/joint_states"
+    """Topic of the measured joint positions."""
+    frame: str = "world"
+    """The scenario's world in ROS; targets in another frame are refused."""
+    silent_after: Positive = 0.1
+    """How long joint states may fail to come before the robot counts as silent [s]."""
+    patience: Positive = 0.25
+    """How long after that the loop stops [s]."""
+    position_gain: NonNegative = 1.0
+    """Gain on each joint's distance from its commanded position [1/s]."""
+    diagnostics_every: Positive = 0.1
+    """Time between two messages on /diagnostics [s]."""
+    out: str = ""
+    """Folder for the session; none if empty."""
+
+
+def ros_name(joint: str) -> str:
+    """What ROS calls a joint; of several robots in one scenario ``left/joint1`` is left_joint1."""
+    return joint.replace("/", "_")
+
+
+@dataclass(frozen=True)
+class Joints:
+    """The robot's joints without the grasps' passive ones, and which controller moves them.
+
+    Attributes:
+        names: in ROS, in the loop's order.
+        ordered: indices in q of each controller's joints, in the controller's order.
+    """
+
+    names: tuple[str, ...]
+    ordered: Mapping[str, NDArray[np.intp]]
+
+
+def joints_of(
+    chain: ClosedChain, controllers: Sequence[str], orders: Mapping[str, Sequence[str]]
+) -> Joints:
+    """Which controller of ros2_control moves which joint; without an order a single one moves all.
+
+    Raises:
+        CoopqpError: a joint is unknown, moved twice or not at all, or an order is missing.
+    """
+    own = np.setdiff1d(np.arange(chain.n), chain.passive)
+    index = {ros_name(chain.joint_names[i]): int(i) for i in own}
+    ordered: dict[str, NDArray[np.intp]] = {}
+    moved: list[str] = []
+    for name in controllers:
+        given = orders.get(name) or (list(index) if len(controllers) == 1 else [])
+        if not given:
+            words = "several controllers need each their joints, in their order"
+            raise InvalidValueError(f"{name}.joints: {words}")
+        for joint in given:
+            if joint not in index:
+                raise UnknownNameError("joint", joint, index, f"{name}.joints: ")
+            if joint in moved:
+                raise InvalidValueError(f"{name}.joints: '{joint}' is there twice")
+            moved.append(joint)
+        ordered[name] = np.array([index[joint] for joint in given])
+    if left := [joint for joint in index if joint not in moved]:
+        raise InvalidValueError(f"joints: no controller moves {', '.join(left)}")
+    return Joints(tuple(index), ordered)
+
+
+def message_of(kind: Kind) -> str:
+    """The type of message that an input takes."""
+    return JOINT_STATE if kind.each else TWIST if kind.velocity else POSE
+
+
+def value_of(kind: Kind, message: Any, frame: str) -> list[float]:
+    """The value of an input in a message of the type :func:`message_of`.
+
+    Of a pose a point takes the position, a rotation and a direction (its z axis) the orientation.
+
+    Raises:
+        InvalidValueError: it is in another frame than ``frame`` or none, or lacks a joint.
+    """
+    if kind.each:
+        names = list(message.name)
+        values = dict(zip(names, message.position, strict=False))
+        if missing := [name for name in map(ros_name, kind.columns) if name not in values]:
+            has = ", ".join(names) or "none"
+            raise InvalidValueError(f"has no position of {', '.join(missing)}; has {has}")
+        return [float(values[ros_name(name)]) for name in kind.columns]
+    given = str(message.header.frame_id)
+    if given not in ("", frame):
+        raise InvalidValueError(f"is in frame '{given}', needs '{frame}'; transform it before")
+    if kind.velocity:
+        parts = (message.twist.linear, message.twist.angular)
+        twist = dict(zip(AXES, (c for v in parts for c in (v.x, v.y, v.z)), strict=True))
+        return [float(twist[axis]) for axis in kind.columns]
+    p, q = message.pose.position, message.pose.orientation
+    place, turned = [p.x, p.y, p.z], [q.x, q.y, q.z, q.w]
+    return [float(x) for x in (place if kind.numbers else []) + (turned if kind.turns else [])]
+
+
+class Clocks:
+    """Converts stamps of ROS's clock [ns] to times of the loop's clock [s].
+
+    ROS stamps by the system's clock, which can be set, or by a simulator's; the loop's never goes
+    back. Two readings of the one around a reading of the other bound the offset between them. It is
+    kept as long as it is within these bounds, so that times keep their order and distances, and
+    follows a clock that was set.
+    """
+
+    def __init__(self, stamping: Callable[[], int], own: Callable[[], float]) -> None:
+        self._stamping, self._own, self._offset = stamping, own, -math.inf
+        self.compare()
+
+    def compare(self) -> None:
+        """Read both clocks and update the offset."""
+        before, there, after = self._own(), self._stamping() / NS, self._own()
+        self._offset = min(max(self._offset, before - there), after - there)
+
+    def own(self, stamp: Any) -> float | None:
+        """A header's stamp by the loop's clock [s]; None for time zero, which is no stamp."""
+        ns = int(stamp.sec) * NS + int(stamp.nanosec)
+        return ns / NS + self._offset if ns else None
+
+
+class JointStates:
+    """Measured joint positions from messages that may each have some of the joints.
+
+    Attributes:
+        wrong: what was wrong with the last message; empty if nothing was.
+    """
+
+    def __init__(self, names: Sequence[str], silent_after: float) -> None:
+        self._silent_after = silent_after
+        self._index = {name: i for i, name in enumerate(names)}
+        self._q = np.full(len(names), np.nan)
+        self._sent = np.full(len(names), -np.inf)
+        self._new = np.zeros(len(names), bool)
+        self.wrong = ""
+
+    def take(self, message: Any, sent: float | None, now: float) -> None:
+        """Read a sensor_msgs/JointState that came now [s]; stamped later, it was sent now."""
+        sent = now if sent is None else min(sent, now)
+        names, positions = list(message.name), np.asarray(message.position, float)
+        self.wrong = ""
+        if len(names) != len(positions):
+            self.wrong = f"{len(names)} names and {len(positions)} positions in a message"
+            return
+        if now - sent > self._silent_after:
+            clocks = "are the clocks of both machines in step?"
+            self.wrong = f"stamped {now - sent:.3g} s before they came; {clocks}"
+            return
+        for name, position in zip(names, positions, strict=True):
+            i = self._index.get(name)
+            if i is None:
+                continue
+            if sent < self._sent[i]:
+                self.wrong = f"{name} is older than the last, by {self._sent[i] - sent:.3g} s"
+                continue
+            self._q[i], self._sent[i], self._new[i] = position, sent, True
+
+    def read(self) -> Array | None:
+        """All joints, shape (n,), once each of them has come anew."""
+        if not self._new.all():
+            return None
+        self._new[:] = False
+        return self._q.copy()
+
+    def silence(self, now: float) -> str:
+        """Which joints have not come for too long, as a sentence; empty if none."""
+        age = now - self._sent
+        if not (age > self._silent_after).any():
+            return ""
+        if never := [name for name, i in self._index.items() if np.isinf(age[i])]:
+            return f"nothing has come of {_first_three(never)}"
+        old = [name for name, i in self._index.items() if age[i] > self._silent_after]
+        return f"nothing has come for {age.max():.3g} s of {_first_three(old)}"
+
+
+def _first_three(names: Sequence[str]) -> str:
+    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+    return ", ".join(names[:3]) + more
 
 
 class Transport(Protocol):
@@ -38,19 +241,11 @@ class Transport(Protocol):
         """Send velocities of joints [rad/s, m/s], in the order of the controller."""
 
     def diagnose(self, remarks: Sequence[Remark]) -> None:
-        """Send what is to be said."""
+        """Send diagnostics."""
 
 
 class Bridge:
-    """A robot and inputs for :func:`coopqp.real_time`, made of messages.
-
-    Args:
-        loop: whose robot this is.
-        joints: who moves them.
-        kinds: of the inputs, by name.
-        settings: of the node.
-        transport: carries what is said.
-    """
+    """A robot and inputs for :func:`coopqp.real_time`, made of messages; kinds are by input."""
 
     def __init__(
         self,
@@ -64,32 +259,28 @@ class Bridge:
         self._settings, self._transport = settings, transport
         self._clocks = Clocks(transport.now, lambda: loop.now)
         self._states = JointStates(joints.names, settings.silent_after)
-        self._diagnosis = Diagnosis(loop)
-        self._box: deque[tuple[str, Any, float]] = deque(maxlen=BOX)
+        self._queue: deque[tuple[str, Any, float]] = deque(maxlen=QUEUE_SIZE)
         self._arrived: dict[str, tuple[list[float], float]] = {}
         self._refused: dict[str, str] = {}
-        self._off, self._is_new = np.zeros(loop.problem.chain.n), False
-        self._said_at = -np.inf
+        self._distance, self._is_new = np.zeros(loop.problem.chain.n), False
+        self._causes: dict[Status, None] = {}
+        self._note = ""
+        self._reported_at = -np.inf
 
     def take_joint_state(self, message: Any) -> None:
         """Joint states have come; from any thread."""
-        self._box.append(("", message, self._loop.now))
+        self._queue.append(("", message, self._loop.now))
 
     def take_target(self, name: str, message: Any) -> None:
-        """A target has come; from any thread.
-
-        Args:
-            name: of the input.
-            message: as :func:`coopqp.ros.targets.message_of` says.
-        """
-        self._box.append((name, message, self._loop.now))
+        """A message for an input has come, of the type :func:`message_of`; from any thread."""
+        self._queue.append((name, message, self._loop.now))
 
     def read(self) -> Array | None:
-        """Where the joints are, if all of them have been told of since it was last asked."""
-        if self._box:
+        """Measured joint positions, if all of them have come since the last call."""
+        if self._queue:
             self._clocks.compare()
-        while self._box:
-            name, message, came = self._box.popleft()
+        while self._queue:
+            name, message, came = self._queue.popleft()
             try:
                 sent = self._clocks.own(message.header.stamp)
                 if name:
@@ -101,52 +292,98 @@ class Bridge:
                 self._refused[name] = str(error)
             except Exception as error:  # noqa: BLE001 - anything can arrive
                 self._refused[name] = raised(error)
-        found = self._states.read()
-        self._is_new = found is not None
-        return found
+        q = self._states.read()
+        self._is_new = q is not None
+        return q
 
     def inputs(self) -> Mapping[str, tuple[list[float], float]]:
-        """What has arrived since it was last asked, as a tick of the loop takes it."""
+        """What has arrived since the last call, as a tick of the loop takes it."""
         arrived, self._arrived = self._arrived, {}
         return arrived
 
     def write(self, q: Array, v: Array) -> None:
-        """Send velocities to the controllers, and now and then what is to be said."""
-        velocity = self._held(v)
-        for name, places in self._joints.ordered.items():
-            self._transport.command(name, velocity[places].tolist())
-        self._diagnosis.tick()
-        if self._loop.now - self._said_at >= self._settings.diagnostics_every:
+        """Send velocities to the controllers, and diagnostics when they are due."""
+        velocity = self._with_position_gain(v)
+        for name, indices in self._joints.ordered.items():
+            self._transport.command(name, velocity[indices].tolist())
+        command = self._loop.command
+        self._causes |= dict.fromkeys(command.causes)
+        self._note = command.note or self._note
+        if self._loop.now - self._reported_at >= self._settings.diagnostics_every:
             self.say()
 
     def say(self, why: str = "") -> None:
-        """Send what is to be said now.
-
-        Args:
-            why: the loop has ended, or could not begin; empty while it goes on.
-        """
-        self._said_at = self._loop.now
-        silence = self._states.silence(self._said_at) or self._states.wrong
+        """Send diagnostics now; ``why`` the loop has ended or could not begin, else empty."""
+        loop, self._reported_at = self._loop, self._loop.now
+        silence = self._states.silence(self._reported_at) or self._states.wrong
         silence = silence or self._refused.pop("", "")
-        remarks = self._diagnosis.remarks(why)
+        remarks = [self._loop_remark(why), *(_limits(loop) if loop.begun else ())]
+        self._causes, self._note = {}, ""
         remarks.append(Remark("joint states", 2 if silence else 0, silence, {}))
-        stale = self._loop.state.inputs.stale
+        stale = loop.state.inputs.stale
         for name in self._kinds:
             words = self._refused.pop(name, "") or ("is stale" if name in stale else "")
             remarks.append(Remark(f"input {name}", int(bool(words)), words, {}))
         self._transport.diagnose(remarks)
 
-    def _held(self, v: Array) -> Array:
-        """The velocities, and what brings each joint to where it was commanded to be by now.
+    def _loop_remark(self, why: str) -> Remark:
+        """All statuses and the last note of the ticks since the last diagnostics."""
+        loop, causes = self._loop, list(self._causes)
+        if len(causes) > 1:
+            causes = [cause for cause in causes if cause is not Status.OPTIMAL]
+        levels = [2 if cause in HALTS else level_of(cause) for cause in causes]
+        stopped = why or loop.stopped
+        texts = [*(cause.value for cause in causes), self._note, stopped]
+        texts = [x for i, x in enumerate(texts) if not any(x in other for other in texts[i + 1 :])]
+        values = {
+            "status": written(causes) if causes else "",
+            "law": loop.controller,
+            "phase": loop.phase.name,
+            "t [s]": f"{loop.state.t:.3f}",
+            "ticks": str(loop.ticks),
+            "late": str(loop.watch.late),
+            "longest [ms]": f"{1e3 * loop.watch.longest:.2f}",
+        }
+        words = "; ".join(filter(None, texts)) or "waits for the robot"
+        return Remark("loop", 2 if stopped else max(levels, default=0), words, values)
 
-        Velocities alone would let every joint drift away by what it does not follow exactly. How
-        far it is off is known when it says where it is. Where all shall stand still, or nobody
-        knows where the joints are, the velocities are left as they are.
+    def _with_position_gain(self, v: Array) -> Array:
+        """The velocities plus ``position_gain`` times the distance to the commanded positions.
+
+        Velocities alone would let every joint drift by what its servo does not follow. Where the
+        robot shall stand still, or nobody knows where it is, they are left as they are.
         """
-        loop, gain = self._loop, self._settings.position_gain
+        loop = self._loop
         if not v.any() or HALTS.intersection(loop.command.causes):
             return v
         if self._is_new:
-            np.subtract(loop.state.q, loop.measured, self._off)
-        most = loop.problem.chain.velocity
-        return np.clip(v + gain * self._off, -most, most)
+            np.subtract(loop.state.q, loop.measured, self._distance)
+        max_v = loop.problem.chain.velocity
+        return np.clip(v + self._settings.position_gain * self._distance, -max_v, max_v)
+
+
+def _limits(loop: OnlineLoop) -> Iterator[Remark]:
+    """Each limit: at which of its rows the last command is, and the smallest margin."""
+    kept, problem = loop.history.last(2), loop.problem
+    q, v = np.vstack([kept.q, loop.setpoint]), kept.v
+    for limit in problem.limits:
+        margins: dict[Row, float] = {}
+        with suppress(Exception):  # a tick that met the same error names it
+            each = limit.margins(problem.chain, q, v, problem.dt)
+            margins = {row: float(margin[-1]) for row, margin in each.items() if margin.size}
+        for owner in dict.fromkeys(row.owner for row in margins):
+            yield _limit(owner, {row: m for row, m in margins.items() if row.owner == owner})
+
+
+def _limit(owner: str, margins: Mapping[Row, float]) -> Remark:
+    level = max(2 if m < BROKEN else int(m <= AT) for m in margins.values())
+    texts = [
+        f"{'beyond' if m < BROKEN else 'at'} {row.words}" for row, m in margins.items() if m <= AT
+    ]
+    units = dict.fromkeys(row.unit for row in margins)
+    nearest = {
+        u: min((row for row in margins if row.unit == u), key=margins.__getitem__) for u in units
+    }
+    values = {f"left [{unit}]": f"{margins[row]:.4g}" for unit, row in nearest.items()}
+    values |= {f"nearest [{unit}]": row.words for unit, row in nearest.items()}
+    return Remark(f"limit {owner}", level, "; ".join(texts), values)

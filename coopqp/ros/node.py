@@ -1,4 +1,4 @@
-"""The node, with rclpy: it stands between topics and a bridge, and runs the loop."""
+"""The node, with rclpy: topics around a bridge, and the loop."""
 
 from __future__ import annotations
 
@@ -7,31 +7,26 @@ import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from typing import Any
 
 from coopqp.base.errors import CoopqpError, InvalidValueError, MissingDependencyError
 from coopqp.online.loop import OnlineLoop
 from coopqp.online.real_time import Ended, real_time
 from coopqp.recordings.messages import Remark
-from coopqp.ros.bridge import Bridge
-from coopqp.ros.settings import RosSettings, joints_of
-from coopqp.ros.targets import JOINT_STATE, message_of
+from coopqp.ros.bridge import JOINT_STATE, Bridge, RosSettings, joints_of, message_of
 from coopqp.scenario.scenario import Scenario
 
 NAME = "coopqp"
 VELOCITIES, DIAGNOSTICS = "std_msgs/msg/Float64MultiArray", "diagnostic_msgs/msg/DiagnosticArray"
-#: How long the last messages may take to be received [s].
-FAREWELL = 1.0
-#: Between looks for a robot that has not spoken yet [s].
-WAITING = 0.1
+FAREWELL = 1.0  # for the last messages to be received [s]
+WAITING = 0.1  # between checks for the first joint states [s]
 
 
 def run_node(scenario: Scenario, arguments: Sequence[str] = ()) -> Ended:
     """Run a node until Ctrl-C, SIGTERM, or the robot has been silent for too long.
 
-    Args:
-        scenario: that the loop runs.
-        arguments: of ROS, such as ``--ros-args --params-file params.yaml``.
+    The arguments are ROS's own, such as ``--ros-args --params-file params.yaml``.
 
     Raises:
         MissingDependencyError: there is no rclpy.
@@ -40,22 +35,17 @@ def run_node(scenario: Scenario, arguments: Sequence[str] = ()) -> Ended:
     """
     with _node(arguments) as node:
         settings, orders = _parameters(node)
-        loop = OnlineLoop(
-            scenario,
-            settings.law,
-            reference=settings.reference,
-            grasp=settings.grasp,
-            silent_after=settings.silent_after,
-            patience=settings.patience,
-            out=settings.out or None,
-        )
+        given = ("reference", "grasp", "silent_after", "patience")
+        options = {key: getattr(settings, key) for key in given}
+        loop = OnlineLoop(scenario, settings.law, out=settings.out or None, **options)
         joints = joints_of(scenario.chain, settings.controllers, orders)
         kinds = scenario.followed()
         topics = _Topics(node, settings.controllers)
         bridge = Bridge(loop, joints, kinds, settings, topics)
-        topics.hear(JOINT_STATE, settings.joint_states, bridge.take_joint_state)
+        topics.subscribe(JOINT_STATE, settings.joint_states, bridge.take_joint_state)
         for name, kind in kinds.items():
-            topics.hear(message_of(kind), f"~/inputs/{name}", _to(bridge, name))
+            take = partial(bridge.take_target, name)
+            topics.subscribe(message_of(kind), f"~/inputs/{name}", take)
         with _received(node):
             return _run(loop, bridge, topics)
 
@@ -65,19 +55,19 @@ def _run(loop: OnlineLoop, bridge: Bridge, topics: _Topics) -> Ended:
     why = "the node was cut off"
     try:
         with loop:  # so that Ctrl-C and SIGTERM end the waiting, too
-            ended = _when_it_speaks(loop, bridge)
+            ended = _when_measured(loop, bridge)
         why = str(ended)
         return ended
     except CoopqpError as error:
         why = str(error)
         raise
     finally:
-        with suppress(Exception):  # nobody is left to be told
+        with suppress(Exception):  # there is nobody left to tell
             bridge.say(why)
             topics.wait()
 
 
-def _when_it_speaks(loop: OnlineLoop, bridge: Bridge) -> Ended:
+def _when_measured(loop: OnlineLoop, bridge: Bridge) -> Ended:
     while loop.running:
         q = bridge.read()
         if q is not None:
@@ -88,10 +78,6 @@ def _when_it_speaks(loop: OnlineLoop, bridge: Bridge) -> Ended:
     return Ended(loop.stopped, 0, 0, 0.0, -1)
 
 
-def _to(bridge: Bridge, name: str) -> Any:
-    return lambda message: bridge.take_target(name, message)
-
-
 @contextmanager
 def _node(arguments: Sequence[str]) -> Iterator[Any]:
     try:
@@ -100,7 +86,7 @@ def _node(arguments: Sequence[str]) -> Iterator[Any]:
     except ImportError:
         words = "rclpy; source the setup.bash of a ROS 2 whose Python this is (docs/ros.md)"
         raise MissingDependencyError("'coopqp ros'", words=words) from None
-    # Its own handlers would cut the node off before the robot is told to stand still.
+    # Its own handlers would cut the node off before the robot is commanded to stop.
     try:
         rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # noqa: BLE001 - each of its layers has its own
@@ -137,11 +123,6 @@ def _received(node: Any) -> Iterator[None]:
 
 
 def _parameters(node: Any) -> tuple[RosSettings, Mapping[str, list[str]]]:
-    """The parameters that are set, and the joints of each controller.
-
-    Raises:
-        CoopqpError: one of them is wrong.
-    """
     names = RosSettings.__dataclass_fields__
     given = {name: value for name in names if (value := _parameter(node, name)) is not None}
     if "controllers" not in given:
@@ -165,24 +146,16 @@ def _type(name: str) -> Any:
 
 
 class _Topics:
-    """What the node says and hears.
-
-    Args:
-        node: of rclpy.
-        controllers: that are commanded.
-    """
+    """The node's publishers and subscriptions."""
 
     def __init__(self, node: Any, controllers: Sequence[str]) -> None:
         self._node = node
-        velocities, diagnostics = _type(VELOCITIES), _type(DIAGNOSTICS)
-        self._new = velocities
-        self._commands = {
-            name: node.create_publisher(velocities, f"/{name}/commands", 1) for name in controllers
-        }
-        self._diagnostics = node.create_publisher(diagnostics, "/diagnostics", 10)
+        kind = self._velocities = _type(VELOCITIES)
+        self._commands = {x: node.create_publisher(kind, f"/{x}/commands", 1) for x in controllers}
+        self._diagnostics = node.create_publisher(_type(DIAGNOSTICS), "/diagnostics", 10)
 
-    def hear(self, kind: str, topic: str, take: Any) -> None:
-        """Subscribe, as to sensors: what is lost is not sent again.
+    def subscribe(self, kind: str, topic: str, take: Any) -> None:
+        """Subscribe, with the QoS of sensors: lost messages are not sent again.
 
         Raises:
             CoopqpError: no topic can be called so.
@@ -201,7 +174,7 @@ class _Topics:
 
     def command(self, controller: str, velocities: list[float]) -> None:
         """Publish velocities."""
-        self._commands[controller].publish(self._new(data=velocities))
+        self._commands[controller].publish(self._velocities(data=velocities))
 
     def diagnose(self, remarks: Sequence[Remark]) -> None:
         """Publish diagnostics."""

@@ -1,17 +1,15 @@
-"""What keeps the arms from their goals, found beside the control loop.
+"""What keeps the arms from their goals, computed beside the control loop.
 
-It has a law of its own, built as the player's is, so that nothing it does is felt there.
+It builds a controller of its own, as the player's is, so that it does not disturb the loop.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from itertools import islice
 
 from coopqp.base.errors import CoopqpError
-from coopqp.base.spec import Array
-from coopqp.controller import ControlProblem, Law
+from coopqp.controller import Law
 from coopqp.controllers import QPController
 from coopqp.execution.controller_run import controller_of
 from coopqp.model.state import State
@@ -20,72 +18,66 @@ from coopqp.scenario.scenario import Scenario
 from coopqp.signal import Trajectory
 from coopqp.study.explanation import at_bound, explain, explain_standing
 from coopqp.study.tick_record import record_tick
-from coopqp.viewer.beside import Line
-from coopqp.viewer.dials import turned
-from coopqp.viewer.live import at_targets
-from coopqp.viewer.messages import Look, Placed, Told
+from coopqp.viewer.messages import ExplainedController, Explanation, Snapshot
+from coopqp.viewer.steering import at_targets, with_dials
+from coopqp.viewer.worker import Peer
 
 
-def serve(line: Line, scenario: Scenario) -> None:
+def serve(peer: Peer, scenario: Scenario) -> None:
     """Answer until the player ends."""
-    own: _Own | None = None
-    for thing in line.things():
-        if isinstance(thing, Placed):
-            own = _Own(scenario, thing)
-        elif isinstance(thing, Look) and own:
-            line.send(own.told(thing))
+    explainer: _Explainer | None = None
+    for message in peer.messages():
+        if isinstance(message, ExplainedController):
+            explainer = _Explainer(scenario, message)
+        elif isinstance(message, Snapshot) and explainer:
+            peer.send(explainer.explain(message))
 
 
-class _Own:
-    """The law of its own."""
+class _Explainer:
+    """Explains one controller in one phase."""
 
-    def __init__(self, scenario: Scenario, placed: Placed) -> None:
-        self._name = placed.law
-        held = turned(scenario, placed.dials).held_by(placed.law)
-        chosen = controller_of(held, placed.law)
-        self._problem = _problem(held, placed.starts)
-        ticks = chosen.plain if isinstance(chosen, QPController) else chosen.build
-        self._law = ticks(self._problem)
-        # A law that keeps no limits is held back by none.
-        heeded = self._problem.limits if "limits" in chosen.supports else ()
-        self._bounded = replace(self._problem, limits=heeded)
+    def __init__(self, scenario: Scenario, explained: ExplainedController) -> None:
+        self._name, starts = explained.law, explained.starts
+        held = with_dials(scenario, explained.dials).held_by(explained.law)
+        controller = controller_of(held, explained.law)
+        begun = dict(zip(held.first_ticks[1:], starts, strict=False))
+        problems = held.problems(begun.__getitem__)
+        self._problem = next(islice(problems, len(starts), None))
+        build = controller.plain if isinstance(controller, QPController) else controller.build
+        self._law = build(self._problem)
+        # A controller that keeps no limits is held back by none.
+        limits = self._problem.limits if "limits" in controller.supports else ()
+        self._bounded = replace(self._problem, limits=limits)
 
-    def told(self, look: Look) -> Told:
-        """What keeps the arms from their goals at an instant; says so where that raises."""
+    def explain(self, snapshot: Snapshot) -> Explanation:
+        """What keeps the arms from their goals; an error of plug-ins becomes the detail."""
         try:
-            tasks = [at_targets(task, look.targets) for task in self._problem.tasks]
-            standing = explain_standing(self._bounded, tasks, look.q, rests=look.rests)
-            active, detail = self._tick(look)
+            tasks = [at_targets(task, snapshot.targets) for task in self._problem.tasks]
+            standing = explain_standing(self._bounded, tasks, snapshot.q, rests=snapshot.rests)
+            active, detail = self._tick(snapshot)
         except Exception as error:  # noqa: BLE001 - code of plug-ins may raise; the page goes on
-            return Told(False, "", (), f"cannot be explained: {type(error).__name__}: {error}")
-        return Told(standing.blocked, standing.sentence, active, detail)
+            return Explanation(detail=f"cannot be explained: {type(error).__name__}: {error}")
+        return Explanation(standing.blocked, standing.sentence, active, detail)
 
-    def _tick(self, look: Look) -> tuple[tuple[str, ...], str]:
+    def _tick(self, snapshot: Snapshot) -> tuple[tuple[str, ...], str]:
         """Limits at their bound in the tick, and what it could not do."""
         if not isinstance(self._law, QPLaw):
             return (), ""
         try:
-            state = _state(self._law, look)
+            state = _state(self._law, snapshot)
             record = record_tick(self._law, state, scenario="", controller=self._name, tick=0)
         except CoopqpError as error:
             return (), str(error)
         return tuple(row.words for row in at_bound(record)), explain(record).sentence
 
 
-def _problem(scenario: Scenario, starts: Sequence[Array]) -> ControlProblem:
-    """That of the phase that is on."""
-    begun = dict(zip(scenario.first_ticks[1:], starts, strict=False))
-    return next(islice(scenario.problems(begun.__getitem__), len(starts), None))
-
-
-def _state(law: Law, look: Look) -> State:
+def _state(law: Law, snapshot: Snapshot) -> State:
     state = law.start()
-    state.t, state.q[:], state.v[:] = look.t, look.q, look.v
-    state.memory.numbers[:] = look.memory
-    state.gap[:] = look.gap
-    state.corrected, state.q_measured = look.corrected, look.measured
-    state.hand_wrench = look.hand_wrench
-    for name, (kind, value, rate) in look.inputs.items():
+    state.t, state.q[:], state.v[:] = snapshot.t, snapshot.q, snapshot.v
+    state.memory.numbers[:], state.gap[:] = snapshot.memory, snapshot.gap
+    state.corrected, state.q_measured = snapshot.corrected, snapshot.measured
+    state.hand_wrench = snapshot.hand_wrench
+    for name, (kind, value, rate) in snapshot.inputs.items():
         state.inputs[name] = Trajectory(kind, value)
         state.inputs[name].rate[:] = rate
     state.update()

@@ -1,6 +1,6 @@
-"""What goes between the player, the page and the explainer; arrays and words alone.
+"""Messages between the player, the page and the explainer; arrays and text alone.
 
-Letters: b bodies, n joints, s segments.
+Letters: b bodies, n joints, s segments. Poses are x, y, z, qx, qy, qz, qw.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Tone = Literal["reached", "moving", "blocked", "broken", "waiting"]
 
 @dataclass(frozen=True)
 class Surface:
-    """What a joint carries, None for what stands still; vertices (v, 3) [m], corners (t, 3)."""
+    """A body: index of its joint, None if it is fixed; vertices (v, 3) [m], corners (t, 3)."""
 
     joint: int | None
     vertices: Array
@@ -28,17 +28,8 @@ class Surface:
 
 
 @dataclass(frozen=True)
-class LawLook:
-    """A law as the page shows it; its colour is such as "#0072B2"."""
-
-    name: str
-    color: str
-    keeps_limits: bool
-
-
-@dataclass(frozen=True)
 class Gizmo:
-    """Something to drag in a phase: the task's name, and what can be done to it."""
+    """A handle to drag in a phase: name of its task, whether it can be moved and turned."""
 
     label: str
     phase: int
@@ -48,7 +39,7 @@ class Gizmo:
 
 @dataclass(frozen=True)
 class Dial:
-    """A number that can be turned, from a value at first; its label says its unit."""
+    """A slider for a number: its range, step and first value; the label has the unit."""
 
     key: str
     group: str
@@ -60,23 +51,22 @@ class Dial:
 
 
 @dataclass(frozen=True)
-class Show:
+class PageSetup:
     """All that does not change while a scenario is played.
 
     Attributes:
-        bodies: of the robot, and what stands around. joints: names, shape (n,).
-        size: edges of the object [m]. low, high: corners of the space that is seen [m].
+        laws: colour such as "#0072B2" by controller. bodies: of the robot and its surroundings.
+        size: edges of the object [m]. low, high: corners of the visible space [m].
         dials: gains and the like. knobs: inputs without a gizmo, a number each.
-        phases: names; one for scenarios without.
-        forces: whether the plant tells what the hands press with.
-        folder: where recordings go; empty where nowhere.
+        phases: names; one for scenarios without phases.
+        forces: whether the plant gives the hands' wrenches.
+        folder: for recordings; empty if there is none.
     """
 
     title: str
     description: str
-    laws: tuple[LawLook, ...]
+    laws: Mapping[str, str]
     bodies: tuple[Surface, ...]
-    joints: tuple[str, ...]
     size: tuple[float, float, float]
     low: Array
     high: Array
@@ -89,17 +79,14 @@ class Show:
 
 
 @dataclass(frozen=True)
-class LawFrame:
-    """One law at one instant.
+class ControllerFrame:
+    """One controller at one instant.
 
     Attributes:
-        bodies: where their joints are, x, y, z, qx, qy, qz, qw each, shape (b, 7).
-        held: where the object is, likewise, shape (7,).
-        left: of each joint's half range what is left to its nearer limit; below 0 beyond it,
-            shape (n,).
-        arrows: of the hands' forces, from and to, shape (., 2, 3) [m]. weight: of the object's.
-        words: how far from its goals, and what is wrong.
-        broken: what of it must not be, such as a joint past its limit; empty if nothing.
+        bodies: poses of their joints, shape (b, 7). held: pose of the object, shape (7,).
+        left: distance of each joint to its nearer limit over half its range, shape (n,).
+        arrows: start and end of the hands' forces, shape (., 2, 3) [m]. weight: of the object's.
+        words: distance to the goals. broken: what is violated, such as a joint limit, or empty.
     """
 
     bodies: Array
@@ -117,23 +104,21 @@ class Frame:
     """Everything at one instant.
 
     Attributes:
-        t: since the beginning [s].
-        speed: how fast time shall go on. factor: how fast it does.
-        laws: by the order of ``Show.laws``. main: the one that is explained.
-        gizmos: where each is, shape (7,); None where its phase is not on.
-        outlines: of what tasks ask for, shape (s, 2, 3) [m].
-        active: limits at their bound, by name.
-        detail: of the last tick that was explained. explained: whether ticks still are.
-        recorded: time since the beginning that a recording has [s]. note: what to say of it.
+        t: since the beginning [s]. factor: measured speed of time.
+        laws: in the order of ``PageSetup.laws``. main: index of the one that is explained.
+        gizmos: poses, shape (7,); None in other phases.
+        outlines: of the tasks' markers, shape (s, 2, 3) [m].
+        active: names of limits at their bound. detail: of the last tick that was explained.
+        explained: whether the explainer is alive.
+        recorded: duration of the recording [s]. note: remarks on it.
         tick_us: longest tick of the last second [us].
     """
 
     t: float
     phase: int
     playing: bool
-    speed: float
     factor: float
-    laws: tuple[LawFrame, ...]
+    laws: tuple[ControllerFrame, ...]
     main: int
     gizmos: tuple[Array | None, ...]
     outlines: Array
@@ -148,13 +133,13 @@ class Frame:
 
 
 @dataclass(frozen=True)
-class Asked:
+class Action:
     """What somebody has done on the page.
 
     Attributes:
         what: play, pause, step, reset, speed, drag, carry, dial, knob, main or save.
-        which: a gizmo or a law by number, a dial or a knob by key.
-        value: numbers: a pose x, y, z, qx, qy, qz, qw, a place, or one number.
+        which: index of a gizmo or controller, key of a dial or knob.
+        value: a pose, a position, or one number.
     """
 
     what: str
@@ -164,15 +149,15 @@ class Asked:
 
 @dataclass(frozen=True)
 class Opened:
-    """The page answers, or why it does not."""
+    """The port of the page, or why it cannot be served."""
 
     port: int = 0
     fault: str = ""
 
 
 @dataclass(frozen=True)
-class Placed:
-    """The law that is explained, its dials, and where each phase but the first has begun."""
+class ExplainedController:
+    """The controller that is explained, its dials, and q where each later phase has begun."""
 
     law: str
     dials: Mapping[str, float]
@@ -180,8 +165,8 @@ class Placed:
 
 
 @dataclass(frozen=True)
-class Look:
-    """An instant to explain: of the state, and by name what inputs follow and what they go to."""
+class Snapshot:
+    """A state to explain; inputs with kind, value and rate, and their targets, by name."""
 
     t: float
     q: Array
@@ -197,10 +182,10 @@ class Look:
 
 
 @dataclass(frozen=True)
-class Told:
-    """Whether geometry keeps the arms from their goals and why, and what is so in this tick."""
+class Explanation:
+    """Whether geometry keeps the arms from their goals, and why; active limits of the tick."""
 
-    blocked: bool
-    sentence: str
-    active: tuple[str, ...]
-    detail: str
+    blocked: bool = False
+    sentence: str = ""
+    active: tuple[str, ...] = ()
+    detail: str = ""

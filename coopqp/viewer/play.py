@@ -11,48 +11,35 @@ from dataclasses import replace
 
 from coopqp.base.errors import CoopqpError, InternalError, InvalidValueError, MissingDependencyError
 from coopqp.viewer import explainer, page
-from coopqp.viewer.beside import Beside
-from coopqp.viewer.messages import Asked, Opened, Placed, Told
+from coopqp.viewer.messages import Action, ExplainedController, Explanation, Opened
 from coopqp.viewer.player import Player
+from coopqp.viewer.worker import Worker
 
-#: Time between two frames, and two explanations [s].
-FRAME, EXPLANATION = 1.0 / 30.0, 0.2
-#: Later than this the clock is put right, and what is lost is lost [s].
-LATE = 0.25
-#: Longest stretch of ticks before the page is heard again, and longest sleep [s].
-STRETCH, NAP = 0.05, 0.02
-#: Time for the page to answer at first [s].
-PATIENCE = 60.0
-#: Over this time the pace is averaged [s].
-AVERAGED = 1.0
-MOST_PORT = 65535
+FRAME, EXPLANATION = 1.0 / 30.0, 0.2  # between two frames, and two explanations [s]
+LATE = 0.25  # a longer delay is not made up for [s]
+STRETCH, NAP = 0.05, 0.02  # longest stretch of ticks between two messages, longest sleep [s]
+PATIENCE = 60.0  # for the page to answer at first [s]
+AVERAGED = 1.0  # time over which the speed is averaged [s]
+MAX_PORT = 65535
 PORTS = "take another with --port, or any that is free with --port 0"
 HOSTS = "needs an address of this machine: 127.0.0.1, or 0.0.0.0 for all that it has"
 
 
 def check_viewer() -> None:
-    """Refuse to play without what the page needs.
-
-    Raises:
-        MissingDependencyError: with the extra.
-    """
+    """Raise a MissingDependencyError, with the extra, where the page's library is missing."""
     if importlib.util.find_spec("viser") is None:
         raise MissingDependencyError("coopqp play", "viewer")
 
 
 def check_address(host: str, port: int) -> None:
-    """Refuse a port that is taken, and an address that is none.
-
-    Raises:
-        InvalidValueError: with what may help.
-    """
-    if not 0 <= port <= MOST_PORT:
-        raise InvalidValueError(f"--port: found {port}, needs 0 to {MOST_PORT}")
+    """Raise an InvalidValueError for a port that is taken, and an address that is none."""
+    if not 0 <= port <= MAX_PORT:
+        raise InvalidValueError(f"--port: found {port}, needs 0 to {MAX_PORT}")
     try:
         family, kind, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-        with socket.socket(family, kind) as found:
-            found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            found.bind(address)
+        with socket.socket(family, kind) as tried:
+            tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            tried.bind(address)
     except (OSError, UnicodeError) as error:
         why = getattr(error, "strerror", None) or str(error)
         if isinstance(error, socket.gaierror | UnicodeError):
@@ -69,101 +56,96 @@ def play(
     *,
     goes_on: Callable[[], bool] = lambda: True,
 ) -> None:
-    """Play until Ctrl-C, or until ``goes_on`` says no; ``opened`` is told the page's address.
+    """Play until Ctrl-C, or until ``goes_on`` is false; ``opened`` is called with the address.
 
     Raises:
         CoopqpError: the page cannot be opened, or breaks down.
     """
-    beside = Beside(page.serve, player.show(), host, port)
+    server = Worker(page.serve, player.show(), host, port)
     # A copy leaves behind what was built of it: not every model can be sent.
-    thinker = Beside(explainer.serve, replace(player.scenario))
+    thinker = Worker(explainer.serve, replace(player.scenario))
     try:
-        opened(_address(beside, host))
-        _Clock(player, beside, thinker).run(goes_on)
+        opened(_address(server, host))
+        _Clock(player, server, thinker).run(goes_on)
     finally:
-        beside.end()
+        server.end()
         thinker.end()
 
 
-def _address(beside: Beside, host: str) -> str:
+def _address(server: Worker, host: str) -> str:
     try:
-        for thing in beside.received(PATIENCE):
-            if isinstance(thing, Opened):
-                if thing.fault:
-                    raise CoopqpError(thing.fault)
-                return f"http://{f'[{host}]' if ':' in host else host}:{thing.port}"
+        for message in server.received(PATIENCE):
+            if isinstance(message, Opened):
+                if message.fault:
+                    raise CoopqpError(message.fault)
+                return f"http://{f'[{host}]' if ':' in host else host}:{message.port}"
     except EOFError:
         pass
     raise InternalError("the page did not open; see what is printed above")
 
 
 class _Clock:
-    """Time, and who is served when."""
+    """Decides when to tick, draw and explain."""
 
-    def __init__(self, player: Player, beside: Beside, thinker: Beside) -> None:
-        self._player, self._page, self._thinker = player, beside, thinker
-        self._next_tick = self._next_frame = self._next_thought = 0.0
-        self._placed: Placed | None = None
-        self._thinks = True
-        self._done: list[tuple[float, float]] = []  # when ticks were done, and how long [us]
+    def __init__(self, player: Player, server: Worker, thinker: Worker) -> None:
+        self._player, self._page, self._explainer = player, server, thinker
+        self._next_tick = self._next_frame = self._next_explanation = 0.0
+        self._explained: ExplainedController | None = None
+        self._done: list[tuple[float, float]] = []  # end of ticks [s], and their duration [us]
 
     def run(self, goes_on: Callable[[], bool]) -> None:
         """Until somebody ends it."""
         while goes_on():
             now = time.perf_counter()
-            self._hear()
-            self._think(now)
+            self._receive()
+            self._explain(now)
             self._tick(now)
             self._draw(now)
             now = time.perf_counter()
             rest = min(self._next_frame, self._next_tick if self._player.playing else now + NAP)
             time.sleep(min(max(rest - now, 0.0), NAP))
 
-    def _hear(self) -> None:
+    def _receive(self) -> None:
         try:
-            for thing in self._page.received():
-                if isinstance(thing, Asked):
-                    self._player.do(thing)
+            for message in self._page.received():
+                if isinstance(message, Action):
+                    self._player.do(message)
         except EOFError:
             if name := self._page.killed_by:
                 raise CoopqpError(f"the page's process was ended from outside by {name}") from None
             raise InternalError("the page has broken down; see what is printed above") from None
 
-    def _think(self, now: float) -> None:
-        """Let the explainer have something new; without it the page has fewer words."""
-        if not self._thinks:
+    def _explain(self, now: float) -> None:
+        """Send a new state to the explainer; without it the page has fewer words."""
+        if not self._player.has_explainer:
             return
         try:
-            for thing in self._thinker.received():
-                if isinstance(thing, Told):
-                    self._player.told = thing
+            for message in self._explainer.received():
+                if isinstance(message, Explanation):
+                    self._player.explanation = message
         except EOFError:
-            self._thinks = False
-            self._player.unexplained()
+            self._player.explainer_ended()
             return
-        if not self._thinker.ready or now < self._next_thought:
+        if not self._explainer.ready or now < self._next_explanation:
             return
-        placed = self._player.placed()
-        if self._placed is None or not _same(self._placed, placed):
-            self._placed = placed
-            self._thinker.send(placed)
+        explained = self._player.explained()
+        if self._explained is None or not _same(self._explained, explained):
+            self._explained = explained
+            self._explainer.send(explained)
             return
-        self._thinker.send(self._player.look())
-        self._next_thought = now + EXPLANATION
+        self._explainer.send(self._player.snapshot())
+        self._next_explanation = now + EXPLANATION
 
     def _tick(self, now: float) -> None:
         player = self._player
-        if not player.playing:
-            self._next_tick = now
-            return
-        if now - self._next_tick > LATE:
+        if not player.playing or now - self._next_tick > LATE:
             self._next_tick = now
         until = now + STRETCH
         while player.playing and self._next_tick <= now < until:
             player.tick()
             self._next_tick += player.scenario.dt / player.speed
             now = time.perf_counter()
-            self._done.append((now, max(lane.us for lane in player.lanes)))
+            self._done.append((now, max(controller.us for controller in player.controllers)))
 
     def _draw(self, now: float) -> None:
         if not self._page.ready or now < self._next_frame:
@@ -175,7 +157,6 @@ class _Clock:
         self._next_frame = max(self._next_frame + FRAME, now)
 
 
-def _same(one: Placed, other: Placed) -> bool:
-    """Whether the explainer's law is still the one."""
+def _same(one: ExplainedController, other: ExplainedController) -> bool:
     same = (one.law, one.dials, len(one.starts)) == (other.law, other.dials, len(other.starts))
     return same and all((a == b).all() for a, b in zip(one.starts, other.starts, strict=True))

@@ -1,8 +1,7 @@
 """What was sent while a scenario was played, as a scenario that ``coopqp compare`` replays.
 
-OUT/scenario.yaml is the scenario with an input for each thing that can be dragged, and
-OUT/inputs/NAME.csv what has arrived at it, tick by tick: t, sent and the columns of its kind. Time
-is that since the scenario began.
+OUT/scenario.yaml is the scenario with an input for everything that can be dragged,
+OUT/inputs/NAME.csv what has arrived at it, tick by tick: t, sent and the columns of its kind.
 """
 
 from __future__ import annotations
@@ -23,18 +22,13 @@ from coopqp.scenario.input import Arrival
 from coopqp.scenario.scenario import MOST_KEPT, Scenario
 from coopqp.scenario.yaml import parsed
 from coopqp.signal import Kind
-from coopqp.viewer.dials import KAPPA, task_and_field
-from coopqp.viewer.live import Live, pace_of
+from coopqp.viewer.steering import KAPPA, SteeredField, dialled_field, input_limits
 
 FILE = "scenario.yaml"
 
 
 def check_folder(folder: Path) -> None:
-    """Refuse a folder to which no recording can be written; nothing stays of the trial.
-
-    Raises:
-        CoopqpError: it holds a session already, or it cannot be written to.
-    """
+    """Raise a CoopqpError for a folder that has a session or cannot be written to."""
     made: list[Path] = []
     try:
         if (folder / FILE).exists() or (folder / FOLDER).exists():
@@ -46,9 +40,8 @@ def check_folder(folder: Path) -> None:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        words = f"--record: cannot write to '{folder}': {reason}; name another folder"
-        raise CoopqpError(words) from error
+        why = f"{getattr(error, 'strerror', None) or error}; name another folder"
+        raise CoopqpError(f"--record: cannot write to '{folder}': {why}") from error
     finally:
         for path in reversed(made):
             with suppress(OSError):
@@ -56,35 +49,34 @@ def check_folder(folder: Path) -> None:
 
 
 class Recording:
-    """A recording on its way: ticks of each phase so far; its note says why it has ended."""
+    """What is recorded so far: ticks of each phase; the note says why it has ended."""
 
     def __init__(
         self,
         scenario: Scenario,
-        lives: Sequence[Live],
-        laws: Sequence[str],
+        steered: Sequence[SteeredField],
+        controllers: Sequence[str],
         dials: Mapping[str, float],
     ) -> None:
-        self._scenario, self._lives, self._laws = scenario, tuple(lives), tuple(laws)
+        self._scenario, self._steered, self._names = scenario, steered, controllers
         self._dials = dict(dials)
-        self.ticks = [0]
-        self.note = ""
+        self.ticks, self.note = [0], ""
         self._sent: dict[str, Sent] = {}
         joints = len(scenario.robot_model.joint_names)
-        self._most = MOST_KEPT // (joints * max(1, len(laws)))
+        self._max_ticks = MOST_KEPT // (joints * max(1, len(controllers)))
 
     @property
     def seconds(self) -> float:
-        """How much of it there is [s]."""
+        """Its duration [s]."""
         return sum(self.ticks) * self._scenario.dt
 
     def add(
         self, phase: int, since: float, t: float, sent: Iterable[Arrival], kinds: Mapping[str, Kind]
     ) -> None:
-        """A tick."""
+        """Add a tick."""
         if self.note:
             return
-        if sum(self.ticks) >= self._most:
+        if sum(self.ticks) >= self._max_ticks:
             self.note = f"is full after {self.seconds:.0f} s"
             return
         while len(self.ticks) <= phase:
@@ -95,15 +87,11 @@ class Recording:
             kept.add(since + t, since + when, value)
 
     def end(self, why: str) -> None:
-        """No more of it; what there is can be saved."""
+        """Record no more; what there is can be saved."""
         self.note = self.note or why
 
     def save(self, folder: Path) -> Path:
-        """Write it.
-
-        Raises:
-            CoopqpError: it cannot be written, or there is nothing yet.
-        """
+        """Write it; raise a CoopqpError where that is not possible, or nothing is recorded."""
         if sum(self.ticks) <= 1:  # the first is decided before anybody looks
             raise InvalidValueError("nothing has been played yet, so nothing is recorded")
         try:
@@ -119,8 +107,7 @@ class Recording:
         return folder / FILE
 
     def _yaml(self, names: Mapping[str, str], folder: Path) -> str:
-        stream = io.StringIO()
-        writer = YAML(typ="safe", pure=True)
+        stream, writer = io.StringIO(), YAML(typ="safe", pure=True)
         writer.default_flow_style = None
         writer.width = 100
         writer.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
@@ -140,34 +127,33 @@ class Recording:
         if secondary:
             data["secondary"] = secondary
         inputs = dict(data.get("inputs") or {})
-        for live in (live for live in self._lives if live.made and live.phase < len(phases)):
-            _follow(phases[live.phase]["tasks"][live.task], live)
-            inputs.setdefault(live.name, pace_of(scenario))
-        paths = {name: self._path_of(file, folder) for name, file in names.items()}
+        for field in self._steered:
+            if field.start and field.phase < len(phases):
+                _follow(phases[field.phase]["tasks"][field.task], field)
+                inputs.setdefault(field.name, input_limits(scenario))
+        base = Path() if scenario.folder is None else folder.resolve()
+        paths = {name: str(base / FOLDER / file) for name, file in names.items()}
         if inputs:
             data["inputs"] = fed(inputs, paths)
-        data["controllers"] = self._controllers(data)
+        own = list(scenario.controllers)
+        given = data.get("controllers") or own
+        data["controllers"] = [given[own.index(n)] if n in own else n for n in self._names]
         return data
 
-    def _path_of(self, file: str, folder: Path) -> str:
-        """Path of what was sent, as the scenario beside it has it."""
-        path = Path(FOLDER) / file
-        return str(path if self._scenario.folder is None else folder.resolve() / path)
-
     def _phases(self, data: dict[str, Any]) -> list[dict[str, Any]]:
-        """The phases that were played, as long as they were; put into the mapping."""
-        found = []
+        """Put the phases that were played into the mapping, with their durations."""
+        phases = []
         for k, ticks in enumerate(self.ticks):
             given = data["phases"][k] if "phases" in data else data
             ends = max((task.end for task in self._scenario.schedule[k].tasks), default=0.0)
             lasts, tasks = max(ticks * self._scenario.dt, ends), map(_spelled, given["tasks"])
             kept = given if "phases" in data else {}
-            found.append({**kept, "duration": lasts, "tasks": list(tasks)})
+            phases.append({**kept, "duration": lasts, "tasks": list(tasks)})
         if "phases" in data:
-            data["phases"] = found
+            data["phases"] = phases
         else:
-            data |= found[0]
-        return found
+            data |= phases[0]
+        return phases
 
     def _turn(
         self, data: dict[str, Any], phases: list[dict[str, Any]], secondary: list[dict[str, Any]]
@@ -176,31 +162,25 @@ class Recording:
             if key == KAPPA:
                 data[KAPPA] = value
                 continue
-            kind, phase, number, field = task_and_field(key)
+            kind, phase, number, field = dialled_field(key)
             if kind == "tasks" and phase >= len(phases):
                 continue
             slots = phases[phase]["tasks"] if kind == "tasks" else secondary
             (fields,) = slots[number].values()
             fields[field] = round(value) if field == "priority" else value
 
-    def _controllers(self, data: dict[str, Any]) -> list[Any]:
-        """Those that were played, as the file has them."""
-        own = list(self._scenario.controllers)
-        given = data.get("controllers") or own
-        return [given[own.index(name)] if name in own else name for name in self._laws]
-
 
 def _spelled(slot: Any) -> dict[str, Any]:
-    """A plug-in's slot as one name with its fields."""
+    """A plug-in's entry as one name with its fields."""
     if isinstance(slot, str):
         return {slot: {}}
     ((name, fields),) = slot.items()
     return {name: dict(fields or {})}
 
 
-def _follow(slot: dict[str, Any], live: Live) -> None:
+def _follow(slot: dict[str, Any], field: SteeredField) -> None:
     (fields,) = slot.values()
-    for key in ("rpy", "rpy_deg") if live.kind.turns and not live.kind.numbers else ():
-        if not live.kind.axis:
-            fields.pop(key, None)
-    fields[live.field] = {"input": {"name": live.name, "start": list(live.start or ())}}
+    if field.kind.turns and not field.kind.numbers and not field.kind.axis:
+        fields.pop("rpy", None)
+        fields.pop("rpy_deg", None)
+    fields[field.field] = {"input": {"name": field.name, "start": list(field.start or ())}}

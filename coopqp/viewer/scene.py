@@ -1,4 +1,7 @@
-"""What stands in space on the page: robots, objects, goals to drag, forces."""
+"""The 3D scene of the page: robots, objects, goals to drag, forces; and its colours.
+
+Colours with a meaning are Okabe and Ito's, safe for the colour-blind.
+"""
 
 from __future__ import annotations
 
@@ -9,213 +12,239 @@ from typing import Any
 import numpy as np
 
 from coopqp.base.spec import Array
-from coopqp.viewer import colors
-from coopqp.viewer.messages import Asked, Frame, LawFrame, Show
+from coopqp.viewer.messages import Action, ControllerFrame, Frame, PageSetup, Tone
 
-#: How solid a law is that is drawn over another one.
-GHOST = 0.35
-#: After this without a move a gizmo is nobody's any more [s].
-LET_GO = 0.7
-#: A part that moves by less stays where it is drawn [m].
-STILL = 1e-6
-#: Sizes, in the object's longest edge, and of the space that is seen.
-GIZMO, THIN, APART = 0.9, 0.02, 1.15
+Rgb = tuple[int, int, int]
 
-#: Where the camera is at first, in diagonals of the space that is seen, and how wide it sees [rad].
+LINK: Rgb = (214, 218, 222)
+NEAR: Rgb = (240, 228, 66)  # on the way to a limit
+AT: Rgb = (213, 94, 0)
+BEYOND: Rgb = (150, 20, 110)
+GOAL: Rgb = (0, 158, 115)
+FORCE: Rgb = (194, 24, 127)  # as in reports
+WEIGHT: Rgb = (70, 70, 70)
+TONES: dict[Tone, str] = {
+    "reached": "#009E73",
+    "moving": "#0072B2",
+    "blocked": "#D55E00",
+    "broken": "#96146E",
+    "waiting": "#6B7280",
+}
+WARNS = 0.25  # distance to a limit, over half the range, where a joint begins to change its colour
+STEPS = 6  # between two colours, so that links do not change with every frame
+
+GHOST = 0.35  # opacity of a controller that is drawn over another one
+LET_GO = 0.7  # a gizmo that has not been dragged for so long is free [s]
+STILL = 1e-6  # a smaller motion is not drawn [m]
+GIZMO, THIN, APART = 0.9, 0.02, 1.15  # in longest edges of the object, and of the visible space
+
+#: Where the camera is at first, in diagonals of the visible space, and its field of view [rad].
 BEFORE, BESIDE, FOV = (1.35, -0.65, 0.55), (0.55, -1.4, 0.55), 0.8
-#: A window below is narrow [px]: the camera goes farther off and looks lower, in the same measures.
+#: In windows narrower than this [px] the camera is farther away and looks lower.
 NARROW, FARTHER, LOWER = 600, 1.5, 0.35
 
-Ask = Callable[[Asked], None]
+
+def of_joint(left: float, base: Rgb) -> Rgb:
+    """Colour of a link by its joint's distance to the nearer limit, over half the range."""
+    if left < 0.0:
+        return BEYOND
+    if left == 0.0:
+        return AT
+    if left >= WARNS:
+        return base
+    near = np.ceil(STEPS * (1.0 - left / WARNS)) / STEPS
+    first, last = (base, NEAR) if near < 0.5 else (NEAR, AT)
+    return mixed(first, last, 2.0 * near if near < 0.5 else 2.0 * near - 1.0)
 
 
-def view(show: Show) -> tuple[Array, Array]:
-    """What the camera looks at at first, and from where, shape (3,) each [m].
+def mixed(first: Rgb, last: Rgb, share: float) -> Rgb:
+    """A colour between two."""
+    between = (1.0 - share) * np.array(first) + share * np.array(last)
+    r, g, b = np.round(between).astype(int).tolist()
+    return r, g, b
 
-    Aside of the longer horizontal edge of what there is.
+
+def rgb(color: str) -> Rgb:
+    """The numbers of a colour such as "#0072B2"."""
+    r, g, b = bytes.fromhex(color[1:])
+    return r, g, b
+
+
+def css(color: Rgb) -> str:
+    """The inverse of :func:`rgb`."""
+    return f"#{bytes(color).hex().upper()}"
+
+
+def view(setup: PageSetup) -> tuple[Array, Array]:
+    """Target and position of the camera at first, shape (3,) each [m].
+
+    It looks from the side of the longer horizontal edge.
     """
-    middle, aside = 0.5 * (show.low + show.high), BESIDE if _longer_along_x(show) else BEFORE
-    return middle, middle + float(np.linalg.norm(show.high - show.low)) * np.array(aside)
+    aside = BESIDE if _longer_along_x(setup) else BEFORE
+    middle = 0.5 * (setup.low + setup.high)
+    return middle, middle + float(np.linalg.norm(setup.high - setup.low)) * np.array(aside)
 
 
-def _longer_along_x(show: Show) -> bool:
-    size = show.high - show.low
+def _longer_along_x(setup: PageSetup) -> bool:
+    size = setup.high - setup.low
     return bool(size[0] > size[1])
 
 
 class Scene:
     """The scene of a page."""
 
-    def __init__(self, server: Any, show: Show, ask: Ask) -> None:
-        self._show, self._ask, self._server, self._scene = show, ask, server, server.scene
-        self._size = max(show.size)
-        self._look_around(server)
-        self._laws = [_Law(server, show, i, ask) for i in range(len(show.laws))]
-        self._gizmos = [self._gizmo(i) for i in range(len(show.gizmos))]
-        self._dragged = [0.0] * len(show.gizmos)
-        thin = THIN * self._size
-        nothing = np.zeros((1, 2, 3))
-        self._outlines = self._scene.add_line_segments(
-            "/goals", nothing, colors.GOAL, thickness=thin, visible=False
-        )
+    def __init__(self, server: Any, setup: PageSetup, send: Callable[[Action], None]) -> None:
+        self._setup, self._send, self._server, self._scene = setup, send, server, server.scene
+        self._size = max(setup.size)
+        self._look_around()
+        self._drawn = [_Controller(server, setup, i, send) for i in range(len(setup.laws))]
+        self._gizmos = [self._gizmo(i) for i in range(len(setup.gizmos))]
+        self._dragged = [0.0] * len(setup.gizmos)
+        look: Any = {"thickness": THIN * self._size, "visible": False}
+        self._outlines = self._scene.add_line_segments("/goals", np.zeros((1, 2, 3)), GOAL, **look)
         self.arrange("one", 0)
 
     def arrange(self, how: str, main: int) -> None:
-        """Choose what is seen: one, overlaid or apart; the main law alone with "one"."""
-        across = np.array([1.0, 0.0, 0.0] if _longer_along_x(self._show) else [0.0, -1.0, 0.0])
-        width = APART * float(np.abs(across) @ (self._show.high - self._show.low))
-        for i, law in enumerate(self._laws):
-            law.place(
+        """Choose what is visible: one, overlaid or apart; the main controller alone with "one"."""
+        across = np.array([1.0, 0.0, 0.0] if _longer_along_x(self._setup) else [0.0, -1.0, 0.0])
+        width = APART * float(np.abs(across) @ (self._setup.high - self._setup.low))
+        for i, drawn in enumerate(self._drawn):
+            drawn.place(
                 shown=how != "one" or i == main,
                 ghost=how == "overlaid" and i != main,
                 shift=width * (i - main) * across if how == "apart" else np.zeros(3),
                 draggable=i == main,
             )
-        if how == "apart":
-            self._step_back(width * (0.5 * (len(self._laws) - 1) - main) * across)
-
-    def _step_back(self, shift: Array) -> None:
-        """Let all laws be seen side by side."""
-        for client in self._server.get_clients().values():
-            middle, far = self._middle + shift, 0.8 + 0.5 * len(self._laws)
-            client.camera.position = middle + far * self._aside
-            client.camera.look_at = middle
+        if how == "apart":  # the camera steps back
+            middle = self._middle + width * (0.5 * (len(self._drawn) - 1) - main) * across
+            for client in self._server.get_clients().values():
+                client.camera.position = middle + (0.8 + 0.5 * len(self._drawn)) * self._aside
+                client.camera.look_at = middle
 
     def draw(self, frame: Frame) -> None:
-        """Everything as it is now."""
-        for law, drawn in zip(self._laws, frame.laws, strict=True):
-            law.draw(drawn)
+        """Draw a frame."""
+        for drawn, each in zip(self._drawn, frame.laws, strict=True):
+            drawn.draw(each)
         now = time.monotonic()
         for handle, pose, touched in zip(self._gizmos, frame.gizmos, self._dragged, strict=True):
             if handle.visible != (pose is not None):
                 handle.visible = pose is not None
             if pose is not None and now - touched > LET_GO:
                 _move(handle, pose)
-        seen = len(frame.outlines) > 0
-        if seen:
-            self._outlines.points = frame.outlines.astype(np.float32)
-        if self._outlines.visible != seen:
-            self._outlines.visible = seen
+        _set_points(self._outlines, frame.outlines, visible=len(frame.outlines) > 0)
 
     def fit(self, client: Any) -> None:
-        """Let somebody with a narrow window see what stands above the panel."""
+        """Move the camera so that a narrow window shows the scene above the panel."""
         camera = client.camera
         if camera.image_width >= NARROW:
             return
-        below = np.array([0.0, 0.0, LOWER * self._wide])
+        below = np.array([0.0, 0.0, LOWER * self._diagonal])
         camera.position = self._middle - below + FARTHER * self._aside
         camera.look_at = self._middle - below  # after the position, which takes it along
 
-    def _look_around(self, server: Any) -> None:
-        low, (middle, eye) = self._show.low, view(self._show)
-        wide = float(np.linalg.norm(self._show.high - low))
-        self._middle, self._wide, self._aside = middle, wide, eye - middle
-        server.scene.set_up_direction("+z")
-        camera = server.initial_camera
+    def _look_around(self) -> None:
+        low, (middle, eye) = self._setup.low, view(self._setup)
+        wide = float(np.linalg.norm(self._setup.high - low))
+        self._middle, self._diagonal, self._aside = middle, wide, eye - middle
+        self._scene.set_up_direction("+z")
+        camera = self._server.initial_camera
         camera.look_at, camera.position = tuple(middle), tuple(eye)
         camera.fov, camera.near = FOV, 0.01 * wide
-        server.scene.configure_default_lights(cast_shadow=False)
-        server.scene.world_axes.visible = False
-        cell = 10.0 ** np.floor(np.log10(wide / 2.0))
-        edge = 4.0 * wide
-        server.scene.add_grid(
+        self._scene.configure_default_lights(cast_shadow=False)
+        self._scene.world_axes.visible = False
+        cell, edge = 10.0 ** np.floor(np.log10(wide / 2.0)), 4.0 * wide
+        self._scene.add_grid(
             "/floor", edge, edge, cell_size=cell, section_size=5.0 * cell,
             cell_color=(232, 234, 237), section_color=(214, 217, 221), fade_distance=6.0 * wide,
             shadow_opacity=0.0, position=(middle[0], middle[1], low[2]),
         )  # fmt: skip
 
     def _gizmo(self, i: int) -> Any:
-        look = self._show.gizmos[i]
+        gizmo = self._setup.gizmos[i]
         handle = self._scene.add_transform_controls(
-            f"/gizmo/{i}",
-            scale=GIZMO * self._size,
-            line_width=3.5,
-            disable_axes=not look.moves,
-            disable_sliders=not look.moves,
-            disable_rotations=not look.turns,
-            depth_test=False,
+            f"/gizmo/{i}", scale=GIZMO * self._size, line_width=3.5, disable_axes=not gizmo.moves,
+            disable_sliders=not gizmo.moves, disable_rotations=not gizmo.turns, depth_test=False,
             visible=False,
-        )
-        self._scene.add_label(
-            f"/gizmo/{i}/name", f"goal: {look.label}", position=(0.0, 0.0, -0.35 * self._size)
-        )
+        )  # fmt: skip
+        place = (0.0, 0.0, -0.35 * self._size)
+        self._scene.add_label(f"/gizmo/{i}/name", f"goal: {gizmo.label}", position=place)
 
         async def drag(event: Any) -> None:
             self._dragged[i] = time.monotonic()
-            self._ask(Asked("drag", i, (*_numbers(handle.position), *_turn(handle.wxyz))))
+            w, *turn = _numbers(handle.wxyz)
+            self._send(Action("drag", i, (*_numbers(handle.position), *turn, w)))
 
         handle.on_update(drag)
         return handle
 
 
-class _Law:
-    """What is drawn of one law."""
+class _Controller:
+    """What is drawn of one controller."""
 
-    def __init__(self, server: Any, show: Show, i: int, ask: Ask) -> None:
-        scene, look = server.scene, show.laws[i]
-        self._bodies, self._look = show.bodies, look
-        self._ask, self._root = ask, scene.add_frame(f"/law{i}", show_axes=False)
-        made = {"color": colors.LINK, "side": "double", "flat_shading": True}
+    def __init__(
+        self, server: Any, setup: PageSetup, i: int, send: Callable[[Action], None]
+    ) -> None:
+        scene = server.scene
+        self._bodies, self._color = setup.bodies, rgb(list(setup.laws.values())[i])
+        self._send, self._root = send, scene.add_frame(f"/law{i}", show_axes=False)
+        look: Any = {"color": LINK, "side": "double", "flat_shading": True}
         self._links = [
-            scene.add_mesh_simple(f"/law{i}/link{k}", body.vertices, body.corners, **made)
-            for k, body in enumerate(show.bodies)
+            scene.add_mesh_simple(f"/law{i}/link{k}", body.vertices, body.corners, **look)
+            for k, body in enumerate(setup.bodies)
         ]
-        self._held = scene.add_box(
-            f"/law{i}/object", color=colors.rgb(look.color), dimensions=show.size
-        )
-        size = max(show.size)
+        self._held = scene.add_box(f"/law{i}/object", color=self._color, dimensions=setup.size)
+        size = max(setup.size)
         self._arrows, self._weight = (
             scene.add_arrows(
                 f"/law{i}/{name}", np.zeros((1, 2, 3)), color,
                 shaft_radius=0.03 * size, head_radius=0.07 * size, head_length=0.14 * size,
                 visible=False,
             )
-            for name, color in (("forces", colors.FORCE), ("weight", colors.WEIGHT))
+            for name, color in (("forces", FORCE), ("weight", WEIGHT))
         )  # fmt: skip
-        self._colors = [colors.LINK] * len(self._links)
-        self._base, self._shown, self._draggable = colors.LINK, True, False
+        self._colors = [LINK] * len(self._links)
+        self._base, self._shown, self._draggable = LINK, True, False
         self._held.on_drag(self._pull)
 
     async def _pull(self, event: Any) -> None:
-        """Where the object is pulled, its origin is to go."""
+        """Send where the object's origin is pulled."""
         if event.phase != "end" and self._draggable:
             pull = np.subtract(event.end_position, event.start_position)
-            self._ask(Asked("carry", 0, _numbers(np.asarray(self._held.position) + pull)))
+            self._send(Action("carry", 0, _numbers(np.asarray(self._held.position) + pull)))
 
     def place(self, *, shown: bool, ghost: bool, shift: Array, draggable: bool) -> None:
         """Where and how it is drawn."""
         self._shown, self._draggable = shown, draggable
         self._root.visible = shown
         self._root.position = shift
-        tint = colors.mixed(colors.LINK, colors.rgb(self._look.color), 0.45)
-        self._base = tint if ghost else colors.LINK
+        self._base = mixed(LINK, self._color, 0.45) if ghost else LINK
         for node in (*self._links, self._held):
             node.opacity = GHOST if ghost else None
 
-    def draw(self, drawn: LawFrame) -> None:
-        """As it is now."""
+    def draw(self, drawn: ControllerFrame) -> None:
+        """Draw its frame."""
         if not self._shown:
             return
-        for body, node, pose in zip(self._bodies, self._links, drawn.bodies, strict=True):
-            if body.joint is not None:
-                _move(node, pose)
         _move(self._held, drawn.held)
-        for k, body in enumerate(self._bodies):
-            left = 1.0 if body.joint is None else float(drawn.left[body.joint])
-            color = colors.of_joint(left, self._base)
+        for k, (body, node) in enumerate(zip(self._bodies, self._links, strict=True)):
+            left = 1.0
+            if body.joint is not None:
+                _move(node, drawn.bodies[k])
+                left = float(drawn.left[body.joint])
+            color = of_joint(left, self._base)
             if color != self._colors[k]:
-                self._colors[k] = self._links[k].color = color
-        _point(self._arrows, drawn.arrows)
-        _point(self._weight, drawn.weight)
+                self._colors[k] = node.color = color
+        for node, arrows in ((self._arrows, drawn.arrows), (self._weight, drawn.weight)):
+            lengths = np.abs(arrows[:, 1] - arrows[:, 0])
+            _set_points(node, arrows, visible=bool(lengths.max(initial=0.0) > STILL))
 
 
-def _point(node: Any, arrows: Array) -> None:
-    """Let arrows go from and to, shape (., 2, 3); none are seen where nothing has a length."""
-    seen = len(arrows) > 0 and bool(np.abs(arrows[:, 1] - arrows[:, 0]).max() > STILL)
-    if seen:
-        node.points = arrows.astype(np.float32)
-    if node.visible != seen:
-        node.visible = seen
+def _set_points(node: Any, points: Array, *, visible: bool) -> None:
+    """Show segments or arrows, shape (., 2, 3) [m], or hide them."""
+    if visible:
+        node.points = points.astype(np.float32)
+    if node.visible != visible:
+        node.visible = visible
 
 
 def _move(node: Any, pose: Array) -> None:
@@ -229,9 +258,3 @@ def _move(node: Any, pose: Array) -> None:
 
 def _numbers(values: Any) -> tuple[float, ...]:
     return tuple(float(x) for x in values)
-
-
-def _turn(wxyz: Any) -> tuple[float, ...]:
-    """A quaternion in the order of all else, x, y, z, w."""
-    w, x, y, z = _numbers(wxyz)
-    return x, y, z, w

@@ -1,4 +1,4 @@
-"""One law with its plant, tick by tick, phase by phase; what is sent to it comes from people."""
+"""One controller with its plant, tick by tick, phase by phase; people send its inputs."""
 
 from __future__ import annotations
 
@@ -23,12 +23,13 @@ from coopqp.scenario.input import Arrival, Feed, Inputs, InputSettings
 from coopqp.scenario.scenario import Scenario
 from coopqp.task import TaskStack
 
+ARRIVED = 1e-6  # an input nearer to its target has arrived
 Hands = Mapping[str, list[float]]
-"""What people send, by the input's name; who feeds an input otherwise is not heard then."""
+"""What people send, by the input's name; it replaces the input's own feed."""
 
 
 class HandFeed:
-    """Who sends during a phase: people, or who feeds the scenario's inputs until they do."""
+    """The inputs of a phase: from people, or from the scenario's feeds until people send."""
 
     def __init__(
         self, settings: Mapping[str, InputSettings], inputs: Inputs, since: float, hands: Hands
@@ -51,13 +52,13 @@ class HandFeed:
 
 
 class SimulatedController:
-    """A law that is played.
+    """A controller that is played.
 
     Raises:
         CoopqpError: the controller or the plant cannot be built.
 
     Attributes:
-        run: the phase that is on. starts: where each phase but the first has begun.
+        run: the current phase. starts: q at the start of each later phase.
         command: of the last tick. us: time that it took [us].
         torn: whether the hands were once too far apart for one object, or have lost it.
         goals: error of each task to its goal, by the tasks' rows.
@@ -74,20 +75,21 @@ class SimulatedController:
         self._enter(begin_phase(scenario.held_by(name), controller_of(scenario, name)))
 
     @property
-    def keeps_limits(self) -> bool:
-        """Whether the law promises to."""
-        return "limits" in self.run.controller.supports
-
-    @property
     def state(self) -> State:
         """That of the last tick."""
         return self.run.state
 
     @property
-    def followed(self) -> bool:
+    def fed(self) -> bool:
         """Whether something has arrived at all inputs, and nothing is refused."""
         channels = self.feed.inputs.channels.values()
         return all(c.sent > -math.inf for c in channels) and not self.state.inputs.refused
+
+    @property
+    def at_targets(self) -> bool:
+        """Whether all inputs have arrived at their targets."""
+        channels = self.feed.inputs.channels.values()
+        return all(np.abs(c.value - c.target).max(initial=0.0) < ARRIVED for c in channels)
 
     @property
     def t(self) -> float:
@@ -95,7 +97,7 @@ class SimulatedController:
         return self.run.since + self.state.t
 
     def tick(self) -> None:
-        """Carry out what was decided, and decide anew."""
+        """Carry out the last command, and compute the next one."""
         if self.run.over and not self.run.is_last:
             self._end()
             self.starts.append(self.run.q.copy())
@@ -105,18 +107,17 @@ class SimulatedController:
         self.torn = self.torn or self._is_torn()
 
     def _is_torn(self) -> bool:
-        """Whether the hands are too far apart for one object, or have lost it."""
         held = self.plant.signals.get("held")
         if held is not None:  # hands that press may move along the object
             return self.run.ticks > 1 and not held[0] > 0.0
         true = self.plant.truth(self.state)
         return torn(true.loop_position_error, true.loop_orientation_error)
 
-    def turn(self, scenario: Scenario) -> None:
-        """Build the law anew for other gains and the like, and go on from where it is.
+    def change(self, scenario: Scenario) -> None:
+        """Build the controller for other gains and the like, and continue from the current state.
 
         Raises:
-            CoopqpError: the law cannot be built for it.
+            CoopqpError: it cannot be built.
         """
         run, other = self.run, scenario.held_by(self.name)
         problem = other.problem(other.schedule[run.index], run.problem.chain)
@@ -132,8 +133,8 @@ class SimulatedController:
         self._start_driving()
 
     def _start_driving(self) -> None:
-        run, chain = self.run, self.run.problem.chain
-        at_start = State(chain, run.state.q, run.state.t)
+        run = self.run
+        at_start = State(run.problem.chain, run.state.q, run.state.t)
         at_start.inputs = run.state.inputs
         self.goals = TaskStack([task.at_goal() for task in run.problem.tasks], at_start)
         self._ending = False
@@ -142,16 +143,15 @@ class SimulatedController:
         )
 
     def _end(self) -> None:
-        """Let the plant carry out what was decided last."""
+        """Let the plant carry out the last command."""
         self._ending = True
         next(self._ticks, None)
 
     def targets(self) -> dict[str, Array]:
-        """What its inputs go to, by name, with what people have sent since the last tick."""
-        found = {}
-        for name, channel in self.feed.inputs.channels.items():
-            found[name] = channel.target.copy()
-            if name in self._hands:
-                with suppress(CoopqpError):  # what cannot be used is refused by the next tick
-                    found[name] = channel.kind.read(self._hands[name])
-        return found
+        """Targets of its inputs, by name, with what people have sent since the last tick."""
+        channels = self.feed.inputs.channels
+        targets = {name: channel.target.copy() for name, channel in channels.items()}
+        for name in channels.keys() & self._hands.keys():
+            with suppress(CoopqpError):  # what cannot be used is refused by the next tick
+                targets[name] = channels[name].kind.read(self._hands[name])
+        return targets

@@ -15,7 +15,7 @@ import click
 from scenario_files import HAS_ROBOTS
 
 from coopqp import Catalog, cli, load
-from coopqp.ros.settings import RosSettings
+from coopqp.ros.bridge import RosSettings
 from coopqp.scenario.form import check, chosen, file_model
 from coopqp.scenario.yaml import parsed
 from coopqp.study.sweep.reader import read_study

@@ -15,12 +15,11 @@ from coopqp.execution.comparison import Comparison, compare
 from coopqp.plant import Disturbance
 from coopqp.plants import RigidBody
 from coopqp.report.figures.groups import groups
-from coopqp.report.scene.forces import LONGEST
-from coopqp.report.scene.playback import scene
+from coopqp.report.scene.playback import LONGEST, scene
 from coopqp.scenario.scenario import Scenario
 from coopqp.tasks import InternalWrench
 from coopqp.viewer import picture
-from coopqp.viewer.messages import Asked
+from coopqp.viewer.messages import Action
 from coopqp.viewer.player import Player
 
 G = 9.81  # [m/s2]
@@ -86,7 +85,7 @@ def test_play_draws_them_beside_hands_and_object(scenario: Scenario) -> None:
     for _ in range(3):
         player.tick()
     (drawn,) = player.frame().laws
-    told = player.lanes[0].plant.signals["hand_wrench"].reshape(-1, 6)[:, :3]
+    told = player.controllers[0].plant.signals["hand_wrench"].reshape(-1, 6)[:, :3]
     ways = drawn.arrows[:, 1] - drawn.arrows[:, 0]
     longest = max(np.linalg.norm(told, axis=1).max(), 1.5 * G * scenario.held.mass)
     scale = picture.ARROW * max(scenario.held.size) / longest
@@ -104,7 +103,7 @@ def test_a_squeeze_is_a_slider_and_not_dragged(scenario: Scenario) -> None:
     player = Player(replace(scenario, tasks=tasks, controllers=laws))
     assert len(player.show().gizmos) == len(scenario.tasks)
     (dial,) = (dial for dial in player.show().dials if dial.label == "squeeze [N]")
-    player.do(Asked("dial", dial.key, (7.0,)))
+    player.do(Action("dial", dial.key, (7.0,)))
     for _ in range(150):
         player.tick()
     (drawn,) = player.frame().laws

@@ -11,11 +11,11 @@ from scenario_files import HEAD, PHASES, TAIL, cut, needs_robots, phased
 
 import coopqp
 from coopqp.execution.comparison import Comparison
+from coopqp.metrics.limit_criterion import limit_criterion
 from coopqp.model.state import State
 from coopqp.report.figures.chart import Chart
 from coopqp.report.figures.groups import groups
-from coopqp.report.figures.joints import joint_figures, joint_rows
-from coopqp.report.figures.limits import criterion, limit_figures
+from coopqp.report.figures.joints import joint_figures, joint_rows, limit_figures
 from coopqp.report.scene.playback import scene
 from coopqp.scenario.loader import load
 from coopqp.task import TaskStack
@@ -91,10 +91,10 @@ def test_criterion_is_zero_in_the_middle_and_a_quarter_for_each_joint_at_a_limit
     middle = np.tile(0.5 * (trace.lower + trace.upper), (3, 1))
     at = middle.copy()
     at[1], at[2, :4] = trace.upper, trace.lower[:4]
-    found = criterion(replace(trace, q=at))
+    found = limit_criterion(replace(trace, q=at))["quadratic"]
     np.testing.assert_allclose(found, [0.0, 0.25 * len(trace.joints), 1.0], atol=1e-15)
     free = replace(trace, q=at, upper=np.where(np.arange(10) < 4, np.inf, trace.upper))
-    np.testing.assert_allclose(criterion(free), [0.0, 1.5, 0.0], atol=1e-15)
+    np.testing.assert_allclose(limit_criterion(free)["quadratic"], [0.0, 1.5, 0.0], atol=1e-15)
 
 
 def test_the_task_that_centres_joints_descends_the_criterion(
@@ -103,7 +103,7 @@ def test_the_task_that_centres_joints_descends_the_criterion(
     trace, chain, h = comparison.traces["qp"], comparison.scenario.chain, 1e-4
     q = chain.sample(rng, 1)[0]
     steps = np.concatenate([q + h * np.eye(chain.n), q - h * np.eye(chain.n)])
-    phi = criterion(replace(trace, q=steps))
+    phi = limit_criterion(replace(trace, q=steps))["quadratic"]
     gradient = (phi[: chain.n] - phi[chain.n :]) / (2 * h)
     state = State(chain, q)
     tasks = TaskStack([JointCentering(gain=0.5)], state)
@@ -115,7 +115,7 @@ def test_the_figure_of_the_criterion_shows_it_for_every_law(comparison: Comparis
     (figure,) = (f for f in limit_figures(Chart(comparison)) if "criterion" in f.title)
     assert {line["legendgroup"] for line in figure.data} == set(comparison.traces)
     for line in figure.data:
-        expected = criterion(comparison.traces[line["legendgroup"]])
+        expected = limit_criterion(comparison.traces[line["legendgroup"]])["quadratic"]
         np.testing.assert_allclose(line["y"], expected, rtol=1e-6)
 
 

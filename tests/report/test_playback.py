@@ -13,8 +13,8 @@ from scenario_files import LOADABLE, cut, needs_robots
 
 import coopqp
 from coopqp.report.page import render
-from coopqp.report.scene.bodies import MOST_TRIANGLES, robot_bodies
-from coopqp.report.scene.playback import MOST_FRAMES, scene
+from coopqp.report.scene.bodies import MAX_TRIANGLES, robot_bodies
+from coopqp.report.scene.playback import MAX_FRAMES, scene
 from coopqp.robot import Robot, RobotModel
 from coopqp.robots import NaoT14
 from coopqp.scenario.loader import load
@@ -33,12 +33,12 @@ def test_every_scenario_can_be_drawn_within_the_budget(name: str) -> None:
     for arm in range(len(scenario.chain.arms)):
         assert any(body["arm"] == arm for body in drawn["bodies"])
     triangles = sum(len(body["triangles"]) for body in drawn["bodies"]) // 3
-    assert 100 < triangles <= MOST_TRIANGLES * (len(scenario.chain.arms) + 1)
+    assert 100 < triangles <= MAX_TRIANGLES * (len(scenario.chain.arms) + 1)
     moving = sum(body["moves"] for body in drawn["bodies"])
     for body in drawn["bodies"]:
         assert max(body["triangles"]) < len(body["vertices"]) // 3
     for run in drawn["controllers"]:
-        assert len(run["poses"]) == len(drawn["t"]) <= MOST_FRAMES
+        assert len(run["poses"]) == len(drawn["t"]) <= MAX_FRAMES
         assert all(len(poses) == 7 * moving for poses in run["poses"])
 
 

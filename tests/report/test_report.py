@@ -24,11 +24,10 @@ from coopqp.kernel import native
 from coopqp.report import curves, files
 from coopqp.report.cells import cells, facts
 from coopqp.report.figures.chart import Chart
-from coopqp.report.figures.groups import groups
+from coopqp.report.figures.groups import groups, tick_times
 from coopqp.report.figures.joints import joint_figures, joint_window
-from coopqp.report.figures.times import tick_times
 from coopqp.report.page import render
-from coopqp.report.scene.playback import MOST_FRAMES, scene
+from coopqp.report.scene.playback import MAX_FRAMES, scene
 from coopqp.report.style import styles
 from coopqp.report.table import summary
 
@@ -120,7 +119,7 @@ def test_thinning_keeps_peaks() -> None:
     t, y = np.linspace(0.0, 1.0, 30_001), np.zeros(30_001)
     y[17_321] = 5.0
     kept_t, kept_y = curves.thinned(t, y)
-    assert len(kept_y) <= curves.MOST_POINTS + 2
+    assert len(kept_y) <= curves.MAX_POINTS + 2
     assert kept_y.max() == 5.0
     assert kept_t[kept_y.argmax()] == t[17_321]
 
@@ -184,7 +183,7 @@ def test_playback_marks_joints_beyond_their_limits(comparison: Comparison) -> No
     assert goal["name"] == EVIL
     assert goal["at"] == len(drawn["t"]) * [list(OUT_OF_REACH)]
     assert (goal["first"], goal["last"]) == (0, len(drawn["t"]) - 1)
-    assert len(drawn["t"]) <= MOST_FRAMES
+    assert len(drawn["t"]) <= MAX_FRAMES
     worst = {
         run["name"]: max(np.max(arm["state"]) for arm in run["arms"])
         for run in drawn["controllers"]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from coopqp.report.scene import bodies as robot_bodies
-from coopqp.report.scene.triangles import Triangles, count_thinned, thinned
+from coopqp.report.scene.bodies import Triangles, count_thinned, thinned
 
 
 def ring(around: int = 200, across: int = 80) -> Triangles:

@@ -14,8 +14,7 @@ from ros_messages import JOINT_STATE, STORE, joint_state, pose
 import coopqp
 from coopqp import CoopqpError, OnlineLoop, Status, UnknownNameError
 from coopqp.recordings.messages import Remark
-from coopqp.ros.bridge import Bridge
-from coopqp.ros.settings import RosSettings, joints_of
+from coopqp.ros.bridge import Bridge, RosSettings, joints_of
 from coopqp.scenario.scenario import Scenario
 
 NEAR = [0.15, 0.0, 0.06]

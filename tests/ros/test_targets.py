@@ -8,7 +8,7 @@ from ros_messages import joint_state, pose, twist
 from scipy.spatial.transform import Rotation
 
 from coopqp.base.errors import InvalidValueError
-from coopqp.ros.targets import JOINT_STATE, POSE, TWIST, message_of, value_of
+from coopqp.ros.bridge import JOINT_STATE, POSE, TWIST, message_of, value_of
 from coopqp.signal import DIRECTION, POINT, ROTATION, matrix, of_joints, of_twist
 from coopqp.signal import POSE as POSE_KIND
 

@@ -12,14 +12,14 @@ from plate_study import HERE, STUDY, table_of, written
 
 from coopqp.assessment import assess
 from coopqp.base.errors import CoopqpError, ScenarioError
-from coopqp.cli.sweep import _Drawn
+from coopqp.cli.studies import _LivePage
 from coopqp.execution.controller_run import run
 from coopqp.scenario.loader import load
 from coopqp.study.engine import Engine, Share
 from coopqp.study.sweep import kept_study, read_study, scenario_of_row, sweep
 
 pq = pytest.importorskip("pyarrow.parquet")
-perhaps = _Drawn.perhaps
+perhaps = _LivePage.update
 
 
 def refused(folder: Path, *changes: tuple[str, str]) -> list[str]:
@@ -313,14 +313,14 @@ def test_the_command_runs_shows_and_tells(plate: Path) -> None:
 
 
 def test_the_page_is_drawn_while_it_runs(plate: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("coopqp.cli.sweep._Drawn.EVERY", 0.0)
+    monkeypatch.setattr("coopqp.cli.studies._LivePage.EVERY", 0.0)
     seen = []
 
     def drawn(self: object) -> None:
         perhaps(self)
         seen.append("still to come" in (plate / "out" / "report.html").read_text(encoding="utf-8"))
 
-    monkeypatch.setattr("coopqp.cli.sweep._Drawn.perhaps", drawn)
+    monkeypatch.setattr("coopqp.cli.studies._LivePage.update", drawn)
     result = typed("sweep", plate / "study.yaml", "--out", plate / "out", "--jobs", "1", "--watch")
     assert result.exit_code == 0
     assert seen[0]

@@ -6,22 +6,22 @@ import time
 
 import pytest
 
-from coopqp.viewer.beside import Beside, Line
+from coopqp.viewer.worker import Peer, Worker
 
 
-def slow(line: Line, pause: float) -> None:
+def slow(line: Peer, pause: float) -> None:
     """Send back what comes, slowly."""
-    for thing in line.things():
+    for thing in line.messages():
         time.sleep(pause)
         line.send(thing)
 
 
-def broken(line: Line) -> None:
+def broken(line: Peer) -> None:
     """End at once."""
 
 
 def test_a_slow_process_gets_the_newest_and_holds_nothing_up() -> None:
-    beside = Beside(slow, 0.05)
+    beside = Worker(slow, 0.05)
     list(beside.received(20.0))  # it is there
     longest, sent, back = 0.0, [], []
     end = time.perf_counter() + 0.5
@@ -42,7 +42,7 @@ def test_a_slow_process_gets_the_newest_and_holds_nothing_up() -> None:
 
 
 def test_an_end_is_seen() -> None:
-    beside = Beside(broken)
+    beside = Worker(broken)
     with pytest.raises(EOFError):
         list(beside.received(20.0))
     beside.end()

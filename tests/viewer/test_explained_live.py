@@ -14,10 +14,10 @@ from coopqp.execution.controller_run import run
 from coopqp.model.profile import Profile
 from coopqp.scenario.loader import load
 from coopqp.study.explanation import explain_standing
-from coopqp.viewer.beside import Line
 from coopqp.viewer.explainer import serve
-from coopqp.viewer.messages import Asked, Told
+from coopqp.viewer.messages import Action, Explanation
 from coopqp.viewer.player import Player
+from coopqp.viewer.worker import Peer
 
 
 class _Wire:
@@ -35,11 +35,11 @@ class _Wire:
         return self.things.pop(0)
 
 
-def told(player: Player) -> Told:
+def told(player: Player) -> Explanation:
     """What the explainer says of a player now."""
-    wire = _Wire(player.placed(), player.look())
-    serve(Line(wire), player.scenario)  # type: ignore[arg-type]
-    (found,) = (thing for thing in wire.sent if isinstance(thing, Told))
+    wire = _Wire(player.explained(), player.snapshot())
+    serve(Peer(wire), player.scenario)  # type: ignore[arg-type]
+    (found,) = (thing for thing in wire.sent if isinstance(thing, Explanation))
     return found
 
 
@@ -47,7 +47,7 @@ def dragged(to: tuple[float, float, float], ticks: int, law: str = "qp") -> Play
     """NAO's box after its goal has been dragged somewhere for so long."""
     player = Player(load("point_on_point"), (law,))
     player.playing = True
-    player.do(Asked("drag", 0, (*to, 0.0, 0.0, 0.0, 1.0)))
+    player.do(Action("drag", 0, (*to, 0.0, 0.0, 0.0, 1.0)))
     for _ in range(ticks):
         player.tick()
     return player
@@ -58,7 +58,7 @@ def test_the_limit_that_stops_it_is_named_with_what_it_would_have_to_give() -> N
     found = told(player)
     assert found.blocked
     short = float(re.search(r"reach stops ([\d.]+) mm short", found.sentence)[1])  # type: ignore[index]
-    off = np.linalg.norm(player.lanes[0].state.p_WO - (0.13, 0.05, 0.13))
+    off = np.linalg.norm(player.controllers[0].state.p_WO - (0.13, 0.05, 0.13))
     assert short == pytest.approx(1e3 * off, rel=5e-3)
     assert "LElbowRoll (lower" in found.sentence
     amounts = dict(re.findall(r"(\w+) \(\w+\) (?:would need )?([\d.]+) rad more", found.sentence))
@@ -79,18 +79,18 @@ def test_the_limit_that_stops_it_is_named_with_what_it_would_have_to_give() -> N
 
 def test_while_it_moves_it_is_told_how_near_it_gets() -> None:
     player = dragged((0.13, 0.05, 0.13), 30)
-    player.told = told(player)
-    assert player.told.sentence.startswith("reach gets no nearer than ")
-    near = float(re.search(r"([\d.]+) mm", player.told.sentence)[1])  # type: ignore[index]
+    player.explanation = told(player)
+    assert player.explanation.sentence.startswith("reach gets no nearer than ")
+    near = float(re.search(r"([\d.]+) mm", player.explanation.sentence)[1])  # type: ignore[index]
     assert player.frame().tone == "blocked"
     later = dragged((0.13, 0.05, 0.13), 900)
-    off = np.linalg.norm(later.lanes[0].state.p_WO - (0.13, 0.05, 0.13))
+    off = np.linalg.norm(later.controllers[0].state.p_WO - (0.13, 0.05, 0.13))
     assert near == pytest.approx(1e3 * off, rel=0.02)
 
 
 def test_out_of_reach_is_said_with_direction() -> None:
     player = dragged((0.5, 0.1, 0.1), 20)
-    player.told = told(player)
+    player.explanation = told(player)
     assert "out of reach by 301 mm along +x" in player.frame().sentence
 
 
@@ -105,9 +105,9 @@ def test_a_scenario_with_hinges_can_be_sent_to_the_explainer() -> None:
     """Models with them cannot be pickled; what is sent is built anew there."""
     player = Player(load("passive_grasp_pose"), ("qp",))
     sent = pickle.loads(pickle.dumps(replace(player.scenario)))
-    wire = _Wire(player.placed(), player.look())
-    serve(Line(wire), sent)  # type: ignore[arg-type]
-    assert not next(thing for thing in wire.sent if isinstance(thing, Told)).blocked
+    wire = _Wire(player.explained(), player.snapshot())
+    serve(Peer(wire), sent)  # type: ignore[arg-type]
+    assert not next(thing for thing in wire.sent if isinstance(thing, Explanation)).blocked
 
 
 def test_at_the_goal_nothing_is_blocked() -> None:

@@ -16,7 +16,7 @@ import pytest
 
 from coopqp.base.spec import Array
 from coopqp.scenario.loader import load
-from coopqp.viewer.messages import Show
+from coopqp.viewer.messages import PageSetup
 from coopqp.viewer.play import play
 from coopqp.viewer.player import Player
 from coopqp.viewer.scene import FOV, GIZMO, view
@@ -69,7 +69,7 @@ def browser() -> Iterator[Any]:
         chromium.close()
 
 
-def pixel(show: Show, place: Array) -> tuple[float, float]:
+def pixel(show: PageSetup, place: Array) -> tuple[float, float]:
     """Where a place is seen, by the pinhole that the page says its camera is."""
     middle, eye = view(show)
     ahead = (middle - eye) / np.linalg.norm(middle - eye)
@@ -87,7 +87,7 @@ def settled(page: Any, player: Player) -> str:
     said = ""
     while time.monotonic() < end:
         said = page.inner_text("[data-tone]")
-        lane = player.lanes[0]
+        lane = player.controllers[0]
         off = 1e3 * float(np.linalg.norm(lane.targets()["reach"] - lane.state.p_WO))
         found = re.search(r"stops ([\d.]+) mm short", said)
         if found and float(found[1]) == pytest.approx(off, abs=0.5):
@@ -106,7 +106,7 @@ def test_a_gizmo_is_dragged_out_of_reach_and_the_limit_is_named() -> None:
         page.on("request", lambda request: asked.append(request.url))
         page.goto(url)
         page.wait_for_selector('[data-tone="reached"]', timeout=PATIENCE)
-        before = player.lanes[0].state.p_WO.copy()
+        before = player.controllers[0].state.p_WO.copy()
         np.testing.assert_allclose(before, goal, atol=1e-3)
         tip = goal + UP * 0.85 * GIZMO * max(show.size)  # on the head of the arrow up
         page.mouse.move(*pixel(show, tip))
@@ -120,10 +120,10 @@ def test_a_gizmo_is_dragged_out_of_reach_and_the_limit_is_named() -> None:
         said = settled(page, player)
     assert "LElbowRoll (lower" in said
     assert "rad more" in said
-    sent = player.lanes[0].targets()["reach"]
+    sent = player.controllers[0].targets()["reach"]
     np.testing.assert_allclose(sent[:2], goal[:2], atol=1e-4)  # straight up, as the arrow goes
     assert sent[2] == pytest.approx(0.13, abs=0.02)
-    moved = player.lanes[0].state.p_WO - before
+    moved = player.controllers[0].state.p_WO - before
     assert moved[2] > 0.07  # it has followed, as far as it can
     outside = [u for u in asked if not u.startswith((url, "data:", "blob:", f"ws{url[4:]}"))]
     assert outside == []

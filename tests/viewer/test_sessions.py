@@ -15,8 +15,8 @@ from coopqp.base.spec import Array
 from coopqp.execution.controller_run import run
 from coopqp.model.state import State
 from coopqp.scenario.loader import load
-from coopqp.viewer.messages import Asked, Told
-from coopqp.viewer.panel import _head, _verdict
+from coopqp.viewer.messages import Action, Explanation
+from coopqp.viewer.page import _head, _verdict
 from coopqp.viewer.play import _Clock
 from coopqp.viewer.player import Player
 
@@ -57,7 +57,7 @@ def played(player: Player, ticks: int) -> list[list[Array]]:
     found = []
     for _ in range(ticks):
         player.tick()
-        found.append([lane.state.q.copy() for lane in player.lanes])
+        found.append([lane.state.q.copy() for lane in player.controllers])
     return found
 
 
@@ -66,12 +66,12 @@ def pulled(player: Player, *by: float) -> None:
     for i, pose in enumerate(player.frame().gizmos):
         if pose is not None:
             turn = np.array([0.02, 0.0, 0.0, 1.0]) if player.show().gizmos[i].turns else pose[3:]
-            player.do(Asked("drag", i, (*(pose[:3] + by).tolist(), *turn.tolist())))
+            player.do(Action("drag", i, (*(pose[:3] + by).tolist(), *turn.tolist())))
 
 
 def session(player: Player) -> list[list[Array]]:
     """Some seconds of dragging, jumps among them."""
-    joints = [[lane.state.q.copy() for lane in player.lanes]]
+    joints = [[lane.state.q.copy() for lane in player.controllers]]
     for _ in range(8):
         pulled(player, 0.004, -0.003, 0.002)
         joints += played(player, 7)
@@ -109,11 +109,11 @@ def test_the_object_follows_what_is_dragged_within_the_pace() -> None:
     player = playing("point_on_point", "qp")
     played(player, 250)
     pulled(player, 0.02, -0.02, 0.0)
-    before = player.lanes[0].state.p_WO.copy()
+    before = player.controllers[0].state.p_WO.copy()
     places = []
     for _ in range(250):
         player.tick()
-        places.append(player.lanes[0].state.p_WO.copy())
+        places.append(player.controllers[0].state.p_WO.copy())
     np.testing.assert_allclose(places[-1] - before, (0.02, -0.02, 0.0), atol=1e-5)
     assert player.frame().tone == "reached"
     # The limiter's default pace, which is shared by three axes; the arms lag behind by little.
@@ -122,10 +122,10 @@ def test_the_object_follows_what_is_dragged_within_the_pace() -> None:
 
 def test_pulling_the_object_moves_the_goal_of_the_first_task(tmp_path: Path) -> None:
     player = playing(written(tmp_path, PLANE), "qp")
-    goal = player.lanes[0].state.p_WO - np.array([0.0, 0.0, 0.02])
-    player.do(Asked("carry", 0, tuple(goal.tolist())))
+    goal = player.controllers[0].state.p_WO - np.array([0.0, 0.0, 0.02])
+    player.do(Action("carry", 0, tuple(goal.tolist())))
     played(player, 200)
-    assert player.lanes[0].state.p_WO[2] == pytest.approx(goal[2], abs=1e-5)
+    assert player.controllers[0].state.p_WO[2] == pytest.approx(goal[2], abs=1e-5)
 
 
 def test_who_feeds_is_heard_until_somebody_drags(tmp_path: Path) -> None:
@@ -137,7 +137,7 @@ def test_who_feeds_is_heard_until_somebody_drags(tmp_path: Path) -> None:
     goal = player.frame().gizmos[0]
     assert goal is not None
     later = played(player, 150)
-    np.testing.assert_allclose(player.lanes[0].state.p_WO, goal[:3], atol=1e-4)
+    np.testing.assert_allclose(player.controllers[0].state.p_WO, goal[:3], atol=1e-4)
     path = player.save()
     assert path
     trace = run(load(path), controller="qp")
@@ -164,10 +164,10 @@ def test_an_input_without_a_place_has_a_slider_for_each_number(tmp_path: Path) -
     assert frame.tone == "waiting"
     assert "Nothing arrives at stick; move its sliders" in frame.sentence
     assert "move the sliders below Inputs" in _head(player.show())
-    before = player.lanes[0].state.p_WO.copy()
-    player.do(Asked("knob", "stick/2", (-0.02,)))
+    before = player.controllers[0].state.p_WO.copy()
+    player.do(Action("knob", "stick/2", (-0.02,)))
     played(player, 100)
-    moved = player.lanes[0].state.p_WO - before
+    moved = player.controllers[0].state.p_WO - before
     assert moved[2] == pytest.approx(-0.02, abs=0.004)
     assert np.abs(moved[:2]).max() < 1e-4
 
@@ -175,18 +175,18 @@ def test_an_input_without_a_place_has_a_slider_for_each_number(tmp_path: Path) -
 def test_a_dial_rebuilds_the_law_from_where_it_is(tmp_path: Path) -> None:
     player = playing("point_on_point", "qp", folder=tmp_path)
     played(player, 60)
-    before, v = player.lanes[0].state.q.copy(), player.lanes[0].state.v.copy()
-    player.do(Asked("dial", "tasks.0.0.gain", (2.0,)))
+    before, v = player.controllers[0].state.q.copy(), player.controllers[0].state.v.copy()
+    player.do(Action("dial", "tasks.0.0.gain", (2.0,)))
     player.tick()
-    assert player.lanes[0].run.problem.tasks[0].gain == 2.0
-    step = player.lanes[0].state.q - before
+    assert player.controllers[0].run.problem.tasks[0].gain == 2.0
+    step = player.controllers[0].state.q - before
     assert 0.0 < np.abs(step).max() < 0.02
     assert np.abs(step / 0.01 - v).max() < 0.2  # [rad/s], no jump
     assert "dial" in player.frame().note
     ended = player.recording.seconds
     played(player, 10)
     assert player.recording.seconds == ended
-    player.do(Asked("reset"))
+    player.do(Action("reset"))
     joints = played(player, 220)
     path = player.save()
     assert path
@@ -200,24 +200,24 @@ def test_what_makes_no_sense_is_left_alone() -> None:
     player = playing("point_on_point", "qp")
     before = player.frame()
     for asked in (
-        Asked("drag", 0, (np.nan,) * 7),
-        Asked("drag", 7, (0.0,) * 6 + (1.0,)),
-        Asked("drag", 0, (0.1, 0.2)),
-        Asked("drag", 0, (0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 0.0)),
-        Asked("carry", 0, (np.inf, 0.0, 0.0)),
-        Asked("carry", 0, (1.0,)),
-        Asked("dial", "tasks.9.9.gain", (1.0,)),
-        Asked("dial", "tasks.0.0.gain", (-5.0, 1.0)),
-        Asked("knob", "nothing/7", (1.0,)),
-        Asked("speed", 0, ()),
-        Asked("save"),
-        Asked("dance"),
+        Action("drag", 0, (np.nan,) * 7),
+        Action("drag", 7, (0.0,) * 6 + (1.0,)),
+        Action("drag", 0, (0.1, 0.2)),
+        Action("drag", 0, (0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 0.0)),
+        Action("carry", 0, (np.inf, 0.0, 0.0)),
+        Action("carry", 0, (1.0,)),
+        Action("dial", "tasks.9.9.gain", (1.0,)),
+        Action("dial", "tasks.0.0.gain", (-5.0, 1.0)),
+        Action("knob", "nothing/7", (1.0,)),
+        Action("speed", 0, ()),
+        Action("save"),
+        Action("dance"),
     ):
         player.do(asked)
     after = player.frame()
     np.testing.assert_array_equal(before.gizmos[0], after.gizmos[0])
-    assert player.lanes[0].run.problem.tasks[0].gain == 0.1  # as low as its dial goes
-    assert after.speed == 1.0
+    assert player.controllers[0].run.problem.tasks[0].gain == 0.1  # as low as its dial goes
+    assert player.speed == 1.0
 
 
 def test_a_session_that_has_written_nothing_says_why(tmp_path: Path) -> None:
@@ -232,11 +232,11 @@ def test_links_are_drawn_where_the_joints_are() -> None:
     player = playing("point_on_point", "qp")
     played(player, 30)
     frame, show = player.frame(), player.show()
-    state = State(player.lanes[0].run.problem.chain, player.lanes[0].state.q)
+    state = State(player.controllers[0].run.problem.chain, player.controllers[0].state.q)
     model = state.chain.model
     for body, pose in zip(show.bodies, frame.laws[0].bodies, strict=True):
         if body.joint is not None:
-            X = state.joint_pose(model.getJointId(show.joints[body.joint]))
+            X = state.joint_pose(model.getJointId(state.chain.joint_names[body.joint]))
             np.testing.assert_allclose(pose[:3], X.translation, atol=1e-12)
     np.testing.assert_allclose(frame.laws[0].held[:3], state.p_WO, atol=1e-12)
     chain = state.chain
@@ -263,7 +263,7 @@ def test_where_nothing_was_played_nothing_is_written(tmp_path: Path) -> None:
     path = player.save()
     assert path
     before = path.read_text()
-    player.do(Asked("reset"))
+    player.do(Action("reset"))
     assert player.save() is None
     assert path.read_text() == before, "what was saved is not lost for a reset"
 
@@ -281,19 +281,21 @@ def test_without_the_explainer_nothing_is_said_in_its_place() -> None:
     player = playing("point_on_point", "qp")
     player.playing = True
     played(player, 50)
-    player.told = Told(True, "LElbowRoll (lower) stops it", ("LElbowRoll (lower)",), "")
+    player.explanation = Explanation(
+        True, "LElbowRoll (lower) stops it", ("LElbowRoll (lower)",), ""
+    )
     gone: Any = Gone()
     clock = _Clock(player, gone, gone)
-    clock._think(0.0)
+    clock._explain(0.0)
     for _ in range(2):
         frame = player.frame()
         assert frame.tone == "waiting"
         assert "explanations have ended" in frame.sentence
         assert not frame.active
         assert "Limits at their bound: unknown" in _verdict(frame)
-        player.do(Asked("reset"))
+        player.do(Action("reset"))
     with pytest.raises(CoopqpError, match="ended from outside by SIGKILL"):
-        clock._hear()
+        clock._receive()
 
 
 def test_a_crawling_object_is_dragged_at_the_limiters_slowest(tmp_path: Path) -> None:
@@ -318,7 +320,7 @@ tasks:
 
 def test_sliders_of_joints_go_as_far_as_joints_do(tmp_path: Path) -> None:
     player = playing(written(tmp_path, LEADER.replace("{LOWER}", "{}")), "qp")
-    chain = player.lanes[0].run.problem.chain
+    chain = player.controllers[0].run.problem.chain
     seen = {knob.label: (knob.low, knob.high) for knob in player.show().knobs}
     limits = zip(chain.lower.tolist(), chain.upper.tolist(), strict=True)
     assert seen == dict(zip(chain.joint_names, limits, strict=True))

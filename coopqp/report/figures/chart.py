@@ -1,4 +1,4 @@
-"""What all figures of a comparison share: who is drawn, in which order, over which time."""
+"""What all figures of a comparison share: which controllers, in which order, over which time."""
 
 from __future__ import annotations
 
@@ -17,13 +17,14 @@ from coopqp.report.style import styles
 from coopqp.trace import Trace
 
 ALWAYS = slice(None)  # rows of a trace
+Lines = dict[str, Array]  # values over time by controller
 
 
 class Chart:
     """Lines of all controllers of a comparison over the whole run.
 
     Attributes:
-        names: of the controllers in the order in which they are drawn.
+        names: of the controllers in drawing order.
         any: the trace with most joints; grasps may differ between controllers.
         end: of the run [s].
     """
@@ -43,34 +44,23 @@ class Chart:
         return self.comparison.scenario.held_by(self.any.controller).chain
 
     def problems(self, name: str) -> list[ControlProblem]:
-        """What a controller had to do in each phase, from where it then was."""
+        """A controller's problem in each phase, from where it then was."""
         if name not in self._problems:
             decided = self.traces[name].commanded
             scenario = self.comparison.scenario.held_by(name)
             self._problems[name] = list(scenario.problems(lambda first: decided[first]))
         return self._problems[name]
 
-    def curves(
-        self, lines: dict[str, Array], *, steps: bool = False, rows: slice = ALWAYS
-    ) -> list[Json]:
-        """The controllers' lines; ``rows`` are those of the trace that they have."""
-        t = self.any.t[rows]
-        return [
-            curves.curve(name, self.styles[name], t[: len(y)], y, steps=steps)
-            for name, y in lines.items()
-        ]
-
-    def instants(self, trace: Trace, most: int) -> list[NDArray[np.int64]]:
-        """Rows of each phase of a trace, evenly spread, first and last among them."""
+    def instants(self, trace: Trace, count: int) -> list[NDArray[np.int64]]:
+        """At most ``count`` rows of each phase, evenly spread, first and last among them."""
         firsts = self.comparison.scenario.first_ticks
-        ends = [*firsts[1:], trace.ticks]
         return [
-            np.unique(np.linspace(a, b, min(b - a + 1, most)).round().astype(np.int64))
-            for a, b in zip(firsts, ends, strict=True)
+            np.unique(np.linspace(a, b, min(b - a + 1, count)).round().astype(np.int64))
+            for a, b in zip(firsts, [*firsts[1:], trace.ticks], strict=True)
         ]
 
-    def lines(self, of: Callable[[Trace], Array | None]) -> dict[str, Array]:
-        """Something of every trace that has it."""
+    def lines(self, of: Callable[[Trace], Array | None]) -> Lines:
+        """A quantity of every trace that has it."""
         return {k: y for k in self.names if (y := of(self.traces[k])) is not None}
 
     def layout(self, axis: Json, *levels: Json) -> Json:
@@ -83,7 +73,7 @@ class Chart:
         self,
         title: str,
         unit: str,
-        lines: dict[str, Array],
+        lines: Lines,
         shown: Window,
         *levels: Json,
         allowed: tuple[float, float] = (-np.inf, np.inf),
@@ -93,22 +83,22 @@ class Chart:
         extra: Iterable[Json] = (),
         notes: tuple[str, ...] = (),
     ) -> Figure:
-        """Lines over time; what is shown beyond the two heights that are allowed is hatched."""
-        axis = curves.logarithmic(shown) if log else curves.linear(shown)
+        """Lines at some rows of the trace; hatched beyond the two heights that are allowed."""
+        t = self.any.t[rows]
         hatched = [(shown.bottom, allowed[0]), (allowed[1], shown.top)]
+        data = [curves.forbidden((0.0, self.end), a, b) for a, b in hatched if a < b]
+        for name, y in lines.items():
+            data.append(curves.curve(name, self.styles[name], t[: len(y)], y, steps=steps))
+        axis = curves.logarithmic(shown) if log else curves.linear(shown)
         return Figure(
             title=title,
             unit=f"{unit}, log scale" if log else unit,
-            data=[
-                *(curves.forbidden((0.0, self.end), a, b) for a, b in hatched if a < b),
-                *self.curves(lines, steps=steps, rows=rows),
-                *extra,
-            ],
+            data=[*data, *extra],
             layout=self.layout(axis, *levels),
             notes=notes,
         )
 
-    def plain(self, title: str, unit: str, lines: dict[str, Array]) -> Figure:
+    def plain(self, title: str, unit: str, lines: Lines) -> Figure:
         """Lines over time on a linear scale that has a zero."""
         low = min(0.0, *(float(y.min(initial=0.0)) for y in lines.values()))
         high = max(1e-3, *(float(y.max(initial=0.0)) for y in lines.values()))

@@ -27,26 +27,24 @@ from coopqp.report.curves import Figure, Window
 from coopqp.report.figures.chart import Chart
 from coopqp.task import LENGTHS, TaskStack
 
-MOST_INSTANTS = 300  # that are looked at, of each controller and phase
+MAX_INSTANTS = 300  # of each controller and phase
 WORST = 1e6  # larger conditions are drawn here
 LESS = "The tasks ask for more than the loops leave free; what they leave is drawn."
 
-Legs = list[tuple[Array, Array]]  # instants and singular values of each phase
+Phases = list[tuple[Array, Array]]  # instants and singular values of each phase
 
 
 def freedom_figures(chart: Chart) -> list[Figure]:
     """Condition and manipulability; none where no joints can move the object for a task."""
-    legs = {name: _legs(chart, name) for name in chart.names}
-    ratio, product = (_lines(legs, of) for of in (condition, manipulability))
+    runs = {name: _phases(chart, name) for name in chart.names}
+    ratio, product = (_lines(runs, of) for of in (condition, manipulability))
     if not ratio:
         return []
-    less = any(
-        left(sigma).shape[1] < sigma.shape[1] for parts in legs.values() for _, sigma in parts
-    )
-    notes = (LESS,) if less else ()
+    every = [sigma for phases in runs.values() for _, sigma in phases]
+    notes = (LESS,) if any(left(s).shape[1] < s.shape[1] for s in every) else ()
     worst, best = (max(float(np.nanmax(y)) for _, y in of.values()) for of in (ratio, product))
-    least = min(float(np.nanmin(y)) for _, y in ratio.values())
-    log = curves.logarithmic(Window(min(1.0, least), max(10.0, 2.0 * worst)))
+    lowest = min(float(np.nanmin(y)) for _, y in ratio.values())
+    log = curves.logarithmic(Window(min(1.0, lowest), max(10.0, 2.0 * worst)))
     powers = {"exponentformat": "power", "automargin": True, "nticks": 4}
     linear = curves.linear(Window(0.0, 1.1 * best or 1.0)) | powers
     return [
@@ -78,22 +76,21 @@ def singular_values(problem: ControlProblem, t: Array, q: Array) -> Array:
     for k in np.flatnonzero(np.isfinite(q).all(axis=1)).tolist() if len(lengths) else ():
         state.t, state.q[:] = float(t[k]), q[k]
         state.update()
-        asked = False
+        updated = False
         with suppressed():  # the tick, which met the same error, names it
             tasks.update(state)
-            asked = True
-        if not asked:
-            continue
-        M = lengths[:, None] * tasks.J @ null_space(chain.loop_jacobian(q[k]))
-        found = np.linalg.svd(M, compute_uv=False)
-        sigma[k] = np.pad(found, (0, len(lengths) - len(found)))
+            updated = True
+        if updated:
+            M = lengths[:, None] * tasks.J @ null_space(chain.loop_jacobian(q[k]))
+            values = np.linalg.svd(M, compute_uv=False)
+            sigma[k] = np.pad(values, (0, len(lengths) - len(values)))
     return sigma
 
 
 def left(sigma: Array) -> Array:
     """The singular values but those that are zero all along, shape (i, .)."""
-    most = np.nanmax(sigma, axis=0, initial=0.0)
-    kept: Array = sigma[:, most > RANK_TOLERANCE * max(float(most.max(initial=0.0)), 1e-300)]
+    largest = np.nanmax(sigma, axis=0, initial=0.0)
+    kept: Array = sigma[:, largest > RANK_TOLERANCE * max(float(largest.max(initial=0.0)), 1e-300)]
     return kept
 
 
@@ -110,22 +107,20 @@ def manipulability(sigma: Array) -> Array:
     return product
 
 
-def _legs(chart: Chart, name: str) -> Legs:
-    """Along a run, phase by phase."""
+def _phases(chart: Chart, name: str) -> Phases:
     trace = chart.traces[name]
-    instants = chart.instants(trace, MOST_INSTANTS)
+    instants = chart.instants(trace, MAX_INSTANTS)
     return [
         (t := trace.t[rows], singular_values(problem, t - t[0], trace.q[rows]))
         for problem, rows in zip(chart.problems(name), instants, strict=True)
     ]
 
 
-def _lines(legs: dict[str, Legs], of: Callable[[Array], Array]) -> dict[str, tuple[Array, Array]]:
+def _lines(runs: dict[str, Phases], of: Callable[[Array], Array]) -> dict[str, tuple[Array, Array]]:
     """Time and value of each controller whose joints can move the object for some task."""
     lines = {}
-    for name, parts in legs.items():
-        known = [(t, of(sigma)) for t, sigma in parts if left(sigma).size]
-        if known:
+    for name, phases in runs.items():
+        if known := [(t, of(sigma)) for t, sigma in phases if left(sigma).size]:
             t, y = (np.concatenate(part) for part in zip(*known, strict=True))
             lines[name] = t, y
     return lines

@@ -1,27 +1,39 @@
-"""The figures of the page in groups, the most asked for first, with the words that they need."""
+"""The figures of the page in groups, most relevant first, with explanations.
+
+With the figures of task errors, of open loops, and of the time of a tick: quartiles as a box, 1 and
+99 percent as whiskers, the slowest a cross, in a figure for each language.
+"""
 
 from __future__ import annotations
 
+import html
+import math
 from dataclasses import dataclass, field
 
+import numpy as np
+
+from coopqp.assessment.thresholds import LOOP_CLOSED, LOOP_CLOSED_ANGLE
+from coopqp.base.spec import Array
 from coopqp.closed_loop.screw import LENGTH
 from coopqp.execution.comparison import Comparison
-from coopqp.report import audit
-from coopqp.report.curves import Figure
-from coopqp.report.figures.chart import Chart
-from coopqp.report.figures.errors import loop_errors, task_errors
+from coopqp.report import audit, curves
+from coopqp.report.cells import LANGUAGES, length, tick_times_in
+from coopqp.report.curves import Figure, Json
+from coopqp.report.figures.chart import ALWAYS, Chart, Lines
 from coopqp.report.figures.forces import (
-    forces,
     hands,
+    internal_forces,
     load_shares,
     squeeze_of_fastened,
     torques,
 )
 from coopqp.report.figures.freedom import freedom_figures
-from coopqp.report.figures.joints import PAPER_ROBOT, joint_figures
-from coopqp.report.figures.limits import limit_figures
+from coopqp.report.figures.joints import PAPER_ROBOT, joint_figures, limit_figures
 from coopqp.report.figures.object import object_figures
-from coopqp.report.figures.times import tick_times
+
+FLOOR = 1e-12  # smallest value on log scales [m, rad]; less is drawn here
+MAX_FIRST = 3  # tasks that are shown first
+MAX_TICKS = 5  # as many as fit side by side on a narrow page
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,18 +58,10 @@ def groups(comparison: Comparison) -> list[Group]:
     """Those that have figures, in the order of the page."""
     chart = Chart(comparison)
     decisive, joints = _joints(chart)
-    found = [
-        decisive,
-        _object(chart),
-        _errors(chart),
-        _limits(chart),
-        joints,
-        _freedom(chart),
-        _hands(chart),
-        _torques(chart),
-        _rest(chart),
-    ]
-    return [group for group in found if group.figures or group.folded]
+    parts = (_object, _errors, _limits), (_freedom, _hands, _torques, _rest)
+    first, last = ([group(chart) for group in part] for part in parts)
+    every = (decisive, *first, joints, *last)
+    return [group for group in every if group.figures or group.folded]
 
 
 def _object(chart: Chart) -> Group:
@@ -163,7 +167,7 @@ def _hands(chart: Chart) -> Group:
 
 
 def _torques(chart: Chart) -> Group:
-    shares = [] if hands(chart) else load_shares(chart)
+    shares, internal = [] if hands(chart) else load_shares(chart), internal_forces(chart)
     return Group(
         title="Torques and forces",
         hint="Hatched: beyond what the motor can do.",
@@ -172,9 +176,9 @@ def _torques(chart: Chart) -> Group:
             "the object and does not move it.",
             "Squeeze": "its part along the line between two hands: above zero they press.",
         }
-        if forces(chart)
+        if internal
         else {},
-        figures=[*squeeze_of_fastened(chart), *forces(chart)],
+        figures=[*squeeze_of_fastened(chart), *internal],
         folded=[*torques(chart), *shares],
         more="Torque of each motor" + (", share of the load by arm" if shares else ""),
     )
@@ -186,10 +190,118 @@ def _rest(chart: Chart) -> Group:
         title="Loops, active limits and computing time",
         hint="",
         words={
-            "Loop error": "how far apart two arms carry the object; the drift correction κ "
-            "pulls it back.",
+            "Loop error": "how far apart two arms carry the object; Baumgarte stabilisation with "
+            "the gain κ pulls it back.",
             "Active": "a limit that the QP is at, which then decides with it what is done.",
         },
         folded=[*loop_errors(chart), *([active] if active else []), *tick_times(chart)],
         more="Loop errors, active limits, time of a tick",
     )
+
+
+def task_errors(chart: Chart) -> tuple[list[Figure], list[Figure]]:
+    """Of the tasks that miss their goal most, and of the others, each in their order.
+
+    Each to its goal, and beside it to its reference where that is on its way.
+    """
+    count = len(chart.any.tasks)
+    order = sorted(range(count), key=lambda i: -max(1.0, _end_error(chart, i)))
+    shown, rest = sorted(order[:MAX_FIRST]), sorted(order[MAX_FIRST:])
+    first, others = ([f for i in part for f in _of_task(chart, i)] for part in (shown, rest))
+    return first, others
+
+
+def _end_error(chart: Chart, i: int) -> float:
+    """A task's largest error at the end, over its tolerance; NaN is the worst."""
+    task = chart.any.tasks[i]
+    ends = [trace.goal_error[task.rows, i][-1] for trace in chart.traces.values()]
+    return float(np.nan_to_num(np.max(ends), nan=np.inf)) / task.tolerance
+
+
+def _of_task(chart: Chart, i: int) -> list[Figure]:
+    task = chart.any.tasks[i]
+    scale, unit = length(1.0, task.unit)
+    goal = chart.lines(lambda trace: scale * trace.goal_error[task.rows, i])
+    reference = chart.lines(lambda trace: scale * trace.task_error[task.rows, i])
+    parts = [(f"'{task.name}': error to the goal", goal)]
+    pairs = ((t.goal_error[:, i], t.task_error[:, i]) for t in chart.traces.values())
+    if not all(np.array_equal(a, b, equal_nan=True) for a, b in pairs):
+        parts.append((f"'{task.name}': error to the moving reference", reference))
+    arrives = [curves.upright(task.end, "reference arrives")] if 0 < task.end < chart.end else []
+    good = scale * task.tolerance
+    return [
+        _log(chart, title, unit, lines, scale, good, "reached", *arrives, rows=task.rows)
+        for title, lines in parts
+    ]
+
+
+def loop_errors(chart: Chart) -> list[Figure]:
+    """How far apart the arms carry the object."""
+    position = chart.lines(lambda trace: 1e3 * trace.loop_position)
+    turn = chart.lines(lambda trace: 1e3 * trace.loop_orientation)
+    title = f"Loop error, {{}}, κ = {chart.any.kappa:g} 1/s"
+    good, good_angle = 1e3 * LOOP_CLOSED, 1e3 * LOOP_CLOSED_ANGLE
+    return [
+        _log(chart, title.format("position"), "mm", position, 1e3, good, "closed"),
+        _log(chart, title.format("orientation"), "mrad", turn, 1e3, good_angle, "closed"),
+    ]
+
+
+def _log(
+    chart: Chart,
+    title: str,
+    unit: str,
+    lines: Lines,
+    scale: float,
+    good: float,
+    word: str,
+    *levels: Json,
+    rows: slice = ALWAYS,
+) -> Figure:
+    """On a log scale, with the bound below which errors are good."""
+    floor = scale * FLOOR
+    lines = {name: np.maximum(y, floor) for name, y in lines.items()}
+    shown = curves.log_window(list(lines.values()), floor, good)
+    bound = curves.level(good, f"counts as {word}: {good:.3g}", log=True)
+    return chart.figure(title, unit, lines, shown, bound, *levels, log=True, rows=rows)
+
+
+def tick_times(chart: Chart) -> list[Figure]:
+    """One for each language in which ticks were timed, with a box a controller."""
+    timed = {name: tick_times_in(chart.traces[name]) for name in chart.names}
+    by_language = (
+        (language, {name: of[language] for name, of in timed.items() if language in of})
+        for language in LANGUAGES
+    )
+    return [_times(chart, language, times) for language, times in by_language if times]
+
+
+def _times(chart: Chart, language: str, times: Lines) -> Figure:
+    layout = curves.layout(chart.end, {"type": "category", "automargin": True})
+    every = np.concatenate(list(times.values()))
+    low, high = float(every.min() / 1.3), float(every.max() * 1.3)
+    for steps in ((1, 2, 5), (1, 5), (1,)):  # of a log scale, fewer where those are too many
+        ticks = [m * 10.0**e for e in range(-1, 8) for m in steps if low <= m * 10.0**e <= high]
+        if len(ticks) <= MAX_TICKS:
+            break
+    layout["xaxis"] |= {"type": "log", "range": [math.log10(low), math.log10(high)]}
+    layout["xaxis"] |= {"tickvals": ticks, "ticktext": [f"{v:g}" for v in ticks], "tickangle": 0}
+    layout["xaxis"] |= {"title": {"text": "time [µs]", "standoff": 4}}
+    layout["height"] = max(curves.HEIGHT, 70 + 36 * len(times))
+    return Figure(
+        title=f"Time of a tick in {language}",
+        unit="µs, log scale; box: half of all ticks, whiskers: 98 percent, cross: the slowest",
+        data=[part for name in reversed(times) for part in _box(chart, name, times[name])],
+        layout=layout,
+        over_time=False,
+    )
+
+
+def _box(chart: Chart, name: str, us: Array) -> list[Json]:
+    style, y = chart.styles[name], [html.escape(name)]
+    p1, q1, median, q3, p99 = np.percentile(us, [1, 25, 50, 75, 99]).tolist()
+    box: Json = {"type": "box", "orientation": "h", "legendgroup": name, "y": y, "lowerfence": [p1]}
+    box |= {"q1": [q1], "median": [median], "q3": [q3], "upperfence": [p99]}
+    box |= {"line": {"color": style.color, "width": 1.6}, "hoverinfo": "x"}
+    slowest = curves.markers(name, style, [(float(us.max()), 0.0)], "x")
+    return [box, slowest | {"y": y}]

@@ -1,30 +1,37 @@
-"""Each joint over time between its limits, as in the paper's figures 4-8."""
+"""Each joint over time between its limits, as in the paper's figures 4-8; limits."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import chain as joined
 
 import numpy as np
 
+from coopqp.assessment.assessment import accelerations
+from coopqp.assessment.limits import beyond
 from coopqp.assessment.thresholds import OUTSIDE
 from coopqp.base.spec import Array
+from coopqp.metrics.limit_criterion import limit_criterion
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.report import curves
 from coopqp.report.curves import Figure, Json, Window
-from coopqp.report.figures.chart import Chart
+from coopqp.report.figures.chart import Chart, Lines
 from coopqp.trace import Trace
 
-FREE_REACH = 2.0 * np.pi  # how far lines of a joint without limits may spread [rad or m]
+FREE_REACH = 2.0 * np.pi  # shown range of a joint without limits, at most [rad or m]
 NEAR = 0.02  # of the range: a joint this near to a limit is shown first
-MOST_FIRST = 3  # rows of joints that are shown first
+MAX_FIRST = 3  # rows of joints that are shown first
 PAPER_ROBOT = "nao_t14"
 PAPER_FIGURES = {f"q{k} of the right arm": f"Fig. {3 + k} of the paper" for k in range(1, 6)}
+LOG_SHARE = 3.0  # times the limit, beyond which shares need a log scale
+MIN_SHARE = 1e-3  # on a log scale
+MAX_CRITERION = 3.0  # times the lowest line's maximum, beyond which lines are cut off
 
 
 @dataclass(frozen=True)
 class JointRow:
-    """Joints side by side: one that arms share, or the same one of two; what is said of each."""
+    """Joints side by side: one that arms share, or the same one of two; a caption for each."""
 
     joints: tuple[int, ...]
     about: tuple[str, ...]
@@ -37,16 +44,16 @@ def joint_figures(chart: Chart) -> tuple[list[Figure], list[Figure], list[Figure
     list is empty and the second has the nearest.
     """
     rows = joint_rows(chart.chain)
-    rooms = [[_least_room(chart, i) for i in row.joints] for row in rows]
-    room = [min(own) for own in rooms]
-    nearest = np.argsort(room, kind="stable")[:MOST_FIRST].tolist()
-    near = [n for n in nearest if room[n] < NEAR]
+    margins = [[_min_margin(chart, i) for i in row.joints] for row in rows]
+    margin_of_row = [min(own) for own in margins]
+    nearest = np.argsort(margin_of_row, kind="stable")[:MAX_FIRST].tolist()
+    near = [n for n in nearest if margin_of_row[n] < NEAR]
     decisive, others = near[:1], near[1:] or nearest[: not near]
     rest = [n for n in range(len(rows)) if n not in (*decisive, *others)]
     parts = (decisive, sorted(others), rest)
     first, second, third = (_figures(chart, [rows[n] for n in part]) for part in parts)
     for n in decisive:
-        first.insert(0, first.pop(int(np.argmin(rooms[n]))))
+        first.insert(0, first.pop(int(np.argmin(margins[n]))))
     return first, second, third
 
 
@@ -59,7 +66,7 @@ def joint_rows(chain: ClosedChain) -> list[JointRow]:
     counts = {j: sum(j in arm for arm in arms) for j in joined(*arms)}
     own = [[j for j in arm if counts[j] == 1] for arm in arms]
     names = [arm.name for arm in chain.arms]
-    said = {
+    captions = {
         j: f"{'passive joint' if j in chain.passive else f'q{k}'} of the {name} arm"
         for name, joints in zip(names, own, strict=True)
         for k, j in enumerate(joints, start=1)
@@ -67,14 +74,16 @@ def joint_rows(chain: ClosedChain) -> list[JointRow]:
     for j, count in counts.items():
         if count > 1:
             carried = [name for name, arm in zip(names, arms, strict=True) if j in arm]
-            said[j] = f"carries {' and '.join(carried)}"
+            captions[j] = f"carries {' and '.join(carried)}"
     if len(own) == 2 and len(own[0]) == len(own[1]):
         rows: list[tuple[int, ...]] = list(zip(*own, strict=True))
     else:
         rows = [(j,) for j in joined(*own)]
     shared = [(j,) for j, count in counts.items() if count > 1]
     idle = [(j,) for j in range(chain.n) if j not in counts]
-    return [JointRow(row, tuple(said.get(j, "") for j in row)) for row in [*shared, *rows, *idle]]
+    return [
+        JointRow(row, tuple(captions.get(j, "") for j in row)) for row in [*shared, *rows, *idle]
+    ]
 
 
 def joint_order(chain: ClosedChain) -> list[int]:
@@ -82,20 +91,21 @@ def joint_order(chain: ClosedChain) -> list[int]:
     return [j for row in joint_rows(chain) for j in row.joints]
 
 
-def _least_room(chart: Chart, i: int) -> float:
-    """Least distance of a joint to a limit under any controller, in its range; inf without one."""
+def _min_margin(chart: Chart, i: int) -> float:
+    """Smallest margin of a joint under any controller, over its range; inf without limits."""
     lower, upper = chart.any.lower[i], chart.any.upper[i]
-    ways = chart.lines(lambda trace: _way(trace, chart.any.joints[i])).values()
-    least = min((float(np.min(np.minimum(q - lower, upper - q))) for q in ways), default=np.inf)
-    span = upper - lower
-    return least / span if np.isfinite(span) and span > 0.0 else least
+    margins = [
+        float(np.minimum(q - lower, upper - q).min()) for q in _joint_lines(chart, i).values()
+    ]
+    smallest, span = min(margins, default=np.inf), upper - lower
+    return smallest / span if np.isfinite(span) and span > 0.0 else smallest
 
 
 def _figures(chart: Chart, rows: list[JointRow]) -> list[Figure]:
     known = PAPER_FIGURES if chart.comparison.scenario.robot_model.name == PAPER_ROBOT else {}
     return [
         replace(
-            _joint(chart, i, chart.any.units[i]),
+            _joint(chart, i),
             about=f"{about}, {known[about]}" if about in known else about,
             alone=len(row.joints) == 1,
         )
@@ -104,9 +114,10 @@ def _figures(chart: Chart, rows: list[JointRow]) -> list[Figure]:
     ]
 
 
-def _joint(chart: Chart, i: int, unit: str) -> Figure:
+def _joint(chart: Chart, i: int) -> Figure:
+    unit = chart.any.units[i]
     lower, upper = limits = float(chart.any.lower[i]), float(chart.any.upper[i])
-    lines = chart.lines(lambda trace: _way(trace, chart.any.joints[i]))
+    lines = _joint_lines(chart, i)
     shown = joint_window(lower, upper, list(lines.values()))
     levels = []
     if np.isfinite(lower):
@@ -125,9 +136,10 @@ def _joint(chart: Chart, i: int, unit: str) -> Figure:
     )
 
 
-def _way(trace: Trace, joint: str) -> Array | None:
-    """Of a joint, shape (T + 1,); None where the trace does not have it."""
-    return trace.q[:, trace.joints.index(joint)] if joint in trace.joints else None
+def _joint_lines(chart: Chart, i: int) -> Lines:
+    """A joint's positions, shape (T + 1,), in every trace that has it."""
+    name = chart.any.joints[i]
+    return chart.lines(lambda t: t.q[:, t.joints.index(name)] if name in t.joints else None)
 
 
 def _marks(
@@ -148,10 +160,7 @@ def _marks(
 
 
 def joint_window(lower: float, upper: float, lines: list[Array]) -> Window:
-    """Show the limits, and at most one more range beyond them.
-
-    Where a limit is missing, the calmest line takes its place.
-    """
+    """Show the limits, or the calmest line where one is missing, and one more range at most."""
     calm = min(lines, key=np.ptp)
     low = lower if np.isfinite(lower) else min(float(calm.min()), upper)
     high = upper if np.isfinite(upper) else max(float(calm.max()), low)
@@ -159,3 +168,67 @@ def joint_window(lower: float, upper: float, lines: list[Array]) -> Window:
     if not limited:
         low, high = low - 0.05, high + 0.05
     return curves.window(low, high, lines, high - low if limited else FREE_REACH)
+
+
+def limit_figures(chart: Chart) -> list[Figure]:
+    """Margin by unit, criterion, speed and acceleration."""
+    speed = chart.lines(lambda t: (np.abs(t.v) / t.velocity).max(axis=1))
+    acceleration = chart.lines(lambda t: accelerations(t).share.max(axis=1, initial=0.0))
+    what = "what the loop for robots allows"
+    return [
+        *(_margin(chart, unit) for unit in joint_units(chart.traces.values())),
+        *_criterion(chart),
+        _shares(chart, "Speed of the fastest joint", "its limit", speed, "speed limit"),
+        _shares(chart, "Largest acceleration of a joint", what, acceleration, "allowed"),
+    ]
+
+
+def joint_units(traces: Iterable[Trace]) -> tuple[str, ...]:
+    """The units of the joints, "rad" before "m"."""
+    return tuple(sorted({unit for trace in traces for unit in trace.units}, reverse=True))
+
+
+def margin(trace: Trace, unit: str) -> Array:
+    """Smallest margin of the joints with a unit, shape (T + 1,) [unit]."""
+    counts = np.array(trace.units) == unit
+    smallest: Array = 0.0 - beyond(trace)[:, counts].max(axis=1)
+    return smallest
+
+
+def _margin(chart: Chart, unit: str) -> Figure:
+    lines = chart.lines(lambda trace: margin(trace, unit) if unit in trace.units else None)
+    best = max(0.1, *(float(y[np.isfinite(y)].max(initial=0.0)) for y in lines.values()))
+    shown = curves.window(0.0, best, list(lines.values()), best)
+    shown = Window(min(shown.bottom, -0.15 * best), shown.top)
+    return chart.figure(
+        f"Margin of the {'sliding joint' if unit == 'm' else 'joint'} nearest to its limit",
+        f"{unit}, negative beyond the limit",
+        lines,
+        shown,
+        curves.level(0.0, "limit", above=False),
+        allowed=(0.0, np.inf),
+        notes=curves.off_chart(shown, lines, unit),
+    )
+
+
+def _criterion(chart: Chart) -> list[Figure]:
+    """The criterion of the paper's null-space term; none where no joint has a range."""
+    lines = chart.lines(lambda trace: limit_criterion(trace)["quadratic"])
+    if not any(y.any() for y in lines.values()):
+        return []
+    top = MAX_CRITERION * min(float(y.max()) for y in lines.values())
+    shown = Window(0.0, curves.window(0.0, top / MAX_CRITERION, list(lines.values()), top).top)
+    unit, notes = "1, smaller is farther from limits on the whole", curves.off_chart(shown, lines)
+    return [chart.figure("Joint-limit criterion φ", unit, lines, shown, notes=notes)]
+
+
+def _shares(chart: Chart, title: str, what: str, lines: Lines, bound: str) -> Figure:
+    """Shares of a bound at each tick; on a log scale where some are far beyond it."""
+    high = max(float(y.max(initial=0.0)) for y in lines.values())
+    log = high > LOG_SHARE
+    shown = Window(MIN_SHARE, 3.0 * high) if log else Window(0.0, max(1.25, 1.1 * high))
+    lines = {name: np.maximum(y, MIN_SHARE) for name, y in lines.items()} if log else lines
+    level, allowed = curves.level(1.0, bound, log=log), (-np.inf, 1.0)
+    return chart.figure(
+        title, f"share of {what}", lines, shown, level, allowed=allowed, log=log, steps=True
+    )

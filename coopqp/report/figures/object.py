@@ -34,12 +34,11 @@ from coopqp.report import curves
 from coopqp.report.curves import Figure, Json
 from coopqp.report.figures.chart import Chart
 from coopqp.signal import Moment
-from coopqp.task import Task
 
-MOST_INSTANTS = 200  # of a goal
-ALIGNED = 1e-9  # components of a unit vector below this are none
-REACH = 2.0  # a line is followed this many heights of the calmest beyond it
-SAME = 1e-6  # references that are closer are one
+MAX_INSTANTS = 200  # of a goal
+ALIGNED = 1e-9  # smaller components of a unit vector count as zero
+REACH = 2.0  # lines are shown this many heights of the calmest one beyond it
+SAME = 1e-6  # references that are closer count as equal
 ORIGIN = (0.0, 0.0, 0.0)
 GOAL = {"color": "#000000", "dash": "6px,3px", "width": 1.3}
 REFERENCE = {"color": "#000000", "dash": "1.5px,2.5px", "width": 1.5}
@@ -47,43 +46,42 @@ REFERENCE = {"color": "#000000", "dash": "1.5px,2.5px", "width": 1.5}
 
 @dataclass(frozen=True, kw_only=True)
 class Coordinate:
-    """Of a point in the object frame [m]; axis 0, 1, 2 for the world's x, y, z."""
+    """Coordinate of a point of the object [m]; axis 0, 1, 2 for the world's x, y, z."""
 
     unit: ClassVar[str] = "m"
-    least: ClassVar[float] = 0.02  # height of its figure [m]
+    min_height: ClassVar[float] = 0.02  # of its figure [m]
     floor: ClassVar[float] = -np.inf
     axis: int
     point: tuple[float, float, float] = ORIGIN
 
     @property
     def title(self) -> str:
-        """Says which point if it is not the origin."""
+        """Names the point if it is not the origin."""
         name = "xyz"[self.axis]
         if self.point == ORIGIN:
             return f"{name} of the object"
         return f"{name} of the object's point ({', '.join(f'{p:g}' for p in self.point)})"
 
     def of(self, position: Array, rotation: Array) -> Array:
-        """Of the point in the world [m]."""
+        """Its value along a motion of the object, shape (T,) [m]."""
         moved: Array = position[:, self.axis] + rotation[:, self.axis] @ np.array(self.point)
         return moved
 
     def goal(self, marks: Sequence[Marker]) -> float:
-        """Of the marks of a task that steers this point [m]."""
+        """The goal of a task with these markers [m]; NaN if it is free or of another point."""
         if any(isinstance(m, TrackedMarker) and m.point != self.point for m in marks):
             return np.nan
-        known = [value for value in (self._fixed(mark) for mark in marks) if not np.isnan(value)]
-        return known[0] if known else np.nan
+        return next((x for x in map(self._fixed, marks) if not np.isnan(x)), np.nan)
 
     def reference(self, start: pin.SE3, marks: Sequence[Sequence[Marker]], share: Array) -> Array:
-        """Straight there [m]."""
+        """Straight to the goal, by the share of the way, shape (i,) [m]."""
         goal = np.array([self.goal(then) for then in marks])
         begin = self.of(start.translation[None], start.rotation[None])[0]
         way: Array = goal + (1.0 - share) * (begin - goal[0])
         return way
 
     def _fixed(self, mark: Marker) -> float:
-        """The coordinate that all points of a mark have in common, or NaN."""
+        """The coordinate that all points of a marker have in common, or NaN."""
         i, place, normal = self.axis, None, None
         match mark:
             case PointMarker():
@@ -105,24 +103,23 @@ class Tilt:
     """Angle between the object's z axis and the world's [degrees]."""
 
     unit: ClassVar[str] = "degrees"
-    least: ClassVar[float] = 2.0
+    min_height: ClassVar[float] = 2.0
     floor: ClassVar[float] = 0.0
-
     title: ClassVar[str] = "Tilt of the object"
 
     def of(self, position: Array, rotation: Array) -> Array:
-        """By both sine and cosine, so that it is exact near 0 [degrees]."""
+        """Its value, by sine and cosine to be exact near 0 [degrees]."""
         sine = np.hypot(rotation[:, 0, 2], rotation[:, 1, 2])
         angle: Array = np.degrees(np.arctan2(sine, rotation[:, 2, 2]))
         return angle
 
     def goal(self, marks: Sequence[Marker]) -> float:
-        """Of an orientation [degrees]."""
-        found = [mark for mark in marks if isinstance(mark, PoseMarker)]
-        return float(self.of(np.zeros((1, 3)), found[0].rotation[None])[0]) if found else np.nan
+        """The goal of a task with an orientation [degrees], or NaN."""
+        poses = [mark for mark in marks if isinstance(mark, PoseMarker)]
+        return float(self.of(np.zeros((1, 3)), poses[0].rotation[None])[0]) if poses else np.nan
 
     def reference(self, start: pin.SE3, marks: Sequence[Sequence[Marker]], share: Array) -> Array:
-        """About one axis [degrees]; NaN for a goal that turns."""
+        """About one axis to the goal [degrees]; NaN for a goal that turns."""
         goals = [mark.rotation for then in marks for mark in then if isinstance(mark, PoseMarker)]
         if any(not np.array_equal(R, goals[0]) for R in goals):
             return np.full(len(share), np.nan)
@@ -131,19 +128,14 @@ class Tilt:
         return self.of(np.zeros((len(share), 3)), turned)
 
 
-#: One number that follows from the object's pose.
 Quantity = Coordinate | Tilt
 
 
 @dataclass(frozen=True)
 class Target:
-    """What a task wants of a quantity while its phase lasts.
+    """A task's goal of a quantity at times t [s], shape (i,) each; NaN where it is free.
 
-    Attributes:
-        task: its name.
-        t: shape (i,) [s].
-        goal: then, NaN where it leaves it free, shape (i,).
-        references: by controller, shape (i,); none where the reference does not move there.
+    References are by controller; none where the reference does not move there.
     """
 
     task: str
@@ -155,20 +147,15 @@ class Target:
 def object_figures(chart: Chart) -> tuple[list[Figure], list[Figure]]:
     """Coordinates and tilt of the object, and the coordinates of other points that tasks steer."""
     first, *others = _points(chart)
-    shown: list[Quantity] = [*_coordinates(first), Tilt()]
-    hidden = [quantity for point in others for quantity in _coordinates(point)]
+    shown: list[Quantity] = [*(Coordinate(axis=i, point=first) for i in range(3)), Tilt()]
+    hidden = [Coordinate(axis=i, point=point) for point in others for i in range(3)]
     return [_figure(chart, of) for of in shown], [_figure(chart, of) for of in hidden]
 
 
-def _coordinates(point: tuple[float, float, float]) -> list[Coordinate]:
-    return [Coordinate(axis=i, point=point) for i in range(3)]
-
-
 def targets(chart: Chart, quantity: Quantity) -> list[Target]:
-    """What each task of each phase wants of a quantity."""
-    scenario, trace, found = chart.comparison.scenario, chart.any, []
-    t = trace.t
-    instants = chart.instants(trace, MOST_INSTANTS)
+    """The goals of a quantity of all tasks of all phases."""
+    scenario, trace, t, every = chart.comparison.scenario, chart.any, chart.any.t, []
+    instants = chart.instants(trace, MAX_INSTANTS)
     for number, (phase, rows) in enumerate(zip(scenario.schedule, instants, strict=True)):
         first = int(rows[0])
         for task in phase.tasks:
@@ -177,27 +164,15 @@ def targets(chart: Chart, quantity: Quantity) -> list[Target]:
             goal = np.array([quantity.goal(then) for then in marks])
             if np.isnan(goal).all():
                 continue
-            share = _share(task, t[rows] - t[first])
-            starts = _starts(chart, number, first) if (share < 1.0).any() else {}
-            references = {
-                name: quantity.reference(start, marks, share) for name, start in starts.items()
-            }
-            found.append(Target(task.name, t[rows], goal, references))
-    return found
-
-
-def _share(task: Task, t: Array) -> Array:
-    """How much of its way a task's reference has gone, shape (i,)."""
-    way = task.way
-    return np.array([way.at(float(now))[0] if way else 1.0 for now in t])
-
-
-def _starts(chart: Chart, phase: int, first: int) -> dict[str, pin.SE3]:
-    """From where each controller's references set out."""
-    return {
-        name: chart.problems(name)[phase].chain.object_pose(chart.traces[name].commanded[first])
-        for name in chart.names
-    }
+            way, times = task.way, (t[rows] - t[first]).tolist()
+            share = np.array([way.at(now)[0] if way else 1.0 for now in times])
+            references = {}
+            for name in chart.names if (share < 1.0).any() else ():
+                chain = chart.problems(name)[number].chain
+                start = chain.object_pose(chart.traces[name].commanded[first])
+                references[name] = quantity.reference(start, marks, share)
+            every.append(Target(task.name, t[rows], goal, references))
+    return every
 
 
 def _points(chart: Chart) -> list[tuple[float, float, float]]:
@@ -214,9 +189,9 @@ def _figure(chart: Chart, quantity: Quantity) -> Figure:
     calm = min((y for y in lines.values() if np.isfinite(y).all()), key=np.ptp, default=np.zeros(1))
     known = np.concatenate([calm, *(target.goal for target in wanted)])
     low, high = float(np.nanmin(known)), float(np.nanmax(known))
-    room = max(0.0, quantity.least - (high - low))
-    low = max(low - 0.5 * room, quantity.floor)
-    high = max(high + 0.5 * room, low + quantity.least)
+    missing = max(0.0, quantity.min_height - (high - low))
+    low = max(low - 0.5 * missing, quantity.floor)
+    high = max(high + 0.5 * missing, low + quantity.min_height)
     shown = curves.window(low, high, list(lines.values()), REACH * (high - low))
     extra = [line for target in wanted for line in _drawn(chart, target)]
     notes = curves.off_chart(shown, lines, quantity.unit)
@@ -236,6 +211,5 @@ def _drawn(chart: Chart, target: Target) -> list[Json]:
 
 
 def _line(name: str, t: Array, y: Array, look: Json) -> Json:
-    still = bool((y == y[0]).all())
-    rows = [0, -1] if still else slice(None)
+    rows = [0, -1] if (y == y[0]).all() else slice(None)
     return curves.aside(name, t[rows], y[rows], look)

@@ -1,7 +1,13 @@
-"""What a robot looks like: the triangles that each of its joints carries.
+"""What a robot looks like: the triangles that each of its joints carries, and thinned surfaces.
 
 A joint's surface is that of its links' shapes; without any, that of the robot's capsules; and
 without those, capsules from the joint to the next ones, so that every robot can be drawn.
+
+To thin a surface, all vertices within a cell of a grid become one (vertex clustering), at the point
+nearest to the planes of the triangles there, so that edges and rims survive: Lindstrom, Out-of-core
+simplification of large polygonal models, SIGGRAPH 2000.
+
+Letters: v vertices, t triangles, c cells.
 """
 
 from __future__ import annotations
@@ -18,27 +24,31 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from coopqp.base.errors import InvalidValueError
+from coopqp.base.spec import Array
 from coopqp.model.marker import SolidMarker
-from coopqp.report.scene.triangles import (
-    NOTHING,
-    Triangles,
-    count_thinned,
-    joined,
-    moved,
-    of_capsule,
-    of_mesh,
-    of_shape,
-    thinned,
-)
 from coopqp.robot import Capsule, RobotModel, Shape
-from coopqp.robot_files.meshes import version
+from coopqp.robot_files.meshes import read_mesh, version
 from coopqp.trace import Trace
 
-MOST_TRIANGLES = 2000  # of each arm, and of all that belongs to none
-READ = 1 / 64  # cell in which a shape is thinned when it is read, in its sizes
-FINEST, TRIALS = 1 / 500, 5  # first cell, in the sizes of all that is thinned; halvings
+MAX_TRIANGLES = 2000  # of each arm, and of all that belongs to none
+READ = 1 / 64  # cell in which a mesh is thinned when it is read, in its sizes
+FINEST, TRIALS = 1 / 500, 5  # first cell, in the largest size of the surfaces; halvings
 THICKNESS = 0.04  # radius of a link's capsule, in lengths of the longest arm
 SHORT = 1e-3  # links below are not drawn, in lengths of the longest arm
+ROUND = 12  # corners of a circle
+FLAT = 1e-2  # share of a cell's largest eigenvalue below which its planes leave the point free
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Triangles:
+    """A surface: vertices (v, 3) [m], corners of its triangles (t, 3); no side is outside."""
+
+    vertices: Array
+    corners: Ints
+
+
+NOTHING = Triangles(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
 
 
 @dataclass(frozen=True)
@@ -63,28 +73,21 @@ def robot_bodies(robot: RobotModel) -> tuple[tuple[Body, ...], tuple[str, ...]]:
         for capsule in capsules:
             joint = robot.model.getJointId(capsule.joint) if capsule.joint else 0
             if joint in bare:
-                surfaces.setdefault(joint, []).append(of_capsule(capsule))
+                surfaces.setdefault(joint, []).append(_of_capsule(capsule))
     arm_of = {joint: _arm_of(robot, joint) for joint in sorted(surfaces)}
     bodies = []
     for arms in ([None], range(len(robot.arms))):
         joints = [joint for joint, arm in arm_of.items() if arm in arms]
-        few = _within([joined(surfaces[j]) for j in joints], len(arms) * MOST_TRIANGLES)
+        few = _within([joined(surfaces[j]) for j in joints], len(arms) * MAX_TRIANGLES)
         bodies += [Body(j, arm_of[j], part) for j, part in zip(joints, few, strict=True)]
     return tuple(bodies), faults
 
 
 def solid_body(solid: SolidMarker) -> Body:
     """What stands in the world, as a body of the base."""
-    shape = Shape(
-        frame="universe",
-        placement=pin.SE3(solid.rotation, solid.position),
-        kind=solid.kind,
-        size=solid.size,
-        mesh=solid.mesh,
-    )
-    surface, _ = _read(shape)
-    (few,) = _within([moved(surface, shape.placement)], MOST_TRIANGLES)
-    return Body(0, None, few)
+    surface, _ = _surface(solid)
+    placed = moved(surface, pin.SE3(solid.rotation, solid.position))
+    return Body(0, None, _within([placed], MAX_TRIANGLES)[0])
 
 
 def body_places(
@@ -101,16 +104,14 @@ def body_places(
     return places
 
 
-def _surfaces_of_shapes(
-    robot: RobotModel,
-) -> tuple[dict[int, list[Triangles]], tuple[str, ...]]:
+def _surfaces_of_shapes(robot: RobotModel) -> tuple[dict[int, list[Triangles]], tuple[str, ...]]:
     """Surfaces of the links' shapes by joint, and what cannot be read."""
     surfaces: dict[int, list[Triangles]] = {}
     read: dict[tuple[str, tuple[float, ...], Path | None], tuple[Triangles, str]] = {}
     for shape in robot.shapes:
         look = (shape.kind, shape.size, shape.mesh)
         if look not in read:
-            read[look] = _read(shape)
+            read[look] = _surface(shape)
         surface, wrong = read[look]
         if not wrong:
             frame = robot.model.frames[robot.model.getFrameId(shape.frame)]
@@ -120,23 +121,16 @@ def _surfaces_of_shapes(
     return surfaces, tuple(sorted(faults))
 
 
-def _read(shape: Shape) -> tuple[Triangles, str]:
-    """As fine as may be seen, so that large meshes do not slow what follows; and what is wrong."""
-    if shape.kind != "mesh":
-        return of_shape(shape), ""
-    assert shape.mesh is not None
-    return _read_mesh(*version(shape.mesh), shape.size)
-
-
 @lru_cache(maxsize=256)
 def _read_mesh(
     path: Path, changed: int, size: int, scale: tuple[float, ...]
 ) -> tuple[Triangles, str]:
-    """The same for a file; what has changed in it is read anew."""
+    """The mesh in a version of a file, thinned so as not to slow what follows; or what is wrong."""
     try:
-        surface = of_mesh(path, scale)
+        mesh = read_mesh(path, scale)
     except InvalidValueError as error:
         return NOTHING, str(error)
+    surface = Triangles(mesh.vertices, mesh.corners)
     return thinned(surface, READ * _size([surface])), ""
 
 
@@ -170,13 +164,13 @@ def _links(robot: RobotModel) -> list[Capsule]:
     return list(dict.fromkeys(links))  # arms share those of a torso
 
 
-def _within(surfaces: Sequence[Triangles], most: int) -> list[Triangles]:
+def _within(surfaces: Sequence[Triangles], max_triangles: int) -> list[Triangles]:
     """All thinned by one grid, about as fine as the number of triangles allows."""
-    if sum(len(surface.corners) for surface in surfaces) <= most:
+    if sum(len(surface.corners) for surface in surfaces) <= max_triangles:
         return list(surfaces)
 
     def fits(cell: float) -> bool:
-        return sum(count_thinned(surface, cell) for surface in surfaces) <= most
+        return sum(count_thinned(surface, cell) for surface in surfaces) <= max_triangles
 
     fine = FINEST * _size(surfaces)
     coarse = 4.0 * fine
@@ -186,3 +180,144 @@ def _within(surfaces: Sequence[Triangles], most: int) -> list[Triangles]:
         cell = math.sqrt(fine * coarse)
         fine, coarse = (fine, cell) if fits(cell) else (cell, coarse)
     return [thinned(surface, coarse) for surface in surfaces]
+
+
+def joined(parts: Sequence[Triangles]) -> Triangles:
+    """Several surfaces as one."""
+    first = np.cumsum([0, *(len(part.vertices) for part in parts)])
+    return Triangles(
+        np.concatenate([NOTHING.vertices, *(part.vertices for part in parts)]),
+        np.concatenate(
+            [NOTHING.corners, *(p.corners + k for p, k in zip(parts, first[:-1], strict=True))]
+        ),
+    )
+
+
+def moved(surface: Triangles, X: pin.SE3) -> Triangles:
+    """The surface somewhere else."""
+    return Triangles(surface.vertices @ X.rotation.T + X.translation, surface.corners)
+
+
+def _surface(shape: Shape | SolidMarker) -> tuple[Triangles, str]:
+    """The surface of a shape, about its own origin, and why its mesh cannot be read."""
+    size = shape.size
+    if shape.kind == "mesh":
+        assert shape.mesh is not None
+        return _read_mesh(*version(shape.mesh), size)
+    if shape.kind == "box":
+        return _box(size), ""
+    if shape.kind == "cylinder":
+        radius, half = size[0], 0.5 * size[1]
+        return _turned(np.array([[0, -half], [radius, -half], [radius, half], [0, half]])), ""
+    if shape.kind == "capsule":
+        return _turned(_round_ends(size[0], size[1])), ""
+    radii = np.array(size if shape.kind == "ellipsoid" else 3 * size)
+    ball = _turned(_round_ends(1.0, 0.0))
+    return Triangles(ball.vertices * radii, ball.corners), ""
+
+
+def _of_capsule(capsule: Capsule) -> Triangles:
+    """The surface of a capsule, in its joint's frame."""
+    start, end = np.array(capsule.start), np.array(capsule.end)
+    along = end - start
+    turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), along).toRotationMatrix()
+    surface = _turned(_round_ends(capsule.radius, float(np.linalg.norm(along))))
+    return moved(surface, pin.SE3(turn if along.any() else np.eye(3), 0.5 * (start + end)))
+
+
+def _box(edges: Sequence[float]) -> Triangles:
+    vertices = np.array(np.meshgrid([-0.5, 0.5], [-0.5, 0.5], [-0.5, 0.5], indexing="ij"))
+    sides = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]
+    halves = [half for a, b, c, d in sides for half in ((a, b, c), (a, c, d))]
+    return Triangles(vertices.reshape(3, 8).T * np.array(edges), np.array(halves))
+
+
+def _round_ends(radius: float, length: float) -> Array:
+    """Half the outline of a capsule along z, shape (p, 2): distance from z, height."""
+    quarter = np.linspace(0.0, 0.5 * np.pi, ROUND // 4 + 1)
+    angles = np.concatenate([-quarter[::-1], quarter])
+    half = np.repeat([-0.5, 0.5], len(quarter)) * length
+    return np.column_stack([radius * np.cos(angles), radius * np.sin(angles) + half])
+
+
+def _turned(outline: Array) -> Triangles:
+    """The surface that an outline sweeps about z: distances from z and heights, (p, 2) [m]."""
+    angles = np.linspace(0.0, 2.0 * np.pi, ROUND, endpoint=False)
+    distance, height = outline[:, :1], np.broadcast_to(outline[:, 1:], (len(outline), ROUND))
+    rings = np.stack([distance * np.cos(angles), distance * np.sin(angles), height], axis=-1)
+    here = np.arange(rings[:-1, :, 0].size).reshape(-1, ROUND)
+    right, up = np.roll(here, -1, axis=1), here + ROUND
+    halves = [np.stack([here, right, up], -1), np.stack([right, np.roll(up, -1, axis=1), up], -1)]
+    return Triangles(rings.reshape(-1, 3), np.concatenate(halves).reshape(-1, 3))
+
+
+def thinned(surface: Triangles, cell: float) -> Triangles:
+    """The surface with one vertex in each cell of a grid, of this edge [m].
+
+    No vertex leaves its cell, so that the surface moves by less than a cell's diagonal.
+    """
+    cells, of_vertex = _cells(surface, cell)
+    corners = of_vertex[surface.corners]
+    points = _nearest_to_planes(surface, of_vertex, corners, len(cells))
+    points = np.clip(points, cells * cell, (cells + 1) * cell)
+    used, kept = np.unique(_distinct(corners), return_inverse=True)
+    return Triangles(points[used], kept.reshape(-1, 3))
+
+
+def count_thinned(surface: Triangles, cell: float) -> int:
+    """How many triangles :func:`thinned` would leave."""
+    _, of_vertex = _cells(surface, cell)
+    return len(_distinct(of_vertex[surface.corners]))
+
+
+def _cells(surface: Triangles, cell: float) -> tuple[Ints, Ints]:
+    """The cells that have vertices, shape (c, 3), and the number of each vertex's, shape (v,)."""
+    cells = np.floor(surface.vertices / cell).astype(np.int64)
+    numbers = _number(cells - cells.min(axis=0, initial=0))
+    _, first, of_vertex = np.unique(numbers, return_index=True, return_inverse=True)
+    return cells[first], of_vertex
+
+
+def _distinct(corners: Ints) -> Ints:
+    """Corners of the triangles with three distinct ones, each triangle once, shape (., 3)."""
+    ordered = np.sort(corners, axis=1)
+    whole = (ordered[:, 0] != ordered[:, 1]) & (ordered[:, 1] != ordered[:, 2])
+    ordered = ordered[whole]
+    _, first = np.unique(_number(ordered), return_index=True)
+    distinct: Ints = ordered[first]
+    return distinct
+
+
+def _number(rows: Ints) -> Ints:
+    """One number for each row of three that are not negative, the same for the same ones."""
+    base = rows.max(initial=0) + 1
+    number: Ints = (rows[:, 0] * base + rows[:, 1]) * base + rows[:, 2]
+    return number
+
+
+def _nearest_to_planes(surface: Triangles, of_vertex: Ints, corners: Ints, count: int) -> Array:
+    """Of each cell the point with the least sum of squared distances to its planes.
+
+    A plane counts with its triangle's area. Where planes leave the point free it is as near to the
+    mean of the cell's vertices as they allow. Shape (c, 3) [m]; ``corners`` are cells.
+    """
+    total = _sums(of_vertex, surface.vertices, count)
+    mean: Array = total / np.bincount(of_vertex, minlength=count)[:, None]
+    a, b, c = np.moveaxis(surface.vertices[surface.corners], 1, 0)
+    normal = np.cross(b - a, c - a)  # as long as twice the area
+    length = np.sqrt(np.linalg.norm(normal, axis=1, keepdims=True))
+    planes = np.divide(normal, length, out=np.zeros_like(normal), where=length > 0.0)
+    away = [((a - mean[cell]) * planes).sum(axis=1, keepdims=True) for cell in corners.T]
+    off = _sums(corners.T.ravel(), np.concatenate([planes * d for d in away]), count)
+    squares = (planes[:, :, None] * planes[:, None, :]).reshape(-1, 9)
+    A = _sums(corners.T.ravel(), np.tile(squares, (3, 1)), count).reshape(-1, 3, 3)
+    sizes, axes = np.linalg.eigh(A)
+    firm = sizes > FLAT * np.maximum(sizes[:, -1:], np.finfo(float).tiny)
+    inverse = np.divide(1.0, sizes, out=np.zeros_like(sizes), where=firm)
+    best: Array = mean + np.einsum("cij,cj,ckj,ck->ci", axes, inverse, axes, off)
+    return best
+
+
+def _sums(of_row: Ints, rows: Array, count: int) -> Array:
+    """Sum of the rows of each cell, shape (count, columns) (np.add.at is slow)."""
+    return np.column_stack([np.bincount(of_row, column, count) for column in rows.T])

@@ -1,6 +1,6 @@
-"""What the playback draws of tasks and limits: their marks, frame by frame.
+"""What the playback draws of tasks and limits: their markers, frame by frame.
 
-Those that move with the robot differ between controllers. Letters: f frames of a mark.
+Those that move with the robot differ between controllers. Letters: f frames of a marker.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from coopqp.base.spec import Array
 from coopqp.execution.instants import arm_points
-from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.marker import (
     CircleMarker,
     LineMarker,
@@ -58,12 +57,7 @@ SOLID = "solid"
 
 @dataclass(frozen=True)
 class Shown:
-    """A mark in all frames in which it is seen, one after the other.
-
-    Attributes:
-        kind: one of KINDS, one of those that move with the robot, or SOLID.
-        name: of the task or limit. values: what is drawn, in each frame from the first on.
-    """
+    """A marker of a task or limit in consecutive frames; its kind is one of KINDS, or above."""
 
     kind: str
     name: str
@@ -72,18 +66,13 @@ class Shown:
     values: list[Json] = field(default_factory=list)
 
     @property
-    def last(self) -> int:
-        """Frame."""
-        return self.first + len(self.values) - 1
+    def frames(self) -> Json:
+        """The first and the last one."""
+        return {"first": self.first, "last": self.first + len(self.values) - 1}
 
     def stacked(self, key: str) -> Array:
         """One of the values in all frames, shape (f, ...)."""
         return np.array([values[key] for values in self.values], float)
-
-    @property
-    def frames(self) -> Json:
-        """For ``playback.js``."""
-        return {"first": self.first, "last": self.last}
 
     def as_json(self) -> Json:
         """For ``playback.js``."""
@@ -94,11 +83,8 @@ class Shown:
 def shown_marks(
     scenario: Scenario, frames: NDArray[np.int64], trace: Trace, faults: list[str]
 ) -> list[Shown]:
-    """The marks of the tasks of all phases, and those of the limits; ``frames`` are ticks.
-
-    What shows no mark or raises an error is left out, and a sentence added to the faults.
-    """
-    place, found = Place(scenario), []
+    """The markers of the tasks of all phases and of the limits, at ticks; errors become faults."""
+    place, every = Place(scenario), []
     phases = np.searchsorted(scenario.first_ticks, frames, side="right") - 1
     for i, (phase, tick) in enumerate(zip(scenario.schedule, scenario.first_ticks, strict=True)):
         own = np.flatnonzero(phases == i).tolist()
@@ -108,33 +94,33 @@ def shown_marks(
                 k: asked(task.name, partial(task.marks, trace.moment(int(frames[k]), t)), faults)
                 for k, t in times.items()
             }
-            found += _through_time(marks, task.name, place, limit=False)
+            every += _through_time(marks, task.name, place, limit=False)
         for limit in scenario.limits:
             name = plugin_name(limit)
             marks = {k: asked(name, partial(limit.marks, t), faults) for k, t in times.items()}
-            found += _through_time(marks, name, place, limit=True)
-    return found
+            every += _through_time(marks, name, place, limit=True)
+    return every
 
 
 def _through_time(
     marks: dict[int, tuple[Marker, ...]], name: str, place: Place, *, limit: bool
 ) -> list[Shown]:
-    """Marks by frame, which may come and go; one that stays is one."""
-    found: list[Shown] = []
-    seen: dict[tuple[int, str], Shown] = {}
+    """Markers by frame, which may come and go; one that stays is one."""
+    every: list[Shown] = []
+    current: dict[tuple[int, str], Shown] = {}
     for k, marks_then in marks.items():
         for i, mark in enumerate(marks_then):
             kind, values = place.drawn(mark)
-            shown = seen.get((i, kind))
-            if shown is None or shown.last < k - 1:
-                shown = seen[i, kind] = Shown(kind, name, limit, k)
-                found.append(shown)
+            shown = current.get((i, kind))
+            if shown is None or shown.frames["last"] < k - 1:
+                shown = current[i, kind] = Shown(kind, name, limit, k)
+                every.append(shown)
             shown.values.append(values)
-    return found
+    return every
 
 
 class Place:
-    """Where what has no end is cut off: near the object's start."""
+    """Draws markers; what has no end is cut off near the object's start."""
 
     def __init__(self, scenario: Scenario) -> None:
         self._start, self._size = scenario.chain.start_position, max(scenario.held.size)
@@ -160,9 +146,9 @@ class Place:
                 where = mark.position
                 return ("orientations", axes) if where is None else ("poses", {"at": where} | axes)
             case TrackedMarker() | PostureMarker() | RelativeMarker():
-                return self._carried(mark)
+                return self._moving(mark)
 
-    def _carried(self, mark: TrackedMarker | PostureMarker | RelativeMarker) -> tuple[str, Json]:
+    def _moving(self, mark: TrackedMarker | PostureMarker | RelativeMarker) -> tuple[str, Json]:
         """What moves with the robot."""
         match mark:
             case TrackedMarker():
@@ -172,7 +158,7 @@ class Place:
         return RELATIVE, {"at": mark.position, "axes": self._axes(mark.rotation)}
 
     def _line(self, line: LineMarker) -> tuple[str, Json]:
-        """Ends of a piece of it, or the way from the object."""
+        """Ends of a piece of it, or a vector from the object."""
         d = line.direction
         way = LINE_SHARE * self._size * d
         if line.through is None:
@@ -181,7 +167,6 @@ class Place:
         return "lines", {"ends": [middle - way, middle + way]}
 
     def _axes(self, rotation: Array) -> Array:
-        """The axes as rows."""
         axes: Array = AXES_SHARE * self._size * rotation.T
         return axes
 
@@ -211,7 +196,7 @@ def in_view(marks: Sequence[Shown]) -> Array:
 
 
 def short(values: Array) -> Any:
-    """Tenths of a millimetre are enough to look at."""
+    """Rounded to tenths of a millimetre, with zeros for what is not finite."""
     return np.nan_to_num(values, posinf=0.0, neginf=0.0).round(4).tolist()
 
 
@@ -219,61 +204,42 @@ def carried(
     marks: Sequence[Shown], scenario: Scenario, trace: Trace, frames: NDArray[np.int64]
 ) -> dict[str, list[Json]]:
     """By kind, for ``playback.js``."""
-    found: dict[str, list[Json]] = {"tracked": [], "postures": [], "relatives": []}
+    every: dict[str, list[Json]] = {"tracked": [], "postures": [], "relatives": []}
     for mark in marks:
-        own = frames[mark.first : mark.last + 1]
+        own = frames[mark.first : mark.first + len(mark.values)]
         if mark.kind == TRACKED:
-            found["tracked"].append(mark.frames | {"points": _way(trace, mark, own)})
+            moved = np.einsum("fij,fj->fi", trace.rotation[own], mark.stacked("point"))
+            every["tracked"].append(mark.frames | {"points": short(trace.position[own] + moved)})
         elif mark.kind == POSTURE:
             arms = _posture(scenario, trace, mark, own)
-            found["postures"] += [mark.frames | {"points": points} for points in arms]
+            every["postures"] += [mark.frames | {"points": points} for points in arms]
         elif mark.kind == RELATIVE:
-            found["relatives"].append(mark.frames | _relative(scenario, trace, mark, own))
-    return found
-
-
-def _way(trace: Trace, mark: Shown, own: NDArray[np.int64]) -> Any:
-    """Of the point of the object that a task steers, f points."""
-    turned = np.einsum("fij,fj->fi", trace.rotation[own], mark.stacked("point"))
-    return short(trace.position[own] + turned)
+            every["relatives"].append(mark.frames | _relative(scenario, trace, mark, own))
+    return every
 
 
 def _posture(scenario: Scenario, trace: Trace, mark: Shown, own: NDArray[np.int64]) -> list[Any]:
     """Of each arm with a joint that has a goal, f times its joints and its hand."""
-    chain = scenario.chain
+    chain, q, moved = scenario.chain, trace.q[own].copy(), set()
     goals = np.array([posture(values["goal"], chain) for values in mark.values])
-    asked = {
-        name: values
-        for name, values in zip(chain.joint_names, goals.T, strict=True)
-        if np.isfinite(values).all()
-    }
-    q = trace.q[own].copy()
-    for name, values in asked.items():
-        q[:, trace.joints.index(name)] = values
+    for name, values in zip(chain.joint_names, goals.T, strict=True):
+        if np.isfinite(values).all():
+            q[:, trace.joints.index(name)] = values
+            moved.add(name)
     points = arm_points(chain, q)
-    return [
-        short(points[arm.name])
-        for arm in chain.arms
-        if set(asked) & set(chain.robot.arm_joints(arm))
-    ]
+    arms = (arm for arm in chain.arms if moved & set(chain.robot.arm_joints(arm)))
+    return [short(points[arm.name]) for arm in arms]
 
 
 def _relative(scenario: Scenario, trace: Trace, mark: Shown, own: NDArray[np.int64]) -> Json:
     """Origin and axes in the world, f each."""
     problems = list(scenario.problems(lambda first: np.asarray(trace.commanded[first])))
     phase = int(np.searchsorted(scenario.first_ticks, own[0], side="right")) - 1
-    first = _object_of_first_arm(problems[phase].chain, trace.q[own])
-    at, axes = mark.stacked("at"), mark.stacked("axes")
-    return {
-        "at": short(np.array([X.act(p) for X, p in zip(first, at, strict=True)])),
-        "axes": short(np.array([A @ X.rotation.T for X, A in zip(first, axes, strict=True)])),
-    }
-
-
-def _object_of_first_arm(chain: ClosedChain, q: Array) -> list[pin.SE3]:
-    """The object's pose as the first arm carries it."""
-    data, poses = chain.model.createData(), []
-    for row in q:
-        pin.framesForwardKinematics(chain.model, data, row)
-        poses.append(data.oMf[chain.frames[0]].copy())
-    return poses
+    chain, at, axes = problems[phase].chain, [], []
+    data = chain.model.createData()
+    for q, values in zip(trace.q[own], mark.values, strict=True):
+        pin.framesForwardKinematics(chain.model, data, q)
+        X = data.oMf[chain.frames[0]]  # the object as the first arm carries it
+        at.append(X.act(np.asarray(values["at"], float)))
+        axes.append(values["axes"] @ X.rotation.T)
+    return {"at": short(np.array(at)), "axes": short(np.array(axes))}

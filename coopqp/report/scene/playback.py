@@ -1,6 +1,7 @@
-"""What the playback of the page draws: robot, object and marks in some tens of frames.
+"""What the playback of the page draws: robot, object, forces and markers in some tens of frames.
 
-Letters: f frames in which a mark is seen, m points, r rims.
+The arrow of a hand's force ends where the hand touches the object, that of the weight begins at the
+centre of mass. Letters: m points, r rims.
 """
 
 from __future__ import annotations
@@ -19,11 +20,9 @@ from coopqp.base.spec import Array
 from coopqp.closed_loop.forces import squeezes
 from coopqp.execution.comparison import Comparison
 from coopqp.report.cells import length
-from coopqp.report.figures.limits import joint_units, margin
-from coopqp.report.scene.bodies import Body, body_places, robot_bodies, solid_body
-from coopqp.report.scene.forces import arrows, squeeze_words, told
+from coopqp.report.figures.joints import joint_units, margin
+from coopqp.report.scene.bodies import Body, body_places, joined, moved, robot_bodies, solid_body
 from coopqp.report.scene.markers import SOLID, as_json, carried, in_view, short, shown_marks
-from coopqp.report.scene.triangles import joined, moved
 from coopqp.report.style import styles
 from coopqp.robot import RobotModel
 from coopqp.scenario.scenario import Scenario
@@ -31,7 +30,11 @@ from coopqp.trace import Trace
 
 Json = dict[str, Any]
 
-MOST_FRAMES = 80
+GRAVITY = 9.81  # [m/s2]
+LONGEST = 1.3  # length of the longest arrow, in longest edges of the object
+ORDINARY = 0.95  # share of frames whose forces are drawn to scale; larger ones are cut off
+MIN_FORCE = 1.0  # drawn with the length LONGEST, at least [N]
+MAX_FRAMES = 80
 INSIDE, AT, BEYOND = 0, 1, 2
 WIDEST = 0.5  # times the size at the start; further out the view does not follow
 SLICES = 8  # of what is shown, to find the largest scale at which it fits
@@ -42,7 +45,8 @@ def scene(comparison: Comparison) -> Json:
     """Everything that is drawn, for ``playback.js``."""
     scenario, traces = comparison.scenario, comparison.traces
     first = next(iter(traces.values()))
-    frames = frame_indices(len(first.t))
+    last = len(first.t) - 1
+    frames = np.unique(np.linspace(0, last, min(last + 1, MAX_FRAMES)).round().astype(np.int64))
     looks = styles(traces)
     robot = scenario.chain.robot
     bodies, faults = robot_bodies(robot)
@@ -74,11 +78,6 @@ def scene(comparison: Comparison) -> Json:
             for name, trace in traces.items()
         ],
     }
-
-
-def frame_indices(rows: int) -> NDArray[np.int64]:
-    """Which instants are shown, evenly spread, first and last among them."""
-    return np.unique(np.linspace(0, rows - 1, min(rows, MOST_FRAMES)).round().astype(np.int64))
 
 
 def _body(body: Body) -> Json:
@@ -113,11 +112,10 @@ def _motion(trace: Trace, scenario: Scenario, frames: NDArray[np.int64]) -> Json
 
 
 def label_places(robot: RobotModel, points: Mapping[str, Array]) -> dict[str, int]:
-    """At which of its points each arm's name stands.
+    """At which of its points, joints base first and then the hand, each arm's name stands.
 
-    Of the joints that no other arm has it is the one that is farthest from the middle of all arms
-    at the start; the hand where an arm shares all its joints. Points by arm, joints base first and
-    then the hand, shape (T + 1, p, 3) [m].
+    Of the joints that no other arm has it is the one farthest from the middle of all arms at the
+    start; the hand where an arm shares all its joints. Points by arm, shape (T + 1, p, 3) [m].
     """
     middle = _middle(points)
     joints = {arm.name: robot.arm_joints(arm) for arm in robot.arms}
@@ -146,7 +144,7 @@ def joint_state(trace: Trace) -> NDArray[np.int64]:
 def _readout(trace: Trace, frames: NDArray[np.int64]) -> list[list[str]]:
     """Texts below each frame."""
     texts = []
-    rooms = {unit: margin(trace, unit) for unit in joint_units([trace])}
+    margins = {unit: margin(trace, unit) for unit in joint_units([trace])}
     for k in frames:
         lines = []
         errors = zip(trace.tasks, trace.goal_error[k], trace.task_error[k], strict=True)
@@ -156,20 +154,21 @@ def _readout(trace: Trace, frames: NDArray[np.int64]) -> list[list[str]]:
                 same = behind == far or trace.t[k] >= task.end
                 way = "" if same else f", {behind:.3g} from its reference"
                 lines.append(f"{task.name} {far:.3g} {unit} off{way}")
-        left = [f"{room[k]:.3g} {unit}" for unit, room in rooms.items() if np.isfinite(room[k])]
+        left = [f"{m[k]:.3g} {unit}" for unit, m in margins.items() if np.isfinite(m[k])]
         if left:
             lines.append(f"limit margin {', '.join(left)}")
-        if (now := told(trace, int(k))) and (words := squeeze_words(squeezes(*now))):
-            lines.append(words)
+        if k > 0 and "hand_wrench" in trace.signals:
+            points, wrenches = (
+                trace.signals[name][k - 1] for name in ("hand_point", "hand_wrench")
+            )
+            words = squeeze_words(squeezes(points.reshape(-1, 3), wrenches.reshape(-1, 6)))
+            lines += [words] if words else []
         texts.append(lines)
     return texts
 
 
 def view(comparison: Comparison, bodies: Sequence[Body], goals: Array) -> dict[str, Any]:
-    """Lowest and highest corner of what is shown, and its rims.
-
-    Shown is all there is, but nothing that flies away or stands far from what moves.
-    """
+    """Lowest and highest corner of what is shown, and its rims; without what is far away."""
     traces, half = comparison.traces.values(), 0.5 * max(comparison.scenario.held.size)
     moving = [points for trace in traces for points in trace.points.values()]
     for trace in traces:
@@ -182,8 +181,8 @@ def view(comparison: Comparison, bodies: Sequence[Body], goals: Array) -> dict[s
     near = np.clip(everything, starts.min(axis=0) - reach, starts.max(axis=0) + reach)
     shown = np.concatenate([near, goals])
     low, high = shown.min(axis=0), shown.max(axis=0)
-    found = {"low": low, "high": high, "rims": _rims(shown, 0.5 * (low + high))}
-    return {name: values.round(DECIMALS).tolist() for name, values in found.items()}
+    corners = {"low": low, "high": high, "rims": _rims(shown, 0.5 * (low + high))}
+    return {name: values.round(DECIMALS).tolist() for name, values in corners.items()}
 
 
 def _rims(points: Array, middle: Array) -> Array:
@@ -207,3 +206,37 @@ def _vertices(robot: RobotModel, bodies: Sequence[Body], trace: Trace) -> Array:
         for body, X in zip(bodies, places, strict=True)
     ]
     return joined(surfaces).vertices
+
+
+def weight(scenario: Scenario) -> float:
+    """Of the real object [N]."""
+    return GRAVITY * scenario.held.mass * scenario.disturbance.object_mass
+
+
+def squeeze_words(forces: list[float]) -> str:
+    """Such as "squeeze 60.0 N"; empty where there is none."""
+    numbers = ", ".join(f"{newtons:.3g}" for newtons in forces)
+    return f"squeeze {numbers} N" if forces else ""
+
+
+def arrows(trace: Trace, scenario: Scenario, frames: NDArray[np.int64]) -> Json | None:
+    """Start and way of each arrow in each frame, for ``playback.js``; None without forces."""
+    if "hand_wrench" not in trace.signals or not trace.ticks:
+        return None
+    points = trace.signals["hand_point"].reshape(trace.ticks, -1, 3)
+    forces = trace.signals["hand_wrench"].reshape(trace.ticks, -1, 6)[:, :, :3]
+    down = weight(scenario)
+    sizes = np.nan_to_num(np.linalg.norm(forces, axis=2).max(axis=1))
+    longest = max(float(np.quantile(sizes, ORDINARY)), down, MIN_FORCE)
+    scale = LONGEST * max(scenario.held.size) / longest
+    before = frames[frames > 0] - 1
+    shown = np.nan_to_num(forces[before])
+    length_of = np.linalg.norm(shown, axis=2, keepdims=True)
+    ways = scale * (shown * np.minimum(1.0, longest / np.maximum(length_of, 1e-9)))
+    starts = np.where((ways != 0.0).any(axis=2, keepdims=True), points[before] - ways, 0.0)
+    hands = np.zeros((len(frames), points.shape[1], 6))
+    hands[frames > 0] = np.concatenate([starts, ways], axis=2)
+    own = np.array(scenario.held.com) + scenario.disturbance.object_com  # of the real object [m]
+    com = trace.position[frames] + trace.rotation[frames] @ own
+    falls = np.tile([0.0, 0.0, -scale * down], (len(frames), 1))
+    return {"hands": short(hands), "weight": short(np.concatenate([com, falls], axis=1))}

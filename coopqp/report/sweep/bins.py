@@ -1,4 +1,4 @@
-"""A study in bins: what its page shows, a few thousand numbers however many rows there are."""
+"""A study in bins: what its page shows, a few thousand numbers for any number of rows."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from coopqp.study.sweep.study import Study
 from coopqp.study.sweep.summary import ERROR
 from coopqp.study.sweep.variant import DONE
 
-BINS, FEWEST_BINS = 16, 4  # of an axis with numbers
+BINS, MIN_BINS = 16, 4  # of an axis with numbers
 ROWS_A_CELL = 8  # of a map and a controller, where there are enough variants
-LEVELS = 24  # values that are shown each by itself; of texts the most frequent
-MOST_AXES = 8  # on the page; the first ones
+LEVELS = 24  # values that have a bin each; of texts the most frequent
+MAX_AXES = 8  # on the page; the first ones
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 OTHER = "others"
 NULL = "left out"  # what a scenario does with a key that is null
@@ -31,10 +31,10 @@ WORST = 10
 
 @dataclass(frozen=True)
 class Axis:
-    """Something that is varied, in bins that have labels or edges, one more than there are.
+    """A varied quantity, in bins with labels or edges (one more than bins).
 
     Attributes:
-        log: whether the edges are even in their logarithm.
+        log: whether the edges are evenly spaced in their logarithm.
         code: bin of each row, shape (rows,).
     """
 
@@ -50,36 +50,32 @@ class Axis:
         return len(self.labels) or len(self.edges) - 1
 
     def as_json(self) -> dict[str, Any]:
-        """What the page is told of it."""
+        """For the page."""
         edges = [short(edge) for edge in self.edges]
         return {"name": self.name, "labels": self.labels, "edges": edges, "log": self.log}
 
 
 def axes(study: Study, columns: Columns) -> list[Axis]:
     """All that takes more than one value, the first ones of many."""
-    logs = {one.path for one in study.varied if isinstance(one.over, Box) and one.over.grows}
-    count, ends = bins_for(study.points.count), _ends(study)
-    found = (
+    boxes = [(one, one.over) for one in study.varied if isinstance(one.over, Box)]
+    logs = {one.path for one, box in boxes if box.grows}
+    ends = {  # as the study has them; of logarithms, those
+        name: (side.low, side.high)
+        for one, box in boxes
+        for name, side in zip(one.columns, box.sides, strict=True)
+    }
+    count = bins_for(study.points.count)
+    every = (
         _axis(columns, name, log=name in logs, count=count, ends=ends.get(name))
         for name in study.columns
     )
-    return [axis for axis in found if axis is not None and axis.count > 1][:MOST_AXES]
+    return [axis for axis in every if axis is not None and axis.count > 1][:MAX_AXES]
 
 
 def bins_for(variants: int) -> int:
-    """So many that a cell of a map has rows enough for a share; a multiple of four, for ticks."""
+    """So many that a cell of a map has enough rows; a multiple of four, for ticks."""
     fitting = int(np.sqrt(variants / ROWS_A_CELL)) // 4 * 4
-    return min(BINS, max(FEWEST_BINS, fitting))
-
-
-def _ends(study: Study) -> dict[str, tuple[float, float]]:
-    """What the study says of the ends of a column; of logarithms, those."""
-    return {
-        name: (side.low, side.high)
-        for one in study.varied
-        if isinstance(one.over, Box)
-        for name, side in zip(one.columns, one.over.sides, strict=True)
-    }
+    return min(BINS, max(MIN_BINS, fitting))
 
 
 def _axis(
@@ -110,7 +106,7 @@ def _axis(
 
 
 def _with_null(axis: Axis, there: NDArray[np.bool_]) -> Axis:
-    """The axis with a bin more for rows whose key is null; its bins then all have labels."""
+    """The axis with one more bin for rows whose key is null; its bins then all have labels."""
     if there.all():
         return axis
     between = (f"{a:.4g} to {b:.4g}" for a, b in itertools.pairwise(axis.edges))
@@ -133,10 +129,7 @@ def _texts(columns: Columns, name: str) -> Axis:
 
 @dataclass(frozen=True)
 class Binned:
-    """Rows that are done, by what the page asks of them.
-
-    Of each row, shape (rows,): the controller, whether it counts, success 1, 0 or NaN.
-    """
+    """Of each row, shape (rows,): controller, whether it is done, success (1, 0 or NaN)."""
 
     axes: Sequence[Axis]
     controllers: Sequence[str]
@@ -156,21 +149,19 @@ class Binned:
         """For each pair of axes and each controller how many rows, and how many succeed."""
         numbers = range(len(self.axes))
         pairs = list(itertools.combinations(numbers, 2)) or [(0, 0)] * bool(self.axes)
+        done = [self.done & (self.controller == k) for k in range(len(self.controllers))]
+        good = [rows & (self.success > 0.0) for rows in done]
         for i, j in pairs:
             a, b = self.axes[i], self.axes[j]
-            cell = a.code * b.count + b.code
-            kept = [self._count(cell, a.count * b.count, k) for k in range(len(self.controllers))]
-            yield {"x": i, "y": j, "all": [n for n, _ in kept], "good": [n for _, n in kept]}
-
-    def _count(self, cell: Codes, cells: int, controller: int) -> tuple[list[int], list[int]]:
-        rows = self.done & (self.controller == controller)
-        good = rows & (self.success > 0.0)
-        counts = (np.bincount(cell[chosen], minlength=cells) for chosen in (rows, good))
-        every, succeeded = (found.tolist() for found in counts)
-        return every, succeeded
+            cell, cells = a.code * b.count + b.code, a.count * b.count
+            counts = (
+                [np.bincount(cell[rows], minlength=cells).tolist() for rows in kept]
+                for kept in (done, good)
+            )
+            yield {"x": i, "y": j} | dict(zip(("all", "good"), counts, strict=True))
 
     def bands(self, values: Array) -> list[list[list[list[float] | None]]]:
-        """Quantiles of a column in each bin: by axis, by controller, by bin; None of none."""
+        """Quantiles of a column: by axis, by controller, by bin; None for an empty bin."""
         return [
             [self._quantiles(axis, values, k) for k in range(len(self.controllers))]
             for axis in self.axes
@@ -193,23 +184,23 @@ class Binned:
         good = self.success > 0.0
         sides = [self.controller, *(axis.code for axis in self.axes), good.astype(np.int64)]
         counts = [len(self.controllers), *(axis.count for axis in self.axes), 2]
-        found = []
+        flows = []
         for (a, b), n in zip(itertools.pairwise(sides), counts[1:], strict=True):
             pair = (a * n + b)[self.done]
             every = np.bincount(pair)
             succeeded = np.bincount(pair, weights=good[self.done])
             there = np.flatnonzero(every).tolist()
-            found.append([[c // n, c % n, int(every[c]), int(succeeded[c])] for c in there])
-        return found
+            flows.append([[c // n, c % n, int(every[c]), int(succeeded[c])] for c in there])
+        return flows
 
 
 def short(value: float) -> float:
-    """Five digits are enough for a picture."""
+    """With five digits."""
     return float(f"{value:.5g}")
 
 
 def worst_error(columns: Columns) -> Array:
-    """Each row's error of the task that is worst, in medians of that task, shape (rows,)."""
+    """Each row's largest task error, in medians of that task, shape (rows,)."""
     worst = np.full(len(columns), -np.inf)
     for name in columns.kinds:
         if name.startswith(ERROR):
@@ -221,7 +212,7 @@ def worst_error(columns: Columns) -> Array:
 
 
 def worst_rows(binned: Binned, error: Array, controller: int) -> list[int]:
-    """Those of a controller that do not succeed and end farthest from their goals; a NaN is far."""
+    """A controller's rows without success, the largest errors first; a NaN is the largest."""
     rows = np.flatnonzero(binned.done & (binned.controller == controller) & ~(binned.success > 0.0))
     far = np.where(np.isfinite(error[rows]), error[rows], np.inf)
     return [int(row) for row in rows[np.argsort(-far, kind="stable")[:WORST]]]

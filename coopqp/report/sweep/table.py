@@ -1,4 +1,4 @@
-"""A study in the terminal: how far it is, and its results; fits 100 columns."""
+"""A study in the terminal: its progress and its results; fits 100 columns."""
 
 from __future__ import annotations
 
@@ -22,24 +22,23 @@ from coopqp.study.sweep.study import Study
 from coopqp.study.sweep.summary import ERROR, Line, Summary
 from coopqp.study.sweep.sweep import Progress as State
 
-MOST_NAMES, MOST_REASONS = 3, 5
+MAX_NAMES, MAX_REASONS = 3, 5
 EVERY = 30.0  # s between two lines
 
 
 def table(name: str, summary: Summary) -> Table:
     """One row a controller."""
-    lines = [line.controller for line in summary.lines]
     success = "success\n%" if summary.exact else "success\n%, 95 % interval"
-    found = _framed(
+    out = _framed(
         f"{name}: {summary.rows:,} rows",
-        lines,
+        [line.controller for line in summary.lines],
         ("done,\ninvalid,\nfailed", success, "reached\n%", "error, median\n95 % (m, rad)"),
-    )  # fmt: skip
+    )
     for heading in ("blocked by,\nhow often", "broken,\nhow often"):
-        found.add_column(heading, overflow="fold", min_width=14)
+        out.add_column(heading, overflow="fold", min_width=14)
     for line in summary.lines:
-        found.add_row(*_cells(line, exact=summary.exact))
-    return found
+        out.add_row(*_cells(line, exact=summary.exact))
+    return out
 
 
 def paired(summary: Summary) -> Table | None:
@@ -47,62 +46,53 @@ def paired(summary: Summary) -> Table | None:
     if not summary.pairs:
         return None
     exact, tested = summary.exact, "" if summary.exact else ", p; 95 % interval"
-    found = _framed(
+    out = _framed(
         f"less {summary.pairs[0].reference} on the same variants{tested}",
         [pair.controller for pair in summary.pairs],
         ("success, points", "error, median (m, rad)", "margin, median (m, rad)"),
     )
     for pair in summary.pairs:
-        *errors, margin = pair.numbers.values()
-        told = [difference(error, exact=exact) for error in errors]
-        said = map(_of_task, pair.numbers, told)
-        found.add_row(
+        *errors, margin = (difference(each, exact=exact) for each in pair.numbers.values())
+        out.add_row(
             Text(one_line(pair.controller), style="bold"),
             points(pair.success.difference, exact=exact),
-            Text("\n".join(said)),
-            difference(margin, exact=exact),
+            Text("\n".join(map(_of_task, pair.numbers, errors))),
+            margin,
         )
-    return found
+    return out
 
 
 def _framed(title: str, controllers: Sequence[str], headings: Sequence[str]) -> Table:
-    """A table with a column of controllers and some of numbers."""
-    found = Table(
+    out = Table(
         title=Text(one_line(title), style="bold"), title_justify="left", box=box.SIMPLE_HEAD,
         padding=(0, 1), show_edge=False,
     )  # fmt: skip
     longest = max((len(one_line(name)) for name in controllers), default=0)
-    found.add_column("controller", overflow="fold", min_width=min(24, longest))
+    out.add_column("controller", overflow="fold", min_width=min(24, longest))
     for heading in headings:
-        found.add_column(heading, justify="right", no_wrap=True)
-    return found
+        out.add_column(heading, justify="right", no_wrap=True)
+    return out
 
 
-def points(found: Difference, *, exact: bool) -> str:
+def points(of: Difference, *, exact: bool) -> str:
     """Such as "-12.5, p 0.0003" above "-18.0 to -7.0", in per cent of the variants.
 
     Where nothing was drawn the first number alone.
     """
-    return _two_lines(found, lambda x: f"{100.0 * x:+.1f}", exact=exact)
+    return difference(of, exact=exact, factor=100.0, form="+.1f")
 
 
-def difference(found: Difference, *, exact: bool) -> str:
-    """The same of a number."""
-    return _two_lines(found, lambda x: f"{x:+.2g}", exact=exact)
-
-
-def _of_task(column: str, said: str) -> str:
-    """With the task's name, from that of its column of errors."""
-    return f"{one_line(column.removeprefix(ERROR))} {said}"
-
-
-def _two_lines(found: Difference, said: Callable[[float], str], *, exact: bool) -> str:
-    """A dash where there is none."""
-    if not found.of:
+def difference(of: Difference, *, exact: bool, factor: float = 1.0, form: str = "+.2g") -> str:
+    """The same of a number; a dash where there is none."""
+    if not of.of:
         return "-"
-    if exact:
-        return said(found.value)
-    return f"{said(found.value)}, {found.chance}\n{said(found.low)} to {said(found.high)}"
+    value, low, high = (format(factor * x, form) for x in (of.value, of.low, of.high))
+    return value if exact else f"{value}, {of.chance}\n{low} to {high}"
+
+
+def _of_task(column: str, words: str) -> str:
+    """With the task's name, from that of its column of errors."""
+    return f"{one_line(column.removeprefix(ERROR))} {words}"
 
 
 def _cells(line: Line, *, exact: bool) -> Iterator[Text]:
@@ -118,10 +108,10 @@ def _cells(line: Line, *, exact: bool) -> Iterator[Text]:
 def sentences(summary: Summary) -> Iterator[str]:
     """Why rows are not done, the most frequent reasons first."""
     reasons = summary.reasons.items()
-    for reason, count in list(reasons)[:MOST_REASONS]:
-        yield f"{count:,} rows: {reason}"
-    if len(reasons) > MOST_REASONS:
-        yield f"and {len(reasons) - MOST_REASONS} other reasons"
+    for reason, count in list(reasons)[:MAX_REASONS]:
+        yield f"{count:,} {'row' if count == 1 else 'rows'}: {reason}"
+    if len(reasons) > MAX_REASONS:
+        yield f"and {len(reasons) - MAX_REASONS} other reasons"
 
 
 def as_json(name: str, summary: Summary) -> dict[str, Any]:
@@ -131,8 +121,8 @@ def as_json(name: str, summary: Summary) -> dict[str, Any]:
 
 def named(counts: Mapping[str, int]) -> str:
     """The most frequent names with their counts, one a line."""
-    shown = [one_line(f"{name} {count:,}") for name, count in list(counts.items())[:MOST_NAMES]]
-    more = len(counts) - MOST_NAMES
+    shown = [one_line(f"{name} {count:,}") for name, count in list(counts.items())[:MAX_NAMES]]
+    more = len(counts) - MAX_NAMES
     return "\n".join([*shown, *([f"and {more} more"] if more > 0 else [])])
 
 
@@ -142,32 +132,22 @@ def _number(value: float) -> str:
 
 @contextmanager
 def shown(study: Study) -> Iterator[Callable[[State], None]]:
-    """A function that is told of each batch."""
-    errors = Console(stderr=True)
+    """A function to call after each batch: a bar on a terminal, elsewhere a line now and then."""
+    errors, due = Console(stderr=True), time.monotonic() + EVERY
+
+    def print_line(state: State) -> None:
+        nonlocal due
+        if time.monotonic() >= due:
+            due = time.monotonic() + EVERY
+            click.echo(f"{study.name}: {words(state)}", err=True)
+
     if not errors.is_terminal:
-        yield _Lines(study).tell
+        yield print_line
         return
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[said]}"))
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[words]}"))
     with Progress(*columns, console=errors, transient=True) as bars:
-        bar = bars.add_task(study.name, total=None, said="begins")
-
-        def tell(state: State) -> None:
-            bars.update(bar, total=state.total, completed=state.done, said=words(state))
-
-        yield tell
-
-
-class _Lines:
-    """A line now and then."""
-
-    def __init__(self, study: Study) -> None:
-        self._name, self._next = study.name, time.monotonic() + EVERY
-
-    def tell(self, state: State) -> None:
-        """Say how far it is if it is time."""
-        if time.monotonic() >= self._next:
-            self._next = time.monotonic() + EVERY
-            click.echo(f"{self._name}: {words(state)}", err=True)
+        bar = bars.add_task(study.name, total=None, words="begins")
+        yield lambda s: bars.update(bar, total=s.total, completed=s.done, words=words(s))
 
 
 def words(state: State) -> str:

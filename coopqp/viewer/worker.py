@@ -1,7 +1,7 @@
-"""A process beside the control loop: it gets the newest of what there is, and never holds it up.
+"""A process beside the control loop: it gets the newest message and never delays the loop.
 
-The other side says when it is ready for something, and only then one thing is sent, so that what
-is old by then was never sent at all. What it sends back is read without waiting.
+The worker says when it is ready, and only then one message is sent, so that outdated ones are never
+sent at all. What it sends back is read without waiting.
 """
 
 from __future__ import annotations
@@ -16,42 +16,34 @@ from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from typing import Any
 
-#: Time for the process to end by itself [s].
-PATIENCE = 2.0
+PATIENCE = 2.0  # for the process to end by itself [s]
 
 
 class _Ready:
-    """What a process sends that would have more."""
+    """Sent by a worker that waits for the next message."""
 
 
-class Line:
-    """The other end, in the process beside."""
+class Peer:
+    """The connection to the control loop, in the worker."""
 
     def __init__(self, connection: Connection) -> None:
         self._connection = connection
 
-    def send(self, thing: Any) -> None:
-        """Let the control loop have something; it takes all, in order, until it ends."""
+    def send(self, message: Any) -> None:
+        """Send to the control loop, which takes all messages in order until it ends."""
         with suppress(OSError):
-            self._connection.send(thing)
+            self._connection.send(message)
 
-    def things(self) -> Iterator[Any]:
-        """One thing after the other, each the newest by when it is asked for; until the end."""
-        try:
+    def messages(self) -> Iterator[Any]:
+        """Messages until the loop ends, each the newest at the time it is asked for."""
+        with suppress(EOFError, OSError):
             while True:
                 self._connection.send(_Ready())
                 yield self._connection.recv()
-        except (EOFError, OSError):
-            return
 
 
-class Beside:
-    """A process beside the control loop.
-
-    Args:
-        work: a function of a module, called with a :class:`Line` and the arguments.
-        arguments: that can be pickled.
-    """
+class Worker:
+    """A process that calls a module's function with a :class:`Peer` and picklable arguments."""
 
     def __init__(self, work: Callable[..., None], *arguments: Any) -> None:
         context = multiprocessing.get_context("spawn")  # no threads are copied half alive
@@ -60,40 +52,39 @@ class Beside:
         # Ctrl-C is for the control loop, which then ends the others.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
-            self._process = context.Process(
-                target=_run, args=(work, theirs, *arguments), daemon=True
-            )
+            start: Any = {"target": _run, "args": (work, theirs, *arguments), "daemon": True}
+            self._process = context.Process(**start)
             self._process.start()
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
         theirs.close()
         self.ready = False
 
-    def send(self, thing: Any) -> bool:
-        """Send something if it is waited for; whether it was."""
+    def send(self, message: Any) -> bool:
+        """Send a message if the worker is ready; whether it was."""
         if not self.ready:
             return False
         try:
-            self._connection.send(thing)
+            self._connection.send(message)
         except OSError:
             return False
         self.ready = False
         return True
 
     def received(self, timeout: float = 0.0) -> Iterator[Any]:
-        """What has come from it; waits for the first as long as told [s].
+        """Messages that have come; waits for the first one as long as ``timeout`` [s].
 
         Raises:
-            EOFError: it has ended.
+            EOFError: the worker has ended.
         """
         try:
             while self._connection.poll(timeout):
-                thing = self._connection.recv()
+                message = self._connection.recv()
                 timeout = 0.0
-                if isinstance(thing, _Ready):
+                if isinstance(message, _Ready):
                     self.ready = True
                 else:
-                    yield thing
+                    yield message
         except OSError as error:
             raise EOFError from error
 
@@ -116,6 +107,6 @@ class Beside:
 def _run(work: Callable[..., None], connection: Connection, *arguments: Any) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # some libraries take the mask away
     sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - servers print; the terminal is the loop's
-    work(Line(connection), *arguments)
+    work(Peer(connection), *arguments)
     sys.stderr.flush()
     os._exit(0)  # threads of a server may linger

@@ -1,0 +1,320 @@
+"""Everything that people can steer: goals of tasks as inputs, by gizmos; gains as dials.
+
+A task that asks for a point, a direction, a rotation or a pose, as a constant, gets an input that
+begins there: until somebody drags, the motion is that of the scenario. A scenario that has inputs
+already is played with these alone. A gizmo may steer two fields, such as a plane's point and
+normal: its position is the one, its z axis the other.
+"""
+
+from __future__ import annotations
+
+import typing
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+
+from coopqp.base.errors import CoopqpError
+from coopqp.base.spec import Array, Pose, spec
+from coopqp.grasp import pose_matrix
+from coopqp.limits import ObjectSpeed
+from coopqp.model.geometry import pose_course
+from coopqp.model.marker import RelativeMarker
+from coopqp.model.profile import Profile
+from coopqp.model.state import State
+from coopqp.model.trajectory_filter import RAMPS, VELOCITIES, MotionLimits
+from coopqp.scenario.input import InputSettings
+from coopqp.scenario.scenario import Phase, Scenario
+from coopqp.signal import (
+    DIRECTION,
+    POSE,
+    ROTATION,
+    Instant,
+    Kind,
+    Moment,
+    Reads,
+    Signal,
+    Trajectory,
+    course,
+    quaternion_of,
+)
+from coopqp.signals import Input
+from coopqp.task import Task
+from coopqp.viewer.messages import Dial, Gizmo
+
+KAPPA = "kappa"
+SQUEEZE = "squeeze"
+#: Least upper ends of sliders; twice a scenario's value where that is more.
+MAX_GAIN, MAX_WEIGHT, MAX_PRIORITY = 20.0, 10.0, 3
+#: Smallest gain [1/s], and steps of a slider.
+MIN_GAIN, STEPS = 0.1, 200
+
+
+@dataclass(frozen=True)
+class SteeredField:
+    """A field of a task that follows an input.
+
+    Attributes:
+        name: of the input. kind: of its values. phase, task: indices.
+        start: the constant that it replaces, as in a file; None for a scenario's own input.
+    """
+
+    name: str
+    phase: int
+    task: int
+    field: str
+    kind: Kind
+    start: tuple[float, ...] | None = None
+
+
+@spec
+class Fixed(Signal):
+    """The target of an input, as a constant of any kind."""
+
+    value: list[float]
+    """As many numbers as are needed."""
+
+    def bind(self, kind: Kind, start: Instant, here: Array | None) -> Trajectory:
+        """It is constant."""
+        return Trajectory(kind, kind.read(self.value))
+
+    @property
+    def rest(self) -> float:
+        """At once [s]."""
+        return 0.0
+
+
+def with_inputs(scenario: Scenario) -> tuple[Scenario, tuple[SteeredField, ...]]:
+    """The scenario with inputs for everything that can be dragged, and the fields they steer."""
+    if scenario.inputs:
+        return scenario, tuple(_own(scenario))
+    state = State(scenario.chain)
+    steered: list[SteeredField] = []
+    schedule = []
+    for i, phase in enumerate(scenario.schedule):
+        tasks = []
+        for j, task in enumerate(phase.tasks):
+            changed, own = _with_inputs(task, f"{phase.name} {task.name}".strip(), (i, j), state)
+            tasks.append(changed)
+            steered += own
+        schedule.append(replace(phase, tasks=tuple(tasks)))
+    settings = InputSettings(**input_limits(scenario))
+    inputs = {field.name: settings for field in steered}
+    return replace(_with_schedule(scenario, schedule), inputs=inputs), tuple(steered)
+
+
+def _with_schedule(scenario: Scenario, schedule: Sequence[Phase]) -> Scenario:
+    """The scenario with other phases, or with the tasks of the only one."""
+    if scenario.phases:
+        return replace(scenario, phases=tuple(schedule))
+    return replace(scenario, tasks=tuple(schedule[0].tasks))
+
+
+def input_limits(scenario: Scenario) -> dict[str, Any]:
+    """Speed limits of inputs: those of the scenario's object_speed, as far as a filter may have."""
+    limits: dict[str, Any] = {}
+    usual = MotionLimits()
+    for limit in (limit for limit in scenario.limits if isinstance(limit, ObjectSpeed)):
+        for key, speed, acceleration in (
+            ("velocity", limit.linear, usual.acceleration),
+            ("angular_velocity", limit.angular, usual.angular_acceleration),
+        ):
+            if speed:
+                slowest = max(VELOCITIES[0], RAMPS[0] * acceleration)
+                limits[key] = min(max(speed, slowest), VELOCITIES[1])
+    return limits
+
+
+def at_targets(task: Task, targets: Mapping[str, Array]) -> Task:
+    """A task whose goal is the target of its inputs, without a profile on the way there."""
+
+    def fixed(value: Any) -> Any:
+        if isinstance(value, Input) and value.name in targets:
+            return Fixed(value=targets[value.name].tolist())
+        return value
+
+    changes: dict[str, Any] = {}
+    for part in fields(task):
+        value = getattr(task, part.name)
+        if isinstance(value, dict):
+            inside = {key: fixed(each) for key, each in value.items()}
+            if inside != value:
+                changes[part.name] = inside
+        elif isinstance(value, Input):
+            changes[part.name] = fixed(value)
+    if isinstance(task.way, Profile):
+        changes["profile"] = Profile(kind="step")
+    return replace(task, **changes) if changes else task
+
+
+def _followed_fields(task: Task) -> Iterator[tuple[str, Kind]]:
+    """Fields of a task that can follow a signal with a position or an orientation."""
+    for name, hint in typing.get_type_hints(type(task), include_extras=True).items():
+        for note in getattr(hint, "__metadata__", ()):
+            if isinstance(note, Reads) and note.kind is not None:
+                yield name, note.kind
+
+
+def _own(scenario: Scenario) -> Iterator[SteeredField]:
+    for i, phase in enumerate(scenario.schedule):
+        for j, task in enumerate(phase.tasks):
+            for name, kind in _followed_fields(task) if not task.of_forces else ():
+                value = getattr(task, name)
+                if isinstance(value, Input):
+                    yield SteeredField(value.name, i, j, name, kind)
+
+
+def _with_inputs(
+    task: Task, name: str, place: tuple[int, int], start: State
+) -> tuple[Task, list[SteeredField]]:
+    """A task with inputs for its constants, as far as it can follow any."""
+    if task.of_forces or any(isinstance(mark, RelativeMarker) for mark in task.marks(Moment(0.0))):
+        return task, []  # without a place, or relative to an arm that moves
+    steered: list[SteeredField] = []
+    constants = [
+        (key, kind, value)
+        for key, kind in _followed_fields(task)
+        if (value := _constant(task, key, kind)) is not None
+    ]
+    for key, kind, value in constants:
+        own = name if len(constants) == 1 else f"{name} {key}"
+        changes: dict[str, Any] = {key: Input(name=own, start=list(value))}
+        if kind is ROTATION and hasattr(task, "rpy"):
+            changes |= {"rpy": None, "rpy_deg": None}
+        try:
+            other = replace(task, **changes)
+            other.bind(start)
+        except CoopqpError:  # it moves by itself already, or cannot say where it begins
+            continue
+        task = other
+        steered.append(SteeredField(own, *place, key, kind, value))
+    return task, steered
+
+
+def _constant(task: Task, field: str, kind: Kind) -> tuple[float, ...] | None:
+    """The constant in a field, as a file would have it; None where there is none."""
+    value = getattr(task, field)
+    if isinstance(value, Signal):
+        return None
+    if kind is ROTATION:
+        angles: dict[str, Any] = {key: getattr(task, key, None) for key in ("rpy", "rpy_deg")}
+        if value is not None or not any(given is not None for given in angles.values()):
+            return None
+        R = pose_matrix(Pose(**angles)).rotation
+        return tuple(np.asarray(quaternion_of(R)).tolist())
+    if value is None:
+        return None
+    if kind is DIRECTION:
+        return tuple(value)
+    constant = pose_course(value, Moment()) if kind is POSE else course(value, kind, Moment())
+    return tuple(constant.value.tolist())
+
+
+@dataclass(frozen=True)
+class Handle:
+    """A gizmo, the point of the object that its task moves [m], and the fields that it steers."""
+
+    gizmo: Gizmo
+    point: Array
+    steered: list[SteeredField]
+
+    def pose(self, targets: Mapping[str, Array], state: State) -> Array:
+        """Its pose, shape (7,)."""
+        place, turn = state.point(self.point), np.array([0.0, 0.0, 0.0, 1.0])
+        for field in self.steered:
+            value = targets.get(field.name)
+            if value is None:
+                continue
+            if field.kind.numbers:
+                place = value[:3]
+            if field.kind.turns:
+                turn = value[field.kind.numbers :]
+        return np.concatenate([place, turn])
+
+    def sent(self, pose: Sequence[float]) -> Iterator[tuple[str, list[float]]]:
+        """Values of its inputs at a pose x, y, z, qx, qy, qz, qw."""
+        for field in self.steered:
+            kind, place, turn = field.kind, list(pose[:3]), list(pose[3:])
+            if kind.axis:
+                yield field.name, Trajectory(kind, np.array(turn)).R[:, 2].tolist()
+            else:
+                numbers = place if kind.numbers else []
+                yield field.name, numbers + (turn if kind.turns else [])
+
+    def carried(self, place: Sequence[float], targets: Mapping[str, Array], state: State) -> Array:
+        """The pose for which the object's origin goes to a place, turned as before."""
+        lever = state.R_WO @ self.point
+        return np.concatenate([np.array(place) + lever, self.pose(targets, state)[3:]])
+
+
+def handles(scenario: Scenario, steered: Sequence[SteeredField]) -> tuple[Handle, ...]:
+    """One for each task of which something can be dragged."""
+    by_task: dict[tuple[int, int], list[SteeredField]] = {}
+    for field in steered:
+        by_task.setdefault((field.phase, field.task), []).append(field)
+    every = []
+    for (phase, number), own in by_task.items():
+        task = scenario.schedule[phase].tasks[number]
+        moves, turns = any(f.kind.numbers for f in own), any(f.kind.turns for f in own)
+        point = np.array(getattr(task, "point", (0.0, 0.0, 0.0)), float)
+        every.append(Handle(Gizmo(task.name, phase, moves, turns), point, own))
+    return tuple(every)
+
+
+def dials_of(scenario: Scenario) -> Iterator[Dial]:
+    """Gains, weights, priorities, squeezes and kappa."""
+    for i, phase in enumerate(scenario.schedule):
+        for j, task in enumerate(phase.tasks):
+            key, group = f"tasks.{i}.{j}", f"{phase.name}: {task.name}" if phase.name else task.name
+            yield from _dials_of(task, key, group, scenario.dt)
+            if task.mode == "soft":
+                high, now = float(max(MAX_PRIORITY, task.priority)), float(task.priority)
+                yield Dial(f"{key}.priority", group, "priority, 0 is first", 0.0, high, 1.0, now)
+    for i, task in enumerate(scenario.secondary):
+        yield from _dials_of(task, f"secondary.{i}", task.name, scenario.dt)
+    now = scenario.drift_gain
+    high = max(1.0 / scenario.dt, now)  # which rounding may tell apart
+    yield Dial(KAPPA, "loop", "kappa, drift gain [1/s]", 0.0, high, high / STEPS, now)
+
+
+def _dials_of(task: Task, key: str, group: str, dt: float) -> Iterator[Dial]:
+    force = getattr(task, SQUEEZE, None) if task.of_forces else None
+    if isinstance(force, float | int) and force > 0.0:
+        high = 2.0 * force
+        yield Dial(f"{key}.{SQUEEZE}", group, "squeeze [N]", 0.0, high, high / STEPS, force)
+    if not (task.asks_velocity or task.of_forces):
+        high = max(min(max(MAX_GAIN, 2.0 * task.gain), 1.0 / dt), task.gain)
+        low = min(MIN_GAIN, task.gain)
+        step = (high - low) / STEPS
+        yield Dial(f"{key}.gain", group, "gain [1/s]", low, high, step, task.gain)
+    high = max(MAX_WEIGHT, 2.0 * task.weight)
+    yield Dial(f"{key}.weight", group, "weight", 0.0, high, high / STEPS, task.weight)
+
+
+def with_dials(scenario: Scenario, values: Mapping[str, float]) -> Scenario:
+    """The scenario with the values of its dials, by key."""
+    if not values:
+        return scenario
+
+    def changed(task: Task, place: str) -> Task:
+        keys = {name: f"{place}.{name}" for name in ("gain", "weight", "priority", SQUEEZE)}
+        given: dict[str, Any] = {n: values[key] for n, key in keys.items() if key in values}
+        if "priority" in given:
+            given["priority"] = round(given["priority"])
+        return replace(task, **given) if given else task
+
+    phases = [
+        replace(p, tasks=tuple(changed(t, f"tasks.{i}.{j}") for j, t in enumerate(p.tasks)))
+        for i, p in enumerate(scenario.schedule)
+    ]
+    secondary = tuple(changed(t, f"secondary.{i}") for i, t in enumerate(scenario.secondary))
+    other = replace(_with_schedule(scenario, phases), secondary=secondary)
+    return replace(other, kappa=values[KAPPA]) if KAPPA in values else other
+
+
+def dialled_field(key: str) -> tuple[str, int, int, str]:
+    """List, phase, index and field of the task that a dial's key names."""
+    kind, *numbers, field = key.split(".")
+    indices = [int(number) for number in numbers]
+    return kind, indices[0] if len(indices) == 2 else 0, indices[-1], field
