@@ -50,7 +50,7 @@ def shortened(name: str) -> Scenario:
 def looked_at(scenario: Scenario, law: str, monkeypatch: pytest.MonkeyPatch) -> Trace:
     """The trace in which every instant was looked at with pinocchio and the tasks' own code."""
     with monkeypatch.context() as patched:
-        patched.setattr(instants, "evaluation_of", lambda *_: None)
+        patched.setattr(instants, "survey", lambda *_: None)
         return run(scenario, controller=law)
 
 
@@ -153,7 +153,7 @@ def test_a_velocity_is_missed_by_what_the_joints_do(
     twist = Twist(velocity={"x": 0.05, "z": 0.02, "rot_y": 0.3})
     given = problem(chain, twist, PointOnPoint(goal=NEAR), limits=LIMITS)
     found = _rolled(given, QPController().build(given), timed=False)
-    monkeypatch.setattr(instants, "evaluation_of", lambda *_: None)
+    monkeypatch.setattr(instants, "survey", lambda *_: None)
     other = _rolled(given, QPController().build(given), timed=False)
     assert found.task_error[:, 0].max() > 1e-3
     check_equal(found, other, 1e-12)

@@ -18,7 +18,7 @@ from coopqp.base.wording import suppressed
 from coopqp.closed_loop.wrench_stack import WrenchStack
 from coopqp.controller import ControlProblem
 from coopqp.execution.directional_manipulability import leverage
-from coopqp.kernel.trajectory_evaluation import TrajectoryEvaluation, evaluation_of, joint_points
+from coopqp.kernel.trajectory_evaluation import TrajectoryEvaluation, joint_points, survey
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.plant import PlantModel
@@ -53,13 +53,13 @@ class Instants:
         self._velocities = [i for i, task in enumerate(asking) if task.asks_velocity]
         self._begin = _beginning(problem, start)
         self._goals = [task.at_goal() for task in problem.tasks]
-        self._evaluation: TrajectoryEvaluation | None = None
+        self._survey: TrajectoryEvaluation | None = None
         self.points: dict[str, Array] = {}
         if alone and plant.as_told and not problem.wrenches:
             points = itertools.chain.from_iterable(chain.once(joint_points).values())
             tasks = (*problem.tasks, *self._goals)
-            self._evaluation = evaluation_of(chain, tasks, self._begin, tuple(points))
-        self.at_end = self._evaluation is not None
+            self._survey = survey(chain, tasks, self._begin, tuple(points))
+        self.at_end = self._survey is not None
         if self.at_end:
             return
         self.position, self.rotation = np.zeros((rows, 3)), np.zeros((rows, 3, 3))
@@ -127,10 +127,10 @@ class Instants:
             gap: of the closed loops, which has not changed, shape (6 L,) [m, rad].
         """
         chain = self._problem.chain
-        if self._evaluation is None:
+        if self._survey is None:
             self.points = arm_points(chain, q)
             return
-        found = self._evaluation.look(t, q, v if self._velocities else None)
+        found = self._survey.look(t, q, v if self._velocities else None)
         self.position, self.rotation = found.position, found.rotation
         apart = found.loop_error[:, : len(gap)] - gap
         sizes = np.linalg.norm(apart.reshape(len(t), -1, 2, 3), axis=3)

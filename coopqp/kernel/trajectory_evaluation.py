@@ -39,7 +39,7 @@ class TrajectoryValues:
 
 
 class TrajectoryEvaluation:
-    """Evaluates all instants of a motion at once; made by :func:`evaluation_of`.
+    """Evaluates all instants of a motion at once; made by :func:`survey`.
 
     Args:
         chain: that moves.
@@ -51,7 +51,7 @@ class TrajectoryEvaluation:
         self, chain: ClosedChain, levels: Levels, points: Sequence[tuple[int, Array]]
     ) -> None:
         found = native.module()
-        assert found is not None  # as evaluation_of() has asked
+        assert found is not None  # as survey() has asked
         self._chain, self._rows, self._points = chain, len(levels.flat[0]["gain"]), len(points)
         axes = chain.once(turned)
         places = [axes[joint].T @ p for joint, p in points]
@@ -85,7 +85,7 @@ class TrajectoryEvaluation:
         return out
 
 
-def evaluation_of(
+def survey(
     chain: ClosedChain, tasks: Sequence[Task], start: State, points: Sequence[tuple[int, Array]]
 ) -> TrajectoryEvaluation | None:
     """The evaluation of motions; None where tasks have rows in Python, or follow signals.
@@ -108,17 +108,17 @@ def evaluation_of(
     return TrajectoryEvaluation(chain, levels, points)
 
 
-def loop_evaluation(chain: ClosedChain) -> TrajectoryEvaluation | None:
+def loop_survey(chain: ClosedChain) -> TrajectoryEvaluation | None:
     """The evaluation of the object and the loops alone; None as above."""
-    return chain.once(_loop_evaluation)
+    return chain.once(_loop_survey)
 
 
-def _loop_evaluation(chain: ClosedChain) -> TrajectoryEvaluation | None:
-    return evaluation_of(chain, (), State(chain), ())
+def _loop_survey(chain: ClosedChain) -> TrajectoryEvaluation | None:
+    return survey(chain, (), State(chain), ())
 
 
 def joint_points(chain: ClosedChain) -> dict[str, list[tuple[int, Array]]]:
-    """Joint origins and hand of each arm, base first, as :func:`evaluation_of` takes them."""
+    """Joint origins and hand of each arm, base first, as :func:`survey` takes them."""
     found: dict[str, list[tuple[int, Any]]] = {}
     for arm in chain.arms:
         joints = [chain.model.getJointId(name) for name in chain.robot.arm_joints(arm)]

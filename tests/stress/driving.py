@@ -10,7 +10,7 @@ from coopqp.assessment.oscillation import turns
 from coopqp.base.spec import Array
 from coopqp.closed_loop import many_poses
 from coopqp.controller import ControlProblem, Law
-from coopqp.kernel.trajectory_evaluation import loop_evaluation
+from coopqp.kernel.trajectory_evaluation import loop_survey
 from coopqp.limits import JointVelocity
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
@@ -70,7 +70,7 @@ def drive_on(
 
 def loop_errors(chain: ClosedChain, q: Array) -> tuple[Array, Array]:
     """As :func:`coopqp.closed_loop.many_poses.loop_errors`, compiled where the kernel can."""
-    look = loop_evaluation(chain)
+    look = loop_survey(chain)
     if look is None or chain.holding < 2:
         return many_poses.loop_errors(chain, q)
     gaps = look.look(np.zeros(len(q)), q).loop_error.reshape(len(q), -1, 2, 3)
