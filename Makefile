@@ -4,6 +4,7 @@
 # make docs   the site, in out/docs; warnings are errors
 # make links  asks the internet whether what pages link to is there
 # make bench  one tick side by side with Pink
+# make wheel  what is published, in dist: built, installed and used
 # make sanitize  the kernel on random robots and garbage, watched by the compiler's sanitizers
 
 PYTHON ?= python3
@@ -13,7 +14,7 @@ OUT ?= out/point_on_point
 
 CXX ?= c++
 
-.PHONY: demo test lint docs links bench sanitize clean
+.PHONY: demo test lint docs links bench wheel sanitize clean
 
 demo: .venv/installed
 	$(BIN)/coopqp compare $(SCENARIO) --out $(OUT)
@@ -38,6 +39,9 @@ links: .venv/installed-docs
 
 bench: .venv/installed-test
 	$(BIN)/python -m pytest benchmarks --benchmark-only -p no:xdist
+
+wheel:
+	$(PYTHON) -m tests.release --out dist
 
 sanitize:
 	mkdir -p out

@@ -15,7 +15,7 @@ import numpy as np
 import coopqp
 from coopqp.base.spec import Array
 from coopqp.closed_loop.admittance import Admittance, stability_limit
-from coopqp.closed_loop.section import section
+from coopqp.closed_loop.grasp_matrix import section
 from coopqp.controllers import QPController
 from coopqp.plants import Mujoco
 from coopqp.plants._mjcf import SpringHand

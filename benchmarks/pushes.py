@@ -18,7 +18,6 @@ import pinocchio as pin
 import coopqp
 from coopqp.base.spec import Array, Pose
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
-from coopqp.closed_loop.momentum_observer import MomentumObserver
 from coopqp.controllers import TorqueQp
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import Memory
@@ -27,6 +26,7 @@ from coopqp.plants import Mujoco, RigidBody
 from coopqp.scenario.scenario import Scenario
 from coopqp.signals.circle import Circle
 from coopqp.tasks import Impedance, Orientation, PointOnPoint
+from coopqp.torque_law.external_wrench import MomentumObserver
 from coopqp.trace import Trace
 
 FORCE, BEGIN = np.array([6.0, 8.0, 0.0]), 1.2  # [N], [s]

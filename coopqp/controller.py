@@ -25,23 +25,9 @@ from coopqp.trace import TickBatch
 
 
 def not_finite(
-    tasks: Sequence[Task],
-    limits: Sequence[Limit],
-    chain: ClosedChain,
-    state: State,
-    dt: float,
+    tasks: Sequence[Task], limits: Sequence[Limit], chain: ClosedChain, state: State, dt: float
 ) -> str:
-    """Which tasks and limits give NaN or infinite values at a state; empty if none does.
-
-    Each is bound once more; one that raises is not told of.
-
-    Args:
-        tasks: any, also those that ask for forces.
-        limits: any.
-        chain: theirs.
-        state: up to date.
-        dt: control period [s].
-    """
+    """Which tasks and limits, bound anew, give NaN or infinite values at a state; empty if none."""
     return "; ".join((*_tasks(tasks, chain, state), *_limits(limits, chain, state, dt)))
 
 
@@ -94,7 +80,7 @@ class InternalForceControl(Protocol):
     """What a law must remember for it, see ``State.memory``."""
 
     note: str
-    """What else is to be said of the last tick."""
+    """A remark on the last tick."""
 
     def update(self, state: State) -> Status | None:
         """Move the gap along it; what is wrong with the force, None if nothing is."""
@@ -115,26 +101,20 @@ ALL_FEATURES: Features = frozenset({"limits", "modes", "priorities", "secondary"
 
 @dataclass(frozen=True, kw_only=True)
 class ControlProblem:
-    """What a controller is built for.
+    """What a controller is built for; InvalidValueError with everything that cannot be asked.
 
     Attributes:
-        chain: the robot with the object in its hands.
-        tasks: the main tasks.
-        wrenches: tasks that ask for wrenches of the hands, for the controllers that heed forces.
-        secondary: objectives for what the tasks leave free.
-        limits: hard bounds, for the controllers that heed them.
+        wrenches: tasks that ask for wrenches of the hands, for controllers that support forces.
+        secondary: objectives in the null space of the tasks.
+        limits: hard bounds, for controllers that support them.
         dt: control period [s].
-        kappa: gain of the drift correction, J_c v = -kappa e [1/s]; 1/dt when omitted, which
+        kappa: gain of the Baumgarte stabilisation, J_c v = -kappa e [1/s]; 1/dt when omitted, which
             removes the linearisation error of each step in the next; 0 is the paper's law.
-        solver: for the controllers that solve a QP.
-        budget: what a solution may be off by.
-        on_infeasible: what to do in a tick in which not everything can hold: "scale" meets
-            hard and scaled tasks as nearly as possible, and where loops and limits alone clash
-            corrects drift in part, then gives up acceleration limits; "hold" stands still for the
-            tick, but for joints outside their limits, which come back; "stop" from the next on.
-
-    Raises:
-        InvalidValueError: with everything that cannot be asked, see :func:`problem_faults`.
+        budget: tolerances of a usable solution.
+        on_infeasible: what to do in a tick in which not everything can hold: "scale" meets hard and
+            scaled tasks as nearly as possible, and where loops and limits alone clash corrects
+            drift in part, then relaxes acceleration limits; "hold" stands still for the tick, but
+            for joints outside their limits, which recover; "stop" from the next on.
     """
 
     chain: ClosedChain
@@ -169,14 +149,7 @@ class ControlProblem:
 def problem_faults(
     dt: float, kappa: float, tasks: Sequence[Task], secondary: Sequence[Task]
 ) -> Iterator[tuple[Location, str]]:
-    """What no controller can be asked for: places such as tasks[0], and what is wrong there.
-
-    Args:
-        dt: control period [s].
-        kappa: drift gain [1/s].
-        tasks: the main tasks.
-        secondary: objectives for what the tasks leave free.
-    """
+    """What no controller can be asked for: places such as tasks[0], and what is wrong there."""
     if wrong := period_fault(dt):
         yield ("dt",), wrong
         return
@@ -213,11 +186,11 @@ class Command:
     Attributes:
         v: joint velocity for the next dt, shape (n,) [rad/s, m/s]; zero when torques are commanded.
         tau: joint torques for the next dt, shape (n,) [N m]; None when velocities are commanded.
-        causes: what became of the tick, and what else was relaxed in it. Where the first, the
-            status, is not usable, v = 0, or torques only hold.
+        causes: status of the tick, and what else was relaxed in it. Where the first is not usable,
+            v = 0, or torques only hold.
         scale: least share of its rate at which a hard or scaled task runs; 1 where there are none.
-        drift: share of the drift correction that is done.
-        note: what else is to be said of a tick that stood still, such as what a task raised.
+        drift: share of the Baumgarte correction that is done.
+        note: a remark on a tick that stood still, such as what a task raised.
     """
 
     def __init__(self, n: int, *, torques: bool = False) -> None:
@@ -253,16 +226,10 @@ class Command:
 class Law(ABC):
     """A controller built for one problem.
 
-    Args:
-        problem: what it is built for.
-        torques: whether it commands torques.
-        gives_way: whether it does what tasks with an impedance ask for; they are refused if not.
-
     Attributes:
-        problem: what it was built for.
         command: of the last tick.
         compiled: whether the kernel has decided the last tick.
-        squeezer: who presses by measured forces; None where nobody does.
+        squeezer: internal force control by measured forces; None where there is none.
     """
 
     rows_in_python: tuple[str, ...] = ()
@@ -298,8 +265,8 @@ class Law(ABC):
 
         Args:
             q: configuration, shape (n,); the chain's start when omitted.
-            q_measured: where the sensors say that the joints are, instead of q. What the loops are
-                open by there is taken for the model's error (``State.gap``).
+            q_measured: measured joint positions, instead of q; the loop error there is taken for
+                the model's bias (``State.gap``).
             hand_wrench: ``State.hand_wrench`` there.
         """
         state = State(self.problem.chain, q, memory=Memory(self.memory_sizes))
@@ -329,24 +296,18 @@ class Law(ABC):
         if state.inputs.refused:
             wrong.append(Status.INPUT_REFUSED)
         if command.status in (Status.NOT_FINITE, Status.SOLVER_ERROR) and not command.note:
-            asked = self.problem
-            found = not_finite(asked.all_tasks, asked.limits, asked.chain, state, asked.dt)
-            command.note = found
+            of = self.problem
+            command.note = not_finite(of.all_tasks, of.limits, of.chain, state, of.dt)
         if wrong:
             pressed = self.squeezer.note if self.squeezer else ""
-            said = (command.note, pressed, *state.inputs.refused)
-            command.note = "; ".join(note for note in said if note)
+            notes = (command.note, pressed, *state.inputs.refused)
+            command.note = "; ".join(filter(None, notes))
             command.say(*(c for c in command.causes if c is not Status.OPTIMAL), *wrong)
         state.corrected = command.drift
         return command
 
     def run(self, state: State, ticks: int) -> TickBatch:
-        """Many ticks on joints that do as told, with nothing that arrives from outside.
-
-        Args:
-            state: where it begins, of :meth:`start`; written, so that it is where it ends.
-            ticks: how many.
-        """
+        """Many ticks on ideal joints, without inputs from outside; ``state`` is written."""
         found = self._room(state, ticks)
         for k in range(ticks):
             self._keep(state, found, k)
@@ -358,7 +319,7 @@ class Law(ABC):
         """For so many ticks from a state, whose memory is then this law's."""
         if state.memory.sizes != self.memory_sizes:
             state.memory = Memory(self.memory_sizes)
-        return TickBatch.room(ticks, self.problem.chain.n, len(state.memory.numbers))
+        return TickBatch.empty(ticks, self.problem.chain.n, len(state.memory.numbers))
 
     def _keep(self, state: State, found: TickBatch, k: int) -> None:
         """One of them, by the tick: whatever a law has instead has been tried."""
@@ -370,11 +331,7 @@ class Law(ABC):
             found.notes[k] = command.note
 
     def step(self, state: State) -> Command:
-        """A tick, after which the joints have done as told for dt.
-
-        Args:
-            state: of :meth:`start`; written, :meth:`coopqp.model.state.State.advance`.
-        """
+        """A tick and :meth:`coopqp.model.state.State.advance`: ideal joints for dt."""
         command = self.tick(state)
         state.advance(command.v, self.problem.dt)
         return command
@@ -396,17 +353,11 @@ class Law(ABC):
             return command, wrong
 
     def _fits(self, state: State) -> bool:
-        """Whether a state is one of this law's chain."""
         n, gap = self.problem.chain.n, 6 * (len(self.problem.chain.arms) - 1)
         return state.q.shape == state.v.shape == (n,) and len(state.gap) == gap
 
     def refuse(self, why: Status, note: str = "") -> Command:
-        """Stand still where nothing can be decided.
-
-        Args:
-            why: the status.
-            note: what else is to be said.
-        """
+        """Stand still where nothing can be decided."""
         command = self.command
         command.v[:] = 0.0
         if command.tau is not None:
@@ -423,11 +374,7 @@ class Law(ABC):
         return self.command
 
     def hold_still(self, state: State) -> None:
-        """Write torques that keep the arms where they are; for laws in velocities zero does.
-
-        Args:
-            state: with its kinematics up to date.
-        """
+        """Write torques that keep the arms where they are; for laws in velocities zero does."""
         return
 
     def _plugins(self) -> list[tuple[str, object]]:
@@ -440,10 +387,7 @@ class Law(ABC):
 
     @abstractmethod
     def decide(self, state: State) -> Command:
-        """The command at a state whose kinematics are up to date.
-
-        Raises nothing, prints nothing, reuses its arrays.
-        """
+        """The command at an up-to-date state; raises and prints nothing, reuses its arrays."""
 
 
 @spec
@@ -470,11 +414,7 @@ class Controller(ABC):
 
     @abstractmethod
     def build(self, problem: ControlProblem) -> Law:
-        """Prepare everything that does not change from tick to tick.
-
-        Raises:
-            CoopqpError: the controller cannot be used for this problem.
-        """
+        """Prepare what is constant; CoopqpError where the controller cannot serve this problem."""
 
     def unprepared(self, problem: ControlProblem) -> Law:
         """The same, but what only rare ticks need waits for them: for many short runs."""

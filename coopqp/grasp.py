@@ -18,10 +18,10 @@ from numpy.typing import ArrayLike
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array, Pose, spec, unit
 
-#: Friction is counted on over this where nothing else is said.
+#: Default safety factor on friction.
 SAFETY = 1.5
-#: Share of a pad's half-lengths that is counted on where nothing else is said: beyond its edge no
-#: friction holds, and torques are held for a tick in which the arms move on.
+#: Default share of a pad's half-lengths that is counted on: beyond its edge no friction holds, and
+#: torques are held for a tick in which the arms move on.
 REACH = 0.95
 #: A hand that presses with less does not hold anything, whatever the ratio says [N].
 NO_CONTACT = 1e-6
@@ -31,12 +31,9 @@ BEYOND = 1e-5
 
 @dataclass(frozen=True)
 class ForceRows:
-    """What a wrench in the contact frame has to keep, rows @ w <= most.
+    """What a contact wrench has to keep, rows @ w <= most [N], shapes (r, 6) and (r,).
 
-    Attributes:
-        rows: shape (r, 6).
-        most: shape (r,) [N].
-        labels: such as "friction[3]", "edge[2]", "least" and "most".
+    The labels are such as "friction[3]", "edge[2]", "least" and "most".
     """
 
     rows: Array
@@ -53,8 +50,7 @@ class Contact(ABC):
         friction: coefficient mu.
         half_lengths: of the pad along the frame's x and y [m]; zero for a point.
         reach: share of the half-lengths that is counted on; what holds is the whole pad.
-        least: normal force with which a hand is to press at least [N].
-        most: normal force that hand and object stand [N].
+        least, most: bounds on the normal force [N].
     """
 
     placement: Any
@@ -66,58 +62,23 @@ class Contact(ABC):
 
     @abstractmethod
     def rows(self, friction: float) -> Array:
-        """A cone inside Coulomb's, rows @ w <= 0, shape (r, 6).
-
-        Args:
-            friction: coefficient that is counted on: mu over a safety factor.
-        """
+        """A cone inside Coulomb's for friction mu / safety, rows @ w <= 0, shape (r, 6)."""
 
     @abstractmethod
     def friction_needed(self, wrench: ArrayLike) -> float:
-        """The coefficient of true friction that a wrench needs, whether or not it tips the hand.
-
-        Args:
-            wrench: of the hand on the object, contact frame, shape (6,) [N, N m].
-
-        Returns:
-            inf where the hand does not press.
-        """
+        """The friction coefficient that a wrench needs, tipping aside; inf without pressure."""
 
     @abstractmethod
     def edge_use(self, wrench: ArrayLike) -> float:
-        """How far out the normal force is, over the half-lengths: 0 in the middle, 1 at an edge.
-
-        Args:
-            wrench: of the hand on the object, contact frame, shape (6,) [N, N m].
-
-        Returns:
-            NaN for a contact without an edge, and where the hand does not press.
-        """
+        """Where the normal force is, over the half-lengths: 1 at an edge, NaN without one."""
 
     def needed(self, wrench: ArrayLike) -> float:
-        """The coefficient of true friction that a wrench needs; inf where none bears it.
-
-        Args:
-            wrench: of the hand on the object, contact frame, shape (6,) [N, N m].
-        """
+        """The friction coefficient that a wrench (contact frame) needs; inf where none bears it."""
         tips = self.edge_use(wrench) > 1.0 + BEYOND
         return math.inf if tips else self.friction_needed(wrench)
 
-    def holds(self, wrench: ArrayLike, friction: float) -> bool:
-        """Whether true friction bears a wrench.
-
-        Args:
-            wrench: contact frame, shape (6,) [N, N m].
-            friction: coefficient that there is.
-        """
-        return self.needed(wrench) <= friction
-
     def force_rows(self, safety: float) -> ForceRows:
-        """All that a wrench of the hand has to keep: the inner cone, and the normal force.
-
-        Args:
-            safety: friction is counted on over this.
-        """
+        """All that a wrench has to keep: the cone for friction / safety, and the normal force."""
         cone = self.counted_on.rows(self.friction / safety)
         # Rows without friction say where the normal force is: beyond the edge nothing helps.
         tilts = ~cone[:, [0, 1, 5]].any(axis=1)
@@ -139,30 +100,15 @@ class Contact(ABC):
         return replace(self, half_lengths=(self.reach * X, self.reach * Y), reach=1.0)
 
     def use(self, wrench: ArrayLike, friction: float) -> float:
-        """How much of the inner cone a wrench uses: 0 pure squeeze, 1 its edge; inf without one.
-
-        Args:
-            wrench: contact frame, shape (6,) [N, N m].
-            friction: coefficient that is counted on.
-        """
+        """Share of the inner cone that a wrench uses: 0 normal force alone, 1 its edge, or inf."""
         w = np.asarray(wrench, float)
         if not w[2] > NO_CONTACT:
             return np.inf
-        rows = self.rows(friction)
-        return used(rows, w)
-
-    def margin(self, wrench: ArrayLike, friction: float) -> float:
-        """Share of the inner cone that is left, 1 - use; negative beyond it."""
-        return 1.0 - self.use(wrench, friction)
+        return used(self.rows(friction), w)
 
 
 def used(rows: Array, w: Array) -> float:
-    """The largest share of a row's normal part that the rest of the wrench takes.
-
-    Args:
-        rows: of a cone, shape (r, 6).
-        w: wrench with a normal force that presses, shape (6,).
-    """
+    """The largest share of a row's normal part that the rest of a pressing wrench takes."""
     normal = -rows[:, 2] * w[2]
     bound = normal > 0.0
     return float(np.max((rows[bound] @ w + normal[bound]) / normal[bound], initial=0.0))
@@ -206,12 +152,7 @@ class Grasp(ABC):
 
     @abstractmethod
     def passive_joints(self, R_WT: Array) -> tuple[PassiveJoint, ...]:
-        """The joints this grasp adds after the tip, hand first.
-
-        Args:
-            R_WT: orientation of the tip frame at the start, shape (3, 3), for axes that are given
-                in the world.
-        """
+        """The joints after the tip, hand first; R_WT is how the tip starts, for world axes."""
 
     @property
     def contact(self) -> Contact | None:
@@ -225,14 +166,7 @@ def axis_frame(
     point: tuple[float, float, float],
     R_WT: Array,
 ) -> pin.SE3:
-    """Frame in the hand with z along an axis and its origin on it.
-
-    Args:
-        axis: direction, in the hand or in the world.
-        axis_in: which of the two.
-        point: in the hand [m].
-        R_WT: orientation of the hand at the start.
-    """
+    """Frame in the hand with z along an axis and its origin at a point [m] on it."""
     z = unit(axis) if axis_in == "hand" else R_WT.T @ unit(axis)
     turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), z)
     return pin.SE3(turn.toRotationMatrix(), np.array(point))

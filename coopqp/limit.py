@@ -26,12 +26,7 @@ SHALLOW = 1e-3
 
 @dataclass(frozen=True)
 class LimitRows:
-    """Where a limit writes; bounds are tightened, never widened.
-
-    Attributes:
-        lb, ub: bounds on v, shape (n,) [rad/s, m/s].
-        G, h: this limit's own inequality rows, shapes (p, n) and (p,).
-    """
+    """Where a limit tightens bounds lb, ub on v (n,), and writes its rows G (p, n), h (p,)."""
 
     lb: Array
     ub: Array
@@ -40,30 +35,19 @@ class LimitRows:
 
 
 class Bounded(IntEnum):
-    """What bounds on joints are of, from which ``kernel/core/shared.hpp`` is made.
+    """What bounds on joints are of, from which ``kernel/core/shared.hpp`` is made."""
 
-    Attributes:
-        VELOCITY: v.
-        POSITION: q, which no step may overrun.
-        BRAKING: q, which no joint may come to faster than it can brake.
-        LEAD: q - q_measured.
-    """
-
-    VELOCITY = 0
-    POSITION = 1
-    BRAKING = 2
-    LEAD = 3
+    VELOCITY = 0  # v
+    POSITION = 1  # q after a step
+    BRAKING = 2  # q that a joint can still stop before
+    LEAD = 3  # q - q_measured
 
 
 @dataclass(frozen=True, kw_only=True)
 class JointBounds:
-    """Bounds on each joint's velocity, for the kernel.
+    """Bounds on each joint's velocity, for the kernel, from bounds of what ``of`` names.
 
-    Attributes:
-        of: what is bounded.
-        lower, upper: its bounds, shape (n,).
-        step: of BRAKING, how much v may change in a tick, shape (n,) [rad/s, m/s].
-        speed: of POSITION, the fastest way back from outside [rad/s, m/s].
+    ``step`` is how much v may change in a tick (BRAKING), ``speed`` that of recovery (POSITION).
     """
 
     of: Bounded
@@ -75,13 +59,13 @@ class JointBounds:
 
 @dataclass(frozen=True, kw_only=True)
 class TwistBounds:
-    """Rows of a limit that see the object's twist alone, for the kernel.
+    """Rows of a limit on the object's twist alone, for the kernel.
 
     Attributes:
         components: of the twist in world axes whose size is bounded, upper sides, then lower ones.
         bounds: their bounds [m/s, rad/s].
         points: of the object, which stay on one side of a plane, in the object frame, shape (k, 3).
-        normal: of the plane, of length one, into the side that is allowed.
+        normal: unit normal of the plane, into the side that is allowed.
         offset: n'p of the points on it [m].
         gain: share of the distance that may be used up per second [1/s].
     """
@@ -95,14 +79,13 @@ class TwistBounds:
 
     @property
     def rows(self) -> int:
-        """How many."""
         return 2 * len(self.components) + len(self.points)
 
 
 Tighten = Callable[[State, LimitRows], None]
 
-RoomLeft = Callable[[State], Array]
-"""What is left in space at a state, in the order of the limit's rows, shape (k,) [m].
+Clearance = Callable[[State], Array]
+"""Distances left in space at a state, in the order of the limit's rows, shape (k,) [m].
 
 Rows after the first k only help to keep the others.
 """
@@ -115,97 +98,64 @@ class Limit(ABC):
     constant: ClassVar[bool] = False
     """Whether the bounds are the same in every tick, so that they are asked for once."""
     sacrificed_first: ClassVar[bool] = False
-    """Whether it may be given up before the drift correction when not everything can hold."""
+    """Whether it may be relaxed before the Baumgarte correction when not everything can hold."""
 
-    heeds_measured: ClassVar[bool] = False
-    """Whether it depends on what the sensors say, which geometry alone cannot explain."""
+    uses_measurements: ClassVar[bool] = False
+    """Whether it depends on measurements, which geometry alone cannot explain."""
 
     bounds_position: ClassVar[bool] = False
     """Whether its bounds on v are bounds on q, divided by dt."""
 
     def rows(self, chain: ClosedChain) -> tuple[Row, ...]:
-        """Its inequality rows beside the bounds; none for most limits.
-
-        Raises:
-            CoopqpError: the limit cannot be used with this chain.
-        """
+        """Its inequality rows beside the bounds; CoopqpError if this chain cannot have them."""
         return ()
 
     @abstractmethod
     def bind(self, chain: ClosedChain, dt: float) -> Tighten:
-        """Return the function that tightens the bounds each tick.
-
-        Args:
-            chain: what is limited.
-            dt: control period [s].
-        """
+        """Return the function that tightens the bounds each tick of dt [s]."""
 
     def program(self, chain: ClosedChain, dt: float) -> JointBounds | TwistBounds | None:
-        """The same as numbers for the kernel; None where it is neither of these.
-
-        Args:
-            chain: what is limited.
-            dt: control period [s].
-        """
+        """The same as numbers for the kernel; None where it has no such form."""
         return None
 
     def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
         """How far a run stayed away from this limit, for the audit.
 
-        Args:
-            chain: what is limited.
-            q: configurations, shape (T + 1, n) [rad, m]; row k + 1 is after tick k.
-            v: velocities of the ticks, shape (T, n) [rad/s, m/s].
-            dt: control period [s].
+        q has shape (T + 1, n) [rad, m], row k + 1 after tick k, and v (T, n) [rad/s, m/s].
 
         Returns:
-            By row, such as "limit.position[RElbowRoll].upper" or one of :meth:`rows`, in the
-            row's unit, shape (T,); negative where the limit is broken. Sides without a limit are
-            left out. For a limit with :meth:`room`, that after each tick.
+            By row, such as "limit.position[RElbowRoll].upper" or one of :meth:`rows`, in the row's
+            unit, shape (T,); negative where violated. Infinite sides are left out. For a limit with
+            :meth:`clearance`, that after each tick.
         """
-        left = self.room(chain)
+        left = self.clearance(chain)
         if left is None:
             return {}
         found = np.array([left(state) for state in states_along(chain, q[1:])])
         return dict(zip(self.rows(chain), found.T, strict=False)) if len(found) else {}
 
     def audited(self, chain: ClosedChain) -> bool:
-        """Whether :meth:`margins` or :meth:`room` say how far a run stayed away from it."""
-        return type(self).margins is not Limit.margins or self.room(chain) is not None
+        """Whether :meth:`margins` or :meth:`clearance` say how far a run stayed away from it."""
+        return type(self).margins is not Limit.margins or self.clearance(chain) is not None
 
-    def room(self, chain: ClosedChain) -> RoomLeft | None:
-        """How far what it bounds is from it, for limits in space; None for all others.
+    def clearance(self, chain: ClosedChain) -> Clearance | None:
+        """Distance of what a limit in space bounds from it; None for all others.
 
-        Its :meth:`rows` are then velocity dampers: G = -d room/dq. Of what is far, room and rows
+        Its :meth:`rows` are then velocity dampers: G = -d clearance/dq. Of what is far, both
         may say nothing; rows may look farther where joints are fast.
-
-        Args:
-            chain: what is limited.
         """
         return None
 
-    def eased(self, room: float) -> Limit | None:
-        """The same limit, but so much farther out; None where it has no setting for that.
-
-        ``explain`` runs with it what it says would do.
-
-        Args:
-            room: how much [m].
-        """
+    def relaxed(self, by: float) -> Limit | None:
+        """The limit relaxed by a distance [m], to verify ``explain``; None where it has none."""
         return None
 
     def start_faults(self, chain: ClosedChain) -> tuple[str, ...]:
-        """What is wrong with where a scenario starts, one sentence each; nothing by default.
-
-        Asked of the file's start alone: a limit must stand any state in :meth:`bind`.
-        """
+        """What is wrong with a file's start, a sentence each; :meth:`bind` must stand any state."""
         return ()
 
     def unseen(self, chain: ClosedChain) -> tuple[str, ...]:
-        """What of the chain it ought to bound and cannot, one sentence each; nothing by default.
-
-        No verdict says of a run that it keeps every limit without saying this.
-        """
+        """What of the chain it should bound and cannot, one sentence each, for every verdict."""
         return ()
 
     def notes(self, chain: ClosedChain) -> tuple[str, ...]:
@@ -213,11 +163,7 @@ class Limit(ABC):
         return self.unseen(chain)
 
     def marks(self, t: float) -> tuple[Marker, ...]:
-        """What pictures show of it: where it is; nothing by default.
-
-        Args:
-            t: since the beginning of the motion, or of its phase [s].
-        """
+        """What pictures show of it at t since the beginning of the motion, or of its phase [s]."""
         return ()
 
 
@@ -226,9 +172,9 @@ def damp(
 ) -> None:
     """Velocity damper, room_dot >= -gain room, as the right side of rows -room_dot <= h.
 
-    What has sunk in a little, by the curvature of its path in a tick, is asked back. What is
-    deeper than ``shallow`` was there from the start; it may not go farther, but asking it back
-    could leave no motion at all, so there h = 0.
+    What has sunk in a little, by the curvature of its path in a tick, is asked back. What is deeper
+    than ``shallow`` was there from the start; it may not go farther, but asking it back could leave
+    no motion at all, so there h = 0.
 
     Args:
         room: distance left, shape (p,) [m]; negative where there is none.
@@ -243,12 +189,7 @@ def damp(
 
 
 def states_along(chain: ClosedChain, q: Iterable[Array]) -> Iterator[State]:
-    """The state at each row of q; one object that is reused.
-
-    Args:
-        chain: the closed chain.
-        q: rows of shape (n,).
-    """
+    """The state at each row of q; one object that is reused."""
     state = State(chain)
     for row in q:
         state.q[:] = row
@@ -256,22 +197,15 @@ def states_along(chain: ClosedChain, q: Iterable[Array]) -> Iterator[State]:
         yield state
 
 
-def joint_limit(kind: str, chain: ClosedChain, joint: int, side: Side, per: str = "") -> Row:
-    """The row of one side of one joint, "limit.KIND[JOINT].upper".
-
-    Args:
-        kind: what is limited, such as "position".
-        chain: the closed chain.
-        joint: its index in q.
-        side: lower or upper.
-        per: what the joint's unit is divided by, such as "/s".
-    """
-    return _joint_row(kind, chain.joint_names[joint], chain.joint_units[joint], side, per)
+def place_row(owner: str, what: str, label: str) -> Row:
+    """The row "limit.OWNER" and what of it, which bounds a distance [m]."""
+    name = f"limit.{owner}{what}"
+    return Row(name=name, kind="limit", owner=owner, unit="m", label=label, of_place=True)
 
 
-@lru_cache(maxsize=1024)
+@lru_cache(maxsize=1024)  # margins of a run that goes on are asked for ten times a second
 def _joint_row(kind: str, name: str, unit: str, side: Side, per: str) -> Row:
-    """Margins of a run that goes on are asked for ten times a second."""
+    """The row "limit.KIND[JOINT].upper" of one side; ``per`` divides the joint's unit, "/s"."""
     of = "" if kind == "position" else f"{kind.replace('_', ' ')} of "
     return Row(
         name=f"limit.{kind}[{name}].{side}",
@@ -288,19 +222,11 @@ def _joint_row(kind: str, name: str, unit: str, side: Side, per: str) -> Row:
 def joint_margins(
     kind: str, chain: ClosedChain, below: Array, above: Array, per: str = ""
 ) -> dict[Row, Array]:
-    """Margins of all joints on both sides; those that are infinite are left out.
-
-    Args:
-        kind: what is limited, such as "position".
-        chain: the closed chain.
-        per: what the joint's unit is divided by, such as "/s".
-        below: distance to the lower limit, shape (T, n); infinite where there is none.
-        above: distance to the upper limit, shape (T, n).
-    """
+    """Finite margins of all joints, from distances to both limits, shape (T, n) each."""
     sides: tuple[tuple[Side, Array], ...] = (("lower", below), ("upper", above))
     return {
-        joint_limit(kind, chain, i, side, per): margin[:, i]
-        for i in range(chain.n)
+        _joint_row(kind, *joint, side, per): margin[:, i]
+        for i, joint in enumerate(zip(chain.joint_names, chain.joint_units, strict=True))
         for side, margin in sides
         if np.isfinite(margin[:, i]).all()
     }
@@ -310,16 +236,12 @@ def bound_rows(limit: Limit, chain: ClosedChain, side: Side) -> tuple[Row, ...]:
     """What a limit's bounds on v are called, joint by joint, in units of a velocity or a place."""
     kind = type_name(type(limit)).removeprefix("joint_")
     per = "" if limit.bounds_position else "/s"
-    return tuple(joint_limit(kind, chain, i, side, per) for i in range(chain.n))
+    joints = zip(chain.joint_names, chain.joint_units, strict=True)
+    return tuple(_joint_row(kind, *joint, side, per) for joint in joints)
 
 
 def movers(chain: ClosedChain, joints: Sequence[int]) -> Array:
-    """Which joints move the body that a joint carries: 1 or 0, shape (len(joints), n).
-
-    Args:
-        chain: the closed chain.
-        joints: ids into chain.model.joints; 0 is the base, which nothing moves.
-    """
+    """1 where a joint (n) moves the body that a joint id (0: the base) carries, else 0."""
     moved = np.zeros((len(joints), chain.n))
     for row, joint in zip(moved, joints, strict=True):
         row[[chain.model.idx_vs[i] for i in chain.model.supports[joint] if i]] = 1.0

@@ -2,11 +2,25 @@
 
 from __future__ import annotations
 
+import inspect
+import json
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
+import numpy as np
+
 from coopqp.base.spec import spec
-from coopqp.trace import Trace
+from coopqp.base.wording import raised
+from coopqp.trace import Trace, read_only
+
+#: Columns that every study has of its own; no metric is called so.
+OF_STUDIES = frozenset(
+    ("row", "variant", "controller", "state", "reason", "success", "blocked_by", "broken",
+     "variant_seed")
+)  # fmt: skip
+#: Larger whole numbers are kept as others are.
+MOST = 2**53
 
 
 @spec
@@ -21,3 +35,38 @@ class Metric(ABC):
     @abstractmethod
     def measure(self, trace: Trace) -> Any:
         """The value, made of numbers, strings, lists and dicts, so that JSON can hold it."""
+
+
+def measured(metrics: Mapping[str, Metric], trace: Trace) -> tuple[dict[str, Any], list[str]]:
+    """What metrics say of a trace, which they cannot write to, as JSON holds it.
+
+    Args:
+        metrics: by name.
+        trace: of a run.
+
+    Returns:
+        By name, None where one raises or gives what is no JSON; and what is wrong with these.
+    """
+    found, faults, kept = dict.fromkeys(metrics), list[str](), read_only(trace)
+    for name, metric in metrics.items():
+        try:
+            text = json.dumps(metric.measure(kept), default=_plain)
+            found[name] = json.loads(text, parse_int=_whole)
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # noqa: BLE001 - a metric may be the user's
+            file = inspect.getfile(type(metric))
+            faults.append(f"metric '{name}': {raised(error, file)}")
+    return found, faults
+
+
+def _plain(value: Any) -> Any:
+    """Numbers of numpy as Python has them."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} is no number, text, list or dict")
+
+
+def _whole(digits: str) -> float:
+    number = int(digits)
+    return number if abs(number) <= MOST else float(number)

@@ -109,12 +109,10 @@ class PlantModel(ABC):
     """A plant built for one problem.
 
     Attributes:
-        signals: what the plant tells beside the state, by name, written by each step; the trace
-            keeps it.
-        measured: where the sensors say that the joints are, shape (n,) [rad, m]; None where the
-            joints do exactly as told. A run begins there, and so does each phase.
-        lost: which hand has lost the object and why, where the plant cannot go on without; empty
-            while it is held.
+        signals: what the plant tells beside the state, by name, written by each step, recorded.
+        measured: measured joint positions, shape (n,) [rad, m], where a run and each phase begin;
+            None where joints follow their commands exactly.
+        lost: which hand has lost the object and why, where the plant cannot go on; else empty.
     """
 
     def __init__(self) -> None:
@@ -122,7 +120,7 @@ class PlantModel(ABC):
         self.signals = {}
         self.measured = None
 
-    as_told: bool = False
+    ideal: bool = False
     """Whether a step is :meth:`State.advance` alone, so that many may be done at once."""
     signals: dict[str, Array]
     measured: Array | None
@@ -131,37 +129,27 @@ class PlantModel(ABC):
     @property
     def hand_wrench(self) -> Array | None:
         """What the force sensors say now, ``State.hand_wrench``; None where there are none."""
-        told = self.signals.get("hand_wrench")
-        return None if told is None else told.copy()
+        measured = self.signals.get("hand_wrench")
+        return None if measured is None else measured.copy()
 
     @abstractmethod
     def step(self, state: State, command: Command) -> None:
         """Carry the command out for one dt: writes t, q, v and what is measured of the state.
 
         After a velocity command q is the commanded configuration and v the commanded velocity,
-        :meth:`State.advance`, and q_measured says where the joints are: limits, damping and the
-        drift correction go by what was asked for, not by what a servo has made of it so far. After
+        :meth:`State.advance`, and q_measured is the measured one: limits, damping and the Baumgarte
+        correction use the commands, not what a servo has made of them so far. After
         a torque command q and v are measured, and q_measured is None. Plants that know what the
         hands do to the object write hand_wrench.
         """
 
     def truth(self, state: State) -> State:
-        """What is really so: joints, object and loops, with the kinematics up to date.
-
-        The state itself where joints do exactly as told and the model has no errors.
-
-        Args:
-            state: as the last step left it, or as the run began.
-        """
+        """The true joints, object and loops, up to date; for an ideal plant the state itself."""
         return state
 
     @abstractmethod
     def resume(self, before: PlantModel) -> None:
-        """Go on from where the plant of the phase before stopped, with other arms holding.
-
-        Args:
-            before: of the same type.
-        """
+        """Go on from where the previous phase's plant, of this type, stopped; other arms hold."""
 
 
 @spec

@@ -1,7 +1,7 @@
 """A task as a list of geometric primitives.
 
 A primitive is a few rows of one kind: a point seen from a reference, a distance, an axis that
-leans, a line's angle to a plane, a rotation, a twist, or a wish for the joints. Whatever a task's
+leans, a line's angle to a plane, a rotation, a twist, or a joint objective. Whatever a task's
 reference needs from the start is read from the start state here, once. The compiled kernel
 evaluates all kinds, :func:`evaluated` in numpy those that several tasks share.
 """
@@ -27,7 +27,7 @@ from coopqp.model.geometry import (
     RotationError,
     polar,
 )
-from coopqp.model.profile import KINDS, Profile
+from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.signal import ROTATION, Trajectory, quaternion_of
 
@@ -56,12 +56,11 @@ class Primitive:
     """A few rows of a task.
 
     Attributes:
-        kind: what it does.
         rows: which of the kind's rows, in the task's order; for a posture, which joints; for
             manipulability, which axes of the world.
         reference: the frame that the object is steered to; of a relative motion, its origin alone,
             in the first arm's object frame.
-        profile: how the error goes to zero, or the wish to its goal.
+        profile: how the error goes to zero, or the objective to its goal.
         point: of the object, in the object frame [m].
         axis: of the object, in the object frame, of length one.
         e_start: error at the start, one number a row.
@@ -94,7 +93,7 @@ class Primitive:
 
     @property
     def of_joints(self) -> bool:
-        """Whether it is a wish for all joints, which has no rows of its own."""
+        """Whether it is an objective for all joints, without rows of its own."""
         return self.kind in (Kind.CENTERING, Kind.BARRIER, Kind.MANIPULABILITY)
 
     @property
@@ -108,12 +107,11 @@ class Primitive:
         return self.goal is None or not self.goal.moves
 
     def flat(self) -> dict[str, Any]:
-        """As numbers."""
         return {
             "kind": float(self.kind),
             "rows": np.array(self.rows, float),
             "reference": self.reference.numbers(),
-            "profile": profile_numbers(self.profile),
+            "profile": np.array(self.profile.numbers),
             "point": np.array(self.point, float),
             "axis": np.array(self.axis, float),
             "e_start": np.array([*self.e_start, 0.0, 0.0, 0.0][:3]),
@@ -134,11 +132,7 @@ class Programmed(Protocol):
 
 
 class Programs:
-    """The programs of tasks that set out from one state, each made when it is first asked for.
-
-    Args:
-        start: the state, which stays as it is.
-    """
+    """The programs of tasks that set out from one unchanging state, each made when first needed."""
 
     def __init__(self, start: State) -> None:
         self.start = start
@@ -156,23 +150,10 @@ def sees_twist(program: Sequence[Primitive] | None) -> bool:
     return program is not None and not any(p.of_joints or p.over_joints for p in program)
 
 
-def profile_numbers(profile: Profile) -> Array:
-    """Kind, duration and delay, shape (3,)."""
-    return np.array([KINDS.index(profile.kind), profile.duration, profile.delay], float)
-
-
 def point(
     start: State, reference: Reference, p_O: Vector3, profile: Profile, rows: tuple[int, ...]
 ) -> Primitive:
-    """A point's place along some of the reference's axes; its error shrinks from the start's.
-
-    Args:
-        start: the state from which the reference sets out.
-        reference: what the point goes to.
-        p_O: the point, in the object frame [m].
-        profile: how the error goes to zero.
-        rows: which axes of the reference count.
-    """
+    """A point's place along the reference's axes in ``rows``; its error shrinks to zero."""
     return Primitive(
         kind=Kind.POINT, rows=rows, reference=reference, point=p_O, profile=profile,
         e_start=_place(start, reference, p_O)[list(rows)].tolist(),
@@ -231,7 +212,6 @@ def fixed(R: Array) -> Trajectory:
 
 
 def _place(start: State, reference: Reference, p_O: Vector3) -> Array:
-    """Where a point is at the start, in the reference's axes."""
     reference.update(start)
     seen: Array = reference.RT @ (start.point(np.array(p_O)) - reference.c)
     return seen
@@ -242,12 +222,7 @@ Fill = Callable[[State, Array, Array, Array], None]
 
 
 def evaluated(program: Sequence[Primitive], start: State) -> Fill:
-    """The rows of primitives of the object, in numpy; their references move once a state.
-
-    Args:
-        program: of one task, one primitive after the other.
-        start: the state from which the references set out.
-    """
+    """The rows of a task's primitives, in numpy; their references move once a state."""
     moving: dict[int, Reference | Trajectory] = {id(p.reference): p.reference for p in program}
     goals: dict[int, Reference | Trajectory] = {id(p.goal): p.goal for p in program if p.goal}
     seen: dict[tuple[int, Vector3], PointInReference] = {}
@@ -304,8 +279,7 @@ def _radial_rows(p: Primitive, start: State, seen: PointInReference | None) -> F
 
 
 def _lean_rows(p: Primitive, start: State, seen: PointInReference | None) -> Fill:
-    axis = p.axis[0], p.axis[1], p.axis[2]
-    return Alignment(axis, p.reference, p.profile, start).fill
+    return Alignment((p.axis[0], p.axis[1], p.axis[2]), p.reference, p.profile, start).fill
 
 
 def _tilt_rows(p: Primitive, start: State, seen: PointInReference | None) -> Fill:

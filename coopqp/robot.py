@@ -15,6 +15,7 @@ import pinocchio as pin
 
 from coopqp.base.errors import InvalidValueError, UnknownNameError
 from coopqp.base.spec import Array, array, near
+from coopqp.base.wording import counted
 
 
 class Robot(ABC):
@@ -22,21 +23,12 @@ class Robot(ABC):
 
     @abstractmethod
     def build(self) -> RobotModel:
-        """Make the model.
-
-        Raises:
-            CoopqpError: the description cannot be turned into a model.
-        """
+        """Make the model; CoopqpError where the description cannot be turned into one."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Arm:
-    """A serial chain that ends in a hand.
-
-    Attributes:
-        name: as used in scenarios, such as "right".
-        tip: frame of the hand.
-    """
+    """A serial chain, named as in scenarios, that ends in a hand with the frame ``tip``."""
 
     name: str
     tip: str
@@ -44,14 +36,13 @@ class Arm:
 
 @dataclass(frozen=True, kw_only=True)
 class Shape:
-    """A part of a link, as it looks or as what must not hit others.
+    """A part of a link, for drawing or for collisions.
 
     Attributes:
         frame: the model's frame that it is fixed to.
         placement: pose in that frame.
-        kind: what it is; a mesh is read from ``mesh``.
-        size: box: edges; cylinder and capsule: radius, length along z (without the capsule's
-            caps); sphere: radius; ellipsoid: radii along x, y, z [m]; mesh: scale along x, y, z.
+        size: box: edges; cylinder and capsule: radius, length along z (without the capsule's caps);
+            sphere: radius; ellipsoid: radii along x, y, z [m]; mesh: scale along x, y, z.
         mesh: file of a mesh.
     """
 
@@ -64,13 +55,9 @@ class Shape:
 
 @dataclass(frozen=True, kw_only=True)
 class Capsule:
-    """A body that must not hit others: all points within a radius of a segment.
+    """A collision body: all points within a radius of a segment, start to end (3,) [m].
 
-    Attributes:
-        name: as used in limits, such as "RForearm".
-        joint: name of the joint that carries it; None for the base.
-        start, end: of the segment, in the joint's frame, shape (3,) [m]; may be one point.
-        radius: [m].
+    It is fixed to a joint's frame, None for the base, and named as used in limits: "RForearm".
     """
 
     name: str
@@ -82,20 +69,19 @@ class Capsule:
 
 @dataclass(frozen=True, kw_only=True)
 class RobotModel:
-    """A robot ready to take hold of something.
+    """A robot ready to grasp something.
 
     Attributes:
-        name: of the robot.
         model: pinocchio model with one coordinate per joint (nq = nv), position limits [rad, m],
             velocity limits [rad/s, m/s] and effort limits [N m, N].
         arms: in the order of the loops; the first is the reference of the others.
         shapes: how the links look; a link without shapes is drawn as a capsule.
-        capsules: bodies that must not hit others, base first on each arm; see
+        capsules: collision bodies, base first on each arm; see
             :class:`coopqp.limits.SelfCollision`.
-        collision_shapes: the same from a robot's file, where it gives no capsules; a mesh counts
-            as its convex hull.
-        unseen: what of a file's collision geometry could not be had, one sentence each, which
-            begins with the link's name.
+        collision_shapes: the same from a robot's file, where it gives no capsules; a mesh counts as
+            its convex hull.
+        unseen: what of a file's collision geometry cannot be used, one sentence each, which begins
+            with the link's name.
         warnings: what was left out when the robot was read, one sentence each.
     """
 
@@ -144,19 +130,16 @@ class RobotModel:
         return tuple(self.model.names[j] for j in self.model.supports[tip.parentJoint] if j > 0)
 
     def configuration(self, values: Mapping[str, float | Sequence[float]]) -> Array:
-        """Configuration from values by arm or joint name; joints not named stay at neutral.
+        """Configuration, shape (nq,), by arm or joint name; joints not named stay at neutral.
 
         Args:
-            values: an arm's name with one number per joint, base first, or a joint's name with
-                one number [rad or m].
-
-        Returns:
-            q, shape (nq,).
+            values: an arm's name with one number per joint, base first, or a joint's name with one
+                number [rad or m].
 
         Raises:
             UnknownNameError: a key is neither an arm nor a joint.
-            InvalidValueError: wrong number of values, a value that is not finite, or arms that
-                give a joint they share different values.
+            InvalidValueError: wrong number of values, a value that is not finite, or arms that give
+                a joint they share different values.
         """
         q = np.array(pin.neutral(self.model))
         by_arm: dict[str, tuple[str, float]] = {}
@@ -169,7 +152,8 @@ class RobotModel:
             numbers = np.atleast_1d(near(key, array(key, value)))
             if numbers.shape != (len(joints),):
                 raise InvalidValueError(
-                    f"{key}: found {numbers.size} numbers, needs {len(joints)}: {', '.join(joints)}"
+                    f"{key}: found {counted(numbers.size, 'number')}, needs {len(joints)}: "
+                    f"{', '.join(joints)}"
                 ).at(key)
             for joint, number in zip(joints, numbers, strict=True):
                 other, same = by_arm.get(joint, (key, number))
@@ -195,11 +179,7 @@ def unit_of(joint: Any) -> str:
 
 
 def axis_of(joint: Any) -> Array | None:
-    """(v; omega) for a unit rate of a joint, in its own axes; None if it has more coordinates.
-
-    Args:
-        joint: a pinocchio joint model.
-    """
+    """(v; omega) for a unit rate of a joint, in its own axes; None if it has more coordinates."""
     if joint.nq != 1 or joint.nv != 1:
         return None
     data = joint.createData()
@@ -214,24 +194,14 @@ PER_VELOCITY = (
 
 
 def _hold_both_ways(model: pin.Model) -> None:
-    """Make speed and effort limits hold in both directions.
-
-    pinocchio 4 gives a joint that is added without limits a least speed that is above its largest,
-    and then refuses to put the model beside another one.
-    """
+    """Make speed and effort limits symmetric: pinocchio 4's lower defaults exceed the upper."""
     for key in ("Velocity", "Effort"):
         if hasattr(model, f"lower{key}Limit"):
             setattr(model, f"lower{key}Limit", -np.array(getattr(model, f"upper{key}Limit")))
 
 
 def copy_per_velocity(source: pin.Model, target: pin.Model, prefix: str = "") -> None:
-    """Copy limits, friction and rotors of the source's joints, found by name in the target.
-
-    Args:
-        source: from where; one velocity coordinate per joint.
-        target: to where.
-        prefix: of the joints' names in the target.
-    """
+    """Copy limits, friction and rotors of joints, by name with a prefix in the target."""
     at = [target.idx_vs[target.getJointId(prefix + name)] for name in list(source.names)[1:]]
     for key in PER_VELOCITY:
         values = np.array(getattr(target, key))

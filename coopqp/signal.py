@@ -25,10 +25,12 @@ from pydantic import BeforeValidator, GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import core_schema
 
 from coopqp.base.errors import CoopqpError, InvalidValueError
-from coopqp.base.spec import Array, Direction, Pose, Vector3, cross, real, spec, unit
+from coopqp.base.spec import FARTHEST, Array, Direction, Pose, Vector3, cross, real, spec, unit
 
 #: How far from one the length of a quaternion may be, and how far from orthonormal a matrix.
 SLOPPY = 1e-3
+#: Nothing that arms hold, and none of their joints, is faster [m/s, rad/s].
+FASTEST = 1e3
 
 
 @dataclass(frozen=True)
@@ -79,14 +81,10 @@ class Kind:
         return np.array([0.0] * self.numbers + [0.0, 0.0, 0.0, 1.0] * self.turns)
 
     def read(self, given: Any) -> Array:
-        """A value as it is kept.
+        """A value as it is kept; InvalidValueError says why it is none.
 
-        Args:
-            given: as many numbers as there are values; a direction as three numbers; a rotation
-                also as a matrix, a pose also as a matrix or a :class:`pinocchio.SE3`.
-
-        Raises:
-            InvalidValueError: it is none; says why.
+        A direction is three numbers; a rotation four or a matrix, a pose also a matrix or a
+        :class:`pinocchio.SE3`.
         """
         found = self._array(given.homogeneous if isinstance(given, pin.SE3) else given)
         if self.axis and found.shape == (3,):
@@ -147,10 +145,6 @@ def of_twist(axes: tuple[str, ...]) -> Kind:
 class Trajectory:
     """Where something is and how it moves, in arrays that it reuses; at rest by itself.
 
-    Args:
-        kind: what it is.
-        value: where it is at first, shape (values,).
-
     Attributes:
         value: shape (values,); a rotation as the quaternion x, y, z, w.
         rate: shape (rates,) [1/s]; of a rotation the angular velocity.
@@ -176,14 +170,14 @@ class Trajectory:
 
 
 class InputValues(dict[str, Trajectory]):
-    """What is made of the inputs at an instant, by name.
+    """Filtered values of the inputs at an instant, by name.
 
     Attributes:
         wanted: what signals have asked for: kind, and value with which nothing would have to move.
         stale: of which nothing new has arrived in time.
         refused: of which what arrived could not be used, and why.
-        arrived: what has arrived for this tick and is used, by name: when it was sent [s], and the
-            value, shape (values,).
+        arrived: by name, what has arrived for this tick and is used: when sent [s], and the value,
+            shape (values,).
     """
 
     def __init__(self) -> None:
@@ -194,11 +188,7 @@ class InputValues(dict[str, Trajectory]):
         self.arrived: dict[str, tuple[float, Array]] = {}
 
     def want(self, name: str, kind: Kind, here: Array | None) -> Trajectory | None:
-        """The input of a name, if there is one yet.
-
-        Raises:
-            InvalidValueError: it is wanted as something else already.
-        """
+        """The input of a name, if there is one yet; InvalidValueError where kinds differ."""
         other, place = self.wanted.setdefault(name, (kind, here))
         if (other.values, other.axis) != (kind.values, kind.axis):
             words = f"is wanted as a {other.name} and as a {kind.name}; use two inputs"
@@ -226,12 +216,7 @@ class Instant(Protocol):
 
 @dataclass
 class Moment:
-    """An instant that is no state, for pictures.
-
-    Attributes:
-        t: since the references set out [s].
-        inputs: as followed then.
-    """
+    """An instant t [s] since the references set out, without a state, for pictures."""
 
     t: float = 0.0
     inputs: InputValues = field(default_factory=InputValues)
@@ -260,26 +245,31 @@ class Signal(ABC):
         return np.inf
 
 
-def course(
+def trajectory_of(
     given: Signal | Array | tuple[float, ...] | list[float],
     kind: Kind,
     start: Instant,
     here: Array | None = None,
 ) -> Trajectory:
-    """A field of a task as something to follow: a signal, or a constant.
-
-    Args:
-        given: the field's value; a constant as :meth:`Kind.read` takes it.
-        kind: what it is.
-        start: the instant from which the reference sets out.
-        here: the value with which nothing would have to move, shape (values,).
-
-    Raises:
-        InvalidValueError: the signal cannot be of this kind.
-    """
+    """A signal, or a constant as :meth:`Kind.read` takes it, to follow; as :meth:`Signal.bind`."""
     if isinstance(given, Signal):
         return given.bind(kind, start, here)
     return Trajectory(kind, kind.read(given))
+
+
+def check_places(key: str, numbers: Array) -> None:
+    """InvalidValueError: a number (none of a quaternion) is beyond what any place can be."""
+    most = float(np.abs(numbers).max(initial=0.0))
+    if most > FARTHEST:
+        words = f"found {most:g}, needs at most {FARTHEST:g} (metres, radians; of forces N)"
+        raise InvalidValueError(f"{key}: {words}")
+
+
+def check_speed(key: str, speed: float) -> None:
+    """InvalidValueError: a speed [m/s, rad/s, N/s] is beyond that of any arm."""
+    if speed > FASTEST:
+        words = f"goes at {speed:.3g} m/s (rad/s; of forces N/s), needs at most {FASTEST:g}"
+        raise InvalidValueError(f"{key}: {words}; times are seconds")
 
 
 def matrix(quaternion: Array) -> Array:

@@ -15,12 +15,7 @@ from coopqp.base.spec import Array, Positive, spec
 
 
 class Status(enum.Enum):
-    """What became of a tick; the value is the message.
-
-    Attributes:
-        usable: whether the velocity may be used.
-        fallback: whether something was relaxed to have an answer.
-    """
+    """Status of a tick, with its message; ``fallback``: a constraint was relaxed."""
 
     usable: bool
     fallback: bool
@@ -39,16 +34,16 @@ class Status(enum.Enum):
     ITERATION_LIMIT = "the solver ran out of iterations"
     SOLVER_ERROR = "the solver reported a numerical error"
     NOT_FINITE = "the state or the answer has NaN or infinite values"
-    EQUALITY_RESIDUAL = "the answer breaks the loop closure"
-    BOUND_RESIDUAL = "the answer breaks a limit"
+    EQUALITY_RESIDUAL = "the answer violates the loop closure"
+    BOUND_RESIDUAL = "the answer violates a limit"
     TASKS_RELAXED = (
         "hard or scaled tasks are not met in full: limits and loops leave no motion that does so",
         True,
         True,
     )
-    ACCELERATION_GIVEN_UP = "an acceleration limit was given up: it left no motion", True, True
+    ACCELERATION_GIVEN_UP = "an acceleration limit was relaxed: no motion keeps it", True, True
     CONTACT_GIVEN_UP = "friction cannot bear it: a hand that presses may slip", True, True
-    DRIFT_SLOWED = "the drift correction was slowed: all of it left no motion", True, True
+    DRIFT_SLOWED = "the Baumgarte correction was reduced: no motion does all of it", True, True
     SOLVER_FAILED = (
         "the solver failed on the whole problem; a smaller one had an answer",
         True,
@@ -76,7 +71,7 @@ class Status(enum.Enum):
     NOT_BEGUN = "stands still: the loop cannot begin where the robot is"
     LATE = "the tick came late; references have waited for it", True
     EARLY = "the tick came before its period was over; the last command holds until then", True
-    RECOVERING = "a joint outside its limits is on its way back", True, True
+    RECOVERING = "a joint outside its limits is recovering", True, True
 
 
 HALTS = frozenset({Status.ROBOT_SILENT, Status.MEASURED_JUMPED, Status.STOPPED})
@@ -105,9 +100,9 @@ class Solution:
         multipliers: [z_box; z; y], of which these are views.
         status: as the solver says; after :meth:`Verifier.check`, as verified.
         primal_residual: violation of rows or bounds (Euclidean norm).
-        dual_residual: mu |v - clip(v - g/mu, lb, ub)| with g = P v + q + A'y + G'z and mu the
-            least curvature: |g| where no bound is active, zero at the optimum, whatever
-            multipliers the solver gives for the bounds.
+        dual_residual: mu |v - clip(v - g/mu, lb, ub)| with g = P v + q + A'y + G'z and mu the least
+            curvature: |g| where no bound is active, zero at the optimum, whatever multipliers the
+            solver gives for the bounds.
     """
 
     def __init__(self, qp: QP) -> None:
@@ -131,12 +126,9 @@ class Solver(ABC):
 
     @abstractmethod
     def open(self, qp: QP, solution: Solution) -> Solve:
-        """Set the solver up once; the returned function solves what qp then holds.
+        """Set up once; the returned function solves what qp then holds and raises nothing.
 
-        It writes v, multipliers and status of the solution, and raises nothing.
-
-        Raises:
-            MissingDependencyError: the solver is not installed.
+        It writes v, multipliers and status. MissingDependencyError: the solver is not installed.
         """
 
 
@@ -147,7 +139,7 @@ class Budget:
     equality: Positive = 1e-6
     """Largest residual of a loop row [m/s, rad/s]."""
     bound: Positive = 1e-6
-    """Largest overrun of a bound before it is clipped to the bound [rad/s, m/s]."""
+    """Largest violation of a bound before clipping [rad/s, m/s]."""
     accuracy: Positive = 1e-6
     """Largest estimated distance from the optimum [rad/s]; beyond it a tick is inaccurate."""
     loop_position: Positive = 1e-3
@@ -169,30 +161,21 @@ BEYOND = 1e150
 class Verifier:
     """Checks each solution against the QP itself, whatever solver it came from.
 
-    How far v is from the optimum is told by a projected gradient step of length 1/mu, mu being the
-    least curvature of the cost (the damping): v - clip(v - g/mu, lb, ub) vanishes at the optimum
-    alone, and where no bound is active its norm bounds |v - v*|.
+    The distance of v from the optimum is estimated by a projected gradient step of length 1/mu, mu
+    being the smallest eigenvalue that P can have (``curvature``, the damping): v - clip(v - g/mu,
+    lb, ub) vanishes at the optimum alone, and where no bound is active its norm bounds |v - v*|.
 
     Dividing by mu magnifies rounding as well. The gradient is a sum of terms that cancel, each
-    known to its last digit only; where limits and loop rows nearly clash, the multipliers reach
-    1e5 and their last digits alone make a step of 1e-5 rad/s, even at the optimum. So a step
-    counts as none up to eps | |P| |v| + |q| + |C'| |[z; y]| | / mu: within it v is the optimum of a
-    problem whose numbers differ from these in the last digit. ``ROUNDING`` caps this, so that no
+    known to its last digit only; where limits and loop rows nearly clash, the multipliers reach 1e5
+    and their last digits alone make a step of 1e-5 rad/s, even at the optimum. So a step counts as
+    none up to eps | |P| |v| + |q| + |C'| |[z; y]| | / mu: within it v is the optimum of a problem
+    whose numbers differ from these in the last digit. ``ROUNDING`` caps this, so that no
     multipliers, however large, excuse an answer that is off by more.
 
     Rows that nearly depend on each other, or on active limits, hold almost as well far from the
-    optimum. So what they lack counts by how far v has to go to make it nothing.
+    optimum. Their residual therefore counts by the length of the step that removes it.
 
     A NaN stays one, and all comparisons are written so that it fails them.
-
-    Args:
-        qp: the problem.
-        solution: the answer.
-        budget: what it may be off by.
-        curvature: smallest eigenvalue that P can have, mu.
-
-    Attributes:
-        curvature: as given; whoever fills P may know more of it in each tick.
     """
 
     def __init__(self, qp: QP, solution: Solution, budget: Budget, curvature: float) -> None:
@@ -207,16 +190,16 @@ class Verifier:
         if not norm(solution.v) + norm(solution.multipliers) < BEYOND:
             return self._refuse(Status.NOT_FINITE)
         raised = np.maximum(solution.v, qp.lb)
-        overrun = norm(raised - np.minimum(solution.v, qp.ub))
+        violation = norm(raised - np.minimum(solution.v, qp.ub))
         solution.v[:] = np.minimum(raised, qp.ub)
         slack = qp.h - qp.G.dot(solution.v)
         above = norm(np.minimum(slack, 0.0))
         gap = norm(qp.A.dot(solution.v) - qp.b)
         off = self._distance() + self._idle(slack)
         astray = self._astray(slack, gap)
-        solution.primal_residual = max(overrun, gap, above)
+        solution.primal_residual = max(violation, gap, above)
         solution.dual_residual = off * self.curvature
-        held = overrun <= budget.bound and above <= budget.bound
+        held = violation <= budget.bound and above <= budget.bound
         if held and gap <= budget.equality and max(off, astray) <= budget.accuracy:
             return Status.OPTIMAL
         if not gap + off < math.inf:
@@ -229,7 +212,7 @@ class Verifier:
         return Status.OPTIMAL if near else Status.INACCURATE
 
     def _lacks_numbers(self) -> bool:
-        """Whether a number of the QP is none, whatever the solver has said of it."""
+        """Whether a number of the QP is none, whatever the solver's status."""
         qp = self.qp
         finite = all(np.isfinite(part).all() for part in (qp.P, qp.q, qp.C, qp.b))
         return not finite or any(np.isnan(part).any() for part in (qp.h, qp.lb, qp.ub))

@@ -11,8 +11,9 @@ becomes J v = rate - gain e, the rows h_dot of the paper's eq. (32).
 from __future__ import annotations
 
 import itertools
+import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, Any, ClassVar, Literal, TypeVar
@@ -24,11 +25,12 @@ from coopqp.base.errors import InvalidValueError
 from coopqp.base.qp import Row
 from coopqp.base.spec import Array, NonNegative, Positive, spec, type_name
 from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.geometry import Turn
 from coopqp.model.marker import Marker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.program import Primitive, evaluated
-from coopqp.signal import Instant
+from coopqp.signal import Instant, Signal
 
 Mode = Literal["soft", "hard", "scaled"]
 Level = tuple[int, int]
@@ -62,12 +64,7 @@ Rows = TypeVar("Rows")
 
 
 def evaluate_all(each: Sequence[tuple[Callable[[State, Rows], None], Rows]], state: State) -> None:
-    """Let bound tasks or limits write their rows at a state, which they cannot write to.
-
-    Args:
-        each: what is bound, and where it writes.
-        state: up to date.
-    """
+    """Let bound tasks or limits write their rows at a state, which they cannot write to."""
     state.lock()
     try:
         for evaluate, rows in each:
@@ -82,14 +79,7 @@ LENGTHS = ("m", "m/s")
 
 @dataclass(frozen=True)
 class Part:
-    """Rows of a task that share a unit, so that their error is one number.
-
-    Attributes:
-        name: such as "orientation"; empty when the task has one part.
-        rows: how many.
-        unit: of the error.
-        tolerance: error at the end that still counts as reached [unit].
-    """
+    """Rows of a task with one unit; an error within the tolerance counts as reached at the end."""
 
     name: str
     rows: int
@@ -99,7 +89,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Impedance:
-    """How rows give way to a wrench w on the object: mass e_ddot + damping e_dot + stiffness e = w.
+    """How rows yield to a wrench w on the object: mass e_ddot + damping e_dot + stiffness e = w.
 
     Attributes:
         axes: which components of w the rows feel, at the object's origin, world axes.
@@ -160,9 +150,6 @@ class Task(ABC):
         """Fix the reference's start and return the function that fills the rows each tick.
 
         A task gives this, or a :meth:`program` of primitives of the object, or both.
-
-        Args:
-            start: the state from which the reference sets out.
         """
         program = self.program(start)
         if program is None:
@@ -175,11 +162,7 @@ class Task(ABC):
         return evaluate
 
     def program(self, start: State) -> tuple[Primitive, ...] | None:
-        """The rows as a list of primitives, which the kernel evaluates; None where they are none.
-
-        Args:
-            start: the state from which the reference sets out.
-        """
+        """The rows as primitives, which the kernel evaluates; None where they are none."""
         return None
 
     def parts(self, chain: ClosedChain) -> tuple[Part, ...]:
@@ -187,18 +170,11 @@ class Task(ABC):
         return (Part("", len(self.rows(chain)), self.unit, self.tolerance),)
 
     def marks(self, at: Instant) -> tuple[Marker, ...]:
-        """What pictures show of it: where the goal is then, not the way there; nothing by default.
-
-        Args:
-            at: time since its reference set out, and what is made of inputs then.
-        """
+        """What pictures show of it: the goal at an instant, not the way there."""
         return ()
 
     def at_goal(self) -> Task:
-        """The same task with its reference at the goal at once; its error is that to the goal.
-
-        A task whose reference moves has a field ``profile``; any other is at its goal already.
-        """
+        """The same task with its reference (``profile``) at the goal at once."""
         moved: dict[str, Any] = {"profile": Profile(kind="step")}
         return replace(self, **moved) if self.way else self
 
@@ -215,15 +191,12 @@ class Task(ABC):
 
     @property
     def end(self) -> float:
-        """When the reference has reached its goal [s]."""
-        return 0.0
+        """When the profiles, turns and signals in its fields have come to rest, if ever [s]."""
+        return max(filter(math.isfinite, _ends(vars(self).values())), default=0.0)
 
     @property
     def impedance(self) -> Impedance | None:
-        """How its rows give way to pushes, which only some laws by torques can do; gain is idle.
-
-        None for tasks whose error shall decay whatever pushes.
-        """
+        """How its rows yield to pushes, by torques alone; None where the error shall decay."""
         return None
 
     @property
@@ -232,12 +205,31 @@ class Task(ABC):
         return 0.0
 
 
+def _ends(values: Iterable[object]) -> Iterator[float]:
+    """When each motion that a task follows comes to rest [s]."""
+    for value in values:
+        match value:
+            case Turn():
+                yield value.profile.end
+            case Profile():
+                yield value.end
+            case Signal():
+                yield value.rest
+            case dict():
+                yield from _ends(value.values())
+
+
+def pose_parts(
+    moves: int, turns: int, tolerance: float, tolerance_angle: float
+) -> tuple[Part, ...]:
+    """Rows of a position [m], then of an orientation [rad]; a part without rows is left out."""
+    position = Part("position", moves, "m", tolerance)
+    parts = position, Part("orientation", turns, "rad", tolerance_angle)
+    return tuple(part for part in parts if part.rows)
+
+
 class TaskStack:
     """The rows of several tasks in one block, shapes (k,) and (k, n) with k = all rows.
-
-    Args:
-        tasks: in the order of their rows.
-        start: the state from which their references set out.
 
     Attributes:
         slices: of each task's rows. sizes: their numbers.
@@ -285,7 +277,7 @@ class TaskStack:
         self.wanted[:] = self.rate - self._gains * self.e
 
     def bends(self, v: Array) -> Array:
-        """What J leaves out of each row's second derivative, times 1 s, shape (k,).
+        """Curvature that J leaves out of each row's cost, times 1 s, at the last v, shape (k,).
 
         The cost 1/2 sum w g e^2 bends by J' W G J, which a tick knows, and by sum w g e e'', which
         it does not; |e''| is at most the reach of the arms for metres, and 1 for radians.
@@ -293,9 +285,6 @@ class TaskStack:
             g_i |e_i| L_i
 
         For a task that asks for a velocity alone |J v - rate| stands for g |e|.
-
-        Args:
-            v: the last velocity, shape (n,).
         """
         most = self._gains * np.abs(self.e)
         for part in self._asking:
@@ -309,11 +298,7 @@ class TaskStack:
 
 
 def refuse_impedances(tasks: Sequence[Task]) -> None:
-    """Refuse tasks that give way to pushes, for laws that cannot.
-
-    Raises:
-        InvalidValueError: with the first of them.
-    """
+    """Raise InvalidValueError at the first task that yields to pushes, for laws that cannot."""
     for task in tasks:
         if task.impedance is not None:
             raise InvalidValueError(
@@ -332,10 +317,7 @@ def _rows_of(task: Task, chain: ClosedChain) -> tuple[Row, ...]:
 
 
 def levers_of(task: Task, chain: ClosedChain) -> list[float]:
-    """L of each row of a task: the reach of the arms for metres, 1 for angles, 0 for joints.
-
-    A distance from something round bends by itself too, by the square of the reach.
-    """
+    """L of each row: for metres the reach, more for round surfaces; 1 for angles, 0 for joints."""
     if task.joint_space:
         return [0.0] * len(task.rows(chain))
     length = chain.reach * (1.0 + chain.reach * task.curvature)

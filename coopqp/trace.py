@@ -6,9 +6,10 @@ so positions have T + 1 rows and commands T.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,16 +23,10 @@ from coopqp.task import Mode
 
 @dataclass(frozen=True)
 class TickBatch:
-    """Many ticks at once, T of them.
+    """Many ticks at once, T of them; each field has a row a tick, q [rad, m] one more for the end.
 
-    Attributes:
-        q: before each and at the end, shape (T + 1, n) [rad, m].
-        v: of each command, shape (T, n) [rad/s, m/s].
-        causes: what became of each.
-        compiled: whether the kernel decided it, shape (T,).
-        scale: least share of its rate at which a hard or scaled task ran, else 1, shape (T,).
-        memory: what the law remembered when each began, shape (T, .).
-        notes: what else is to be said of a tick that stood still, by tick.
+    ``scale`` is the least share of its rate at which a hard or scaled task ran, ``memory`` what the
+    law remembered before, ``notes`` remarks on ticks that stood still.
     """
 
     q: Array
@@ -43,14 +38,8 @@ class TickBatch:
     notes: dict[int, str] = field(default_factory=dict)
 
     @staticmethod
-    def room(ticks: int, n: int, remembered: int) -> TickBatch:
-        """Arrays for so many ticks, every one optimal.
-
-        Args:
-            ticks: T.
-            n: joints.
-            remembered: how many numbers the law remembers.
-        """
+    def empty(ticks: int, n: int, remembered: int) -> TickBatch:
+        """Arrays for so many ticks, every one optimal."""
         return TickBatch(
             np.zeros((ticks + 1, n)),
             np.zeros((ticks, n)),
@@ -66,7 +55,6 @@ class TaskInfo:
     """A task, or a part of it with a unit of its own, as the trace needs it.
 
     Attributes:
-        name, unit, tolerance: as the task says.
         end: when its reference arrives [s].
         rows: of the trace, during which it counts; its error is NaN in the others.
         springs: of an impedance, which of the task's rows each is, its axis of the push, and its
@@ -86,13 +74,7 @@ class TaskInfo:
 
 @dataclass(frozen=True)
 class PhaseInfo:
-    """A phase as the trace needs it.
-
-    Attributes:
-        name: of the phase.
-        first: its first tick.
-        released: the arms that do not hold the object.
-    """
+    """A phase as the trace needs it: its first tick, and the arms that do not hold the object."""
 
     name: str
     first: int
@@ -101,14 +83,9 @@ class PhaseInfo:
 
 @dataclass(frozen=True)
 class InputTrace:
-    """What arrived at an input, and what was made of it.
+    """What arrived at an input for each tick, when it was sent [s], and how it was followed.
 
-    Attributes:
-        kind: of its values.
-        arrived: what arrived for each tick, NaN where nothing did, shape (T, values).
-        sent: when that was sent, NaN where nothing was, shape (T,) [s].
-        value: what was followed in each tick, shape (T, values).
-        rate: how that moved, shape (T, rates).
+    NaN where nothing arrived; shapes (T, values), (T,), (T, values) and (T, rates).
     """
 
     kind: Kind
@@ -131,146 +108,122 @@ def followed(inputs: Mapping[str, InputTrace], k: int) -> InputValues:
 
 @dataclass(frozen=True)
 class Failure:
-    """A tick whose answer could not be used.
-
-    Attributes:
-        tick: which.
-        cause: what its status says.
-        note: what else is to be said, such as what a task raised.
-    """
+    """A tick whose answer could not be used: its status, and such as what a task raised."""
 
     tick: int
     cause: str
     note: str = ""
 
 
-Legs = Sequence[tuple["PhaseInfo", "Trace"]]
+Phases = Sequence[tuple[PhaseInfo, "Trace"]]
 
 
-def _same(legs: Legs, name: str) -> Any:
-    """What all phases have in common."""
-    return getattr(legs[0][1], name)
+def _same(parts: list[Any], phases: Phases) -> Any:
+    return parts[0]
 
 
-def _instants(legs: Legs, name: str) -> Any:
+def _ticks(parts: list[Array], phases: Phases) -> Array:
+    return np.concatenate(parts)
+
+
+def _instants(parts: list[Array], phases: Phases) -> Array:
     """A row an instant; the last of one phase and the first of the next are one instant."""
-    return _chained([getattr(leg, name) for _, leg in legs])
+    return np.concatenate([parts[0], *(rows[1:] for rows in parts[1:])])
 
 
-def _ticks(legs: Legs, name: str) -> Any:
-    """A row a tick."""
-    return np.concatenate([getattr(leg, name) for _, leg in legs])
-
-
-def _memories(legs: Legs, name: str) -> Array:
-    """A row a tick; the laws of some phases remember less."""
-    rows = [getattr(leg, name) for _, leg in legs]
-    most = max(row.shape[1] for row in rows)
-    return np.concatenate([np.pad(row, ((0, 0), (0, most - row.shape[1]))) for row in rows])
-
-
-def _statuses(legs: Legs, name: str) -> tuple[str, ...]:
-    return tuple(status for _, leg in legs for status in getattr(leg, name))
-
-
-def _times(legs: Legs, name: str) -> Array:
+def _times(parts: list[Array], phases: Phases) -> Array:
     """Time goes on, although it begins anew in each phase."""
-    return _chained([getattr(leg, name) + leg.dt * info.first for info, leg in legs])
+    begins = (part.dt * info.first for info, part in phases)
+    return _instants([t + begin for t, begin in zip(parts, begins, strict=True)], phases)
 
 
-def _tasks(legs: Legs, name: str) -> tuple[TaskInfo, ...]:
-    """Every phase's tasks."""
-    t = _times(legs, "t")
+def _memories(parts: list[Array], phases: Phases) -> Array:
+    """A row a tick; the laws of some phases remember less."""
+    most = max(rows.shape[1] for rows in parts)
+    return np.concatenate([np.pad(rows, ((0, 0), (0, most - rows.shape[1]))) for rows in parts])
+
+
+def _chained(parts: list[tuple[str, ...]], phases: Phases) -> tuple[str, ...]:
+    return tuple(itertools.chain.from_iterable(parts))
+
+
+def _once(parts: list[tuple[str, ...]], phases: Phases) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(_chained(parts, phases)))
+
+
+def _tasks(parts: list[tuple[TaskInfo, ...]], phases: Phases) -> tuple[TaskInfo, ...]:
+    t = _times([part.t for _, part in phases], phases)
     return tuple(
         replace(
             task,
             name=f"{info.name}.{task.name}",
             end=float(t[info.first]) + task.end,
-            rows=slice(info.first, info.first + leg.ticks + 1),
+            rows=slice(info.first, info.first + part.ticks + 1),
         )
-        for info, leg in legs
-        for task in getattr(leg, name)
+        for tasks, (info, part) in zip(parts, phases, strict=True)
+        for task in tasks
     )
 
 
-def _rows_of_tasks(legs: Legs, name: str) -> tuple[str, ...]:
-    """Every phase's rows of tasks."""
-    return tuple(f"{info.name}.{row}" for info, leg in legs for row in getattr(leg, name))
+def _rows_of_tasks(parts: list[tuple[str, ...]], phases: Phases) -> tuple[str, ...]:
+    named = zip(parts, phases, strict=True)
+    return tuple(f"{info.name}.{row}" for rows, (info, _) in named for row in rows)
 
 
-def _task_errors(legs: Legs, name: str) -> Array:
+def _task_errors(parts: list[Array], phases: Phases) -> Array:
     """A column for each phase's tasks, NaN in the other phases."""
-    instants, columns = len(_times(legs, "t")), []
-    for info, leg in legs:
-        rows = slice(info.first, info.first + leg.ticks + 1)
-        for error in getattr(leg, name).T:
+    instants, columns = 1 + sum(part.ticks for _, part in phases), []
+    for errors, (info, part) in zip(parts, phases, strict=True):
+        for error in errors.T:
             columns.append(np.full(instants, np.nan))
-            columns[-1][rows] = error
+            columns[-1][info.first : info.first + part.ticks + 1] = error
     return np.reshape(columns, (len(columns), instants)).T
 
 
-def _margins(legs: Legs, name: str) -> dict[Row, Array]:
+def _margins(parts: list[dict[Row, Array]], phases: Phases) -> dict[Row, Array]:
     """By limit; one that a phase does not have is infinite there."""
-    margins = [getattr(leg, name) for _, leg in legs]
-    rows = dict.fromkeys(row for of in margins for row in of)
-    nothing = [np.full(leg.ticks, np.inf) for _, leg in legs]
+    rests = [np.full(part.ticks, np.inf) for _, part in phases]
     return {
-        row: np.concatenate(
-            [
-                getattr(leg, name).get(row, rest)
-                for (_, leg), rest in zip(legs, nothing, strict=True)
-            ]
-        )
-        for row in rows
+        row: np.concatenate([of.get(row, rest) for of, rest in zip(parts, rests, strict=True)])
+        for row in dict.fromkeys(itertools.chain.from_iterable(parts))
     }
 
 
-def _names(legs: Legs, name: str) -> tuple[str, ...]:
-    """Of any phase."""
-    return tuple(dict.fromkeys(found for _, leg in legs for found in getattr(leg, name)))
-
-
-def _starts(legs: Legs, name: str) -> dict[Row, float]:
+def _starts(parts: list[dict[Row, float]], phases: Phases) -> dict[Row, float]:
     """By limit, from the first phase that has it."""
-    return {row: left for _, leg in reversed(legs) for row, left in getattr(leg, name).items()}
+    return {row: left for of in reversed(parts) for row, left in of.items()}
 
 
-def _points(legs: Legs, name: str) -> dict[str, Array]:
-    return {
-        arm: _chained([getattr(leg, name)[arm] for _, leg in legs])
-        for arm in getattr(legs[0][1], name)
-    }
+def _points(parts: list[dict[str, Array]], phases: Phases) -> dict[str, Array]:
+    return {arm: _instants([of[arm] for of in parts], phases) for arm in parts[0]}
 
 
-def _failures(legs: Legs, name: str) -> tuple[Failure, ...]:
+def _signals(parts: list[dict[str, Array]], phases: Phases) -> dict[str, Array]:
+    return {name: np.concatenate([of[name] for of in parts]) for name in parts[0]}
+
+
+def _failures(parts: list[tuple[Failure, ...]], phases: Phases) -> tuple[Failure, ...]:
     return tuple(
         replace(failure, tick=info.first + failure.tick)
-        for info, leg in legs
-        for failure in getattr(leg, name)
+        for failures, (info, _) in zip(parts, phases, strict=True)
+        for failure in failures
     )
 
 
-def _signals(legs: Legs, name: str) -> dict[str, Array]:
-    return {
-        signal: np.concatenate([getattr(leg, name)[signal] for _, leg in legs])
-        for signal in getattr(legs[0][1], name)
-    }
-
-
-def _inputs(legs: Legs, name: str) -> dict[str, InputTrace]:
+def _inputs(parts: list[dict[str, InputTrace]], phases: Phases) -> dict[str, InputTrace]:
     """By input; NaN in the phases in which nothing follows it."""
     found = {}
-    for key in dict.fromkeys(key for _, leg in legs for key in getattr(leg, name)):
-        given = [getattr(leg, name).get(key) for _, leg in legs]
-        kind = next(part.kind for part in given if part)
-        parts = []
-        for (_, leg), part in zip(legs, given, strict=True):
-            parts.append(part or no_input(kind, leg.ticks))
+    for name in dict.fromkeys(itertools.chain.from_iterable(parts)):
+        kind = next(of[name].kind for of in parts if name in of)
+        kept = [
+            of.get(name) or no_input(kind, part.ticks)
+            for of, (_, part) in zip(parts, phases, strict=True)
+        ]
         arrays = (
-            np.concatenate([getattr(part, field) for part in parts])
-            for field in ("arrived", "sent", "value", "rate")
+            np.concatenate([getattr(one, key) for one in kept])
+            for key in ("arrived", "sent", "value", "rate")
         )
-        found[key] = InputTrace(kind, *arrays)
+        found[name] = InputTrace(kind, *arrays)
     return found
 
 
@@ -280,12 +233,8 @@ def no_input(kind: Kind, ticks: int) -> InputTrace:
     return InputTrace(kind, *(np.full(shape, np.nan) for shape in shapes))
 
 
-def _phases(legs: Legs, name: str) -> tuple[PhaseInfo, ...]:
-    return tuple(info for info, _ in legs)
-
-
-def _chained(rows: Sequence[Array]) -> Array:
-    return np.concatenate([rows[0], *(row[1:] for row in rows[1:])])
+def _phases(parts: list[Any], phases: Phases) -> tuple[PhaseInfo, ...]:
+    return tuple(info for info, _ in phases)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -293,26 +242,26 @@ class Trace:
     """One controller's run.
 
     Attributes:
-        controller: its name.
         solver: name of its QP solver; None for laws without one.
         engine: "kernel" or "python", whichever is asked first; None for laws without a QP.
-        dt: control period [s]. kappa: gain of the drift correction [1/s].
+        dt: control period [s]. kappa: gain of the Baumgarte stabilisation [1/s].
         joints: names, shape (n,). units: of their coordinates, "rad" or "m".
         lower, upper, velocity, effort: the limits, shape (n,) [rad or m; rad/s or m/s; N m or N];
             no effort for passive joints.
         tasks: in the order of task_error.
-        leverage: how much of what is missed of each task in the end joints with closed loops can
-            still bring about, over the start's, shape (K,); 0 where singular, 1 if none is missed.
+        leverage: directional manipulability: how much of what is missed of each task in the end
+            joints with closed loops can still bring about, over the start's, shape (K,); 0 where
+            singular, 1 if none is missed.
         t: shape (T + 1,) [s].
-        q: what the plant's joints did, before noise, shape (T + 1, n) [rad or m].
-        v: commanded velocity, or the plant's after the tick when torques were commanded, shape
-            (T, n) [rad/s or m/s].
-        commanded: the configuration from which each tick decided: the integral of the commands,
-            or what was measured when torques were commanded, shape (T, n).
-        measured: where the sensors said that the joints are when each tick decided, shape (T, n);
-            NaN where they said nothing, as where joints do exactly as told.
-        gap: the part of the loop error that each tick took for the model's own, loop by loop in
-            the order of the phase's arms, zero for open ones, shape (T, 6 L) [m, rad].
+        q: positions of the plant's joints, before noise, shape (T + 1, n) [rad or m].
+        v: commanded velocity, or the plant's after the tick when torques were commanded, shape (T,
+            n) [rad/s or m/s].
+        commanded: the configuration from which each tick decided: the integral of the commands, or
+            what was measured when torques were commanded, shape (T, n).
+        measured: measured joint positions when each tick decided, shape (T, n); NaN where there are
+            none, as where joints follow their commands exactly.
+        gap: the part of the loop error that each tick took for the model's own, loop by loop in the
+            order of the phase's arms, zero for open ones, shape (T, 6 L) [m, rad].
         memory: what the law remembered when each tick began, zero beyond what it remembers, shape
             (T, .); with t, commanded, gap and the v before it repeats the tick.
         position: of the object, shape (T + 1, 3) [m].
@@ -322,12 +271,12 @@ class Trace:
             to the goal, shape (T + 1, K) [the task's unit].
         goal_error: the same to the goal, as if the reference were there from the start.
         task_rows: the rows of all tasks, such as "reach.z", R of them.
-        e: each row's error to its reference, value minus reference, shape (T + 1, R) [the task's
-            unit]; 0 for tasks that ask for a velocity alone.
+        e: each row's error, value minus reference, shape (T + 1, R) [the task's unit]; 0 for tasks
+            that ask for a velocity alone.
         rate: how fast each row's reference moves, shape (T + 1, R) [unit/s].
         usable: whether the tick's answer was used, shape (T,).
         inaccurate: whether it was used although not optimal to the declared accuracy, shape (T,).
-        status: what became of each tick, as :func:`coopqp.solver.written` writes it, shape (T,).
+        status: of each tick, as :func:`coopqp.solver.written` writes it, shape (T,).
         scale: least share of its rate at which a hard or scaled task ran, else 1, shape (T,).
         margins: of every limit after each tick, by row, shape (T,); negative when violated.
         starts: the same before the first tick, at rest.
@@ -339,7 +288,7 @@ class Trace:
         supports: what of the problem the law reads, :attr:`coopqp.controller.Controller.supports`.
         failures: ticks that held still, and why.
         phases: one after the other; none where arms neither let go nor take hold.
-        signals: what the plant told after each tick, by name, shape (T, .): see the plant.
+        signals: the plant's signals after each tick, by name, shape (T, .): see the plant.
         inputs: what arrived from outside, by name.
     """
 
@@ -374,7 +323,7 @@ class Trace:
     rate: Array = field(metadata={"join": _task_errors})
     usable: NDArray[np.bool_] = field(metadata={"join": _ticks})
     inaccurate: NDArray[np.bool_] = field(metadata={"join": _ticks})
-    status: tuple[str, ...] = field(metadata={"join": _statuses})
+    status: tuple[str, ...] = field(metadata={"join": _chained})
     scale: Array = field(metadata={"join": _ticks})
     margins: dict[Row, Array] = field(metadata={"join": _margins})
     starts: dict[Row, float] = field(metadata={"join": _starts})
@@ -383,8 +332,8 @@ class Trace:
     points: dict[str, Array] = field(metadata={"join": _points})
     supports: frozenset[str] = field(metadata={"join": _same})
     failures: tuple[Failure, ...] = field(metadata={"join": _failures})
-    unaudited: tuple[str, ...] = field(metadata={"join": _names}, default=())
-    rows_in_python: tuple[str, ...] = field(metadata={"join": _names}, default=())
+    unaudited: tuple[str, ...] = field(metadata={"join": _once}, default=())
+    rows_in_python: tuple[str, ...] = field(metadata={"join": _once}, default=())
     signals: dict[str, Array] = field(metadata={"join": _signals}, default_factory=dict)
     inputs: dict[str, InputTrace] = field(metadata={"join": _inputs}, default_factory=dict)
     phases: tuple[PhaseInfo, ...] = field(metadata={"join": _phases}, default=())
@@ -409,12 +358,7 @@ class Trace:
         return len(self.v)
 
     def moment(self, k: int, t: float) -> Moment:
-        """An instant as references see it.
-
-        Args:
-            k: row.
-            t: since they set out [s].
-        """
+        """The instant of row k as references see it, t [s] after they set out."""
         return Moment(t, followed(self.inputs, k))
 
     @property
@@ -423,14 +367,31 @@ class Trace:
         return tuple(range(len(self.t))[task.rows][-1] for task in self.tasks)
 
 
-def join(phases: Legs) -> Trace:
-    """One trace of a controller's phases.
+Kept = TypeVar("Kept")
+
+
+def read_only(kept: Kept) -> Kept:
+    """The same, with views of its arrays that nobody can write to."""
+    found: Any = kept
+    if isinstance(kept, np.ndarray):
+        found = kept.view()
+        found.flags.writeable = False
+    elif isinstance(kept, dict):
+        found = {key: read_only(value) for key, value in kept.items()}
+    elif isinstance(kept, Trace | InputTrace):
+        found = replace(kept, **{of.name: read_only(getattr(kept, of.name)) for of in fields(kept)})
+    return found  # type: ignore[no-any-return]
+
+
+def join(phases: Phases) -> Trace:
+    """One trace of a controller's phases, in their order; the time of each begins at zero.
 
     Every field says how it is joined; there is no default, so that none is forgotten. The instant
     between two phases belongs to the first of them: a loop is as open as it was before a hand took
     hold anew.
-
-    Args:
-        phases: in their order, each with its own trace, whose time begins at zero.
     """
-    return Trace(**{part.name: part.metadata["join"](phases, part.name) for part in fields(Trace)})
+    joined = {
+        of.name: of.metadata["join"]([getattr(part, of.name) for _, part in phases], phases)
+        for of in fields(Trace)
+    }
+    return Trace(**joined)

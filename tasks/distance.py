@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from coopqp.base.spec import Positive, Vector3, spec
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.geometry import Reference, last_end
+from coopqp.model.geometry import Reference
 from coopqp.model.marker import Marker, SphereMarker, TrackedMarker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
@@ -41,26 +41,17 @@ class Distance(Task):
         return ("distance",)
 
     @property
-    def end(self) -> float:
-        """When the distance shall be the length [s]."""
-        return last_end(self.profile, self.to)
-
-    @property
     def curvature(self) -> float:
-        """Of the sphere [1/m]."""
         return 1.0 / self.length
 
     def program(self, start: State) -> tuple[Primitive, ...]:
-        """As primitives."""
         of = self.point, self.profile
         return (radial(start, self._other(start), *of, self.length, planar=False),)
 
     def marks(self, at: Instant) -> tuple[Marker, ...]:
-        """All points at the distance, and the point that goes there."""
         other = self._other(at)
         other.update(at)
         return SphereMarker(center=other.c, radius=self.length), TrackedMarker(point=self.point)
 
     def _other(self, start: Instant) -> Reference:
-        """The point in space."""
         return Reference(self.to, velocity=self.velocity, start=start)

@@ -1,18 +1,16 @@
-"""The object gives way to pushes as a mass on springs and dampers: a row for each axis given.
+"""The object yields to wrenches as a mass on springs and dampers: a row for each axis given.
 
     M e_ddot + D e_dot + K e = w
 
-e is how far the object is from its reference, as in :mod:`coopqp.tasks.pose`, and w the wrench of
-the surroundings on it at its origin, along and about the world's axes; for angles that is so to
-first order. In the end a steady force F moves it by F / K. After Caccavale, Chiacchio, Marino and
-Villani 2008 (impedance of the object), with two kinds of M:
+e is how far the object is from its reference, as in :mod:`coopqp.tasks.pose`, and w the external
+wrench on it at its origin, world axes; for angles that is so to first order. A steady force F moves
+it by F / K. After Caccavale, Chiacchio, Marino and Villani 2008, with two kinds of M:
 
-- ``mass`` is left out: that of the object and the arms together, as they are in this pose. No law
-  has to know w then; nobody can feel the arms lighter than they are.
+- ``mass`` is left out: that of object and arms together in this pose; no law has to know w.
 - ``mass`` is given: the law must know w, ``torque_qp: {external_wrench: observed}``.
 
-Where ``damping`` is left out, every mode of these masses and springs has the ``damping_ratio``.
-Only laws that command torques can do this; there is no gain, and no integral brings e back.
+Where ``damping`` is left out, every mode has the ``damping_ratio``. Only laws that command torques
+can do this; there is no gain, and no integral brings e back.
 """
 
 from __future__ import annotations
@@ -24,12 +22,12 @@ from pydantic import BeforeValidator, Field
 
 from coopqp.base.spec import Array, NonNegative, Positive, spec
 from coopqp.model.closed_chain import AXES, ClosedChain
-from coopqp.model.geometry import last_end, pose_course
+from coopqp.model.geometry import pose_trajectory
 from coopqp.model.marker import Marker, PoseMarker, TrackedMarker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.signal import Instant, MovingPose
-from coopqp.task import Evaluate, Part, Task, TaskRows
+from coopqp.task import Evaluate, Part, Task, TaskRows, pose_parts
 from coopqp.task import Impedance as OfRows
 from coopqp.tasks.pose import Pose
 
@@ -89,21 +87,15 @@ class Impedance(Task):
         return tuple(axis for axis in AXES if axis in self.stiffness)
 
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:
-        """The axes that have a stiffness, translation first."""
         return self._axes
 
     def parts(self, chain: ClosedChain) -> tuple[Part, ...]:
-        """Position and orientation, as far as given."""
         turns = sum(axis.startswith("rot") for axis in self._axes)
-        parts = (
-            Part("position", len(self._axes) - turns, "m", self.tolerance),
-            Part("orientation", turns, "rad", self.tolerance_angle),
-        )
-        return tuple(part for part in parts if part.rows)
+        moves = len(self._axes) - turns
+        return pose_parts(moves, turns, self.tolerance, self.tolerance_angle)
 
     @property
     def impedance(self) -> OfRows:
-        """What the rows are made of."""
         return OfRows(
             axes=tuple(AXES.index(axis) for axis in self._axes),
             stiffness=self._by_row(self.stiffness),
@@ -115,13 +107,7 @@ class Impedance(Task):
     def _by_row(self, given: dict[Axis, float]) -> Array:
         return np.array([given[axis] for axis in self._axes])  # type: ignore[index]
 
-    @property
-    def end(self) -> float:
-        """When the reference arrives [s]."""
-        return last_end(self.profile, self.goal)
-
     def bind(self, start: State) -> Evaluate:
-        """The reference sets out from where the object is now."""
         whole = Pose(goal=self.goal, profile=self.profile).bind(start)
         every = TaskRows(np.zeros(6), np.zeros((6, start.chain.n)), np.zeros(6))
         chosen = np.array([AXES.index(axis) for axis in self._axes])
@@ -134,7 +120,6 @@ class Impedance(Task):
         return evaluate
 
     def marks(self, at: Instant) -> tuple[Marker, ...]:
-        """The goal, and the object's origin."""
-        goal = pose_course(self.goal, at)
+        goal = pose_trajectory(self.goal, at)
         goal.update(at)
         return PoseMarker(rotation=goal.R, position=goal.value[:3]), TrackedMarker()

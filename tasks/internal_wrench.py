@@ -1,13 +1,12 @@
-"""What two hands shall do to each other through the object: squeeze, shear, twist, bend.
+"""The internal wrench between two hands through the object: squeeze, shear, twist, bend.
 
     C h = wanted
 
 h (6 N,) are the hands' wrenches on the object at their points, and C has a row for each component
-that is given; all others are free. The components are those of the section wrench at the middle
-between the two hands (:mod:`coopqp.closed_loop.section`), with equal shares Walker's internal
-wrench. Between three hands there is the push along their edge, by the virtual linkage, and nothing
-else. The squeeze is the mean of both normal forces; where the object's weight has a part along the
-line between the hands, one presses with more and the other with less.
+given; all others are free. They are those of the section wrench at the middle between the hands
+(``closed_loop.grasp_matrix``), with equal shares Walker's internal wrench; between three hands
+only the push along their edge, by the virtual linkage. The squeeze is the mean of both normal
+forces, which differ by the object's weight along the line between the hands.
 
 ``torque_qp`` brings it about by torques, and ``qp`` a squeeze by admittance
 (:mod:`coopqp.closed_loop.admittance`); others leave it out.
@@ -24,11 +23,11 @@ import numpy as np
 from coopqp.base.errors import GraspError, UnknownNameError
 from coopqp.base.spec import Array, Positive, spec
 from coopqp.closed_loop.forces import squeeze_rows
+from coopqp.closed_loop.grasp_matrix import COMPONENTS, UNITS, section
 from coopqp.closed_loop.hands import Hand, hands, points
-from coopqp.closed_loop.section import COMPONENTS, UNITS, section
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
-from coopqp.signal import Kind, Reads, Signal, course
+from coopqp.signal import Kind, Reads, Signal, trajectory_of
 from coopqp.task import Evaluate, Part, Task, TaskRows
 
 FORCE = Kind("component of a wrench", 1, columns=("value",))
@@ -75,11 +74,9 @@ class InternalWrench(Task):
         return tuple(name for name in COMPONENTS if getattr(self, name) is not None)
 
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:
-        """A row for each component."""
         return self.components
 
     def parts(self, chain: ClosedChain) -> tuple[Part, ...]:
-        """Forces and torques, as far as given."""
         parts = tuple(part for part in self._parts() if part.rows)
         return parts if len(parts) > 1 else (replace(parts[0], name=""),)
 
@@ -89,25 +86,18 @@ class InternalWrench(Task):
         yield Part("force", len(self.components) - torques, "N", self.tolerance)
         yield Part("torque", torques, "N m", self.tolerance_torque)
 
-    @property
-    def end(self) -> float:
-        """When what is wanted no longer changes [s]; at once where a signal never rests."""
-        given = [getattr(self, name) for name in self.components]
-        rests = [signal.rest for signal in given if isinstance(signal, Signal)]
-        return max((rest for rest in rests if np.isfinite(rest)), default=0.0)
-
     def bind(self, start: State) -> Evaluate:
         """C and what is wanted, for the hands that hold the object now.
 
         Raises:
             UnknownNameError: an arm that does not hold the object.
-            GraspError: the pair is not told, three hands on one line, or a component that three
+            GraspError: the pair is not given, three hands on one line, or a component that three
                 hands do not have.
         """
         held = hands(start.chain)
         i, j = self._pair(held)
         chosen = [COMPONENTS.index(name) for name in self.components]
-        wanted = [course(_value(getattr(self, n)), FORCE, start) for n in self.components]
+        wanted = [trajectory_of(_value(getattr(self, n)), FORCE, start) for n in self.components]
         swapped = i > j
 
         def evaluate(state: State, rows: TaskRows) -> None:
@@ -140,7 +130,6 @@ class InternalWrench(Task):
         return names.index(self.arms[0]), names.index(self.arms[1])
 
     def _check(self, at: Array) -> None:
-        """What hands at these points do not have."""
         if len(at) == 2:
             section(at[0], at[1])
             return

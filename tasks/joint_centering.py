@@ -2,7 +2,7 @@
 
     phi(q) = sum_j ((q_j - mid_j) / range_j)^2,   e = grad phi = 2 (q - mid) / range^2,   J = I
 
-so that the wished joint velocity is Z = -gain grad phi. Joints without limits have no middle and
+so that the desired joint velocity is Z = -gain grad phi. Joints without limits have no middle and
 ask for nothing.
 """
 
@@ -11,6 +11,7 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from coopqp.base.spec import Array, spec
 from coopqp.model.closed_chain import ClosedChain
@@ -28,12 +29,10 @@ class JointCentering(Task):
     all_joints: ClassVar[bool] = True
 
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:
-        """The joints."""
         return chain.joint_names
 
     def bind(self, start: State) -> Evaluate:
-        """No reference: the middles are constant."""
-        middle, scale = self._middles(start.chain)
+        middle, scale = self._slopes(start.chain)
 
         def evaluate(state: State, rows: TaskRows) -> None:
             np.subtract(state.q, middle, out=rows.e)
@@ -42,15 +41,17 @@ class JointCentering(Task):
         return evaluate
 
     def program(self, start: State) -> tuple[Primitive, ...]:
-        """As primitives."""
-        middle, scale = self._middles(start.chain)
+        middle, scale = self._slopes(start.chain)
         return (Primitive(kind=Kind.CENTERING, rows=(), numbers=(middle, scale)),)
 
-    def _middles(self, chain: ClosedChain) -> tuple[Array, Array]:
+    def _slopes(self, chain: ClosedChain) -> tuple[Array, Array]:
         """Middle and slope of each joint; zero for joints without limits."""
-        limited = np.isfinite(chain.lower) & np.isfinite(chain.upper)
-        middle, scale = np.zeros(chain.n), np.zeros(chain.n)
-        lower, upper = chain.lower[limited], chain.upper[limited]
-        middle[limited] = 0.5 * (lower + upper)
-        scale[limited] = 2.0 / (upper - lower) ** 2
-        return middle, scale
+        limited, middle, width = ranges(chain)
+        return middle, np.divide(2.0, width**2, out=np.zeros(chain.n), where=limited)
+
+
+def ranges(chain: ClosedChain) -> tuple[NDArray[np.bool_], Array, Array]:
+    """Which joints have limits, and middle and width of their ranges; zero for the others."""
+    limited = np.isfinite(chain.lower) & np.isfinite(chain.upper)
+    lower, upper = np.where(limited, (chain.lower, chain.upper), 0.0)
+    return limited, 0.5 * (lower + upper), upper - lower

@@ -4,11 +4,9 @@
     e = grad phi = x / ((1 - x^2) range),   J = I
 
 The paper does not say which criterion it takes. The quadratic one of :mod:`joint_centering` has the
-same slope near mid-range, 2 (q - mid) / range^2. It weighs a joint that is far from its limit like
-one that is at it, so that its least sum can lie beyond a limit; that of this one cannot.
-
-Within ``width`` of a limit, and beyond it, the slope stays what it is there: a step is finite, and
-a slope without bound would throw the joint to and fro. Joints without limits ask for nothing.
+same slope near mid-range, but its least sum can lie beyond a limit. Within ``width`` of a limit,
+and beyond it, the slope is constant, so that joints do not chatter. Joints without limits ask for
+nothing.
 """
 
 from __future__ import annotations
@@ -23,6 +21,7 @@ from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.program import Kind, Primitive
 from coopqp.task import Evaluate, Task, TaskRows
+from coopqp.tasks.joint_centering import ranges
 
 
 @spec
@@ -37,11 +36,9 @@ class JointLimitBarrier(Task):
     """Where the slope stops growing, as a share of half the joint's range."""
 
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:
-        """The joints."""
         return chain.joint_names
 
     def bind(self, start: State) -> Evaluate:
-        """No reference: limits and middles are constant."""
         middle, per_half, per_range = self._middles(start.chain)
         most, x = 1.0 - self.width, np.zeros(start.chain.n)
 
@@ -55,15 +52,12 @@ class JointLimitBarrier(Task):
         return evaluate
 
     def program(self, start: State) -> tuple[Primitive, ...]:
-        """As primitives."""
         numbers = self._middles(start.chain)
         return (Primitive(kind=Kind.BARRIER, rows=(), length=1.0 - self.width, numbers=numbers),)
 
     def _middles(self, chain: ClosedChain) -> tuple[Array, Array, Array]:
         """Middle, 2 / range and 1 / range of each joint; zero for joints without limits."""
-        limited = np.isfinite(chain.lower) & np.isfinite(chain.upper)
-        middle, per_half, per_range = np.zeros((3, chain.n))
-        lower, upper = chain.lower[limited], chain.upper[limited]
-        middle[limited] = 0.5 * (lower + upper)
-        per_half[limited], per_range[limited] = 2.0 / (upper - lower), 1.0 / (upper - lower)
+        limited, middle, width = ranges(chain)
+        per_range = np.divide(1.0, width, out=np.zeros(chain.n), where=limited)
+        per_half = np.divide(2.0, width, out=np.zeros(chain.n), where=limited)
         return middle, per_half, per_range

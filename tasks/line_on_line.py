@@ -2,15 +2,12 @@
 
 The object's line goes through the point p along the axis a, the one in space through c along the
 unit vector d; that may move, c_dot, and turn about an axis through c, omega. With T = [t_1 t_2] a
-basis of the plane normal to d that turns with the line and h(t) the reference offset, which shrinks
-from the start to 0:
+basis of the plane normal to d that turns with the line, h(t) the reference offset, which shrinks
+from the start to 0, and theta u the angle and way of a from its reference (``geometry.Alignment``):
 
     e = [T'(p - c) - h; theta u]
 
-with theta the angle between the axis and its wished direction, which goes from the start to d on
-the shortest way, and u the way it leans. J and rate follow from p_dot and a_dot = omega x a, less
-the motion of the line; ``geometry.Alignment`` has them, and says what happens where
-the axis points the opposite way. Khalil and Dombre 2004.
+Khalil and Dombre 2004.
 """
 
 from __future__ import annotations
@@ -19,13 +16,13 @@ import numpy as np
 
 from coopqp.base.spec import Direction, Positive, Vector3, spec
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.geometry import Reference, Turn, last_end
+from coopqp.model.geometry import Reference, Turn
 from coopqp.model.marker import LineMarker, Marker, TrackedMarker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.program import Primitive, lean, point
 from coopqp.signal import Instant, MovingDirection, MovingPoint
-from coopqp.task import Part, Task
+from coopqp.task import Part, Task, pose_parts
 
 
 @spec
@@ -56,19 +53,9 @@ class LineOnLine(Task):
         return ("across_1", "across_2", "lean_1", "lean_2")
 
     def parts(self, chain: ClosedChain) -> tuple[Part, ...]:
-        """Offset and angle."""
-        return (
-            Part("position", 2, "m", self.tolerance),
-            Part("orientation", 2, "rad", self.tolerance_angle),
-        )
-
-    @property
-    def end(self) -> float:
-        """When the lines shall coincide and the one in space has turned [s]."""
-        return last_end(self.profile, self.turn, self.through, self.direction)
+        return pose_parts(2, 2, self.tolerance, self.tolerance_angle)
 
     def program(self, start: State) -> tuple[Primitive, ...]:
-        """As primitives."""
         line = self._line(start)
         offset = point(start, line, self.point, self.profile, (0, 1))
         against = self.either_way and line.RT[2] @ start.R_WO @ np.array(self.axis) < 0.0
@@ -76,7 +63,6 @@ class LineOnLine(Task):
         return offset, lean(start, line, axis.tolist(), self.profile)
 
     def marks(self, at: Instant) -> tuple[Marker, ...]:
-        """The line, and the point of the object's own."""
         line = self._line(at)
         line.update(at)
         return LineMarker(direction=line.RT[2], through=line.c), TrackedMarker(point=self.point)

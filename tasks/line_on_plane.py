@@ -17,13 +17,13 @@ from __future__ import annotations
 
 from coopqp.base.spec import Direction, Positive, Vector3, spec
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.geometry import Reference, Turn, last_end
+from coopqp.model.geometry import Reference, Turn
 from coopqp.model.marker import Marker, PlaneMarker, TrackedMarker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.program import Primitive, point, tilt
 from coopqp.signal import Instant, MovingDirection, MovingPoint
-from coopqp.task import Part, Task
+from coopqp.task import Part, Task, pose_parts
 
 
 @spec
@@ -52,25 +52,14 @@ class LineOnPlane(Task):
         return ("normal", "angle")
 
     def parts(self, chain: ClosedChain) -> tuple[Part, ...]:
-        """Height and angle."""
-        return (
-            Part("position", 1, "m", self.tolerance),
-            Part("orientation", 1, "rad", self.tolerance_angle),
-        )
-
-    @property
-    def end(self) -> float:
-        """When the line shall be in the plane and the plane has turned [s]."""
-        return last_end(self.profile, self.turn, self.through, self.normal)
+        return pose_parts(1, 1, self.tolerance, self.tolerance_angle)
 
     def program(self, start: State) -> tuple[Primitive, ...]:
-        """As primitives."""
         plane = self._plane(start)
         height = point(start, plane, self.point, self.profile, (2,))
         return height, tilt(start, plane, self.axis, self.profile)
 
     def marks(self, at: Instant) -> tuple[Marker, ...]:
-        """The plane, and the point of the object's line."""
         plane = self._plane(at)
         plane.update(at)
         return PlaneMarker(normal=plane.RT[2], through=plane.c), TrackedMarker(point=self.point)

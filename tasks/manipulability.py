@@ -7,8 +7,7 @@ motions that keep the loops closed,
 
 so that phi is 1 where the object starts equally able to move in all k directions and 0 where it
 cannot move in one. Beyond phi = ``LARGE``, which a poor start makes possible, its logarithm counts
-instead, with the same slope there: m itself is so curved that climbing it in steps would swing. The
-joints climb it:
+instead, with the same slope there: climbing m itself in steps would oscillate. The joints climb:
 
     e = -grad phi,   grad_j m = m tr(G (dJ/dq_j - J C^+ dC/dq_j)),   G = P J' (J P J')^-1
 
@@ -60,7 +59,6 @@ class Manipulability(Task):
     """Directions in the world that count; for a planar robot those of its plane."""
 
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:
-        """The joints."""
         return chain.joint_names
 
     def bind(self, start: State) -> Evaluate:
@@ -75,23 +73,16 @@ class Manipulability(Task):
         return evaluate
 
     def program(self, start: State) -> tuple[Primitive, ...]:
-        """As primitives."""
         m_0 = _Climb(start.chain, self._kept).isotropic(start)
         return (Primitive(kind=Kind.MANIPULABILITY, rows=tuple(self._kept), length=m_0),)
 
     @property
     def _kept(self) -> list[int]:
-        """Rows of J_task that count."""
         return [AXES.index(axis) for axis in dict.fromkeys(self.axes)]
 
 
 class _Climb:
-    """The gradient of the manipulability.
-
-    Args:
-        chain: the closed chain.
-        kept: rows of J_task that count.
-    """
+    """The gradient of the manipulability; ``kept`` are the rows of J_task that count."""
 
     def __init__(self, chain: ClosedChain, kept: list[int]) -> None:
         self._kept, self._arms = np.array(kept), len(chain.arms)
@@ -151,5 +142,4 @@ def _regular(matrix: Array) -> Array:
 
 
 def _cross(a: Array, b: Array) -> Array:
-    """Cross products of the columns, shapes (N, 3, n)."""
     return np.asarray(a[:, _YZX] * b[:, _ZXY] - a[:, _ZXY] * b[:, _YZX])

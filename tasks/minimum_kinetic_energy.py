@@ -40,7 +40,6 @@ class MinimumKineticEnergy(Task):
         return chain.joint_names
 
     def bind(self, start: State) -> Evaluate:
-        """The inertia matrix is computed each tick."""
         model, n = ClosedLoopDynamics(start.chain).model, start.chain.n
         data, diagonal = model.createData(), np.arange(n)
 

@@ -28,12 +28,9 @@ class MinimumVelocity(Task):
     all_joints: ClassVar[bool] = True
 
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:
-        """The joints."""
         return chain.joint_names
 
     def bind(self, start: State) -> Evaluate:
-        """Nothing changes: e and rate are zero."""
-
         def evaluate(state: State, rows: TaskRows) -> None:
             rows.e[:] = 0.0
             rows.rate[:] = 0.0
@@ -41,6 +38,5 @@ class MinimumVelocity(Task):
         return evaluate
 
     def program(self, start: State) -> tuple[Primitive, ...]:
-        """As primitives."""
         zero = np.zeros(start.chain.n)
         return (Primitive(kind=Kind.CENTERING, rows=(), numbers=(zero, zero)),)

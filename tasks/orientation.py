@@ -13,7 +13,6 @@ from typing import ClassVar
 from coopqp.base.spec import Array, Pose, Positive, Vector3, one_angle, spec
 from coopqp.grasp import pose_matrix
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.geometry import last_end
 from coopqp.model.marker import Marker, PoseMarker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
@@ -45,27 +44,20 @@ class Orientation(Task):
             raise ValueError("give rpy, rpy_deg or goal, not two of them")
 
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:
-        """Rotation about the world axes."""
         return ("rot_x", "rot_y", "rot_z")
-
-    @property
-    def end(self) -> float:
-        """When the reference arrives [s]."""
-        return last_end(self.profile, self.goal)
 
     def program(self, start: State) -> tuple[Primitive, ...]:
         """The reference sets out from how the object is turned now."""
-        goal = self._course(start, quaternion_of(start.R_WO))
+        goal = self._trajectory(start, quaternion_of(start.R_WO))
         goal.update(start)
         return (rotation(goal, self.profile, start.R_WO),)
 
     def marks(self, at: Instant) -> tuple[Marker, ...]:
-        """The orientation, wherever the object is."""
-        goal = self._course(at)
+        goal = self._trajectory(at)
         goal.update(at)
         return (PoseMarker(rotation=goal.R),)
 
-    def _course(self, start: Instant, here: Array | None = None) -> Trajectory:
+    def _trajectory(self, start: Instant, here: Array | None = None) -> Trajectory:
         if self.goal is not None:
             return self.goal.bind(ROTATION, start, here)
         R = pose_matrix(Pose(rpy=self.rpy, rpy_deg=self.rpy_deg)).rotation

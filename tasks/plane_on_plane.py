@@ -3,27 +3,25 @@
 The object's plane goes through the point p with normal a, the one in space through c with unit
 normal n; that may move, c_dot, and turn about an axis through c, omega. The normals point the same
 way; to lay the faces against each other turn one round. With h(t) the reference height, which
-shrinks from the start to 0:
+shrinks from the start to 0, and theta u the angle and way of a from its reference
+(``geometry.Alignment``):
 
     e = [n'(p - c) - h; theta u]
 
-with theta the angle between the axis and its wished direction, which goes from the start to n on
-the shortest way, and u the way it leans. J and rate follow from p_dot and a_dot = omega x a, less
-the motion of the plane; ``geometry.Alignment`` has them, and says what happens where
-the axis points the opposite way. Khalil and Dombre 2004.
+Khalil and Dombre 2004.
 """
 
 from __future__ import annotations
 
 from coopqp.base.spec import Direction, Positive, Vector3, spec
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.geometry import Reference, Turn, last_end
+from coopqp.model.geometry import Reference, Turn
 from coopqp.model.marker import Marker, PlaneMarker, TrackedMarker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.program import Primitive, lean, point
 from coopqp.signal import Instant, MovingDirection, MovingPoint
-from coopqp.task import Part, Task
+from coopqp.task import Part, Task, pose_parts
 
 
 @spec
@@ -52,25 +50,14 @@ class PlaneOnPlane(Task):
         return ("normal", "lean_1", "lean_2")
 
     def parts(self, chain: ClosedChain) -> tuple[Part, ...]:
-        """Offset and angle."""
-        return (
-            Part("position", 1, "m", self.tolerance),
-            Part("orientation", 2, "rad", self.tolerance_angle),
-        )
-
-    @property
-    def end(self) -> float:
-        """When the planes shall coincide and the one in space has turned [s]."""
-        return last_end(self.profile, self.turn, self.through, self.normal)
+        return pose_parts(1, 2, self.tolerance, self.tolerance_angle)
 
     def program(self, start: State) -> tuple[Primitive, ...]:
-        """As primitives."""
         plane = self._plane(start)
         height = point(start, plane, self.point, self.profile, (2,))
         return height, lean(start, plane, self.axis, self.profile)
 
     def marks(self, at: Instant) -> tuple[Marker, ...]:
-        """The plane, and the point of the object's own."""
         plane = self._plane(at)
         plane.update(at)
         return PlaneMarker(normal=plane.RT[2], through=plane.c), TrackedMarker(point=self.point)

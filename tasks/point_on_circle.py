@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from coopqp.base.spec import Positive, Vector3, spec
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.geometry import Reference, Turn, last_end
+from coopqp.model.geometry import Reference, Turn
 from coopqp.model.marker import CircleMarker, Marker, TrackedMarker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
@@ -47,23 +47,15 @@ class PointOnCircle(Task):
         return ("radius", "normal")
 
     @property
-    def end(self) -> float:
-        """When the point shall be on the circle and the circle has turned [s]."""
-        return last_end(self.profile, self.turn, self.center, self.normal)
-
-    @property
     def curvature(self) -> float:
-        """Of the circle [1/m]."""
         return 1.0 / self.radius
 
     def program(self, start: State) -> tuple[Primitive, ...]:
-        """As primitives."""
         circle, of = self._circle(start), (self.point, self.profile)
         distance = radial(start, circle, *of, self.radius, planar=True)
         return distance, point(start, circle, *of, (2,))
 
     def marks(self, at: Instant) -> tuple[Marker, ...]:
-        """The circle, and the point that goes there."""
         circle = self._circle(at)
         circle.update(at)
         return (

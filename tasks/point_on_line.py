@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from coopqp.base.spec import Vector3, spec
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.geometry import Reference, Turn, last_end
+from coopqp.model.geometry import Reference, Turn
 from coopqp.model.marker import LineMarker, Marker, TrackedMarker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
@@ -43,17 +43,10 @@ class PointOnLine(Task):
         """The offset along two directions normal to the line."""
         return ("across_1", "across_2")
 
-    @property
-    def end(self) -> float:
-        """When the point shall be on the line and the line has turned [s]."""
-        return last_end(self.profile, self.turn, self.through, self.direction)
-
     def program(self, start: State) -> tuple[Primitive, ...]:
-        """As primitives."""
         return (point(start, self._line(start), self.point, self.profile, (0, 1)),)
 
     def marks(self, at: Instant) -> tuple[Marker, ...]:
-        """The line, and the point that goes there."""
         line = self._line(at)
         line.update(at)
         return LineMarker(direction=line.RT[2], through=line.c), TrackedMarker(point=self.point)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from coopqp.base.spec import Vector3, spec
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.geometry import Reference, Turn, last_end
+from coopqp.model.geometry import Reference, Turn
 from coopqp.model.marker import Marker, PlaneMarker, TrackedMarker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
@@ -38,20 +38,12 @@ class PointOnPlane(Task):
     """How the point's height above the plane goes to zero."""
 
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:
-        """The height above the plane."""
         return ("normal",)
 
-    @property
-    def end(self) -> float:
-        """When the point shall be on the plane and the plane has turned [s]."""
-        return last_end(self.profile, self.turn, self.through, self.normal)
-
     def program(self, start: State) -> tuple[Primitive, ...]:
-        """As primitives."""
         return (point(start, self._plane(start), self.point, self.profile, (2,)),)
 
     def marks(self, at: Instant) -> tuple[Marker, ...]:
-        """The plane, and the point that goes there."""
         plane = self._plane(at)
         plane.update(at)
         return PlaneMarker(normal=plane.RT[2], through=plane.c), TrackedMarker(point=self.point)

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 from coopqp.base.spec import Vector3, spec
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.geometry import Reference, last_end
+from coopqp.model.geometry import Reference
 from coopqp.model.marker import Marker, PointMarker, TrackedMarker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.program import Primitive, point
-from coopqp.signal import POINT, Instant, MovingPoint, course
+from coopqp.signal import POINT, Instant, MovingPoint, trajectory_of
 from coopqp.task import Task
 
 
@@ -31,21 +31,13 @@ class PointOnPoint(Task):
     """How the reference moves from the start to the goal."""
 
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:
-        """The three world axes."""
         return ("x", "y", "z")
 
-    @property
-    def end(self) -> float:
-        """When the reference arrives [s]."""
-        return last_end(self.profile, self.goal)
-
     def program(self, start: State) -> tuple[Primitive, ...]:
-        """As primitives."""
         goal = Reference(self.goal, start=start, point=self.point)
         return (point(start, goal, self.point, self.profile, (0, 1, 2)),)
 
     def marks(self, at: Instant) -> tuple[Marker, ...]:
-        """The goal, and the point that goes there."""
-        goal = course(self.goal, POINT, at)
+        goal = trajectory_of(self.goal, POINT, at)
         goal.update(at)
         return PointMarker(at=goal.value), TrackedMarker(point=self.point)

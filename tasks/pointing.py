@@ -1,13 +1,10 @@
 """An axis of the object points along a direction in space: two rows.
 
-The direction d may turn. The wished direction goes from where the axis a points at the start to d
-on the shortest way. With theta the angle between the axis and the wished direction and u the way
-the axis leans from it, in a basis normal to it that turns with it,
+The direction d may turn. The reference direction goes from where the axis a points at the start to
+d on the shortest way. With theta the angle between them and u the way the axis leans, in a basis
+normal to the reference that turns with it (``geometry.Alignment``),
 
     e = theta u,   |e| = theta
-
-J and rate follow from a_dot = omega x a; ``geometry.Alignment`` has them, and says what
-happens where the axis points the opposite way.
 """
 
 from __future__ import annotations
@@ -16,7 +13,7 @@ from typing import ClassVar
 
 from coopqp.base.spec import Direction, Positive, spec
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.geometry import Reference, Turn, last_end
+from coopqp.model.geometry import Reference, Turn
 from coopqp.model.marker import LineMarker, Marker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
@@ -46,17 +43,10 @@ class Pointing(Task):
         """How far the axis leans two ways normal to the direction."""
         return ("lean_1", "lean_2")
 
-    @property
-    def end(self) -> float:
-        """When the axis shall point there and the direction has turned [s]."""
-        return last_end(self.profile, self.turn, self.direction)
-
     def program(self, start: State) -> tuple[Primitive, ...]:
-        """As primitives."""
         return (lean(start, self._reference(start), self.axis, self.profile),)
 
     def marks(self, at: Instant) -> tuple[Marker, ...]:
-        """The direction, wherever the object is."""
         reference = self._reference(at)
         reference.update(at)
         return (LineMarker(direction=reference.RT[2]),)

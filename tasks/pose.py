@@ -15,13 +15,13 @@ import numpy as np
 
 from coopqp.base.spec import Positive, spec
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.geometry import PlaceOf, Reference, last_end, pose_course
+from coopqp.model.geometry import PlaceOf, Reference, pose_trajectory
 from coopqp.model.marker import Marker, PoseMarker, TrackedMarker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.program import Primitive, point, rotation
 from coopqp.signal import Instant, MovingPose, quaternion_of
-from coopqp.task import Part, Task
+from coopqp.task import Part, Task, pose_parts
 
 
 @spec
@@ -36,31 +36,19 @@ class Pose(Task):
     """Orientation error at the end that still counts as reached [rad]."""
 
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:
-        """Translation along and rotation about the world axes."""
         return ("x", "y", "z", "rot_x", "rot_y", "rot_z")
 
     def parts(self, chain: ClosedChain) -> tuple[Part, ...]:
-        """Position and orientation."""
-        return (
-            Part("position", 3, "m", self.tolerance),
-            Part("orientation", 3, "rad", self.tolerance_angle),
-        )
-
-    @property
-    def end(self) -> float:
-        """When the reference arrives [s]."""
-        return last_end(self.profile, self.goal)
+        return pose_parts(3, 3, self.tolerance, self.tolerance_angle)
 
     def program(self, start: State) -> tuple[Primitive, ...]:
-        """The reference sets out from where the object is now."""
         here = np.concatenate([start.p_WO, quaternion_of(start.R_WO)])
-        goal = pose_course(self.goal, start, here)
+        goal = pose_trajectory(self.goal, start, here)
         goal.update(start)
         place = point(start, Reference(PlaceOf(goal)), (0.0, 0.0, 0.0), self.profile, (0, 1, 2))
         return place, rotation(goal, self.profile, start.R_WO)
 
     def marks(self, at: Instant) -> tuple[Marker, ...]:
-        """The goal, and the object's origin."""
-        goal = pose_course(self.goal, at)
+        goal = pose_trajectory(self.goal, at)
         goal.update(at)
         return PoseMarker(rotation=goal.R, position=goal.value[:3]), TrackedMarker()

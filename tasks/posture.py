@@ -16,8 +16,9 @@ import numpy as np
 
 from coopqp.base.errors import InvalidValueError, UnknownNameError, under
 from coopqp.base.spec import Array, spec
+from coopqp.base.wording import counted
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.geometry import Approach, last_end
+from coopqp.model.geometry import Approach
 from coopqp.model.marker import Marker, PostureMarker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
@@ -45,22 +46,9 @@ class Posture(Task):
     """How the reference moves from the start to the goal."""
 
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:
-        """The joints."""
         return chain.joint_names
 
-    @property
-    def end(self) -> float:
-        """When the reference arrives [s]."""
-        goal = self.goal.values() if isinstance(self.goal, dict) else (self.goal,)
-        return last_end(self.profile, *goal)
-
     def bind(self, start: State) -> Evaluate:
-        """The reference sets out from the joints' values now.
-
-        Raises:
-            UnknownNameError: the goal names neither an arm nor a joint.
-            InvalidValueError: it has a wrong number of values.
-        """
         goal = _Goal(self.goal, start)
         goal.update(start)
         given = np.isfinite(goal.value).astype(float)
@@ -101,41 +89,30 @@ class Posture(Task):
 
 
 class _Goal:
-    """Where all joints shall be.
-
-    Attributes:
-        value, rate: shape (n,) [rad, m; rad/s, m/s]; NaN and zero where nothing is given.
-        moves: whether anything changes with time.
-    """
+    """Where all joints shall be, shape (n,) [rad, m; rad/s, m/s]; NaN and zero if not given."""
 
     def __init__(
         self, goal: Mapping[str, JointValues] | list[float] | Signal, start: State
     ) -> None:
         chain = start.chain
         self.value, self.rate = np.full(chain.n, np.nan), np.zeros(chain.n)
-        self._courses: list[tuple[list[int], Trajectory]] = []
+        self._trajectories: list[tuple[list[int], Trajectory]] = []
         for joints, given in _given(goal, chain):
             at, kind = [chain.joint_names.index(joint) for joint in joints], of_joints(joints)
             if isinstance(given, Signal):
-                self._courses.append((at, given.bind(kind, start, start.q[at])))
+                self._trajectories.append((at, given.bind(kind, start, start.q[at])))
             else:
                 self.value[at] = given
-        self.moves = any(moving.moves for _, moving in self._courses)
+        self.moves = any(moving.moves for _, moving in self._trajectories)
 
     def update(self, at: Instant) -> None:
-        """Go to where it is then."""
-        for joints, moving in self._courses:
+        for joints, moving in self._trajectories:
             moving.update(at)
             self.value[joints], self.rate[joints] = moving.value, moving.rate
 
 
 def posture(goal: Mapping[str, JointValues] | list[float], chain: ClosedChain) -> Array:
-    """The goal as one number a joint, shape (n,) [rad, m]; NaN where nothing is given.
-
-    Raises:
-        UnknownNameError: a key is neither an arm nor a joint.
-        InvalidValueError: a wrong number of values.
-    """
+    """The goal as one number a joint, shape (n,) [rad, m]; NaN where nothing is given."""
     return _Goal(goal, State(chain)).value
 
 
@@ -158,10 +135,9 @@ def _given(
 
 
 def _counted(key: str, value: JointValues, joints: tuple[str, ...]) -> JointValues:
-    """A number a joint, or a signal."""
     if not isinstance(value, Signal) and np.size(value) != len(joints):
         raise InvalidValueError(
-            f"posture.{key}: found {np.size(value)} numbers, needs {len(joints)}: "
+            f"posture.{key}: found {counted(np.size(value), 'number')}, needs {len(joints)}: "
             f"{', '.join(joints)}"
         )
     return value

@@ -18,13 +18,13 @@ from __future__ import annotations
 from coopqp.base.spec import Array, Pose, Positive, Vector3, one_angle, spec
 from coopqp.grasp import pose_matrix
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.geometry import Reference, Turn, last_end
+from coopqp.model.geometry import Reference, Turn
 from coopqp.model.marker import LineMarker, Marker, PoseMarker, TrackedMarker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.program import Primitive, fixed, point, rotation
 from coopqp.signal import Instant, MovingDirection, MovingPoint
-from coopqp.task import Part, Task
+from coopqp.task import Part, Task, pose_parts
 
 
 @spec
@@ -58,19 +58,9 @@ class Prismatic(Task):
         return ("across_1", "across_2", "rot_1", "rot_2", "rot_along")
 
     def parts(self, chain: ClosedChain) -> tuple[Part, ...]:
-        """Offset and orientation."""
-        return (
-            Part("position", 2, "m", self.tolerance),
-            Part("orientation", 3, "rad", self.tolerance_angle),
-        )
-
-    @property
-    def end(self) -> float:
-        """When the object shall be on the slide and the line has turned [s]."""
-        return last_end(self.profile, self.turn, self.through, self.direction)
+        return pose_parts(2, 3, self.tolerance, self.tolerance_angle)
 
     def program(self, start: State) -> tuple[Primitive, ...]:
-        """As primitives."""
         line, R_goal = self._line(start), self._goal()
         Q_goal = line.RT @ (start.R_WO if R_goal is None else R_goal)
         offset = point(start, line, self.point, self.profile, (0, 1))

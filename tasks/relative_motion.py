@@ -24,13 +24,13 @@ import pinocchio as pin
 from coopqp.base.errors import UnknownNameError
 from coopqp.base.spec import Pose, Positive, spec
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.geometry import Approach, Reference, RotationError, last_end, pose_course
+from coopqp.model.geometry import Approach, Reference, RotationError, pose_trajectory
 from coopqp.model.marker import Marker, RelativeMarker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.program import Kind, Primitive
 from coopqp.signal import Instant, MovingPose, quaternion_of
-from coopqp.task import Evaluate, Part, Task, TaskRows
+from coopqp.task import Evaluate, Part, Task, TaskRows, pose_parts
 
 
 @spec
@@ -51,29 +51,16 @@ class RelativeMotion(Task):
         return ("x", "y", "z", "rot_x", "rot_y", "rot_z")
 
     def parts(self, chain: ClosedChain) -> tuple[Part, ...]:
-        """Position and orientation."""
-        return (
-            Part("position", 3, "m", self.tolerance),
-            Part("orientation", 3, "rad", self.tolerance_angle),
-        )
-
-    @property
-    def end(self) -> float:
-        """When the reference arrives [s]."""
-        return last_end(self.profile, self.goal)
+        return pose_parts(3, 3, self.tolerance, self.tolerance_angle)
 
     def bind(self, start: State) -> Evaluate:
-        """The reference sets out from the relative pose now.
-
-        Raises:
-            UnknownNameError: no such arm, or the first one.
-        """
+        """The reference sets out from the relative pose now; no such arm: UnknownNameError."""
         chain, seen = start.chain, _Seen(start.chain, self._loop(start.chain))
         at, R_0, Q, gap = seen.at, seen.R_0, seen.Q, seen.gap
         first = np.linalg.inv(chain.mixing)[3:6]  # J_0 = J_task - sum alpha_i J_rel,i
         J_gap, J_omega_0 = np.zeros((3, chain.n)), np.zeros((3, chain.n))
         seen.update(start)
-        goal = pose_course(self.goal, start, np.concatenate([R_0.T @ gap, quaternion_of(Q)]))
+        goal = pose_trajectory(self.goal, start, np.concatenate([R_0.T @ gap, quaternion_of(Q)]))
         goal.update(start)
         p_goal, p_goal_dot = goal.value[:3], goal.rate[:3]
         rotation = RotationError(goal, self.profile, Q)
@@ -97,7 +84,7 @@ class RelativeMotion(Task):
 
     def program(self, start: State) -> tuple[Primitive, ...] | None:
         """As a primitive; None where a signal is the goal."""
-        goal, loop = pose_course(self.goal, start), self._loop(start.chain)
+        goal, loop = pose_trajectory(self.goal, start), self._loop(start.chain)
         if goal.moves:
             return None
         seen = _Seen(start.chain, loop)
@@ -113,13 +100,11 @@ class RelativeMotion(Task):
         )  # fmt: skip
 
     def marks(self, at: Instant) -> tuple[Marker, ...]:
-        """The goal, which moves with the first arm."""
-        goal = pose_course(self.goal, at)
+        goal = pose_trajectory(self.goal, at)
         goal.update(at)
         return (RelativeMarker(rotation=goal.R, position=goal.value[:3]),)
 
     def _loop(self, chain: ClosedChain) -> int:
-        """Number of the loop that the arm closes with the first."""
         others = [arm.name for arm in chain.arms[1:]]
         if self.arm is None:
             return 0
@@ -131,12 +116,7 @@ class RelativeMotion(Task):
 class _Seen:
     """Where an arm carries the object, seen from where the first arm does.
 
-    Args:
-        chain: of both.
-        loop: which the arm closes with the first.
-
     Attributes:
-        at: the first of the loop's rows.
         R_0: orientation of the object as the first arm carries it, shape (3, 3).
         Q: of the other's in its axes, R_0' R_i, shape (3, 3).
         gap: from the first's origin to the other's, in the world, shape (3,) [m].
@@ -147,7 +127,6 @@ class _Seen:
         self.R_0, self.Q, self.gap = np.eye(3), np.eye(3), np.zeros(3)
 
     def update(self, state: State) -> None:
-        """Look at a state."""
         errors, at, R_0 = state.loop_error.reshape(-1, 6), self.at, self.R_0
         pin.exp3(-self._alpha.dot(errors[:, 3:])).dot(state.R_WO, R_0)
         self.gap[:] = state.loop_error[at : at + 3]

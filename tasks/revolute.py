@@ -2,27 +2,25 @@
 
 The object's point p goes to c and its axis a to the unit vector d; the hinge may move, c_dot, and
 turn about an axis through c, omega. What stays free is a virtual revolute joint. With R the hinge's
-axes, the third along d, and h(t) the reference offset, which shrinks from the start to 0:
+axes, the third along d, h(t) the reference offset, which shrinks from the start to 0, and theta u
+the angle and way of a from its reference (``geometry.Alignment``):
 
     e = [R'(p - c) - h; theta u]
 
-with theta the angle between the axis and its wished direction, which goes from the start to d on
-the shortest way, and u the way it leans. J and rate follow from p_dot and a_dot = omega x a, less
-the motion of the hinge; ``geometry.Alignment`` has them, and says what happens where
-the axis points the opposite way. Khalil and Dombre 2004.
+Khalil and Dombre 2004.
 """
 
 from __future__ import annotations
 
 from coopqp.base.spec import Direction, Positive, Vector3, spec
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.geometry import Reference, Turn, last_end
+from coopqp.model.geometry import Reference, Turn
 from coopqp.model.marker import LineMarker, Marker, PointMarker, TrackedMarker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.program import Primitive, lean, point
 from coopqp.signal import Instant, MovingDirection, MovingPoint
-from coopqp.task import Part, Task
+from coopqp.task import Part, Task, pose_parts
 
 
 @spec
@@ -51,25 +49,14 @@ class Revolute(Task):
         return ("across_1", "across_2", "along", "lean_1", "lean_2")
 
     def parts(self, chain: ClosedChain) -> tuple[Part, ...]:
-        """Offset and angle."""
-        return (
-            Part("position", 3, "m", self.tolerance),
-            Part("orientation", 2, "rad", self.tolerance_angle),
-        )
-
-    @property
-    def end(self) -> float:
-        """When the object shall be on the hinge and the hinge has turned [s]."""
-        return last_end(self.profile, self.turn, self.through, self.direction)
+        return pose_parts(3, 2, self.tolerance, self.tolerance_angle)
 
     def program(self, start: State) -> tuple[Primitive, ...]:
-        """As primitives."""
         hinge = self._hinge(start)
         offset = point(start, hinge, self.point, self.profile, (0, 1, 2))
         return offset, lean(start, hinge, self.axis, self.profile)
 
     def marks(self, at: Instant) -> tuple[Marker, ...]:
-        """The hinge, and the point that goes there."""
         hinge = self._hinge(at)
         hinge.update(at)
         return (

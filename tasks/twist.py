@@ -3,9 +3,8 @@
     e = 0,   J = the rows of J_O given,   rate = s(t) times the velocity commanded
 
 J_O is the Jacobian of a point of the object, (v; omega), in the world's or the object's own axes.
-The share s grows from 0 to 1 with the profile, so that the object sets off without a jerk. A signal
-commands a velocity that changes, such as that of a joystick: its values are velocities. There is
-no position to come back to, so e is zero and the gain without effect; reports show J v - rate.
+The share s grows from 0 to 1 with the profile. A signal's values are velocities here. No position
+is kept, so the gain is without effect; reports show J v - rate.
 """
 
 from __future__ import annotations
@@ -17,7 +16,6 @@ from pydantic import Field
 
 from coopqp.base.spec import Positive, Vector3, spec
 from coopqp.model.closed_chain import AXES, ClosedChain
-from coopqp.model.geometry import last_end
 from coopqp.model.marker import Marker, TrackedMarker
 from coopqp.model.profile import Profile
 from coopqp.model.state import PointOfObject, State
@@ -58,11 +56,9 @@ class Twist(Task):
             raise ValueError("components: needs each of them once")
 
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:
-        """The components given, translation first."""
         return tuple(axis for axis in AXES if axis in self._given)
 
     def parts(self, chain: ClosedChain) -> tuple[Part, ...]:
-        """Translation and rotation, as far as given."""
         given = self._given
         turns = sum(axis.startswith("rot") for axis in given)
         parts = (
@@ -71,18 +67,12 @@ class Twist(Task):
         )
         return tuple(part for part in parts if part.rows)
 
-    @property
-    def end(self) -> float:
-        """When the velocity is what is commanded [s]."""
-        return last_end(self.profile, self.velocity)
-
     def bind(self, start: State) -> Evaluate:
-        """The velocity grows from zero."""
         names = self.rows(start.chain)
         chosen = np.array([AXES.index(name) for name in names])
         order = np.array([self._given.index(name) for name in names])
         tracked, profile = PointOfObject(self.point, start.chain.n), self.profile
-        commanded = self._course(start)
+        commanded = self._trajectory(start)
         turned, J = self.axes == "object", np.zeros((6, start.chain.n))
 
         def evaluate(state: State, rows: TaskRows) -> None:
@@ -113,17 +103,15 @@ class Twist(Task):
         )  # fmt: skip
 
     def marks(self, at: Instant) -> tuple[Marker, ...]:
-        """The point that moves."""
         return (TrackedMarker(point=self.point),)
 
     @property
     def _given(self) -> tuple[str, ...]:
-        """The components, in the order of the command."""
         if isinstance(self.velocity, Signal):
             return self.components or AXES
         return tuple(self.velocity)
 
-    def _course(self, start: Instant) -> Trajectory:
+    def _trajectory(self, start: Instant) -> Trajectory:
         kind = of_twist(self._given)
         if isinstance(self.velocity, Signal):
             return self.velocity.bind(kind, start, kind.zero)

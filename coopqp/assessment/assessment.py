@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coopqp.assessment import limits
-from coopqp.assessment.ends import end_errors, oscillates
+from coopqp.assessment.ends import end_error, oscillates
 from coopqp.assessment.limits import Overrun
 from coopqp.assessment.oscillation import Oscillation, oscillation
 from coopqp.assessment.thresholds import (
@@ -151,7 +151,7 @@ class Assessment:
                 task.mode if ordered else "soft",
                 level_of(task.mode, task.priority) if ordered else (0, 0),
                 trace.last_instants[k],
-                float(end_errors(trace, k).max()),
+                end_error(trace, k),
                 bool(lost[k]),
                 oscillates(trace, k),
             )
@@ -219,13 +219,15 @@ class Assessment:
         found: dict[str, None] = {}
         for k, task in enumerate(self.tasks):
             if not task.arrives:
-                found |= dict.fromkeys(self.at_limits(k))
+                found |= dict.fromkeys(limits.at_limits(self.trace, self.trace.last_instants[k]))
                 found |= dict.fromkeys(limits.slowed_by(self.trace, k))
         return tuple(found)
 
     def at_limits(self, k: int) -> tuple[str, ...]:
-        """Limits of place at which it is when task k ends, by name."""
-        return limits.at_limits(self.trace, self.trace.last_instants[k])
+        """Limits of place at which it is when task k ends, and was never beyond, by name."""
+        past = {overrun.name for overrun in (*self.joints, *self.limits)}
+        names = limits.at_limits(self.trace, self.trace.last_instants[k])
+        return tuple(name for name in names if name not in past)
 
     @property
     def loop(self) -> tuple[float, float]:
@@ -344,14 +346,12 @@ class Assessment:
 
     @property
     def _at_effort(self) -> NDArray[np.bool_]:
-        """Which motors were at their limits in each tick, shape (T, n), or (0, 0)."""
-        signals, effort = self.trace.signals, self.trace.effort
-        if "saturated" in signals:
-            return np.asarray(signals["saturated"] > 0.0)
-        if "tau" not in signals:
+        """Which motors were at their limits at each tick's end, shape (T, n), or (0, 0)."""
+        tau, effort = self.trace.signals.get("tau"), self.trace.effort
+        if tau is None:
             return np.zeros((0, 0), bool)
         limited = np.isfinite(effort) & (effort > 0.0)
-        return np.asarray((np.abs(signals["tau"]) >= AT_EFFORT * effort) & limited)
+        return np.asarray((np.abs(tau) >= AT_EFFORT * effort) & limited)
 
 
 class Accelerations(NamedTuple):

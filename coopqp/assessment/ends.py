@@ -45,6 +45,12 @@ def end_errors(trace: Trace, k: int) -> Array:
     return settled(trace.task_error[task.rows.start : last + 1, k], task.unit, trace.dt)
 
 
+def end_error(trace: Trace, k: int) -> float:
+    """The largest of them; NaN where it is no number, as files have it."""
+    worst = float(end_errors(trace, k).max())
+    return worst if np.isfinite(worst) else np.nan
+
+
 def pushed(trace: Trace, k: int) -> bool:
     """Whether task k is an impedance, and the plant pushes the object to its end."""
     last, push = trace.last_instants[k], trace.signals.get("push")
@@ -55,7 +61,7 @@ def oscillates(trace: Trace, k: int) -> bool:
     """Whether what task k asks for is only passed through, or passed about, at its end."""
     task, errors = trace.tasks[k], end_errors(trace, k)
     last = trace.last_instants[k] + 1
-    own = [i for i, row in enumerate(trace.task_rows) if row.startswith(f"{task.name}.")]
+    own = [i for i, row in enumerate(trace.task_rows) if row.rpartition(".")[0] == task.name]
     e = trace.e[last - len(errors) : last, own]
     about = (e.min(axis=0) < -task.tolerance) & (e.max(axis=0) > task.tolerance)
     return bool(errors.min() <= task.tolerance or about.any())

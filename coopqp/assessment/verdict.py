@@ -35,7 +35,7 @@ GIVEN_UP = {
     "ACCELERATION_GIVEN_UP": "gives up an acceleration limit",
     "SQUEEZE_GIVEN_UP": "stands at most_way without the squeeze",
 }
-#: Speeds below so many times the limit are told by what they are beyond it.
+#: Speeds and accelerations below so many times the limit are told by what they are beyond it.
 HARDLY = 1.1
 MOST_NAMES = 3
 
@@ -104,7 +104,10 @@ def _motion(found: Assessment) -> str:
 
 
 def _far(error: float, unit: str) -> str:
-    return f"{1e3 * error:.1f} mm" if unit == "m" else f"{error:.3g} {unit}"
+    """One digit behind the point of millimetres, two digits of less than a tenth."""
+    if unit != "m":
+        return f"{error:.3g} {unit}"
+    return f"{1e3 * error:.1f} mm" if error >= 1e-4 else f"{1e3 * error:.2g} mm"
 
 
 def _gives_way(found: Assessment) -> str:
@@ -145,9 +148,12 @@ def listed_limits(names: Sequence[str]) -> str:
 def _limits(found: Assessment, unseen: Sequence[str]) -> str:
     if found.ended:
         return ""
-    others = "; ".join(_beyond(overrun) for overrun in found.limits)
+    silent = _unaudited(found.trace)
+    others = "; ".join((*map(_beyond, found.limits), *silent))
+    if not found.joints and not found.limits:
+        return ", but ".join((f"keeps {_kept(found.trace, unseen)}", *silent))
     if not found.joints:
-        return others or f"keeps {_kept(found.trace, unseen)}"
+        return others
     worst = next((overrun for overrun in found.joints if overrun.farther), found.joints[0])
     if worst.farther:
         far = _amount(worst.by, worst.row.unit)
@@ -165,10 +171,13 @@ def _kept(trace: Trace, unseen: Sequence[str]) -> str:
         told, *more = dict.fromkeys(line.partition(":")[0] for line in unseen)
         others_too = f" and {len(more)} more, see the notes" if more else ""
         kept = f"every limit as far as it is watched: {told}{others_too}"
-    if trace.unaudited:
-        verb = "is" if len(trace.unaudited) == 1 else "are"
-        kept += f", but {_listed(trace.unaudited)} {verb} not audited"
     return kept
+
+
+def _unaudited(trace: Trace) -> list[str]:
+    """Limits that do not say what they had left."""
+    verb = "is" if len(trace.unaudited) == 1 else "are"
+    return [f"{_listed(trace.unaudited)} {verb} not audited"] if trace.unaudited else []
 
 
 def _beyond(overrun: Overrun) -> str:
@@ -228,10 +237,13 @@ def _acceleration(found: Assessment) -> str:
     worst = found.acceleration
     if worst is None or not worst.exceeds:
         return ""
-    share = _round(worst.value / worst.allowed)
+    share = worst.value / worst.allowed
+    beyond = (
+        f"{_round(share)} times" if share >= HARDLY else f"{100.0 * (share - 1.0):.1g} % more than"
+    )
     cure = ": add joint_acceleration to limits" if found.acceleration_free else ""
     return (
-        f"accelerates {worst.joint} by {_amount(worst.value, worst.unit)}, {share} times what the "
+        f"accelerates {worst.joint} by {_amount(worst.value, worst.unit)}, {beyond} what the "
         f"loop for robots allows{cure}"
     )
 

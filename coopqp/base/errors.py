@@ -27,17 +27,12 @@ MOST_NAMES = 100  # that are listed where none is near
 
 
 class CoopqpError(Exception):
-    """Base of all errors raised by coopqp.
-
-    Attributes:
-        keys: the way from what was to be built to the value that is wrong, as far as it is known:
-            names of fields, keys and indices.
-    """
+    """Base of all errors raised by coopqp; ``keys`` lead to the wrong value, as far as known."""
 
     keys: tuple[str | int, ...] = ()
 
     def at(self, *keys: str | int) -> Self:
-        """The same error, with its way told from farther outside."""
+        """The same error, with its keys continued from farther outside."""
         self.keys = (*keys, *self.keys)
         return self
 
@@ -54,7 +49,7 @@ def _as_it_was(cls: type[CoopqpError], args: tuple[object, ...], own: dict[str, 
 
 @contextmanager
 def under(*keys: str | int) -> Iterator[None]:
-    """Tell of an error that it is of what is under these keys."""
+    """Prepend these keys to those of an error."""
     try:
         yield
     except CoopqpError as error:
@@ -86,12 +81,7 @@ class MissingDependencyError(CoopqpError, ImportError):
 
 
 class UnreadableFileError(CoopqpError):
-    """A file that cannot be read.
-
-    Attributes:
-        place: the file, or a line in it.
-        why: what keeps it from being read.
-    """
+    """A file, or a line in it (``place``), that cannot be read, and why."""
 
     def __init__(self, place: object, why: str) -> None:
         self.place, self.why = str(place), why

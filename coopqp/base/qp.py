@@ -31,7 +31,7 @@ class Row:
         joint: whose, where it belongs to one joint.
         side: which, where there are two.
         label: what a sentence calls it, such as "RElbowRoll (upper)"; the name when empty.
-        of_place: whether it bounds a place, so that its excess in a QP of velocities, times dt,
+        of_place: whether it bounds a place, so that its violation in a QP of velocities, times dt,
             has the unit given.
         bodies: the two whose distance it is; none for other rows.
         kept: distance that is kept free between them [m]; rows that differ in it alone are equal.
@@ -64,12 +64,7 @@ def names_of(rows: Sequence[Row]) -> tuple[str, ...]:
 
 @lru_cache(maxsize=64)
 def joint_rows(joints: tuple[str, ...], units: tuple[str, ...]) -> tuple[Row, ...]:
-    """The velocities of joints, the variables of most QPs.
-
-    Args:
-        joints: their names.
-        units: of their coordinates, "rad" or "m".
-    """
+    """The velocities of joints, the variables of most QPs; units of q, "rad" or "m"."""
     return tuple(
         Row(name=joint, kind="joint", unit=f"{unit}/s", joint=joint)
         for joint, unit in zip(joints, units, strict=True)
@@ -78,13 +73,7 @@ def joint_rows(joints: tuple[str, ...], units: tuple[str, ...]) -> tuple[Row, ..
 
 @dataclass(frozen=True)
 class Rows:
-    """What the QP's variables and rows are.
-
-    Attributes:
-        variables: shape (n,), such as the velocity of RElbowRoll.
-        inequalities: rows of G, shape (p,).
-        equalities: rows of A, shape (m,), such as "loop[left].rot_y".
-    """
+    """What the QP's variables (n), rows of G (p) and rows of A (m) are."""
 
     variables: tuple[Row, ...]
     inequalities: tuple[Row, ...] = ()
@@ -93,9 +82,6 @@ class Rows:
 
 class QP:
     """A quadratic program in preallocated arrays; G, h, A, b, lb, ub are views of C and bounds.
-
-    Args:
-        rows: fix the sizes: n variables, p inequality rows, m equality rows.
 
     Attributes:
         P: shape (n, n), symmetric. q: shape (n,).

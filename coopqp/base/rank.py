@@ -42,12 +42,7 @@ def directions(rows: Array) -> tuple[Array, Array]:
 
 
 def independent_rows(matrix: Array, most: int | None = None) -> list[int]:
-    """Indices of a largest set of independent rows, in their own order, by pivoted QR.
-
-    Args:
-        matrix: shape (m, n).
-        most: not more rows than this; the best pivots are kept.
-    """
+    """Indices of a largest set of independent rows, in their own order, by pivoted QR."""
     if not matrix.size:
         return []
     _, R, order = scipy.linalg.qr(matrix.T, mode="economic", pivoting=True)
@@ -57,14 +52,7 @@ def independent_rows(matrix: Array, most: int | None = None) -> list[int]:
 
 
 def least_squares(matrix: Array, wanted: Array) -> Array:
-    """The x of least norm that brings matrix x nearest to what is wanted, shape (n,).
-
-    NaN where a number is not finite, which LAPACK would print about, or never end.
-
-    Args:
-        matrix: shape (m, n).
-        wanted: shape (m,), or (m, r) for r of them side by side, which gives shape (n, r).
-    """
+    """The least-norm x with matrix x nearest to ``wanted`` (m,) or (m, r); NaN if not finite."""
     if not (np.isfinite(matrix).all() and np.isfinite(wanted).all()):
         return np.full((matrix.shape[1], *wanted.shape[1:]), np.nan)
     return np.asarray(np.linalg.lstsq(matrix, wanted, rcond=RANK_TOLERANCE)[0], float)

@@ -18,23 +18,13 @@ _DECODER = json.JSONDecoder()
 
 
 def absolute(path: Path) -> Path:
-    """The path from the root on; of links in a circle, which ``Path.resolve`` raises at, as it is.
-
-    Raises:
-        ValueError: a name that no file can have.
-    """
+    """The absolute path; circular links stay. ValueError: a name that no file can have."""
     return Path(os.path.realpath(path))
 
 
 @contextmanager
 def open_bytes(path: Path) -> Iterator[BinaryIO]:
-    """A file to read from.
-
-    Pipes and devices are refused without being waited for: some never end, some never begin.
-
-    Raises:
-        UnreadableFileError: no such file, or no plain file; also where reading fails.
-    """
+    """A plain file, no pipe or device, to read from; UnreadableFileError also where that fails."""
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     except OSError as error:
@@ -52,11 +42,7 @@ def open_bytes(path: Path) -> Iterator[BinaryIO]:
 
 
 def check_plain(path: Path) -> None:
-    """Refuse what :func:`open_bytes` does, without opening it.
-
-    Raises:
-        UnreadableFileError: no such file, or no plain file.
-    """
+    """Raise UnreadableFileError where :func:`open_bytes` does, without opening the file."""
     try:
         _check_kind(path, path.stat().st_mode)
     except OSError as error:
@@ -71,15 +57,7 @@ def _check_kind(path: Path, mode: int) -> None:
 
 
 def read_bytes(path: Path, most: int) -> bytes:
-    """What a file holds.
-
-    Args:
-        path: of the file.
-        most: bytes that it may have.
-
-    Raises:
-        UnreadableFileError: as :func:`open_bytes`, or a larger file.
-    """
+    """What a file of at most so many bytes holds; UnreadableFileError as :func:`open_bytes`."""
     with open_bytes(path) as stream:
         content = stream.read(most + 1)
     if len(content) > most:
@@ -89,11 +67,7 @@ def read_bytes(path: Path, most: int) -> bytes:
 
 
 def read_text(path: Path, most: int) -> str:
-    """The same as text in UTF-8.
-
-    Raises:
-        UnreadableFileError: also where it is no such text, with the line.
-    """
+    """The same as text in UTF-8; UnreadableFileError with the line where it is none."""
     content = read_bytes(path, most)
     try:
         return content.decode("utf-8-sig")
@@ -104,12 +78,7 @@ def read_text(path: Path, most: int) -> str:
 
 
 def line_in_json(text: str, location: Sequence[str | int]) -> int:
-    """The line of a value, or of what is nearest to it on the way there.
-
-    Args:
-        text: JSON that can be read.
-        location: keys and indices from the outermost value on.
-    """
+    """The line of a value in readable JSON, or of what is nearest to it on the way there."""
     at = _skip(text, 0)
     for key in location:
         members = dict(_members(text, at))  # of a key that is there twice the last counts

@@ -38,22 +38,15 @@ would be all that is left of a motion."""
 
 
 def _explain(schema: dict[str, Any], cls: type) -> None:
-    """Say in a JSON Schema what the class says of its keys.
-
-    Pydantic's own ``use_attribute_docstrings`` reads the source of every class at its import.
-    """
-    words = told(cls)
+    """Describe a JSON Schema's keys; pydantic's own way reads all sources at import."""
+    words = field_docs(cls)
     for key, value in schema.get("properties", {}).items():
         if key in words:
             value["description"] = words[key]
 
 
-def told(cls: type) -> dict[str, str]:
-    """What the docstring under each field says, of the class that has it or a base; from source.
-
-    Args:
-        cls: a class; one whose source is not to be had says nothing.
-    """
+def field_docs(cls: type) -> dict[str, str]:
+    """The docstring under each field of a class or its bases; empty where there is no source."""
     found: dict[str, str] = {}
     for base in reversed(cls.__mro__):
         with suppress(OSError, TypeError):
@@ -70,10 +63,10 @@ CONFIG = ConfigDict(extra="forbid", allow_inf_nan=False, json_schema_extra=_expl
 
 @dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(Field,))
 def spec(cls: type[T]) -> type[T]:
-    """Make a class a frozen, keyword-only, validated dataclass.
+    """Make a class a frozen, keyword-only dataclass that checks its values.
 
-    Building one with wrong values raises one ``InvalidValueError`` that names
-    each of them, what was found and what is allowed, in the words of a scenario file's faults.
+    Building one with wrong values raises one ``InvalidValueError`` that names each of them, what
+    was found and what is allowed, in the words of a scenario file's faults.
     """
     checked: Any = dataclass(frozen=True, kw_only=True, config=CONFIG)(cls)
     checked.__init__ = _in_our_words(checked.__init__)
@@ -81,11 +74,7 @@ def spec(cls: type[T]) -> type[T]:
 
 
 def _in_our_words(build: Callable[..., None]) -> Callable[..., None]:
-    """An ``__init__`` that raises no error of pydantic's.
-
-    Where a spec is a field of another, or of a file's form, pydantic builds it without
-    ``__init__``, so that there all faults keep their places.
-    """
+    """An ``__init__`` without pydantic's errors, which inside of other specs keep their places."""
 
     @functools.wraps(build)
     def build_or_refuse(self: Any, *args: Any, **values: Any) -> None:
@@ -100,11 +89,7 @@ def _in_our_words(build: Callable[..., None]) -> Callable[..., None]:
 
 
 def type_name(cls: type) -> str:
-    """Name of a plug-in's type, as in YAML: that of its file.
-
-    A class that lies in no folder of plug-ins, such as one in a script, is named after itself,
-    ``HoldStill`` as ``hold_still``.
-    """
+    """YAML name of a plug-in's type: that of its file, or of a class in a script, in snake_case."""
     folder, _, file = cls.__module__.rpartition(".")
     words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", cls.__name__)
     return file if folder else words.lower()
@@ -118,28 +103,14 @@ def taken_names(names: Sequence[str]) -> Iterator[tuple[int, str]]:
 
 
 def overshoot(gain: float, dt: float) -> str:
-    """What is wrong with a gain [1/s] that takes back more than all in one tick; else empty.
-
-    Args:
-        gain: share of an error, or of a distance, that goes per second.
-        dt: control period [s].
-    """
+    """What is wrong with a gain [1/s] that takes back more than all in a tick dt [s]; or empty."""
     if gain * dt <= 1.0 + 1e-9:
         return ""
     return f"gain {gain} 1/s overshoots; needs at most 1/dt = {1.0 / dt:g} 1/s"
 
 
-def _three(value: Any) -> Any:
-    """Let numpy arrays be given, and say how many numbers are needed."""
-    return numbers(value, 3)
-
-
 def numbers(value: Any, count: int) -> Any:
-    """A list, tuple or array of ``count`` numbers as a list; other values are left to pydantic.
-
-    Raises:
-        ValueError: it has another length.
-    """
+    """A list, tuple or array of ``count`` numbers as a list, else ValueError."""
     listed = value.tolist() if isinstance(value, np.ndarray) else value
     if not isinstance(listed, list | tuple) or len(listed) != count:
         raise ValueError(f"needs {count} numbers")
@@ -147,15 +118,7 @@ def numbers(value: Any, count: int) -> Any:
 
 
 def array(name: str, values: ArrayLike) -> Array:
-    """Numbers given in Python, as an array of their own of whatever shape.
-
-    Args:
-        name: what they are, for the message.
-        values: numbers, NaN and infinities too.
-
-    Raises:
-        InvalidValueError: they are no numbers, or ragged.
-    """
+    """Numbers given in Python, NaN and infinities too, as a new array, or InvalidValueError."""
     try:
         return np.array(values, float)
     except (TypeError, ValueError):
@@ -163,13 +126,10 @@ def array(name: str, values: ArrayLike) -> Array:
 
 
 def real(values: Any) -> Array:
-    """What arrives while a loop runs, as an array of its own of whatever shape.
+    """What arrives while a loop runs, as a new array; ValueError says why it is not real numbers.
 
     numpy makes numbers of much that is none: of complex ones it drops a part, of masked values the
     mask; True is 1, and None is NaN.
-
-    Raises:
-        ValueError: they are no real numbers; says why.
     """
     if isinstance(values, np.ma.MaskedArray) and np.ma.is_masked(values):
         raise ValueError("has masked values")
@@ -191,11 +151,7 @@ _NO_NUMBERS = {"c": "found complex numbers", "b": "found true or false", "U": "f
 
 
 def vector(name: str, values: ArrayLike, n: int) -> Array:
-    """The same for n numbers, shape (n,).
-
-    Raises:
-        InvalidValueError: they are no numbers, or not n.
-    """
+    """The same for n numbers, shape (n,); InvalidValueError where they are not n."""
     found = array(name, values)
     if found.shape != (n,):
         raise InvalidValueError(f"{name}: found shape {found.shape}, needs ({n},)")
@@ -203,22 +159,14 @@ def vector(name: str, values: ArrayLike, n: int) -> Array:
 
 
 def finite(name: str, found: Array) -> Array:
-    """The array as it is.
-
-    Raises:
-        InvalidValueError: a number is NaN or infinite.
-    """
+    """The array as it is; InvalidValueError where a number is NaN or infinite."""
     if not np.isfinite(found).all():
         raise InvalidValueError(f"{name}: found {found.tolist()}, needs finite numbers")
     return found
 
 
 def near(key: str, found: Array) -> Array:
-    """The array as it is, of a key of joint values.
-
-    Raises:
-        InvalidValueError: a number is NaN, infinite, or more than a joint's value can be [rad, m].
-    """
+    """The array of a key of joint values; InvalidValueError beyond what joints reach [rad, m]."""
     if np.abs(finite(key, found)).max(initial=0.0) > FARTHEST:
         words = f"found {found.tolist()}, needs at most {FARTHEST:g} rad or m"
         raise InvalidValueError(f"{key}: {words}").at(key)
@@ -226,11 +174,7 @@ def near(key: str, found: Array) -> Array:
 
 
 def seeded(seed: int) -> np.random.Generator:
-    """Random numbers that are the same for equal seeds.
-
-    Raises:
-        InvalidValueError: the seed is negative.
-    """
+    """Random numbers that are the same for equal seeds; InvalidValueError for negative ones."""
     if seed < 0:
         raise InvalidValueError(f"seed: found {seed}, needs at least 0")
     return np.random.default_rng(seed)
@@ -245,8 +189,13 @@ def _not_zero(value: tuple[float, float, float]) -> tuple[float, float, float]:
 Positive = Annotated[float, Field(gt=0.0)]
 Name = Annotated[str, Field(min_length=1)]
 NonNegative = Annotated[float, Field(ge=0.0)]
-Vector3 = Annotated[tuple[float, float, float], BeforeValidator(_three)]
-Lengths3 = Annotated[tuple[Positive, Positive, Positive], BeforeValidator(_three)]
+_THREE = BeforeValidator(lambda value: numbers(value, 3))
+Vector3 = Annotated[tuple[float, float, float], _THREE]
+Lengths3 = Annotated[tuple[Positive, Positive, Positive], _THREE]
+Vector6 = Annotated[
+    tuple[float, float, float, float, float, float],
+    BeforeValidator(lambda value: numbers(value, 6)),
+]
 Direction = Annotated[Vector3, AfterValidator(_not_zero)]
 """A vector of any length but zero; only its direction counts."""
 
@@ -282,11 +231,7 @@ class Pose:
 
 
 def one_angle(name: str, radians: object, degrees: object, *, needed: bool = False) -> None:
-    """Refuse an angle that is given twice, or not at all when it is needed.
-
-    Raises:
-        ValueError: both or, if needed, neither of the two keys was given.
-    """
+    """Raise ValueError where an angle is given twice, or not at all when it is needed."""
     if radians is not None and degrees is not None:
         raise ValueError(f"give {name} (radians) or {name}_deg (degrees), not both")
     if needed and radians is None and degrees is None:

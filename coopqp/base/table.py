@@ -23,13 +23,7 @@ MOST = 256 << 20
 
 @dataclass(frozen=True)
 class Table:
-    """Columns of numbers by name.
-
-    Attributes:
-        path: of the file.
-        columns: by name, NaN where a cell is empty, shape (rows,) each.
-        first_line: of the first row; 0 where the file has no lines.
-    """
+    """Columns of numbers by name, NaN in empty cells; ``first_line`` of the rows, 0 if without."""
 
     path: Path
     columns: dict[str, Array]
@@ -40,11 +34,7 @@ class Table:
         return f"{self.path}:{self.first_line + row}" if self.first_line else f"{self.path}: {row}"
 
     def take(self, names: Sequence[str]) -> Array:
-        """Some columns beside each other, shape (rows, names).
-
-        Raises:
-            InvalidValueError: a column is missing, with those that are there; a cell is empty.
-        """
+        """Columns side by side, (rows, names); InvalidValueError if one, or a cell, is missing."""
         for name in names:
             if name not in self.columns:
                 there = ", ".join(self.columns)
@@ -58,11 +48,7 @@ class Table:
         return found
 
     def times(self, name: str = "t") -> Array:
-        """A column whose numbers rise, shape (rows,) [s].
-
-        Raises:
-            InvalidValueError: no such column, or a time that is not later than the one before.
-        """
+        """A column [s], shape (rows,); InvalidValueError where it is missing or does not rise."""
         t: Array = self.take([name])[:, 0]
         back = np.flatnonzero(np.diff(t) <= 0.0)
         if len(back):
@@ -73,14 +59,7 @@ class Table:
 
 
 def read_table(path: str | Path) -> Table:
-    """A file with columns of numbers.
-
-    Args:
-        path: ending in ``.parquet``, or a CSV file with the names in its first line.
-
-    Raises:
-        CoopqpError: it cannot be read, or is no such table.
-    """
+    """Numbers from a ``.parquet`` file, or CSV with names in its first line; or a CoopqpError."""
     path = Path(path)
     try:
         found = os.stat(path)

@@ -7,7 +7,7 @@ import re
 import traceback
 import types
 import typing
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from typing import Annotated, Any
@@ -21,7 +21,7 @@ from coopqp.base.errors import one_line, short, unknown_name
 Location = Sequence[str | int]
 """Keys and indices from the outermost mapping to a value."""
 
-#: What pydantic says, and what is said instead, one after the other.
+#: Pydantic's words and their replacements, applied one after the other.
 WORDS = {
     r"^Input should (be )?": "needs ",
     r"^needs a valid (array|list|tuple)": "needs a list",
@@ -67,7 +67,7 @@ def faults(
     found = [(detail["type"], *_fault(detail, data, model, instead or {})) for detail in details]
     places = [place for _, place, _ in found]
     kept = [(place, words) for kind, place, words in found if not _follows(kind, place, places)]
-    return list(dict.fromkeys(kept))
+    return list(_either(dict.fromkeys(kept)))
 
 
 def said(error: BaseException) -> str:
@@ -82,12 +82,7 @@ def said(error: BaseException) -> str:
 
 
 def raised(error: BaseException, file: str | None = None) -> str:
-    """``FILE:LINE: raises ZeroDivisionError: division by zero``.
-
-    Args:
-        error: caught; what ends Python, such as SystemExit, counts too.
-        file: whose line counts; the last that is no library if omitted.
-    """
+    """``FILE:LINE: raises ZeroDivisionError: division by zero``, of a file or outside libraries."""
     frames = traceback.extract_tb(error.__traceback__)
     own = [frame for frame in frames if file in (None, frame.filename)]
     if file is None:  # who called a library tells more than where in it that ended
@@ -115,13 +110,7 @@ def by_user(error: BaseException) -> bool:
 
 
 def culprit(error: BaseException, plugins: Sequence[tuple[str, object]]) -> str:
-    """``task 'lift': FILE:LINE: raises ZeroDivisionError: division by zero``.
-
-    Args:
-        error: caught.
-        plugins: whose code may have raised it, with the words for each; of several the outermost
-            counts, and of those with the same code all.
-    """
+    """``task 'lift': FILE:LINE: raises ...``, of the outermost plug-in whose code has raised it."""
     called = [frame.f_code for frame, _ in traceback.walk_tb(error.__traceback__)]
     for code in called:
         named = [words for words, plugin in plugins if code in _codes(type(plugin))]
@@ -142,13 +131,20 @@ def _codes(cls: type) -> set[types.CodeType]:
 
 
 def _follows(kind: str, place: Location, places: Sequence[Location]) -> bool:
-    """Whether a value is faulted only because one inside it is wrong.
-
-    A list then counts as too short, and, where a number would do as well, as no number.
-    """
+    """Whether a list counts as too short, or as no number, only because a value in it is wrong."""
     return kind in ("too_short", "float_type") and any(
         other[: len(place)] == place and len(other) > len(place) for other in places
     )
+
+
+def _either(kept: Iterable[tuple[Location, str]]) -> Iterator[tuple[Location, str]]:
+    """What would do at one place, where that is one or the other."""
+    needs: dict[tuple[Location, str], list[str]] = {}
+    for place, words in kept:
+        found, _, needed = words.partition("; needs ")
+        needs.setdefault((place, found), []).append(needed)
+    for (place, found), ways in needs.items():
+        yield place, "; needs ".join(filter(None, (found, " or ".join(ways))))
 
 
 def _fault(
@@ -193,13 +189,7 @@ def _plain(value: Any) -> Any:
 
 
 def _inside(data: Any, location: tuple[str | int, ...], *, missing: bool) -> tuple[str | int, ...]:
-    """The location without pydantic's own steps, such as which branch of a union failed.
-
-    Args:
-        data: what was given.
-        location: pydantic's.
-        missing: whether the last step is a key that is not there.
-    """
+    """The location without pydantic's own steps, such as which branch of a union failed."""
     kept: list[str | int] = []
     for i, part in enumerate(location):
         last = i == len(location) - 1
@@ -215,7 +205,6 @@ def _inside(data: Any, location: tuple[str | int, ...], *, missing: bool) -> tup
 
 
 def _keys(model: Any, location: Location, instead: Mapping[type, Any]) -> list[str]:
-    """Keys allowed at a location."""
     for part in location:
         hints = typing.get_type_hints(model, include_extras=False) if _has_keys(model) else {}
         model = _bare(hints.get(str(part), model))

@@ -198,7 +198,7 @@ statistics = _moved("statistics", "goals", "random_goals")
 
 
 @click.command()
-@click.argument("what", type=click.Path(path_type=Path), metavar="STUDY.yaml | FOLDER")
+@click.argument("what", type=click.Path(path_type=Path), metavar="STUDY | FOLDER")
 @click.option("--out", type=WRITTEN, help="Folder for journal, results and page.")
 @engined
 @click.option("--watch", is_flag=True, help="Draw the page anew while it runs.")
@@ -218,6 +218,7 @@ def sweep(
 ) -> None:
     """Run a scenario in many variants, and go on where it was when it is called again.
 
+    STUDY is a YAML file or the name of a shipped study (coopqp list studies).
     With the FOLDER of a study: print its table, draw its page, or run one of its rows again.
     """
     if out is None and (what.is_dir() or table or show is not None):

@@ -1,26 +1,26 @@
-"""Squeeze of arms that take positions or velocities, by admittance on their relative motion.
+"""Internal force control of arms that take positions or velocities, by admittance.
 
 With e the direction from one hand to the other, the hands approach each other along it at
 
     v = g (F_wanted - F),   |v| <= most_speed
 
-F is the measured squeeze. Force follows way, so that this integrates the force's error: none is
-left at rest, whatever the stiffness is. It enters through the loop correction, J_c v = -kappa (e_c
-- gap): along e the gap is where the hands have been told to go, gap' = v, and in all other
-directions it is the model's error (``model.loop_observer``), which is blind along e. It would
-take the squeeze away otherwise.
+where F is the measured squeeze. The force is proportional to the relative displacement, so this
+integrates the force error: none remains at rest, whatever the stiffness. It enters through the
+loop correction, J_c v = -kappa (e_c - gap): along e the gap is the commanded relative
+displacement, gap' = v, and in all other directions it is the estimated model bias
+(``model.loop_observer``), which leaves e out, since it would cancel the squeeze.
 
 With a series stiffness k between the hands, 1/k = 1/k_hand1 + 1/k_hand2 + 1/k_servos, and commands
 that are d ticks late, F' = k v is stable where
 
     g k dt < 2 sin(pi / (2 (2 d + 1)))      2, 1, 0.618, 0.445 for d = 0, 1, 2, 3
 
-and rings below that. The default gain is
+and oscillates already below that. The default gain, with the servos' lag T, is
 
-    g = c / (k_most (T + (d + 1) dt + 1/kappa - dt)),   c = 0.2
+    g = c / (k_max (T + (d + 1) dt + 1/kappa - dt)),   c = 0.2
 
-with the servos' lag T. It does not overshoot from the stiffest hands down to any softer ones, which
-are only slower; hands that are nine times as stiff as stated are still stable.
+It does not overshoot at the stated stiffness nor below, where it is only slower; hands up to nine
+times as stiff are still stable.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ from pydantic import Field
 
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import NonNegative, Positive, spec
-from coopqp.closed_loop.felt import Felt
-from coopqp.closed_loop.hands import hands, points
+from coopqp.base.wording import counted
+from coopqp.closed_loop.hands import WrenchReadings, hands, points, robot_indices
 from coopqp.closed_loop.wrench_stack import WrenchStack
 from coopqp.controller import ControlProblem
 from coopqp.model.state import State
@@ -52,7 +52,7 @@ ROUNDING = 1e-6
 
 @spec
 class Admittance:
-    """How arms that take positions come to the squeeze that is wanted, by measured forces."""
+    """Settings of internal force control for arms that take positions, by measured forces."""
 
     stiffness: Positive
     """Of both hands and their servos in series, at most [N/m]; what yields least counts."""
@@ -65,45 +65,32 @@ class Admittance:
     most_speed: Positive = 0.05
     """How fast the hands may approach each other, or part, for it [m/s]."""
     most_way: Positive = 0.1
-    """How far they may be told to approach each other beyond what the model says [m]."""
+    """Largest commanded displacement towards each other beyond the model [m]."""
 
     def gain_of(self, dt: float, kappa: float) -> float:
-        """The gain [m/(s N)], as given or by default.
-
-        Args:
-            dt: control period [s].
-            kappa: gain of the drift correction, through which it enters [1/s].
-        """
+        """The gain [m/(s N)], given or by default, from dt [s] and the loop correction's kappa."""
         if self.gain is not None:
             return self.gain
         return CAUTION / (self.stiffness * (self.lag + self.delay * dt + 1.0 / kappa))
 
 
 def stability_limit(delay: int) -> float:
-    """Least g k dt with which F[n+1] = F[n] + g k dt (F_wanted - F[n - delay]) swings for ever.
-
-    Args:
-        delay: d [ticks].
-    """
+    """Smallest g k dt at which F[n+1] = F[n] + g k dt (F_wanted - F[n - delay]) oscillates."""
     return 2.0 * math.sin(math.pi / (2.0 * (2 * delay + 1)))
 
 
 class InternalForceControl:
-    """Moves the gap of a loop so that two hands squeeze as they are asked to.
-
-    Args:
-        problem: of which ``wrenches`` is one task that asks for a squeeze.
-        settings: of the admittance.
+    """Moves the gap of a loop so that two hands squeeze with the wanted force.
 
     Attributes:
         along: direction among all loops in which the gap is the squeeze's, shape (6 L,).
         gain: g [m/(s N)].
         memory_sizes: what a law must remember for it.
-        note: what else is to be said of the last tick.
+        note: details of the last tick's status.
 
     Raises:
-        InvalidValueError: what is asked for cannot be done by admittance, or the gain is beyond
-            what is stable with the stated stiffness.
+        InvalidValueError: the tasks ask for more than one squeeze between two hands, kappa is 0, or
+            the gain is unstable with the stated stiffness.
     """
 
     def __init__(self, problem: ControlProblem, settings: Admittance) -> None:
@@ -111,7 +98,7 @@ class InternalForceControl:
         chain, dt = problem.chain, problem.dt
         if chain.holding != 2:
             raise InvalidValueError(
-                f"admittance: squeezes between two hands, and {chain.holding} hold the object"
+                f"admittance: needs two hands that hold the object, found {chain.holding}"
             )
         if not problem.kappa > 0.0:
             raise InvalidValueError(
@@ -122,79 +109,72 @@ class InternalForceControl:
         if fault := _gain_fault(settings, self.gain, dt):
             raise InvalidValueError(fault)
         self._hands = hands(chain)
-        robot = [arm.name for arm in chain.robot.arms]
-        self._told = np.array([robot.index(hand.arm) for hand in self._hands])
-        self._felt, self.note = Felt(len(robot)), ""
-        self._asked = WrenchStack(problem.wrenches, State(chain))
+        self._at = robot_indices(chain)
+        self._readings, self.note = WrenchReadings(len(chain.robot.arms)), ""
+        self._wrenches = WrenchStack(problem.wrenches, State(chain))
         self.along = np.zeros(6 * (len(chain.arms) - 1))
         self.memory_sizes: Mapping[str, int] = {ALONG: 3}
 
     def update(self, state: State) -> Status | None:
-        """Move the gap by what the hands are to approach each other in this tick.
+        """Move the gap by how far the hands are to approach each other in this tick.
 
-        Args:
-            state: with its kinematics up to date; ``gap`` and memory are written.
+        ``state`` has up-to-date kinematics; its ``gap`` and memory are written.
 
         Returns:
-            What is wrong: the force was not measured, so that the hands stay as they are, or they
-            stand at ``most_way`` and more is missing than the task's tolerance.
+            The fault, if any: the force was not measured, so the hands stay as they are, or the
+                hands are at ``most_way`` and the force error exceeds the task's tolerance.
         """
         p = points(self._hands, state.p_WO, state.R_WO)
         e = (p[1] - p[0]) / np.linalg.norm(p[1] - p[0])
         before, gap = state.memory[ALONG], state.gap[:3]
         self.along[:3] = e
-        missing = self._missing(state)
+        error = self._force_error(state)
         if state.corrected < 1.0:
-            return self._judged(missing, -float(e.dot(gap)))
+            return self._status(error, -float(e.dot(gap)))
         if before.any():  # the squeeze turns with the object
             gap += before.dot(gap) * (e - before)
         before[:] = e
-        if not math.isfinite(missing):
-            return self._judged(missing, 0.0)
-        most, way = self._settings.most_speed, -e.dot(gap)
-        there = way + self._dt * min(max(self.gain * missing, -most), most)
+        if not math.isfinite(error):
+            return self._status(error, 0.0)
+        max_speed, way = self._settings.most_speed, -e.dot(gap)
+        target = way + self._dt * min(max(self.gain * error, -max_speed), max_speed)
         bound = max(self._settings.most_way, abs(way))
-        gap -= (min(max(there, -bound), bound) - way) * e
+        gap -= (min(max(target, -bound), bound) - way) * e
         state.update_drift()
-        return self._judged(missing, -float(e.dot(gap)))
+        return self._status(error, -float(e.dot(gap)))
 
-    def _judged(self, missing: float, way: float) -> Status | None:
-        """What is wrong with a tick, and the note for it.
-
-        Args:
-            missing: F_wanted - F [N]; NaN where it was not measured.
-            way: how much closer the hands are told to be than the model says [m].
-        """
-        self.note, most = self._felt.fault, self._settings.most_way
-        if not math.isfinite(missing):
+    def _status(self, error: float, way: float) -> Status | None:
+        """Status and note of a tick from the force error [N] and the displacement [m]."""
+        self.note, max_way = self._readings.fault, self._settings.most_way
+        if not math.isfinite(error):
             return Status.FORCE_NOT_MEASURED
-        stands = abs(way) >= most * (1.0 - ROUNDING) and missing * way > 0.0
-        if not stands or abs(missing) <= self._asked.tasks[0].tolerance:
+        at_bound = abs(way) >= max_way * (1.0 - ROUNDING) and error * way > 0.0
+        if not at_bound or abs(error) <= self._wrenches.tasks[0].tolerance:
             return None
+        where, by = ("closer", "little") if way > 0.0 else ("farther apart", "much")
         self.note = (
-            f"stands at most_way, {1e3 * most:g} mm {'closer' if way > 0.0 else 'farther apart'} "
-            f"than the model says, and {abs(missing):.3g} N are still "
-            f"{'missing' if missing > 0.0 else 'too many'}; is the force sensor alive? Else raise "
+            f"stands at most_way, {1e3 * max_way:g} mm {where} than the model says, with "
+            f"{abs(error):.3g} N too {by}; is the force sensor alive? Else raise "
             "admittance.most_way"
         )
         return Status.SQUEEZE_GIVEN_UP
 
-    def _missing(self, state: State) -> float:
-        """F_wanted - F [N]; NaN where nobody says what the force is."""
-        self._asked.update(state)
-        found = self._felt.read(state.hand_wrench)
-        return math.nan if found is None else -float(self._asked.error(found[self._told])[0])
+    def _force_error(self, state: State) -> float:
+        """F_wanted - F [N]; NaN where the force is not known."""
+        self._wrenches.update(state)
+        measured = self._readings.read(state.hand_wrench)
+        if measured is None:
+            return math.nan
+        return -float(self._wrenches.error(measured[self._at])[0])
 
 
-def squeezer(problem: ControlProblem, settings: Admittance | None) -> InternalForceControl | None:
-    """What squeezes; None where no force is asked for.
-
-    Args:
-        problem: to be controlled.
-        settings: None where nobody has stated a stiffness.
+def internal_force_control(
+    problem: ControlProblem, settings: Admittance | None
+) -> InternalForceControl | None:
+    """The internal force control of a problem; None where no task asks for a force.
 
     Raises:
-        InvalidValueError: a force is asked for, and no stiffness is stated; as below.
+        InvalidValueError: a force is asked for without a stated stiffness; as the control itself.
     """
     if not problem.wrenches:
         return None
@@ -204,11 +184,7 @@ def squeezer(problem: ControlProblem, settings: Admittance | None) -> InternalFo
 
 
 def unstated(task: str) -> str:
-    """What to do where a force is asked for and nobody has stated a stiffness.
-
-    Args:
-        task: its name.
-    """
+    """The message where a task asks for a force and no stiffness is stated."""
     return (
         f"'{task}' asks arms that take velocities for a force; state how stiff hands and servos "
         "are together at most [N/m], such as qp: {admittance: {stiffness: 10000}}, or leave the "
@@ -217,14 +193,10 @@ def unstated(task: str) -> str:
 
 
 def _check_tasks(tasks: Sequence[Task]) -> None:
-    """Refuse what is no squeeze.
-
-    Raises:
-        InvalidValueError: that is so.
-    """
+    """Raise InvalidValueError for anything but one soft squeeze."""
     if len(tasks) != 1:
         names = ", ".join(f"'{task.name}'" for task in tasks)
-        raise InvalidValueError(f"admittance: brings about one squeeze, and {names} ask for forces")
+        raise InvalidValueError(f"admittance: controls one squeeze, and {names} ask for forces")
     (task,) = tasks
     if getattr(task, "components", ()) != ("squeeze",):
         raise InvalidValueError(
@@ -233,19 +205,18 @@ def _check_tasks(tasks: Sequence[Task]) -> None:
         )
     if task.mode == "hard":
         raise InvalidValueError(
-            f"admittance: '{task.name}' is hard, but the squeeze is reached in time and not at "
-            "once; leave mode out"
+            f"admittance: '{task.name}' is hard, but the squeeze converges over time; leave "
+            "mode out"
         )
 
 
 def _gain_fault(settings: Admittance, gain: float, dt: float) -> str:
     """What is wrong with a gain; empty if nothing is."""
-    reach, limit = gain * settings.stiffness * dt, stability_limit(settings.delay)
-    if reach < limit:
+    limit = stability_limit(settings.delay)
+    if gain * settings.stiffness * dt < limit:
         return ""
-    most = limit / (settings.stiffness * dt)
     return (
-        f"admittance.gain: found {gain:g} m/(s N), with which {settings.stiffness:g} N/m and "
-        f"{settings.delay} ticks of delay swing ever harder; needs less than {most:.3g}, or leave "
-        "it out"
+        f"admittance.gain: found {gain:g} m/(s N), which is unstable with "
+        f"{settings.stiffness:g} N/m and {counted(settings.delay, 'tick')} of delay; needs less "
+        f"than {limit / (settings.stiffness * dt):.3g}, or leave it out"
     )

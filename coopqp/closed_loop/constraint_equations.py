@@ -67,14 +67,11 @@ def constraint_equations(
     actuated: Sequence[str],
     cut: Sequence[str] = (),
 ) -> ConstraintEquations:
-    """Equations (8)-(13) and (17)-(19) at a state.
+    """Equations (8)-(13) and (17)-(19) at a state with closed loops, q and v of shape (n,).
 
-    Args:
-        chain: the closed chain.
-        q: configuration with the loops closed, shape (n,).
-        v: velocity with J_c v = 0, shape (n,); zero will do when ``drift`` is not needed.
-        actuated: names of the independent joints, as many as there are degrees of freedom.
-        cut: the joint at which each loop is cut; the last of each arm but the first if omitted.
+    v may be zero where ``drift`` is not needed. ``actuated`` names the independent joints, as many
+    as there are degrees of freedom, and ``cut`` the joint at which each loop is cut: the last of
+    each arm but the first if omitted.
 
     Raises:
         UnknownNameError, InvalidValueError: the choice is no scheme of this chain.
@@ -82,7 +79,7 @@ def constraint_equations(
     a, c = scheme(chain, actuated), _cut_joints(chain, cut, actuated)
     p = tuple(i for i in range(chain.n) if i not in a and i not in c)
     J, Jdot_v, J_arms = _rows_in_cut_frames(chain, q, v, c)
-    with_cut = [_unit_row(J[6 * i : 6 * i + 6, j]) + 6 * i for i, j in enumerate(c)]
+    with_cut = [6 * i + int(np.abs(J[6 * i : 6 * i + 6, j]).argmax()) for i, j in enumerate(c)]
     free = [row for row in range(len(J)) if row not in with_cut]
     free = [free[i] for i in independent_rows(J[free])]
     G_a, G_p = J[np.ix_(free, a)], J[np.ix_(free, p)]
@@ -205,8 +202,3 @@ def _shift(R: Array, lever: Array) -> Array:
     shift[:3, :3] = shift[3:, 3:] = R.T
     shift[:3, 3:] = -R.T @ pin.skew(lever)
     return shift
-
-
-def _unit_row(column: Array) -> int:
-    """The row in which the cut joint's column has its one."""
-    return int(np.abs(column).argmax())

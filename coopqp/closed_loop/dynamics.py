@@ -9,13 +9,14 @@ gravity and friction forces, S the rows of the actuated joints, lambda (m,) the 
 With N (n, f) a basis of the null space of J_c the loops drop out, N' A a + N' H = N' S' tau; that
 is eq. (24), whose [I; G] is one such basis.
 
-Both models are solved as one saddle-point system, so that no independent coordinates have to be
-chosen, no inertia matrix has to be inverted (with a massless link behind a passive joint A is
-singular, only N' A N is not), and a singular actuation scheme is noticed by its condition.
+Both models are solved as one saddle-point system: no independent coordinates are chosen, no inertia
+matrix is inverted (with a massless link behind a passive joint A is singular, only N' A N is not),
+and a singular actuation scheme is noticed by its condition.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -23,12 +24,12 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
+from scipy.linalg import lapack
 
 from coopqp.base.errors import GraspError, InvalidValueError, UnknownNameError
-from coopqp.base.rank import independent_rows, null_space
+from coopqp.base.rank import independent_rows, least_squares, null_space
 from coopqp.base.spec import Array, NonNegative, Positive, spec
 from coopqp.closed_loop.constraint_equations import motor_indices
-from coopqp.closed_loop.saddle import Saddle
 from coopqp.model.closed_chain import ClosedChain
 
 _NOTHING = np.zeros(0)
@@ -47,13 +48,13 @@ class Friction:
 
 
 class DirectResult(NamedTuple):  # made at every step of a plant, in a third of a dataclass's time
-    """Answer of the direct model; arrays are reused by the next call.
+    """Result of the direct model; arrays are reused by the next call.
 
     Attributes:
         a: joint accelerations, shape (n,) [rad/s2].
         wrench: lambda on all loop rows, shape (6 L,): force [N] and torque [N m] on arm i's side
             of the cut, world axes, at the object's origin; the opposite acts on arm 0's side.
-        singular: whether the loops were singular, so that a least-squares answer was given.
+        singular: whether the loops were singular, so that this is a least-squares solution.
     """
 
     a: Array
@@ -63,13 +64,13 @@ class DirectResult(NamedTuple):  # made at every step of a plant, in a third of 
 
 @dataclass(frozen=True)
 class InverseResult:
-    """Answer of the inverse model; arrays are reused by the next call.
+    """Result of the inverse model; arrays are reused by the next call.
 
     Attributes:
         tau: torques of all joints, zero where a joint is not actuated, shape (n,) [N m].
         wrench: as in :class:`DirectResult`.
-        singular: whether the actuation scheme cannot produce every motion here. tau is then the
-            least-squares answer and ``residual`` tells what it leaves undone.
+        singular: whether the actuation scheme cannot produce every motion here; tau is then the
+            least-squares solution.
         residual: largest generalised force that tau does not produce [N m].
     """
 
@@ -84,17 +85,17 @@ class ClosedLoopDynamics:
 
     Args:
         chain: arms and object.
-        shares: which share of the object's mass each arm's last body carries, by arm; all on the
-            first arm when omitted. It changes the wrench at the cut, nothing else.
+        shares: share of the object's mass on each arm's last body, by arm; all on the first arm if
+            omitted. It changes the wrench at the cut, nothing else.
         friction: of every joint.
-        actuated: names of the actuated joints; all but the passive ones when omitted.
-        mass_scale: of the object's mass and inertia over what the chain says.
+        actuated: names of the actuated joints; all but the passive ones if omitted.
+        mass_scale: of the object's mass and inertia over the chain's.
 
     Attributes:
         model: the tree with the object's mass.
         A, H, J, drift: the terms above as of the last :meth:`update`; drift is Jdot_c v, (m,).
         J_arms: Jacobian of the object as carried by each arm, shape (6 N, n).
-        drift_arms: how the object accelerates at a = 0 by each arm, shape (6 N,).
+        drift_arms: the object's acceleration at a = 0 by each arm, shape (6 N,).
         J_object: the first six rows of J_arms.
         kept: which of the 6 L loop rows J has, shape (m,).
         actuated: indices of the actuated joints, shape (k,).
@@ -103,7 +104,7 @@ class ClosedLoopDynamics:
         InvalidValueError: shares that do not sum to one, too few or repeated actuated joints, or
             a passive joint among them.
         UnknownNameError: an unknown joint or arm.
-        GraspError: a released arm has passive joints: nothing would hold them.
+        GraspError: a released arm has passive joints, which nothing would hold.
     """
 
     def __init__(
@@ -138,8 +139,7 @@ class ClosedLoopDynamics:
     def _allocate(self) -> None:
         chain, n = self.chain, self.chain.n
         rows = len(chain.loops.names)
-        self.kept = np.array(chain.loops.kept, int)
-        self.kept = self.kept[: chain.loops.rank]
+        self.kept = np.array(chain.loops.kept, int)[: chain.loops.rank]
         m, k = len(self.kept), len(self.actuated)
         self.A, self.H = np.zeros((n, n)), np.zeros(n)
         self.J_arms, self.drift_arms = np.zeros((rows + 6, n)), np.zeros(rows + 6)
@@ -162,16 +162,12 @@ class ClosedLoopDynamics:
         self._wrench = np.zeros(rows)
 
     def update(self, q: Array, v: Array) -> None:
-        """Compute every term for a state with the loops closed.
-
-        Args:
-            q: configuration, shape (n,) [rad].
-            v: velocity with J_c v = 0, shape (n,) [rad/s].
-        """
+        """Compute every term at q, v of shape (n,) with the loops closed, J_c v = 0."""
         model, data = self.model, self._data
         self.A[:] = pin.crba(model, data, q)
         self.H[:] = pin.nonLinearEffects(model, data, q, v)
-        self._add_friction(v)
+        if f := self._friction:
+            self.H += f.viscous * v + f.coulomb * np.tanh(v / f.smoothing)
         pin.forwardKinematics(model, data, q, v, self._zero)
         pin.computeJointJacobians(model, data)
         self._update_loops()
@@ -193,18 +189,10 @@ class ClosedLoopDynamics:
             np.take(self._J_rel, self.kept, axis=0, out=self.J)
             np.take(self._drift_rel, self.kept, out=self.drift)
 
-    def _add_friction(self, v: Array) -> None:
-        if self._friction:
-            f = self._friction
-            self.H += f.viscous * v + f.coulomb * np.tanh(v / f.smoothing)
-
     def direct(self, tau: Array) -> DirectResult:
-        """Accelerations from torques: the DDM of section 4.3, after :meth:`update`.
+        """Accelerations from torques, shape (n,) [N m]: the DDM of section 4.3.
 
-        Solves [A J'; J 0] [a; -lambda] = [tau - H; -Jdot v].
-
-        Args:
-            tau: torques of all joints, shape (n,); entries of passive joints should be 0 [N m].
+        Solves [A J'; J 0] [a; -lambda] = [tau - H; -Jdot v]; tau of passive joints should be 0.
         """
         n, saddle, rhs = self.chain.n, self._direct, self._direct_rhs
         saddle.top[:], saddle.right[:], saddle.left[:] = self.A, self.J.T, self.J
@@ -220,12 +208,9 @@ class ClosedLoopDynamics:
         return DirectResult(self._a, self._wrench, singular)
 
     def impact(self, v: Array) -> Array:
-        """Velocity after loops have closed at once, without a bounce, after :meth:`update`.
+        """Velocity, shape (n,), after loops have closed inelastically on a velocity v.
 
         Solves [A J'; J 0] [v+; -impulse] = [A v; 0]: the nearest motion in kinetic energy.
-
-        Args:
-            v: before, shape (n,).
         """
         n, saddle, rhs = self.chain.n, self._direct, self._direct_rhs
         saddle.top[:], saddle.right[:], saddle.left[:] = self.A, self.J.T, self.J
@@ -235,25 +220,18 @@ class ClosedLoopDynamics:
         return np.array(x[:n])
 
     def inverse(self, a: Array) -> InverseResult:
-        """Torques for accelerations: the CLIDM of eq. (21)-(24), after :meth:`update`.
+        """Torques for accelerations a with J_c a = -Jdot_c v: the CLIDM, eq. (21)-(24).
 
         With more actuators than degrees of freedom the torques of least norm, eq. (25)-(27). The
         Gamma of the tree is A a + H; the cut wrench lambda makes the passive rows free of torque,
-        J_p' lambda = Gamma_p, and what it leaves, tau = Gamma_a - J_a' lambda, as small as it can.
-
-        Args:
-            a: joint accelerations with J_c a = -Jdot_c v, shape (n,) [rad/s2].
+        J_p' lambda = Gamma_p, and minimises the remaining tau = Gamma_a - J_a' lambda.
         """
         self.A.dot(a, self._Gamma)
         np.add(self._Gamma, self.H, self._Gamma)
         return self.distribute(self._Gamma)
 
     def distribute(self, Gamma: Array) -> InverseResult:
-        """Motor torques with the effect of the tree's torques Gamma, eq. (23) and (27).
-
-        Args:
-            Gamma: torques of all joints of the tree, shape (n,) [N m].
-        """
+        """Motor torques equivalent to the tree's torques Gamma, shape (n,), eq. (23), (27)."""
         m, act, pas = len(self.drift), self.actuated, self.passive
         J_a, J_p = self._J_a, self._J_p
         Gamma_a, Gamma_p = Gamma[act], Gamma[pas]
@@ -281,33 +259,29 @@ class ClosedLoopDynamics:
         return np.asarray(pin.computeGeneralizedGravity(self.model, self._data, q), float)
 
     def object_wrenches(self, a: Array, wrench: Array, push: Array | None = None) -> ObjectWrenches:
-        """Split what the hands do to the object into what moves it and what only squeezes it.
+        """Split the hands' wrenches on the object into what moves it and what is internal.
 
         Args:
             a: joint accelerations, shape (n,).
             wrench: at the cut, from :meth:`direct` or :meth:`inverse` in the same state.
-            push: on the object from outside, shape (6,); the hands need not bring it. The tree
-                must feel it through arm 0, as ``J_object' push``.
+            push: external wrench on the object, shape (6,), which acts on the tree through arm 0 as
+                ``J_object' push``.
         """
-        carried, R = self._object_wrench(a)
+        M, b = self.object_inertia()
+        carried = M @ (self.drift_arms[:6] + self.J_arms[:6] @ a) + b
         needed = carried if push is None else carried - push
         loops = wrench.reshape(-1, 6)
         by_arm = np.outer(self.shares, carried)
         by_arm[0] += loops.sum(axis=0) + (needed - carried)
         by_arm[1:] -= loops
         internal = by_arm - np.outer(self.chain.alpha, needed)
-        return ObjectWrenches(needed, by_arm, internal, R)
+        return ObjectWrenches(needed, by_arm, internal)
 
-    def _object_wrench(self, a: Array) -> tuple[Array, Array]:
-        """The wrench at the object's origin that its own motion needs, world axes."""
-        M, b, R = self.object_inertia()
-        return M @ (self.drift_arms[:6] + self.J_arms[:6] @ a) + b, R
-
-    def object_inertia(self) -> tuple[Array, Array, Array]:
-        """What the object's motion and weight need, w = M a_o + b at its origin in world axes.
+    def object_inertia(self) -> tuple[Array, Array]:
+        """The wrench at the object's origin for its motion and weight, w = M a_o + b, world axes.
 
         Returns:
-            M, shape (6, 6), b, shape (6,), and its rotation R, as of the last update.
+            M, shape (6, 6), and b, shape (6,), as of the last update.
         """
         model, data, frame = self.model, self._data, self.chain.frames[0]
         omega = pin.getFrameVelocity(model, data, frame, pin.LOCAL_WORLD_ALIGNED).angular
@@ -322,7 +296,7 @@ class ClosedLoopDynamics:
         M[3:, 3:] = I - mass * r @ r
         b[:3] = mass * (turn @ (turn @ lever) - self._falls)
         b[3:] = turn @ (I @ omega) + r @ b[:3]
-        return M, b, R
+        return M, b
 
     def kinetic_energy(self, q: Array, v: Array) -> float:
         """Kinetic energy [J]."""
@@ -338,20 +312,18 @@ class ObjectWrenches:
     """Wrenches on the object: force [N] and torque [N m] at its origin, world axes.
 
     Attributes:
-        needed: what its motion and weight need, shape (6,).
-        by_arm: what each hand does to it, shape (N, 6); they sum to ``needed``.
+        needed: by its motion and weight, shape (6,).
+        by_arm: of each hand, shape (N, 6); they sum to ``needed``.
         internal: the part that cancels between the hands, shape (N, 6); sums to zero.
-        rotation: of the object, shape (3, 3).
     """
 
     needed: Array
     by_arm: Array
     internal: Array
-    rotation: Array
 
 
 def actuated_joints(chain: ClosedChain, names: Sequence[str] | None) -> NDArray[np.intp]:
-    """Indices of actuated joints by name; all but the passive ones when omitted.
+    """Indices of actuated joints by name; all but the passive ones if omitted.
 
     Raises:
         UnknownNameError: an unknown joint.
@@ -388,3 +360,39 @@ def _shares(chain: ClosedChain, shares: Mapping[str, float] | None) -> Array:
     if not values.min() >= 0.0 or abs(values.sum() - 1.0) > 1e-9:
         raise InvalidValueError(f"shares: found {dict(shares)}, needs shares that sum to 1")
     return values
+
+
+#: Reciprocal condition number below which a system counts as singular.
+SINGULAR = 1e-12
+#: With all pivots above this share of the norm it is far from that; of a singular system the least
+#: one is left by rounding. LAPACK's estimate takes twice as long as all the rest.
+PIVOT = 1e-6
+
+
+class Saddle:
+    """A saddle-point matrix [top right; left corner], factored by LAPACK in preallocated arrays.
+
+    top is (n, n), corner (m, m); all blocks are zero until written.
+    """
+
+    def __init__(self, n: int, m: int) -> None:
+        self._K = np.zeros((n + m, n + m), order="F")
+        self._flat = self._K.reshape(-1, order="F")
+        self.top, self.right, self.left = self._K[:n, :n], self._K[:n, n:], self._K[n:, :n]
+        self.corner = self._K[n:, n:]
+
+    def solve(self, rhs: Array) -> tuple[Array, bool]:
+        """Solution, and whether the matrix is singular, so that it is one of least squares."""
+        if not len(rhs):  # one arm alone has no wrenches to tell; LAPACK minds
+            return rhs, False
+        lu, pivots, info = lapack.dgetrf(self._K)
+        if info == 0 and self._regular(lu):
+            return lapack.dgetrs(lu, pivots, rhs)[0], False
+        return least_squares(self._K, rhs), True
+
+    def _regular(self, lu: Array) -> bool:
+        # The Frobenius norm stands for the 1-norm: a factor, not a magnitude.
+        norm = math.sqrt(self._flat.dot(self._flat))
+        if np.abs(lu.diagonal()).min() > PIVOT * norm:
+            return True
+        return bool(lapack.dgecon(lu, norm)[0] > SINGULAR)

@@ -1,7 +1,7 @@
 """Forces between the hands before anything moves, in words and numbers.
 
-Who decides which internal wrench (:mod:`coopqp.closed_loop.transmission`), and how hard the hands
-can squeeze the object at rest while they carry it (:mod:`coopqp.closed_loop.holding`).
+Which internal wrenches motors command (:mod:`coopqp.closed_loop.transmission`), and how hard the
+hands can squeeze the object at rest while they carry it (:mod:`coopqp.closed_loop.holding`).
 """
 
 from __future__ import annotations
@@ -14,10 +14,9 @@ import numpy as np
 
 from coopqp.base.errors import CoopqpError
 from coopqp.base.spec import Array
-from coopqp.closed_loop.carrying import cannot_carry
+from coopqp.closed_loop.grasp_matrix import EDGES, FLAT, flatness, section, virtual_linkage
 from coopqp.closed_loop.hands import Hand, hands
-from coopqp.closed_loop.holding import Bound, StaticHold
-from coopqp.closed_loop.section import section
+from coopqp.closed_loop.holding import Bound, StaticHold, cannot_carry
 from coopqp.closed_loop.transmission import (
     COMMANDED,
     LET_GO,
@@ -26,11 +25,10 @@ from coopqp.closed_loop.transmission import (
     Transmission,
     transmission,
 )
-from coopqp.closed_loop.virtual_linkage import EDGES, FLAT, flatness, virtual_linkage
 from coopqp.grasp import SAFETY
 from coopqp.model.closed_chain import ClosedChain
 
-#: What becomes of components of a section wrench, in the order in which it is told.
+#: Classes of components of a section wrench, in the order of the report.
 FATES = {
     COMMANDED: "the motors command",
     MIXED: "only together with others they command",
@@ -41,13 +39,7 @@ FATES = {
 
 @dataclass(frozen=True)
 class Squeeze:
-    """How hard two hands can press on the object at rest.
-
-    Attributes:
-        arms: their names.
-        least: and what it rests on; None where the object cannot be carried.
-        most: likewise.
-    """
+    """Range of the squeeze of two arms at rest; None where the object cannot be carried."""
 
     arms: tuple[str, str]
     least: Bound | None
@@ -75,10 +67,10 @@ class Forces:
     """The report.
 
     Attributes:
-        transmission: who decides which internal wrench.
+        transmission: which internal wrenches motors command.
         load: the largest multiple of the object's weight that can be held at rest.
         squeezes: by pair; along the edges between three hands; none for more.
-        safety: friction is counted on over this.
+        safety: by which friction is divided.
         contacts: names of the arms that hold by pressing.
         why_not: why less than the weight can be held; empty where it can.
     """
@@ -91,7 +83,7 @@ class Forces:
     why_not: str = ""
 
     def sentences(self) -> Iterator[str]:
-        """What is worth saying before a run."""
+        """The report in sentences."""
         found = self.transmission
         yield f"Of {found.dimensions} internal wrenches {found.all.words}."
         for pair in found.pairs if len(found.arms) == 2 else ():
@@ -115,12 +107,7 @@ class Forces:
 
 
 def forces(chain: ClosedChain, *, safety: float = SAFETY) -> Forces:
-    """Analyse a chain at its start.
-
-    Args:
-        chain: the closed chain; at least two arms hold the object.
-        safety: friction is counted on over this.
-    """
+    """Analyse a chain of at least two arms at its start, with friction divided by ``safety``."""
     hold = StaticHold(chain, safety=safety)
     names = tuple(hand.arm for hand in hold.hands)
     squeezes = [
@@ -135,29 +122,24 @@ def forces(chain: ClosedChain, *, safety: float = SAFETY) -> Forces:
 
 
 def squeeze_rows(points: Array) -> dict[tuple[int, int], Array]:
-    """Rows from the hands' wrenches to the squeeze of each pair, shape (6 N,), by the pair.
+    """Rows, shape (6 N,), from the hands' wrenches to the squeeze of each pair, by pair.
 
     The section's of two hands, the virtual linkage's of three; none where that does not exist.
-
-    Args:
-        points: of the hands, shape (N, 3) [m].
     """
     if len(points) == 2:
         return {(0, 1): section(points[0], points[1]).rows[0]}
     if len(points) != 3 or flatness(points) < FLAT:
         return {}
-    pushes = virtual_linkage(points).rows
     rows = np.zeros((3, 3, 6))
-    rows[:, :, :3] = pushes.reshape(3, 3, 3)
+    rows[:, :, :3] = virtual_linkage(points).reshape(3, 3, 3)
     return dict(zip(EDGES, rows.reshape(3, 18), strict=True))
 
 
 def squeezes(points: Array, wrenches: Array) -> list[float]:
-    """How hard each pair of two or three hands presses the object; empty for others [N].
+    """How hard each pair of two or three hands presses the object; empty for other counts [N].
 
-    Args:
-        points: of the robot's hands, zero for those that do not hold, shape (N, 3) [m].
-        wrenches: of each on the object at its point, world axes, shape (N, 6).
+    ``points`` of the robot's hands, shape (N, 3) [m], are zero where a hand does not hold;
+    ``wrenches``, shape (N, 6), are each at its point in world axes.
     """
     held = (points != 0.0).any(axis=1)
     if held.sum() not in (2, 3):
@@ -170,11 +152,7 @@ def squeezes(points: Array, wrenches: Array) -> list[float]:
 
 
 def contact_faults(chain: ClosedChain) -> Iterator[tuple[str, str]]:
-    """Hands that cannot hold by pressing: the arm, empty for all, and what is wrong.
-
-    Args:
-        chain: the closed chain.
-    """
+    """Hands that cannot hold by pressing: the arm, empty for all, and what is wrong."""
     pressing = [hand for hand in hands(chain) if hand.contact]
     away = [hand for hand in pressing if hand.X_OC.rotation[:, 2] @ hand.X_OC.translation >= 0.0]
     for hand in away:
@@ -194,11 +172,7 @@ def contact_faults(chain: ClosedChain) -> Iterator[tuple[str, str]]:
 
 
 def contact_notes(chain: ClosedChain) -> Iterator[str]:
-    """Pads that are larger than the face that they press on, or not on it.
-
-    Args:
-        chain: the closed chain.
-    """
+    """Pads that are larger than the face that they press on, or not on it."""
     half = 0.5 * np.array(chain.held.size)
     for hand in hands(chain):
         if not hand.contact:
@@ -221,11 +195,9 @@ OFF_FACE = 1e-3
 
 
 def overhang(hand: Hand, half: Array) -> tuple[float, float]:
-    """How far a contact is outside the face it presses on, and its pad beyond the face's edges [m].
+    """How far a contact is outside its face, and its pad beyond the face's edges [m].
 
-    Args:
-        hand: with a contact.
-        half: half the edges of the object, shape (3,) [m].
+    ``half`` are half the object's edges, shape (3,) [m].
     """
     assert hand.contact
     R, p = hand.X_OC.rotation, hand.X_OC.translation

@@ -1,6 +1,6 @@
-"""What several hands do to one object: the grasp matrix, and splits of what moves it from the rest.
+"""The grasp matrix, and splits and coordinates of internal wrenches.
 
-Hand i does h_i = (f_i; m_i), force and torque on the object at p_i, world axes [N, N m]. With
+Hand i exerts h_i = (f_i; m_i), force and torque on the object at p_i, world axes [N, N m]. With
 r_i = p_i - o and o the object's origin,
 
     G = [G_1 ... G_N],  G_i = [1 0; [r_i]x 1],      w = G h      (Uchiyama and Dauchez 1988)
@@ -9,16 +9,18 @@ is the wrench at o, shape (6,), and G_i' V the twist of hand i. Any X with G X =
 
     h = X w + h_int,   h_int = (1 - X G) h,   G h_int = 0
 
-h_int does no work on the object, for every X; so that says nothing about which X is right. Two are
-in use, and they are different:
+h_int does no work on the object for any X, so work alone does not decide which X is right:
 
     Walker, Freeman, Marcus 1991   f_i = a_i F,  m_i = a_i (M - r_i x F), shares a_i of sum 1
     Erhart, Hirche 2015            X = W G' (G W G')^-1,  W = diag(m_i 1, j_i 1)
 
-The second is what hands would do that were free bodies of mass m_i and inertia j_i; m = 1 kg and
-j = 1 kg m2 is the pseudoinverse, whose answer depends on the unit of length. Walker's hands bear
-torques that a contact may not be able to bear; there take the second with a small j. About the
-line through two hands somebody has to bear a torque, so that j cannot be zero.
+The second treats hands as free bodies of mass m_i and inertia j_i; m = 1 kg and j = 1 kg m2 is the
+pseudoinverse, whose result depends on the unit of length. Walker's hands exert torques that a
+contact may not transmit; there take the second with a small j. About the line through two hands a
+hand has to exert a torque, so j cannot be zero.
+
+Two hands have a section wrench, :func:`section`, and three a virtual linkage,
+:func:`virtual_linkage`.
 """
 
 from __future__ import annotations
@@ -29,7 +31,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from coopqp.base.errors import InvalidValueError
+from coopqp.base.errors import GraspError, InvalidValueError
 from coopqp.base.spec import Array
 
 #: Shares sum to one within this.
@@ -39,12 +41,7 @@ _UNMOVED = np.eye(6)
 
 
 def grasp_matrix(points: ArrayLike, origin: ArrayLike) -> Array:
-    """G with w = G h, shape (6, 6 N).
-
-    Args:
-        points: of the hands in the world, shape (N, 3) [m].
-        origin: of the object, shape (3,) [m].
-    """
+    """G with w = G h, shape (6, 6 N), from the hands' points (N, 3) and the object's origin [m]."""
     levers = np.asarray(points, float) - np.asarray(origin, float)
     G = np.empty((6, 6 * len(levers)))
     for i, lever in enumerate(levers):
@@ -54,13 +51,7 @@ def grasp_matrix(points: ArrayLike, origin: ArrayLike) -> Array:
 
 
 def moved(wrench: Array, point: ArrayLike, to: ArrayLike) -> Array:
-    """A wrench at a point as one at another, shape (6,).
-
-    Args:
-        wrench: force and torque, shape (6,).
-        point: where it is given, shape (3,) [m].
-        to: where it is wanted, shape (3,) [m].
-    """
+    """A wrench, shape (6,), given at a point [m], expressed at another."""
     found = np.array(wrench, float)
     found[3:] += pin.skew(np.asarray(point, float) - np.asarray(to, float)) @ found[:3]
     return found
@@ -77,21 +68,15 @@ class Split:
     """What moves the object and what is internal, at one instant.
 
     Attributes:
-        name: of the split.
         G: grasp matrix, shape (6, 6 N).
-        X: what the hands do for a wrench on the object, G X = 1, shape (6 N, 6).
+        X: hands' wrenches for a wrench on the object, G X = 1, shape (6 N, 6).
     """
 
-    name: str
     G: Array
     X: Array
 
     def moving(self, h: Array) -> Array:
-        """The part of the hands' wrenches that moves the object, X w.
-
-        Args:
-            h: of all hands at their points, shape (N, 6) or (6 N,) [N, N m].
-        """
+        """The part X w of wrenches h, shape (N, 6) or (6 N,) [N, N m], that moves the object."""
         return np.asarray((self.X @ (self.G @ np.ravel(h))).reshape(np.shape(h)), float)
 
     def internal(self, h: Array) -> Array:
@@ -105,14 +90,10 @@ class Split:
 
 
 def walker(points: ArrayLike, origin: ArrayLike, shares: ArrayLike) -> Split:
-    """Walker's split: every hand does its share of force and of torque.
+    """Walker's split: every hand exerts its share of force and of torque.
 
-    The same for any origin of the object, any point of the hands and any unit.
-
-    Args:
-        points: of the hands, shape (N, 3) [m].
-        origin: of the object, shape (3,) [m].
-        shares: a_i, at least 0 and with sum 1, shape (N,).
+    It is invariant to the object's origin, the hands' points and the units. ``shares`` a_i, shape
+    (N,), are at least 0 and sum to 1.
 
     Raises:
         InvalidValueError: shares that are negative or do not sum to 1, or not one a hand.
@@ -122,19 +103,16 @@ def walker(points: ArrayLike, origin: ArrayLike, shares: ArrayLike) -> Split:
     if not a.min() >= 0.0 or abs(a.sum() - 1.0) > SHARE_SUM:
         raise InvalidValueError(f"shares: found {a.tolist()}, needs shares that sum to 1")
     X = np.vstack([share * _moved(o - place) for share, place in zip(a, p, strict=True)])
-    return Split("walker", grasp_matrix(p, o), X)
+    return Split(grasp_matrix(p, o), X)
 
 
 def virtual_inertia(
     points: ArrayLike, origin: ArrayLike, masses: ArrayLike, inertias: ArrayLike
 ) -> Split:
-    """Erhart and Hirche's split: what the hands would do that were free bodies.
+    """Erhart and Hirche's split: hands as free bodies of virtual mass [kg] and inertia [kg m2].
 
-    Args:
-        points: of the hands, shape (N, 3) [m].
-        origin: of the object, shape (3,) [m].
-        masses: virtual, shape (N,) [kg]; their ratio alone counts where the inertias go with them.
-        inertias: virtual, about the hand's own point, shape (N,) [kg m2].
+    Of masses and inertias, each of shape (N,), only ratios count; inertias are about the hand's own
+    point.
 
     Raises:
         InvalidValueError: masses or inertias that are not positive, or not one a hand.
@@ -147,7 +125,7 @@ def virtual_inertia(
         )
     G = grasp_matrix(p, origin)
     WGt = np.repeat(np.array([m, j]).T.ravel(), 3)[:, None] * G.T
-    return Split("virtual_inertia", G, np.asarray(np.linalg.solve(G @ WGt, WGt.T).T, float))
+    return Split(G, np.asarray(np.linalg.solve(G @ WGt, WGt.T).T, float))
 
 
 def _each(name: str, values: ArrayLike, hands: int) -> Array:
@@ -155,3 +133,125 @@ def _each(name: str, values: ArrayLike, hands: int) -> Array:
     if found.shape != (hands,) or not np.isfinite(found).all():
         raise InvalidValueError(f"{name}: found {np.array2string(found)}, needs {hands} numbers")
     return found
+
+
+#: The rows of a section wrench, and their units.
+COMPONENTS = ("squeeze", "shear_up", "shear_side", "twist", "bend_up", "bend_side")
+UNITS = ("N", "N", "N", "N m", "N m", "N m")
+#: Hands that are nearer to each other have no direction between them [m].
+NEAREST = 1e-3
+#: Where "up" has less than this of it across e, x stands for it.
+STEEP = 0.1
+
+
+@dataclass(frozen=True)
+class Section:
+    """The section through the middle between two hands at p_1 and p_2: squeeze, shear, twist, bend.
+
+    With c the middle and e the direction from hand 1 to hand 2, the section transmits the wrench
+    (Uchiyama and Dauchez 1988)
+
+        s = (h_1 at c - h_2 at c) / 2
+
+        squeeze   s_f . e      [N]      > 0 presses the object
+        shear     s_f across e [N]      the hands slide past each other
+        twist     s_m . e      [N m]    they turn against each other about e
+        bend      s_m across e [N m]    they tilt against each other
+
+    It is dual to the relative twist V_1 - V_2: the hands' power is w . (V_1 + V_2)/2 + s . (V_1 -
+    V_2). With equal shares it is Walker's internal wrench. With h_1 + h_2 = 0 at c,
+
+        m_1 + m_2 = (p_2 - p_1) x s_f,   (m_1 - m_2)/2 = s_m
+
+    The two directions across e are up, the world's z less its part along e, and e x up. Where e is
+    within some degrees of the vertical, the world's x replaces z.
+
+    Attributes:
+        middle: c, shape (3,) [m].
+        axes: rows e, up and e x up, shape (3, 3).
+        rows: from (h_1; h_2), each at its hand, to the components, shape (6, 12).
+    """
+
+    middle: Array
+    axes: Array
+    rows: Array
+
+    def of(self, h: Array) -> Array:
+        """Components of both hands' wrenches at their points, shape (2, 6) or (12,) [N, N m]."""
+        return np.asarray(self.rows @ np.ravel(h), float)
+
+
+def section(p_1: Array, p_2: Array) -> Section:
+    """The section between two hands at points of shape (3,) [m].
+
+    Raises:
+        GraspError: the hands are in one place.
+    """
+    way = np.asarray(p_2, float) - p_1
+    length = float(np.linalg.norm(way))
+    if not length > NEAREST:
+        raise GraspError(
+            f"two hands are {1e3 * length:.2g} mm apart: there is no direction between them"
+        )
+    axes, middle = across(way / length), np.asarray(p_1 + 0.5 * way, float)
+    turned = np.kron(np.eye(2), axes)
+    at_middle = grasp_matrix([p_1, p_2], middle)
+    rows = np.asarray(0.5 * turned @ np.hstack([at_middle[:, :6], -at_middle[:, 6:]]), float)
+    return Section(middle, axes, rows)
+
+
+def across(e: Array) -> Array:
+    """Rows e, up and e x up of a unit direction, shape (3, 3)."""
+    up = np.array([0.0, 0.0, 1.0]) - e[2] * e
+    if np.linalg.norm(up) < STEEP:
+        up = np.array([1.0, 0.0, 0.0]) - e[0] * e
+    up /= np.linalg.norm(up)
+    return np.array([e, up, np.cross(e, up)])
+
+
+#: The edges, by hands.
+EDGES = ((0, 1), (0, 2), (1, 2))
+#: Three hands are on one line where the triangle is flatter than this, as height over length.
+FLAT = 1e-3
+
+
+def virtual_linkage(points: Array) -> Array:
+    """Pushes along the edges between three hands at points of shape (3, 3) [m].
+
+    The virtual linkage of Williams and Khatib 1993: E (9, 3) has a column an edge, the unit vector
+    e_ij at hand i and its opposite at hand j, so that t > 0 presses hands i and j towards each
+    other. Forces f = (f_1; f_2; f_3) split into
+
+        f = W_f^+ F + E t,   t = E^+ f
+
+    with W_f the grasp matrix of forces alone, whose null space is the range of E. Torques of the
+    hands, all nine, count as internal. On one line E has rank 2 and the split does not exist.
+
+    Returns:
+        E^+, from (f_1; f_2; f_3) to the pushes t [N], shape (3, 9).
+
+    Raises:
+        GraspError: the hands are on one line, or not three.
+    """
+    p = np.asarray(points, float)
+    if p.shape != (3, 3):
+        raise GraspError(f"the virtual linkage is of 3 hands; found {len(p)}")
+    if (flat := flatness(p)) < FLAT:
+        raise GraspError(
+            f"three hands are on one line (height {flat:.1g} of the length between them): pushes "
+            "along their edges are not independent; move one hand off the line, or ask for the "
+            "internal wrench of a pair of two arms"
+        )
+    E = np.zeros((9, 3))
+    for k, (i, j) in enumerate(EDGES):
+        e = (p[j] - p[i]) / np.linalg.norm(p[j] - p[i])
+        E[3 * i : 3 * i + 3, k], E[3 * j : 3 * j + 3, k] = e, -e
+    return np.asarray(np.linalg.pinv(E), float)
+
+
+def flatness(points: Array) -> float:
+    """Height of a triangle over its longest side; zero on one line."""
+    p = np.asarray(points, float)
+    longest = max(float(np.linalg.norm(p[j] - p[i])) for i, j in EDGES)
+    area = float(np.linalg.norm(np.cross(p[1] - p[0], p[2] - p[0])))
+    return area / longest**2 if longest else 0.0

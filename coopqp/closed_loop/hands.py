@@ -1,21 +1,27 @@
-"""Where the hands that hold an object touch it: their points and, by contact, their normals.
+"""Hands that hold an object: contact points and normals, and checks of their measured wrenches.
 
-C is the contact frame of a hand. It is fixed to the object: a pad moves with it, and a fingertip
-stays at its place while the object turns. Where a hand is fastened, C is where its tip is at the
-start; behind a hinge the tip moves on, and C stays.
+C is the contact frame of a hand, fixed to the object: a pad moves with it, and a fingertip stays at
+its place while the object turns. Where a hand is fastened, C is where its tip is at the start;
+behind a hinge the tip moves on, and C stays.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from coopqp.base.spec import Array
+from coopqp.base.spec import Array, real
+from coopqp.base.wording import said
 from coopqp.grasp import Contact
 from coopqp.model.closed_chain import ClosedChain
+
+#: Larger measured values are refused [N, N m].
+MAX_WRENCH = 1e6
+NEEDS = "force and torque of each of the robot's arms [N, N m]"
 
 
 @dataclass(frozen=True)
@@ -45,14 +51,14 @@ def hands(chain: ClosedChain) -> tuple[Hand, ...]:
     return tuple(found)
 
 
-def points(hands: Sequence[Hand], p_WO: Array, R_WO: Array) -> Array:
-    """Where the hands are in the world, shape (N, 3) [m].
+def robot_indices(chain: ClosedChain) -> list[int]:
+    """Indices of the arms that hold the object, in the robot's order of arms."""
+    names = [arm.name for arm in chain.robot.arms]
+    return [names.index(arm.name) for arm in chain.arms[: chain.holding]]
 
-    Args:
-        hands: of :func:`hands`.
-        p_WO: where the object is, shape (3,) [m].
-        R_WO: how it is turned, shape (3, 3).
-    """
+
+def points(hands: Sequence[Hand], p_WO: Array, R_WO: Array) -> Array:
+    """Contact points in the world for the object's position and rotation, shape (N, 3) [m]."""
     return np.array([p_WO + R_WO @ hand.X_OC.translation for hand in hands])
 
 
@@ -62,10 +68,36 @@ def into_contacts(hands: Sequence[Hand], R_WO: Array) -> Array:
 
 
 def in_axes(wrench: Array, R: Array) -> Array:
-    """A wrench in other axes, at the same point, shape (6,).
-
-    Args:
-        wrench: force and torque, shape (6,).
-        R: from its axes into the others, shape (3, 3).
-    """
+    """A wrench, shape (6,), in other axes at the same point, R from its axes into these."""
     return np.concatenate([R @ wrench[:3], R @ wrench[3:]])
+
+
+class WrenchReadings:
+    """Checks what force sensors in the hands send before it is used, for a robot of N arms.
+
+    Attributes:
+        fault: why the last reading cannot be used; empty if it can.
+    """
+
+    def __init__(self, arms: int) -> None:
+        self._size, self.fault = 6 * arms, ""
+
+    def read(self, reading: Any) -> Array | None:
+        """Wrenches by arm, shape (N, 6), of ``State.hand_wrench``; None where not usable."""
+        self.fault = self._wrong(reading)
+        return None if self.fault else real(reading).reshape(-1, 6)
+
+    def _wrong(self, reading: Any) -> str:
+        if reading is None:
+            return f"no hand_wrench has come; needs {self._size} numbers: {NEEDS}"
+        try:
+            given = real(reading)
+        except Exception as error:  # noqa: BLE001 - anything can come from a driver
+            return f"hand_wrench: {said(error) or f'found {type(reading).__name__}, needs numbers'}"
+        if given.shape != (self._size,):
+            return f"hand_wrench: found shape {given.shape}, needs {(self._size,)}: {NEEDS}"
+        bad = np.flatnonzero(~np.isfinite(given))
+        if len(bad):
+            return f"hand_wrench: found no finite number at {', '.join(map(str, bad[:6]))}"
+        largest = float(np.abs(given).max())
+        return "" if largest < MAX_WRENCH else f"hand_wrench: found {largest:.3g}, beyond any hand"

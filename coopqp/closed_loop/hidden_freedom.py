@@ -1,13 +1,13 @@
-"""Freedoms of over-constrained loops that the digits of a file hide.
+"""Degrees of freedom of over-constrained loops that rounded numbers hide.
 
 A linkage such as Bennett's moves because its loop rows depend on each other wherever the loops are
-closed. Where they are closed to rounding only, the least singular value of J_c is about as large as
-the rounding, and counts as a constraint: rank(J_c) is too large and l - rank too small.
+closed. Where they are closed to rounding only, the smallest singular value of J_c is about as large
+as the rounding, and counts as a constraint: rank(J_c) is too large and l - rank too small.
 
-Found by a walk: rows that resist less than ``SLACK`` count as none, and the joints go along what
-the others leave. A freedom is hidden where the whole walk opens the loops by no more than counts as
-closed (``model.hold``) and fewer rows resist than J_c has rank. At a singular pose the walk
-comes to poses where all rows resist, opens the loops by the square of its length, or comes back.
+Found by a walk: rows with a singular value below ``SLACK`` count as none, and the joints move in
+the null space of the others. A freedom is hidden where the loops stay closed (``model.hold``) on
+the whole walk and fewer rows constrain it than J_c has rank. At a singular pose the walk comes to
+poses where all rows constrain, opens the loops by the square of its length, or returns.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 
 from coopqp.base.rank import RANK_TOLERANCE
 from coopqp.base.spec import Array
-from coopqp.closed_loop.screw import LENGTH
+from coopqp.closed_loop.screw import scaled
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.grasp_configuration import CLOSED_ORIENTATION, CLOSED_POSITION
 
@@ -27,8 +27,8 @@ from coopqp.model.grasp_configuration import CLOSED_ORIENTATION, CLOSED_POSITION
 SLACK = 1e-3
 #: Steps of the walk, and their size [rad or m].
 STEPS, STEP = 6, 0.05
-#: Errors below this are not told apart [m or rad].
-LEAST_TOLD = 1e-6
+#: Errors below this count as equal [m or rad].
+RESOLUTION = 1e-6
 #: Newton steps back onto the loops, and a loop error that is rounding alone [m or rad].
 NEWTON, EXACT = 20, 1e-10
 
@@ -38,21 +38,19 @@ class HiddenFreedom:
     """A motion that the loop rows forbid and the loops allow.
 
     Attributes:
-        position, orientation: how far the start closes the loops [m, rad].
-        open_position, open_orientation: largest error of the loops on the walk [m, rad].
+        start: loop error at the start [m, rad].
+        walk: largest loop error on the walk [m, rad].
         rank: of the loop rows, by the tolerance of all coopqp.
-        resisting: rows that resist on the walk.
+        resisting: rows that constrain the walk.
         joint: the joint that moves most on it.
         way: how far that joint goes [rad or m].
         unit: of ``way``.
-        taken: arms whose grasp has no object_in_hand: they hold the object where the start says.
+        taken: arms whose grasp has no object_in_hand, so that the start decides it.
         placed: whether the object's pose is given.
     """
 
-    position: float
-    orientation: float
-    open_position: float
-    open_orientation: float
+    start: tuple[float, float]
+    walk: tuple[float, float]
     rank: int
     resisting: int
     joint: str
@@ -64,11 +62,11 @@ class HiddenFreedom:
     @property
     def of_the_start(self) -> bool:
         """Whether the start alone hides it: closed loops have the freedom."""
-        return not self.taken and max(self.open_position, self.open_orientation) < 10.0 * EXACT
+        return not self.taken and max(self.walk) < 10.0 * EXACT
 
     def words(self) -> str:
-        """What is so, and what helps."""
-        closes = f"the start closes the loops only to {_sizes(self.position, self.orientation)}"
+        """The fault and its remedy in words."""
+        closes = f"the start closes the loops only to {_sizes(*self.start)}"
         if self.taken:
             closes = "the hands hold the object where a rounded start puts them"
         hidden = self.rank - self.resisting
@@ -76,10 +74,10 @@ class HiddenFreedom:
         return (
             f"{closes}, which may hide {freedoms}: the loop rows have rank {self.rank}, but "
             f"{self.joint} can move by {self.way:.2g} {self.unit} with the loops open by at most "
-            f"{_sizes(self.open_position, self.open_orientation)}; {self._cure()}"
+            f"{_sizes(*self.walk)}; {self._remedy()}"
         )
 
-    def _cure(self) -> str:
+    def _remedy(self) -> str:
         if self.of_the_start:
             without = " with object.pose left out" if self.placed else ""
             return f"paste the start that `coopqp solve-start` prints{without}"
@@ -96,29 +94,22 @@ class HiddenFreedom:
 
 
 def hidden_freedom(chain: ClosedChain) -> HiddenFreedom | None:
-    """The freedom that rounded values hide at a chain's start; None where there is none.
-
-    Args:
-        chain: at its start.
-    """
+    """The freedom that rounded values hide at a chain's start; None where there is none."""
     if not chain.loops.rank or _resisting(chain, chain.q_start) >= chain.loops.rank:
         return None
     poses = list(_walk(chain))
     errors = np.array([_error(chain, q) for q in poses])
     resisting = max(_resisting(chain, q) for q in poses)
-    open_position, open_orientation = errors.max(axis=0).tolist()
-    closed = open_position <= CLOSED_POSITION and open_orientation <= CLOSED_ORIENTATION
+    position, orientation = errors.max(axis=0).tolist()
+    closed = position <= CLOSED_POSITION and orientation <= CLOSED_ORIENTATION
     moved = float(np.linalg.norm(poses[-1] - poses[0])) > 0.5 * STEPS * STEP
     if resisting >= chain.loops.rank or not (closed and moved):
         return None
     way = np.ptp(poses, axis=0)
     joint = int(way.argmax())
-    position, orientation = _error(chain, chain.q_start)
     return HiddenFreedom(
-        position=position,
-        orientation=orientation,
-        open_position=open_position,
-        open_orientation=open_orientation,
+        start=_error(chain, chain.q_start),
+        walk=(position, orientation),
         rank=chain.loops.rank,
         resisting=resisting,
         joint=chain.joint_names[joint],
@@ -130,15 +121,10 @@ def hidden_freedom(chain: ClosedChain) -> HiddenFreedom | None:
 
 
 def closed_near(chain: ClosedChain, q: Array) -> Array:
-    """The configuration near q that closes the loops best, by Newton's method.
-
-    Args:
-        chain: whose loops.
-        q: configuration, shape (n,).
-    """
+    """The configuration near q, shape (n,), that closes the loops best, by Newton's method."""
     for _ in range(NEWTON):
-        gap = _scaled(chain.loop_error(q)[:, None])[:, 0]
-        U, values, Vt = np.linalg.svd(_scaled(chain.loop_jacobian(q)), full_matrices=False)
+        gap = scaled(chain.loop_error(q)[:, None])[:, 0]
+        U, values, Vt = np.linalg.svd(scaled(chain.loop_jacobian(q)), full_matrices=False)
         firm = values > SLACK
         step = Vt[firm].T @ ((U[:, firm].T @ gap) / values[firm])
         q = q - step
@@ -148,15 +134,15 @@ def closed_near(chain: ClosedChain, q: Array) -> Array:
 
 
 def _walk(chain: ClosedChain) -> Iterator[Array]:
-    """The pose near the start that closes the loops best, and others on the way from it."""
+    """The pose near the start that closes the loops best, and the further steps of the walk."""
     q = closed_near(chain, chain.q_start)
-    _, values, Vt = np.linalg.svd(_scaled(chain.loop_jacobian(chain.q_start)))
+    _, values, Vt = np.linalg.svd(scaled(chain.loop_jacobian(chain.q_start)))
     resisted = np.append(values, np.zeros(chain.n))[: chain.n]
     slack = Vt[(resisted <= SLACK) & (resisted > RANK_TOLERANCE * values[0])]
     ahead = slack.T @ np.random.default_rng(0).normal(size=len(slack))
     yield q
     for _ in range(STEPS):
-        _, values, Vt = np.linalg.svd(_scaled(chain.loop_jacobian(q)))
+        _, values, Vt = np.linalg.svd(scaled(chain.loop_jacobian(q)))
         free = Vt[np.sum(values > SLACK) :]
         ahead = free.T @ (free @ ahead)
         ahead /= max(float(np.linalg.norm(ahead)), RANK_TOLERANCE)
@@ -165,8 +151,8 @@ def _walk(chain: ClosedChain) -> Iterator[Array]:
 
 
 def _resisting(chain: ClosedChain, q: Array) -> int:
-    """How many rows resist motions."""
-    values = np.linalg.svd(_scaled(chain.loop_jacobian(q)), compute_uv=False)
+    """How many rows constrain motions."""
+    values = np.linalg.svd(scaled(chain.loop_jacobian(q)), compute_uv=False)
     return int(np.sum(values > SLACK))
 
 
@@ -177,16 +163,10 @@ def _error(chain: ClosedChain, q: Array) -> tuple[float, float]:
     return position, orientation
 
 
-def _scaled(rows: Array) -> Array:
-    """Rotations weighed as lengths, shape (6 L, .)."""
-    scaled: Array = rows * np.tile([1.0, 1.0, 1.0, LENGTH, LENGTH, LENGTH], len(rows) // 6)[:, None]
-    return scaled
-
-
 def _sizes(position: float, orientation: float) -> str:
     return f"{_size(position)} mm and {_size(orientation)} mrad"
 
 
 def _size(value: float) -> str:
-    """In thousandths; nobody reads 1.6e-13 mm."""
-    return f"{1e3 * value:.2g}" if value >= LEAST_TOLD else f"{1e3 * LEAST_TOLD:g}"
+    """In thousandths, rounded up to ``RESOLUTION``."""
+    return f"{1e3 * value:.2g}" if value >= RESOLUTION else f"{1e3 * RESOLUTION:g}"

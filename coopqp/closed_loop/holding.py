@@ -1,13 +1,13 @@
-"""What the hands can do to an object at rest: linear programs over their wrenches.
+"""Wrenches that hands can apply to an object at rest: linear programs, and why they fail in words.
 
 With h the hands' wrenches at their points, at rest, and the arms' own weight g(q),
 
-    G h = s w                          s = 1 carries the object, w what holds its weight
+    G h = s w                          s = 1 carries the object, w balances its weight
     |g + sum_i J_i' h_i| <= effort     motors; equal to 0 at passive joints
     C_i h_i <= 0                       friction of hands that press, with a safety factor
 
-The largest s says whether the object can be held, and the least and the largest squeeze with s = 1
-how hard. The rows that a program's optimum rests on name what is missing.
+The largest s says whether the object can be held, and the smallest and largest squeeze with s = 1
+how hard. The active rows of a program's optimum name what limits it.
 """
 
 from __future__ import annotations
@@ -23,11 +23,12 @@ from coopqp.closed_loop.grasp_matrix import grasp_matrix
 from coopqp.closed_loop.hands import Hand, hands, into_contacts, points
 from coopqp.closed_loop.screw import LENGTH
 from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 
 #: Multipliers below this share of the largest do not hold a program back.
 IDLE = 1e-6
-#: Loads are told up to this many times the object's weight.
-MOST_LOAD = 100.0
+#: Loads are computed up to this many times the object's weight.
+MAX_LOAD = 100.0
 #: What rows of a contact are called.
 WORDS = {
     "friction": "friction", "edge": "pad's edge", "least": "least force", "most": "most force",
@@ -40,17 +41,19 @@ IN_VAIN = (
     ("least", ("least", "pad"), "more than the motors bear"),
     ("most", ("most",), "less than holds it"),
 )
+#: A mass that is nearer than this to the line between two fingertips is on it [m].
+ON_LINE = 1e-9
 #: What stands where nothing at all can be carried.
 OWN_WEIGHT = "the arms' own weight"
 
 
 @dataclass(frozen=True)
 class Bound:
-    """An extreme value and what it rests on.
+    """An extreme value and its active constraints.
 
     Attributes:
-        value: of what was asked for.
-        by: what holds it back, such as "motor joint6" or "friction of left".
+        value: the extreme value.
+        by: active constraints, such as "motor joint6" or "friction of left".
         h: the wrenches with which it is reached, shape (N, 6) [N, N m].
     """
 
@@ -60,28 +63,25 @@ class Bound:
 
     @property
     def words(self) -> str:
-        """What it rests on, such as "motor a and friction of b"."""
+        """The active constraints in words, such as "motor a and friction of b"."""
         *before, last = self.by or ("nothing",)
         return f"{', '.join(before)} and {last}" if before else last
 
     @property
     def holds(self) -> str:
-        """That with its verb, such as "motor a and friction of b hold it"."""
+        """These with their verb, such as "motor a and friction of b hold it"."""
         return f"{self.words} {'hold' if len(self.by) > 1 else 'holds'} it"
 
 
 class StaticHold:
-    """The programs of one pose.
+    """The linear programs of one pose: q with closed loops, the start if omitted.
 
-    Args:
-        chain: the closed chain.
-        q: configuration with the loops closed, shape (n,); the start when omitted.
-        safety: friction is counted on over this.
+    Friction is divided by ``safety``.
 
     Attributes:
         hands: those that hold.
-        points: where they are, shape (N, 3) [m].
-        weight: the wrench at the object's origin that carries it, shape (6,).
+        points: their contact points, shape (N, 3) [m].
+        weight: wrench at the object's origin that carries it, shape (6,).
     """
 
     def __init__(self, chain: ClosedChain, q: Array | None = None, *, safety: float = 1.0) -> None:
@@ -140,7 +140,7 @@ class StaticHold:
         return replace(found, value=max(0.0, found.value))
 
     def in_the_way(self) -> str:
-        """What is asked for in vain, even without the object's weight; empty where nothing is."""
+        """What is infeasible even without the object's weight; empty where nothing is."""
         for kind, rows, why in IN_VAIN:
             names = dict.fromkeys(name for name in self._names if name.startswith(kind))
             if names and self._load(without=rows):
@@ -155,22 +155,18 @@ class StaticHold:
             np.append(np.zeros(size), -1.0),
             np.vstack([G, passive]),
             np.concatenate([np.zeros(6), self._passive[1]]),
-            [(0.0, MOST_LOAD)],
+            [(0.0, MAX_LOAD)],
             without,
         )
 
     def extreme(
         self, row: Array, sign: float, equal: tuple[Array, Array] | None = None
     ) -> Bound | None:
-        """The largest (sign 1) or least (sign -1) value of row @ h with the object carried.
+        """Largest (sign 1) or smallest (sign -1) row @ h with the object carried.
 
-        Args:
-            row: shape (6 N,), on the wrenches at the hands' points in world axes.
-            sign: which of the two.
-            equal: rows, shape (r, 6 N), and the values that they must have, shape (r,).
-
-        Returns:
-            None where the object cannot be carried so.
+        ``row``, shape (6 N,), acts on the wrenches at the hands' points in world axes; ``equal``
+        are further rows, shape (r, 6 N), and their values, shape (r,). None where the object cannot
+        be carried so.
         """
         rows, values = equal or (np.zeros((0, len(row))), np.zeros(0))
         found = self._solve(
@@ -211,3 +207,58 @@ class StaticHold:
         by = tuple(dict.fromkeys(n for n, on in zip(names, felt, strict=True) if on))
         h = (found.x * scale)[:size].reshape(-1, 6)
         return Bound(-float(found.fun), by, h)
+
+
+def cannot_carry(chain: ClosedChain, hold: StaticHold, load: Bound) -> str:
+    """Why the hands do not carry the object at the chain's start, given ``hold.load()`` below 1."""
+    if tilted := _tilted(chain, hold):
+        return tilted
+    if not load.by:
+        return _nothing(chain, hold)
+    if load.by == (OWN_WEIGHT,) and (unheard := hold.in_the_way()):
+        return unheard
+    return (
+        f"the hands carry {100.0 * load.value:.0f} % of its weight; {load.holds} back; make the "
+        "object lighter, friction or pads larger, the motors stronger, or press from other sides"
+    )
+
+
+def _tilted(chain: ClosedChain, hold: StaticHold) -> str:
+    """For two hands: which fingertip's friction cone does not contain the line between them."""
+    if len(hold.hands) != 2:
+        return ""
+    e = hold.points[1] - hold.points[0]
+    e /= np.linalg.norm(e)
+    R_WO = State(chain).R_WO
+    for hand, way in zip(hold.hands, (e, -e), strict=True):
+        if not _is_tip(hand):
+            continue
+        assert hand.contact
+        off = np.degrees(np.arccos(np.clip((R_WO @ hand.X_OC.rotation)[:, 2] @ way, -1.0, 1.0)))
+        allowed = np.degrees(np.arctan(hand.contact.friction))
+        if off > allowed:
+            return (
+                f"the fingertip of {hand.arm} points {off:.0f} degrees away from the other hand, "
+                f"and friction of {hand.contact.friction:g} allows {allowed:.0f}; give another "
+                "start: 'start: solve' leaves open how a fingertip is turned"
+            )
+    return ""
+
+
+def _nothing(chain: ClosedChain, hold: StaticHold) -> str:
+    """The reason where neither motors nor contacts are at their limits."""
+    if len(hold.hands) == 2 and all(_is_tip(hand) for hand in hold.hands):
+        a, b = hold.points
+        mass = chain.object_pose(chain.q_start).act(np.array(chain.held.body().lever))
+        off = float(np.linalg.norm(np.cross(b - a, mass - a)) / np.linalg.norm(b - a))
+        beside = f", {1e3 * off:.2g} mm beside its mass" if off > ON_LINE else ""
+        return (
+            f"nothing holds a turn about the line between the two fingertips{beside}; give one "
+            "hand a pad"
+        )
+    return "hinges and fingertips let go what would carry it; use a pad or a firm grasp"
+
+
+def _is_tip(hand: Hand) -> bool:
+    """Whether it presses at a point."""
+    return hand.contact is not None and not any(hand.contact.half_lengths)

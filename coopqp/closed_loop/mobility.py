@@ -1,9 +1,9 @@
-"""What a grasp allows, before anything moves: section 3.2 of the paper and what follows from it.
+"""Mobility of a closed chain at rest: section 3.2 of the paper and what follows from it.
 
 Letters: l joints before the loops close (n in the rest of the code), m rows of J_c, f = l - rank
 degrees of freedom, N (l, f) a basis of the null space of J_c, J_o (6, l) the object's twist.
 
-Generic poses are random configurations inside the limits at which the object is grasped anew, so
+Generic poses are random configurations within the limits at which the object is grasped anew, so
 that the loops are closed in each; the start can be less or more mobile than they are.
 """
 
@@ -23,15 +23,12 @@ from coopqp.base.spec import Array, seeded
 from coopqp.base.wording import counted
 from coopqp.closed_loop.constraint_equations import SINGULAR_CONDITION, scheme
 from coopqp.closed_loop.hidden_freedom import HiddenFreedom, hidden_freedom
-from coopqp.closed_loop.screw import LENGTH, Screw, screw_of
+from coopqp.closed_loop.screw import LENGTH, MOTION_TOLERANCE, Screw, rank_of, scaled, screw_of
 from coopqp.model.closed_chain import ClosedChain
 
 #: All schemes are tried up to this many; beyond it only the asked-for and the best.
-MOST_SCHEMES = 5000
+MAX_SCHEMES = 5000
 
-#: Motions of the object, and of tasks, below this count as none [m or rad for a unit of joint
-#: motion]: starts are typed with four digits, and files round pi.
-MOTION_TOLERANCE = 1e-5
 #: Motions below this are weak: the joints turn fast, and the object hardly moves.
 WEAK = 0.02
 
@@ -40,12 +37,8 @@ WEAK = 0.02
 class Scheme:
     """A choice of independent actuated joints.
 
-    Attributes:
-        joints: their names.
-        condition: of the block to be inverted, median over the generic poses.
-        condition_start: the same at the start.
-        admissible: whether the choice is regular at any generic pose.
-        admissible_start: whether it is at the start.
+    ``condition`` of the block to be inverted is the median over generic poses, and ``admissible``
+    says whether it is regular at any of them; ``_start`` is of the start.
     """
 
     joints: tuple[str, ...]
@@ -57,13 +50,9 @@ class Scheme:
 
 @dataclass(frozen=True)
 class TaskMobility:
-    """What the grasp allows of a task.
+    """A task's rows, and how many of them, ``rank``, can be chosen freely at the start.
 
-    Attributes:
-        name: of the task.
-        rows: its dimension.
-        rank: how many of its rows can be chosen freely at the start.
-        weakest: least singular value of these [m or rad for a unit of joint motion].
+    ``weakest`` is their smallest singular value [m or rad for a unit of joint motion].
     """
 
     name: str
@@ -91,8 +80,7 @@ class Mobility:
         tasks_rows, tasks_rank, tasks_weakest: of all tasks together.
         schemes_total: number of choices of f among the actuated joints.
         schemes: those that were tried, best first; all when ``schemes_complete``.
-        schemes_complete: whether all were tried.
-        asked: the scheme the user asked about.
+        asked: the scheme that the user asked about.
         hidden: the freedom that rounded values hide; None where they hide none.
     """
 
@@ -157,10 +145,10 @@ def mobility(
     samples: int = 24,
     seed: int = 0,
 ) -> Mobility:
-    """Analyse what a closed chain can do.
+    """Analyse the mobility of arms that hold an object.
 
     Args:
-        chain: arms that hold an object.
+        chain: the closed chain, at its start.
         task_rows: name and Jacobian (k, n) of each task at the start.
         asked: an actuation scheme to report on.
         samples: number of generic poses.
@@ -184,7 +172,8 @@ def mobility(
     ranks = [matrix_rank(pose.J_c) for pose in poses]
     rank = max(set(ranks), key=ranks.count)
     regular = [pose for pose, r in zip(poses, ranks, strict=True) if r == rank]
-    schemes, complete, total = _schemes(chain, active, regular, start, chain.n - rank)
+    total = math.comb(len(active), chain.n - rank)
+    schemes = _schemes(chain, active, regular, start, chain.n - rank)
     asked_index = scheme(chain, asked) if asked is not None else None
     tasks = [_of_task(name, J, start) for name, J in task_rows]
     together = _of_task("", np.vstack([np.zeros((0, chain.n)), *(J for _, J in task_rows)]), start)
@@ -197,8 +186,8 @@ def mobility(
         freedom=chain.n - rank,
         freedom_start=start.N.shape[1],
         dropped=chain.loops.dropped,
-        object_freedom=max(_motion_rank(pose.J_o @ pose.N) for pose in regular),
-        object_freedom_start=_motion_rank(start.J_o @ start.N),
+        object_freedom=max(rank_of(scaled(pose.J_o @ pose.N)) for pose in regular),
+        object_freedom_start=rank_of(scaled(start.J_o @ start.N)),
         motor_freedom=max(_motor_rank(pose, active) for pose in regular),
         motor_freedom_start=_motor_rank(start, active),
         impossible=_screws(_impossible(start.J_o @ start.N), chain),
@@ -209,19 +198,16 @@ def mobility(
         tasks_weakest=together.weakest,
         schemes_total=total,
         schemes=schemes,
-        schemes_complete=complete,
+        schemes_complete=total <= MAX_SCHEMES,
         asked=_rate(chain, [asked_index], regular, start)[0] if asked_index else None,
         hidden=hidden_freedom(chain),
     )
 
 
 def manipulability(chain: ClosedChain, q: Array, task_rows: Array) -> float:
-    """Yoshikawa's measure of the tasks within what the loops allow, sqrt(det(M M')), M = J N.
+    """Yoshikawa's measure within the closed loops, sqrt(det(M M')), M = J N.
 
-    Args:
-        chain: the closed chain.
-        q: configuration with the loops closed, shape (n,).
-        task_rows: Jacobian of the tasks there, shape (k, n).
+    ``task_rows`` J, shape (k, n), are at the configuration q, with closed loops.
     """
     values = np.linalg.svd(task_rows @ _pose(chain, q).N, compute_uv=False)
     return float(np.prod(values)) if len(values) == len(task_rows) else 0.0
@@ -235,7 +221,7 @@ def _pose(chain: ClosedChain, q: Array) -> _Pose:
 
 
 def _generic_poses(chain: ClosedChain, sampled: Array) -> list[_Pose]:
-    """Where the object is grasped anew; on a walk along closed loops where fewer rows count there.
+    """Poses with the object grasped anew; of a walk along closed loops where these have lower rank.
 
     Links of a paradoxical linkage are as long as it needs only where it is not grasped anew.
     """
@@ -246,22 +232,9 @@ def _generic_poses(chain: ClosedChain, sampled: Array) -> list[_Pose]:
 
 
 def _of_task(name: str, J: Array, start: _Pose) -> TaskMobility:
-    """Of its Jacobian, shape (k, n)."""
     values = np.linalg.svd(J @ start.N, compute_uv=False)
     possible = values[values > MOTION_TOLERANCE]
     return TaskMobility(name, len(J), len(possible), float(possible.min(initial=np.inf)))
-
-
-def _scaled(twists: Array) -> Array:
-    """Rotations weighed as lengths, so that one tolerance serves all six rows."""
-    scaled: Array = twists * np.array([[1.0, 1.0, 1.0, LENGTH, LENGTH, LENGTH]]).T
-    return scaled
-
-
-def _motion_rank(motions: Array) -> int:
-    if not motions.size:
-        return 0
-    return int(np.linalg.matrix_rank(_scaled(motions), tol=MOTION_TOLERANCE))
 
 
 def _free_motions(pose: _Pose, active: Sequence[int]) -> Array:
@@ -272,12 +245,12 @@ def _free_motions(pose: _Pose, active: Sequence[int]) -> Array:
 
 def _motor_rank(pose: _Pose, active: Sequence[int]) -> int:
     """Object motions less those that are free with the motors locked."""
-    return _motion_rank(pose.J_o @ pose.N) - _motion_rank(_free_motions(pose, active))
+    return rank_of(scaled(pose.J_o @ pose.N)) - rank_of(scaled(_free_motions(pose, active)))
 
 
 def _impossible(motions: Array) -> Array:
     """Basis of the twists orthogonal to all possible ones, shape (6, .)."""
-    U, values, _ = np.linalg.svd(_scaled(motions))
+    U, values, _ = np.linalg.svd(scaled(motions))
     rank = int(np.sum(values > MOTION_TOLERANCE))
     basis = U[:, rank:].copy()
     basis[3:] /= LENGTH
@@ -288,7 +261,7 @@ def _uncontrolled(pose: _Pose, active: Sequence[int]) -> Array:
     free = _free_motions(pose, active)
     if not free.size:
         return np.zeros((6, 0))
-    U, values, _ = np.linalg.svd(_scaled(free), full_matrices=False)
+    U, values, _ = np.linalg.svd(scaled(free), full_matrices=False)
     basis = U[:, values > MOTION_TOLERANCE].copy()
     basis[3:] /= LENGTH
     return basis
@@ -300,15 +273,14 @@ def _screws(twists: Array, chain: ClosedChain) -> tuple[Screw, ...]:
 
 def _schemes(
     chain: ClosedChain, active: Sequence[int], poses: Sequence[_Pose], start: _Pose, freedom: int
-) -> tuple[tuple[Scheme, ...], bool, int]:
-    total = math.comb(len(active), freedom)
-    if total <= MOST_SCHEMES:
+) -> tuple[Scheme, ...]:
+    """All schemes, or those that are best at some pose, best first."""
+    if math.comb(len(active), freedom) <= MAX_SCHEMES:
         choices = list(itertools.combinations(active, freedom))
     else:
         choices = list({_best_choice(pose, active, freedom) for pose in [start, *poses]})
     rated = _rate(chain, choices, poses, start)
-    ordered = sorted(rated, key=lambda s: (s.condition, s.condition_start))
-    return tuple(ordered), total <= MOST_SCHEMES, total
+    return tuple(sorted(rated, key=lambda s: (s.condition, s.condition_start)))
 
 
 def _best_choice(pose: _Pose, active: Sequence[int], freedom: int) -> tuple[int, ...]:
@@ -320,10 +292,7 @@ def _best_choice(pose: _Pose, active: Sequence[int], freedom: int) -> tuple[int,
 
 
 def _rate(
-    chain: ClosedChain,
-    choices: Sequence[Sequence[int]],
-    poses: Sequence[_Pose],
-    start: _Pose,
+    chain: ClosedChain, choices: Sequence[Sequence[int]], poses: Sequence[_Pose], start: _Pose
 ) -> list[Scheme]:
     """Condition of the block that each choice leaves to be inverted."""
     if not choices:

@@ -11,6 +11,9 @@ from coopqp.base.spec import Array
 
 #: A rotation of 1 rad counts as much as a translation of this many metres.
 LENGTH = 0.1
+#: Singular values below count as zero: starts are typed with four digits, and files round pi
+#: [m or rad for a unit of joint motion].
+MOTION_TOLERANCE = 1e-5
 #: A screw that turns the object by less than this, for a translation of as much, is nearly a
 #: translation; its axis is more than half a metre away.
 LITTLE = 0.2
@@ -25,8 +28,7 @@ class Screw:
     Attributes:
         twist: (v; omega) at the object's origin in world axes, shape (6,) [m/s, rad/s].
         axis: unit direction of the screw's axis.
-        point: of the axis nearest to the object's origin, in the world [m]; the origin itself for
-            a translation.
+        point: of the axis nearest to the object's origin [m]; the origin for a translation.
         pitch: translation per turn [m/rad]; infinite for a translation.
     """
 
@@ -67,8 +69,19 @@ def screw_of(twist: Array, origin: Array) -> Screw:
     return Screw(_tuple(twist), _tuple(omega / turn), _tuple(point), float(omega @ v) / turn**2)
 
 
+def scaled(rows: Array, length: float = LENGTH) -> Array:
+    """Every second three rows times a length: rotations as lengths, or torques as forces."""
+    factors = np.tile(np.repeat([1.0, length], 3), len(rows) // 6)
+    return np.asarray(rows * factors[:, None], float)
+
+
+def rank_of(rows: Array) -> int:
+    """Rank of scaled rows by ``MOTION_TOLERANCE``."""
+    return int(np.linalg.matrix_rank(rows, tol=MOTION_TOLERANCE)) if rows.size else 0
+
+
 def axis_words(direction: Array, least: float = 1.0 - 1e-6) -> str:
-    """The axis that it goes along, if its part along it is at least so large, or its numbers."""
+    """The axis along which a direction has at least this part, or its numbers."""
     for i, name in enumerate(("x", "y", "z")):
         if abs(direction[i]) >= least:
             return name

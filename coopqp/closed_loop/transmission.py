@@ -1,15 +1,14 @@
-"""Which internal wrenches the motors command, which the structure bears, which a hinge lets go.
+"""Transmission of internal wrenches: commanded by motors, borne by the structure, or released.
 
-Wrenches that the hands do against each other through the object have 6 (N - 1) dimensions. At rest
-a motor row reads tau = J_c' lambda, and a passive one 0 = J_cp' lambda. So the dimensions are
+Wrenches of the hands against each other through the object have 6 (N - 1) dimensions. At rest
+motor rows read tau = J_c' lambda, and passive ones 0 = J_cp' lambda, so the dimensions are
 
-    not transmitted    rank J_cp             a hinge gives way to it
-    commanded          rank J_c - rank J_cp  motors bring it about
-    structure          6 (N - 1) - rank J_c  no motor sees it: the links bear what comes
+    not transmitted    rank J_cp             a hinge yields to it
+    commanded          rank J_c - rank J_cp  motors generate it
+    structure          6 (N - 1) - rank J_c  in the left null space: the links bear it
 
-The same ranks of one arm's Jacobian J_i, six dimensions, say what that arm's motors can do against
-whatever holds the object, and of J_j - J_i what a pair of hands can do to each other. Torques count
-as forces at LENGTH.
+The same ranks of one arm's Jacobian J_i, six dimensions, hold for that arm against a fixed object,
+and of J_j - J_i for a pair of hands. Torques count as forces at LENGTH.
 """
 
 from __future__ import annotations
@@ -23,28 +22,33 @@ from numpy.typing import NDArray
 
 from coopqp.base.rank import null_space
 from coopqp.base.spec import Array
-from coopqp.closed_loop.grasp_matrix import grasp_matrix
+from coopqp.closed_loop.grasp_matrix import COMPONENTS, grasp_matrix, section
 from coopqp.closed_loop.hands import hands
-from coopqp.closed_loop.screw import LENGTH, Screw, axis_words, numbers, screw_of
-from coopqp.closed_loop.section import COMPONENTS, section
+from coopqp.closed_loop.screw import (
+    LENGTH,
+    MOTION_TOLERANCE,
+    Screw,
+    axis_words,
+    numbers,
+    rank_of,
+    scaled,
+    screw_of,
+)
 from coopqp.model.closed_chain import ClosedChain
 
-#: Singular values below count as zero: starts are typed with four digits [m or rad for a joint].
-TOLERANCE = 1e-5
-
 #: A wrench with less torque than this along its force is a force [N mm for a newton].
-MOST_TURNING = 0.5
+MAX_PITCH = 0.5
 
 COMMANDED, STRUCTURE, LET_GO, MIXED = "commanded", "structure", "not transmitted", "not alone"
 
 
 @dataclass(frozen=True)
 class Counts:
-    """Dimensions of a space of wrenches, by who decides them.
+    """Dimensions of a space of wrenches.
 
     Attributes:
         commanded, structure, let_go: see the module.
-        weakest: least singular value that is not zero [m or rad for a unit of joint motion].
+        weakest: smallest singular value that is not zero [m or rad for a unit of joint motion].
     """
 
     commanded: int
@@ -63,13 +67,7 @@ class Counts:
 
 @dataclass(frozen=True)
 class ArmTransmission:
-    """What one arm's motors can do to an object that is held fast.
-
-    Attributes:
-        arm: its name.
-        counts: of the six dimensions.
-        borne: wrenches that its links bear without any motor, as screws.
-    """
+    """One arm's wrenches on a fixed object, and those its links bear without motors, as screws."""
 
     arm: str
     counts: Counts
@@ -78,13 +76,10 @@ class ArmTransmission:
 
 @dataclass(frozen=True)
 class PairTransmission:
-    """What two hands can do to each other.
+    """Wrenches of two hands against each other.
 
-    Attributes:
-        arms: their names.
-        counts: of the six dimensions.
-        components: of the section wrench, each by itself with the others zero: "commanded",
-            "structure", "not transmitted", or "not alone" where it comes with others only.
+    ``components`` of the section wrench, each with the others zero, are "commanded", "structure",
+    "not transmitted", or "not alone" where a component comes with others only.
     """
 
     arms: tuple[str, str]
@@ -94,14 +89,7 @@ class PairTransmission:
 
 @dataclass(frozen=True)
 class Transmission:
-    """The report.
-
-    Attributes:
-        dimensions: 6 (N - 1).
-        all: of all internal wrenches.
-        arms: one by one.
-        pairs: two by two.
-    """
+    """The 6 (N - 1) internal wrenches: all, of each arm alone, and of each pair."""
 
     dimensions: int
     all: Counts
@@ -110,81 +98,59 @@ class Transmission:
 
 
 def transmission(chain: ClosedChain, q: Array) -> Transmission:
-    """What becomes of wrenches between the hands.
-
-    Args:
-        chain: the closed chain.
-        q: configuration with the loops closed, shape (n,).
-    """
+    """Classify the wrenches between the hands at q, shape (n,), with the loops closed."""
     J, passive = chain.object_jacobians(q)[: chain.holding], chain.passive
     X_WO = chain.object_pose(q)
     origin = X_WO.translation
     names = [arm.name for arm in chain.arms[: chain.holding]]
-    J_c = _scaled((J[1:] - J[0]).reshape(-1, chain.n))
+    J_c = scaled((J[1:] - J[0]).reshape(-1, chain.n))
     arms = []
     for name, J_i in zip(names, J, strict=True):
-        borne = _scaled(null_space_of(_scaled(J_i).T))
+        borne = scaled(null_space_of(scaled(J_i).T))
         screws = tuple(wrench_screw(column, origin) for column in borne.T)
-        arms.append(ArmTransmission(name, counts(_scaled(J_i), passive), screws))
+        arms.append(ArmTransmission(name, counts(scaled(J_i), passive), screws))
     touched = [origin + X_WO.rotation @ hand.X_OC.translation for hand in hands(chain)]
     pairs = []
     for i, j in itertools.combinations(range(len(names)), 2):
-        rows = _scaled(J[j] - J[i])
+        rows = scaled(J[j] - J[i])
         cut = section(touched[i], touched[j])
         # A unit of each component at the middle, as a wrench of hand i at the object's origin.
         units = grasp_matrix([cut.middle], origin) @ np.kron(np.eye(2), cut.axes.T)
-        components = _components(rows, _scaled(units, 1.0 / LENGTH), passive)
+        components = _components(rows, scaled(units, 1.0 / LENGTH), passive)
         pairs.append(PairTransmission((names[i], names[j]), counts(rows, passive), components))
     return Transmission(len(J_c), counts(J_c, passive), tuple(arms), tuple(pairs))
 
 
 def counts(rows: Array, passive: NDArray[np.int_] | Sequence[int]) -> Counts:
-    """The three numbers of rows with which joint motion meets wrenches.
-
-    Args:
-        rows: Jacobian, rotations scaled to lengths, shape (r, n).
-        passive: indices of the joints without a motor.
-    """
+    """The three ranks for a Jacobian, shape (r, n), with rotations scaled to lengths."""
     values = np.linalg.svd(rows, compute_uv=False) if rows.size else np.zeros(0)
-    felt = values[values > TOLERANCE]
-    let_go = _rank(rows[:, list(passive)])
+    felt = values[values > MOTION_TOLERANCE]
+    let_go = rank_of(rows[:, list(passive)])
     weakest = float(felt.min(initial=np.inf))
     return Counts(len(felt) - let_go, len(rows) - len(felt), let_go, weakest)
 
 
 def _components(rows: Array, units: Array, passive: NDArray[np.int_]) -> dict[str, str]:
-    """What becomes of a unit of each component alone."""
+    """Class of a unit of each component alone."""
     found = {}
     for name, unit in zip(COMPONENTS, units.T, strict=True):
         unit = unit / np.linalg.norm(unit)
         felt = rows.T @ unit
-        if np.linalg.norm(felt) < TOLERANCE:
+        if np.linalg.norm(felt) < MOTION_TOLERANCE:
             found[name] = STRUCTURE
-        elif np.linalg.norm(felt[passive]) < TOLERANCE:
+        elif np.linalg.norm(felt[passive]) < MOTION_TOLERANCE:
             found[name] = COMMANDED
         else:
-            found[name] = MIXED if _rank(rows[:, passive]) < len(rows) else LET_GO
+            found[name] = MIXED if rank_of(rows[:, passive]) < len(rows) else LET_GO
     return found
 
 
-def _rank(rows: Array) -> int:
-    if not rows.size:
-        return 0
-    return int(np.sum(np.linalg.svd(rows, compute_uv=False) > TOLERANCE))
-
-
 def null_space_of(rows: Array) -> Array:
-    """Basis of what rows do not see, by the same tolerance."""
+    """Basis of the null space of rows, by the same tolerance."""
     if not rows.size:
         return null_space(rows)
     _, values, Vt = np.linalg.svd(rows)
-    return np.ascontiguousarray(Vt[int(np.sum(values > TOLERANCE)) :].T)
-
-
-def _scaled(rows: Array, length: float = LENGTH) -> Array:
-    """Every second three rows times a length: rotations as lengths, or torques as forces."""
-    factors = np.tile(np.repeat([1.0, length], 3), len(rows) // 6)
-    return np.asarray(rows * factors[:, None], float)
+    return np.ascontiguousarray(Vt[int(np.sum(values > MOTION_TOLERANCE)) :].T)
 
 
 def wrench_screw(wrench: Array, origin: Array) -> Screw:
@@ -202,4 +168,4 @@ def force_words(screw: Screw) -> str:
         return f"torque about {direction}"
     line = f"force along {direction} through {numbers(np.array(screw.point))} m"
     turning = 1e3 * screw.pitch
-    return line if abs(turning) < MOST_TURNING else f"{line}, with {turning:.0f} N mm a newton"
+    return line if abs(turning) < MAX_PITCH else f"{line}, with {turning:.0f} N mm a newton"

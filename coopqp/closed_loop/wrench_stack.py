@@ -1,4 +1,4 @@
-"""The rows of tasks that ask for wrenches of the hands, in one block: C h = wanted."""
+"""Rows of tasks on wrenches of the hands, stacked: C h = wanted."""
 
 from __future__ import annotations
 
@@ -15,18 +15,13 @@ from coopqp.task import Task, TaskRows, evaluate_all
 
 
 class WrenchStack:
-    """The rows of several such tasks.
-
-    Args:
-        tasks: with ``of_forces``, in the order of their rows.
-        start: the state from which their references set out.
+    """The rows of several tasks with ``of_forces``, whose references begin at a state.
 
     Attributes:
         tasks: as given.
         rows: such as "task[internal_wrench].squeeze".
         slices: of each task's rows. sizes: their numbers.
-        C: shape (r, 6 N), on the wrenches of the hands that hold the object, each at its point,
-            in world axes.
+        C: shape (r, 6 N), on wrenches of the hands that hold, each at its point, in world axes.
         wanted: shape (r,) [N, N m].
         weights: of the rows; torques count as forces at LENGTH.
         hard: which of them must hold, shape (r,).
@@ -61,11 +56,7 @@ class WrenchStack:
         evaluate_all(self._evaluate, state)
 
     def error(self, h: Array) -> Array:
-        """How far wrenches are from what is wanted, shape (r,).
-
-        Args:
-            h: of the hands that hold the object, shape (N, 6) [N, N m].
-        """
+        """C h - wanted, shape (r,), for wrenches of the hands that hold, shape (N, 6) [N, N m]."""
         return np.asarray(self.C @ np.ravel(h) - self.wanted, float)
 
 

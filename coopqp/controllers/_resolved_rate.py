@@ -1,9 +1,9 @@
-"""The classical resolved-rate law of the paper, eq. (33)-(34), shared by three controllers.
+"""The classical resolved-rate law of the paper, eq. (32)-(34), shared by three controllers.
 
     v = (H J_ext)^+ [h_dot; V_rel] + P Z,   P = I_n - (H J_ext)^+ (H J_ext)
 
 H J_ext is the stack of the task rows and the loop rows, V_rel = -kappa e (0 in the paper). The
-identity is n x n, in joint space. It knows no limits; nothing here adds any.
+identity is n x n, in joint space. It knows no limits.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from coopqp.base.rank import least_squares
 from coopqp.base.spec import Array
 from coopqp.controller import Command, ControlProblem, Law
-from coopqp.controllers._stacked_rows import StackedRows
 from coopqp.model.state import State
 from coopqp.solver import Status
 from coopqp.task import Task, TaskStack
@@ -25,13 +24,42 @@ from coopqp.task import Task, TaskStack
 Invert = Callable[[Array], NDArray[np.floating[Any]]]
 
 
-class ResolvedRateLaw(Law):
-    """Eq. (33) with a chosen inverse.
+class StackedRows:
+    """Task rows above loop rows, eq. (32).
 
-    Args:
-        problem: tasks and closed chain.
-        invert: (k + m, n) -> (n, k + m), the inverse of H J_ext.
-        null_space: whether the secondary objectives enter as Z.
+    Attributes:
+        tasks: the task rows alone.
+        A: H J_ext, shape (k + m, n).
+        b: [h_dot; V_rel], shape (k + m,).
+        k: number of task rows.
+    """
+
+    def __init__(self, problem: ControlProblem) -> None:
+        start = State(problem.chain)
+        self.tasks = TaskStack(problem.tasks, start)
+        self.k = len(self.tasks.e)
+        rows = self.k + len(start.e_loop)
+        self.A, self.b = np.zeros((rows, problem.chain.n)), np.zeros(rows)
+        self._kappa = problem.kappa
+
+    @property
+    def loops(self) -> tuple[Array, Array]:
+        """The loop rows alone: J_c, shape (m, n), and -kappa e, shape (m,)."""
+        return self.A[self.k :], self.b[self.k :]
+
+    def update(self, state: State) -> None:
+        """Fill all rows for a state."""
+        k, tasks = self.k, self.tasks
+        tasks.update(state)
+        self.A[:k], self.A[k:] = tasks.J, state.J_loop
+        self.b[:k] = tasks.wanted
+        np.multiply(state.e_loop, -self._kappa, out=self.b[k:])
+
+
+class ResolvedRateLaw(Law):
+    """Eq. (33); ``invert`` maps H J_ext, shape (k + m, n), to its inverse, (n, k + m).
+
+    Secondary objectives enter as Z where ``null_space`` is true.
     """
 
     def __init__(self, problem: ControlProblem, invert: Invert, *, null_space: bool) -> None:
@@ -70,7 +98,7 @@ class ResolvedRateLaw(Law):
 
 
 def _alone(task: Task, J: Array, wanted: Array) -> Array:
-    """The joint velocity of least norm that an objective asks for by itself, shape (n,)."""
+    """The least-norm joint velocity that an objective asks for by itself, shape (n,)."""
     if task.joint_space:
         return wanted
     return least_squares(J, wanted)

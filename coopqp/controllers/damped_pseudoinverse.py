@@ -25,7 +25,6 @@ class DampedPseudoinverse(Controller):
     """Singular values well below this are damped out [m/rad]."""
 
     def build(self, problem: ControlProblem) -> Law:
-        """Damped inverse with the secondary objectives as Z."""
         squared = self.damping**2
 
         def invert(J: Array) -> NDArray[np.floating[Any]]:

@@ -1,7 +1,7 @@
-"""One PID in task space for the whole closed chain: section 5.3 and Fig. 10 of the paper.
+"""PID in task space for the whole closed chain: section 5.3 and Fig. 10 of the paper.
 
 With e the task error (six rows for a pose), e_dot = J v - rate measured, not differentiated, e_m
-a model of how e should decay after a step of the reference, and w = e - e_m:
+a reference model of the decay of e after a step of the reference, and w = e - e_m:
 
     u = kp w + ki int w dt + kd w_dot
 
@@ -15,18 +15,19 @@ independent joints. e_m_dot = -kp e_m.
     Gamma = A a_r + H - J' u                 (inverse_dynamics; a_r follows the reference and e_m)
 
 and from there to the motors by eq. (23), with redundant motors by eq. (27). e_m decays with the
-task's gain (``_reference_model``). While a motor is at its limit the integral stands still
+task's gain (:mod:`coopqp.torque_law.margins`). While a motor is at its limit the integral is held
 (anti-windup).
 
-Gains that ring in the start's pose with commands one tick late are refused (``_margins``). The
-highest stiffness that holds goes with 1/dt^2, so the torque level's default gains grow weaker from
-4 ms on, those of rotation from 2 ms on: kd with 1/dt, kp with 1/dt^2, ki with 1/dt^3, which keeps
-the shape of the motion and the margin in ticks. A rate is not refused for being low.
+Gains that oscillate at the start with commands one tick late are refused. The highest stable
+stiffness is proportional to 1/dt^2, so the torque level's default gains decrease from 4 ms on,
+those of rotation from 2 ms on: kd with 1/dt, kp with 1/dt^2, ki with 1/dt^3, which keeps the shape
+of the motion and the margin in ticks. A low rate alone is not refused.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Annotated, Literal
 
@@ -41,14 +42,15 @@ from coopqp.model.state import State
 from coopqp.solver import Status
 from coopqp.task import TaskStack
 from coopqp.torque_law.margins import (
-    LEAST_DAMPING,
+    MIN_DAMPING,
+    ReferenceModel,
     TorqueLoop,
     VelocityLoop,
     damped,
     largest,
+    memory_of,
     require_damped_models,
 )
-from coopqp.torque_law.reference_model import ReferenceModel, memory_of
 from coopqp.torque_law.task_dynamics import TaskDynamics, require_motor_freedom
 
 Gains = Annotated[tuple[NonNegative, ...], Field(min_length=1)]
@@ -67,7 +69,6 @@ class KinematicPid(Law):
         settings.require_damping(problem, self._loop)
 
     def decide(self, state: State) -> Command:
-        """One evaluation; the integral is carried in ``state.memory``."""
         tasks, command = self._tasks, self.command
         tasks.update(state)
         e_dot = tasks.J.dot(state.v) - tasks.rate
@@ -82,7 +83,7 @@ class TorquePid(Law):
     """PID on the object's wrench; memory as in :func:`memory_of`.
 
     Attributes:
-        loop: what it does at the start, linear; from it the margins.
+        loop: its linearisation at the start, for the margins.
     """
 
     def __init__(self, problem: ControlProblem, settings: PassiveGraspPid) -> None:
@@ -102,7 +103,6 @@ class TorquePid(Law):
         self._effort = problem.chain.model.effortLimit
 
     def decide(self, state: State) -> Command:
-        """One evaluation; the integral is carried in ``state.memory``."""
         level, command = self._level, self.command
         level.update(state)
         kp, ki, kd = self._gains
@@ -123,7 +123,6 @@ class TorquePid(Law):
         return command
 
     def hold_still(self, state: State) -> None:
-        """Hold the weight and brake."""
         assert self.command.tau is not None
         self._level.dynamics.update(state.q, state.v)
         self.command.tau[:] = self._level.holding(state, BRAKE_TIME)
@@ -145,7 +144,7 @@ KINEMATIC_GAINS = (5.0, 2.0, 0.0)
 #: kp [N/m, N m/rad], ki [.../s], kd [... s] of the torque level, translation and rotation.
 TORQUE_GAINS = ((600.0, 4.0), (2400.0, 8.0), (40.0, 0.25))
 #: Control period up to which the torque level has these gains, translation and rotation [s]; at
-#: the start of passive_grasp_pose, rotation about x is what rings first with longer ones.
+#: the start of passive_grasp_pose, rotation about x is the first to oscillate with longer ones.
 FULL_GAINS_DT = (0.004, 0.002)
 #: Powers of one time scale that slow a motion down without changing its shape: of kp, ki, kd.
 POWERS = (2, 3, 1)
@@ -171,7 +170,7 @@ class PassiveGraspPid(Controller):
     kp: Gains | None = None
     """Proportional gains, one for all task rows or one each [N/m, N m/rad; kinematic 1/s].
 
-    Gains that ring at the start, with commands one tick late, are refused. The defaults of the
+    Gains that oscillate at the start, with commands one tick late, are refused. The defaults of the
     torque level are for dt to 4 ms (rotation 2 ms); beyond, kp goes as 1/dt^2, ki as 1/dt^3, kd as
     1/dt."""
     ki: Gains | None = None
@@ -183,11 +182,10 @@ class PassiveGraspPid(Controller):
 
     @property
     def commands_torques(self) -> bool:
-        """At the torque level."""
         return self.level == "torque"
 
     def build(self, problem: ControlProblem) -> Law:
-        """Refuse tasks that the motors cannot decide, gains of the wrong number or that ring."""
+        """Refuse tasks that the motors cannot decide, a wrong number of gains, oscillating ones."""
         require_motor_freedom(problem, self.name or "passive_grasp_pid")
         law = TorquePid if self.level == "torque" else KinematicPid
         return law(problem, self)
@@ -200,7 +198,8 @@ class PassiveGraspPid(Controller):
         Raises:
             InvalidValueError: a list that is neither of length one nor of the tasks' rows.
         """
-        turning = np.array([_is_angle(unit) for unit in _units(problem)])
+        parts = [part for task in problem.tasks for part in task.parts(problem.chain)]
+        turning = np.repeat([part.unit == "rad" for part in parts], [p.rows for p in parts])
         found = []
         for key, default in zip(("kp", "ki", "kd"), defaults, strict=True):
             given = getattr(self, key)
@@ -217,7 +216,7 @@ class PassiveGraspPid(Controller):
         return found[0], found[1], found[2]
 
     def require_damping(self, problem: ControlProblem, loop: TorqueLoop | VelocityLoop) -> None:
-        """Refuse gains that ring at the start with commands one tick late.
+        """Refuse gains that oscillate at the start with commands one tick late.
 
         Raises:
             InvalidValueError: with the gains to lower, and by how much.
@@ -225,9 +224,9 @@ class PassiveGraspPid(Controller):
         if damped(loop):
             return
         raise InvalidValueError(
-            f"{self.name or 'passive_grasp_pid'}: the gains ring at dt "
+            f"{self.name or 'passive_grasp_pid'}: the gains oscillate at dt "
             f"{1e3 * problem.dt:g} ms with commands a tick late (damping ratio "
-            f"{loop.damping():.2f}, needs {LEAST_DAMPING:.2f}); {_fix(loop)}"
+            f"{loop.damping():.2f}, needs {MIN_DAMPING:.2f}); {_fix(loop)}"
         )
 
 
@@ -249,18 +248,4 @@ def _damped_at(
     loop: TorqueLoop | VelocityLoop, powers: tuple[int, int, int], factor: float
 ) -> bool:
     kp, ki, kd = (factor**power for power in powers)
-    return damped(loop.times(kp, ki, kd))
-
-
-def _units(problem: ControlProblem) -> list[str]:
-    """Unit of every task row."""
-    return [
-        part.unit
-        for task in problem.tasks
-        for part in task.parts(problem.chain)
-        for _ in range(part.rows)
-    ]
-
-
-def _is_angle(unit: str) -> bool:
-    return unit == "rad"
+    return damped(replace(loop, kp=kp * loop.kp, ki=ki * loop.ki, kd=kd * loop.kd))

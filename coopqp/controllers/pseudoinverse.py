@@ -17,6 +17,4 @@ class Pseudoinverse(Controller):
     """Singular values below this share of the largest count as zero."""
 
     def build(self, problem: ControlProblem) -> Law:
-        """Moore-Penrose inverse by singular values."""
-        rcond = self.rcond
-        return ResolvedRateLaw(problem, lambda J: np.linalg.pinv(J, rcond), null_space=False)
+        return ResolvedRateLaw(problem, lambda J: np.linalg.pinv(J, self.rcond), null_space=False)

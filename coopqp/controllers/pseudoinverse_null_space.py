@@ -13,7 +13,7 @@ from coopqp.controllers._resolved_rate import ResolvedRateLaw
 
 @spec
 class PseudoinverseNullSpace(Controller):
-    """Classical law with null-space term, eq. (33)-(34): leans off limits, can't stop there."""
+    """Classical law with null-space term, eq. (33)-(34): gradient projection, no hard limits."""
 
     supports: ClassVar[Features] = frozenset({"secondary"})
 
@@ -21,6 +21,4 @@ class PseudoinverseNullSpace(Controller):
     """Singular values below this share of the largest count as zero."""
 
     def build(self, problem: ControlProblem) -> Law:
-        """Moore-Penrose inverse by singular values, and P Z."""
-        rcond = self.rcond
-        return ResolvedRateLaw(problem, lambda J: np.linalg.pinv(J, rcond), null_space=True)
+        return ResolvedRateLaw(problem, lambda J: np.linalg.pinv(J, self.rcond), null_space=True)

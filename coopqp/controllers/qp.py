@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import ClassVar, Literal
 
 from coopqp.base.spec import NonNegative, Positive, spec
-from coopqp.closed_loop.admittance import Admittance, squeezer
+from coopqp.closed_loop.admittance import Admittance, internal_force_control
 from coopqp.controller import ALL_FEATURES, Controller, ControlProblem, Features, Law
 from coopqp.kernel.law import KernelLaw
 from coopqp.kernel.native import required, why_not
@@ -27,14 +27,14 @@ class QPController(Controller):
     engine: Literal["auto", "python", "kernel"] = "auto"
     """auto: the compiled kernel where it can do the problem; python: never; kernel: always."""
     admittance: Admittance | None = None
-    """How it comes to the squeeze that an internal_wrench task wants; needed there."""
+    """Internal force control for the squeeze of an internal_wrench task; needed there."""
 
     def build(self, problem: ControlProblem) -> Law:
         """Preallocate the QPs and open the solver, or the kernel, on them.
 
         Raises:
-            InvalidValueError: engine is kernel, which cannot do this problem; a force is asked
-                for that admittance cannot bring about, or without a stated stiffness.
+            InvalidValueError: engine is kernel, which cannot do this problem; a force is asked for
+                that admittance cannot bring about, or without a stated stiffness.
         """
         return self.unprepared(problem).prepare()
 
@@ -44,10 +44,10 @@ class QPController(Controller):
             required(problem)
         if self.engine == "python" or why_not(problem):
             return self.plain(problem)
-        pressing = squeezer(problem, self.admittance)
-        return KernelLaw(problem, self.damping, self.error_damping, pressing)
+        force = internal_force_control(problem, self.admittance)
+        return KernelLaw(problem, self.damping, self.error_damping, force)
 
     def plain(self, problem: ControlProblem) -> QPLaw:
         """The law in Python, whatever the engine: what studies look into."""
-        pressing = squeezer(problem, self.admittance)
-        return QPLaw(problem, self.damping, self.error_damping, pressing)
+        force = internal_force_control(problem, self.admittance)
+        return QPLaw(problem, self.damping, self.error_damping, force)

@@ -1,32 +1,31 @@
 """Saturation in the null space, SNS (Flacco, De Luca and Khatib 2015), with the loops first.
 
-One joint after the other that would exceed its bounds is set to the bound, and the others take over
-what is left of the motion; where they cannot, the tasks are scaled down, v keeps their direction:
+Joints that would exceed their bounds are set to the bound, one after the other, and the others take
+over the rest of the motion; where they cannot, the tasks are scaled, v keeps their direction:
 
     J_c v = -kappa e,   J v = s (rate - gain e),   lb <= v <= ub,   0 <= s <= 1
 
-That is the prioritised form of the algorithm with two levels, the loop rows above all tasks
-together, so that scaling the tasks leaves the loops as they are. In each level, with C the rows of
-the level above (none for the loops), v_0 its answer, E the rows of the joints that are saturated
+This is the prioritised form of the algorithm with two levels, the loop rows above all tasks
+together, so that scaling the tasks leaves the loops unchanged. In each level, with C the rows of
+the level above (none for the loops), v_0 its solution, E the rows of the joints that are saturated
 and v_E their bounds:
 
     [C; E] v_h = [C v_0; v_E],   N = null([C; E]),   v = v_h + N (J N)^+ (s wanted - J v_h)
 
-Every joint that exceeds its bounds with s = 1 leaves a largest s below which it does not; the joint
+Every joint that exceeds its bounds with s = 1 gives a largest s at which it does not; the joint
 with the smallest is saturated next. It ends when no joint exceeds its bounds, or when saturating
 one more would cost a task row; then the best s so far is taken.
 
 F. Flacco, A. De Luca and O. Khatib, Control of redundant robots under hard joint constraints:
 saturation in the null space, IEEE Trans. Robotics 31(3), 2015. The bounds are the scenario's
 limits: position (lower - q)/dt, velocity, and acceleration with braking. The algorithm does not
-promise the largest s; its "optimal" variant is a QP, for which there is :mod:`coopqp.qp_law`.
-Nothing shortens a step: near singular poses, where joints go at full speed, loops can open.
+guarantee the largest s; its "optimal" variant is a QP, see :mod:`coopqp.qp_law`. No step is
+verified: near singular poses, where joints move at full speed, loops can open.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -34,7 +33,7 @@ from coopqp.base.errors import InvalidValueError
 from coopqp.base.rank import least_squares, matrix_rank, null_space
 from coopqp.base.spec import Array, spec
 from coopqp.controller import Command, Controller, ControlProblem, Features, Law
-from coopqp.controllers._stacked_rows import StackedRows
+from coopqp.controllers._resolved_rate import StackedRows
 from coopqp.model.state import State
 from coopqp.qp_law.bounds import Bounds
 from coopqp.solver import Status
@@ -43,14 +42,8 @@ from coopqp.solver import Status
 ROUNDING = 1e-9
 
 
-@dataclass(frozen=True)
-class Saturated:
-    """The answer of one level.
-
-    Attributes:
-        v: shape (n,) [rad/s, m/s].
-        scale: s.
-    """
+class Saturated(NamedTuple):
+    """The solution of one level: v, shape (n,) [rad/s, m/s], and its scale s."""
 
     v: Array
     scale: float
@@ -59,18 +52,15 @@ class Saturated:
 def saturate(
     J: Array, wanted: Array, above: Array, v_above: Array, lb: Array, ub: Array
 ) -> Saturated | None:
-    """One level of the algorithm.
+    """One level of the algorithm; None where no scale satisfies the bounds.
 
     Args:
         J: its rows, shape (k, n).
         wanted: J v for s = 1, shape (k,).
         above: C, rows that keep what the level above has decided, shape (m, n).
-        v_above: its answer, shape (n,).
+        v_above: its solution, shape (n,).
         lb: lower bounds on v, shape (n,).
         ub: upper bounds on v, shape (n,).
-
-    Returns:
-        None where no scale keeps the bounds.
     """
     n = J.shape[1]
     joints: list[int] = []
@@ -113,14 +103,7 @@ def _scales(a: Array, b: Array, lb: Array, ub: Array) -> tuple[Array, Array]:
 
 
 class SaturationNullSpaceLaw(Law):
-    """The law built for one problem.
-
-    Args:
-        problem: tasks, closed chain and limits of the joints.
-
-    Raises:
-        InvalidValueError: a limit is not one of joints.
-    """
+    """The law of one problem; raises InvalidValueError for limits of anything but joints."""
 
     def __init__(self, problem: ControlProblem) -> None:
         super().__init__(problem)
@@ -178,9 +161,4 @@ class SaturationNullSpace(Controller):
     supports: ClassVar[Features] = frozenset({"limits"})
 
     def build(self, problem: ControlProblem) -> Law:
-        """Two levels, the loops and all tasks.
-
-        Raises:
-            InvalidValueError: a limit is not one of joints.
-        """
         return SaturationNullSpaceLaw(problem)

@@ -8,19 +8,19 @@
                 J_c a = -Jdot_c v - 2 kappa J_c v - kappa^2 e      loop acceleration      (hard)
                 |tau| <= effort limits                             motors                 (hard)
                 lb <= v + a dt <= ub,  G (v + a dt) <= h          the scenario's limits  (hard)
-                h_i in its cone, friction over safety, also at the tick's end, ``_held_torques``
+                h_i in its cone, friction over safety, at both ends of the tick (``held_torques``)
 
-h are the wrenches of the hands on the object, and h_int what of them is internal and not asked for
-(``_hand_wrenches``). Hard tasks are equalities, and soft tasks of a later priority are met in what
-the earlier ones leave free (``_torque_program``). Between hands that press, friction and not the
-model says where they are: kappa^2 e is left out there.
+h are the wrenches of the hands on the object, and h_int their internal part that no task asks for
+(``hand_wrenches``). Hard tasks are equalities, and soft tasks of a later priority act in the null
+space of the earlier ones (``program``). Between hands that press, friction and not the model
+decides their relative pose: kappa^2 e is left out there.
 
-g_i is the task's gain, w_i how far the error is from its reference model (``_reference_model``), so
-that a step of the reference does not overshoot. While a motor is at its limit the integral stands
-still. Gains and integrals that ring with commands one tick late are refused (``_margins``).
-lb, ub, G, h are what the scenario's limits say of the next velocity, but a joint near its stop must
-slow down in time: v + a dt <= (upper - q)/brake_time. Where the velocity has already left a limit,
-it comes back with the largest acceleration.
+g_i is the task's gain, w_i the deviation of the error from its reference model (``margins``), so
+that a step of the reference does not overshoot. While a motor is at its limit the integral is held.
+Gains and integrals that oscillate with commands one tick late are refused. lb, ub, G, h are the
+scenario's limits on the next velocity, but a joint near its stop must slow down in time:
+v + a dt <= (upper - q)/brake_time. A velocity beyond a limit recovers with the largest
+acceleration.
 """
 
 from __future__ import annotations
@@ -35,35 +35,39 @@ from coopqp.base.errors import InvalidValueError
 from coopqp.base.qp import QP
 from coopqp.base.spec import Array, NonNegative, Positive, spec
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
-from coopqp.closed_loop.hand_sensors import HandSensors
-from coopqp.closed_loop.momentum_observer import MomentumObserver
 from coopqp.closed_loop.wrench_stack import WrenchStack
 from coopqp.controller import Command, Controller, ControlProblem, Features, Law
 from coopqp.grasp import SAFETY
 from coopqp.model.state import State
 from coopqp.qp_law.bounds import Bounds
 from coopqp.solver import Solution, Status
+from coopqp.torque_law.external_wrench import HandSensors, MomentumObserver
 from coopqp.torque_law.force_checks import require_forces
-from coopqp.torque_law.hand_wrenches import HandWrenches, SplitName
+from coopqp.torque_law.hand_wrenches import HandWrenches
 from coopqp.torque_law.held_torques import HeldTorques
 from coopqp.torque_law.impedances import Impedances, require_impedances
-from coopqp.torque_law.margins import damped, largest, require_damped_models, row_loop
+from coopqp.torque_law.margins import (
+    ReferenceModel,
+    damped,
+    largest,
+    require_damped_models,
+    row_loop,
+)
 from coopqp.torque_law.program import Costs, Layout, hard_rows, programs
-from coopqp.torque_law.reference_model import ReferenceModel
 from coopqp.torque_law.task_dynamics import TaskDynamics, require_motor_freedom
 
 #: Ticks in which a motion may die out, or a joint brake, at the fastest.
-LEAST_TICKS = 4
+MIN_TICKS = 4
 
 
 class TorqueQpLaw(Law):
-    """The QPs of one problem; memory: those of ReferenceModel and HeldTorques.
+    """The QPs of one problem; memory: those of ReferenceModel, HeldTorques and the observer.
 
     Attributes:
         settings: as given.
         programs: one a level of priority.
-        hands: what the hands do.
-        wrenches: what tasks ask of them.
+        hands: their wrenches.
+        wrenches: the rows of tasks on these.
     """
 
     def __init__(self, problem: ControlProblem, settings: TorqueQp) -> None:
@@ -89,11 +93,15 @@ class TorqueQpLaw(Law):
         self._impedances = Impedances(problem, level)
         self._followed = self._impedances.others
         self._model = ReferenceModel(level.gains[self._followed], problem.dt)
-        self._pull = settings.integral * level.gains[self._followed]
-        self._pushes = settings.observer(dynamics, problem.dt)
-        self._held = HeldTorques(self.hands, self.layout, dynamics)
-        seen = self._pushes.memory_sizes if self._pushes else {}
-        self.memory_sizes = {**self._model.memory_sizes, **self._held.memory_sizes, **seen}
+        self._integral_gains = settings.integral * level.gains[self._followed]
+        self._estimator = settings.observer(dynamics, problem.dt)
+        self._held_torques = HeldTorques(self.hands, self.layout, dynamics)
+        observed = self._estimator.memory_sizes if self._estimator else {}
+        self.memory_sizes = {
+            **self._model.memory_sizes,
+            **self._held_torques.memory_sizes,
+            **observed,
+        }
 
     @property
     def qp(self) -> QP:
@@ -102,18 +110,18 @@ class TorqueQpLaw(Law):
 
     @property
     def solution(self) -> Solution:
-        """Its answer."""
+        """Its solution."""
         return self.programs[0].solution
 
     def decide(self, state: State) -> Command:
-        """Assemble, solve, verify; without a usable answer the motors hold and brake."""
+        """Assemble, solve, verify; without a usable solution the motors hold and brake."""
         command = self.command
         self.assemble(state)
         x, causes = self._solved(state)
         self._say(causes)
         assert command.tau is not None
         command.tau[:] = 0.0
-        self._held.remember(state, self.qp, x)
+        self._held_torques.remember(state, self.qp, x)
         if x is not None:
             tau = x[self.layout.tau]
             command.tau[self._level.dynamics.actuated] = tau
@@ -128,8 +136,8 @@ class TorqueQpLaw(Law):
 
     def _say(self, causes: tuple[Status, ...]) -> None:
         """What became of the tick, and that the hands' wrenches were not measured."""
-        if isinstance(self._pushes, HandSensors) and self._pushes.fault:
-            self.command.note = self._pushes.fault
+        if isinstance(self._estimator, HandSensors) and self._estimator.fault:
+            self.command.note = self._estimator.fault
             others = (cause for cause in causes if cause is not Status.OPTIMAL)
             causes = (*others, Status.FORCE_NOT_MEASURED)
         self.command.say(*causes)
@@ -141,16 +149,16 @@ class TorqueQpLaw(Law):
         self.hands.update(state, self._level.dynamics)
         self.wrenches.update(state)
         self._bounds.update(state)
-        self._wrench = self._pushed(state)
+        self._wrench = self._external_wrench(state)
         self._fill(0, state, None)
-        self._held.foresee(state, self.qp)
+        self._held_torques.foresee(state, self.qp)
 
-    def _pushed(self, state: State) -> Array | None:
-        """Of the surroundings on the object, as far as somebody knows."""
-        if isinstance(self._pushes, HandSensors):
-            return self._pushes.update(state.memory, state)
-        if self._pushes:
-            return self._pushes.update(state.memory, state.q, state.v)
+    def _external_wrench(self, state: State) -> Array | None:
+        """The external wrench on the object; None where unknown."""
+        if isinstance(self._estimator, HandSensors):
+            return self._estimator.update(state.memory, state)
+        if self._estimator:
+            return self._estimator.update(state.memory, state.q, state.v)
         return self._impedances.guess()
 
     def _fill(self, number: int, state: State, before: Array | None, soften: bool = False) -> None:
@@ -160,23 +168,23 @@ class TorqueQpLaw(Law):
         )  # fmt: skip
 
     def _solved(self, state: State) -> tuple[Array | None, tuple[Status, ...]]:
-        """All that is asked; else hard tasks as soft ones; else beyond the cones, but little."""
+        """The solution with all constraints; else hard tasks softened; else cones violated."""
         x, status = self._solve_levels(state)
         if x is not None or status is not Status.INFEASIBLE:
             return x, (status,)
-        given_up: tuple[Status, ...] = ()
+        relaxed: tuple[Status, ...] = ()
         if self._has_hard:
             x, status = self._solve_levels(state, soften=True)
-            given_up = (Status.TASKS_RELAXED,)
+            relaxed = (Status.TASKS_RELAXED,)
         if x is None and self.hands.pressing:
             x, status = self._solve_levels(state, soften=True, keep=False)
-            given_up = (*given_up, Status.CONTACT_GIVEN_UP)
-        return (x, given_up) if x is not None else (None, (status,))
+            relaxed = (*relaxed, Status.CONTACT_GIVEN_UP)
+        return (x, relaxed) if x is not None else (None, (status,))
 
     def _solve_levels(
         self, state: State, *, soften: bool = False, keep: bool = True
     ) -> tuple[Array | None, Status]:
-        """The answer of the last level that has one, and what became of the first."""
+        """The solution of the last level that has one, and the status of the first."""
         x, first = None, Status.OPTIMAL
         for i, program in enumerate(self.programs):
             program.keep_cones(keep=keep)
@@ -194,7 +202,7 @@ class TorqueQpLaw(Law):
         """J a that the rows of all tasks ask for."""
         level, gains, given = self._level, self._gains, self._impedances
         held = level.tasks.e.copy()
-        held[self._followed] += self._pull * state.memory["integral"]
+        held[self._followed] += self._integral_gains * state.memory["integral"]
         wanted = -gains * (2.0 * level.e_dot + gains * held)
         if len(given.rows) and self._wrench is not None:
             wanted[given.rows] = given.accelerations(self._wrench, self._correction(state))
@@ -205,34 +213,29 @@ class TorqueQpLaw(Law):
         return np.asarray(-self._level.dynamics.drift - self._correction(state), float)
 
     def _correction(self, state: State) -> Array:
-        """What of that closes them; hands that press are held together by that."""
-        dynamics, kappa = self._level.dynamics, self.problem.kappa
-        pulls = self.hands.loop_pulls[dynamics.kept]
-        back = 2.0 * kappa * dynamics.J.dot(state.v) + kappa**2 * pulls * state.e_loop
-        return np.asarray(back, float)
+        return self.hands.loop_correction(state, self._level.dynamics, self.problem.kappa)
 
     def _limits(self, state: State) -> tuple[Array, Array, Array, Array]:
-        """What the limits say of v + a dt, as bounds and rows on a."""
+        """The limits on v + a dt as bounds and rows on a."""
         bounds, v = self._bounds, state.v
-        dt, most = self.problem.dt, self.settings.acceleration
-        upper = np.clip((bounds.ub - v) / dt, -most, most)
-        lower = np.clip((bounds.lb - v) / dt, -most, most)
+        dt, max_a = self.problem.dt, self.settings.acceleration
+        upper = np.clip((bounds.ub - v) / dt, -max_a, max_a)
+        lower = np.clip((bounds.lb - v) / dt, -max_a, max_a)
         # No row asks for more than the joints' acceleration can give.
-        room = (bounds.h - bounds.G.dot(v)) / dt
-        room = np.maximum(room, -most * np.abs(bounds.G).sum(axis=1))
-        return np.minimum(lower, upper), upper, bounds.G, room
+        upper_rows = (bounds.h - bounds.G.dot(v)) / dt
+        upper_rows = np.maximum(upper_rows, -max_a * np.abs(bounds.G).sum(axis=1))
+        return np.minimum(lower, upper), upper, bounds.G, upper_rows
 
     def hold_still(self, state: State) -> None:
-        """Hold the weight and brake."""
         assert self.command.tau is not None
-        self._held.remember(state, self.qp, None)
+        self._held_torques.remember(state, self.qp, None)
         self._level.dynamics.update(state.q, state.v)
         self.command.tau[:] = self._level.holding(state, self.settings.damping_time)
         self._remember(state)
 
     def _remember(self, state: State) -> None:
         """Keep what the motors do until the next tick, for the observer."""
-        if isinstance(self._pushes, MomentumObserver):
+        if isinstance(self._estimator, MomentumObserver):
             state.memory["observer.tau"][:] = self.command.tau
 
 
@@ -244,7 +247,7 @@ class TorqueQp(Controller):
     supports: ClassVar[Features] = frozenset({"limits", "modes", "priorities", "forces"})
 
     integral: NonNegative = 0.3
-    """Weight of the integral over gain cubed; refused where it rings, from 0.8 on or earlier."""
+    """Weight of the integral over gain cubed; refused where it oscillates, from 0.8 on or less."""
     damping: Positive = 1e-5
     """Cost of squared accelerations that do not brake [s4/rad2]."""
     damping_time: Positive = 0.05
@@ -253,7 +256,7 @@ class TorqueQp(Controller):
     """Cost of squared motor torques [1/(N m)2]; decides how redundant motors share."""
     grip: Positive = 1e-4
     """Cost of squared internal wrenches that no task asks for, torques over 10 cm [1/N2]."""
-    split: SplitName = "virtual_inertia"
+    split: Literal["virtual_inertia", "walker"] = "virtual_inertia"
     """What counts as internal: virtual_inertia spares the hands torques, walker shares them too."""
     shares: dict[str, NonNegative] | Literal["weights", "motors"] = "weights"
     """Share of the load by arm, with sum 1; weights: as in the object's pose; motors: as they have
@@ -279,11 +282,10 @@ class TorqueQp(Controller):
 
     @property
     def commands_torques(self) -> bool:
-        """Always."""
         return True
 
     def build(self, problem: ControlProblem) -> Law:
-        """Refuse tasks that the motors cannot decide, gains and integrals that ring."""
+        """Refuse tasks that the motors cannot decide, gains and integrals that oscillate."""
         name = self.name or "torque_qp"
         for task in problem.tasks:
             if task.mode == "scaled":
@@ -302,12 +304,7 @@ class TorqueQp(Controller):
     def observer(
         self, dynamics: ClosedLoopDynamics, dt: float
     ) -> MomentumObserver | HandSensors | None:
-        """Who tells the wrench of the surroundings; None where nobody does.
-
-        Args:
-            dynamics: of arms and object.
-            dt: control period [s].
-        """
+        """The estimator of the external wrench, for a control period [s]; None where unknown."""
         if self.external_wrench == "unknown":
             return None
         if self.external_wrench == "measured":
@@ -321,10 +318,10 @@ class TorqueQp(Controller):
         """What dies out or brakes within a tick or two overshoots, and passes the stop."""
         for key in ("damping_time", "brake_time"):
             found = getattr(self, key)
-            if found < LEAST_TICKS * dt:
+            if found < MIN_TICKS * dt:
                 raise InvalidValueError(
-                    f"{name}.{key}: found {found:g} s, needs at least {LEAST_TICKS} ticks, "
-                    f"{LEAST_TICKS * dt:g} s"
+                    f"{name}.{key}: found {found:g} s, needs at least {MIN_TICKS} ticks, "
+                    f"{MIN_TICKS * dt:g} s"
                 )
 
     def _require_damped_integral(self, problem: ControlProblem, name: str) -> None:
@@ -335,7 +332,7 @@ class TorqueQp(Controller):
                 raise InvalidValueError(
                     f"{name}.integral: found {self.integral:g}, needs at most "
                     f"{largest(holds, self.integral):g} at gain {task.gain:g} 1/s (task "
-                    f"{task.name}) and dt {1e3 * dt:g} ms; more rings, so lower it"
+                    f"{task.name}) and dt {1e3 * dt:g} ms; more oscillates, so lower it"
                 )
 
 

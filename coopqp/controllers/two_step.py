@@ -5,11 +5,11 @@
 
 Section 5.1 names it before it takes the law of eq. (33) instead. The independent ("actuated")
 joints are as many as there are degrees of freedom and chosen once, as the paper's [q1 q2 q3 q7].
-Where the others do not follow from them, eq. (8) is singular: the law stands still and says so.
-Near such poses joints run away. It knows no limits.
+Where the others do not follow from them, eq. (8) is singular: the law stops with a status. Near
+such poses joint velocities grow without bound. It knows no limits.
 
-With a drift gain, eq. (8) has -kappa e on its right side, as the loop rows of the other laws have,
-and h_dot loses what that moves.
+With kappa > 0, eq. (8) has -kappa e on its right side, as the loop rows of the other laws have,
+and the motion that it causes is subtracted from h_dot.
 """
 
 from __future__ import annotations
@@ -21,19 +21,14 @@ from coopqp.base.rank import independent_rows, least_squares, null_space
 from coopqp.base.spec import spec
 from coopqp.closed_loop.constraint_equations import SINGULAR_CONDITION, scheme
 from coopqp.controller import Command, Controller, ControlProblem, Law
-from coopqp.controllers._stacked_rows import StackedRows
+from coopqp.controllers._resolved_rate import StackedRows
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.solver import Status
 
 
 class TwoStepLaw(Law):
-    """The law built for one problem.
-
-    Args:
-        problem: tasks and closed chain.
-        actuated: indices of the independent joints.
-    """
+    """The law built for one problem, with indices of its independent joints."""
 
     def __init__(self, problem: ControlProblem, actuated: tuple[int, ...]) -> None:
         super().__init__(problem)
@@ -83,9 +78,7 @@ class TwoStep(Controller):
 
 
 def _best(chain: ClosedChain) -> tuple[int, ...]:
-    """The joints that are left over when the columns of J_c with the best pivots are taken.
-
-    Passive joints have no motors and are taken first.
+    """The joints left over by a pivoted choice of J_c's columns, passive joints first.
 
     Raises:
         InvalidValueError: the loops do not decide the passive joints.

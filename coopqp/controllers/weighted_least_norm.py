@@ -3,16 +3,16 @@
     v = W^-1 A' (A W^-1 A')^-1 b,     A = H J_ext,   b = [h_dot; V_rel]          eq. (32)
 
     H(q) = sum_i (u_i - l_i)^2 / (4 (u_i - q_i) (q_i - l_i)),    W = diag(w)
-    w_i = 1 + |dH/dq_i|   where |dH/dq_i| does not fall, i.e. the joint goes towards its limit
-        = 1               where it falls, so that a joint is free to come back
+    w_i = 1 + |dH/dq_i|   where |dH/dq_i| does not fall, i.e. the joint moves towards its limit
+        = 1               where it falls, so that a joint can return freely
 
 T. F. Chan and R. V. Dubey, A weighted least-norm solution based scheme for avoiding joint limits
 for redundant joint manipulators, IEEE Trans. Robotics and Automation 11(2), 1995. There the robot
 is one open arm and A its Jacobian; here the loop rows are below the tasks', as in eq. (33).
 
-H grows without bound towards a limit. A tick is finite and can step over it, so that a joint
-within ``NEAREST`` of the limit, or beyond it, counts as ``NEAREST`` away. All tasks are always met,
-if need be through a limit: this law leans away from limits and cannot stop there.
+H grows without bound towards a limit. A tick is finite and can step over it, so a joint within
+``NEAREST`` of the limit, or beyond it, counts as ``NEAREST`` away. All tasks are always met, if
+necessary beyond a limit: this law repels joints from limits and does not enforce them.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import numpy as np
 from coopqp.base.rank import least_squares
 from coopqp.base.spec import Array, spec
 from coopqp.controller import Command, Controller, ControlProblem, Law
-from coopqp.controllers._stacked_rows import StackedRows
+from coopqp.controllers._resolved_rate import StackedRows
 from coopqp.model.state import State
 from coopqp.solver import Status
 
@@ -31,11 +31,7 @@ NEAREST = 1e-4
 
 
 class WeightedLeastNormLaw(Law):
-    """The law built for one problem.
-
-    Args:
-        problem: tasks and closed chain.
-    """
+    """The law built for one problem."""
 
     def __init__(self, problem: ControlProblem) -> None:
         super().__init__(problem)
@@ -74,5 +70,4 @@ class WeightedLeastNorm(Controller):
     """Weighted least norm (Chan, Dubey 1995): spares joints near their limits, can't stop there."""
 
     def build(self, problem: ControlProblem) -> Law:
-        """Weighted least norm of task and loop rows together."""
         return WeightedLeastNormLaw(problem)

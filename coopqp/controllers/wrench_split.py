@@ -1,12 +1,12 @@
 """Inverse dynamics with the object's wrench split among the hands by a formula: a baseline.
 
-    J_c a = -Jdot_c v - back,   J a = wanted       as well as it can, in least squares
+    J_c a = -Jdot_c v - back,   J a = wanted       in least squares
     w = M a_o + b,   h = X w + squeeze (e; -e)      X of a split, e between two hands
     tau = A a + H + sum_i (J_i - J_0)' G_i h_i       within the motors' limits
 
-X knows no friction: without a squeeze hands that press let the object fall, and a squeeze that is
-fixed beforehand is too much at rest or too little in a push. That is what it is there to show; see
-Walker, Freeman and Marcus 1991, Erhart and Hirche 2015, and the pseudoinverse as ``minimum_norm``.
+X knows no friction: without a squeeze hands that press drop the object, and a constant squeeze is
+too much at rest or too little in a push, which is what this baseline shows; see Walker, Freeman
+and Marcus 1991, Erhart and Hirche 2015, and the pseudoinverse as ``minimum_norm``.
 """
 
 from __future__ import annotations
@@ -18,8 +18,7 @@ import numpy as np
 from coopqp.base.errors import GraspError
 from coopqp.base.rank import least_squares, null_space
 from coopqp.base.spec import Array, NonNegative, Positive, spec
-from coopqp.closed_loop.grasp_matrix import Split, virtual_inertia, walker
-from coopqp.closed_loop.section import section
+from coopqp.closed_loop.grasp_matrix import Split, section
 from coopqp.controller import NO_FEATURES, Command, Controller, ControlProblem, Features, Law
 from coopqp.model.state import State
 from coopqp.solver import Status
@@ -38,8 +37,9 @@ class WrenchSplitLaw(Law):
         super().__init__(problem, torques=True)
         self._settings, self._level = settings, TaskDynamics(problem)
         self._hands = HandWrenches(
-            problem.chain, safety=1.0, split="virtual_inertia", shares="weights"
-        )
+            problem.chain, safety=1.0, split=settings.split, shares="weights",
+            inertia=settings.inertia,
+        )  # fmt: skip
         effort = problem.chain.model.effortLimit.copy()
         effort[problem.chain.passive] = 0.0
         self._effort = effort
@@ -51,9 +51,9 @@ class WrenchSplitLaw(Law):
         dynamics = level.dynamics
         hands.update(state, dynamics)
         a = self._acceleration(state)
-        M, b, _ = dynamics.object_inertia()
+        M, b = dynamics.object_inertia()
         w = M @ (dynamics.J_object @ a + dynamics.drift_arms[:6]) + b
-        split = self._split(state)
+        split = hands.split
         tree = dynamics.A @ a + dynamics.H
         h = split.X @ w + self._squeeze()
         h = h + self._freed(split, tree + hands.feels @ h)
@@ -66,9 +66,8 @@ class WrenchSplitLaw(Law):
         return command
 
     def _acceleration(self, state: State) -> Array:
-        level, dynamics, kappa = self._level, self._level.dynamics, self.problem.kappa
-        pulls = self._hands.loop_pulls[dynamics.kept]
-        back = 2.0 * kappa * dynamics.J.dot(state.v) + kappa**2 * pulls * state.e_loop
+        level, dynamics = self._level, self._level.dynamics
+        back = self._hands.loop_correction(state, dynamics, self.problem.kappa)
         closing = least_squares(dynamics.J, -dynamics.drift - back)
         gains, tasks = level.gains, level.tasks
         wanted = -level.drift - gains * (2.0 * level.e_dot + gains * tasks.e)
@@ -79,17 +78,6 @@ class WrenchSplitLaw(Law):
         right = weighted @ (wanted - tasks.J @ closing) + DAMPING * (N.T @ rest)
         free = np.linalg.solve(weighted @ JN + DAMPING * np.eye(N.shape[1]), right)
         return np.asarray(closing + N @ free, float)
-
-    def _split(self, state: State) -> Split:
-        hands, settings = self._hands, self._settings
-        shares = hands.shares
-        if settings.split == "walker":
-            return walker(hands.points, state.p_WO, shares)
-        if settings.split == "minimum_norm":
-            ones = np.ones(len(shares))
-            return virtual_inertia(hands.points, state.p_WO, ones, ones)
-        masses = np.maximum(shares, 1e-3)
-        return virtual_inertia(hands.points, state.p_WO, masses, settings.inertia * masses)
 
     def _squeeze(self) -> Array:
         """The fixed squeeze along the line between two hands."""
@@ -108,7 +96,6 @@ class WrenchSplitLaw(Law):
         return np.asarray(P @ least_squares(self._hands.feels[passive] @ P, -tau[passive]), float)
 
     def hold_still(self, state: State) -> None:
-        """Hold the weight and brake."""
         assert self.command.tau is not None
         self._level.dynamics.update(state.q, state.v)
         self.command.tau[:] = self._level.holding(state, self._settings.damping_time)
@@ -131,11 +118,10 @@ class WrenchSplit(Controller):
 
     @property
     def commands_torques(self) -> bool:
-        """Always."""
         return True
 
     def build(self, problem: ControlProblem) -> Law:
-        """Refuse tasks that the motors cannot decide, gains that ring, squeezes of three hands."""
+        """Refuse tasks that motors cannot decide, oscillating gains, squeezes of three hands."""
         name = self.name or "wrench_split"
         require_motor_freedom(problem, name)
         require_damped_models(problem, name)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -10,9 +9,8 @@ from typing import Any
 from coopqp.assessment import assess
 from coopqp.assessment.verdict import verdict
 from coopqp.base.errors import CoopqpError, InvalidValueError, UnknownNameError
-from coopqp.base.wording import raised
 from coopqp.execution.controller_run import Progress, run
-from coopqp.metric import Metric
+from coopqp.metric import measured
 from coopqp.scenario.scenario import Scenario
 from coopqp.trace import Trace
 
@@ -22,12 +20,12 @@ class Comparison:
     """The outcome of one scenario under several controllers.
 
     Attributes:
-        scenario: what was run.
+        scenario: as run.
         traces: by controller.
         metrics: by controller, then by metric.
         verdicts: one sentence each, by controller.
         refused: why a controller could not be run, by controller.
-        faults: what metrics raised, one sentence each.
+        faults: errors of metrics, one sentence each.
         notes: what of the robot the limits do not bound, one sentence each.
     """
 
@@ -44,7 +42,7 @@ class Comparison:
         return "\n".join(f"{name}: {words}" for name, words in said.items())
 
     def as_json(self) -> dict[str, Any]:
-        """What ``metrics.json`` holds."""
+        """The content of ``metrics.json``."""
         return {
             "scenario": self.scenario.name,
             "kappa": self.scenario.drift_gain,
@@ -95,12 +93,10 @@ def compare(
 
 def summarize(scenario: Scenario, traces: Mapping[str, Trace]) -> Comparison:
     """Metrics and verdicts of traces; a metric that raises is None."""
-    faults: list[str] = []
     entries = scenario.catalog.entries("metrics")
-    metrics = {
-        name: {key: _measured(key, entry.cls(), trace, faults) for key, entry in entries.items()}
-        for name, trace in traces.items()
-    }
+    plugins = {name: entry.cls() for name, entry in entries.items()}
+    told = {name: measured(plugins, trace) for name, trace in traces.items()}
+    metrics = {name: values for name, (values, _) in told.items()}
     chain, limits = scenario.chain, scenario.limits
     unseen = [line for limit in limits for line in limit.unseen(chain)]
     verdicts = {
@@ -111,19 +107,6 @@ def summarize(scenario: Scenario, traces: Mapping[str, Trace]) -> Comparison:
         traces,
         metrics,
         verdicts,
-        faults=tuple(dict.fromkeys(faults)),
+        faults=tuple(dict.fromkeys(fault for _, faults in told.values() for fault in faults)),
         notes=tuple(line for limit in limits for line in limit.notes(chain)),
     )
-
-
-def _measured(name: str, metric: Metric, trace: Trace, faults: list[str]) -> Any:
-    """The value of a metric, checked to be one that JSON can hold."""
-    try:
-        value = metric.measure(trace)
-        json.dumps(value)
-    except KeyboardInterrupt:
-        raise
-    except BaseException as error:  # noqa: BLE001 - a metric may be the user's
-        faults.append(f"metric '{name}': {raised(error)}")
-        return None
-    return value

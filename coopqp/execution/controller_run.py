@@ -34,8 +34,8 @@ def run(
         scenario: from :func:`coopqp.load`.
         controller: its name in the scenario, or any controller's type name.
         progress: called every few ticks.
-        timed: whether it is asked how long each tick takes; if not, many are done at once where
-            joints do exactly as told, which is faster, and :attr:`Trace.tick_us` is NaN.
+        timed: whether ticks are timed; if not, many are computed at once on plants without errors,
+            which is faster, and :attr:`Trace.tick_us` is NaN.
 
     Raises:
         UnknownNameError: no such controller.
@@ -45,34 +45,22 @@ def run(
     check_plant(scenario, chosen, controller)
     scenario.check_size()
     solver = scenario.solver_name if chosen.uses_solver else None
-    with _own_words(controller):
+    with _one_line_errors(controller):
         held = scenario.held_by(controller)
-        legs = list(_legs(held, chosen, controller, solver, progress, timed=timed))
-        return join(legs) if scenario.phases else legs[0][1]
+        phases = list(_run_phases(held, chosen, controller, solver, progress, timed=timed))
+        return join(phases) if scenario.phases else phases[0][1]
 
 
 def built(scenario: Scenario, controller: str) -> PhaseRun:
-    """What a run builds for its first phase, without running it.
-
-    Args:
-        scenario: from :func:`coopqp.load`.
-        controller: its name in the scenario, or any controller's type name.
-
-    Raises:
-        CoopqpError: as :func:`run`.
-    """
+    """The first phase of a run, built and not run; arguments and errors as for :func:`run`."""
     chosen = controller_of(scenario, controller)
     check_plant(scenario, chosen, controller)
-    with _own_words(controller):
+    with _one_line_errors(controller):
         return begin_phase(scenario.held_by(controller), chosen)
 
 
 def check_plant(scenario: Scenario, chosen: Controller, name: str) -> None:
-    """Refuse a controller by torques where the plant takes none.
-
-    Raises:
-        InvalidValueError: that is so.
-    """
+    """Raise InvalidValueError for a torque controller where the plant takes no torques."""
     if chosen.commands_torques and not scenario.plant.takes_torques:
         raise InvalidValueError(
             f"controller '{name}' commands torques, which this plant does not take; use "
@@ -81,13 +69,8 @@ def check_plant(scenario: Scenario, chosen: Controller, name: str) -> None:
 
 
 @contextmanager
-def _own_words(controller: str) -> Iterator[None]:
-    """One line for what nobody foresaw, so that other controllers can be run all the same.
-
-    Raises:
-        InvalidValueError: a user's code has raised something.
-        InternalError: ours has.
-    """
+def _one_line_errors(controller: str) -> Iterator[None]:
+    """Turn unexpected errors into one line, so that other controllers can be run all the same."""
     try:
         yield
     except (CoopqpError, KeyboardInterrupt):
@@ -98,11 +81,7 @@ def _own_words(controller: str) -> Iterator[None]:
 
 
 def controller_of(scenario: Scenario, name: str) -> Controller:
-    """A controller of a scenario, or of its catalogue.
-
-    Args:
-        scenario: from :func:`coopqp.load`.
-        name: in the scenario, or any controller's type name.
+    """A controller of a scenario, or of its catalogue by type name.
 
     Raises:
         UnknownNameError: no such controller.
@@ -117,7 +96,7 @@ def controller_of(scenario: Scenario, name: str) -> Controller:
     return chosen
 
 
-def _legs(
+def _run_phases(
     scenario: Scenario,
     chosen: Controller,
     name: str,
@@ -132,7 +111,7 @@ def _legs(
         begun = begin_phase(scenario, chosen, begun, timed=timed)
         assert begun.plant is not None  # no robot takes its place
         begun.ticks = phase.ticks(scenario.dt)
-        leg = rollout(
+        trace = rollout(
             begun.law,
             begun.plant,
             begun.ticks,
@@ -144,9 +123,9 @@ def _legs(
             feed=begun.feed(),
             timed=timed,
         )
-        yield PhaseInfo(phase.name, begun.first, phase.released), leg
-        if not begun.is_last and leg.failures and leg.failures[-1].cause in ENDED:
-            words = f"phase '{phase.name}' does not end: {leg.failures[-1].note}"
+        yield PhaseInfo(phase.name, begun.first, phase.released), trace
+        if not begun.is_last and trace.failures and trace.failures[-1].cause in ENDED:
+            words = f"phase '{phase.name}' does not end: {trace.failures[-1].note}"
             raise InvalidValueError(f"{name}: {words}")
 
 

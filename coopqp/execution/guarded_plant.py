@@ -1,4 +1,4 @@
-"""A plant that cannot take a rollout down: where it fails, the joints stay where they were."""
+"""A plant that cannot break a rollout: where it fails, the joints stay where they were."""
 
 from __future__ import annotations
 
@@ -16,13 +16,10 @@ FARTHEST, FASTEST = 1e8, 1e12
 
 
 class GuardedPlant(PlantModel):
-    """A plant that, where it breaks down, stays where it was: what raises or leaves all numbers.
-
-    Args:
-        plant: any.
+    """Wraps a plant; where it raises or leaves all numbers, everything stays where it was.
 
     Attributes:
-        broken: what happened; empty so far.
+        broken: the failure; empty so far.
         why: that as a status.
     """
 
@@ -30,50 +27,46 @@ class GuardedPlant(PlantModel):
         super().__init__()
         self._plant, self.broken, self.why = plant, "", Status.PLANT_FAILED
         self.signals, self.measured = plant.signals, plant.measured
-        self.as_told = plant.as_told
-        self._told: State | None = None  # what is true, where that is not the state itself
+        self.ideal = plant.ideal
+        self._true: State | None = None  # what is true, where that is not the state itself
 
     def step(self, state: State, command: Command) -> None:
-        """As the plant does; where that fails, everything stays as it was."""
         if self.broken:
             return
         if self._plant.lost:  # where it was lost everything stays
             self.broken = f"the object is lost: {self._plant.lost}"
             self.why = Status.OBJECT_LOST
             return
-        before = self._kept(state)
+        true = self.truth(state)
+        before = [_Kept(state)] if true is state else [_Kept(state), _Kept(true)]
+        why = ""
         try:
             with np.errstate(all="ignore"):  # what overflows is found below
                 self._plant.step(state, command)
                 self.measured = self._plant.measured
-                self._told = None
-                _check(state)
-                if self.truth(state) is not state:
-                    _check(self.truth(state))
+                self._true = None
+                true = self.truth(state)
+                if not (_bounded(state) and (true is state or _bounded(true))):
+                    why = "its joints run away"
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # noqa: BLE001 - a plant may be the user's, or blow up
-            words = str(error) if isinstance(error, _BreakdownError) else raised(error)
-            self.broken = f"the plant: {words}"
+            why = raised(error)
+        if why:
+            self.broken = f"the plant: {why}"
             for kept in before:
                 kept.put_back()
-            self._told = before[-1].state
+            self._true = before[-1].state
             for signal in self.signals.values():
                 signal[:] = 0.0
 
-    def _kept(self, state: State) -> list[_Kept]:
-        """The state, and what is true where that is another one."""
-        true = self.truth(state)
-        return [_Kept(state)] if true is state else [_Kept(state), _Kept(true)]
-
     def truth(self, state: State) -> State:
         """As the plant says after its last step that did not fail."""
-        if self._told is None:
-            self._told = self._plant.truth(state)
-        return self._told
+        if self._true is None:
+            self._true = self._plant.truth(state)
+        return self._true
 
     def resume(self, before: PlantModel) -> None:
-        """As the plant does."""
         self._plant.resume(before)
 
 
@@ -91,22 +84,12 @@ class _Kept:
         state.update()
 
 
-def _check(state: State) -> None:
-    """Refuse joints that are nowhere.
-
-    Raises:
-        _BreakdownError: a joint's position or speed is no number, or beyond all.
-    """
+def _bounded(state: State) -> bool:
     q, v = state.q, state.v
-    if not (q.dot(q) < FARTHEST**2 and v.dot(v) < FASTEST**2):
-        raise _BreakdownError("its joints run away")
+    return bool(q.dot(q) < FARTHEST**2 and v.dot(v) < FASTEST**2)
 
 
 def settled(q: Array, v: Array) -> bool:
-    """Whether joints were somewhere at all instants, shapes (T, n) [rad, m; rad/s, m/s]."""
+    """Whether joints stayed within bounds at all instants, shapes (T, n) [rad, m; rad/s, m/s]."""
     far, fast = (np.einsum("ti,ti->t", x, x) for x in (q, v))
     return bool((far < FARTHEST**2).all() and (fast < FASTEST**2).all())
-
-
-class _BreakdownError(Exception):
-    """Joints are nowhere."""

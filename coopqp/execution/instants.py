@@ -1,23 +1,23 @@
-"""What is so at each instant of a run: the object, the loops, and the errors of the tasks.
+"""Quantities of each instant of a run: the object, the loops, and the errors of the tasks.
 
-Where joints do exactly as told and nothing arrives from outside, all of it follows from t, q and v,
-and is computed for the whole run at once when it has ended (``TrajectoryEvaluation``). Else the
-plant's truth is looked at in every instant.
+On plants without errors and with no inputs, all of it follows from t, q and v, and is computed for
+the whole run at its end (``TrajectoryEvaluation``). Else the plant's truth is read at each instant.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 import pinocchio as pin
 
+from coopqp.base.rank import null_space
 from coopqp.base.spec import Array
 from coopqp.base.wording import suppressed
+from coopqp.closed_loop.hands import robot_indices
 from coopqp.closed_loop.wrench_stack import WrenchStack
 from coopqp.controller import ControlProblem
-from coopqp.execution.directional_manipulability import leverage
 from coopqp.kernel.trajectory_evaluation import TrajectoryEvaluation, joint_points, survey
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
@@ -25,20 +25,17 @@ from coopqp.plant import PlantModel
 from coopqp.task import Task, TaskStack
 from coopqp.trace import TaskInfo
 
+NOTHING = 1e-12  # missed, or possible [m, rad; m/rad]
+
 
 class Instants:
-    """Arrays for all instants of a run.
+    """Arrays for all instants of a run of T ticks from a start.
 
-    Args:
-        problem: what is controlled.
-        plant: that is.
-        start: where it begins.
-        ticks: T.
-        alone: whether nothing arrives from outside.
+    ``alone`` says that no inputs arrive.
 
     Attributes:
         at_end: whether all is computed when the run has ended, by :meth:`follow`.
-        parts: what the trace says of each part of each task, and its rows.
+        parts: info of each part of each task, and its rows.
         position, rotation, loop, task_error, goal_error, e, rate, points: as in the trace; ``loop``
             has both errors.
     """
@@ -48,18 +45,18 @@ class Instants:
     ) -> None:
         self._problem, self._plant, rows = problem, plant, ticks + 1
         chain = problem.chain
-        self.parts = _parts((*problem.tasks, *problem.wrenches), chain)
+        self.parts = parts_of((*problem.tasks, *problem.wrenches), chain)
         asking = [task for task in problem.tasks for _ in task.parts(chain)]
         self._velocities = [i for i, task in enumerate(asking) if task.asks_velocity]
         self._begin = _beginning(problem, start)
         self._goals = [task.at_goal() for task in problem.tasks]
-        self._survey: TrajectoryEvaluation | None = None
+        self._evaluation: TrajectoryEvaluation | None = None
         self.points: dict[str, Array] = {}
-        if alone and plant.as_told and not problem.wrenches:
+        if alone and plant.ideal and not problem.wrenches:
             points = itertools.chain.from_iterable(chain.once(joint_points).values())
             tasks = (*problem.tasks, *self._goals)
-            self._survey = survey(chain, tasks, self._begin, tuple(points))
-        self.at_end = self._survey is not None
+            self._evaluation = survey(chain, tasks, self._begin, tuple(points))
+        self.at_end = self._evaluation is not None
         if self.at_end:
             return
         self.position, self.rotation = np.zeros((rows, 3)), np.zeros((rows, 3, 3))
@@ -71,12 +68,13 @@ class Instants:
             TaskStack(tasks, _beginning(problem, start)) for tasks in (problem.tasks, self._goals)
         ]
         self._stacks = tuple(zip(stacks, (self.task_error, self.goal_error), strict=True))
-        self._wrenches = _MeasuredWrenches(problem, start, plant)
-        asked = len(stacks[0].e) + len(self._wrenches.stack.wanted)
-        self.e, self.rate = np.full((2, rows, asked), np.nan)
+        self._wrenches = WrenchStack(problem.wrenches, _beginning(problem, start))
+        self._hand_wrench = plant.signals.get("hand_wrench")
+        wanted = len(stacks[0].e) + len(self._wrenches.wanted)
+        self.e, self.rate = np.full((2, rows, wanted), np.nan)
 
     def keep(self, k: int, true: State) -> None:
-        """Look at what is so before tick k, which is what tick k - 1 has led to."""
+        """Record the instant before tick k, which is the result of tick k - 1."""
         if self.at_end:
             return
         if k:
@@ -100,37 +98,42 @@ class Instants:
         self._wrench_errors(k, true)
 
     def _wrench_errors(self, k: int, true: State) -> None:
-        """How far the hands' wrenches are from what is wanted; nobody knows before the first."""
-        told, motion = self._wrenches, len(self._stacks[0][0].e)
-        if not len(told.stack.wanted):
+        """Errors of the hands' wrenches; unknown before the first tick."""
+        stack, motion = self._wrenches, len(self._stacks[0][0].e)
+        if not len(stack.wanted):
             return
-        self.e[k, motion:] = told.error(true) if k else np.nan
+        try:
+            stack.update(true)
+            measured = self._hand_wrench if k else None
+        except KeyboardInterrupt:
+            raise
+        except BaseException:  # noqa: BLE001 - the tick, which met the same error, names it
+            measured = None
+        if measured is not None:
+            by_hand = measured.reshape(-1, 6)[robot_indices(self._problem.chain)]
+            self.e[k, motion:] = stack.error(by_hand)
         self.rate[k, motion:] = 0.0
         for i, (_, part) in enumerate(self.parts):
             if part.start >= motion:
                 self.task_error[k, i] = self.goal_error[k, i] = np.linalg.norm(self.e[k, part])
 
     def _close(self, k: int, v: Array) -> None:
-        """Keep how far the step of tick k has missed the velocities that tasks ask for."""
+        """Record the velocity errors of the step of tick k."""
         for i in self._velocities:
             part = self.parts[i][1]
             for stack, error in self._stacks:
                 error[k + 1, i] = np.linalg.norm(stack.J[part].dot(v) - stack.rate[part])
 
     def follow(self, t: Array, q: Array, v: Array, gap: Array) -> None:
-        """Compute all of it, after the run.
+        """Compute all of it after the run, from t (T + 1,), q (T + 1, n) and v (T, n).
 
-        Args:
-            t: shape (T + 1,) [s].
-            q: shape (T + 1, n) [rad, m].
-            v: shape (T, n).
-            gap: of the closed loops, which has not changed, shape (6 L,) [m, rad].
+        ``gap`` of the closed loops, shape (6 L,) [m, rad], has not changed.
         """
         chain = self._problem.chain
-        if self._survey is None:
+        if self._evaluation is None:
             self.points = arm_points(chain, q)
             return
-        found = self._survey.look(t, q, v if self._velocities else None)
+        found = self._evaluation.look(t, q, v if self._velocities else None)
         self.position, self.rotation = found.position, found.rotation
         apart = found.loop_error[:, : len(gap)] - gap
         sizes = np.linalg.norm(apart.reshape(len(t), -1, 2, 3), axis=3)
@@ -151,54 +154,25 @@ class Instants:
             self.points[arm] = found.points[:, at : at + len(points)]
             at += len(points)
 
-    def leverage(self, start: State, end: State) -> Array:
-        """How much of what is missed can still be brought about, over the start's; shape (K,)."""
+    def directional_manipulability(self, start: State, end: State) -> Array:
+        """As :func:`directional_manipulability`, of each part, shape (K,)."""
         parts = [part for _, part in self.parts]
         own = None if self.at_end else self._stacks[0][0]
         stack = own or TaskStack(self._problem.tasks, self._begin)
         with suppressed():  # a tick that met the same error names it
-            return leverage(stack, parts, self._velocities, start, end)
+            return directional_manipulability(stack, parts, self._velocities, start, end)
         return np.ones(len(parts))
 
 
 def _beginning(problem: ControlProblem, start: State) -> State:
-    """The state from which references set out, in arrays of its own."""
+    """The state from which references begin, in arrays of its own."""
     begin = State(problem.chain, start.q, start.t)
     begin.inputs = start.inputs
     return begin
 
 
-class _MeasuredWrenches:
-    """What tasks ask of the hands' wrenches, against what the plant tells of them.
-
-    Args:
-        problem: with the tasks.
-        start: the state from which their references set out.
-        plant: that tells ``hand_wrench``.
-    """
-
-    def __init__(self, problem: ControlProblem, start: State, plant: PlantModel) -> None:
-        self.stack = WrenchStack(problem.wrenches, _beginning(problem, start))
-        chain = problem.chain
-        robot = [arm.name for arm in chain.robot.arms]
-        self._at = [robot.index(arm.name) for arm in chain.arms[: chain.holding]]
-        self._told = plant.signals.get("hand_wrench")
-
-    def error(self, true: State) -> Array:
-        """C h - wanted of each row; NaN where the plant tells no forces."""
-        try:
-            self.stack.update(true)
-        except KeyboardInterrupt:
-            raise
-        except BaseException:  # noqa: BLE001 - the tick, which met the same error, names it
-            return np.full(len(self.stack.wanted), np.nan)
-        if self._told is None:
-            return np.full(len(self.stack.wanted), np.nan)
-        return self.stack.error(self._told.reshape(-1, 6)[self._at])
-
-
-def _parts(tasks: Sequence[Task], chain: ClosedChain) -> list[tuple[TaskInfo, slice]]:
-    """What the trace says of each part of each task, and its rows in the stack."""
+def parts_of(tasks: Sequence[Task], chain: ClosedChain) -> list[tuple[TaskInfo, slice]]:
+    """Trace info of each part of each task, and its rows in the stack."""
     found, at = [], 0
     for task in tasks:
         first = at
@@ -214,6 +188,11 @@ def _parts(tasks: Sequence[Task], chain: ClosedChain) -> list[tuple[TaskInfo, sl
     return found
 
 
+def rows_of(tasks: Sequence[Task], chain: ClosedChain) -> tuple[str, ...]:
+    """What the rows of all tasks are called."""
+    return tuple(f"{task.name}.{row}" for task in tasks for row in task.rows(chain))
+
+
 def _springs(task: Task) -> tuple[tuple[int, int, float], ...]:
     """Row, axis and stiffness of each of an impedance's rows; none of other tasks."""
     asked = task.impedance
@@ -221,16 +200,44 @@ def _springs(task: Task) -> tuple[tuple[int, int, float], ...]:
     return tuple((row, axis, stiffness) for row, (axis, stiffness) in enumerate(pairs))
 
 
-def arm_points(chain: ClosedChain, q: Array) -> dict[str, Array]:
-    """Joint origins and hand of each arm at each configuration, for drawing.
+def directional_manipulability(
+    tasks: TaskStack, parts: Sequence[slice], velocities: Collection[int], start: State, end: State
+) -> Array:
+    """Directional manipulability of each part's error at the end over that at the start.
+
+    With N a basis of the joint motions that keep the loops closed, J the rows of a task and u the
+    direction of its error, a unit of joint motion moves at most |N' J' u| along it. Where that has
+    all but vanished, the pose is singular in that direction: the arms are stretched, and no limit
+    is to blame.
 
     Args:
-        chain: the closed chain.
-        q: shape (T, n).
+        tasks: evaluated here; as of the end when it returns.
+        parts: rows of each part.
+        velocities: which of the parts ask for a velocity, so that its error counts.
+        start: of the run, but with the time of its end.
+        end: of the run.
 
     Returns:
-        By arm, base first, shape (T, p, 3) [m].
+        Shape (len(parts),); 1 where nothing is missed or nothing could be done at the start.
     """
+    ratios = np.ones(len(parts))
+    if not (np.isfinite(start.q).all() and np.isfinite(end.q).all()):
+        return ratios
+    tasks.update(start)
+    J_before = tasks.J @ null_space(start.J_loop)
+    tasks.update(end)
+    J_now = tasks.J @ null_space(end.J_loop)
+    for i, part in enumerate(parts):
+        slow = i in velocities
+        missed = tasks.rate[part] - tasks.J[part] @ end.v if slow else tasks.e[part]
+        could = float(np.linalg.norm(missed @ J_before[part]))
+        if could > NOTHING:
+            ratios[i] = float(np.linalg.norm(missed @ J_now[part])) / could
+    return ratios
+
+
+def arm_points(chain: ClosedChain, q: Array) -> dict[str, Array]:
+    """Joint origins and hand of each arm, base first, shape (T, p, 3) [m], at q (T, n)."""
     model, data = chain.model, chain.model.createData()
     joints = {
         arm.name: [model.getJointId(name) for name in chain.robot.arm_joints(arm)]

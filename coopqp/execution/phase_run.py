@@ -1,9 +1,8 @@
 """A phase of a scenario while it runs: its problem, its controller, its plant, inputs and state.
 
 A comparison, the page of ``coopqp play`` and the loop for robots differ in who measures and who
-sends to the inputs. How a phase begins, when it is over and what it hands over is the same: the
-next phase begins where the joints are measured, with the speed that they have, and the hands that
-then hold the object hold it where it is.
+sends inputs. How a phase begins, ends and hands over is the same: the next phase begins at the
+measured joints, with their speed, and the hands that then hold the object hold it where it is.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from coopqp.scenario.scenario import Phase, Scenario
 
 
 class Measured(NamedTuple):
-    """Where a robot is that takes the place of the plant.
+    """A robot that replaces the plant.
 
     Attributes:
         q: as measured, shape (n,) [rad, m]; the chain's start when None.
@@ -45,12 +44,12 @@ class PhaseRun:
         scenario: as the controller holds it, :meth:`Scenario.held_by`.
         controller: the settings of its law.
         index: of the phase in the schedule.
-        first: how many ticks of the phases before it there have been.
+        first: number of ticks of the phases before it.
         problem: of this phase. law: built for it.
-        plant: what moves; None where a robot does.
-        inputs: what tasks follow from outside.
-        state: now; whoever runs the phase leaves it where that ends.
-        ticks: how many its law has done.
+        plant: the simulated plant; None where a robot takes its place.
+        inputs: followed by tasks.
+        state: now; whoever runs the phase leaves it at its end.
+        ticks: number of ticks done.
     """
 
     scenario: Scenario
@@ -66,12 +65,11 @@ class PhaseRun:
 
     @property
     def phase(self) -> Phase:
-        """As the scenario has it."""
         return self.scenario.schedule[self.index]
 
     @property
     def since(self) -> float:
-        """When it began, in the time of the scenario [s]."""
+        """Its start in the time of the scenario [s]."""
         return self.first * self.problem.dt
 
     @property
@@ -91,7 +89,7 @@ class PhaseRun:
         return self.state.q if measured is None else measured
 
     def feed(self) -> Feed | None:
-        """Who sends to the inputs as the scenario says; nobody where nothing follows any.
+        """The scenario's senders to the inputs; None where nothing follows any.
 
         Raises:
             CoopqpError: a signal or a file cannot feed its input.
@@ -113,7 +111,7 @@ def begin_phase(
         scenario: as the controller holds it, :meth:`Scenario.held_by`.
         controller: the settings of its law.
         before: the phase before, which has been run; None for the first.
-        robot: takes the place of the plant.
+        robot: replaces the plant.
         timed: whether its ticks are, so that none may wait for what is built late.
 
     Raises:

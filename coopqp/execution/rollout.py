@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
+from coopqp.assessment.audit import audit
 from coopqp.assessment.thresholds import within
-from coopqp.base.qp import Row
-from coopqp.base.spec import Array, type_name
-from coopqp.base.wording import suppressed
+from coopqp.base.spec import Array
 from coopqp.controller import NO_FEATURES, Command, Features, Law
 from coopqp.execution.guarded_plant import GuardedPlant, settled
-from coopqp.execution.instants import Instants
-from coopqp.model.closed_chain import ClosedChain
+from coopqp.execution.instants import Instants, rows_of
 from coopqp.model.state import State
 from coopqp.plant import PlantModel
 from coopqp.scenario.input import Sender
 from coopqp.solver import Status, written
-from coopqp.task import Task
 from coopqp.trace import Failure, Trace, no_input
 
 Progress = Callable[[int], None]
@@ -44,8 +41,8 @@ def rollout(
 ) -> Trace:
     """Run a law on a plant.
 
-    Where no tick is timed and joints do exactly as told, all ticks are done at once, with the same
-    bits (:meth:`coopqp.controller.Law.run`).
+    Without timing and on a plant without errors, all ticks are computed at once, with the same bits
+    (:meth:`coopqp.controller.Law.run`).
 
     Args:
         law: the controller, built.
@@ -55,13 +52,10 @@ def rollout(
         solver: its name, for the trace.
         supports: what of the problem the law reads, for the trace.
         progress: called every few ticks.
-        state: where it begins, of the law's own start; written, so that it is where it ends. At
-            rest where the plant's sensors say when omitted.
-        feed: who sends to the inputs; nothing arrives when omitted.
-        timed: whether it is asked how long each tick takes.
-
-    Returns:
-        All that happened.
+        state: of the law's own start, from which the run begins; written up to its end. At rest
+            where the plant's sensors say when omitted.
+        feed: sender to the inputs; nothing arrives when omitted.
+        timed: whether ticks are timed.
     """
     if state is None:
         state = law.start(q_measured=plant.measured, hand_wrench=plant.hand_wrench)
@@ -86,14 +80,14 @@ def drive(
     ticks: int | Iterable[object],
     feed: Sender | None = None,
 ) -> Iterator[tuple[Command, float]]:
-    """The control loop: take what has arrived, decide, hand over the command, let the plant move.
+    """The control loop: take inputs, decide, send the command, step the plant.
 
     Args:
         law: the controller, built.
         plant: where the state is.
         state: written; after the last step its kinematics are up to date.
         ticks: how many, or as many as there are items.
-        feed: who sends to the inputs; nothing arrives when omitted.
+        feed: sender to the inputs; nothing arrives when omitted.
 
     Yields:
         The command and how long the tick took [us], before the plant carries it out.
@@ -115,7 +109,7 @@ def drive(
 
 
 class _Begun:
-    """Where a run begins, so that it can begin again."""
+    """The beginning of a run, to begin again."""
 
     def __init__(self, state: State) -> None:
         self.t, self._q, self._v = state.t, state.q.copy(), state.v.copy()
@@ -156,7 +150,7 @@ class _Recorder:
         }
 
     def run(self, state: State) -> bool:
-        """Keep all ticks, done at once; False where they must be looked at, or joints run away."""
+        """Compute and record all ticks at once; False where not possible, or joints run away."""
         if not self.instants.at_end:
             return False
         law, begun = self._law, _Begun(state)
@@ -176,7 +170,7 @@ class _Recorder:
         return True
 
     def instant(self, k: int, state: State) -> None:
-        """Keep what tick k - 1 has led to, which is the state before tick k."""
+        """Record the state before tick k, which is the result of tick k - 1."""
         true = self._plant.truth(state)
         true.inputs = state.inputs
         if k:
@@ -186,14 +180,14 @@ class _Recorder:
         self.instants.keep(k, true)
 
     def _close(self, k: int, v: Array) -> None:
-        """Keep what only shows after the step of tick k."""
+        """Record the results of the step of tick k."""
         if self._law.command.tau is not None:
             self.v[k] = v
         for name, signal in self._plant.signals.items():
             self.signals[name][k] = signal
 
     def tick(self, k: int, command: Command, us: float, state: State) -> None:
-        """Keep what the law decided in tick k, and from what."""
+        """Record what the law decided in tick k, and from what."""
         closed = len(state.closed_error)
         self.commanded[k], self.gap[k, :closed] = state.q, state.gap[:closed]
         measured = state.q if command.tau is not None else state.q_measured
@@ -211,7 +205,7 @@ class _Recorder:
             self._note(k, command.causes, command.note)
 
     def _note(self, k: int, causes: tuple[Status, ...], note: str) -> None:
-        """Keep why tick k is not optimal."""
+        """Record why tick k is not optimal."""
         status = causes[0]
         self.status[k] = written(causes)
         if status is Status.INACCURATE:
@@ -220,31 +214,8 @@ class _Recorder:
             self.usable[k] = False
             self.failures.append(Failure(k, status.value, note))
 
-    def _margins(self, q: Array, v: Array) -> dict[Row, Array]:
-        """What every limit had left after each tick."""
-        problem = self._law.problem
-        found: dict[Row, Array] = {}
-        for limit in problem.limits:
-            with suppressed():  # a tick that met the same error names it
-                found |= limit.margins(problem.chain, q, v, problem.dt)
-        return found
-
-    def _unaudited(self) -> tuple[str, ...]:
-        """Limits that do not say what they had left, by name."""
-        found, chain = [], self._law.problem.chain
-        for limit in self._law.problem.limits:
-            with suppressed():
-                if not limit.audited(chain):
-                    found.append(type_name(type(limit)))
-        return tuple(dict.fromkeys(found))
-
-    def _starts(self) -> dict[Row, float]:
-        """What it had left before the first."""
-        found = self._margins(self.q[[0, 0]], np.zeros_like(self.q[:1]))
-        return {row: float(margin[0]) for row, margin in found.items()}
-
-    def _leverage(self, errors: Array) -> Array:
-        """How much of what is missed can still be brought about, over the start's; shape (K,)."""
+    def _directional_manipulability(self, errors: Array) -> Array:
+        """Directional manipulability of what is missed, over the start's; shape (K,)."""
         parts = zip(errors, self.instants.parts, strict=True)
         if all(within(error, info.tolerance) for error, (info, _) in parts):
             return np.ones(len(errors))
@@ -252,13 +223,14 @@ class _Recorder:
         start, end = (State(chain, q, self.t[-1]) for q in self.q[[0, -1]])
         start.inputs = end.inputs = self._inputs_at_end
         end.v[:] = self.v[-1] if len(self.v) else 0.0
-        return self.instants.leverage(start, end)
+        return self.instants.directional_manipulability(start, end)
 
     def trace(self, controller: str, solver: str | None, supports: Features) -> Trace:
         """Everything recorded, frozen."""
-        problem, seen = self._law.problem, self.instants
+        problem, instants = self._law.problem, self.instants
         chain = problem.chain
-        seen.follow(self.t, self.q, self.v, self._gap)
+        instants.follow(self.t, self.q, self.v, self._gap)
+        kept = audit(problem.limits, chain, self.q, self.v, problem.dt)
         return Trace(
             controller=controller,
             solver=solver,
@@ -271,7 +243,7 @@ class _Recorder:
             upper=chain.upper,
             velocity=chain.velocity,
             effort=chain.model.effortLimit.copy(),
-            tasks=tuple(info for info, _ in seen.parts),
+            tasks=tuple(info for info, _ in instants.parts),
             t=self.t,
             q=self.q,
             v=self.v,
@@ -279,34 +251,29 @@ class _Recorder:
             measured=self.measured,
             gap=self.gap,
             memory=self.memory,
-            position=seen.position,
-            rotation=seen.rotation,
-            loop_position=seen.loop[:, 0],
-            loop_orientation=seen.loop[:, 1],
-            task_error=seen.task_error,
-            leverage=self._leverage(seen.task_error[-1]),
-            goal_error=seen.goal_error,
-            task_rows=_task_rows((*problem.tasks, *problem.wrenches), chain),
-            e=seen.e,
-            rate=seen.rate,
+            position=instants.position,
+            rotation=instants.rotation,
+            loop_position=instants.loop[:, 0],
+            loop_orientation=instants.loop[:, 1],
+            task_error=instants.task_error,
+            leverage=self._directional_manipulability(instants.task_error[-1]),
+            goal_error=instants.goal_error,
+            task_rows=rows_of((*problem.tasks, *problem.wrenches), chain),
+            e=instants.e,
+            rate=instants.rate,
             usable=self.usable,
             inaccurate=self.inaccurate,
             status=tuple(self.status),
             scale=self.scale,
-            margins=self._margins(self.q, self.v),
-            starts=self._starts(),
-            unaudited=self._unaudited(),
+            margins=kept.margins,
+            starts=kept.starts,
+            unaudited=kept.unaudited,
             compiled=self.compiled,
             rows_in_python=self._law.rows_in_python,
             tick_us=self.tick_us,
-            points=seen.points,
+            points=instants.points,
             supports=supports,
             failures=tuple(self.failures),
             signals=self.signals,
             inputs=self.inputs,
         )
-
-
-def _task_rows(tasks: Sequence[Task], chain: ClosedChain) -> tuple[str, ...]:
-    """What the rows of all tasks are called."""
-    return tuple(f"{task.name}.{row}" for task in tasks for row in task.rows(chain))

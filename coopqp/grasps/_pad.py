@@ -28,7 +28,7 @@ from coopqp.grasp import BEYOND, NO_CONTACT, Contact
 INNER = 1.0 / np.sqrt(2.0)
 #: Edges of each corner's cone where neither square tells; it loses 1 - cos(pi/16) = 1.9 %.
 CORNER_EDGES = 16
-#: To what share the friction that is needed is told.
+#: Relative accuracy of the friction that is needed.
 NEAR = 0.005
 #: Forces sum up to a wrench where no more than this share of the normal force is left.
 SUMS_UP = 1e-6
@@ -36,12 +36,7 @@ SUMS_UP = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class Pad(Contact):
-    """A flat pad.
-
-    Attributes:
-        torsion: share of the corners' yaw that the pad bears: 1 where it carries at its corners,
-            about a half under even pressure.
-    """
+    """A flat pad; ``torsion`` is its share of the corners' yaw, about 0.5 under even pressure."""
 
     torsion: float = 1.0
 
@@ -50,17 +45,12 @@ class Pad(Contact):
         return self._rows(INNER * friction)
 
     def edge_use(self, wrench: ArrayLike) -> float:
-        """Of the nearer pair of edges."""
         w = np.asarray(wrench, float)
         X, Y = self.half_lengths
         return max(abs(w[3]) / Y, abs(w[4]) / X) / float(w[2]) if w[2] > NO_CONTACT else math.nan
 
     def friction_needed(self, wrench: ArrayLike) -> float:
-        """By cones at the corners, between what the squares in and around them say.
-
-        Where the normal force is beyond the edge it is taken to be on it, with the same yaw
-        about the place where it is.
-        """
+        """By cones at the corners; a force beyond the edge counts as on it, with the same yaw."""
         w = self._on_the_pad(np.array(wrench, float))
         X, Y = self.half_lengths
         if not w[2] > NO_CONTACT:
@@ -120,13 +110,7 @@ class Pad(Contact):
 
 
 def pad_rows(m: float, X: float, Y: float) -> Array:
-    """The 16 rows, shape (16, 6).
-
-    Args:
-        m: half the edge of the square of tangential forces over the normal force.
-        X: half-length along x [m].
-        Y: along y [m].
-    """
+    """The 16 rows, shape (16, 6), for half-lengths X, Y [m] and m of the square of forces."""
     rows = []
     for sign in (1.0, -1.0):
         rows += [
@@ -142,13 +126,7 @@ def pad_rows(m: float, X: float, Y: float) -> Array:
 
 
 def corners_hold(wrench: Array, half: tuple[float, float], friction: float) -> bool:
-    """Whether forces at the corners, each in a cone of many edges, sum up to a wrench.
-
-    Args:
-        wrench: shape (6,) with a normal force that presses.
-        half: half-lengths X, Y [m].
-        friction: coefficient.
-    """
+    """Whether forces at the corners, each in a cone of many edges, sum up to a pressing wrench."""
     from scipy.optimize import nnls  # which takes a quarter of a second to come
 
     wanted = wrench / wrench[2]
@@ -160,10 +138,7 @@ def corners_hold(wrench: Array, half: tuple[float, float], friction: float) -> b
 
 @lru_cache(maxsize=64)
 def _corner_edges(half: tuple[float, float]) -> Array:
-    """Wrenches of the edges of all corners' cones with a friction of 1, shape (6, edges).
-
-    The torques are over the greater half-length. Not to be written to.
-    """
+    """Wrenches, (6, edges), of all corners' cones for friction 1, torques over max(half)."""
     angles = 2.0 * np.pi * np.arange(CORNER_EDGES) / CORNER_EDGES
     edges = np.array([np.cos(angles), np.sin(angles), np.ones(CORNER_EDGES)])
     X, Y = half

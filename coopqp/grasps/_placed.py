@@ -1,4 +1,4 @@
-"""Where a contact is in the hand, and how hard it may press."""
+"""Where a contact or a ball joint is in the hand, and how hard a contact may press."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.base.spec import unit
+from coopqp.grasp import PassiveJoint
 
 Three = tuple[float, float, float]
 
@@ -14,15 +15,10 @@ PARALLEL = 1e-3
 
 
 def placed(position: Three, normal: Three, along: Three | None = None) -> pin.SE3:
-    """The contact frame in the hand: z along the normal, x along the pad.
+    """The contact frame in the hand at a position [m]: z along the normal, x along the pad.
 
-    Args:
-        position: of its origin [m].
-        normal: into the object.
-        along: of x, less its part along the normal; the hand's own x, or y, if omitted.
-
-    Raises:
-        ValueError: along goes along the normal.
+    x goes along ``along`` less its part along the normal; the hand's own x, or y, if omitted.
+    ValueError: along goes along the normal.
     """
     z = unit(normal)
     if along is None:
@@ -37,14 +33,17 @@ def placed(position: Three, normal: Three, along: Three | None = None) -> pin.SE
 
 
 def check_range(least: float, most: float | None) -> None:
-    """Refuse normal forces that leave nothing between them.
-
-    Args:
-        least: [N].
-        most: [N]; any if None.
-
-    Raises:
-        ValueError: that is so.
-    """
+    """ValueError: normal forces [N] leave nothing between them."""
     if most is not None and not least < most:
         raise ValueError(f"most: found {most:g} N, needs more than least, {least:g} N")
+
+
+def ball(point: Three, cone: float) -> tuple[PassiveJoint, ...]:
+    """Hinges about x, y and z through a point of the hand [m], each within +-cone [rad]."""
+    centre = pin.SE3(np.eye(3), np.array(point))
+    kinds = (pin.JointModelRX(), pin.JointModelRY(), pin.JointModelRZ())
+    places = (centre, pin.SE3.Identity(), pin.SE3.Identity())
+    return tuple(
+        PassiveJoint(name=f"ball_{axis}", joint=joint, placement=place, lower=-cone, upper=cone)
+        for axis, joint, place in zip("xyz", kinds, places, strict=True)
+    )

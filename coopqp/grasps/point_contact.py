@@ -12,8 +12,7 @@ from pydantic import Field
 
 from coopqp.base.spec import Array, Direction, NonNegative, Positive, Vector3, spec
 from coopqp.grasp import NO_CONTACT, Contact, Grasp, PassiveJoint
-from coopqp.grasps._ball import ball
-from coopqp.grasps._placed import check_range, placed
+from coopqp.grasps._placed import ball, check_range, placed
 
 #: The ball's hinges are singular where the second has turned by a quarter [rad].
 CONE = 1.4
@@ -21,19 +20,12 @@ CONE = 1.4
 
 @dataclass(frozen=True, kw_only=True)
 class Fingertip(Contact):
-    """A point that presses.
-
-    Attributes:
-        edges: of the pyramid inside Coulomb's cone.
-    """
+    """A point that presses, with so many edges of the pyramid inside Coulomb's cone."""
 
     edges: int = 8
 
     def rows(self, friction: float) -> Array:
-        """One a face of the pyramid whose edges lie on Coulomb's cone, the first along x.
-
-        Between two edges cos(pi / edges) of the friction is left.
-        """
+        """A row a face; between two edges, of which one is along x, cos(pi / edges) is left."""
         step = 2.0 * math.pi / self.edges
         faces = step * (np.arange(self.edges) + 0.5)
         rows = np.zeros((self.edges, 6))
@@ -42,12 +34,10 @@ class Fingertip(Contact):
         return rows
 
     def friction_needed(self, wrench: ArrayLike) -> float:
-        """By the round cone."""
         w = np.asarray(wrench, float)
         return math.hypot(w[0], w[1]) / float(w[2]) if w[2] > NO_CONTACT else math.inf
 
     def edge_use(self, wrench: ArrayLike) -> float:
-        """A point has no edge."""
         return math.nan
 
 
@@ -75,12 +65,10 @@ class PointContact(Grasp):
         placed(self.position, self.normal, self.along)
 
     def passive_joints(self, R_WT: Array) -> tuple[PassiveJoint, ...]:
-        """Hinges about x, y and z through the point."""
         return ball(self.position, CONE)
 
     @property
     def contact(self) -> Contact:
-        """The point."""
         placement = placed(self.position, self.normal, self.along)
         return Fingertip(
             placement=placement,

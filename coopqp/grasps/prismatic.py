@@ -29,7 +29,6 @@ class Prismatic(Grasp):
             raise ValueError(wrong)
 
     def passive_joints(self, R_WT: Array) -> tuple[PassiveJoint, ...]:
-        """One slide."""
         placement = axis_frame(self.axis, self.axis_in, (0.0, 0.0, 0.0), R_WT)
         return (
             PassiveJoint(

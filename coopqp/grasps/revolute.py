@@ -36,7 +36,6 @@ class Revolute(Grasp):
             raise ValueError(wrong)
 
     def passive_joints(self, R_WT: Array) -> tuple[PassiveJoint, ...]:
-        """One hinge."""
         placement = axis_frame(self.axis, self.axis_in, self.point, R_WT)
         return (
             PassiveJoint(

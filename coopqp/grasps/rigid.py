@@ -11,5 +11,4 @@ class Rigid(Grasp):
     """Firm grasp: no motion between hand and object (paper, sections 2 to 5.2)."""
 
     def passive_joints(self, R_WT: Array) -> tuple[PassiveJoint, ...]:
-        """None."""
         return ()

@@ -10,7 +10,7 @@ import math
 
 from coopqp.base.spec import Array, Positive, Vector3, spec
 from coopqp.grasp import Grasp, PassiveJoint
-from coopqp.grasps._ball import ball
+from coopqp.grasps._placed import ball
 
 
 @spec
@@ -27,5 +27,4 @@ class Spherical(Grasp):
             raise ValueError(f"needs a cone below a quarter turn, found {self.cone} rad")
 
     def passive_joints(self, R_WT: Array) -> tuple[PassiveJoint, ...]:
-        """Hinges about x, y and z through the point."""
         return ball(self.point, self.cone)

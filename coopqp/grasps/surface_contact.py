@@ -46,7 +46,6 @@ class SurfaceContact(Grasp):
 
     @property
     def contact(self) -> Contact:
-        """The pad."""
         placement = placed(self.position, self.normal, self.along)
         return Pad(
             placement=placement,

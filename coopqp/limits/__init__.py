@@ -1,22 +1,11 @@
 """The limits: one file each, the YAML name is the file's name."""
 
-from coopqp.limits.following_error import FollowingError
-from coopqp.limits.joint_acceleration import JointAcceleration
-from coopqp.limits.joint_position import JointPosition
-from coopqp.limits.joint_velocity import JointVelocity
-from coopqp.limits.object_speed import ObjectSpeed
-from coopqp.limits.obstacles import Obstacle, Obstacles
-from coopqp.limits.self_collision import SelfCollision
-from coopqp.limits.workspace import Workspace
-
-__all__ = [
-    "FollowingError",
-    "JointAcceleration",
-    "JointPosition",
-    "JointVelocity",
-    "ObjectSpeed",
-    "Obstacle",
-    "Obstacles",
-    "SelfCollision",
-    "Workspace",
-]
+from coopqp.limits.following_error import FollowingError as FollowingError
+from coopqp.limits.joint_acceleration import JointAcceleration as JointAcceleration
+from coopqp.limits.joint_position import JointPosition as JointPosition
+from coopqp.limits.joint_velocity import JointVelocity as JointVelocity
+from coopqp.limits.object_speed import ObjectSpeed as ObjectSpeed
+from coopqp.limits.obstacles import Obstacle as Obstacle
+from coopqp.limits.obstacles import Obstacles as Obstacles
+from coopqp.limits.self_collision import SelfCollision as SelfCollision
+from coopqp.limits.workspace import Workspace as Workspace

@@ -1,10 +1,9 @@
 """The bodies of a robot and what it holds, and which of them can meet.
 
-Neighbours touch by design and are no pair: bodies of one joint or of joints that follow each
-other, hands that hold one object firmly, and the object with the hands and what is before them.
-Neither are bodies of one robot that touch by construction, such as hulls round the bearings of
-links that are two joints apart: those that do so in nearly all of some random configurations, or
-where all joints are at zero, one of them carrying the other.
+Neighbours touch by design and are no pair: bodies of one joint or of joints that follow each other,
+hands that hold one object firmly, and the object with the hands and what is before them. Neither
+are bodies of one robot that touch by construction: those that do so in nearly all of some random
+configurations, or, one carrying the other, where all joints are at zero.
 """
 
 from __future__ import annotations
@@ -37,13 +36,9 @@ UNLIMITED = np.pi
 
 
 def robot_bodies(robot: RobotModel, model: pin.Model) -> tuple[list[Body], list[str]]:
-    """The robot's bodies, and a sentence for each part of it that cannot be one.
+    """The robot's bodies, from capsules or shapes, and a sentence for each part that cannot be one.
 
     Meshes of one link are one body: robots drawn in CAD have one for every screw.
-
-    Args:
-        robot: with capsules or shapes.
-        model: of the robot, or one with more joints.
     """
     bodies = [
         Body(c.name, model.getJointId(c.joint) if c.joint else 0, of_capsule(c))
@@ -91,11 +86,7 @@ def held_body(chain: ClosedChain) -> Body:
 
 
 def bodies_of(chain: ClosedChain) -> tuple[list[Body], list[str]]:
-    """The robot's bodies and the object, and what of the robot cannot be watched.
-
-    Raises:
-        InvalidValueError: the robot has no bodies.
-    """
+    """The robot's bodies (InvalidValueError: none) and the object, and what cannot be watched."""
     bodies, faults = robot_bodies(chain.robot, chain.model)
     if not bodies:
         why = f": {faults[0]}" if faults else ""
@@ -107,30 +98,14 @@ def bodies_of(chain: ClosedChain) -> tuple[list[Body], list[str]]:
 
 
 def unseen(kind: str, chain: ClosedChain) -> tuple[str, ...]:
-    """What of the robot a limit does not watch, one sentence each.
-
-    Args:
-        kind: of limit.
-        chain: what is limited.
-    """
+    """What of the robot a limit of this kind does not watch, one sentence each."""
     return tuple(f"{kind} does not see {fault}" for fault in bodies_of(chain)[1])
 
 
 def named_bodies(
     where: str, name: str, bodies: Sequence[Body], faults: Sequence[str]
 ) -> list[Body]:
-    """Those of a link, or of this very name, or else that a pattern fits.
-
-    Args:
-        where: before the message.
-        name: of a body or a link, or a pattern.
-        bodies: to choose from.
-        faults: what else of the robot there is, and why it cannot be watched.
-
-    Raises:
-        UnknownNameError: there is none.
-        InvalidValueError: there is a link of this name, but nothing of it can be watched.
-    """
+    """Those of a link, or of this very name, or else that a pattern fits; errors where none is."""
     found = [body for body in bodies if name in (body.name, body.link)]
     found = found or [body for body in bodies if fnmatch.fnmatchcase(body.name, name)]
     for fault in faults if not found else ():
@@ -142,11 +117,7 @@ def named_bodies(
 
 
 def pairs_that_can_meet(chain: ClosedChain) -> list[Pair]:
-    """All pairs of :func:`bodies_of` but neighbours and those that touch by construction.
-
-    Raises:
-        InvalidValueError: the robot has no bodies.
-    """
+    """All pairs of :func:`bodies_of` but neighbours and those that touch by construction."""
     (*bodies, held), _ = bodies_of(chain)
     tree, joined = _Tree(chain.robot, chain.model, bodies), by_construction(chain.robot)
     firm = {chain.model.frames[i].parentJoint for i in chain.frames[: chain.holding]}
@@ -195,13 +166,7 @@ def _configurations(model: pin.Model) -> Array:
 
 
 class _Tree:
-    """Which bodies follow which.
-
-    Args:
-        robot: whose bodies.
-        model: in which their joints are.
-        bodies: of the robot.
-    """
+    """Which bodies follow which."""
 
     def __init__(self, robot: RobotModel, model: pin.Model, bodies: Collection[Body]) -> None:
         self._model, self._occupied = model, {body.joint for body in bodies}
@@ -219,7 +184,6 @@ class _Tree:
         self._roots = [frames[i].name for i in self._root_ids]
 
     def neighbours(self, a: Body, b: Body) -> bool:
-        """Whether two bodies touch by design."""
         if a.joint == b.joint:
             return True
         if not (a.link or b.link) and self._one_arm(a, b):
@@ -230,7 +194,6 @@ class _Tree:
         )
 
     def carries(self, a: Body, b: Body) -> bool:
-        """Whether one of two bodies moves the other."""
         supports = self._model.supports
         return a.joint in list(supports[b.joint]) or b.joint in list(supports[a.joint])
 

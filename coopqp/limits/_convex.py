@@ -34,7 +34,6 @@ class Convex:
     """A convex body.
 
     Attributes:
-        geometry: for coal.
         placement: of the middle of the box round it, in the frame it was given in.
         half: half the edges of that box, shape (3,) [m].
         radius: of the ball round it, about the same middle [m].
@@ -51,11 +50,7 @@ class Convex:
 
 
 def of_shape(shape: Shape) -> Convex:
-    """A part of a link, in its frame.
-
-    Raises:
-        InvalidValueError: a size that is none, or a mesh that cannot be used.
-    """
+    """A part of a link, in its frame; InvalidValueError: no size, or a mesh that cannot be used."""
     if shape.kind == "mesh":
         return of_meshes([shape])
     size = _sizes(shape)
@@ -65,11 +60,7 @@ def of_shape(shape: Shape) -> Convex:
 
 
 def of_meshes(shapes: Sequence[Shape]) -> Convex:
-    """The convex hull round all meshes of a link, in its frame.
-
-    Raises:
-        InvalidValueError: a mesh that cannot be used, or nothing with a volume.
-    """
+    """The convex hull round a link's meshes, in its frame; InvalidValueError: unusable, or flat."""
     X = shapes[0].placement
     points = []
     for shape in shapes:
@@ -85,11 +76,7 @@ def of_meshes(shapes: Sequence[Shape]) -> Convex:
 
 
 def outermost(shape: Shape) -> Array:
-    """Vertices of a mesh that matter to its convex hull, in its own frame, shape (v, 3) [m].
-
-    Raises:
-        InvalidValueError: a mesh that cannot be used.
-    """
+    """Vertices of a mesh's convex hull, own frame, (v, 3) [m]; InvalidValueError: unusable."""
     assert shape.mesh is not None
     return _read(*version(shape.mesh), _sizes(shape))
 
@@ -152,11 +139,7 @@ def _read(path: Path, changed: int, size: int, scale: tuple[float, ...]) -> Arra
 
 @lru_cache(maxsize=512)
 def _hull_of(points: bytes) -> tuple[coal.CollisionGeometry, Array, Array, Array] | None:
-    """Convex hull about the middle of its box, middle, half edges and corners; None if flat.
-
-    Args:
-        points: numbers of an array of shape (v, 3), so that the hull is computed once.
-    """
+    """Convex hull of points, bytes for the cache, about the middle of its box; None if flat."""
     from scipy.spatial import ConvexHull, QhullError
 
     vertices = np.frombuffer(points).reshape(-1, 3)
@@ -170,9 +153,4 @@ def _hull_of(points: bytes) -> tuple[coal.CollisionGeometry, Array, Array, Array
     corner_list, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
     corner_list.extend(list(corners))
     triangles.extend([coal.Triangle(*(number[i] for i in t)) for t in hull.simplices.tolist()])
-    return (
-        coal.Convex(corner_list, triangles),
-        middle,
-        np.abs(corners).max(axis=0),
-        corners,
-    )
+    return (coal.Convex(corner_list, triangles), middle, np.abs(corners).max(axis=0), corners)

@@ -1,14 +1,13 @@
 """Signed distances of pairs of convex bodies that are fixed to joints, and their nearest points.
 
 With p a nearest point, n the unit normal from the first body to the second and d their signed
-distance, as coal gives them, and J_first, J_second the bodies' Jacobians of a point at p,
+distance, as coal gives them, and J_first, J_second the bodies' Jacobians of a point at p (both
+nearest points lie on one line along n),
 
     -d_dot = n' (J_first - J_second) v
 
-Both nearest points lie on one line along n, so one of them does for both bodies.
-
-Most pairs are far apart. They are told by the box round one body and the ball round the other,
-which takes a few operations on arrays for all pairs; only the others are handed to coal.
+Most pairs are far apart, by the box round one body and the ball round the other, a few operations
+on arrays for all pairs; only the others are handed to coal.
 """
 
 from __future__ import annotations
@@ -30,13 +29,9 @@ UNIT = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A convex body fixed to a joint.
+    """A convex body in the frame of a joint (an id; 0 is the world), named as in limits.
 
-    Attributes:
-        name: as used in limits.
-        joint: id into the model's joints; 0 is the world.
-        convex: in the joint's frame.
-        link: frame of the robot that it is a part of; empty for capsules and what is no robot.
+    ``link`` is the robot's frame that it is a part of; empty for capsules and what is no robot.
     """
 
     name: str
@@ -50,9 +45,6 @@ Pair = tuple[Body, Body]
 
 class Distances:
     """Signed distances of pairs of bodies.
-
-    Args:
-        pairs: of bodies.
 
     Attributes:
         geometry, placed: the bodies, and where they are.
@@ -138,13 +130,7 @@ class Distances:
 
 
 class _Bounds:
-    """Lower bounds of distances: from the box round one body to the ball round the other.
-
-    Args:
-        placed: where the bodies are, each about the middle of its box.
-        bodies: their order.
-        ids: of the bodies of each pair.
-    """
+    """Lower bounds of distances: from the box round one body to the ball round the other."""
 
     def __init__(
         self, placed: pin.GeometryData, bodies: Sequence[Body], ids: Sequence[tuple[int, int]]
@@ -167,7 +153,6 @@ class _Bounds:
         self._R_box = np.zeros((pairs, 3, 3))
 
     def update(self, d: Array) -> None:
-        """Write the bounds, shape (p,) [m]."""
         if not len(d):
             return
         np.concatenate(self._p_views, out=self._p)

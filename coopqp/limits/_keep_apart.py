@@ -1,6 +1,6 @@
 """What self_collision and obstacles have in common: rows that keep pairs of bodies apart.
 
-With d a distance, or that of a corner from a plane (:mod:`coopqp.limits._corners`), each row is
+With d a distance, or that of a corner from a plane (:class:`Corners`), each row is
 -d_dot <= gain (d - distance). What is too close is asked back, but no faster than joints at
 ``BACK`` can do: where d hardly changes with the joints, no speed could. What is in each other may
 not go deeper and is not asked apart.
@@ -10,17 +10,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.qp import Row
 from coopqp.base.spec import Array
-from coopqp.limit import SHALLOW, LimitRows, RoomLeft, Tighten, damp, movers, states_along
-from coopqp.limits._corners import ROWS, Corners
+from coopqp.limit import (
+    SHALLOW,
+    Clearance,
+    LimitRows,
+    Tighten,
+    damp,
+    movers,
+    place_row,
+    states_along,
+)
 from coopqp.limits._distances import Body, Distances, Pair
-from coopqp.limits._step_verification import LookAhead
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 
@@ -33,14 +40,20 @@ MOST_PAIRS = 2500
 WORTH_SAYING = 5e-5
 #: How many of those that do are named.
 SHOWN = 3
+#: How many rows of corners there are, and how many of them a pair can have.
+ROWS, EACH = 24, 3
+#: Pairs with a smaller margin have corners [m].
+CLOSE = 0.005
+#: Corners are this much farther away than the nearest point at most [m].
+SLAB = 0.002
+#: Reach of a sliding joint without limits [m].
+UNLIMITED = math.pi
+#: Speed of a joint that nothing bounds [rad/s, m/s].
+FASTEST = 1e6
 
 
 def check_count(name: str, count: int) -> None:
-    """Refuse more pairs than can be watched.
-
-    Raises:
-        InvalidValueError: with what to do.
-    """
+    """InvalidValueError for more pairs than can be watched, with what to do."""
     if count > MOST_PAIRS:
         raise InvalidValueError(
             f"{name}: watches {count} pairs, at most {MOST_PAIRS} can be; name the bodies that "
@@ -48,98 +61,124 @@ def check_count(name: str, count: int) -> None:
         )
 
 
-def pair_rows(owner: str, pairs: Sequence[Pair], distance: float) -> tuple[Row, ...]:
-    """A row a pair, then those of corners of whichever pairs are closest.
+@dataclass(frozen=True)
+class Separation:
+    """Pairs of bodies that a limit keeps at a distance [m], by dampers with a gain [1/s].
 
-    Args:
-        owner: name of the limit.
-        pairs: of bodies.
-        distance: kept free [m].
+    Pairs farther apart than ``within`` [m] are not slowed down.
     """
 
-    def row(name: str, label: str) -> Row:
-        return Row(
-            name=f"limit.{owner}{name}",
-            kind="limit",
-            owner=owner,
-            unit="m",
-            label=label,
-            of_place=True,
+    name: str
+    chain: ClosedChain
+    pairs: Sequence[Pair]
+    distance: float
+    gain: float
+    within: float
+
+    def rows(self) -> tuple[Row, ...]:
+        """A row a pair, then those of corners of the closest pairs."""
+        of_pairs = (
+            replace(
+                place_row(
+                    self.name, f"[{a.name}|{b.name}]", f"the distance of {a.name} and {b.name}"
+                ),
+                bodies=(a.name, b.name),
+                kept=self.distance,
+            )
+            for a, b in self.pairs
         )
+        label = "the distance at corner {} of the closest bodies".format
+        corners = range(1, ROWS + 1)
+        return (*of_pairs, *(place_row(self.name, f".corner[{i}]", label(i)) for i in corners))
 
-    of_pairs = (
-        replace(
-            row(f"[{a.name}|{b.name}]", f"the distance of {a.name} and {b.name}"),
-            bodies=(a.name, b.name),
-            kept=distance,
-        )
-        for a, b in pairs
-    )
-    of_corners = (
-        row(f".corner[{i}]", f"the distance at corner {i} of the closest bodies")
-        for i in range(1, ROWS + 1)
-    )
-    return (*of_pairs, *of_corners)
+    def bind(self, dt: float) -> Tighten:
+        """Fill the rows, whether pairs are near or not.
+
+        Of what a pair is farther apart than ``within`` all may be used up in a tick. It has a row
+        there if it could come closer than ``distance`` before the next (:class:`StepVerification`).
+        """
+        chain, pairs, distance, gain = self.chain, self.pairs, self.distance, self.gain
+        found, count = Distances(pairs), len(pairs)
+        corners = Corners(pairs, found, distance)
+        rates = _Rates(chain, pairs)
+        gains, free = np.full(count + ROWS, gain), np.array(distance)
+        shallow = max(distance, SHALLOW)
+        room, deep = np.zeros(count + ROWS), np.zeros(count + ROWS, bool)
+        ahead, beyond = StepVerification(chain, pairs, distance, self.within, dt), np.zeros(count)
+
+        def tighten(state: State, rows: LimitRows) -> None:
+            state.place(found.geometry, found.placed)
+            ahead.update(rows)
+            found.update(ahead.far)
+            corners.update()
+            np.subtract(found.d, free, room[:count])
+            room[count:] = corners.room
+            damp(room, gains, deep, rows.h, shallow)
+            np.subtract(found.d, self.within, beyond)
+            np.maximum(beyond, 0.0, out=beyond)
+            np.multiply(beyond, 1.0 / dt - gain, beyond)
+            np.add(rows.h[:count], beyond, rows.h[:count])
+            rates.fill(state, found, corners, rows.G)
+            np.greater_equal(found.d, ahead.far, deep[:count])  # as far for what reads the rows
+            rows.G[:count][deep[:count]] = 0.0
+            for i in np.less(rows.h, 0.0, deep).nonzero()[0].tolist():
+                rows.h[i] = max(float(rows.h[i]), -BACK * float(np.abs(rows.G[i]).sum()))
+
+        return tighten
+
+    def clearance(self) -> Clearance:
+        """What is left of each pair's distance [m], at most of ``within``; corners have none."""
+        found = Distances(self.pairs)
+
+        def left(state: State) -> Array:
+            state.place(found.geometry, found.placed)
+            found.update(self.within)
+            return np.asarray(np.minimum(found.d, self.within) - self.distance, float)
+
+        return left
+
+    def margins(self, q: Array) -> dict[Row, Array]:
+        """Distance of each pair after each tick, less what is kept free [m], however far."""
+        d = distances_along(self.chain, self.pairs, q[1:]) - self.distance
+        return dict(zip(self.rows(), d.T, strict=False))  # without corners
+
+    def at_start(self) -> list[tuple[Body, Body, float]]:
+        """Pairs with their distances where the chain starts [m], the nearest first."""
+        d = distances_along(self.chain, self.pairs, self.chain.q_start[None, :])[0]
+        return [(*self.pairs[i], float(d[i])) for i in np.argsort(d).tolist()]
+
+    def inside(self) -> list[tuple[Body, Body, float]]:
+        """Pairs that start in each other, and how deep [m], the deepest first."""
+        return [(a, b, -d) for a, b, d in self.at_start() if d < -SHALLOW]
+
+    def nearer_at_start(self) -> Iterator[str]:
+        """A sentence on pairs that start nearer than the distance to keep."""
+        limit = self.distance - WORTH_SAYING
+        if near := [self._nearer(*pair) for pair in self.at_start() if pair[2] < limit]:
+            more = f", and {len(near) - SHOWN} pairs more" if len(near) > SHOWN else ""
+            yield f"{self.name}: {', '.join(near[:SHOWN])}{more}"
+
+    def _nearer(self, one: Body, other: Body, d: float) -> str:
+        if d < 0.0:
+            return f"{one.name} starts {-1e3 * d:.1f} mm in {other.name}"
+        lacks = 1e3 * (self.distance - d)
+        nearer = f"{one.name} starts {lacks:.1f} mm nearer to {other.name} than distance"
+        return f"{nearer} ({1e3 * d:.1f} of {1e3 * self.distance:g} mm)"
 
 
-def keep_apart(
-    chain: ClosedChain,
-    pairs: Sequence[Pair],
-    dt: float,
-    *,
-    distance: float,
-    gain: float,
-    within: float,
-) -> Tighten:
-    """Fill the rows of :func:`pair_rows`, whether pairs are near or not.
-
-    Of what a pair is farther apart than ``within`` all may be used up in a tick. It has a row there
-    if it could come closer than ``distance`` before the next one (:class:`LookAhead`).
-
-    Args:
-        chain: that carries the bodies.
-        pairs: of bodies.
-        dt: control period [s].
-        distance: kept free [m].
-        gain: of the damper [1/s].
-        within: pairs farther apart than this are not slowed down before they are so near [m].
-    """
-    found, count = Distances(pairs), len(pairs)
-    corners = Corners(pairs, found, distance)
-    rates = _Rates(chain, pairs)
-    gains, free = np.full(count + ROWS, gain), np.array(distance)
-    shallow = max(distance, SHALLOW)
-    room, deep = np.zeros(count + ROWS), np.zeros(count + ROWS, bool)
-    ahead, beyond = LookAhead(chain, pairs, distance, within, dt), np.zeros(count)
-
-    def tighten(state: State, rows: LimitRows) -> None:
+def distances_along(chain: ClosedChain, pairs: Sequence[Pair], q: Array) -> Array:
+    """Distance of each pair at each row of q, shape (T, p) [m]."""
+    found = Distances(pairs)
+    d = np.zeros((len(q), len(pairs)))
+    for state, row in zip(states_along(chain, q), d, strict=True):
         state.place(found.geometry, found.placed)
-        ahead.update(rows)
-        found.update(ahead.far)
-        corners.update()
-        np.subtract(found.d, free, room[:count])
-        room[count:] = corners.room
-        damp(room, gains, deep, rows.h, shallow)
-        np.subtract(found.d, within, beyond)
-        np.maximum(beyond, 0.0, out=beyond)
-        np.multiply(beyond, 1.0 / dt - gain, beyond)
-        np.add(rows.h[:count], beyond, rows.h[:count])
-        rates.fill(state, found, corners, rows.G)
-        np.greater_equal(found.d, ahead.far, deep[:count])  # as far for what reads the rows
-        rows.G[:count][deep[:count]] = 0.0
-        for i in np.less(rows.h, 0.0, deep).nonzero()[0].tolist():
-            rows.h[i] = max(float(rows.h[i]), -BACK * float(np.abs(rows.G[i]).sum()))
-
-    return tighten
+        found.update(math.inf)
+        row[:] = found.d
+    return d
 
 
 class _Rates:
-    """How the distances of pairs, and of corners, change.
-
-    Args:
-        chain: that carries the bodies.
-        pairs: of bodies.
-    """
+    """How the distances of pairs, and of corners, change."""
 
     def __init__(self, chain: ClosedChain, pairs: Sequence[Pair]) -> None:
         first, second = (movers(chain, [pair[side].joint for pair in pairs]) for side in (0, 1))
@@ -168,72 +207,145 @@ class _Rates:
             np.multiply(self._G_corners, self._sign[corners.pair], G[count:])
 
 
-def room_left(pairs: Sequence[Pair], *, distance: float, within: float) -> RoomLeft:
-    """What :func:`keep_apart` leaves each pair; none farther apart than ``within`` counts [m].
+class Corners:
+    """More points of pairs that lie along each other, in a fixed number of rows.
 
-    Corners have no room of their own: it is never less than that of their pair's bodies.
+    Where an edge or a face of one body lies along another body, the nearest points jump from end to
+    end: a row at one of them lets the other turn in, and a tick later the first one. So the ends of
+    what is close get rows too. With n the pair's normal and p a corner of the body that reaches
+    less far along the other, its distance from the plane that bounds the other is s, and
+
+        n' (J_first - J_second) v <= gain (s - distance)
+
+    at p: the plane is fixed to its body and turns with it. Bodies are never nearer than that plane.
+
+    Attributes:
+        room: margin of each corner to the distance kept from the other body's plane; that of rows
+            without a corner is large, shape (ROWS,) [m].
+        pair: which pair each corner belongs to, shape (ROWS,).
+        W: [n; p x n] of each, zero without a corner, shape (ROWS, 6).
+        count: how many rows have a corner.
     """
-    found = Distances(pairs)
 
-    def left(state: State) -> Array:
-        state.place(found.geometry, found.placed)
-        found.update(within)
-        return np.asarray(np.minimum(found.d, within) - distance, float)
+    def __init__(self, pairs: Sequence[Pair], found: Distances, distance: float) -> None:
+        self._pairs, self._found, self._distance = pairs, found, distance
+        # Which can touch in more than one point.
+        self._flat = [all(len(body.convex.points) > 1 for body in pair) for pair in pairs]
+        self.room, self.W = np.ones(ROWS), np.zeros((ROWS, 6))
+        self.pair, self.count = np.zeros(ROWS, np.int64), 0
 
-    return left
+    def update(self) -> None:
+        found = self._found
+        if self.count:
+            self.room[:], self.W[:], self.count = 1.0, 0.0, 0
+        room = found.d[found.near] - self._distance
+        (close,) = (room < CLOSE).nonzero()
+        for k in close[room[close].argsort(kind="stable")].tolist():
+            pair = int(found.near[k])
+            if not self._flat[pair]:
+                continue
+            n, p = found.n[k, :3], found.p[k, :3]
+            for corner, s in self._corners(pair, n, p)[: ROWS - self.count]:
+                self.room[self.count], self.pair[self.count] = s - self._distance, pair
+                self.W[self.count] = _wrench(n, corner)
+                self.count += 1
+
+    def _corners(self, pair: int, n: Array, p: Array) -> list[tuple[Array, float]]:
+        """Points, and how far each is from the plane that bounds the other body [m]."""
+        first, a = self._ends(pair, 0, n)
+        if len(a) == 1:
+            return []  # it touches in its nearest point alone
+        second, b = self._ends(pair, 1, n)
+        if len(b) == 1:
+            return []
+        if _width(first) <= _width(second):
+            bottom = float(b.min())
+            return [(first[i], bottom - float(a[i])) for i in _spread(first, p)]
+        top = float(a.max())
+        return [(second[i], float(b[i]) - top) for i in _spread(second, p)]
+
+    def _ends(self, pair: int, side: int, n: Array) -> tuple[Array, Array]:
+        """A body's points next to the plane that bounds it, and their heights along n."""
+        convex = self._pairs[pair][side].convex
+        X = self._found.placed.oMg[self._found.ids[pair][side]]
+        out = -1.0 if side else 1.0
+        R, o = X.rotation, X.translation
+        heights = convex.points.dot(n.dot(R))
+        ends = heights > heights.max() - SLAB if out > 0.0 else heights < heights.min() + SLAB
+        points = convex.points[ends].dot(R.T) + o
+        return points, heights[ends] + (float(n.dot(o)) + out * convex.rim)
 
 
-def margins_along(
-    owner: str, chain: ClosedChain, pairs: Sequence[Pair], q: Array, distance: float
-) -> dict[Row, Array]:
-    """Distance of each pair after each tick, less what is kept free [m], however far they are."""
-    d = distances_along(chain, pairs, q[1:]) - distance
-    return dict(zip(pair_rows(owner, pairs, distance), d.T, strict=False))  # without corners
+def _width(points: Array) -> float:
+    return float((points.max(axis=0) - points.min(axis=0)).max())
 
 
-def distances_along(chain: ClosedChain, pairs: Sequence[Pair], q: Array) -> Array:
-    """Distance of each pair at each row of q, shape (T, p) [m]."""
-    found = Distances(pairs)
-    d = np.zeros((len(q), len(pairs)))
-    for state, row in zip(states_along(chain, q), d, strict=True):
-        state.place(found.geometry, found.placed)
-        found.update(math.inf)
-        row[:] = found.d
-    return d
+def _spread(points: Array, p: Array) -> list[int]:
+    """Up to three of the points, far from p and from each other."""
+    if len(points) <= EACH:
+        return list(range(len(points)))
+    one = int(((points - p) ** 2).sum(axis=1).argmax())
+    away = points - points[one]
+    other = int((away**2).sum(axis=1).argmax())
+    return [one, other, int((np.cross(away, away[other]) ** 2).sum(axis=1).argmax())]
 
 
-def inside(chain: ClosedChain, pairs: Sequence[Pair]) -> list[tuple[Body, Body, float]]:
-    """Pairs that are in each other where the chain starts, and how deep [m], the deepest first."""
-    d = distances_along(chain, pairs, chain.q_start[None, :])[0]
-    return [(*pairs[i], -float(d[i])) for i in np.argsort(d).tolist() if d[i] < -SHALLOW]
+def _wrench(n: Array, p: Array) -> tuple[float, ...]:
+    """The row of a point that moves along n, [n; p x n]."""
+    (x, y, z), (a, b, c) = p.tolist(), n.tolist()
+    return a, b, c, y * c - z * b, z * a - x * c, x * b - y * a
 
 
-def nearest_of_each(chain: ClosedChain, pairs: Sequence[Pair]) -> dict[str, float]:
-    """Where the chain starts, how near the nearest body is to each second one [m]."""
-    found: dict[str, float] = {}
-    d = distances_along(chain, pairs, chain.q_start[None, :])[0].tolist()
-    for (_, second), distance in zip(pairs, d, strict=True):
-        found[second.name] = min(distance, found.get(second.name, math.inf))
+class StepVerification:
+    """Distances up to which pairs have a row, so that none can come too close within a tick.
+
+    A joint that turns moves no point of a body faster than its speed times the longest way from its
+    axis to the body's far end, whatever the configuration; one that slides moves all of it at its
+    own speed. Of a pair only joints that move one of the two count. Summed up with the bounds on
+    the velocity of the tick, that is how far a pair can close at most.
+
+    ``far`` is that of each pair as of the last update, at least ``within``, shape (p,) [m].
+    """
+
+    def __init__(
+        self, chain: ClosedChain, pairs: Sequence[Pair], distance: float, within: float, dt: float
+    ) -> None:
+        self._ways = dt * levers(chain, pairs)
+        self._distance, self._within = distance, within
+        self._speed, self._other = np.zeros((2, chain.n))
+        self.far = np.full(len(pairs), within)
+
+    def update(self, bounds: LimitRows) -> None:
+        """Add how far pairs can close in a tick within these bounds on v to the distance kept."""
+        speed = self._speed
+        np.abs(bounds.lb, speed)
+        np.abs(bounds.ub, self._other)
+        np.maximum(speed, self._other, out=speed)
+        np.minimum(speed, FASTEST, out=speed)
+        self._ways.dot(speed, self.far)
+        self.far += self._distance
+        np.maximum(self.far, self._within, out=self.far)
+
+
+def levers(chain: ClosedChain, pairs: Sequence[Pair]) -> Array:
+    """How fast each joint, at speed 1, can close each pair at most, shape (p, n) [m, 1]."""
+    bodies = list(dict.fromkeys(body for pair in pairs for body in pair))
+    of_body = dict(zip(bodies, (_levers_of(chain, body) for body in bodies), strict=True))
+    first, second = (movers(chain, [pair[side].joint for pair in pairs]) for side in (0, 1))
+    found = np.array([of_body[a] + of_body[b] for a, b in pairs]).reshape(-1, chain.n)
+    return np.asarray(found * (first != second), float)
+
+
+def _levers_of(chain: ClosedChain, body: Body) -> Array:
+    """Longest way from each joint to a body's far end, 1 where the joint slides, shape (n,)."""
+    model, found = chain.model, np.zeros(chain.n)
+    way = float(np.linalg.norm(body.convex.placement.translation)) + body.convex.radius
+    for joint in reversed([j for j in model.supports[body.joint] if j]):
+        i = model.idx_vs[joint]
+        found[i] = way
+        if chain.joint_units[i] == "m":
+            found[i] = 1.0
+            ends = np.abs([chain.lower[i], chain.upper[i]])
+            way += float(np.where(np.isfinite(ends), ends, UNLIMITED).max())
+        way += float(np.linalg.norm(model.jointPlacements[joint].translation))
     return found
-
-
-def nearer_at_start(
-    name: str, chain: ClosedChain, pairs: Sequence[Pair], distance: float
-) -> Iterator[str]:
-    """A sentence on pairs that are nearer than asked where the chain starts."""
-    d = distances_along(chain, pairs, chain.q_start[None, :])[0]
-    found = [i for i in np.argsort(d).tolist() if d[i] < distance - WORTH_SAYING]
-    if not found:
-        return
-    nearest = (int(i) for i in found[:SHOWN])
-    told = ", ".join(_nearer(pairs[i], float(d[i]), distance) for i in nearest)
-    more = f", and {len(found) - SHOWN} pairs more" if len(found) > SHOWN else ""
-    yield f"{name}: {told}{more}"
-
-
-def _nearer(pair: Pair, d: float, distance: float) -> str:
-    one, other = pair
-    if d < 0.0:
-        return f"{one.name} starts {-1e3 * d:.1f} mm in {other.name}"
-    nearer = f"{one.name} starts {1e3 * (distance - d):.1f} mm nearer to {other.name} than distance"
-    return f"{nearer} ({1e3 * d:.1f} of {1e3 * distance:g} mm)"

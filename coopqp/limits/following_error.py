@@ -4,10 +4,8 @@ With the following error f = q - q_measured of each driven joint, as drives defi
 
     (-max - f)/dt <= v <= (max - f)/dt,   both cut so that v = 0 is allowed
 
-so that a command leads its joint by ``max`` at most, and comes back freely where it leads by more.
-Without it the command of an arm that is stopped by a wall, a hand or a motor at its limit goes on
-to its goal, pulls with all its torque, and jumps there when it is let go. Where nothing is measured
-there is no such limit.
+Without it the command of an arm that is stopped by a wall, a hand or a saturated motor goes on to
+its goal, and the arm jumps there when released. Unmeasured joints have no such limit.
 """
 
 from __future__ import annotations
@@ -27,7 +25,7 @@ from coopqp.model.state import State
 class FollowingError(Limit):
     """A leash between commanded and measured joints."""
 
-    heeds_measured: ClassVar[bool] = True
+    uses_measurements: ClassVar[bool] = True
     bounds_position: ClassVar[bool] = True
 
     max: Positive = 0.025
@@ -56,11 +54,9 @@ class FollowingError(Limit):
         return tighten
 
     def program(self, chain: ClosedChain, dt: float) -> JointBounds:
-        """Of the driven joints' lead."""
         most = np.where(_driven(chain), self.max, np.inf)
         return JointBounds(of=Bounded.LEAD, lower=-most, upper=most)
 
 
 def _driven(chain: ClosedChain) -> NDArray[np.bool_]:
-    """Which joints have motors."""
     return ~np.isin(np.arange(chain.n), chain.passive)

@@ -1,17 +1,17 @@
 """Joints change their speed by at most a dt a tick, and can always stop before their bound.
 
-A joint that brakes with a from v comes to rest after v^2/(2 a) + v dt/2, since v is held for a
-tick before it falls. With room to the bound,
+A joint that brakes with a from v comes to rest after v^2/(2 a) + v dt/2, since v is held for a tick
+before it falls. With a margin to the bound,
 
-    v <= -a dt/2 + sqrt((a dt/2)^2 + 2 a room)
+    v <= -a dt/2 + sqrt((a dt/2)^2 + 2 a margin)
 
-That is exact where v is a multiple of a dt. In between the last tick falls short of a full a dt,
-so the law uses the chords of this curve between the multiples, with M - 1 full ticks of braking:
+That is exact where v is a multiple of a dt. In between the last tick falls short of a full a dt, so
+the law uses the chords of this curve between the multiples, with M - 1 full ticks of braking:
 
-    v <= a dt/2 (s/M + M - 1),   s = 2 room/(a dt^2),   M = max(1, round(sqrt(s + 1/4)))
+    v <= a dt/2 (s/M + M - 1),   s = 2 margin/(a dt^2),   M = max(1, round(sqrt(s + 1/4)))
 
-A joint on its chord brakes with exactly a until it rests at the bound. The joint alone could
-always do that; loops can ask several joints at once for more, and then this limit is given up.
+A joint on its chord brakes with exactly a until it rests at the bound. Loops can ask several joints
+at once for more; then this limit is relaxed.
 """
 
 from __future__ import annotations
@@ -61,7 +61,6 @@ class JointAcceleration(Limit):
         return tighten
 
     def program(self, chain: ClosedChain, dt: float) -> JointBounds:
-        """The same window."""
         lower, upper = np.clip(self._ends(chain), -UNLIMITED, UNLIMITED)
         step = self._limits(chain) * dt
         return JointBounds(of=Bounded.BRAKING, lower=lower, upper=upper, step=step)

@@ -1,6 +1,6 @@
 """Joints stay within their range: (lower - q)/dt <= v <= (upper - q)/dt.
 
-A joint outside its range must not go farther out, and comes back no faster than recovery_speed; so
+A joint outside its range must not go farther out, and recovers no faster than recovery_speed; so
 standing still is always allowed. What brings it back is the controller.
 """
 
@@ -12,15 +12,7 @@ import numpy as np
 
 from coopqp.base.qp import Row
 from coopqp.base.spec import Array, NonNegative, Positive, spec
-from coopqp.limit import (
-    ROUNDING,
-    Bounded,
-    JointBounds,
-    Limit,
-    LimitRows,
-    Tighten,
-    joint_margins,
-)
+from coopqp.limit import ROUNDING, Bounded, JointBounds, Limit, LimitRows, Tighten, joint_margins
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 
@@ -37,7 +29,7 @@ class JointPosition(Limit):
     """Fastest way back for a joint that starts outside [rad/s or m/s]."""
 
     def bind(self, chain: ClosedChain, dt: float) -> Tighten:
-        """Bounds that no step of length dt can overrun."""
+        """Bounds with which no step of length dt leaves the range."""
         ends = self._ends(chain)
         rate, rounding = 1.0 / dt, ROUNDING / dt
 
@@ -53,7 +45,6 @@ class JointPosition(Limit):
         return tighten
 
     def program(self, chain: ClosedChain, dt: float) -> JointBounds:
-        """Of q."""
         lower, upper = self._ends(chain)
         speed = self.recovery_speed
         return JointBounds(of=Bounded.POSITION, lower=lower, upper=upper, speed=speed)

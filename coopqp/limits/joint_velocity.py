@@ -24,7 +24,6 @@ class JointVelocity(Limit):
     """Share of the robot's own velocity limits that may be used."""
 
     def bind(self, chain: ClosedChain, dt: float) -> Tighten:
-        """Constant bounds."""
         upper = self.scale * chain.velocity
         lower = -upper
 
@@ -35,7 +34,6 @@ class JointVelocity(Limit):
         return tighten
 
     def program(self, chain: ClosedChain, dt: float) -> JointBounds:
-        """Constant."""
         upper = self.scale * chain.velocity
         return JointBounds(of=Bounded.VELOCITY, lower=-upper, upper=upper)
 

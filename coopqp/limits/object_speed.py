@@ -28,7 +28,6 @@ class ObjectSpeed(Limit):
             raise ValueError("needs linear (m/s), angular (rad/s) or both")
 
     def rows(self, chain: ClosedChain) -> tuple[Row, ...]:
-        """Upper sides, then lower sides."""
         axes = list(zip(AXES, AXIS_UNITS, strict=True))[self._part]
         sides: tuple[Side, ...] = ("upper", "lower")
         return tuple(
@@ -45,7 +44,6 @@ class ObjectSpeed(Limit):
         )
 
     def bind(self, chain: ClosedChain, dt: float) -> Tighten:
-        """Rows of the object's Jacobian with both signs."""
         part, bounds = self._part, np.tile(self._bounds, 2)
         k = len(self._bounds)
 
@@ -58,7 +56,6 @@ class ObjectSpeed(Limit):
         return tighten
 
     def program(self, chain: ClosedChain, dt: float) -> TwistBounds:
-        """The same components."""
         return TwistBounds(components=range(6)[self._part], bounds=self._bounds.tolist())
 
     def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
@@ -70,7 +67,6 @@ class ObjectSpeed(Limit):
 
     @property
     def _part(self) -> slice:
-        """Which rows of J_task."""
         return slice(0 if self.linear else 3, 6 if self.angular else 3)
 
     @property

@@ -1,9 +1,8 @@
 """Arms and object keep a distance from things in the world: d_dot >= -gain (d - distance).
 
 Things are boxes, balls, cylinders and the convex hulls of meshes that stand still; what is hollow
-is given in parts. Bodies are those of ``self_collision``: the robot's capsules, or the convex
-parts of its file's collision geometry, and the object's box. With n the unit normal from a body to
-a thing at their nearest points and d their signed distance,
+is given in parts. Bodies are those of ``self_collision``. With n the unit normal from a body to a
+thing at their nearest points and d their signed distance,
 
     n' J_body v <= gain (d - distance)
 
@@ -23,21 +22,11 @@ from coopqp.base.qp import Row
 from coopqp.base.reading import FilePath
 from coopqp.base.spec import Array, Lengths3, Name, NonNegative, Pose, Positive, overshoot, spec
 from coopqp.grasp import pose_matrix
-from coopqp.limit import Limit, RoomLeft, Tighten
+from coopqp.limit import Clearance, Limit, Tighten
 from coopqp.limits._bodies import bodies_of, named_bodies, unseen
 from coopqp.limits._convex import of_shape
 from coopqp.limits._distances import Body, Pair
-from coopqp.limits._keep_apart import (
-    SHOWN,
-    check_count,
-    inside,
-    keep_apart,
-    margins_along,
-    nearer_at_start,
-    nearest_of_each,
-    pair_rows,
-    room_left,
-)
+from coopqp.limits._keep_apart import SHOWN, Separation, check_count
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.marker import Marker, SolidMarker
 from coopqp.robot import Shape
@@ -122,33 +111,30 @@ class Obstacles(Limit):
 
     def rows(self, chain: ClosedChain) -> tuple[Row, ...]:
         """One row for each body and thing, and some for corners of the closest ones."""
-        return pair_rows(self.name, self._pairs(chain), self.distance)
+        return self._separation(chain).rows()
 
     def bind(self, chain: ClosedChain, dt: float) -> Tighten:
         """One row for each body and thing, whether near or not, so that the count never changes."""
         if wrong := overshoot(self.gain, dt):
             raise InvalidValueError(f"{self.name}: {wrong}")
-        pairs = self._pairs(chain)
-        return keep_apart(
-            chain, pairs, dt, distance=self.distance, gain=self.gain, within=self.within
-        )
+        return self._separation(chain).bind(dt)
 
     def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
         """Distance of each body from each thing after each tick, less what is kept free [m]."""
-        return margins_along(self.name, chain, self._pairs(chain), q, self.distance)
+        return self._separation(chain).margins(q)
 
-    def room(self, chain: ClosedChain) -> RoomLeft:
+    def clearance(self, chain: ClosedChain) -> Clearance:
         """Distance of each body and thing less what is kept free, at most of ``within`` [m]."""
-        return room_left(self._pairs(chain), distance=self.distance, within=self.within)
+        return self._separation(chain).clearance()
 
-    def eased(self, room: float) -> Obstacles | None:
+    def relaxed(self, by: float) -> Obstacles | None:
         """A smaller distance; None where bodies would have to sink into each other."""
-        return replace(self, distance=self.distance - room) if room <= self.distance else None
+        return replace(self, distance=self.distance - by) if by <= self.distance else None
 
     def start_faults(self, chain: ClosedChain) -> tuple[str, ...]:
         """Bodies that are in a thing, a sentence for each thing."""
         by_thing: dict[str, list[tuple[str, float]]] = {}
-        for body, thing, depth in inside(chain, self._pairs(chain)):
+        for body, thing, depth in self._separation(chain).inside():
             by_thing.setdefault(thing.name, []).append((body.name, depth))
         return tuple(
             f"{self.name}: {_inside(thing, found)}; move one of them"
@@ -157,23 +143,23 @@ class Obstacles(Limit):
         )
 
     def unseen(self, chain: ClosedChain) -> tuple[str, ...]:
-        """Parts of the robot that are no bodies."""
         return unseen(self.name, chain)
 
     def notes(self, chain: ClosedChain) -> tuple[str, ...]:
         """Parts of the robot that are no bodies, and bodies that start too near."""
-        pairs = self._pairs(chain)
-        near = nearer_at_start(self.name, chain, pairs, self.distance)
+        separation = self._separation(chain)
+        nearest: dict[str, float] = {}
+        for _, thing, d in separation.at_start():
+            nearest.setdefault(thing.name, d)
         far = (
-            f"{self.name}: {thing} is {d:.3g} m from all bodies, but the arms reach "
+            f"{self.name}: {thing} is {nearest[thing]:.3g} m from all bodies, but the arms reach "
             f"{chain.reach:.2g} m{METRES}"
-            for thing, d in nearest_of_each(chain, pairs).items()
-            if d > FAR * chain.reach
+            for thing in self.shapes
+            if nearest[thing] > FAR * chain.reach
         )
-        return (*self.unseen(chain), *near, *far)
+        return (*self.unseen(chain), *separation.nearer_at_start(), *far)
 
     def marks(self, t: float) -> tuple[Marker, ...]:
-        """The things."""
         shapes = (thing.shape for thing in self.shapes.values())
         return tuple(
             SolidMarker(
@@ -186,14 +172,12 @@ class Obstacles(Limit):
             for shape in shapes
         )
 
-    def _pairs(self, chain: ClosedChain) -> list[Pair]:
-        """All bodies that move, or those named, with all things.
+    def _separation(self, chain: ClosedChain) -> Separation:
+        pairs = self._pairs(chain)
+        return Separation(self.name, chain, pairs, self.distance, self.gain, self.within)
 
-        Raises:
-            InvalidValueError: the robot has no bodies, none of those named moves, there are too
-                many pairs, or a mesh cannot be used.
-            UnknownNameError: no body has the name given.
-        """
+    def _pairs(self, chain: ClosedChain) -> list[Pair]:
+        """All bodies that move, or those named, with all things."""
         bodies, faults = bodies_of(chain)
         if self.bodies is not None:
             named = list[Body]()

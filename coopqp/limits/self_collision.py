@@ -20,7 +20,8 @@ from dataclasses import replace
 from coopqp.base.errors import InvalidValueError, under
 from coopqp.base.qp import Row
 from coopqp.base.spec import Array, Name, NonNegative, Positive, overshoot, spec
-from coopqp.limit import Limit, RoomLeft, Tighten
+from coopqp.base.wording import counted
+from coopqp.limit import Clearance, Limit, Tighten
 from coopqp.limits._bodies import (
     bodies_of,
     by_construction,
@@ -29,15 +30,7 @@ from coopqp.limits._bodies import (
     unseen,
 )
 from coopqp.limits._distances import Body, Pair
-from coopqp.limits._keep_apart import (
-    check_count,
-    inside,
-    keep_apart,
-    margins_along,
-    nearer_at_start,
-    pair_rows,
-    room_left,
-)
+from coopqp.limits._keep_apart import Separation, check_count
 from coopqp.model.closed_chain import ClosedChain
 
 NamePair = tuple[str, str]
@@ -67,7 +60,7 @@ class SelfCollision(Limit):
         seen: set[frozenset[str]] = set()
         for pair in self.pairs or ():
             one = frozenset(pair)
-            if one in seen or (len(one) < 2 and not _is_pattern(pair[0])):
+            if one in seen or (len(one) < 2 and not set(pair[0]) & set("*?[")):
                 raise ValueError(f"pair {list(pair)} names one body, or a pair given before")
             seen.add(one)
         if self.within <= self.distance:
@@ -75,67 +68,61 @@ class SelfCollision(Limit):
 
     def rows(self, chain: ClosedChain) -> tuple[Row, ...]:
         """One row a pair, and some for corners of the closest ones."""
-        return pair_rows(self.name, self._pairs(chain), self.distance)
+        return self._separation(chain).rows()
 
     def bind(self, chain: ClosedChain, dt: float) -> Tighten:
         """One row a pair, whether near or not, so that the count never changes."""
         if wrong := overshoot(self.gain, dt):
             raise InvalidValueError(f"{self.name}: {wrong}")
-        pairs = self._pairs(chain)
-        return keep_apart(
-            chain, pairs, dt, distance=self.distance, gain=self.gain, within=self.within
-        )
+        return self._separation(chain).bind(dt)
 
     def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
         """Distance of each pair after each tick, less what is kept free [m]."""
-        return margins_along(self.name, chain, self._pairs(chain), q, self.distance)
+        return self._separation(chain).margins(q)
 
-    def room(self, chain: ClosedChain) -> RoomLeft:
+    def clearance(self, chain: ClosedChain) -> Clearance:
         """Distance of each pair less what is kept free, at most of ``within`` [m]."""
-        return room_left(self._pairs(chain), distance=self.distance, within=self.within)
+        return self._separation(chain).clearance()
 
-    def eased(self, room: float) -> SelfCollision | None:
+    def relaxed(self, by: float) -> SelfCollision | None:
         """A smaller distance; None where bodies would have to sink into each other."""
-        return replace(self, distance=self.distance - room) if room <= self.distance else None
+        return replace(self, distance=self.distance - by) if by <= self.distance else None
 
     def start_faults(self, chain: ClosedChain) -> tuple[str, ...]:
-        """Pairs that are in each other."""
-        found = inside(chain, self._pairs(chain))
+        found = self._separation(chain).inside()
         if not found:
             return ()
-        told = ", ".join(f"{a.name} and {b.name} {1e3 * depth:.1f} mm" for a, b, depth in found)
+        depths = ", ".join(f"{a.name} and {b.name} {1e3 * depth:.1f} mm" for a, b, depth in found)
         pairs = ", ".join(f"[{a.name}, {b.name}]" for a, b, _ in found)
         return (
-            f"{self.name}: bodies start in each other, {told}; move them apart, or if they "
+            f"{self.name}: bodies start in each other, {depths}; move them apart, or if they "
             f"always are, add 'ignore: [{pairs}]'",
         )
 
     def unseen(self, chain: ClosedChain) -> tuple[str, ...]:
-        """Parts of the robot that are no bodies."""
         return unseen("self_collision", chain)
 
     def notes(self, chain: ClosedChain) -> tuple[str, ...]:
         """What is not watched: parts that are no bodies, and pairs that touch by construction."""
-        pairs = self._pairs(chain)
-        found = [*self.unseen(chain)]
-        if not pairs:
+        separation, found = self._separation(chain), [*self.unseen(chain)]
+        if not separation.pairs:
             found.append(f"{self.name} watches nothing: no two bodies can meet")
-        found += nearer_at_start(self.name, chain, pairs, self.distance)
+        found += separation.nearer_at_start()
         joined = sorted(" and ".join(sorted(pair)) for pair in by_construction(chain.robot))
         if joined and self.pairs is None:
             shown = ", ".join(joined[:SHOWN]) + (", ..." if len(joined) > SHOWN else "")
             found.append(
-                f"{self.name} leaves out {len(joined)} pairs that touch by construction ({shown})"
+                f"{self.name} leaves out {counted(len(joined), 'pair')} that "
+                f"{'touch' if len(joined) > 1 else 'touches'} by construction ({shown})"
             )
         return tuple(found)
 
-    def _pairs(self, chain: ClosedChain) -> list[Pair]:
-        """Those given, or those that can meet, without those to be ignored.
+    def _separation(self, chain: ClosedChain) -> Separation:
+        pairs = self._pairs(chain)
+        return Separation(self.name, chain, pairs, self.distance, self.gain, self.within)
 
-        Raises:
-            InvalidValueError: the robot has no bodies, or one that is named cannot be watched.
-            UnknownNameError: no body has the name given.
-        """
+    def _pairs(self, chain: ClosedChain) -> list[Pair]:
+        """Those given, or those that can meet, without those to be ignored."""
         bodies, faults = bodies_of(chain)
         if self.pairs is None:
             found = pairs_that_can_meet(chain)
@@ -157,34 +144,14 @@ class SelfCollision(Limit):
         return kept
 
 
-def _is_pattern(name: str) -> bool:
-    return any(sign in name for sign in "*?[")
-
-
 def _names(pair: Pair) -> frozenset[str]:
     return frozenset(body.name for body in pair)
 
 
 def _named(
-    owner: str,
-    key: str,
-    names: Collection[NamePair],
-    bodies: Sequence[Body],
-    faults: Sequence[str],
+    owner: str, key: str, names: Collection[NamePair], bodies: Sequence[Body], faults: Sequence[str]
 ) -> Iterator[Pair]:
-    """Pairs of bodies by names and patterns, each once.
-
-    Args:
-        owner: name of the limit.
-        key: under which the names are.
-        names: of both bodies of each pair, or patterns.
-        bodies: to choose from.
-        faults: what else of the robot there is, and why it cannot be watched.
-
-    Raises:
-        UnknownNameError: no body has the name given.
-        InvalidValueError: nothing of what has it can be watched.
-    """
+    """Pairs of bodies by names and patterns, each once; errors as :func:`named_bodies`."""
     seen = set[frozenset[Body]]()
     where = f"{owner}.{key}: "
     for i, pair_of_names in enumerate(names):

@@ -6,7 +6,7 @@ the velocity damper d_dot >= -gain d lets it approach no faster than it can stop
     -n' J_p v <= gain n'(p - c)
 
 A point that is deeper than a millimetre on the wrong side may not go farther, but is not asked
-back (:func:`coopqp.limit.damp`), so that one that cannot come back does not stop the robot.
+back (:func:`coopqp.limit.damp`), so that one that cannot recover does not stop the robot.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 from coopqp.base.errors import InvalidValueError, UnknownNameError
 from coopqp.base.qp import Row
 from coopqp.base.spec import Array, Direction, Name, Positive, Vector3, overshoot, spec, unit
-from coopqp.limit import Limit, LimitRows, RoomLeft, Tighten, TwistBounds, damp, movers
+from coopqp.limit import Clearance, Limit, LimitRows, Tighten, TwistBounds, damp, movers, place_row
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.marker import Marker, PlaneMarker
 from coopqp.model.state import State
@@ -48,7 +48,6 @@ class Workspace(Limit):
             raise ValueError("needs points of the object or frames of the robot")
 
     def rows(self, chain: ClosedChain) -> tuple[Row, ...]:
-        """Points of the object, then frames."""
         known = [frame.name for frame in chain.model.frames]
         for i, frame in enumerate(self.frames):
             if frame not in known:
@@ -58,14 +57,7 @@ class Workspace(Limit):
             for i, point in enumerate(self._points(chain))
         }
         return tuple(
-            Row(
-                name=f"limit.{self.name}.{what}",
-                kind="limit",
-                owner=self.name,
-                unit="m",
-                label=f"the {self.name}, {words}",
-                of_place=True,
-            )
+            place_row(self.name, f".{what}", f"the {self.name}, {words}")
             for what, words in (points | {frame: frame for frame in self.frames}).items()
         )
 
@@ -103,7 +95,7 @@ class Workspace(Limit):
         points = self._points(chain)
         return TwistBounds(points=points, normal=n, offset=offset, gain=self.gain)
 
-    def room(self, chain: ClosedChain) -> RoomLeft:
+    def clearance(self, chain: ClosedChain) -> Clearance:
         """Distance of each point from the plane [m]."""
         points = _Points(chain, self._points(chain), self.frames)
         n, _, offset = self._plane()
@@ -114,13 +106,12 @@ class Workspace(Limit):
 
         return left
 
-    def eased(self, room: float) -> Workspace:
+    def relaxed(self, by: float) -> Workspace:
         """The plane moved away from the side that is allowed."""
-        x, y, z = (np.array(self.through) - room * unit(self.normal)).tolist()
+        x, y, z = (np.array(self.through) - by * unit(self.normal)).tolist()
         return replace(self, through=(x, y, z))
 
     def marks(self, t: float) -> tuple[Marker, ...]:
-        """The plane."""
         return (PlaneMarker(normal=np.array(self.normal), through=np.array(self.through)),)
 
     def _plane(self) -> tuple[Array, Callable[[Array, Array], Array], float]:
@@ -128,7 +119,6 @@ class Workspace(Limit):
         return n, lambda p, out: p.dot(n, out), float(n @ np.array(self.through))
 
     def _words(self, point: Array) -> str:
-        """A point of the object in words."""
         if self.points is None:
             sides = (
                 f"{'+' if c > 0.0 else '-'}{axis}" for c, axis in zip(point, "xyz", strict=True)
@@ -137,7 +127,6 @@ class Workspace(Limit):
         return f"point ({', '.join(f'{c:g}' for c in point)})"
 
     def _points(self, chain: ClosedChain) -> Array:
-        """Points of the object, shape (k, 3)."""
         if self.points is not None:
             return np.array(self.points, float).reshape(-1, 3)
         half = 0.5 * np.array(chain.held.size)
@@ -157,7 +146,6 @@ class _Points:
         self.arms = np.zeros_like(self.p)
 
     def update(self, state: State) -> None:
-        """Follow the object and the robot."""
         k = self.of_object
         self._p_O.dot(state.R_WO.T, self.arms[:k])
         np.add(self.arms[:k], state.p_WO, self.p[:k])

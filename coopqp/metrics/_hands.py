@@ -1,7 +1,5 @@
 """What metrics of the hands have in common: their signals, from when the hands have taken hold."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from coopqp.assessment import assess
@@ -13,26 +11,18 @@ TAKEN = 0.05
 
 
 def by_hand(trace: Trace, signal: str, width: int = 1) -> Array | None:
-    """A signal of hands that press, shape (T', N, width); None where the plant tells none.
-
-    Args:
-        trace: of a run.
-        signal: its name.
-        width: how many numbers a hand has.
-    """
-    told = trace.signals.get(signal)
+    """A signal of hands that press, shape (T', N, width); None where the plant has none."""
+    values = trace.signals.get(signal)
     first = min(round(TAKEN / trace.dt), trace.ticks - 1)
-    if told is None or not trace.ticks:
+    if values is None or not trace.ticks:
         return None
-    return np.asarray(told[first : end_of_hold(trace)].reshape(-1, told.shape[1] // width, width))
+    return np.asarray(
+        values[first : end_of_hold(trace)].reshape(-1, values.shape[1] // width, width)
+    )
 
 
 def margin(use: Array | None) -> float | None:
-    """What the largest use of any hand leaves of 1; none where none is told.
-
-    Args:
-        use: by tick and hand, NaN where there is nothing to use.
-    """
+    """One less the largest use of any hand, NaN where there is none; None where there is no use."""
     if use is None or np.isnan(use).all():
         return None
     return 1.0 - float(np.nanmax(use))

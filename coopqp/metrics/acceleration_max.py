@@ -1,7 +1,5 @@
 """The worst acceleration of a joint, beside what the loop for robots allows it."""
 
-from __future__ import annotations
-
 from typing import Any, ClassVar
 
 from coopqp.assessment import assess
@@ -17,7 +15,6 @@ class AccelerationMax(Metric):
     unit: ClassVar[str] = "rad/s2 or m/s2"
 
     def measure(self, trace: Trace) -> dict[str, Any] | None:
-        """Over the whole run, which begins at rest; allowed is OnlineLoop's own limit."""
         worst = assess(trace).acceleration
-        told = ("value", "joint", "at", "allowed")
-        return None if worst is None else {name: getattr(worst, name) for name in told}
+        keys = ("value", "joint", "at", "allowed")
+        return None if worst is None else {name: getattr(worst, name) for name in keys}

@@ -1,7 +1,5 @@
 """How far the pressure kept off the pads' edges."""
 
-from __future__ import annotations
-
 from coopqp.base.spec import spec
 from coopqp.metric import Metric
 from coopqp.metrics._hands import by_hand, margin
@@ -13,5 +11,5 @@ class EdgeMargin(Metric):
     """Least share of a pad between the pressure and the edge while it held; at 0 it tips."""
 
     def measure(self, trace: Trace) -> float | None:
-        """One less the farthest out of any pad; none where no pad presses."""
+        """None where no pad presses."""
         return margin(by_hand(trace, "edge_use"))

@@ -1,7 +1,5 @@
 """What solved the QPs: the compiled kernel or Python; null for laws without a QP."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -19,7 +17,6 @@ class Engine(Metric):
     """
 
     def measure(self, trace: Trace) -> dict[str, Any] | None:
-        """Over the whole run."""
         if trace.engine is None:
             return None
         left = trace.ticks - int(np.count_nonzero(trace.compiled))

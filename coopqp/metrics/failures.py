@@ -1,12 +1,10 @@
 """The failed ticks, each with its cause."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from coopqp.base.spec import spec
 from coopqp.metric import Metric
-from coopqp.trace import Failure, Trace
+from coopqp.trace import Trace
 
 
 @spec
@@ -14,9 +12,5 @@ class Failures(Metric):
     """The failed ticks, each with its cause."""
 
     def measure(self, trace: Trace) -> list[dict[str, Any]]:
-        """Over the whole run."""
-        return [{"tick": failure.tick, "cause": _written(failure)} for failure in trace.failures]
-
-
-def _written(failure: Failure) -> str:
-    return f"{failure.cause}: {failure.note}" if failure.note else failure.cause
+        causes = [(f.tick, f"{f.cause}: {f.note}" if f.note else f.cause) for f in trace.failures]
+        return [{"tick": tick, "cause": cause} for tick, cause in causes]

@@ -1,6 +1,4 @@
-"""Ticks in which something was given up to have an answer, by what."""
-
-from __future__ import annotations
+"""Ticks in which constraints were relaxed to have a solution, by cause."""
 
 from collections import Counter
 
@@ -12,11 +10,11 @@ from coopqp.trace import Trace
 
 @spec
 class FallbackTicks(Metric):
-    """Ticks in which something was given up to have an answer, by what."""
+    """Ticks in which constraints were relaxed to have a solution, by cause."""
 
     def measure(self, trace: Trace) -> dict[str, int]:
         """By cause, such as DRIFT_SLOWED; a tick counts for each of its own."""
-        given_up = (
+        relaxed = (
             cause.name for status in trace.status for cause in causes_of(status) if cause.fallback
         )
-        return dict(sorted(Counter(given_up).items()))
+        return dict(sorted(Counter(relaxed).items()))

@@ -1,7 +1,5 @@
 """How much of the friction was never used."""
 
-from __future__ import annotations
-
 from coopqp.base.spec import spec
 from coopqp.metric import Metric
 from coopqp.metrics._hands import by_hand, margin
@@ -13,5 +11,5 @@ class FrictionMargin(Metric):
     """Least share of the real friction that no hand used while it held; at 0 it slips."""
 
     def measure(self, trace: Trace) -> float | None:
-        """One less the largest use of any hand; none where no hand presses."""
+        """None where no hand presses."""
         return margin(by_hand(trace, "friction_use"))

@@ -1,7 +1,5 @@
 """How far the hands end apart from what the model says: its calibration error."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import numpy as np
@@ -20,8 +18,8 @@ class Gap(Metric):
     def measure(self, trace: Trace) -> dict[str, float]:
         """The largest of the loops in the last tick, as the controller observed it.
 
-        Along the line between hands that squeeze by admittance the gap is what they press, and says
-        nothing of the model.
+        Along the line between hands that squeeze by admittance the gap is the commanded
+        displacement, and no calibration error.
         """
         last = trace.gap[-1].copy() if trace.ticks else np.zeros(0)
         e = _squeezed_along(trace)
@@ -34,12 +32,12 @@ class Gap(Metric):
 
 def _squeezed_along(trace: Trace) -> Array | None:
     """Direction between two hands of which a squeeze is asked; None where it is not."""
-    told = trace.signals.get("hand_point")
+    points = trace.signals.get("hand_point")
     asked = "forces" in trace.supports and any(task.unit == "N" for task in trace.tasks)
-    if told is None or not asked or not trace.ticks or not len(trace.gap[-1]):
+    if points is None or not asked or not trace.ticks or not len(trace.gap[-1]):
         return None
-    points = told[-1].reshape(-1, 3)
-    held = points[(points != 0.0).any(axis=1)]
+    last = points[-1].reshape(-1, 3)
+    held = last[(last != 0.0).any(axis=1)]
     if len(held) != 2:
         return None
     way = held[1] - held[0]

@@ -1,7 +1,5 @@
 """Whether hands that press held the object to the end."""
 
-from __future__ import annotations
-
 from coopqp.assessment import assess
 from coopqp.base.spec import spec
 from coopqp.metric import Metric

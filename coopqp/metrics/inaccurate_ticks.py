@@ -1,7 +1,5 @@
 """Ticks that were feasible but not optimal to the declared accuracy."""
 
-from __future__ import annotations
-
 from coopqp.base.spec import spec
 from coopqp.metric import Metric
 from coopqp.trace import Trace
@@ -12,5 +10,4 @@ class InaccurateTicks(Metric):
     """Ticks that were feasible but not optimal to the declared accuracy."""
 
     def measure(self, trace: Trace) -> int:
-        """Over the whole run."""
         return int(trace.inaccurate.sum())

@@ -4,8 +4,6 @@ An input was never followed if nothing that could be used has arrived at it, or 
 what arrives being refused.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 from coopqp.assessment import assess
@@ -19,7 +17,7 @@ class InputTicks(Metric):
     """Ticks with refused and with stale inputs, and the inputs that were not followed at all."""
 
     def measure(self, trace: Trace) -> dict[str, Any] | None:
-        """Over the whole run; none where nothing follows an input."""
+        """None where nothing follows an input."""
         if not trace.inputs or not trace.ticks:
             return None
         inputs = assess(trace).inputs

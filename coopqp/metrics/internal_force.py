@@ -1,7 +1,5 @@
 """How hard the hands squeeze and twist the object against each other, where the plant tells it."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import numpy as np
@@ -21,7 +19,7 @@ class InternalForce(Metric):
     unit: ClassVar[str] = "N, N m"
 
     def measure(self, trace: Trace) -> dict[str, float] | None:
-        """The largest force and moment of a hand that others cancel: worst, and mean at the end."""
+        """Largest force and moment of a hand that others cancel: worst, and mean at the end."""
         signal = trace.signals.get("internal_wrench")
         if signal is None or not trace.ticks:
             return None

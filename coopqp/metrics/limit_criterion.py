@@ -1,16 +1,13 @@
-"""How near the joints are to their limits: what a null-space term shall keep small, eq. (33).
+"""How near the joints are to their limits: what a null-space term minimises, eq. (33).
 
 With x_j = (q_j - mid_j) / (range_j / 2), which is -1 and 1 at the limits of joint j,
 
     nearest   max_j |x_j|           1 where the first joint is at its limit, more beyond it
     quadratic sum_j (x_j / 2)^2     the criterion of joint_centering
 
-Joints without a range, and those that it does not let move, do not count.
-
-Both follow from q alone, so that they can be shown for every law, with the term and without.
+Joints without a range, and those that it does not let move, do not count. Both follow from q alone,
+so they are shown for every law, with the term and without.
 """
-
-from __future__ import annotations
 
 from typing import ClassVar
 
@@ -28,7 +25,6 @@ class LimitCriterion(Metric):
     unit: ClassVar[str] = "1"
 
     def measure(self, trace: Trace) -> dict[str, float]:
-        """The nearest joint's, over the whole run and at the end, and the quadratic one's end."""
         found = limit_criterion(trace)
         return {
             "nearest_max": float(found["nearest"].max()),

@@ -1,7 +1,5 @@
 """Least distance of a joint to its position limit; negative beyond it."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 from coopqp.assessment.limits import beyond
@@ -17,5 +15,4 @@ class LimitMarginMin(Metric):
     unit: ClassVar[str] = "rad or m"
 
     def measure(self, trace: Trace) -> float:
-        """Over the whole run."""
         return 0.0 - float(beyond(trace).max())  # no negative zero

@@ -1,7 +1,5 @@
 """How far the worst joint went beyond its position limit."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 from coopqp.assessment.limits import beyond
@@ -17,5 +15,4 @@ class LimitViolationMax(Metric):
     unit: ClassVar[str] = "rad or m"
 
     def measure(self, trace: Trace) -> float:
-        """0 when no limit was left."""
         return max(0.0, float(beyond(trace).max()))

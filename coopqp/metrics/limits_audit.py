@@ -1,7 +1,5 @@
 """What every limit had left: least margin, ticks at the bound, share of time."""
 
-from __future__ import annotations
-
 from coopqp.assessment.thresholds import AT_LIMIT
 from coopqp.base.spec import spec
 from coopqp.metric import Metric

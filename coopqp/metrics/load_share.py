@@ -1,7 +1,5 @@
 """Which share of the object's weight each arm carries."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from coopqp.base.spec import spec
@@ -9,8 +7,8 @@ from coopqp.metric import Metric
 from coopqp.metrics._hands import by_hand
 from coopqp.trace import Trace
 
-#: Where the hands lift with less, nobody carries anything [N].
-LEAST_LIFT = 1e-3
+#: Smaller total lifting forces carry nothing [N].
+MIN_LIFT = 1e-3
 
 
 @spec
@@ -24,4 +22,4 @@ class LoadShare(Metric):
             return None
         lift = wrenches[:, :, 2].mean(axis=0)
         total = float(lift.sum())
-        return (lift / total).tolist() if np.abs(total) > LEAST_LIFT else None
+        return (lift / total).tolist() if np.abs(total) > MIN_LIFT else None

@@ -1,7 +1,5 @@
 """Largest distance and angle between where two arms carry the object."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 from coopqp.assessment import assess
@@ -17,6 +15,5 @@ class LoopErrorMax(Metric):
     unit: ClassVar[str] = "m, rad"
 
     def measure(self, trace: Trace) -> dict[str, float]:
-        """Over the whole run."""
         position, orientation = assess(trace).loop
         return {"position": position, "orientation": orientation}

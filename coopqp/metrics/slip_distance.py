@@ -1,7 +1,5 @@
 """How far the object has slipped along the hands that press on it."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 from coopqp.base.spec import spec

@@ -1,7 +1,5 @@
 """Name of the QP solver; null for laws without one."""
 
-from __future__ import annotations
-
 from coopqp.base.spec import spec
 from coopqp.metric import Metric
 from coopqp.trace import Trace
@@ -12,5 +10,4 @@ class Solver(Metric):
     """Name of the QP solver; null for laws without one."""
 
     def measure(self, trace: Trace) -> str | None:
-        """Over the whole run."""
         return trace.solver

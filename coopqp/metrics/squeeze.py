@@ -1,7 +1,5 @@
 """How hard the hands press on the object."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import numpy as np
@@ -22,8 +20,7 @@ class Squeeze(Metric):
     def measure(self, trace: Trace) -> dict[str, float] | None:
         """Normal forces of hands that press; the squeeze between two or three fastened ones.
 
-        The mean is over hands and ticks. A hand that lets go, or has lost the object, is not
-        counted.
+        The mean is over hands and ticks. Hands that let go, or lost the object, do not count.
         """
         normal, points = by_hand(trace, "normal_force"), by_hand(trace, "hand_point", 3)
         wrenches = by_hand(trace, "hand_wrench", 6)
@@ -33,8 +30,8 @@ class Squeeze(Metric):
         if normal is not None:
             found = normal[:, :, 0][holds & (wrenches != 0.0).any(axis=2)]
         else:
-            told = zip(points, wrenches, strict=True)
-            found = np.array([newtons for p, h in told for newtons in squeezes(p, h)])
+            ticks = zip(points, wrenches, strict=True)
+            found = np.array([newtons for p, h in ticks for newtons in squeezes(p, h)])
         if not found.size:
             return None
         least, mean, worst = float(found.min()), float(found.mean()), float(found.max())

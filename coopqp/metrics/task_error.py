@@ -1,7 +1,5 @@
 """Each task's error at its end."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 from coopqp.assessment import assess

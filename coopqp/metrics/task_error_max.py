@@ -1,7 +1,5 @@
 """Each task row's largest error on the way."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import numpy as np
@@ -21,6 +19,6 @@ class TaskErrorMax(Metric):
         """By row, without a sign; None where it has no number in any tick."""
         found: dict[str, float | None] = {}
         for name, errors in zip(trace.task_rows, np.abs(trace.e).T, strict=True):
-            told = errors[np.isfinite(errors)]
-            found[name] = float(told.max()) if told.size else None
+            finite = errors[np.isfinite(errors)]
+            found[name] = float(finite.max()) if finite.size else None
         return found

@@ -1,7 +1,5 @@
 """Time from reading the joints to the verified command."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import numpy as np
@@ -19,7 +17,7 @@ class TickUs(Metric):
     timed: ClassVar[bool] = True
 
     def measure(self, trace: Trace) -> dict[str, float] | None:
-        """Over the whole run; none where many ticks were done at once."""
+        """None where many ticks were done at once."""
         us = trace.tick_us
         if np.isnan(us).any():
             return None

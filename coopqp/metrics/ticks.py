@@ -1,7 +1,5 @@
 """Number of control periods."""
 
-from __future__ import annotations
-
 from coopqp.base.spec import spec
 from coopqp.metric import Metric
 from coopqp.trace import Trace
@@ -12,5 +10,4 @@ class TickBatch(Metric):
     """Number of control periods."""
 
     def measure(self, trace: Trace) -> int:
-        """Over the whole run."""
         return trace.ticks

@@ -1,7 +1,5 @@
 """How much of their torque the motors never used."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

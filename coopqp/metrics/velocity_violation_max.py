@@ -1,7 +1,5 @@
 """How far the worst joint's speed went beyond its limit."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import numpy as np
@@ -18,5 +16,4 @@ class VelocityViolationMax(Metric):
     unit: ClassVar[str] = "rad/s or m/s"
 
     def measure(self, trace: Trace) -> float:
-        """0 when no limit was broken."""
         return max(0.0, float((np.abs(trace.v) - trace.velocity).max(initial=0.0)))

@@ -58,7 +58,7 @@ class LoopRows:
         rows: all of them, such as "loop[left].rot_y"; those of open loops come last.
         closed: how many rows belong to closed loops.
         kept: indices of the rows handed to the solvers.
-        rank: rank of the closed rows at generic configurations.
+        rank: of the closed rows at generic configurations.
     """
 
     rows: tuple[Row, ...]
@@ -68,7 +68,6 @@ class LoopRows:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of all rows."""
         return names_of(self.rows)
 
     @property
@@ -78,7 +77,6 @@ class LoopRows:
 
     @property
     def kept_rows(self) -> tuple[Row, ...]:
-        """The kept rows."""
         return tuple(self.rows[i] for i in self.kept)
 
     @property
@@ -96,17 +94,13 @@ class LoopRows:
 
 
 class ClosedChain:
-    """A robot whose arms hold one object.
-
-    Args:
-        hold: who holds what. :meth:`attach` makes the first one.
+    """A robot whose arms hold one object; :meth:`attach` makes the first one.
 
     Attributes:
-        robot, grasps, held: as in the hold.
         arms: those that hold the object, then the released ones; each in the robot's order.
         holding: how many hold the object.
-        model: pinocchio model with the grasps' passive joints; massless object (its inertia
-            matters to the dynamics alone, which add it).
+        model: pinocchio model with the grasps' passive joints; massless object (its inertia matters
+            to the dynamics alone, which add it).
         q_start: configuration with the passive joints in it, shape (n,).
         start_position: of the object at the start, shape (3,) [m].
         joint_units: of each joint's coordinate: "m" where it slides, else "rad".
@@ -142,7 +136,6 @@ class ClosedChain:
         self._start()
 
     def _start(self) -> None:
-        """Take the start from the hold."""
         self.q_start, self.start_position = self.hold.q, self.hold.p_WO
         self.q_start.flags.writeable = self.start_position.flags.writeable = False
         self.loops = self._independent_rows()
@@ -164,11 +157,7 @@ class ClosedChain:
         return cls(attach(robot, q_start, grasps, held, **others))  # type: ignore[arg-type]
 
     def moved(self, q: Array) -> ClosedChain:
-        """The same chain with another start, the object held as it is.
-
-        Args:
-            q: configuration with the loops closed, passive joints included, shape (n,).
-        """
+        """The same chain, object and grasps, starting at q with the loops closed, shape (n,)."""
         start = vector("q", q, self.n)
         moved = self._with(q=start, p_WO=self.object_pose(start).translation.copy())
         vars(moved).pop("reach", None)  # which is measured at the start
@@ -190,25 +179,17 @@ class ClosedChain:
         return {**vars(self), "_made": {}}  # made again where it is asked for
 
     def once(self, make: Callable[[ClosedChain], Made]) -> Made:
-        """What is the same wherever it starts, whatever it carries, made once for all of them.
-
-        Args:
-            make: makes it; found again by this function.
-        """
+        """What ``make`` makes, once for all chains that differ in start and object alone."""
         if make not in self._made:
             self._made[make] = make(self)
         made: Made = self._made[make]
         return made
 
     def handed_over(self, q: Array, released: Collection[str] = ()) -> ClosedChain:
-        """The same robot with other arms holding the object, where everything is now.
+        """The same robot at q, shape (n,), with all arms but the released holding the object.
 
         An arm that holds on holds it as before. One that takes hold does so where its hand is, so
         that every loop closes. One that lets go keeps its object frame, fixed to its tip.
-
-        Args:
-            q: configuration with this chain's loops closed, passive joints included, shape (n,).
-            released: names of the arms that do not hold the object from now on.
 
         Raises:
             UnknownNameError: an arm that the robot does not have.
@@ -226,11 +207,7 @@ class ClosedChain:
         return ClosedChain(self.hold.handed_over(q, released, p_WO, X_by_arm))
 
     def object_pose(self, q: Array) -> pin.SE3:
-        """Pose of the object in the world, the mean over the arms that hold it.
-
-        Args:
-            q: configuration, shape (n,).
-        """
+        """Pose of the object in the world at q, the mean over the arms that hold it."""
         with self._data() as data:
             X_0, *others = self._carried(vector("q", q, self.n), data)[: self.holding]
             p, turn = X_0.translation.copy(), np.zeros(3)
@@ -259,11 +236,7 @@ class ClosedChain:
 
     @cached_property
     def reach(self) -> float:
-        """Bound on the distance from any joint to the object along its arm [m].
-
-        Sliding joints count with a metre, so that their share of a second derivative is bounded
-        by it too.
-        """
+        """Bound on the distance from any joint to the object [m]; a sliding joint adds a metre."""
         longest = 0.0
         with self._data() as data:
             carried = self._carried(self.q_start, data)
@@ -332,11 +305,7 @@ class ClosedChain:
         return max(ranks, default=0)
 
     def closed_walk(self, steps: int) -> Iterator[Array]:
-        """Configurations with the loops closed, on a random walk from the start.
-
-        Args:
-            steps: at most so many; fewer where the loops cannot be closed any more.
-        """
+        """At most so many closed configurations, on a random walk from the start."""
         rng, q = np.random.default_rng(0), self.q_start
         for _ in range(steps):
             rows = np.linalg.svd(self.loop_jacobian(q))

@@ -24,9 +24,9 @@ from numpy.typing import ArrayLike
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array, Direction, Pose, Vector3, one_angle, spec, unit
 from coopqp.grasp import pose_matrix
-from coopqp.model.profile import KINDS, Profile
+from coopqp.model.profile import Profile
 from coopqp.model.state import PointOfObject, State
-from coopqp.signal import DIRECTION, POINT, POSE, Instant, Moment, Signal, Trajectory, course
+from coopqp.signal import DIRECTION, POINT, POSE, Instant, Moment, Signal, Trajectory, trajectory_of
 
 #: Below this two directions count as parallel, or a point as on an axis, and any way is taken.
 TINY = 1e-12  # sine of an angle, or [m]
@@ -59,27 +59,8 @@ class Turn:
         return math.radians(self.angle_deg) if self.angle is None else self.angle  # type: ignore[arg-type]
 
 
-def last_end(*moving: object) -> float:
-    """When all of what a task follows is where it stays; what never rests does not count [s].
-
-    Args:
-        moving: profiles, turns, signals; anything else is at rest.
-    """
-    ends = (
-        x.profile.end
-        if isinstance(x, Turn)
-        else x.end
-        if isinstance(x, Profile)
-        else x.rest
-        if isinstance(x, Signal)
-        else 0.0
-        for x in moving
-    )
-    return max((end for end in ends if math.isfinite(end)), default=0.0)
-
-
 class Reference:
-    """A frame that the object is steered to.
+    """A frame that the object is steered to; InvalidValueError: it moves in two ways at once.
 
     Args:
         origin: where it is at t = 0, in the world, shape (3,) [m]; or a signal, or its course.
@@ -90,9 +71,6 @@ class Reference:
             have to move for it:
         point: of the object, in the object frame [m]; it is where the origin begins.
         axis: of the object, in the object frame; it is along it that the direction begins.
-
-    Raises:
-        InvalidValueError: something moves in two ways at once.
 
     Attributes:
         c, c_dot: its origin and that one's velocity, in the world, shape (3,) [m; m/s].
@@ -123,9 +101,9 @@ class Reference:
             if isinstance(direction, Signal):
                 along = DIRECTION.read(_UP if axis is None else start.R_WO @ np.array(axis))
         self._origin = (
-            origin if isinstance(origin, Trajectory) else course(origin, POINT, start, here)
+            origin if isinstance(origin, Trajectory) else trajectory_of(origin, POINT, start, here)
         )
-        self._axes = course(direction, DIRECTION, start, along)
+        self._axes = trajectory_of(direction, DIRECTION, start, along)
         self._c_0, self._RT_0 = self._origin.value.copy(), self._axes.R.T
         self.c, self.RT = self._c_0.copy(), self._RT_0.copy()
         self.c_dot, self.omega = np.array(velocity, float), np.zeros(3)
@@ -137,20 +115,11 @@ class Reference:
         self.moves = self.follows or turn is not None or self._slides
 
     def numbers(self) -> Array:
-        """What it is made of, shape (22,): c_0, R_0', c_dot, turn, its profile, whether it turns.
-
-        The profile is kind, duration and delay; a reference that does not turn has zeros there.
-        What follows a signal is not in them.
-        """
-        turning = self._turning
-        profile = [0.0, 1.0, 0.0]
-        if turning:
-            profile = [float(KINDS.index(turning.kind)), turning.duration, turning.delay]
-        parts = self._c_0, self._RT_0.ravel(), self.c_dot, self._turn, profile
-        return np.concatenate([*parts, [float(turning is not None)]])
+        """(22,): c_0, R_0', c_dot, turn, its profile (kind, duration, delay), whether it turns."""
+        profile = (0.0, 1.0, 0.0, 0.0) if self._turning is None else (*self._turning.numbers, 1.0)
+        return np.concatenate([self._c_0, self._RT_0.ravel(), self.c_dot, self._turn, profile])
 
     def update(self, at: Instant) -> None:
-        """Go to where it is then."""
         if not self.moves:
             return
         if self._origin.moves:
@@ -169,11 +138,7 @@ class Reference:
 
 
 class PlaceOf(Trajectory):
-    """The place of a pose, as the origin of a reference.
-
-    Args:
-        pose: of which it is a part; whoever follows it has moved it before.
-    """
+    """The place of a pose, as the origin of a reference; its follower has moved the pose before."""
 
     def __init__(self, pose: Trajectory) -> None:
         self.kind, self.moves = POINT, pose.moves
@@ -186,46 +151,27 @@ def _one_motion(
     velocity: Vector3,
     turn: Turn | None,
 ) -> None:
-    """Refuse what moves in two ways at once."""
     if isinstance(origin, Signal) and any(velocity):
         raise InvalidValueError("velocity: the place is a signal, which says how it moves; omit it")
     if isinstance(direction, Signal) and turn is not None:
         raise InvalidValueError("turn: the direction is a signal, which says how it turns; omit it")
 
 
-def pose_course(given: Pose | Signal, start: Instant, here: Array | None = None) -> Trajectory:
-    """A pose to follow.
-
-    Args:
-        given: of a task.
-        start: the instant from which the reference sets out.
-        here: the value with which nothing would have to move, shape (7,).
-    """
+def pose_trajectory(given: Pose | Signal, start: Instant, here: Array | None = None) -> Trajectory:
+    """A pose or a signal to follow; an input begins at ``here``, shape (7,)."""
     if isinstance(given, Signal):
         return given.bind(POSE, start, here)
     return Trajectory(POSE, POSE.read(pose_matrix(given)))
 
 
 class PointInReference:
-    """A point of the object, seen from the reference.
-
-    Args:
-        p_O: the point in the object frame, shape (3,) [m].
-        reference: updated by the task before this.
-        n: number of joints.
-
-    Attributes:
-        x: where it is, in the reference's axes, shape (3,) [m].
-        J: Jacobian of x, shape (3, n) [m/rad].
-        rate: J v that keeps x constant, shape (3,) [m/s].
-    """
+    """A point of the object in the axes of a reference, updated before: x, Jacobian, rate."""
 
     def __init__(self, p_O: ArrayLike, reference: Reference, n: int) -> None:
         self._tracked, self._reference = PointOfObject(p_O, n), reference
         self.x, self.J, self.rate = np.zeros(3), np.zeros((3, n)), np.zeros(3)
 
     def update(self, state: State) -> None:
-        """Follow the object."""
         tracked, reference = self._tracked, self._reference
         tracked.update(state)
         gap = tracked.p - reference.c
@@ -238,12 +184,9 @@ class PointInReference:
 
 @dataclass(frozen=True, slots=True)
 class Polar:
-    """A unit vector by its angle from the third axis and its way from it.
+    """A unit vector by its angle [rad] from the third axis, 0 to pi, and its way from it.
 
-    Attributes:
-        angle: from the third axis, 0 to pi [rad].
-        sine: of the angle.
-        way: unit vector in the plane of the first two axes; the first axis where none is known.
+    The way is a unit vector in the plane of the first two axes; the first where none is known.
     """
 
     angle: float
@@ -262,7 +205,7 @@ def polar(y: Array) -> Polar:
 class Alignment:
     """Two rows that bring an axis of the object into the direction of the reference.
 
-    The wished direction goes from the axis at the start to the reference's third axis on the
+    The reference direction goes from the axis at the start to the reference's third axis on the
     shortest way; D turns it, D(s) = exp((1 - s) phi). With y = D' R' a, its angle theta from the
     third axis and its way u from it,
 
@@ -276,11 +219,7 @@ class Alignment:
     zero, and the object leaves. There h, the row sideways, would grow beyond bounds; within
     ``CONE`` of pi it keeps its value at the cone's edge.
 
-    Args:
-        axis: of the object, in the object frame; any length.
-        reference: updated by the task before this.
-        profile: how the wished direction goes there.
-        start: the state from which it sets out; the reference must be up to date.
+    The reference must be up to date at the start, and updated by the task before each tick.
     """
 
     def __init__(self, axis: Vector3, reference: Reference, profile: Profile, start: State) -> None:
@@ -300,7 +239,6 @@ class Alignment:
         rate[:] = E.dot(C.dot(reference.omega) - speed * self._phi)
 
     def _rows(self, seen: Polar) -> Array:
-        """E, shape (2, 3)."""
         theta, (u, w) = seen.angle, seen.way
         if seen.sine > TINY:
             h = max(theta * math.cos(theta) / seen.sine, self._lowest)
@@ -315,20 +253,15 @@ class Alignment:
 class RotationError:
     """Three rows that turn Q, an orientation that the joints change, onto its goal.
 
-    The reference turns about one axis of the goal, which may turn itself at omega_g,
-    Q_r = exp((s - 1) phi) Q_goal with phi = log(Q_goal Q_start') at the start. With Q_e = Q Q_r',
-    Jl the left Jacobian of SO(3) and R' J_omega the Jacobian of Q's rotation,
+    The reference turns about one axis of the goal, which may turn itself at omega_g, Q_r = exp((s -
+    1) phi) Q_goal with phi = log(Q_goal Q_start') at the start. With Q_e = Q Q_r', Jl the left
+    Jacobian of SO(3) and R' J_omega the Jacobian of Q's rotation,
 
         e = log Q_e,   J = Jl^-1(e) R' J_omega
         rate = Jl^-1(e) Q_e (s_dot phi + exp((s - 1) phi) omega_g)
 
-    Args:
-        goal: where Q_goal is, a rotation or a pose; updated by the task before this.
-        profile: how the reference turns there.
-        start: Q_start, shape (3, 3).
-
-    Attributes:
-        rows: Jl^-1(e) R' of the last tick, shape (3, 3); what R brings in by turning itself.
+    Q_goal is a rotation or a pose that the task updates before this. ``rows`` is Jl^-1(e) R' of the
+    last tick, shape (3, 3): what R brings in by turning itself.
     """
 
     def __init__(self, goal: Trajectory, profile: Profile, start: Array) -> None:
@@ -342,12 +275,7 @@ class RotationError:
     ) -> None:
         """Write e, J and rate, shapes (3,) [rad], (3, n) [rad/rad] and (3,) [rad/s].
 
-        Args:
-            t: time [s].
-            Q: the orientation, shape (3, 3).
-            RT: turns J_omega's axes into Q's, shape (3, 3).
-            J_omega: angular velocity of Q by joint, shape (3, n).
-            out: e, J and rate, written.
+        RT turns the axes of J_omega, shape (3, n), into those of the orientation Q.
         """
         e, J, rate = out
         share, speed = self._profile.at(t)
@@ -370,10 +298,7 @@ _ONE = np.eye(3)
 
 
 def _inverse_left_jacobian(w: Array) -> Array:
-    """Jl^-1(w), with which log(exp(a) exp(w)) = w + Jl^-1(w) a for a small a; shape (3, 3).
-
-    Of pinocchio's Jlog3 cancellation leaves nine digits about an angle of 1e-4 rad.
-    """
+    """Jl^-1(w), log(exp(a) exp(w)) = w + Jl^-1(w) a; pinocchio's Jlog3 loses digits at 1e-4 rad."""
     x, y, z = w.tolist()
     t2 = x * x + y * y + z * z
     if t2 < 1e-3:
@@ -387,12 +312,7 @@ def _inverse_left_jacobian(w: Array) -> Array:
 
 
 class Approach:
-    """Lets an error shrink from what it is at the start to zero: e_r = (1 - s) e_start.
-
-    Args:
-        profile: how it shrinks.
-        e_start: the error at the start, shape (k,); copied.
-    """
+    """Lets an error shrink from e_start, shape (k,), to zero: e_r = (1 - s) e_start."""
 
     def __init__(self, profile: Profile, e_start: ArrayLike) -> None:
         self._profile, self._e_start = profile, np.array(e_start, float)

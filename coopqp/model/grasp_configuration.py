@@ -3,7 +3,7 @@
 Letters: n joints (passive ones included), W the world, O the object, E the frame of an arm that
 carries the object: its tip, or what comes after its grasp's passive joints.
 
-A hold never changes. When arms let go or take hold there is another one, and another
+A grasp configuration never changes. When arms let go or take hold there is another one, and another
 :class:`coopqp.model.closed_chain.ClosedChain` built from it.
 """
 
@@ -33,12 +33,9 @@ class GraspConfiguration:
     """Which arms hold the object, how, and since when.
 
     Attributes:
-        robot: whose arms.
-        grasps: of each arm, by name.
         passive: the joints that each grasp adds, by arm, hand first.
         weights: of the arms in the absolute variables, in the robot's order.
         released: names of the arms that do not hold the object.
-        held: the object.
         q: configuration when this began, passive joints included, shape (n,) [rad, m].
         p_WO: where the object was then, shape (3,) [m].
         X_EO: pose of the object in the frame that carries it, by arm; fixed to the tip of an arm
@@ -76,12 +73,7 @@ class GraspConfiguration:
         return np.asarray(alpha / alpha.sum(), float)
 
     def model(self) -> tuple[pin.Model, tuple[int, ...]]:
-        """The robot with its grasps' joints, and the object's frame as carried by each arm.
-
-        Returns:
-            The model, and the frames' ids in the order of :attr:`arms`. The object has no mass:
-            its inertia matters to the dynamics alone, which add it.
-        """
+        """The robot with the grasps' joints, and the ids of the object's frames; it is massless."""
         model, ends = with_passive_joints(self.robot, self.passive)
         return model, tuple(
             add_object_frame(model, arm.name, self._end(arm, ends), self.X_EO[arm.name])
@@ -93,24 +85,9 @@ class GraspConfiguration:
         return arm.tip if arm.name in self.released else ends[arm.name]
 
     def handed_over(
-        self,
-        q: Array,
-        released: Collection[str],
-        p_WO: Array,
-        X_WO: Mapping[str, pin.SE3],
+        self, q: Array, released: Collection[str], p_WO: Array, X_WO: Mapping[str, pin.SE3]
     ) -> GraspConfiguration:
-        """The same robot with other arms holding the object, where everything is now.
-
-        Args:
-            q: configuration, shape (n,).
-            released: names of the arms that do not hold the object from now on.
-            p_WO: where the object is, shape (3,) [m].
-            X_WO: where each arm carries it from now on, by arm.
-
-        Raises:
-            UnknownNameError: an arm that the robot does not have.
-            GraspError: no arm is left that holds the object.
-        """
+        """With other arms holding the object, X_WO by arm; errors as of :func:`check_released`."""
         check_released(self.robot, released)
         other = replace(self, q=q, p_WO=p_WO, released=tuple(released))
         return replace(other, X_EO=other.in_hands(X_WO))
@@ -134,17 +111,17 @@ def attach(
     passive_start: Mapping[str, float] | None = None,
     released: Collection[str] = (),
 ) -> GraspConfiguration:
-    """The first hold of a robot's arms on an object.
+    """The first grasp configuration of a robot's arms on an object.
 
     Args:
         robot: the robot.
         q_start: its configuration when it takes hold, shape (robot.model.nq,) [rad, m].
         grasps: one for all arms, or one for each by the arm's name.
         held: the object.
-        alpha: weights of the arms in the absolute variables, by name, at least 0 and with sum 1;
-            an arm not named has 0; all the same when omitted.
-        passive_start: where the grasps' passive joints start, by name such as "right.hinge"
-            [rad, m]; zero when omitted.
+        alpha: weights of the arms in the absolute variables, by name, at least 0 and with sum 1; an
+            arm not named has 0; all the same when omitted.
+        passive_start: where the grasps' passive joints start, by name such as "right.hinge" [rad,
+            m]; zero when omitted.
         released: names of the arms that do not hold the object.
 
     Raises:
@@ -182,12 +159,7 @@ def attach(
 
 
 def check_released(robot: RobotModel, released: Collection[str]) -> None:
-    """Refuse arms that do not exist, and that all of them let go.
-
-    Raises:
-        UnknownNameError: an arm that the robot does not have.
-        GraspError: no arm is left that holds the object.
-    """
+    """UnknownNameError for arms that do not exist; GraspError where none is left that holds."""
     names = [arm.name for arm in robot.arms]
     for name in released:
         if name not in names:
@@ -217,10 +189,7 @@ def _with_passive_start(
 
 
 def _object_at_start(hold: GraspConfiguration) -> tuple[Array, dict[str, pin.SE3]]:
-    """The object's place, and where each arm carries it, as grasp or start says, eq. (1).
-
-    A released arm's grasp tells where the object would be in its hand.
-    """
+    """The object's place, and where each arm (a released one too) carries it, eq. (1)."""
     model, ends = with_passive_joints(hold.robot, hold.passive)
     data = model.createData()
     pin.framesForwardKinematics(model, data, hold.q)
@@ -249,15 +218,7 @@ def _check_reach(hold: GraspConfiguration, model: pin.Model, data: pin.Data) -> 
 
 
 def _agreed_pose(hold: GraspConfiguration, by_arm: Mapping[str, pin.SE3]) -> pin.SE3 | None:
-    """Pose of the object at the start, after checking that all that is given agrees.
-
-    Args:
-        hold: with the object's own pose, if it has one.
-        by_arm: where the holding arms whose grasp says so carry the object.
-
-    Raises:
-        GraspError: the object's pose and the grasps put it in different places.
-    """
+    """The object's start pose; GraspError where given poses do not agree."""
     seen = [(f"the grasp of arm '{arm}'", ["grasps", arm], X_WO) for arm, X_WO in by_arm.items()]
     if hold.held.pose:
         seen.append(("object.pose", [], pose_matrix(hold.held.pose)))
@@ -279,15 +240,7 @@ def _agreed_pose(hold: GraspConfiguration, by_arm: Mapping[str, pin.SE3]) -> pin
 def with_passive_joints(
     robot: RobotModel, joints: Mapping[str, Sequence[PassiveJoint]]
 ) -> tuple[pin.Model, dict[str, str]]:
-    """The robot's model with its grasps' joints after the tips.
-
-    Args:
-        robot: the robot.
-        joints: by arm, hand first.
-
-    Returns:
-        The model, and by arm the frame that carries the object: "ARM.grasp", or the tip.
-    """
+    """The robot's model with its grasps' joints, hand first, and each arm's last frame by name."""
     model, ends, one = robot.model.copy(), {}, np.ones(1)
     for arm in robot.arms:
         ends[arm.name] = arm.tip
@@ -308,16 +261,7 @@ def with_passive_joints(
 
 
 def object_at_end(model: pin.Model, end: int, tip: int, grasp: Grasp) -> pin.SE3:
-    """Pose of the object in the frame after the passive joints, from object_in_hand.
-
-    What object_in_hand says holds where the passive joints are at zero.
-
-    Args:
-        model: with the passive joints.
-        end: frame after them.
-        tip: frame before them.
-        grasp: one with object_in_hand.
-    """
+    """Pose of the object in the frame after the passive joints, from object_in_hand at zero."""
     assert grasp.object_in_hand is not None
     data = model.createData()
     pin.framesForwardKinematics(model, data, np.array(pin.neutral(model)))
@@ -337,11 +281,7 @@ def add_object_frame(model: pin.Model, arm: str, end: str, X_EO: pin.SE3) -> int
 
 
 def arm_weights(robot: RobotModel, alpha: Mapping[str, float] | None) -> Array:
-    """Weights of the arms in the absolute variables, in the order of the arms, shape (N,).
-
-    Args:
-        robot: the robot.
-        alpha: by arm; an arm not named has 0; all the same when omitted.
+    """Weights of the arms in the absolute variables, in their order; alike when alpha is omitted.
 
     Raises:
         UnknownNameError: no such arm.
@@ -363,16 +303,7 @@ def arm_weights(robot: RobotModel, alpha: Mapping[str, float] | None) -> Array:
 
 
 def grasp_of_each(robot: RobotModel, grasps: Grasp | Mapping[str, Grasp]) -> dict[str, Grasp]:
-    """The grasp of each arm, in the order of the arms.
-
-    Args:
-        robot: the robot.
-        grasps: one for all arms, or one for each by the arm's name.
-
-    Raises:
-        UnknownNameError: a grasp for an arm that the robot does not have.
-        GraspError: an arm without a grasp.
-    """
+    """Each arm's grasp, in their order; UnknownNameError: no such arm, GraspError: none for one."""
     names = [arm.name for arm in robot.arms]
     if isinstance(grasps, Grasp):
         return dict.fromkeys(names, grasps)

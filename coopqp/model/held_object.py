@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated
 
 import numpy as np
 import pinocchio as pin
-from pydantic import BeforeValidator
 
 from coopqp.base.errors import InvalidValueError
-from coopqp.base.spec import Array, Lengths3, NonNegative, Pose, Vector3, numbers, spec
+from coopqp.base.spec import Array, Lengths3, NonNegative, Pose, Vector3, Vector6, spec
 
 
 def inertia_matrix(six: Sequence[float]) -> Array:
@@ -20,11 +18,7 @@ def inertia_matrix(six: Sequence[float]) -> Array:
 
 
 def check_inertia(matrix: Array, what: str) -> None:
-    """Refuse an inertia no body can have: a negative or too large principal moment.
-
-    Raises:
-        InvalidValueError: a principal moment is negative or exceeds the sum of the other two.
-    """
+    """InvalidValueError: a principal moment is negative or exceeds the sum of the other two."""
     moments = np.linalg.eigvalsh(matrix)
     slack = 1e-9 * max(float(moments[-1]), 1e-12)
     if moments[0] < -slack or moments[2] > moments[0] + moments[1] + slack:
@@ -32,11 +26,6 @@ def check_inertia(matrix: Array, what: str) -> None:
             f"{what}: principal moments {moments} kg m2 are impossible; each must be positive "
             "and at most the sum of the other two"
         )
-
-
-Six = Annotated[
-    tuple[float, float, float, float, float, float], BeforeValidator(lambda v: numbers(v, 6))
-]
 
 
 @spec
@@ -49,7 +38,7 @@ class HeldObject:
     """[kg]"""
     com: Vector3 = (0.0, 0.0, 0.0)
     """Centre of mass in the object frame [m]."""
-    inertia: Six | None = None
+    inertia: Vector6 | None = None
     """ixx ixy ixz iyy iyz izz about the centre of mass [kg m2]; that of a solid box if omitted."""
     pose: Pose | None = None
     """Pose in the world at the start; midway between the hands, unturned, if omitted."""

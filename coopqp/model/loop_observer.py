@@ -1,17 +1,16 @@
-"""The model's own loop error, observed slowly and never corrected.
+"""The model's own loop error (bias), observed slowly and never corrected.
 
-The arms of a real robot are a little longer than the model says, its encoders a little off, the
-object a little elsewhere in the hands. So where the real loops are closed the model's are open by
-some b, a gap that changes slowly. With e_c = e(q) at the commanded configuration, e_m at the
-measured one, and compliance between them, the squeeze on the object is proportional to e_c - e_m:
-it vanishes where the *command* carries the model's error. Hence
+Lengths, encoders and grasps are a little off. So where the real loops are closed the model's are
+open by some b, a loop-closure offset that changes slowly. With e_c = e(q) at the commanded
+configuration, e_m at the measured one, and compliance between them, the internal force is
+proportional to e_c - e_m: it vanishes where the *command* carries the model's error. Hence
 
     J_c v = -kappa (e_c - gap),     gap' = (e_m - e_c) / time
 
-A correction that pulled e_m, or all of e_c, to zero would integrate b without end, until the motors
-saturate. The observer is stable for every delay while the compliance of the grasp is part of the
-whole (small gain); ``time`` is long enough for the resonances of servos and grasps, which need
-0.1 s, and not longer, since the squeeze of a motion grows with it.
+Correcting e_m, or all of e_c, to zero would integrate b without end, until the motors saturate. The
+observer is stable for every delay while the compliance of the grasp is part of the whole (small
+gain); ``time`` exceeds the 0.1 s of the resonances of servos and grasps, and no more, since the
+internal force of a motion grows with it.
 """
 
 from __future__ import annotations
@@ -32,12 +31,7 @@ MOST_POSITION, MOST_ORIENTATION = 30e-3, 100e-3
 
 
 class LoopObserver:
-    """Keeps ``State.gap``.
-
-    Args:
-        chain: the modelled chain.
-        dt: control period [s].
-    """
+    """Estimates ``State.gap``."""
 
     def __init__(self, chain: ClosedChain, dt: float) -> None:
         self._chain, self._share = chain, dt / max(TIME, TICKS * dt)
@@ -48,10 +42,7 @@ class LoopObserver:
         return State(self._chain)
 
     def begin(self, state: State) -> None:
-        """Take all that the loops are open by at q for the model's error.
-
-        Without this, arms that begin with an error would squeeze until it is observed.
-        """
+        """Take the whole loop error at q for the model's, so that arms do not press at first."""
         self._measured.q[:] = state.q  # made now, not in a tick
         state.update()
         state.gap[:] = state.loop_error
@@ -59,12 +50,7 @@ class LoopObserver:
         state.update()
 
     def update(self, state: State, along: Array | None = None) -> bool:
-        """Follow the measured configuration, where there is one; False where it is none.
-
-        Args:
-            state: ``gap`` and what follows from it are written.
-            along: unit vector, shape (6 L,), along which others decide about the gap.
-        """
+        """Follow the measured q, but along the unit vector ``along``; False where not finite."""
         if state.q_measured is None:
             return True
         measured, found = self._measured, np.asarray(state.q_measured)

@@ -1,6 +1,6 @@
-"""What a task or a limit shows of itself in pictures: marks in the world, at one instant.
+"""What a task or a limit shows of itself in pictures: markers in the world, at one instant.
 
-A mark without a place of its own, such as a direction to point along, is drawn at the object.
+A marker without a place of its own, such as a direction to point along, is drawn at the object.
 Arrays, lists and tuples may be given; they are kept as arrays.
 """
 
@@ -63,7 +63,6 @@ class PointMarker:
     """A point."""
 
     at: Point
-    """Where it is."""
 
 
 @spec
@@ -71,7 +70,6 @@ class LineMarker:
     """A line without ends."""
 
     direction: UnitVector
-    """Along it."""
     through: Point | None = None
     """A point of it; None where only the direction counts."""
 
@@ -81,9 +79,7 @@ class PlaneMarker:
     """A plane without ends."""
 
     normal: UnitVector
-    """Normal to it."""
     through: Point
-    """A point of it."""
 
 
 @spec
@@ -91,9 +87,7 @@ class CircleMarker:
     """A circle, the line and not the disc."""
 
     center: Point
-    """Its middle."""
     normal: UnitVector
-    """Normal to its plane."""
     radius: Positive
     """[m]"""
 
@@ -103,7 +97,6 @@ class SphereMarker:
     """The surface of a ball."""
 
     center: Point
-    """Its middle."""
     radius: Positive
     """[m]"""
 
@@ -117,19 +110,16 @@ class SolidMarker:
     size: tuple[float, ...]
     """[m], of a mesh the scale."""
     rotation: Rotation
-    """Its axes as columns."""
     position: Point
-    """Its origin."""
     mesh: Path | None = None
     """File of a mesh."""
 
 
 @spec
 class PoseMarker:
-    """Axes of a frame."""
+    """Axes of a frame, the columns of its rotation."""
 
     rotation: Rotation
-    """The axes as columns."""
     position: Point | None = None
     """Its origin; None where only the orientation counts."""
 
@@ -152,7 +142,7 @@ class PostureMarker:
 
 @spec
 class RelativeMarker:
-    """Axes of a frame that moves with the first arm."""
+    """Axes of a frame, the columns of its rotation, that moves with the first arm."""
 
     rotation: Rotation
     """The axes as columns, in that arm's object frame."""
@@ -174,7 +164,7 @@ Marker = (
 )
 
 
-def marks_fault(marks: object) -> str:
+def markers_fault(marks: object) -> str:
     """What of something given as marks is none; empty where all are."""
     *others, last = (kind.__name__ for kind in get_args(Marker))
     if not isinstance(marks, tuple | list):
@@ -188,13 +178,7 @@ def marks_fault(marks: object) -> str:
 def asked(
     name: str, marks: Callable[[], Sequence[Marker]], faults: list[str]
 ) -> tuple[Marker, ...]:
-    """The marks of a task or a limit; none where its code raises or gives something else.
-
-    Args:
-        name: of the task or the limit.
-        marks: asks for them.
-        faults: to which a sentence is added on what went wrong.
-    """
+    """The markers of a task or a limit; none, and a sentence in ``faults``, where code fails."""
     try:
         found = marks()
     except KeyboardInterrupt:
@@ -202,7 +186,7 @@ def asked(
     except BaseException as error:  # noqa: BLE001 - code of plug-ins may raise anything
         wrong = raised(error)
     else:
-        wrong = marks_fault(found)
+        wrong = markers_fault(found)
     if not wrong:
         return tuple(found)
     faults.append(f"{name}.marks: {wrong}")

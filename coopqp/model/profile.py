@@ -8,8 +8,6 @@ from coopqp.base.spec import NonNegative, Positive, spec
 
 #: Share of a trapezoid's duration spent speeding up, and again slowing down.
 RAMP = 0.25
-
-
 #: The kinds, in the order in which the kernel numbers them.
 KINDS = ("step", "constant_velocity", "trapezoid", "quintic")
 
@@ -28,6 +26,11 @@ class Profile:
     """Time from start to goal [s]; a step ignores it."""
     delay: NonNegative = 0.0
     """Time before the motion begins [s]."""
+
+    @property
+    def numbers(self) -> tuple[float, float, float]:
+        """Kind, duration and delay, for the kernel."""
+        return float(KINDS.index(self.kind)), self.duration, self.delay
 
     @property
     def end(self) -> float:

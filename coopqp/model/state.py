@@ -23,14 +23,7 @@ from coopqp.signal import InputValues
 
 
 class Memory:
-    """What a law remembers from tick to tick, by name, in one array that can be recorded.
-
-    Args:
-        sizes: how many numbers go by each name.
-
-    Attributes:
-        numbers: all of them, zero at first.
-    """
+    """What a law remembers from tick to tick, by name, in one array that can be recorded."""
 
     def __init__(self, sizes: Mapping[str, int]) -> None:
         self.sizes = dict(sizes)
@@ -51,7 +44,6 @@ class Memory:
 
 
 def _memory(sizes: Mapping[str, int], numbers: Array) -> Memory:
-    """A memory from what a copy is made of."""
     memory = Memory(sizes)
     memory.numbers[:] = numbers
     return memory
@@ -64,33 +56,32 @@ class State:
         chain: the closed chain.
         q: configuration, shape (n,) [rad, m]; the chain's start when omitted.
         t: time [s].
-        memory: what the law must remember between ticks; the law makes its own where this is
-            not it. Together with t, q and v it is all that is needed to replay a tick.
+        memory: what the law must remember between ticks; the law makes its own where this does not
+            fit. Together with t, q and v it is all that is needed to replay a tick.
 
     Raises:
         InvalidValueError: q is no n numbers.
 
     Attributes:
-        t: [s].
         q, v: configuration and velocity, shape (n,) [rad, m; rad/s, m/s]. Where velocities are
             commanded, q is the *commanded* configuration, the integral of the commands, and the
             measured one is ``q_measured``; where torques are, q is measured.
         p_WO, R_WO: the object's pose, shapes (3,) [m] and (3, 3).
-        loop_error: how far arm i carries the object from where arm 0 does, shape (6 L,):
-            position [m], then rotation vector [rad], per loop; open loops come last.
-        gap: what the loops are to be open by: the model's error, constant or slow, which the law
-            observes where ``q_measured`` is given, and how much closer hands are told to be that
-            squeeze by admittance. It is not corrected. Shape (6 L,).
-        drift: loop_error - gap, what the drift correction has to undo, shape (6 L,).
+        loop_error: how far arm i carries the object from where arm 0 does, shape (6 L,): position
+            [m], then rotation vector [rad], per loop; open loops come last.
+        gap: loop-closure offset, shape (6 L,), which is not corrected: the model's bias, constant
+            or slow, which the law observes where ``q_measured`` is given, and the commanded
+            relative displacement of hands that squeeze by admittance.
+        drift: loop_error - gap, what the Baumgarte stabilisation has to correct, shape (6 L,).
         closed_error: the part of drift that belongs to closed loops.
-        q_measured: where the sensors say that the joints are, shape (n,); None where q itself is
-            what there is, as for joints that do exactly as told.
-        hand_wrench: what force sensors say that the hands do to the object, by the robot's arms,
-            each at its hand's point, world axes, shape (6 N,) [N, N m]; None where there are none.
-        corrected: share of the drift correction that the last tick did.
+        q_measured: measured joint positions, shape (n,); None where joints follow their commands
+            exactly.
+        hand_wrench: measured wrenches of the hands on the object, by the robot's arms, each at its
+            hand's point, world axes, shape (6 N,) [N, N m]; None where there are none.
+        corrected: share of the Baumgarte correction that the last tick did.
         jacobians_due: whether the poses alone are up to date, as the kernel leaves them; Jacobians
             are then computed when somebody asks for them.
-        inputs: what is made of what arrived from outside, by name; empty where nothing can.
+        inputs: filtered values of what arrived from outside, by name; empty where nothing can.
     """
 
     def __init__(
@@ -164,10 +155,9 @@ class State:
         self.chain.mixing.dot(np.concatenate(J_arms), self._J_ext)
 
     def written(self) -> dict[str, Array]:
-        """Arrays for the kernel to write instead of :meth:`update`; then Jacobians are due.
+        """Arrays by name that the kernel writes instead of :meth:`update`; Jacobians are then due.
 
-        By name; ``q_seen`` is the q that the poses belong to, ``commanded`` what :meth:`advance`
-        keeps.
+        ``q_seen`` is the q that the poses belong to, ``commanded`` what :meth:`advance` keeps.
         """
         return {
             "q": self.q, "v": self.v, "gap": self.gap, "p_WO": self.p_WO, "R_WO": self.R_WO,
@@ -223,14 +213,7 @@ class State:
         return self._e_loop
 
     def advance(self, v: Array, dt: float) -> None:
-        """Go on to the next tick, with the velocity that was commanded: q + v dt, t + dt.
-
-        The measured configuration is not touched: sensors say where the joints are.
-
-        Args:
-            v: as commanded, shape (n,) [rad/s, m/s].
-            dt: control period [s].
-        """
+        """Go on to the next tick with the commanded v, (n,): q + v dt, t + dt; q_measured stays."""
         self.q += dt * v
         self.v[:] = v
         self.t += dt
@@ -260,10 +243,8 @@ class State:
     def close_loops(self, iterations: int = 1) -> None:
         """Move q to the nearest configuration with the loops closed, and v along the loops.
 
-        Newton steps of least norm: q -= J' (J J')^-1 e; then v loses what would open the loops.
-
-        Args:
-            iterations: Newton steps; one does for the drift of an integration step.
+        Newton steps of least norm, q -= J' (J J')^-1 e, of which one does for an integration step's
+        drift; then v loses what would open the loops.
         """
         if not len(self.e_loop):
             return
@@ -281,39 +262,21 @@ class State:
         return np.asarray(J.T.dot(x), float)
 
     def point(self, p_O: Array) -> Array:
-        """Where a point of the object is in the world, shape (3,) [m].
-
-        Args:
-            p_O: the point in the object frame, shape (3,) [m].
-        """
+        """World position of a point of the object, both of shape (3,) [m]."""
         return self.p_WO + self.R_WO @ p_O
 
     def joint_pose(self, joint: int) -> pin.SE3:
-        """Pose of the frame of a joint in the world, up to date.
-
-        Args:
-            joint: id into chain.model.joints; 0 is the world.
-        """
+        """Pose of the frame of a joint (an id; 0 is the world) in the world, up to date."""
         self._refresh()
         return self._data.oMi[joint]
 
     def place(self, geometry: pin.GeometryModel, placed: pin.GeometryData) -> None:
-        """Put bodies that are fixed to the chain's joints where they are now.
-
-        Args:
-            geometry: the bodies.
-            placed: written.
-        """
+        """Put bodies that are fixed to the chain's joints where they are now, into ``placed``."""
         self._refresh()
         pin.updateGeometryPlacements(self._model, self._data, geometry, placed)
 
     def point_jacobian(self, lever: Array, out: Array) -> None:
-        """Jacobian of the velocity of a point of the object: J_v - [lever]x J_omega.
-
-        Args:
-            lever: from the object's origin to the point, in world axes, shape (3,) [m].
-            out: written, shape (3, n).
-        """
+        """Write J_v - [lever]x J_omega of a point, (3, n); lever from O to it, world axes [m]."""
         J = self.J_task
         np.subtract(J[:3], pin.skew(lever).dot(J[3:]), out)
 
@@ -366,7 +329,6 @@ def _state(
     own: tuple[Array, Array, tuple[Array | None, Array | None], float, Array],
     inputs: InputValues,
 ) -> State:
-    """A state from what a copy is made of."""
     state = State(chain, q, t, memory)
     state.inputs = inputs
     state.v[:], state.gap[:], sensed, state.corrected, state._commanded[:] = own
@@ -376,23 +338,13 @@ def _state(
 
 
 class PointOfObject:
-    """A point of the object: its lever arm, position and Jacobian, for tasks that steer it.
-
-    Args:
-        p_O: the point in the object frame, shape (3,) [m].
-        n: number of joints.
-
-    Attributes:
-        p: where it is in the world, shape (3,) [m].
-        J: its velocity Jacobian, shape (3, n) [m/rad].
-    """
+    """A point of the object, p_O [m]: its place p in the world and velocity Jacobian J (3, n)."""
 
     def __init__(self, p_O: ArrayLike, n: int) -> None:
         self._p_O = np.array(p_O, float)
         self.p, self.J = np.zeros(3), np.zeros((3, n))
 
     def update(self, state: State) -> None:
-        """Follow the object."""
         lever = state.R_WO.dot(self._p_O)
         np.add(state.p_WO, lever, self.p)
         state.point_jacobian(lever, self.J)

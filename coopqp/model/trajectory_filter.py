@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
@@ -70,22 +69,8 @@ def _within(name: str, x: float, bounds: tuple[float, float], unit: str, beside:
         raise ValueError(f"{name}: found {x:g}, needs {low:g} to {high:g} {unit}{beside}")
 
 
-@dataclass(frozen=True)
-class _Bounds:
-    """Bounds of each axis, shape (rates,)."""
-
-    velocity: Array
-    acceleration: Array
-    jerk: Array
-
-
-def _bounds(kind: Kind, pace: MotionLimits) -> _Bounds:
-    columns = np.array(list(_columns(kind, pace))).T
-    return _Bounds(*columns)
-
-
-def _columns(kind: Kind, pace: MotionLimits) -> Iterator[Array]:
-    """The three bounds of each axis."""
+def _bounds(kind: Kind, pace: MotionLimits) -> Iterator[Array]:
+    """Bounds on velocity, acceleration and jerk of each axis."""
     along = np.array([pace.velocity, pace.acceleration, pace.jerk])
     about = np.array([pace.angular_velocity, pace.angular_acceleration, pace.angular_jerk])
     turns = [name.startswith("rot") for name in kind.columns] if kind.velocity else []
@@ -99,17 +84,7 @@ def _columns(kind: Kind, pace: MotionLimits) -> Iterator[Array]:
 
 
 class TrajectoryFilter(Trajectory):
-    """A reference that follows what it is told to.
-
-    Args:
-        kind: of the value.
-        pace: its bounds.
-        dt: time of a step [s].
-        value: where it is at first, at rest, shape (values,).
-
-    Attributes:
-        acceleration: shape (rates,) [1/s2].
-    """
+    """A reference that follows its target in steps of dt [s]; at first at rest at ``value``."""
 
     moves = True
 
@@ -117,8 +92,8 @@ class TrajectoryFilter(Trajectory):
         super().__init__(kind, value)
         count = kind.rates
         self.acceleration = np.zeros(count)
-        bounds = _bounds(kind, pace)
-        self._fastest, self._jerk = bounds.velocity, bounds.jerk
+        bounds = np.array(list(_bounds(kind, pace))).T
+        self._fastest, _, self._jerk = bounds
         self._planner, self._out = Ruckig(count, dt), OutputParameter(count)
         self._plan, self._brake = _plan(kind, bounds), _plan(kind, bounds, brakes=True)
 
@@ -127,21 +102,15 @@ class TrajectoryFilter(Trajectory):
         return
 
     def step(self, target: Array | None) -> bool:
-        """Go on for one dt.
-
-        Args:
-            target: shape (values,); None brakes to rest.
-
-        Returns:
-            Whether there was a way; without one it stands still.
-        """
+        """Go on for dt to a target (None: brake); False, and standing still, without a way."""
         plan = self._brake if target is None else self._plan
         k = self.kind.numbers
         plan.current_acceleration = self.acceleration
         if self.kind.velocity:
             plan.current_position = np.zeros(k)
             plan.current_velocity = self.value
-            plan.target_velocity = np.zeros(k) if target is None else self._slow(target)
+            wanted = np.zeros(k) if target is None else target  # cut to its bounds
+            plan.target_velocity = wanted / np.max(np.abs(wanted) / self._fastest, initial=1.0)
             plan.current_acceleration = self.rate
         else:
             plan.current_position = np.concatenate([self.value[:k], np.zeros(len(self.rate) - k)])
@@ -165,11 +134,6 @@ class TrajectoryFilter(Trajectory):
             return True
         return False
 
-    def _slow(self, velocity: Array) -> Array:
-        """A velocity within its bounds."""
-        most = float(np.max(np.abs(velocity) / self._fastest, initial=1.0))
-        return velocity / most
-
     def _turn_to(self, quaternion: Array) -> Array:
         """The rotation vector from here to there, shape (3,) or (0,)."""
         if not self.kind.turns:
@@ -189,19 +153,18 @@ class TrajectoryFilter(Trajectory):
         self.rate[:] = out.new_velocity
         if self.kind.turns:
             way = position[k:]
-            self.rate[k:] = _left_jacobian(way).dot(self.rate[k:])
+            # The left Jacobian; pinocchio's Jexp3 is the right one, of the opposite way.
+            self.rate[k:] = pin.Jexp3(-way).dot(self.rate[k:])
             turned = quaternion_of(pin.exp3(way).dot(self.R))
             self.value[k:] = turned / np.linalg.norm(turned)
 
 
-def _plan(kind: Kind, bounds: _Bounds, *, brakes: bool = False) -> InputParameter:
-    """What does not change of a plan."""
+def _plan(kind: Kind, bounds: Array, *, brakes: bool = False) -> InputParameter:
     plan = InputParameter(kind.rates)
     velocities = brakes or kind.velocity
     plan.control_interface = ControlInterface.Velocity if velocities else ControlInterface.Position
     plan.target_velocity = plan.target_acceleration = [0.0] * kind.rates
-    plan.max_velocity = bounds.velocity
-    plan.max_acceleration, plan.max_jerk = bounds.acceleration, bounds.jerk
+    plan.max_velocity, plan.max_acceleration, plan.max_jerk = bounds
     return plan
 
 
@@ -216,10 +179,3 @@ def _between(a: Array, b: Array) -> Array:
     aside = np.eye(3)[int(np.argmin(np.abs(a)))]  # opposite: any way is as short
     across = np.cross(a, aside)
     return np.asarray(math.pi * across / np.linalg.norm(across))
-
-
-def _left_jacobian(phi: Array) -> Array:
-    """Omega = Jl(phi) phi_dot, shape (3, 3)."""
-    # pinocchio's Jexp3 is the right one, which is that of the opposite way.
-    J: Array = pin.Jexp3(-phi)
-    return J

@@ -1,4 +1,4 @@
-"""What plants with masses share: servos, delay, sensors, and the signals they tell."""
+"""What plants with masses share: servos, delay, sensors, and their signals."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from coopqp.controller import Command, ControlProblem
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.plant import Disturbance, PlantModel
+from coopqp.plants._hands import HandSignals
 from coopqp.plants._servo import Servo, ServoLaw
 from coopqp.plants._true_chain import slipped, true_chain
 
@@ -26,10 +27,11 @@ class DynamicModel(PlantModel):
         servo: of the joints.
         time_step: of the integration [s]; must divide the control period.
         seed: of the noise.
-        disturbance: what the controller does not know.
+        disturbance: unknown to the controller.
 
     Attributes:
         true: the state of the true chain, before noise; its time goes on from phase to phase.
+        hand_signals: of the hands, which subclasses write and add to ``signals``.
         signals: ``tau`` (n,) [N m] at the end of the period; ``saturated`` (n,), share of the
             period's steps that a motor was at its limit; ``energy`` (2,), kinetic and potential
             [J]; ``push`` (6,), on the object at the end of the period [N, N m].
@@ -56,7 +58,8 @@ class DynamicModel(PlantModel):
         self.disturbance, self._seed = disturbance, seed
         self._dt, self._slipped = problem.dt, 0.0
         firm = true_chain(problem.chain, seed, disturbance)
-        self.true, self._told = State(firm), State(firm)
+        self.true, self._truth = State(firm), State(firm)
+        self.hand_signals = HandSignals(firm, disturbance.friction)
         self.servo = ServoLaw(problem.chain, servo)
         self._steps = _whole_steps(problem.dt, time_step)
         self.h = problem.dt / self._steps
@@ -73,7 +76,6 @@ class DynamicModel(PlantModel):
         self.servo.hold(self.measured)
 
     def step(self, state: State, command: Command) -> None:
-        """One control period."""
         self._slip()
         self.servo.begin(self._delayed(command), self.true.q)
         self._at_limit[:] = 0.0
@@ -88,18 +90,17 @@ class DynamicModel(PlantModel):
         self._measure(state, command)
 
     def truth(self, state: State) -> State:
-        """Before noise, on the true chain."""
-        told = self._told
-        told.t, told.q[:], told.v[:] = state.t, self.true.q, self.true.v
-        told.update()
-        return told
+        truth = self._truth
+        truth.t, truth.q[:], truth.v[:] = state.t, self.true.q, self.true.v
+        truth.update()
+        return truth
 
     def resume(self, before: PlantModel) -> None:
         """Take over time, motion, servos, commands on their way and the stream of noise.
 
-        The arms hold the object where they really are. Where velocities are commanded, the servos
-        hold what was measured last, from where the controller goes on, and what was on its way is
-        void; with torques nothing stops.
+        The arms hold the object where they really are. With velocity commands, the servos hold the
+        last measured angles, from where the controller goes on, and delayed commands are dropped;
+        with torques nothing stops.
         """
         assert isinstance(before, DynamicModel)
         old, released = before.true, self.true.chain.hold.released
@@ -111,10 +112,13 @@ class DynamicModel(PlantModel):
             self.servo.hold(self.measured)
             self._late = deque(Command(len(old.q)) for _ in self._late)
         self._occupy(old.chain.handed_over(old.q, released), old)
+        self.hand_signals = before.hand_signals
+        self.hand_signals.follow(self.true.chain)
+        self.signals |= self.hand_signals.signals
         self.attach(before)
 
     def _slip(self) -> None:
-        """Let the object slip in a hand by what has come since the last period."""
+        """Let the object slip in a hand by the change since the last period."""
         distance = self.disturbance.slipped(self.true.t)
         if distance != self._slipped:
             step, self._slipped = distance - self._slipped, distance
@@ -122,8 +126,7 @@ class DynamicModel(PlantModel):
             self.grip()
 
     def _occupy(self, chain: ClosedChain, old: State) -> None:
-        """Put another true chain where the old one is."""
-        self.true, self._told = State(chain, old.q, old.t), State(chain)
+        self.true, self._truth = State(chain, old.q, old.t), State(chain)
         self.true.v[:] = old.v
 
     @abstractmethod
@@ -143,7 +146,6 @@ class DynamicModel(PlantModel):
         """Kinetic and potential energy [J]."""
 
     def _delayed(self, command: Command) -> Command:
-        """The command that arrives now."""
         if not self._late:
             return command
         self._late.append(command.copy())
@@ -167,16 +169,11 @@ class DynamicModel(PlantModel):
         return values + self._rng.normal(0.0, deviation, len(values))
 
 
-def _fitting(dt: float, time_step: float) -> float:
-    """The largest whole part of dt that is not above a time [s]."""
-    return dt / math.ceil(dt / time_step)
-
-
 def _whole_steps(dt: float, time_step: float) -> int:
     steps = round(dt / time_step)
     if steps < 1 or abs(steps * time_step - dt) > 1e-9 * dt:
         raise InvalidValueError(
             f"time_step: found {time_step:g} s, stated or by default, needs a whole part of dt = "
-            f"{dt:g} s; state one, such as time_step: {_fitting(dt, time_step):g}"
+            f"{dt:g} s; state one, such as time_step: {dt / math.ceil(dt / time_step):g}"
         ).at("time_step")
     return steps

@@ -1,11 +1,11 @@
-"""What plants with masses tell of the hands: their wrenches, friction, slip, and what is held."""
+"""Signals of the hands in plants with masses: wrenches, friction, slip, and whether it is held."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from coopqp.base.spec import Array
-from coopqp.closed_loop.hands import Hand, hands
+from coopqp.closed_loop.hands import Hand, hands, robot_indices
 from coopqp.grasp import BEYOND, NO_CONTACT
 from coopqp.model.closed_chain import ClosedChain
 
@@ -18,25 +18,22 @@ ROUNDING = 1e-3
 class HandSignals:
     """Signals of the hands, in the robot's order of arms; zero for those that hold nothing.
 
-    Args:
-        chain: as it really is.
-        friction: of real contacts over the modelled one.
+    ``chain`` is the true one, and ``friction`` that of real contacts over the modelled one.
 
     Attributes:
-        hands: those that hold, in the chain's order.
+        hands: those that hold, in the chain's order. at: their indices in the robot's.
         signals: ``hand_wrench`` (6 N,), of each hand on the object at its point, world axes [N,
             N m]; ``hand_point`` (3 N,), where that is [m]; and where any hand presses
-            ``normal_force`` (N,) and ``tangential_force`` (N,) [N], ``friction_use`` (N,), the
-            friction that is needed over what there is, at most ``MOST_USE``, ``edge_use`` (N,), how
-            far out on the pad the pressure is, 1 at its edge, ``slip`` (N,), how far the object has
-            moved along the contact [m], and ``held`` (1,), 1 until the object is lost. Both uses
-            are NaN while a hand presses on nothing, and ``edge_use`` of a point always is.
+            ``normal_force`` (N,) and ``tangential_force`` (N,) [N], ``friction_use`` (N,), required
+            over available friction, at most ``MAX_USE``, ``edge_use`` (N,), how far out on the pad
+            the pressure is, 1 at its edge, ``slip`` (N,), how far the object has moved along the
+            contact [m], and ``held`` (1,), 1 until the object is lost. Both uses are NaN while a
+            hand presses on nothing, and ``edge_use`` of a point always is.
         lost: which hand lost it and why; empty while it is held.
     """
 
     def __init__(self, chain: ClosedChain, friction: float) -> None:
-        robot = [arm.name for arm in chain.robot.arms]
-        arms = len(robot)
+        arms = len(chain.robot.arms)
         self.signals = {"hand_wrench": np.zeros(6 * arms), "hand_point": np.zeros(3 * arms)}
         self.lost, self._friction, self._apart = "", friction, np.zeros(arms)
         if any(grasp.contact for grasp in chain.grasps.values()):
@@ -47,34 +44,33 @@ class HandSignals:
 
     def follow(self, chain: ClosedChain) -> None:
         """Take another chain of the same robot, in which other arms hold the object."""
-        robot = [arm.name for arm in chain.robot.arms]
         self.hands: tuple[Hand, ...] = hands(chain)
-        self._at = [robot.index(hand.arm) for hand in self.hands]
+        self.at = robot_indices(chain)
 
     @property
     def pressing(self) -> bool:
         """Whether a hand holds by pressing."""
         return any(hand.contact for hand in self.hands)
 
-    def tell(
+    def write(
         self, wrenches: Array, points: Array, in_contacts: Array, borne: Array | None = None
     ) -> None:
-        """Write what the hands do now.
+        """Write the signals.
 
         Args:
             wrenches: on the object, each at its point, world axes, shape (holding, 6).
             points: in the world, shape (holding, 3) [m].
             in_contacts: the same wrenches in the contacts' frames, shape (holding, 6).
-            borne: what friction does at all points of each contact, one by one, summed up without
-                signs, shape (holding,) [N]; by the contact's own model of friction if omitted.
+            borne: sum of the friction forces' sizes over all points of each contact, shape
+                (holding,) [N]; by the contact's own model of friction if omitted.
         """
-        for name, told in self.signals.items():
+        for name, signal in self.signals.items():
             if name not in ("held", "slip"):
-                told[:] = 0.0
+                signal[:] = 0.0
         by_arm = self.signals["hand_wrench"].reshape(-1, 6)
-        by_arm[self._at] = wrenches
-        self.signals["hand_point"].reshape(-1, 3)[self._at] = points
-        for k, (hand, i, w) in enumerate(zip(self.hands, self._at, in_contacts, strict=True)):
+        by_arm[self.at] = wrenches
+        self.signals["hand_point"].reshape(-1, 3)[self.at] = points
+        for k, (hand, i, w) in enumerate(zip(self.hands, self.at, in_contacts, strict=True)):
             if hand.contact:
                 self.signals["normal_force"][i] = w[2]
                 self.signals["tangential_force"][i] = np.hypot(w[0], w[1])
@@ -83,15 +79,11 @@ class HandSignals:
                 if w[2] > NO_CONTACT:
                     needed = hand.contact.friction_needed(w) if borne is None else borne[k] / w[2]
                     use = needed / (self._friction * hand.contact.friction)
-                    self.signals["friction_use"][i] = min(use, MOST_USE)
+                    self.signals["friction_use"][i] = min(use, MAX_USE)
 
     def touch(self, dt: float) -> None:
-        """Count how long hands have not pressed; the object is lost after some time.
-
-        Args:
-            dt: since the last call [s].
-        """
-        for hand, i in zip(self.hands, self._at, strict=True):
+        """Count how long hands have not pressed, by dt [s]; the object is lost after some time."""
+        for hand, i in zip(self.hands, self.at, strict=True):
             if hand.contact:
                 touches = self.signals["normal_force"][i] > 0.0
                 self._apart[i] = 0.0 if touches else self._apart[i] + dt
@@ -99,8 +91,8 @@ class HandSignals:
                     self.lose(f"{hand.arm} no longer touches it")
 
     def bear(self) -> None:
-        """Take the object for lost where friction cannot bear what the hands would have to do."""
-        for hand, i in zip(self.hands, self._at, strict=True):
+        """Declare the object lost where friction cannot bear the hands' wrenches."""
+        for hand, i in zip(self.hands, self.at, strict=True):
             if not hand.contact:
                 continue
             if np.isnan(self.signals["friction_use"][i]):
@@ -111,11 +103,11 @@ class HandSignals:
                 self.lose(f"{hand.arm} needs more friction than there is")
 
     def lose(self, why: str) -> None:
-        """The object is lost, from now on."""
+        """Declare the object lost from now on."""
         if not self.lost:
             self.lost = why
         self.signals["held"][0] = 0.0
 
 
-#: Beyond this it is not told how much more friction would be needed.
-MOST_USE = 10.0
+#: Largest reported use of friction.
+MAX_USE = 10.0

@@ -5,19 +5,18 @@ A velocity command moves the desired angle, q_d += v dt, and each joint follows 
     tau = K (q_d - q) + D (v_d - v) + gravity compensation,   |tau| <= effort
     K = effort / saturation_angle,   D = 2 damping_ratio sqrt(K min(1/W_jj, A_jj))
 
-with 1/W_jj the inertia the joint sees where it is, the loops closed: W = N (N' A N)^-1 N'. (The
-tree's A_jj, with all other joints locked, would overdamp the light motions of the closed chain;
-1/W_jj grows without end where the loops hold a joint fast, and what little a real grasp yields
-there would be damped with all the torque that the motor has.) A torque command goes to the motors
-as it is.
+with 1/W_jj the inertia at the joint with the loops closed, W = N (N' A N)^-1 N'. (The tree's
+A_jj, with all other joints locked, would overdamp the light motions of the closed chain; 1/W_jj
+is unbounded where the loops fix a joint, and the little that a real grasp yields there would be
+damped with the motor's whole torque.) A torque command goes to the motors as it is.
 
-Drives that know what they move follow all alike, with one frequency w and the tree's inertia A:
+With a ``frequency`` w, all joints follow alike by the tree's inertia A (computed torque):
 
     tau = A (w^2 (q_d - q) + 2 damping_ratio w (v_d - v)) + gravity compensation
 
 Each arm carries its own weight and its share alpha of the object's, so that the servos of arms
-that hold one object do not squeeze it. Passive joints carry nothing: what the weight would turn
-there is taken by the smallest wrench between the hands that can.
+that hold one object do not squeeze it. Passive joints carry nothing: their weight torque is taken
+by the smallest wrench between the hands that can.
 """
 
 from __future__ import annotations
@@ -48,10 +47,6 @@ class Servo:
 class ServoLaw:
     """The servos of one chain.
 
-    Args:
-        chain: arms and modelled object.
-        servo: settings.
-
     Attributes:
         tau: torques as of the last :meth:`torque`, shape (n,) [N m].
         effort: their limits, zero for passive joints, shape (n,) [N m].
@@ -77,7 +72,7 @@ class ServoLaw:
         self._least = -self.effort
 
     def resume(self, before: ServoLaw) -> None:
-        """Keep the angles that the servos of the phase before were holding."""
+        """Keep the desired angles of the servos of the phase before."""
         self._q_d[:], self._v_d[:] = before._q_d, before._v_d
         self._forward[:], self.follows = before._forward, before.follows
         self._ask(self._forward)
@@ -140,7 +135,7 @@ class ServoLaw:
         return np.add(behind, slower, behind)
 
     def _ask(self, asked: Array) -> None:
-        """Torques as far as the motors' limits let them; those of a command stay for its period."""
+        """Torques within the motors' limits; those of a command stay for its period."""
         self.asked[:] = asked
         np.maximum(asked, self._least, out=self.tau)
         np.minimum(self.tau, self.effort, out=self.tau)
@@ -151,12 +146,12 @@ UNLIMITED_EFFORT = 100.0
 
 
 def fair_shares(chain: ClosedChain) -> dict[str, float]:
-    """The share of the object's weight that each arm carries: its weight alpha in the pose."""
+    """Share of the object's weight that each arm carries: its weight alpha in the pose."""
     return {arm.name: a for arm, a in zip(chain.arms, chain.alpha.tolist(), strict=True)}
 
 
 def full_effort(chain: ClosedChain) -> Array:
-    """The motors' limits for a stiffness to be read from, zero at passive joints, shape (n,)."""
+    """The motors' limits as a basis of stiffness, zero at passive joints, shape (n,)."""
     effort = chain.model.effortLimit.copy()
     effort[chain.passive] = 0.0
     # A file that gives no limit means a motor without one.
@@ -164,13 +159,10 @@ def full_effort(chain: ClosedChain) -> Array:
 
 
 def inertia_seen(A: Array, J: Array) -> Array:
-    """Inertia that each joint sees, the loops closed, shape (n,).
+    """Inertia at each joint with the loops closed, shape (n,).
 
-    Zero at a joint that the loops hold fast: it is infinitely heavy and needs no damping.
-
-    Args:
-        A: inertia of the tree, shape (n, n).
-        J: independent rows that closed loops make zero, shape (m, n).
+    A (n, n) is the tree's inertia and J (m, n) has independent loop rows. Zero at a joint that the
+    loops fix: it is infinitely heavy and needs no damping.
     """
     N = null_space(J)
     mobility = np.einsum("ij,ij->i", N @ np.linalg.inv(N.T @ A @ N), N)

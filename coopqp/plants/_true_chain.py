@@ -1,8 +1,8 @@
-"""The closed chain as it really is, where the model of it has errors.
+"""The true closed chain, which differs from the modelled one.
 
 The true chain counts its angles as the encoders do: an encoder's offset is part of where the joint
-is fixed, q_true = q - offset. So its q is what sensors say but for noise, what servos work on, and
-what reports show. Its loops close where the model's are open by some b(q), and the other way round.
+is fixed, q_true = q - offset. So its q is what sensors measure but for noise, what servos work on,
+and what reports show. Its loops close where the model's are open by some b(q), and vice versa.
 """
 
 from __future__ import annotations
@@ -32,10 +32,7 @@ STREAM = 1
 def true_chain(chain: ClosedChain, seed: int, disturbance: Disturbance) -> ClosedChain:
     """The chain with the disturbance's errors, at the nearest start with its loops closed.
 
-    Args:
-        chain: as modelled; it comes back as it is where there are no errors.
-        seed: of the errors' signs and directions.
-        disturbance: their sizes.
+    ``seed`` decides the errors' signs and directions. Without errors the chain is returned.
 
     Raises:
         InvalidValueError: the true loops cannot be closed near the start.
@@ -54,13 +51,7 @@ def true_chain(chain: ClosedChain, seed: int, disturbance: Disturbance) -> Close
 
 
 def slipped(chain: ClosedChain, seed: int, distance: float) -> ClosedChain:
-    """The chain after the object has moved in the hand of the last arm that holds it.
-
-    Args:
-        chain: before.
-        seed: of the direction.
-        distance: [m].
-    """
+    """The chain after the object has moved by a distance [m] in the hand of the last holder."""
     hold, arm = chain.hold, chain.hold.holders[-1]
     direction = _direction(np.random.default_rng([seed, STREAM + 1]))
     X = hold.X_EO[arm].copy()
@@ -71,7 +62,7 @@ def slipped(chain: ClosedChain, seed: int, distance: float) -> ClosedChain:
 def _with_errors(
     robot: RobotModel, rng: np.random.Generator, disturbance: Disturbance
 ) -> RobotModel:
-    """Links of another length, encoders with an offset; limits where the encoders have them."""
+    """Other link lengths, encoders with an offset; limits in encoder angles."""
     model = robot.model.copy()
     turns = np.array([not j.shortname().startswith("JointModelP") for j in list(model.joints)[1:]])
     offset = disturbance.encoder_offset * turns * _signs(rng, model.nv)
@@ -96,7 +87,7 @@ def _with_errors(
 def _misplaced(
     hold: GraspConfiguration, rng: np.random.Generator, disturbance: Disturbance
 ) -> Mapping[str, pin.SE3]:
-    """The object a little elsewhere in each hand."""
+    """The object's pose in each hand, with an error."""
     X_EO = {}
     for arm in hold.robot.arms:
         shift = disturbance.grasp_offset * _direction(rng)

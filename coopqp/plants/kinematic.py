@@ -1,4 +1,4 @@
-"""Joints that do exactly as told: q <- q + v dt."""
+"""Joints that follow commands exactly: q <- q + v dt."""
 
 from __future__ import annotations
 
@@ -14,14 +14,9 @@ from coopqp.plants._true_chain import slipped, true_chain
 
 
 class KinematicModel(PlantModel):
-    """Perfect joint velocity servos.
+    """Perfect joint velocity servos of n joints with a control period dt [s]."""
 
-    Args:
-        dt: control period [s].
-        n: number of joints.
-    """
-
-    as_told = True
+    ideal = True
 
     def __init__(self, dt: float, n: int) -> None:
         super().__init__()
@@ -36,17 +31,11 @@ class KinematicModel(PlantModel):
         state.t += float(self._dt)
 
     def resume(self, before: PlantModel) -> None:
-        """Nothing: all that this plant knows is in the state."""
+        """Nothing: the state has all of it."""
 
 
 class MisledModel(PlantModel):
-    """Perfect servos of arms that are not as the model says.
-
-    Args:
-        problem: chain and control period.
-        seed: of the errors.
-        disturbance: their sizes.
-    """
+    """Perfect servos of arms that differ from the model."""
 
     def __init__(self, problem: ControlProblem, seed: int, disturbance: Disturbance) -> None:
         super().__init__()
@@ -55,7 +44,7 @@ class MisledModel(PlantModel):
         self._occupy(State(true_chain(problem.chain, seed, disturbance)))
 
     def step(self, state: State, command: Command) -> None:
-        """One Euler step; the joints are where they were told to be, the hands are not."""
+        """One Euler step; joints are as commanded, the hands are not."""
         state.advance(command.v, self._dt)
         self._t += self._dt
         self._true.q[:] = state.q
@@ -74,7 +63,6 @@ class MisledModel(PlantModel):
         return self._true
 
     def resume(self, before: PlantModel) -> None:
-        """The arms hold the object where they really are."""
         assert isinstance(before, MisledModel)
         q, released = before._true.q, self._true.chain.hold.released
         self._t, self._slipped = before._t, before._slipped
@@ -87,7 +75,7 @@ class MisledModel(PlantModel):
 
 @spec
 class Kinematic(Plant):
-    """Joints that do exactly as told, q + v dt: shows the control law and nothing else."""
+    """Joints that follow commands exactly, q + v dt: shows the control law and nothing else."""
 
     takes_torques: ClassVar[bool] = False
 

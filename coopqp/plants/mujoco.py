@@ -2,9 +2,9 @@
 
 Each joint of the chain is a body, the object is a free body, and a weld holds it in each hand
 (behind the grasp's passive joints, where there are some). Welds are springs: the loop opens by
-some tenths of a millimetre under load, as a real grasp does; with spring hands it does by as much
-as their springs yield, which is not taken for an open loop. Where a hand presses there is no weld
-but a contact with friction, and nothing else holds the object.
+some tenths of a millimetre under load, as with a real grasp; spring hands yield further, which is
+not counted as an open loop. Where a hand presses there is no weld but a contact with friction, and
+nothing else holds the object.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from coopqp.base.spec import Array, Positive, spec
 from coopqp.closed_loop.forces import OFF_FACE, overhang
 from coopqp.closed_loop.grasp_matrix import moved
 from coopqp.closed_loop.hands import in_axes, into_contacts
+from coopqp.closed_loop.hands import points as contact_points
 from coopqp.controller import ControlProblem
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.plant import Disturbance, Plant, PlantModel
 from coopqp.plants._dynamic import DynamicModel
-from coopqp.plants._hands import HandSignals
 from coopqp.plants._mjcf import OBJECT, Firmness, SpringHand, free_joints, hand_name, mjcf
 from coopqp.plants._servo import Servo
 
 #: A contact's time constant is at least so many steps, or MuJoCo makes it so.
-LEAST_STEPS = 2.0
+MIN_STEPS = 2.0
 
 
 class MujocoModel(DynamicModel):
@@ -41,8 +41,8 @@ class MujocoModel(DynamicModel):
 
     Attributes:
         signals: also ``gap`` (1,), the largest distance between the object and where a hand holds
-            it [m], ``internal_wrench`` (6 N,), what the hands do to the object that cancels,
-            arm by arm [N, N m], world axes, and those of :class:`HandSignals`.
+            it [m], ``internal_wrench`` (6 N,), the part of the hands' wrenches that cancels, arm
+            by arm [N, N m], world axes, and those of :class:`HandSignals`.
 
     Raises:
         MissingDependencyError: mujoco is not installed.
@@ -60,7 +60,7 @@ class MujocoModel(DynamicModel):
         self._mujoco: Any = mujoco
         self._firm = Firmness(
             weld=settings.stiffness_time,
-            contact=max(settings.contact_time, LEAST_STEPS * self.h),
+            contact=max(settings.contact_time, MIN_STEPS * self.h),
             end_stops=settings.end_stops,
             mass=disturbance.object_mass,
             friction=disturbance.friction,
@@ -68,19 +68,18 @@ class MujocoModel(DynamicModel):
         )
         if settings.spring_hands and (fault := settings.spring_hands.fault(self.h)):
             raise InvalidValueError(f"plant mujoco: {fault}")
-        self._told_hands = HandSignals(self.true.chain, disturbance.friction)
         self._require_faces()
         self._open()
         self._data.qpos[self._q] = self.true.q[self._moved]
         mujoco.mj_forward(self._model, self._data)
         self.signals["gap"] = np.zeros(1)
         self.signals["internal_wrench"] = np.zeros(6 * len(problem.chain.robot.arms))
-        self.signals |= self._told_hands.signals
+        self.signals |= self.hand_signals.signals
 
     def _require_faces(self) -> None:
         """Refuse contacts that do not touch the box that the object is."""
         half = 0.5 * np.array(self.true.chain.held.size)
-        for hand in self._told_hands.hands:
+        for hand in self.hand_signals.hands:
             if hand.contact and abs(overhang(hand, half)[0]) > OFF_FACE:
                 raise InvalidValueError(
                     f"plant mujoco: the contact of {hand.arm} is "
@@ -94,24 +93,21 @@ class MujocoModel(DynamicModel):
                 )
 
     def truth(self, state: State) -> State:
-        """Before noise; where hands press or yield, the object is where it is by itself."""
-        told = super().truth(state)
+        """Before noise; where hands press or yield, the object is a free body."""
+        truth = super().truth(state)
         if self._yielding:
             places = self._data.xpos[self._yielding]
-            yielded = told.loop_error.reshape(-1, 6)[: len(places) - 1, :3]
-            told.gap.reshape(-1, 6)[: len(places) - 1, :3] = yielded - (places[1:] - places[0])
-            told.update_drift()
-        if self._told_hands.pressing or self._yielding:
-            told.p_WO[:] = self._data.xpos[self._object]
-            told.R_WO[:] = self._data.xmat[self._object].reshape(3, 3)
-        return told
+            yielded = truth.loop_error.reshape(-1, 6)[: len(places) - 1, :3]
+            truth.gap.reshape(-1, 6)[: len(places) - 1, :3] = yielded - (places[1:] - places[0])
+            truth.update_drift()
+        if self.hand_signals.pressing or self._yielding:
+            truth.p_WO[:] = self._data.xpos[self._object]
+            truth.R_WO[:] = self._data.xmat[self._object].reshape(3, 3)
+        return truth
 
     def attach(self, before: PlantModel) -> None:
-        """Everything moves on as it did; the welds stop hands that move otherwise."""
+        """Motion goes on; the welds stop hands that move otherwise."""
         assert isinstance(before, MujocoModel)
-        self._told_hands = before._told_hands
-        self._told_hands.follow(self.true.chain)
-        self.signals |= self._told_hands.signals
         self._go_on(before._data)
 
     def grip(self) -> None:
@@ -119,7 +115,7 @@ class MujocoModel(DynamicModel):
         self._go_on(self._data)
 
     def _go_on(self, before: Any) -> None:
-        """Weld as the true chain says. The same bodies and joints are in the same order."""
+        """Rebuild for the true chain, with the same bodies and joints in the same order."""
         self._open()
         self._data.qpos[:], self._data.qvel[:] = before.qpos, before.qvel
         self._mujoco.mj_forward(self._model, self._data)
@@ -137,7 +133,7 @@ class MujocoModel(DynamicModel):
         self._v = np.array([joint.dofadr[0] for joint in joints])
         self._object = self._model.body(OBJECT).id
         self._object_v = self._model.joint(OBJECT).dofadr[0] + np.arange(6)
-        held = self._told_hands.hands
+        held = self.hand_signals.hands
         self._ends = [self._model.site(f"end[{hand.arm}]").id for hand in held]
         self._pads = {
             self._model.geom(f"pad[{hand.arm}]").id: i
@@ -147,8 +143,6 @@ class MujocoModel(DynamicModel):
         self._balls = list(_balls(chain))
         yielding = held if self._firm.spring else ()
         self._yielding = [self._model.body(hand_name(hand.arm)).id for hand in yielding]
-        robots = [arm.name for arm in chain.robot.arms]
-        self._held_by = [robots.index(hand.arm) for hand in held]
 
     def integrate(self) -> None:
         """One step of MuJoCo with the servos' torques."""
@@ -165,33 +159,33 @@ class MujocoModel(DynamicModel):
         true.q[self._moved], true.v[self._moved] = data.qpos[self._q], data.qvel[self._v]
 
     def energy(self) -> tuple[float, float]:
-        """Kinetic and potential energy by MuJoCo; keeps gap and wrenches of this instant too."""
+        """Kinetic and potential energy by MuJoCo; updates the gap and wrench signals too."""
         data = self._data
         place = data.xpos[self._object]
         R_WO = data.xmat[self._object].reshape(3, 3)
         self._follow_balls(R_WO)
         wrenches, borne = self._wrenches()
-        told = self._told_hands
+        signals = self.hand_signals
         self.signals["gap"][0] = self._gap(place)
         internal = self.signals["internal_wrench"].reshape(-1, 6)
         internal[:] = 0.0
         alpha = self.true.chain.alpha[: len(wrenches)]
-        internal[self._held_by] = wrenches - np.outer(alpha, wrenches.sum(axis=0))
-        points = place + np.array([R_WO @ hand.X_OC.translation for hand in told.hands])
+        internal[signals.at] = wrenches - np.outer(alpha, wrenches.sum(axis=0))
+        points = contact_points(signals.hands, place, R_WO)
         at_hands = [moved(h, place, p) for h, p in zip(wrenches, points, strict=True)]
-        told.tell(np.array(at_hands), points, self._in_contacts(at_hands, points, R_WO), borne)
-        if told.pressing:
-            self._tell_slip(points)
-            told.touch(self._dt)
-            self.lost = told.lost
+        signals.write(np.array(at_hands), points, self._in_contacts(at_hands, points, R_WO), borne)
+        if signals.pressing:
+            self._write_slip(points)
+            signals.touch(self._dt)
+            self.lost = signals.lost
         self._mujoco.mj_energyPos(self._model, data)
         self._mujoco.mj_energyVel(self._model, data)
         return float(data.energy[1]), float(data.energy[0])
 
     def _gap(self, place: Array) -> float:
         """Largest distance between the object and where a fastened hand holds it [m]."""
-        told = zip(self._ends, self._told_hands.hands, strict=True)
-        fastened = [self._data.site_xpos[k] - place for k, hand in told if not hand.contact]
+        held = zip(self._ends, self.hand_signals.hands, strict=True)
+        fastened = [self._data.site_xpos[k] - place for k, hand in held if not hand.contact]
         return max((float(np.linalg.norm(way)) for way in fastened), default=0.0)
 
     def _in_contacts(self, at_hands: Sequence[Array], points: Array, R_WO: Array) -> Array:
@@ -201,7 +195,7 @@ class MujocoModel(DynamicModel):
         object's face, from which the pad may have tilted. A fingertip's stays at its place.
         """
         data, found = self._data, []
-        hands, turned = self._told_hands.hands, into_contacts(self._told_hands.hands, R_WO)
+        hands, turned = self.hand_signals.hands, into_contacts(self.hand_signals.hands, R_WO)
         for hand, site, h, p, R in zip(hands, self._ends, at_hands, points, turned, strict=True):
             if not hand.contact or min(hand.contact.half_lengths) <= 0.0:
                 found.append(in_axes(h, R))
@@ -215,17 +209,17 @@ class MujocoModel(DynamicModel):
             found.append(in_axes(moved(h, p, middle), on_face))
         return np.array(found)
 
-    def _tell_slip(self, points: Array) -> None:
+    def _write_slip(self, points: Array) -> None:
         """How far the object's points of contact have moved along the pads."""
-        data, told = self._data, self._told_hands
-        for i, (site, hand) in enumerate(zip(self._ends, told.hands, strict=True)):
+        data, signals = self._data, self.hand_signals
+        for i, (site, hand) in enumerate(zip(self._ends, signals.hands, strict=True)):
             if hand.contact:
                 along = data.site_xmat[site].reshape(3, 3)[:, :2]
                 away = along.T @ (points[i] - data.site_xpos[site])
-                told.signals["slip"][self._held_by[i]] = np.hypot(away[0], away[1])
+                signals.signals["slip"][signals.at[i]] = np.hypot(away[0], away[1])
 
     def _follow_balls(self, R_WO: Array) -> None:
-        """Angles of the joints that stand for a fingertip, from how the object is turned."""
+        """Angles of the joints that stand for a fingertip, from the object's rotation."""
         true = self.true
         for index, X_JT, R_EO, joint in self._balls:
             R_WT = self._data.xmat[self._model.body(joint).id].reshape(3, 3) @ X_JT
@@ -235,15 +229,15 @@ class MujocoModel(DynamicModel):
             true.v[index] = (true.q[index] - before) / self._dt
 
     def _wrenches(self) -> tuple[Array, Array]:
-        """What each hand does to the object, at its origin in world axes, shape (holding, 6).
+        """Each hand's wrench on the object, at its origin in world axes, shape (holding, 6).
 
-        And what friction does along the faces at all points of each contact, summed up without
-        signs, so that it can be no more than friction times normal force; shape (holding,) [N].
+        And the sum of the friction forces' sizes over all points of each contact, shape (holding,)
+        [N], which is at most friction times normal force.
         """
         data, mujoco = self._data, self._mujoco
         by_arm, generalised = np.zeros((len(self._ends), 6)), np.zeros(self._model.nv)
         welds = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
-        fastened = [i for i, h in enumerate(self._told_hands.hands) if not h.contact]
+        fastened = [i for i, h in enumerate(self.hand_signals.hands) if not h.contact]
         R_WO = data.xmat[self._object].reshape(3, 3)
         for weld, i in enumerate(fastened):
             force = np.where(welds & (data.efc_id == weld), data.efc_force, 0.0)
@@ -280,7 +274,7 @@ def _balls(chain: ClosedChain) -> Iterator[tuple[Any, Array, Array, str]]:
 
 
 def angles_xyz(R: Array) -> Array:
-    """The angles of turns about x, y and z, one after the other, R = Rx Ry Rz, shape (3,) [rad]."""
+    """The angles of successive turns about x, y and z, R = Rx Ry Rz, shape (3,) [rad]."""
     return np.array(
         [
             np.arctan2(-R[1, 2], R[2, 2]),
@@ -308,5 +302,4 @@ class Mujoco(Plant):
     """What yields between each arm and the object; nothing but the welds if omitted."""
 
     def build(self, problem: ControlProblem, seed: int, disturbance: Disturbance) -> PlantModel:
-        """At rest at the chain's start."""
         return MujocoModel(problem, self, seed, disturbance)

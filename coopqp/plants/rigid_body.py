@@ -13,14 +13,17 @@ from coopqp.closed_loop.dynamics import ClosedLoopDynamics, Friction
 from coopqp.closed_loop.grasp_matrix import moved
 from coopqp.closed_loop.hands import in_axes, into_contacts, points
 from coopqp.controller import ControlProblem
+from coopqp.model.closed_chain import ClosedChain
 from coopqp.plant import Disturbance, Plant, PlantModel
 from coopqp.plants._dynamic import DynamicModel
-from coopqp.plants._end_stops import EndStops
-from coopqp.plants._hands import HandSignals
-from coopqp.plants._servo import Servo, fair_shares
+from coopqp.plants._servo import UNLIMITED_EFFORT, Servo, fair_shares, full_effort, inertia_seen
 
 #: Newton steps on the loops after a small slip.
 SLIP_STEPS = 3
+#: How far a motor's full torque presses a joint into its stop [rad].
+STOP_ANGLE = 0.005
+#: Largest natural frequency of a stop times the integration step; Runge-Kutta diverges above 1.4.
+STABLE = 0.5
 
 
 class RigidBodyModel(DynamicModel):
@@ -30,9 +33,9 @@ class RigidBodyModel(DynamicModel):
         problem, settings, seed, disturbance: as for :class:`DynamicModel`.
 
     Attributes:
-        signals: also ``cut_wrench`` (6 L,), lambda where all arms but the first are cut
-            off, and ``internal_wrench`` (6 N,), what the hands do to the object that cancels, arm
-            by arm [N, N m], world axes, and those of :class:`HandSignals`.
+        signals: also ``cut_wrench`` (6 L,), lambda where all arms but the first are cut off,
+            ``internal_wrench`` (6 N,), the part of the hands' wrenches that cancels, arm by arm
+            [N, N m], world axes, and those of :class:`HandSignals`.
 
     Hands that press hold the object as if they were fastened, until friction cannot bear it: then
     it is lost, and the run ends.
@@ -43,22 +46,18 @@ class RigidBodyModel(DynamicModel):
     ) -> None:
         super().__init__(problem, settings.servo, settings.time_step, seed, disturbance)
         chain, self._settings = problem.chain, settings
-        self._told_hands = HandSignals(self.true.chain, disturbance.friction)
         self._open()
         arms = len(chain.arms)
         # The trace tells of the arms in the robot's order, whoever holds the object.
         self._order = [chain.arms.index(arm) for arm in chain.robot.arms]
         self.signals["cut_wrench"] = np.zeros(6 * (arms - 1))
         self.signals["internal_wrench"] = np.zeros(6 * arms)
-        self.signals |= self._told_hands.signals
+        self.signals |= self.hand_signals.signals
 
     def attach(self, before: PlantModel) -> None:
-        """Hands that take hold while they move stop without a bounce."""
+        """Hands that attach while they move stop without a bounce."""
         assert isinstance(before, RigidBodyModel)
         true = self.true
-        self._told_hands = before._told_hands
-        self._told_hands.follow(true.chain)
-        self.signals |= self._told_hands.signals
         self._open()
         # The object comes with the speed of an arm that has held it.
         carrier = before.true.chain.hold.holders[0]
@@ -69,12 +68,11 @@ class RigidBodyModel(DynamicModel):
         true.v[:] = impact.impact(true.v)
 
     def grip(self) -> None:
-        """The arms give way at once to close the loops as they are now."""
+        """The arms yield at once to close the loops as they are now."""
         self.true.close_loops(SLIP_STEPS)
         self._open()
 
     def _open(self) -> None:
-        """Make dynamics and end stops of the true chain."""
         chain, mass_scale = self.true.chain, self.disturbance.object_mass
         # Where planar arms leave it open who carries the weight, each carries its share.
         self._dynamics = ClosedLoopDynamics(
@@ -87,7 +85,7 @@ class RigidBodyModel(DynamicModel):
         self._seen = b""  # the state that the dynamics are up to date with, if that may come again
 
     def integrate(self) -> None:
-        """One step of the Runge-Kutta method, then back on the loops."""
+        """One Runge-Kutta step, then a projection on the closed loops."""
         h, true = self.h, self.true
         q, v, t = true.q, true.v, true.t
         self._follow(q, v)
@@ -107,26 +105,26 @@ class RigidBodyModel(DynamicModel):
         true.close_loops()
 
     def energy(self) -> tuple[float, float]:
-        """Kinetic and potential energy; keeps the wrenches of this instant as well."""
+        """Kinetic and potential energy; updates the wrench signals as well."""
         true, dynamics = self.true, self._dynamics
         self._follow(true.q, true.v)
         a = self._accelerated(true.q, true.v, true.t)
         wrenches = dynamics.object_wrenches(a, self._wrench, self.disturbance.wrench(true.t))
         self.signals["cut_wrench"][:] = -wrenches.by_arm[1:].ravel()
         self.signals["internal_wrench"][:] = wrenches.internal[self._order].ravel()
-        self._tell_hands(wrenches.by_arm)
+        self._write_hand_signals(wrenches.by_arm)
         return dynamics.kinetic_energy(true.q, true.v), dynamics.potential_energy(true.q)
 
-    def _tell_hands(self, by_arm: Array) -> None:
-        """What the hands do at their points; where friction cannot bear it the object is lost."""
-        true, told = self.true, self._told_hands
-        at = points(told.hands, true.p_WO, true.R_WO)
+    def _write_hand_signals(self, by_arm: Array) -> None:
+        """Write the hands' signals; the object is lost where friction cannot bear it."""
+        true, signals = self.true, self.hand_signals
+        at = points(signals.hands, true.p_WO, true.R_WO)
         wrenches = [moved(h, true.p_WO, p) for h, p in zip(by_arm, at, strict=False)]
-        turned = into_contacts(told.hands, true.R_WO)
-        told.tell(np.array(wrenches), at, np.array(list(map(in_axes, wrenches, turned))))
-        if told.pressing:
-            told.bear()
-            self.lost = told.lost
+        turned = into_contacts(signals.hands, true.R_WO)
+        signals.write(np.array(wrenches), at, np.array(list(map(in_axes, wrenches, turned))))
+        if signals.pressing:
+            signals.bear()
+            self.lost = signals.lost
 
     def _follow(self, q: Array, v: Array) -> None:
         """Bring the dynamics up to date, unless that is the state of the last period's end."""
@@ -152,6 +150,51 @@ class RigidBodyModel(DynamicModel):
         return result.a.copy()
 
 
+class EndStops:
+    """Joint end stops: stiff, damped springs that only push back.
+
+        tau = -k (q - upper) - d v,   k = effort / STOP_ANGLE,   d = 2 sqrt(k W_jj)
+
+    with 1/W_jj the inertia at the joint, the loops closed, so that a joint comes to rest there
+    without a bounce. A light joint's spring is softer where the integration step h [s] requires it.
+    A joint of the chain that starts beyond a limit has its stop there.
+    """
+
+    def __init__(self, chain: ClosedChain, h: float) -> None:
+        self._lower = np.minimum(chain.lower, chain.q_start)
+        self._upper = np.maximum(chain.upper, chain.q_start)
+        effort = full_effort(chain)
+        # A passive joint's stop is a part of the hand: as firm as the weakest motor's.
+        least = effort[effort > 0.0].min(initial=UNLIMITED_EFFORT)
+        self._firm = np.where(effort > 0.0, effort, least) / STOP_ANGLE
+        self._k, self._d = self._firm, np.zeros(chain.n)
+        self._most = (STABLE / h) ** 2
+        self._A, self._J = np.zeros((0, 0)), np.zeros((0, 0))
+        self._follows, self._nothing = True, np.zeros(chain.n)
+
+    def update(self, dynamics: ClosedLoopDynamics) -> None:
+        """Update the inertia at the joints, after ``dynamics.update``."""
+        # Kept until a joint is at its stop, which few are: the inertia takes a decomposition.
+        self._A, self._J, self._follows = dynamics.A.copy(), dynamics.J.copy(), False
+
+    def _follow(self) -> None:
+        W = inertia_seen(self._A, self._J)
+        self._k = np.minimum(self._firm, W * self._most)
+        self._d = 2.0 * np.sqrt(self._k * W)
+        self._follows = True
+
+    def torque(self, q: Array, v: Array) -> Array:
+        """Torques of the stops on the joints, shape (n,) [N m]; not to be written to."""
+        if not (np.count_nonzero(q > self._upper) or np.count_nonzero(q < self._lower)):
+            return self._nothing
+        if not self._follows:
+            self._follow()
+        above, below = q - self._upper, self._lower - q
+        push = np.where(below > 0.0, np.maximum(self._k * below - self._d * v, 0.0), 0.0)
+        push -= np.where(above > 0.0, np.maximum(self._k * above + self._d * v, 0.0), 0.0)
+        return push
+
+
 @spec
 class RigidBody(Plant):
     """Rigid bodies with joint servos and torque limits, integrated with the loops closed."""
@@ -166,5 +209,4 @@ class RigidBody(Plant):
     """Whether joints stop at their position limits: full torque presses them in by 5 mrad."""
 
     def build(self, problem: ControlProblem, seed: int, disturbance: Disturbance) -> PlantModel:
-        """At rest at the chain's start."""
         return RigidBodyModel(problem, self, seed, disturbance)

@@ -133,6 +133,7 @@ LIMIT = Shape(
     ("UNIT",),
     lambda units, key, part: part,
 )
+PUSH = Shape("[PART]", lambda layout: _each(_WRENCH), ("N", "N m"), lambda *of: _WRENCH[of[1]])
 HAND = Shape("[ARM]", lambda layout: _each(layout.arms))
 HAND_POINT = Shape("[ARM].PART", _of_hand("xyz"))
 HAND_WRENCH = Shape(
@@ -169,6 +170,11 @@ def _nearest(trace: Trace) -> Any:
 
 def _unless_zero(values: NDArray[Any]) -> NDArray[Any]:
     return values if values.any() else np.full(values.shape, np.nan)
+
+
+def _push(trace: Trace) -> Any:
+    push = trace.signals.get("push")
+    return None if push is None or not push.any() else push
 
 
 def _commanded(trace: Trace) -> Any:
@@ -273,6 +279,8 @@ TABLE: tuple[Field, ...] = (
           "where it is broken", of=_margin),
     Field("nearest", LIMIT, "", "where that is, such as `RElbowRoll (upper)`",
           of=_nearest, kind="text", beside=True),
+    Field("push", PUSH, "{}", "what pushes the object at the tick's end, where something does in "
+          "the run, world axes", of=_push),
     Field("hand_wrench", HAND_WRENCH, "{}", "what each hand did to the object at the tick's end, "
           "world axes, where the plant tells [forces](forces.md#plants)"),
     Field("hand_point", HAND_POINT, "m", "and where"),

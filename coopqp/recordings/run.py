@@ -20,7 +20,7 @@ from coopqp.base.spec import Array
 from coopqp.recordings import column
 from coopqp.solver import HALTS, Status
 
-#: A joint beyond it, or faster, is damage [rad, m; rad/s, m/s].
+#: A joint beyond it, or faster, is damage, and so is an error [rad, m; rad/s, m/s; N, N m].
 FARTHEST = 1e12
 #: Times of two phases that are the same may differ by this [s].
 ROUNDING = 1e-9
@@ -87,7 +87,7 @@ class Run:
             empty: whether cells, or columns, may be missing, which are NaN.
 
         Raises:
-            InvalidValueError: no such column, or no finite number in it.
+            InvalidValueError: no such column, no finite number in it, or one that cannot be.
         """
         nothing = np.full(len(self), np.nan)
         for name in names:
@@ -100,21 +100,20 @@ class Run:
             k, i = wrong[0].tolist()
             found_there = "nothing" if np.isnan(values[k, i]) else values[k, i]
             raise self.fault(k, f"{names[i]}: found {found_there}, needs a finite number")
+        far = np.argwhere(np.abs(values) > FARTHEST)
+        if len(far):
+            k, i = far[0].tolist()
+            raise self.fault(k, f"{names[i]}: found {values[k, i]:g}, which cannot be")
         return values
 
     def joints(self, name: str, joints: Sequence[str], *, empty: bool = False) -> Array:
         """A column a joint of a field, shape (rows, joints).
 
         Raises:
-            InvalidValueError: as :meth:`numbers`; where no joint can be.
+            InvalidValueError: as :meth:`numbers`.
         """
         columns = column.of_field(name, column.Layout(joints=tuple(joints)))
-        values = self.numbers(columns, empty=empty)
-        far = np.argwhere(np.abs(values) > FARTHEST)
-        if len(far):
-            k, i = far[0].tolist()
-            raise self.fault(k, f"{columns[i]}: found {values[k, i]:g}, where no joint can be")
-        return values
+        return self.numbers(columns, empty=empty)
 
 
 def read_rows(path: Path, at: str, rows: Iterable[Mapping[str, Any]]) -> Run:

@@ -34,7 +34,8 @@ class Column:
 COLUMNS = {
     "reached": Column("Goal reached", "", "Every error ends within tolerance, forces for 0.2 s."),
     "task_error": Column("Task error", "at the end", "What is left of each task's error."),
-    "limit": Column("Limit overrun", "", "How far the worst joint went beyond its limit."),
+    "limit": Column("Limit overrun", "", "How far the worst joint went beyond its limit; "
+                    "then other limits that were broken, each in its own unit."),
     "speed": Column("Speed overrun", "", "How far the worst speed went beyond its limit."),
     "acceleration": Column("Acceleration", "at most", "Beside what the loop for robots allows: "
                            "from rest to full speed in 0.2 s, else 10 rad/s2. A joint_acceleration "
@@ -123,8 +124,8 @@ def _solver(metrics: Mapping[str, Any]) -> str:
 
 
 def _limit(assessed: Assessment, overrun: float, unit: str) -> Cell:
-    """Joints first, then all other limits of place; what a start is beyond is nobody's fault."""
-    others = [found for found in assessed.limits if found.row.unit in ("m", "rad")]
+    """Joints first, then all other limits; what a start is beyond is nobody's fault."""
+    others = assessed.limits
     lines = [_quantity(overrun, unit)] if matters(overrun, unit) or not others else []
     for found in others:
         value, of = length(found.by, found.row.unit)

@@ -11,7 +11,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from coopqp.scenario.catalog import Catalog
-from coopqp.scenario.loader import shipped
+from coopqp.scenario.loader import FILES, shipped
 from coopqp.scenario.yaml import read_yaml
 from coopqp.solvers.qpsolvers import installed
 
@@ -37,10 +37,9 @@ def progress_bars(names: list[str], ticks: int) -> Iterator[Callable[[str, float
 
 def help_lines(kind: str, catalog: Catalog) -> dict[str, str]:
     """A line of help for each name of a collection."""
-    if kind == "scenarios":
-        return {
-            name: read_yaml(path).data.get("description", "") for name, path in shipped().items()
-        }
+    if kind in FILES:
+        files = shipped(kind).items()
+        return {name: read_yaml(path).data.get("description", "") for name, path in files}
     lines = {name: e.help for name, e in catalog.entries(kind).items()}
     if kind == "solvers":
         others = (name for name in installed() if name not in lines)

@@ -38,7 +38,6 @@ class ExampleRobot(Robot):
     """Limits instead of the file's, by joint or pattern such as left_*."""
 
     def build(self) -> RobotModel:
-        """The joints of the arms; all others locked."""
         known = robots()
         if self.name not in known:
             raise UnknownNameError("example robot", self.name, known).at("name")
@@ -58,11 +57,7 @@ def _described(file: Path) -> Description:
 
 
 def robots() -> dict[str, Path]:
-    """The package's URDF files by name; by folder and name where a name is there twice.
-
-    Raises:
-        MissingDependencyError: the package is not installed.
-    """
+    """The package's URDF files by name, or by folder and name; or MissingDependencyError."""
     try:
         folder = Path(str(metadata.distribution(PACKAGE).locate_file(FOLDER)))
     except metadata.PackageNotFoundError:

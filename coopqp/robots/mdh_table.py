@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field
 
 from coopqp.base.errors import under
-from coopqp.base.spec import FARTHEST, NonNegative, Positive, Vector3, numbers, one_angle, spec
+from coopqp.base.spec import FARTHEST, NonNegative, Positive, Vector3, Vector6, one_angle, spec
 from coopqp.robot import Robot, RobotModel
 from coopqp.robot_files import mdh
 from coopqp.robot_files.selection import Arms, Description, Locked, robot_model
@@ -20,25 +20,15 @@ SIGMA: tuple[mdh.JointKind, ...] = ("revolute", "prismatic", "fixed")
 
 
 def _word(value: Any) -> Any:
-    """Sigma as a word; the number of the table is also read."""
     return SIGMA[value] if type(value) is int and 0 <= value <= 2 else value
 
 
 def _name(value: Any) -> Any:
-    """A name; the number j of the table is also read."""
     return str(value) if type(value) is int else value
 
 
 def _antecedent(value: Any) -> Any:
-    """A name, or None for the base, which is 0 in the table."""
     return None if type(value) is int and value == 0 else _name(value)
-
-
-def _six(value: Any) -> Any:
-    return numbers(value, 6)
-
-
-Six = Annotated[tuple[float, float, float, float, float, float], BeforeValidator(_six)]
 
 
 @spec
@@ -87,7 +77,7 @@ class TableRow:
     """Of the link that the joint moves [kg]; massless when omitted."""
     com: Vector3 = (0.0, 0.0, 0.0)
     """Its centre of mass, from the row's origin [m]."""
-    inertia: Six = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    inertia: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     """ixx ixy ixz iyy iyz izz about the centre of mass [kg m2]."""
     axes: Literal["joint", "base"] = "joint"
     """Of com and inertia: the row's own, or the base's at the zero pose."""
@@ -106,7 +96,6 @@ class TableRow:
             raise ValueError("com and inertia need a mass")
 
     def read(self) -> mdh.MdhRow:
-        """As :mod:`coopqp.robot_files.mdh` has it."""
         parameters = mdh.MdhParameters(
             gamma=self._radians("gamma", 0.0), b=self.b, alpha=self._radians("alpha", 0.0),
             d=self.d, theta=self._radians("theta", 0.0), r=self.r,
@@ -159,7 +148,6 @@ class MdhTable(Robot):
     """Joints kept still: names, or names with values [rad or m]; others that move no tip too."""
 
     def build(self) -> RobotModel:
-        """The joints of the arms; all others locked."""
         tips = {
             name: mdh.Tip(parent=tip.parent, offset=tip.offset) for name, tip in self.tips.items()
         }

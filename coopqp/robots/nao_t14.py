@@ -63,11 +63,7 @@ TORSO = Capsule(
 
 
 def arm_table(side: str) -> list[mdh.MdhRow]:
-    """Five rows of Table 1.
-
-    Args:
-        side: "R" for joints 1-5, "L" for joints 6-10.
-    """
+    """Five rows of Table 1: "R" for joints 1-5, "L" for joints 6-10."""
     y = -1.0 if side == "R" else 1.0
     parameters = (
         mdh.MdhParameters(b=B1, alpha=-QUARTER, r=y * R1),

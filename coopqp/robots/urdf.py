@@ -30,7 +30,6 @@ class Urdf(Robot):
     """Folders with the packages of package:// meshes, besides those above the file."""
 
     def build(self) -> RobotModel:
-        """The joints of the arms; all others locked."""
         with under("path"):
             description = read_urdf(self.path, self.package_dirs)
         return robot_model(

@@ -36,13 +36,10 @@ Inequalities = Callable[[Array], tuple[Array, Array]]
 
 @dataclass(frozen=True)
 class Stop:
-    """When a search ends.
+    """When a search ends: after so many steps, with a residual small enough, or stuck.
 
-    Attributes:
-        steps: most of them.
-        most: farthest that a variable goes in one.
-        enough: whether a residual is small enough.
-        stuck: share of |r|^2 by which a step must change it to go on.
+    No variable goes farther than ``most`` in a step; ``stuck`` is the least share of change of
+    |r|^2.
     """
 
     steps: int
@@ -69,15 +66,7 @@ class BoundedSteps:
         stop: Stop,
         inequalities: Inequalities | None = None,
     ) -> Array:
-        """The residual at the end of the way down from x, which is moved there.
-
-        Args:
-            x: where to begin, inside the bounds, shape (n,).
-            residual: what shall become small.
-            bounds: lower and upper, shape (n,).
-            stop: when to end.
-            inequalities: rows that every step keeps.
-        """
+        """Move x, (n,), inside its bounds down to a small residual, which is returned."""
         mu = DAMPING
         r, J = residual(x)
         for _ in range(stop.steps):
@@ -108,10 +97,7 @@ class BoundedSteps:
         bounds: tuple[Array, Array],
         most: float | None = None,
     ) -> Array:
-        """Where the step goes that is best for the quadratic model; x where there is none.
-
-        ``most`` is the farthest that a variable goes; as :meth:`descend` has set it when omitted.
-        """
+        """The best point of the quadratic model within ``most`` of x; x where there is none."""
         qp = self._qp
         if most is not None:
             self._limit(x, bounds, most, None)
@@ -125,11 +111,7 @@ class BoundedSteps:
         return np.asarray(np.clip(x + step, *bounds), float)
 
     def _limit(
-        self,
-        x: Array,
-        bounds: tuple[Array, Array],
-        most: float,
-        inequalities: Inequalities | None,
+        self, x: Array, bounds: tuple[Array, Array], most: float, inequalities: Inequalities | None
     ) -> None:
         qp, (lower, upper) = self._qp, bounds
         np.maximum(lower - x, -most, out=qp.lb)

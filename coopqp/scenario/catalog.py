@@ -1,9 +1,10 @@
 """From a name to its class: what can be written in a scenario, and where it comes from.
 
 Nothing is registered: a file is found because it is there, in coopqp, in an installed package or in
-a folder of the user's. A folder of plug-ins has the collections' names as subfolders, with one file
-a plug-in. Names that begin with ``_`` are helpers; files of one subfolder import them by ``from
-._helper import x``.
+a folder of the user's, which has the collections' names as subfolders. The YAML name of a plug-in
+is the name of its file, which holds one ``@spec`` class that inherits from its idea and from
+nothing else, with all methods written. Names that begin with ``_`` are helpers; files of one
+subfolder import them by ``from ._helper import x``.
 
 A package brings plug-ins along when an entry point of the group ``coopqp.plugins`` names a package
 of the same shape:
@@ -14,27 +15,129 @@ of the same shape:
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 import importlib
 import inspect
 import keyword
 import sys
 import traceback
-from collections.abc import Iterator
+import typing
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from importlib import metadata
 from itertools import chain
 from pathlib import Path
+from types import ModuleType
 
 from pydantic import BaseModel, PydanticUserError
+from pydantic.dataclasses import is_pydantic_dataclass
 
 from coopqp.base.errors import CoopqpError, Fault, unknown_name
 from coopqp.base.reading import absolute
 from coopqp.base.wording import said
-from coopqp.scenario.plugin import COLLECTIONS, Entry, entry_of
+from coopqp.controller import Controller, Law
+from coopqp.grasp import Grasp
+from coopqp.limit import Limit
+from coopqp.metric import OF_STUDIES, Metric
+from coopqp.plant import Plant, PlantModel
+from coopqp.robot import Robot
 from coopqp.scenario.user_folders import package_of
+from coopqp.signal import Signal
+from coopqp.solver import Solver
+from coopqp.task import Task
 
 GROUP = "coopqp.plugins"
+
+#: Collections in the order they are listed: folder and what its classes are.
+COLLECTIONS: dict[str, type] = {
+    "robots": Robot,
+    "grasps": Grasp,
+    "tasks": Task,
+    "signals": Signal,
+    "limits": Limit,
+    "controllers": Controller,
+    "solvers": Solver,
+    "plants": Plant,
+    "metrics": Metric,
+}
+
+#: What plug-ins build; written in the same files, and as easily left half-written.
+BUILT = (Law, PlantModel)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One plug-in; its name in YAML is that of its file."""
+
+    name: str
+    cls: type
+    help: str
+
+
+@functools.cache
+def entry_of(name: str, module: ModuleType, kind: str) -> Entry | Fault:
+    """The plug-in that a module holds, or what is wrong with it."""
+    base = COLLECTIONS[kind]
+    inside = (value for value in vars(module).values() if inspect.isclass(value))
+    written = [cls for cls in dict.fromkeys(inside) if cls.__module__ == module.__name__]
+    classes = [cls for cls in written if issubclass(cls, base)]
+    if len(classes) != 1:
+        return _miscounted(module, base, written, classes)
+    (cls,) = classes
+    for part in (cls, *(other for other in written if issubclass(other, BUILT))):
+        if wrong := _wrong_with(part, base):
+            return Fault(f"{module.__file__}:{_line(part)}", wrong)
+    return Entry(name, cls, (cls.__doc__ or "").strip().split("\n", 1)[0])
+
+
+def _miscounted(
+    module: ModuleType, base: type, written: Sequence[type], classes: Sequence[type]
+) -> Fault:
+    found = f"needs exactly one {base.__name__} class, found {len(classes)}"
+    if classes:
+        names = ", ".join(cls.__name__ for cls in classes)
+        place = f"{module.__file__}:{_line(classes[1])}"
+        return Fault(place, f"{found}: {names}; give each a file of its own")
+    for cls in written:
+        for kind, other in COLLECTIONS.items():
+            if issubclass(cls, other):
+                place = f"{module.__file__}:{_line(cls)}"
+                words = f"{cls.__name__} is a {other.__name__}; move the file into {kind}"
+                return Fault(place, f"{found}; {words}")
+    words = f"write 'class NAME({base.__name__}):', or let the name of a helper's file begin with _"
+    return Fault(str(module.__file__), f"{found}; {words}")
+
+
+def _wrong_with(cls: type, base: type) -> str:
+    if missing := sorted(getattr(cls, "__abstractmethods__", ())):
+        methods = " and ".join(f"'{name}'" for name in missing)
+        return f"{cls.__name__} is half-written; it needs {methods}"
+    if issubclass(cls, BUILT):
+        return ""
+    if strangers := [b.__name__ for b in cls.__bases__ if b is not base]:
+        return (
+            f"{cls.__name__} inherits from {' and '.join(strangers)}; a plug-in inherits from "
+            f"{base.__name__} and from nothing else"
+        )
+    if not (is_pydantic_dataclass(cls) and cls.__dataclass_params__.frozen):  # type: ignore[attr-defined]
+        return f"{cls.__name__} needs '@spec' above it: from coopqp import spec"
+    try:
+        typing.get_type_hints(cls)
+    except NameError as error:  # deferred annotations are only looked up now
+        return f"{cls.__name__} has a field whose type is not known: {error}"
+    if base is Metric and (needed := [f.name for f in dataclasses.fields(cls) if _needed(f)]):
+        return f"'{needed[0]}' needs a default, because scenarios have no keys for metrics"
+    return ""
+
+
+def _needed(field: dataclasses.Field[object]) -> bool:
+    return field.default is field.default_factory is dataclasses.MISSING
+
+
+def _line(cls: type) -> int:
+    return inspect.getsourcelines(cls)[1]
 
 
 @dataclass(frozen=True)
@@ -51,13 +154,16 @@ class Shelf:
         files = sorted(p for p in self.folder.glob("*.py") if not p.name.startswith("_"))
         if not files:
             word = self.kind.removesuffix("s")
-            yield Fault(str(self.folder), f"no {word} files (*.py) here; write one a {word}")
+            yield Fault(
+                str(self.folder),
+                f"no {word} files (*.py) here; each {word} needs a file of its own",
+            )
         for file in files:
             yield self._entry(file)
 
     def _entry(self, file: Path) -> Entry | Fault:
         name = file.stem
-        if wrong := _wrong_name(name):
+        if wrong := _wrong_name(name, self.kind):
             return Fault(str(file), f"{wrong}; rename the file")
         module = f"{self.package}.{name}"
         try:
@@ -137,17 +243,17 @@ def _in_subfolders(folder: Path, package: str | None) -> Iterator[Shelf | Fault]
         yield Shelf(found.name, found, f"{package}.{found.name}" if package else package_of(found))
 
 
-def _wrong_name(name: str) -> str:
-    """Why a scenario cannot name a plug-in so; empty when it can."""
+def _wrong_name(name: str, kind: str) -> str:
     if not name.isidentifier() or keyword.iskeyword(name):
         return f"'{name}' is not a name in Python: letters, digits and _ alone, no keyword"
     if hasattr(BaseModel, name) or name.startswith("model_"):
         return f"'{name}' is a name that pydantic, which reads scenarios, keeps for itself"
+    if kind == "metrics" and name in OF_STUDIES:
+        return f"every study has a column '{name}' of its own"
     return ""
 
 
 def _place(error: BaseException, file: Path) -> str:
-    """File and line of the user's code that an import stumbled over."""
     if isinstance(error, SyntaxError) and error.filename:
         return f"{error.filename}:{error.lineno}"
     frames = traceback.extract_tb(error.__traceback__)
@@ -168,9 +274,6 @@ class Catalog:
     Args:
         task_folders: folders with the user's own task files.
         plugin_folders: folders with the user's own plug-ins, in subfolders named as collections.
-
-    Attributes:
-        folders: both, from the root on, so that another process can make the same catalogue.
 
     Raises:
         CoopqpError: with a line for every file that is no plug-in, or takes a name that exists.

@@ -27,7 +27,6 @@ from coopqp.model.grasp_configuration import arm_weights, grasp_of_each
 from coopqp.model.state import State
 from coopqp.robot import RobotModel
 from coopqp.scenario.input import Feed, Inputs, wanted
-from coopqp.scenario.known import Known
 from coopqp.scenario.scenario import Phase, Scenario, Start, arm_names, start_of
 from coopqp.scenario.trial import Places, blamed, try_limit, try_task
 from coopqp.scenario.yaml import MisplacedError, Wrong
@@ -38,6 +37,10 @@ Placed = tuple[Location, Task, Phase]
 
 #: A control period that no robot has; with it, dt is what makes a run too long [s].
 SHORT = 1e-4
+#: Keys of the file from which a chain follows, beside the start and the object.
+CHAIN = ("robot", "grasp", "grasps", "weights", "folder")
+#: Keys of the object that no task and no limit of the motion sees.
+INERTIAL = ("mass", "com", "inertia")
 #: An object whose longest edge is this many times the arms' reach cannot be meant [-].
 LARGE = 20.0
 
@@ -106,7 +109,6 @@ def _of_problems(scenario: Scenario) -> Iterator[Wrong]:
 
 
 def _of_end(place: Location, task: Task, duration: float) -> Iterator[Wrong]:
-    """Whether a reference arrives before its phase ends [s]."""
     try:
         with blamed(task):
             end = task.end
@@ -131,6 +133,90 @@ def placed_tasks(scenario: Scenario) -> Iterator[Placed]:
     shortest = min(schedule, key=lambda phase: phase.duration)
     for j, task in enumerate(scenario.secondary):
         yield ["secondary", j], task, shortest
+
+
+class Known:
+    """The last scenario that has passed, for who reads one variant of a file after the other.
+
+    Variants of one file differ in a key or two: robot, chain and trials of all others are then
+    taken from the variant before. After :meth:`lend_chain` this says what else is the same.
+    """
+
+    def __init__(self) -> None:
+        self._data: Mapping[str, Any] = {}
+        self._now: Mapping[str, Any] = {}
+        self._scenario: Scenario | None = None
+        self._places: Mapping[str, Places] = {}
+        self._alike = False
+
+    def keep(
+        self, data: Mapping[str, Any], scenario: Scenario, places: Mapping[str, Places]
+    ) -> None:
+        """A scenario has passed; its tasks and limits were tried at these places, by phase."""
+        self._data, self._scenario, self._places = data, scenario, places
+
+    def lend_robot(self, data: Mapping[str, Any], scenario: Scenario) -> None:
+        """Give a scenario the robot of the last one, where it is the same."""
+        self._now, self._alike = data, False
+        if self._scenario and self._same("robot", "folder"):
+            vars(scenario)["robot_model"] = self._scenario.robot_model
+
+    def lend_chain(self, scenario: Scenario) -> None:
+        """Give it the closed chain as well, where it is the same but for the object's inertia."""
+        before = self._scenario
+        if before is None or not self._same_chain(before, scenario):
+            return
+        self._alike, chain = True, before.chain
+        if scenario.held != before.held:
+            chain = chain.carrying(scenario.held)
+        vars(scenario)["chain"] = chain
+
+    def place(self, phase: str) -> Places | None:
+        """Where plug-ins were tried in a phase of the same chain."""
+        return self._places.get(phase) if self._alike else None
+
+    def task(self, at: Location, task: Task) -> bool:
+        """Whether a task is the same, inputs are followed alike, and phases as long."""
+        if not self._alike or task.of_forces or not self._same("inputs", "duration"):
+            return False
+        durations = [[p["duration"] for p in x.get("phases") or ()] for x in self._both]
+        tasks = [_at(data, at) for data in self._both]
+        return bool(durations[0] == durations[1] and tasks[0] == tasks[1])
+
+    @property
+    def limits(self) -> bool:
+        """Whether all limits are the same."""
+        return self._alike and self._same("limits", "dt", "start_outside")
+
+    @property
+    def _both(self) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
+        return self._data, self._now
+
+    def _same(self, *keys: str) -> bool:
+        return all(self._data.get(key) == self._now.get(key) for key in keys)
+
+    def _same_chain(self, before: Scenario, scenario: Scenario) -> bool:
+        released = [[phase.released for phase in x.schedule] for x in (before, scenario)]
+        objects = [
+            {key: x for key, x in (data.get("object") or {}).items() if key not in INERTIAL}
+            for data in self._both
+        ]
+        return (
+            self._same(*CHAIN)
+            and scenario.start == before.start
+            and released[0] == released[1]
+            and objects[0] == objects[1]
+        )
+
+
+def _at(data: Any, location: Location) -> Any:
+    """What is at a place of a file; None where that is not."""
+    for key in location:
+        try:
+            data = data[key]
+        except (KeyError, IndexError, TypeError):
+            return None
+    return data
 
 
 def check_start(data: Mapping[str, Any], scenario: Scenario, known: Known) -> None:
@@ -168,6 +254,7 @@ def check_start(data: Mapping[str, Any], scenario: Scenario, known: Known) -> No
     if new_limits:
         wrong_plugins += _broken_limits(scenario, next(iter(places.values())))
     refuse(wrong_plugins)
+    refuse(_alike(scenario, places))
     wrong_starts = [*_broken_inputs(data, scenario, tasks, places)]
     if not allowed and not wrong_starts and new_limits:
         for i, limit in enumerate(scenario.limits):
@@ -178,7 +265,6 @@ def check_start(data: Mapping[str, Any], scenario: Scenario, known: Known) -> No
 
 
 def _closed(data: Mapping[str, Any], scenario: Scenario, key: str) -> ClosedChain:
-    """The closed chain, or what of the file keeps it from closing."""
     try:
         return scenario.chain
     except CoopqpError as error:
@@ -220,7 +306,6 @@ def _longest(scenario: Scenario) -> Location:
 
 
 def _released(scenario: Scenario) -> Iterator[Wrong]:
-    """Phases in which an arm lets go that does not exist, or all of them."""
     arms = arm_names(scenario.robot_model)
     for i, phase in enumerate(scenario.phases):
         place: Location = ["phases", i, "released"]
@@ -232,12 +317,27 @@ def _released(scenario: Scenario) -> Iterator[Wrong]:
 
 
 def _broken_tasks(tasks: Sequence[Placed], places: Mapping[str, Places]) -> Iterator[Wrong]:
-    """Tasks that name what is not there or break a promise; each is tried in its phase."""
     for place, task, phase in tasks:
         try:
             try_task(task, places[phase.name], phase.duration)
         except CoopqpError as error:
             yield Wrong(place, str(error), error.keys)
+
+
+def _alike(scenario: Scenario, places: Mapping[str, Places]) -> Iterator[Wrong]:
+    """Tasks of which a trace would call a part, or a row, as it calls another task's."""
+    known: dict[str, str] = {}
+    for place, task, phase in placed_tasks(scenario):
+        if place[0] == "secondary":
+            continue
+        chain = places[phase.name].start.chain
+        whole = f"{phase.name}.{task.name}" if scenario.phases else task.name
+        inside = (*(part.name for part in task.parts(chain)), *task.rows(chain))
+        names = {f"{whole}.{name}" if name else whole for name in inside}
+        if alike := sorted(names & known.keys()):
+            words = f"'{alike[0]}' would be a part of '{known[alike[0]]}' too"
+            yield Wrong(place, f"{words}; give '{task.name}' another name")
+        known |= dict.fromkeys(names, whole)
 
 
 def _broken_inputs(
@@ -267,7 +367,6 @@ def _broken_inputs(
 
 
 def _used(data: Any, place: Location, name: str) -> Location:
-    """Where in a task an input is used."""
     for key in place:
         data = data[key]
     waiting: list[tuple[list[str | int], Any]] = [([*place], data)]
@@ -304,7 +403,6 @@ def _broken_limits(scenario: Scenario, places: Places) -> Iterator[Wrong]:
 
 
 def _passive_outside(chain: ClosedChain, passive: Mapping[str, float], key: str) -> Iterator[Wrong]:
-    """Passive joints that start outside their limits."""
     for name in passive:
         i = chain.joint_names.index(name)
         value, low, high = chain.q_start[i], chain.lower[i], chain.upper[i]
@@ -341,12 +439,11 @@ def _outside(joint: str, value: float, limits: tuple[float, float], unit: str) -
     low, high = limits
     return (
         f"{joint} starts at {value * scale:.6g} {unit}, outside its limits "
-        f"{low * scale:.6g} to {high * scale:.6g}; or say start_outside: true to see it come back"
+        f"{low * scale:.6g} to {high * scale:.6g}; or say start_outside: true to see it recover"
     )
 
 
 def _like_degrees(robot: RobotModel, q: Array) -> bool:
-    """Whether joints are outside their limits by more than a turn, and inside them in degrees."""
     lower, upper = robot.model.lowerPositionLimit, robot.model.upperPositionLimit
     turns = np.array([unit == "rad" for unit in robot.joint_units])
     outside = turns & ((q < lower) | (q > upper))
@@ -355,7 +452,6 @@ def _like_degrees(robot: RobotModel, q: Array) -> bool:
 
 
 def _too_large(chain: ClosedChain) -> str:
-    """What is wrong with an object that no such arms hold; empty if nothing is."""
     longest = max(chain.held.size)
     if longest <= LARGE * chain.reach:
         return ""

@@ -27,12 +27,11 @@ from pydantic import (
 
 from coopqp.base import wording
 from coopqp.base.errors import CoopqpError, unknown_name
-from coopqp.base.spec import told, type_name
+from coopqp.base.spec import field_docs, type_name
 from coopqp.base.wording import Location, shown
 from coopqp.grasp import Grasp
 from coopqp.robot import Robot
-from coopqp.scenario.catalog import Catalog
-from coopqp.scenario.plugin import COLLECTIONS
+from coopqp.scenario.catalog import COLLECTIONS, Catalog
 from coopqp.scenario.scenario import NO_KEY, UNIONS, Key, Phase, Scenario
 from coopqp.scenario.yaml import Wrong, YamlFile
 from coopqp.signal import Signal
@@ -45,7 +44,6 @@ Joints = dict[str, float | list[float]]
 
 
 def _start(value: Any) -> Any:
-    """Joint values; none yet where they shall be solved for."""
     if value == SOLVE:
         return {}
     if value is not None and not isinstance(value, dict):
@@ -141,7 +139,7 @@ def file_model(catalog: Catalog) -> type[BaseModel]:
 
 def _keys(cls: Any, catalog: Catalog) -> Iterator[tuple[str, Any]]:
     """Keys of a file, with the types and defaults that the fields of a class give them."""
-    words = told(cls)
+    words = field_docs(cls)
     for found, hint, key in _fields(cls):
         default = found.default if found.default_factory is MISSING else found.default_factory()
         default = _named(default) if key.default is MISSING else key.default
@@ -192,7 +190,6 @@ WITHOUT_PHASES = ("tasks", "duration")
 
 
 def _phases_or_not(data: Mapping[str, Any]) -> Iterator[Wrong]:
-    """What is missing or too much, with phases or without."""
     if "phases" not in data:
         missing = [key for key in WITHOUT_PHASES if key not in data]
         yield from (Wrong([], f"needs the key '{key}'") for key in missing)
@@ -244,7 +241,7 @@ def _mistaken(given: Any, read: Any) -> Iterator[tuple[Location, str]]:
     """Values that were made numbers or truths and are none, with what is wrong.
 
     Inside a slot pydantic reads values of Python, either strictly, when no list is a tuple, or so
-    that true is 1.0. Slots are therefore not read strictly, and what came of them is looked at.
+    that true is 1.0. Slots are therefore not read strictly, and what came of them is checked.
     """
     if isinstance(given, dict):
         for key, value in given.items():
@@ -285,7 +282,6 @@ def _plain(value: Any) -> Any:
 
 
 def _inner(slot: TypeAdapter[Any], value: Any, context: dict[str, Any]) -> Any:
-    """The plug-in in a slot inside another plug-in."""
     read = slot.validate_json(json.dumps(value), context=context)
     for place, words in _mistaken(value, read):
         raise ValueError(f"{wording.dotted(place)}: {words}")

@@ -16,6 +16,7 @@ from coopqp.base.errors import InvalidValueError, UnknownNameError
 from coopqp.base.reading import FilePath
 from coopqp.base.spec import Array, Positive, spec
 from coopqp.base.table import read_table
+from coopqp.base.wording import counted
 from coopqp.model.state import State
 from coopqp.model.trajectory_filter import MotionLimits, TrajectoryFilter
 from coopqp.signal import InputValues, Kind, Moment, Reads, Signal, Trajectory
@@ -59,17 +60,9 @@ class InputSettings(MotionLimits):
 
 
 class Channel(TrajectoryFilter):
-    """One input while the arms move.
+    """One input while the arms move, of a kind, which begins at ``value``, shape (values,).
 
-    Args:
-        kind: of its values.
-        settings: from the scenario.
-        dt: control period [s].
-        value: where it begins, shape (values,).
-
-    Attributes:
-        target: what arrived last, or where it began, shape (values,).
-        sent: when that was sent [s]; minus infinity where nothing has arrived.
+    ``target`` arrived last, or is where it began; ``sent`` is when [s], -inf where nothing has.
     """
 
     def __init__(self, kind: Kind, settings: InputSettings, dt: float, value: Array) -> None:
@@ -80,16 +73,7 @@ class Channel(TrajectoryFilter):
         self._lower, self._upper = np.array(lower, float), np.array(upper, float)
 
     def take(self, value: Any, sent: float, now: float) -> str:
-        """A value that has arrived.
-
-        Args:
-            value: as :meth:`coopqp.signal.Kind.read` takes it.
-            sent: when it was sent [s].
-            now: [s].
-
-        Returns:
-            Why it cannot be used; empty if it can.
-        """
+        """Take an arrived value, :meth:`coopqp.signal.Kind.read`; why it cannot be used, or ""."""
         try:
             found = self.kind.read(value)
         except InvalidValueError as error:
@@ -118,15 +102,7 @@ class Channel(TrajectoryFilter):
 
 
 def wanted(tasks: Sequence[Task], start: State) -> dict[str, tuple[Kind, Array | None]]:
-    """Inputs that tasks follow, by name: their kind, and where they begin.
-
-    Args:
-        tasks: any.
-        start: the state from which their references set out; the list of its inputs is written.
-
-    Raises:
-        CoopqpError: an input is wanted as two kinds.
-    """
+    """Kind and start of each input that tasks follow; CoopqpError if wanted as two kinds."""
     start.inputs = InputValues()
     for task in tasks:
         task.bind(start)
@@ -134,27 +110,10 @@ def wanted(tasks: Sequence[Task], start: State) -> dict[str, tuple[Kind, Array |
 
 
 class Inputs:
-    """All inputs of a run.
-
-    Args:
-        settings: by name, from the scenario.
-        tasks: what follows them.
-        start: the state in which the run begins; what is followed is put into it.
-        dt: control period [s].
-
-    Raises:
-        CoopqpError: a task wants an input that is not there, or as what it cannot be.
-
-    Attributes:
-        channels: by name, those that are followed.
-    """
+    """All inputs of a run, put into its first state; CoopqpError: not there, or of another kind."""
 
     def __init__(
-        self,
-        settings: Mapping[str, InputSettings],
-        tasks: Sequence[Task],
-        start: State,
-        dt: float,
+        self, settings: Mapping[str, InputSettings], tasks: Sequence[Task], start: State, dt: float
     ) -> None:
         self._now = -math.inf
         self.channels: dict[str, Channel] = {}
@@ -165,12 +124,7 @@ class Inputs:
         start.inputs.update(self.channels)
 
     def step(self, state: State, arrivals: Iterable[Arrival] = ()) -> None:
-        """Take what has arrived and go on to the time of a state, whose tick is next.
-
-        Args:
-            state: written: what is followed then.
-            arrivals: name, value and when it was sent by the state's clock [s], oldest first.
-        """
+        """Take arrivals, oldest first by the state's clock [s], and go on to the state's time."""
         followed, now = state.inputs, state.t
         refused = []
         arrived: dict[str, tuple[float, Array]] = {}
@@ -191,17 +145,7 @@ class Inputs:
 
 
 def open_channel(kind: Kind, here: Array | None, settings: InputSettings, dt: float) -> Channel:
-    """An input, at rest where it begins.
-
-    Args:
-        kind: of its values.
-        here: where it begins, shape (values,).
-        settings: from the scenario.
-        dt: control period [s].
-
-    Raises:
-        InvalidValueError: nobody says where it begins; a setting does not fit its kind.
-    """
+    """An input at rest where it begins; InvalidValueError if nowhere, or settings do not fit."""
     if kind.velocity and settings.when_stale == "hold":
         words = "when_stale: hold would go on for ever with a velocity; use brake"
         raise InvalidValueError(words)
@@ -209,7 +153,7 @@ def open_channel(kind: Kind, here: Array | None, settings: InputSettings, dt: fl
         found = getattr(settings, key)
         if found is not None and len(found) != kind.numbers:
             needs = f"needs {kind.numbers} for a {kind.name}"
-            raise InvalidValueError(f"{key}: found {len(found)} numbers, {needs}")
+            raise InvalidValueError(f"{key}: found {counted(len(found), 'number')}, {needs}")
     if here is None:
         words = f"where is the {kind.name} before anything arrives? Say it where it is used"
         raise InvalidValueError(f"{words}, as input: {{name: ..., start: [...]}}")
@@ -228,16 +172,7 @@ _Row = tuple[float, float, Array]
 
 
 class Feed:
-    """Who sends, in a comparison.
-
-    Args:
-        settings: of the inputs, by name.
-        inputs: of the run.
-        since: when the phase begins [s].
-
-    Raises:
-        CoopqpError: a signal or a file is not of the input's kind.
-    """
+    """Who sends, in a comparison, from ``since`` [s] on; CoopqpError: not of the input's kind."""
 
     def __init__(
         self, settings: Mapping[str, InputSettings], inputs: Inputs, since: float = 0.0
@@ -267,11 +202,7 @@ class Feed:
         self._inputs.step(state, self.arrivals(state.t))
 
     def arrivals(self, t: float) -> Iterator[Arrival]:
-        """What has been sent since the last call.
-
-        Args:
-            t: since the phase began [s].
-        """
+        """What has been sent since the last call, at t since the phase began [s]."""
         now = self._since + t
         for name, signal in self._signals.items():
             signal.update(Moment(now))

@@ -11,12 +11,10 @@ from coopqp.base.errors import Fault, ScenarioError, UnknownNameError, unknown_n
 from coopqp.base.reading import absolute
 from coopqp.grasps import Rigid
 from coopqp.model.grasp_configuration import grasp_of_each
-from coopqp.plant import Plant
 from coopqp.robot import RobotModel
 from coopqp.scenario.catalog import Catalog
-from coopqp.scenario.checks import at, check_start, contradictions, refuse
+from coopqp.scenario.checks import Known, at, check_start, contradictions, refuse
 from coopqp.scenario.form import SOLVE, check, chosen, fields_of, given
-from coopqp.scenario.known import Known
 from coopqp.scenario.scenario import Scenario, Start, from_degrees
 from coopqp.scenario.start_solver import Progress, StartSolution, close_start, solve_start
 from coopqp.scenario.yaml import YamlFile, parsed, read_yaml
@@ -46,14 +44,7 @@ def load_text(path: Path, text: str, catalog: Catalog) -> Scenario:
 
 
 def load_file(file: YamlFile, catalog: Catalog, known: Known | None = None) -> Scenario:
-    """The same from a file that has been read.
-
-    Args:
-        file: read.
-        catalog: what it can name.
-        known: the same for all variants of one file, so that each only builds and tries what is
-            different from the one before.
-    """
+    """The same from a file that has been read; ``known`` is shared by variants of one file."""
     known = known or Known()
     with file.lines():
         scenario = _read(file, catalog)
@@ -104,16 +95,10 @@ def load_and_solve(
     seed: int | None = None,
     progress: Progress | None = None,
 ) -> StartSolution:
-    """Solve for a start of a scenario file, whatever start it has.
+    """Solve for a start of a scenario file, whatever start it has; else as :func:`load`.
 
-    Args:
-        path: of a YAML file, or the name of a shipped scenario.
-        catalog: what it can name; shipped and installed plug-ins when omitted.
-        seed: of the random configurations; the scenario's when omitted.
-        progress: called after each try.
-
-    Raises:
-        ScenarioError: with every fault, its line and its likely fix.
+    ``seed`` is of the random configurations, the scenario's when omitted; ``progress`` is called
+    after each try.
     """
     file = read_yaml(find(path))
     with file.lines():
@@ -148,62 +133,40 @@ def _given_start(file: YamlFile, robot: RobotModel, scenario: Scenario) -> Start
     return {} if file.data.get("start") == SOLVE else scenario.start
 
 
-def shipped() -> dict[str, Path]:
-    """The scenarios that come with coopqp, by name."""
-    folder = Path(__file__).parents[1] / "scenarios"
-    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+#: Folders of files that come with coopqp, and what one of them is.
+FILES = {"scenarios": "scenario", "studies": "study"}
 
 
-def find(path: str | Path) -> Path:
-    """The file behind a path or the name of a shipped scenario.
+def shipped(folder: str = "scenarios") -> dict[str, Path]:
+    """The files that come with coopqp, by name."""
+    files = (Path(__file__).parents[1] / folder).glob("*.yaml")
+    return {path.stem: path for path in sorted(files)}
 
-    Raises:
-        ScenarioError: it looks like a name, and there is neither such a file nor such a scenario.
-    """
-    given, known = Path(path), shipped()
+
+def find(path: str | Path, folder: str = "scenarios") -> Path:
+    """The file behind a path or a shipped one's name; ScenarioError if there is neither."""
+    given, known = Path(path), shipped(folder)
     if os.path.exists(given) or given.suffix or given.name != str(path):
         return given
     if given.name not in known:
-        words = f"no such file, and {unknown_name('shipped scenario', given.name, known)}"
+        words = f"no such file, and {unknown_name(f'shipped {FILES[folder]}', given.name, known)}"
         raise ScenarioError([Fault(str(path), words)])
     return known[given.name]
 
 
 def with_solver(scenario: Scenario, name: str) -> Scenario:
-    """The scenario with another QP solver.
-
-    Raises:
-        UnknownNameError: no such solver; names the nearest.
-    """
+    """The scenario with another QP solver; UnknownNameError names the nearest."""
     return replace(scenario, solver=solver_by_name(name, scenario.catalog), solver_name=name)
 
 
 def solver_by_name(name: str, catalog: Catalog) -> Solver:
-    """A solver of the catalogue, or an installed backend of qpsolvers.
-
-    Raises:
-        UnknownNameError: no such solver; names the nearest.
-    """
+    """A solver of the catalogue, or an installed backend of qpsolvers; or UnknownNameError."""
     entries = catalog.entries("solvers")
     if name not in solver_names(catalog):
         raise UnknownNameError("solver", name, solver_names(catalog))
     chosen = entries[name].cls() if name in entries else qpsolvers.Qpsolvers(backend=name)
     assert isinstance(chosen, Solver)  # what the catalogue holds there
     return chosen
-
-
-def plant_by_name(name: str, catalog: Catalog) -> Plant:
-    """A plant of the catalogue with its defaults.
-
-    Raises:
-        UnknownNameError: no such plant; names the nearest.
-    """
-    entries = catalog.entries("plants")
-    if name not in entries:
-        raise UnknownNameError("plant", name, entries)
-    plant = entries[name].cls()
-    assert isinstance(plant, Plant)  # what the catalogue holds there
-    return plant
 
 
 def solver_names(catalog: Catalog) -> tuple[str, ...]:

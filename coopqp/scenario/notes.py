@@ -36,7 +36,7 @@ from coopqp.model.state import State
 from coopqp.scenario.input import InputSettings
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import POINT, POSE, Kind, Moment
-from coopqp.torque_law.force_checks import out_of_reach
+from coopqp.torque_law.force_checks import unreachable_wrenches
 from coopqp.torque_law.impedances import leaks
 
 #: A push along an axis without a spring that is felt by less than this share is not worth a word.
@@ -140,7 +140,7 @@ def _of_forces(scenario: Scenario, chosen: Mapping[str, Controller]) -> Iterator
     start = State(problem.chain)
     asked = WrenchStack(problem.wrenches, start)
     asked.update(start)
-    for said in out_of_reach(StaticHold(problem.chain, safety=1.0), asked):
+    for said in unreachable_wrenches(StaticHold(problem.chain, safety=1.0), asked):
         yield f"{' and '.join(pressing)}: {said}"
 
 

@@ -95,7 +95,8 @@ class Scenario:
     """One motion to be controlled, and with what.
 
     The fields with a docstring are the keys of a scenario file, with those that only files have
-    (:class:`coopqp.scenario.form.FileKeys`).
+    (:class:`coopqp.scenario.form.FileKeys`). InvalidValueError: a field is of another type, or a dt
+    or duration is no time.
 
     Attributes:
         name: of its file.
@@ -104,9 +105,6 @@ class Scenario:
         source: text of the file it was read from.
         folder: in which relative paths of the source begin; None where it has none.
         catalog: what it can name; its metrics are measured.
-
-    Raises:
-        InvalidValueError: dt or a duration is no time; a field is of another type.
     """
 
     name: Annotated[str, NO_KEY]
@@ -147,7 +145,7 @@ class Scenario:
     inputs: Mapping[str, InputSettings] = field(default_factory=dict)
     """Values that arrive from outside while it runs, by name; tasks follow them by input: NAME."""
     disturbance: Disturbance = field(default_factory=Disturbance)
-    """What the controllers are not told."""
+    """Errors and disturbances unknown to the controllers."""
     solver: Solver = field(default_factory=Daqp)
     """For the QP controllers."""
     solver_name: Annotated[str, NO_KEY] = "daqp"
@@ -158,8 +156,7 @@ class Scenario:
     duration: Annotated[float, Key(form=Positive | None, default=None)] = 0.0
     """Length of the run [s]."""
     kappa: Annotated[float, Key(form=NonNegative | None, default=None)] = math.inf
-    """Drift gain in J_c v = -kappa e [1/s]; at most 1/dt, which it is if omitted; 0 is the paper's
-    law."""
+    """Baumgarte gain, J_c v = -kappa e [1/s]; at most 1/dt, the default; 0 is the paper's law."""
     on_infeasible: OnInfeasible = "scale"
     """scale, hold or stop when not all can hold."""
     seed: Annotated[int, Field(ge=0)] = 0
@@ -191,10 +188,7 @@ class Scenario:
 
     @property
     def portable(self) -> str:
-        """The source as it can be read from another folder on this machine.
-
-        As JSON where it is written so that no line can be added, such as ``{dt: 0.01, ...}``.
-        """
+        """The source, or else JSON, as it can be read from another folder on this machine."""
         if self.folder is None:
             return self.source
         path = self.folder / self.name  # for faults, of which none is told
@@ -269,12 +263,7 @@ class Scenario:
     def problem(
         self, phase: Phase | None = None, chain: ClosedChain | None = None
     ) -> ControlProblem:
-        """What the controllers are built for.
-
-        Args:
-            phase: of the schedule; the first if omitted.
-            chain: at the start of the phase; that at the start of the scenario if omitted.
-        """
+        """What controllers are built for, in a phase and its first chain; by default the first."""
         tasks = (phase or self.schedule[0]).tasks
         return ControlProblem(
             chain=chain or self.chain,
@@ -290,12 +279,7 @@ class Scenario:
         )
 
     def problems(self, where: Callable[[int], Array]) -> Iterator[ControlProblem]:
-        """The problem of each phase in turn.
-
-        Args:
-            where: from the first tick of a later phase to the configuration in which it begins;
-                asked no sooner than its problem is.
-        """
+        """The problem of each phase; ``where`` gives the q in which a later one begins, if due."""
         chain = self.chain
         for phase, first in zip(self.schedule, self.first_ticks, strict=True):
             if first:
@@ -364,13 +348,7 @@ def by_arm(robot: RobotModel, value: Mapping[str, float]) -> dict[str, float | l
 
 
 def from_degrees(robot: RobotModel, grasps: Grasp | Mapping[str, Grasp], start: Start) -> Start:
-    """A start in radians and metres from one in degrees and metres.
-
-    Args:
-        robot: whose start it is.
-        grasps: one for all arms, or one for each by the arm's name.
-        start: by arm, joint or passive joint; degrees, metres where a joint slides.
-    """
+    """A start in radians and metres from one in degrees, metres where a joint slides."""
     units = dict(zip(robot.joint_names, robot.joint_units, strict=True))
     for arm in robot.arms:
         grasp = grasps.get(arm.name) if isinstance(grasps, Mapping) else grasps

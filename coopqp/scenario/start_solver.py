@@ -6,17 +6,15 @@ object, L the length that a radian counts as:
     r_i(q) = [p_i - p_WO; L log(R_i R_WO')],   minimise |r|^2 subject to lower <= q <= upper
 
 by damped Gauss-Newton steps, each a QP with bounds (:mod:`coopqp.scenario.bounded_steps`), from
-many random configurations. What redundancy leaves is used to come away from the limits: every start
-found is moved to where W |r|^2 + |(q - middle) / half range|^2 is least, closed again, and that
-with the largest margin wins. Where a posture to be near is given, it takes the place of the middle,
-and the start nearest to it wins. Passive joints are variables like all others, and what turns
-without limits is at most half a turn from the middle.
-
-Arms that share a joint (a torso) are solved together; those that do not are problems of their own.
+many random configurations. Every start found is moved to where W |r|^2 + |(q - middle) / half
+range|^2 is least and closed again; that with the largest margin wins. A posture to be near takes
+the place of the middle, and the start nearest to it wins. Passive joints are variables like all
+others; what turns without limits is at most half a turn from the middle. Arms that share a joint (a
+torso) are solved together.
 
 Where the object's pose is not given, a start that nearly closes the loops is closed by Newton's
-method: the object is where that puts it. Arms that reach few poses need this, for nobody can write
-a pose that they reach with all its digits.
+method: the object is where that puts it. Arms that reach few poses need this, since no rounded pose
+is exactly reachable.
 """
 
 from __future__ import annotations
@@ -219,18 +217,19 @@ def solve_start(
         robot: the robot.
         grasps: one for all arms, or one for each by the arm's name; with object_in_hand.
         held: the object, with its pose.
-        near: posture that the start is to be near, by arm or joint; joints that it does not name
-            may be anywhere.
+        near: posture that the start is to be near, by arm or joint; others may be anywhere.
         seed: of the random configurations.
         progress: called after each try.
 
     Raises:
-        GraspError: pose or object_in_hand is missing, or an arm cannot reach: which, and how far
-            it gets.
+        GraspError: pose or object_in_hand is missing, or an arm cannot reach: which, and how far it
+            gets.
         UnknownNameError: a grasp for an arm that the robot does not have.
     """
     grasp_of = grasp_of_each(robot, grasps)
-    _check_known(grasp_of, held)
+    missing = [*([] if held.pose else ["object.pose"]), *filter(None, [_without_object(grasp_of)])]
+    if missing:
+        raise GraspError(f"to solve for a start, give {' and '.join(missing)}")
     problem = StartProblem(robot, grasp_of, held, near or {})
     groups = _groups(problem.columns)
     q, rng = problem.middle.copy(), seeded(seed)
@@ -263,13 +262,7 @@ def solve_start(
 def close_start(
     robot: RobotModel, grasps: Grasp | Mapping[str, Grasp], held: HeldObject, start: Start
 ) -> StartSolution:
-    """Close the loops near a start that nearly closes them, wherever that puts the object.
-
-    Args:
-        robot: the robot.
-        grasps: one for all arms, or one for each by the arm's name; with object_in_hand.
-        held: the object.
-        start: by arm, joint and passive joint [rad, m].
+    """Close the loops near a start [rad, m] that nearly closes them, wherever the object then is.
 
     Raises:
         GraspError: object_in_hand is missing, the start is farther off than counts as closed, the
@@ -330,14 +323,7 @@ def _cure(off: float) -> str:
     return "move object.pose or change object_in_hand"
 
 
-def _check_known(grasps: Mapping[str, Grasp], held: HeldObject) -> None:
-    missing = [*([] if held.pose else ["object.pose"]), *filter(None, [_without_object(grasps)])]
-    if missing:
-        raise GraspError(f"to solve for a start, give {' and '.join(missing)}")
-
-
 def _without_object(grasps: Mapping[str, Grasp]) -> str:
-    """Which grasps do not say where the object is in the hand; empty if all do."""
     unknown = [arm for arm, grasp in grasps.items() if grasp.object_in_hand is None]
     return f"object_in_hand in the grasp of {' and '.join(unknown)}" if unknown else ""
 
@@ -359,15 +345,7 @@ def _solution(
 
 
 class _Search:
-    """Tries of a group of arms.
-
-    Attributes:
-        columns: the joints that are searched.
-        best: the best closed configuration, :meth:`StartProblem.worth`; None so far.
-        nearest: where |r|^2 is least.
-        gap: the largest part of r there [m].
-        tries, found: how many.
-    """
+    """Tries of a group of arms: the joints searched, the best closed q, and the nearest."""
 
     def __init__(
         self, problem: StartProblem, arms: Sequence[str], rng: np.random.Generator
@@ -382,7 +360,6 @@ class _Search:
         self._steps = BoundedSteps(len(self.columns))
 
     def run(self, report: Callable[[int], None]) -> None:
-        """Try until enough starts are found or the tries are used up."""
         while self.tries < TRIES and self.found < ENOUGH:
             q = self.problem.middle.copy()
             if self.tries:
@@ -446,7 +423,6 @@ def _groups(columns: Mapping[str, Sequence[int]]) -> list[tuple[str, ...]]:
 
 
 def _cannot_reach(problem: StartProblem, search: _Search, rng: np.random.Generator) -> list[str]:
-    """Which arms cannot reach, and how far they get."""
     alone = []
     for arm in search.arms if len(search.arms) > 1 else ():
         single = _Search(problem, [arm], rng)
@@ -466,14 +442,14 @@ def _cannot_reach(problem: StartProblem, search: _Search, rng: np.random.Generat
 def _how_far(search: _Search) -> str:
     problem, q = search.problem, search.nearest
     r, _ = problem.residual(q, search.arms)
-    told = []
+    offsets = []
     for arm, part in zip(search.arms, r.reshape(-1, 6), strict=True):
         gap, angle = 1e3 * np.linalg.norm(part[:3]), np.degrees(np.linalg.norm(part[3:]) / LENGTH)
         of = f"{arm} " if len(search.arms) > 1 else ""
-        told.append(f"{of}{gap:.1f} mm and {angle:.1f} degrees")
+        offsets.append(f"{of}{gap:.1f} mm and {angle:.1f} degrees")
     room = np.minimum(q - problem.lower, problem.upper - q)
     names = [problem.model.names[1 + j] for j in search.columns if room[j] < AT_LIMIT]
     held_back = f", with {', '.join(names)} at the limit" if names else ""
     if fingers := [name for name in names if GRIPPERS.search(name)]:
         held_back += f" (of a gripper, it seems: lock {' and '.join(fingers)})"
-    return f"the nearest of {search.tries} tries is off by {' and '.join(told)}{held_back}"
+    return f"the nearest of {search.tries} tries is off by {' and '.join(offsets)}{held_back}"

@@ -2,13 +2,9 @@
 
 A task promises e_dot = J v - rate. It is tried at its start and at two seeded configurations
 nearby, with the loops closed, along a random v that keeps them closed: central differences of e
-along v at one time must be J v, and over time at one configuration -rate.
-
-Three kinds of tasks have no such derivative, so that only what they declare is tried:
-
-- ``joint_space``: e may be a wish for a joint velocity, such as a gradient, and J is the identity.
-- ``asks_velocity``: e is zero, and the velocity asked for, rate, is the derivative of nothing.
-- tasks that ask for rest, with e and rate always zero: J v itself is their error.
+along v at one time must be J v, and over time at one configuration -rate. Without such a
+derivative, only the declaration is tried: ``joint_space`` (J is the identity), ``asks_velocity`` (e
+is zero), and e and rate always zero (J v itself is the error).
 """
 
 from __future__ import annotations
@@ -23,15 +19,15 @@ import numpy as np
 from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.qp import names_of
 from coopqp.base.rank import null_space
-from coopqp.base.spec import Array, type_name
-from coopqp.base.wording import raised
+from coopqp.base.spec import Array, taken_names, type_name
+from coopqp.base.wording import counted, raised
 from coopqp.limit import Limit, LimitRows
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.marker import marks_fault
+from coopqp.model.marker import markers_fault
 from coopqp.model.state import State
 from coopqp.plant import Plant
 from coopqp.signal import Moment
-from coopqp.task import Evaluate, Task, TaskRows, evaluate_all
+from coopqp.task import Evaluate, Part, Task, TaskRows, evaluate_all
 
 #: How far the configurations nearby are, as the standard deviation of a joint [rad or m].
 NEARBY = 0.03
@@ -48,6 +44,8 @@ WIDENED = "widens the bounds; tighten them by np.maximum(rows.lb, ...), np.minim
 SHARES = (0.21, 0.43)
 #: Step of the differences, in v's length [rad or m] and in time [s].
 STEP = 1e-6
+#: An error that no goal of arms has, whose differences are lost in rounding [m, rad].
+FAR = 1e4
 #: What derivatives may differ by: a share of their size, and of one unit per second.
 RELATIVE, ABSOLUTE = 1e-3, 1e-5
 
@@ -63,10 +61,7 @@ class _Nearby:
 
 
 class Places:
-    """Where tasks and limits are tried: the start of a chain and configurations near it.
-
-    Those near it are the same for a chain that moves alike.
-    """
+    """Where tasks and limits are tried: the start of a chain and configurations near it."""
 
     def __init__(self, chain: ClosedChain, like: Places | None = None) -> None:
         self.start = State(chain)
@@ -98,42 +93,47 @@ def _place(start: State, rng: np.random.Generator, spread: float) -> _Nearby:
 
 
 def try_task(task: Task, places: Places, duration: float) -> None:
-    """Evaluate a task.
-
-    Raises:
-        CoopqpError: it cannot be bound, raises, or does not write what a task must.
-    """
+    """CoopqpError: the task cannot be bound, raises, or does not write what it must."""
     with blamed(task):
         start = places.start
         names = task.rows(start.chain)
-        counts = [part.rows for part in task.parts(start.chain)]
-        if sum(counts) != len(names) or not names:
-            raise _PromiseError(f"rows() names {len(names)} rows, parts() has {sum(counts)}")
+        _check_parts(names, task.parts(start.chain))
         columns = 6 * start.chain.holding if task.of_forces else start.chain.n
         look = _Look(task, names, task.bind(start), columns)
         look.at(start, start.t)
         for t in (0.0, duration):
             _check_marks(task.marks(Moment(t)))
         end = min(task.end, duration) or duration
-        seen = [
-            _Seen(look, place, start.t + share * end)
-            for place, share in zip(places.nearby, SHARES, strict=True)
-        ]
-        _check_kind(task, look, seen, places)
+        times = [start.t + share * end for share in SHARES]
+        nearby = zip(places.nearby, times, strict=True)
+        rows = [look.at(place.here, t) for place, t in nearby]
+        if task.joint_space:
+            _check_joint_space(names, rows)
+        elif task.asks_velocity:
+            _check_zero_error(names, rows)
+        elif not task.of_forces and any(r.e.any() or r.rate.any() for r in rows):
+            for i, t in enumerate(times):
+                if look.disagreement(places.nearby[i], t) and (
+                    wrong := look.disagreement(places.farther[i], t)
+                ):
+                    raise look.too_far(places.farther[i], t) or _PromiseError(wrong)
 
 
-def _check_kind(task: Task, look: _Look, seen: Sequence[_Seen], places: Places) -> None:
-    """What is tried of a task of its kind; a force is the derivative of nothing."""
-    if task.joint_space:
-        _check_joint_space(look, seen)
-    elif task.asks_velocity:
-        _check_zero_error(look, seen)
-    elif not task.of_forces and any(s.rows.e.any() or s.rows.rate.any() for s in seen):
-        for i, s in enumerate(seen):
-            if s.disagreement():
-                s = _Seen(look, places.farther[i], s.t)
-            if wrong := s.disagreement():
-                raise _PromiseError(wrong)
+def _check_parts(names: Sequence[str], parts: Sequence[Part]) -> None:
+    count = sum(part.rows for part in parts)
+    if count != len(names) or not names:
+        raise _PromiseError(f"rows() names {counted(len(names), 'row')}, parts() has {count}")
+    _check_names("rows", names)
+    _check_names("parts", [part.name for part in parts])
+    for part in parts:
+        if not part.tolerance > 0.0:
+            words = f"found a tolerance of {part.tolerance}, needs more than 0"
+            raise _PromiseError(f"parts(): {words}")
+
+
+def _check_names(method: str, names: Sequence[str]) -> None:
+    for _, taken in taken_names(names):
+        raise _PromiseError(f"{method}(): {taken}; give each one of its own")
 
 
 class _Look:
@@ -144,7 +144,6 @@ class _Look:
         self._J = np.eye(n) if task.joint_space else np.zeros((len(names), n))
 
     def at(self, state: State, t: float) -> TaskRows:
-        """Rows of their own."""
         k = len(self.names)
         rows = TaskRows(np.zeros(k), self._J.copy(), np.zeros(k))
         before, state.t = state.t, t
@@ -156,68 +155,69 @@ class _Look:
             _check_finite(key, self.names, getattr(rows, key), state.chain)
         return rows
 
-
-class _Seen:
-    """What a task writes at a place and a time, and how it changes from there."""
-
-    def __init__(self, look: _Look, place: _Nearby, t: float) -> None:
-        self._look, self._place, self.t = look, place, t
-        self.rows = look.at(place.here, t)
-
-    def disagreement(self) -> str:
+    def disagreement(self, place: _Nearby, t: float) -> str:
         """The row in which e_dot is farthest from J v - rate; empty where they agree."""
-        look, place, t = self._look, self._place, self.t
-        moved = look.at(place.ahead, t).e - look.at(place.behind, t).e
-        passed = look.at(place.here, t + STEP).e - look.at(place.here, t - STEP).e
-        return self._compare("J v", self.rows.J @ place.v, moved / (2.0 * STEP)) or self._compare(
-            "rate", self.rows.rate, -passed / (2.0 * STEP)
+        rows = self.at(place.here, t)
+        moved = self.at(place.ahead, t).e - self.at(place.behind, t).e
+        passed = self.at(place.here, t + STEP).e - self.at(place.here, t - STEP).e
+        return self._compare("J v", rows.J @ place.v, moved / (2.0 * STEP)) or self._compare(
+            "rate", rows.rate, -passed / (2.0 * STEP)
         )
 
-    def _compare(self, what: str, said: Array, found: Array) -> str:
-        allowed = RELATIVE * (np.abs(said) + np.abs(found)) + ABSOLUTE
-        excess = np.abs(said - found) - allowed
-        row = int(np.argmax(excess))
-        if excess[row] <= 0.0:
+    def too_far(self, place: _Nearby, t: float) -> InvalidValueError | None:
+        """What to say where errors are so large that differences of them are lost in rounding."""
+        e = np.abs(self.at(place.here, t).e)
+        if not e.max() > FAR:
+            return None
+        words = "farther than arms reach; look at the size of the goal"
+        row = self.names[int(e.argmax())]
+        return InvalidValueError(f"row {row}: is {e.max():.3g} off, {words}")
+
+    def _compare(self, what: str, promised: Array, measured: Array) -> str:
+        allowed = RELATIVE * (np.abs(promised) + np.abs(measured)) + ABSOLUTE
+        deviation = np.abs(promised - measured) - allowed
+        row = int(np.argmax(deviation))
+        if deviation[row] <= 0.0:
             return ""
         return (
-            f"row {self._look.names[row]}: {what} is {said[row]:.4g}, finite differences of e say "
-            f"{found[row]:.4g}"
+            f"row {self.names[row]}: {what} is {promised[row]:.4g}, finite differences of e say "
+            f"{measured[row]:.4g}"
         )
 
 
-def _check_joint_space(look: _Look, seen: Sequence[_Seen]) -> None:
-    for J in (s.rows.J for s in seen):
+def _check_joint_space(names: Sequence[str], rows: Sequence[TaskRows]) -> None:
+    for J in (r.J for r in rows):
         if len(J) != J.shape[1]:
             raise _PromiseError(f"joint_space needs a row a joint, {J.shape[1]}; found {len(J)}")
         wrong = (np.diag(np.diag(J) != 0.0) != J).any(axis=1)
         if wrong.any():
             words = "joint_space needs J to be the identity, or zero where nothing is asked"
-            raise _PromiseError(f"row {look.names[int(np.argmax(wrong))]}: {words}")
+            raise _PromiseError(f"row {names[int(np.argmax(wrong))]}: {words}")
 
 
-def _check_zero_error(look: _Look, seen: Sequence[_Seen]) -> None:
-    for e in (s.rows.e for s in seen):
+def _check_zero_error(names: Sequence[str], rows: Sequence[TaskRows]) -> None:
+    for e in (r.e for r in rows):
         if e.any():
             row = int(np.argmax(e != 0.0))
             words = "but a task that asks_velocity has e = 0"
-            raise _PromiseError(f"row {look.names[row]}: e is {e[row]:.4g}, {words}")
+            raise _PromiseError(f"row {names[row]}: e is {e[row]:.4g}, {words}")
 
 
 def try_limit(limit: Limit, places: Places, dt: float) -> None:
-    """Evaluate a limit.
-
-    Raises:
-        CoopqpError: it cannot be bound, raises, or does not write what a limit must.
-    """
+    """CoopqpError: the limit cannot be bound, raises, or does not write what it must."""
     with blamed(limit):
         start, chain = places.start, places.start.chain
         names = names_of(limit.rows(chain))
+        _check_names("rows", names)
         tighten = limit.bind(chain, dt)
         _check_marks(limit.marks(0.0))
         for state in (start, *(place.here for place in places.nearby)):
             open_, shut = (_limit_rows(chain, names, width) for width in (np.inf, 0.0))
             evaluate_all([(tighten, open_), (tighten, shut)], state)
-            _check_inequalities(chain, names, open_)
+            _check_finite("G", names, open_.G, chain)
+            for name, h in zip(names, open_.h, strict=True):
+                if not h > -np.inf:
+                    raise _PromiseError(f"row {name}: h is {h} or not written, needs a number")
             _check_bounds(chain, open_, shut, inside=state is start and chain.starts_inside)
 
 
@@ -227,13 +227,6 @@ def _limit_rows(chain: ClosedChain, names: Sequence[str], width: float) -> Limit
     return LimitRows(
         np.full(n, -width), np.full(n, width), np.zeros((p, n)), np.full(p, np.nan)
     )  # fmt: skip
-
-
-def _check_inequalities(chain: ClosedChain, names: Sequence[str], rows: LimitRows) -> None:
-    _check_finite("G", names, rows.G, chain)
-    for name, h in zip(names, rows.h, strict=True):
-        if not h > -np.inf:
-            raise _PromiseError(f"row {name}: h is {h} or not written, needs a number")
 
 
 def _check_finite(key: str, names: Sequence[str], values: Array, chain: ClosedChain) -> None:
@@ -248,7 +241,7 @@ def _check_finite(key: str, names: Sequence[str], values: Array, chain: ClosedCh
 
 
 def _check_marks(marks: object) -> None:
-    if wrong := marks_fault(marks):
+    if wrong := markers_fault(marks):
         raise _PromiseError(f"marks() gives {wrong}")
 
 
@@ -273,15 +266,10 @@ class _PromiseError(Exception):
 
 @contextmanager
 def blamed(plugin: Task | Limit | Plant, method: str = "bind") -> Iterator[None]:
-    """Give what goes wrong in a plug-in the plug-in's file, and the line where there is one.
-
-    Raises:
-        CoopqpError: whatever went wrong; as it is where the plug-in itself raised one, since that
-            speaks of the user's values.
-    """
+    """Raise what goes wrong in a plug-in with its file and line; its own CoopqpError as it is."""
     file = str(getattr(type(plugin), method).__code__.co_filename)
     try:
-        with np.errstate(all="ignore"):  # what is not finite is told of anyway
+        with np.errstate(all="ignore"):  # what is not finite is reported anyway
             yield
     except KeyboardInterrupt:
         raise

@@ -19,11 +19,7 @@ __path__: list[str] = []
 
 
 def package_of(folder: Path) -> str:
-    """Name under which a folder can be imported.
-
-    Args:
-        folder: resolved.
-    """
+    """Name under which a resolved folder can be imported."""
     return f"{__name__}.at_{os.fsencode(folder).hex()}"
 
 

@@ -64,13 +64,7 @@ class _Node:
 
 
 class Wrong(NamedTuple):
-    """Something that is wrong with a file.
-
-    Attributes:
-        place: keys and indices to the value that is named.
-        message: what is wrong with it, and what to do about it.
-        inside: from it to the value whose line counts.
-    """
+    """Something that is wrong with a file: the place it names, and from there whose line counts."""
 
     place: Location
     message: str
@@ -87,11 +81,7 @@ class MisplacedError(Exception):
 
 @dataclass(frozen=True)
 class YamlFile:
-    """A mapping read from a file.
-
-    Attributes:
-        data: plain dicts, lists, strings, numbers, booleans and None.
-    """
+    """A mapping read from a file, of plain dicts, lists, strings, numbers, booleans and None."""
 
     path: Path
     text: str
@@ -137,12 +127,7 @@ class FaultLines:
 
 
 def read_yaml(path: Path) -> YamlFile:
-    """Read a YAML mapping.
-
-    Raises:
-        ScenarioError: no such file, too large, not text, not YAML, a key given twice, values that
-            are no plain data, too many of them, empty, not a mapping.
-    """
+    """Read a YAML mapping; ScenarioError with the line of what is wrong."""
     try:
         text = read_text(path, MOST_BYTES)
     except UnreadableFileError as error:
@@ -188,11 +173,9 @@ class _Lines:
         self._starts = [found.end() for found in re.finditer(r"\r\n?|\n", text)]
 
     def at(self, index: int) -> int:
-        """That of a character."""
         return bisect_right(self._starts, index) + 1
 
     def of(self, event: Any) -> int:
-        """That in which what an event tells of begins."""
         return self.at(event.start_mark.index)
 
 
@@ -201,12 +184,11 @@ class _Builder:
 
     def __init__(self, path: Path, text: str, lines: _Lines) -> None:
         self._path, self._lines, self.line = path, lines, 1
-        self._events = self._told(YAML(typ="safe", pure=True).parse(text))
+        self._events = self._numbered(YAML(typ="safe", pure=True).parse(text))
         self._anchors: dict[str, _Node] = {}
         self._values = 0
 
     def document(self) -> _Node | None:
-        """The only document; None where there is none."""
         root = None
         for event in self._events:
             if isinstance(event, StreamStartEvent | StreamEndEvent | DocumentEndEvent):
@@ -217,7 +199,7 @@ class _Builder:
                 root = self._node(event, DEEPEST)
         return root
 
-    def _told(self, events: Iterator[Any]) -> Iterator[Any]:
+    def _numbered(self, events: Iterator[Any]) -> Iterator[Any]:
         for event in events:
             self.line = self._lines.of(event)
             yield event
@@ -226,7 +208,6 @@ class _Builder:
         return _refused(f"{self._path}:{self._lines.of(event)}", message)
 
     def _node(self, event: Any, deeper: int) -> _Node:
-        """The value that begins with an event."""
         if isinstance(event, AliasEvent):
             if event.anchor not in self._anchors:
                 raise self._fault(event, f"alias '*{event.anchor}' has no anchor before it")
@@ -291,7 +272,6 @@ class _Builder:
         return found
 
     def _key(self, event: Any) -> str:
-        """A key as it is written."""
         if not isinstance(event, ScalarEvent):
             raise self._fault(event, "needs a plain word as a key, found something else")
         return self._text(event)
@@ -309,7 +289,6 @@ class _Builder:
             raise self._fault(event, f"tag '{_short(event.tag)}' is not read here; leave it out")
 
     def _scalar(self, event: Any) -> Any:
-        """Text, number, boolean or null."""
         text, tag = self._text(event), event.tag
         if tag in ("!", _STANDARD + "str") or (tag is None and event.style):
             return text
@@ -325,7 +304,6 @@ class _Builder:
         return value
 
     def _plain(self, event: Any, text: str) -> Any:
-        """What a word without quotes stands for."""
         if text in _NULLS:
             return None
         if text in _BOOLEANS:
@@ -342,7 +320,6 @@ class _Builder:
 
 
 def _number(text: str) -> int | float:
-    """A number as it is written; what is checked is that it is one."""
     digits = text.replace("_", "").lower()
     if not _INT.fullmatch(text):
         return float(digits.replace(".inf", "inf").replace(".nan", "nan"))
@@ -354,5 +331,4 @@ def _node_of(value: Any, inside: dict[str | int, tuple[int, _Node]]) -> _Node:
 
 
 def _short(tag: str) -> str:
-    """A tag as a file has it."""
     return tag.replace(_STANDARD, "!!")[:40]

@@ -15,8 +15,7 @@ import numpy as np
 
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array, Direction, NonNegative, Positive, Vector3, spec
-from coopqp.signal import Instant, Kind, Signal, Trajectory, axes_along
-from coopqp.signals._bounds import check_places, check_speed
+from coopqp.signal import Instant, Kind, Signal, Trajectory, axes_along, check_places, check_speed
 
 
 @spec
@@ -41,7 +40,6 @@ class Circle(Signal):
             raise ValueError("begin is along the normal; needs a direction within the plane")
 
     def bind(self, kind: Kind, start: Instant, here: Array | None) -> Trajectory:
-        """Any three numbers can go round."""
         if kind.values != 3:
             raise InvalidValueError(
                 f"circle: is 3 numbers, but a {kind.name} is needed here; use waypoints or input"
@@ -72,7 +70,6 @@ class _Round(Trajectory):
         super().__init__(kind, self._center + self._axes[0])
 
     def update(self, at: Instant) -> None:
-        """Go to where it is then."""
         angle, speed = self._angle(at.t)
         c, s = math.cos(angle), math.sin(angle)
         np.add(np.array([c, s]).dot(self._axes), self._center, self.value)

@@ -33,7 +33,6 @@ class Input(Signal):
         return {"name": value} if isinstance(value, str) else value
 
     def bind(self, kind: Kind, start: Instant, here: Array | None) -> Trajectory:
-        """Anything can arrive."""
         if self.start is not None:
             try:
                 here = kind.read(self.start)
@@ -55,7 +54,6 @@ class _Arrived(Trajectory):
         self.arrives = name
 
     def update(self, at: Instant) -> None:
-        """Go to where it is then."""
         now = at.inputs.get(self.arrives)
         if now is not None:
             np.copyto(self.value, now.value)

@@ -10,8 +10,7 @@ from pydantic import Field
 
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array, Positive, spec
-from coopqp.signal import Instant, Kind, Signal, Trajectory
-from coopqp.signals._bounds import check_places, check_speed
+from coopqp.signal import Instant, Kind, Signal, Trajectory, check_places, check_speed
 
 
 @spec
@@ -30,7 +29,6 @@ class Line(Signal):
             raise ValueError(f"start has {len(self.start)} numbers, end {len(self.end)}")
 
     def bind(self, kind: Kind, start: Instant, here: Array | None) -> Trajectory:
-        """Anything without a rotation."""
         if kind.turns:
             words = f"line: does not turn, but a {kind.name} is needed here; use waypoints or input"
             raise InvalidValueError(words)
@@ -53,7 +51,6 @@ class _ThereAndBack(Trajectory):
         self._start, self._way, self._omega = start, end - start, 2.0 * math.pi / period
 
     def update(self, at: Instant) -> None:
-        """Go to where it is then."""
         angle = self._omega * max(at.t, 0.0)
         np.multiply(self._way, 0.5 - 0.5 * math.cos(angle), self.value)
         np.add(self.value, self._start, self.value)

@@ -1,11 +1,17 @@
 """A way through given values at given times, from the scenario or from a file.
 
 Before the first time it is at the first value. Directions go from one to the next on the shortest
-way.
+way. Between values at x_i, with s the share of the segment,
+
+    linear         x_i + s (x_i+1 - x_i),  R: exp(s phi_i) R_i
+    minimum_jerk   the same with 10 s^3 - 15 s^4 + 6 s^5: at rest at each way-point
+    cubic          the cubic spline, at rest at both ends or going round; for rotations the spline
+                   of the quaternions, normalised
 """
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -17,9 +23,17 @@ from coopqp.base.reading import FilePath
 from coopqp.base.spec import Array, Pose, spec
 from coopqp.base.table import read_table
 from coopqp.grasp import pose_matrix
-from coopqp.signal import Instant, Kind, Signal, Trajectory, axes_along, matrix, quaternion_of
-from coopqp.signals._between import Between, Turns, pieces, same_side
-from coopqp.signals._bounds import check_places, check_speed
+from coopqp.signal import (
+    Instant,
+    Kind,
+    Signal,
+    Trajectory,
+    axes_along,
+    check_places,
+    check_speed,
+    matrix,
+    quaternion_of,
+)
 
 #: How far apart first and last value may be where they have to be the same [unit].
 SAME = 1e-6
@@ -31,6 +45,8 @@ def _rows(values: Any) -> Any:
         raise ValueError("needs a list of numbers, or a pose, for each time")
     return values
 
+
+Between = Literal["linear", "minimum_jerk", "cubic"]
 
 Values = Annotated[list[list[float] | Pose], Field(min_length=2), BeforeValidator(_rows)]
 
@@ -65,7 +81,6 @@ class Waypoints(Signal):
                 raise ValueError(f"times: found {t:g} s after {before:g} s; they need to rise")
 
     def bind(self, kind: Kind, start: Instant, here: Array | None) -> Trajectory:
-        """Read the values as what is needed."""
         t, values = self._table(kind)
         round_trip = self.repeat == "round"
         if round_trip and not _same(kind, values):
@@ -121,7 +136,6 @@ def _value(kind: Kind, row: object) -> Array:
 
 
 def _same(kind: Kind, values: Array) -> bool:
-    """Whether the last value is the first."""
     first, last = values[0], values[-1]
     k = kind.numbers
     near = np.abs(last[:k] - first[:k]).max(initial=0.0) < SAME
@@ -132,9 +146,6 @@ def _carry_over(quaternions: Array, *, round_trip: bool) -> None:
     """Let each direction's axes be those of the one before, turned on the shortest way.
 
     On a round trip these come back turned about the direction; each then takes its share of that.
-
-    Raises:
-        InvalidValueError: a direction is the opposite of the one before.
     """
     axes = [axes_along(matrix(quaternions[0])[:, 2]).T]
     for i, q in enumerate(quaternions[1:], start=1):
@@ -150,11 +161,7 @@ def _carry_over(quaternions: Array, *, round_trip: bool) -> None:
 
 
 def shortest_turn(a: Array, b: Array, place: str = "") -> Array:
-    """The rotation on the shortest way from one unit vector to another, shape (3, 3).
-
-    Raises:
-        InvalidValueError: they are opposite, so that no way is shortest.
-    """
+    """The shortest rotation from one unit vector to another; InvalidValueError if opposite."""
     across, cosine = np.cross(a, b), float(a @ b)
     sine = float(np.linalg.norm(across))
     if sine < 1e-9:
@@ -192,7 +199,6 @@ class _Way(Trajectory):
         self._parts = self.value[:k], self.value[k:], self.rate[:k], self.rate[k:]
 
     def update(self, at: Instant) -> None:
-        """Go to where it is then."""
         gone, direction = self._gone(at.t - self._begin)
         numbers, quaternion, rate, omega = self._parts
         if self._pieces is not None:
@@ -212,3 +218,81 @@ class _Way(Trajectory):
             return t % length, 1.0
         back, gone = divmod(t, length)
         return (length - gone, -1.0) if back % 2.0 else (gone, 1.0)
+
+
+class Pieces:
+    """A polynomial in each segment between times, coefficients (powers, s, k), highest first."""
+
+    def __init__(self, t: Array, coefficients: Array) -> None:
+        self._t, self._c = t.tolist(), np.ascontiguousarray(coefficients.swapaxes(0, 1))
+        self._exponents = np.arange(len(coefficients) - 1.0, -1.0, -1.0)
+        self._c_dot = self._c[:, :-1] * self._exponents[:-1, None]
+
+    def at(self, t: float, value: Array, rate: Array) -> None:
+        """Write value and rate at a time within the segments, shapes (k,)."""
+        i = min(max(bisect_right(self._t, t) - 1, 0), len(self._c) - 1)
+        powers = (t - self._t[i]) ** self._exponents
+        powers.dot(self._c[i], value)
+        powers[1:].dot(self._c_dot[i], rate)
+
+
+def pieces(t: Array, values: Array, between: Between, *, round_trip: bool) -> Pieces:
+    """Polynomials through values, shape (m, k), at rising times; round trips end as they begin."""
+    if between == "cubic":
+        from scipy.interpolate import CubicSpline  # nobody else waits for it
+
+        ends = "periodic" if round_trip else "clamped"
+        return Pieces(t, CubicSpline(t, values, bc_type=ends).c)
+    h, way = np.diff(t)[:, None], np.diff(values, axis=0)
+    if between == "linear":
+        return Pieces(t, np.array([way / h, values[:-1]]))
+    nothing = np.zeros_like(way)
+    powers = [6.0 * way / h**5, -15.0 * way / h**4, 10.0 * way / h**3, nothing, nothing]
+    return Pieces(t, np.array([*powers, values[:-1]]))
+
+
+class Turns:
+    """A way through quaternions x, y, z, w, neighbours on the same side, at rising times."""
+
+    def __init__(self, t: Array, quaternions: Array, between: Between, *, round_trip: bool) -> None:
+        self._spline: Pieces | None = None
+        self._q, self._q_dot = np.zeros(4), np.zeros(4)
+        if between == "cubic":
+            self._spline = pieces(t, quaternions, between, round_trip=round_trip)
+            return
+        self._t, self._R = t.tolist(), [matrix(q) for q in quaternions]
+        self._phi = [pin.log3(b @ a.T) for a, b in zip(self._R, self._R[1:], strict=False)]
+        shares = np.arange(len(t), dtype=float)[:, None]
+        self._share = pieces(t, shares, between, round_trip=False)
+        self._s, self._s_dot = np.zeros(1), np.zeros(1)
+
+    def at(self, t: float, value: Array, rate: Array) -> None:
+        """Write quaternion and angular velocity, shapes (4,) and (3,) [rad/s]."""
+        if self._spline is not None:
+            self._spline.at(t, self._q, self._q_dot)
+            _normalised(self._q, self._q_dot, value, rate)
+            return
+        i = min(max(bisect_right(self._t, t) - 1, 0), len(self._phi) - 1)
+        self._share.at(t, self._s, self._s_dot)
+        value[:] = quaternion_of(pin.exp3(self._phi[i] * (self._s[0] - i)).dot(self._R[i]))
+        np.multiply(self._phi[i], self._s_dot[0], rate)
+
+
+def _normalised(q: Array, q_dot: Array, value: Array, rate: Array) -> None:
+    """The rotation along q / |q|: omega = 2 vec(q_dot q*) / |q|^2."""
+    x, y, z, w = q.tolist()
+    a, b, c, d = q_dot.tolist()
+    square = x * x + y * y + z * z + w * w
+    np.multiply(q, square**-0.5, value)
+    twice = 2.0 / square
+    rate[0] = twice * (a * w - d * x - b * z + c * y)
+    rate[1] = twice * (b * w - d * y - c * x + a * z)
+    rate[2] = twice * (c * w - d * z - a * y + b * x)
+
+
+def same_side(quaternions: Array) -> Array:
+    """Signs so that each quaternion is on the side of the one before, shape (m, 4)."""
+    turned = np.sum(quaternions[1:] * quaternions[:-1], axis=1) < 0.0
+    signs = np.cumprod(np.concatenate([[1.0], np.where(turned, -1.0, 1.0)]))
+    found: Array = quaternions * signs[:, None]
+    return found

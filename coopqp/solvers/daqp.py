@@ -38,7 +38,7 @@ class Daqp(Solver):
     kernel_instead: ClassVar[bool] = True
 
     primal_tol: Positive = 1e-9
-    """Largest overrun of a constraint [rad/s, m/s]; daqp's own 1e-6 would show in the limits."""
+    """Largest violation of a constraint [rad/s, m/s]; daqp's own 1e-6 would show in the limits."""
     second_tol: Positive = 1e-7
     """The same for a second try, when the first found no feasible point."""
     last_tol: Positive = 3e-7
@@ -53,12 +53,11 @@ class Daqp(Solver):
     def open(self, qp: QP, solution: Solution) -> Solve:
         """Nothing is kept between ticks: starting cold is as fast at this size.
 
-        daqp fails on some feasible programs. Where bounds and rows touch in one point, the
-        tight tolerance finds nothing. Where the cost is steep along some joints and nearly flat
-        along others, as for joints on their way back, rounding hides what there is; proximal steps
-        see it, but end less accurately. So it is asked up to three times, and what the later
-        answers overrun is clipped and checked before it is used. Proximal steps may go round and
-        round where there is nothing to find: then what the second try found stands.
+        daqp fails on some feasible programs: where bounds and rows touch in one point the tight
+        tolerance finds nothing, and where the cost is steep along some joints and nearly flat along
+        others (recovering joints) rounding hides what there is. It is asked up to three times, at
+        last with proximal steps, which end less accurately and may cycle where there is nothing:
+        then the second answer stands. Violations are clipped and checked before use.
         """
         clean = np.zeros(qp.n + qp.p + qp.m, dtype=np.intc)
         clean[qp.n + qp.p :] = EQUALITY

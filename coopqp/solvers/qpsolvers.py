@@ -33,7 +33,6 @@ class Qpsolvers(Solver):
     """Its name in qpsolvers, such as quadprog."""
 
     def open(self, qp: QP, solution: Solution) -> Solve:
-        """Nothing is kept between ticks."""
         if self.backend not in installed():
             raise UnknownNameError("qpsolvers backend", self.backend, installed())
         problem = qpsolvers.Problem(

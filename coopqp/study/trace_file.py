@@ -15,13 +15,15 @@ from pathlib import Path
 import numpy as np
 
 from coopqp.assessment import assess
+from coopqp.assessment.audit import audit
+from coopqp.assessment.ends import FORCES
 from coopqp.base.errors import CoopqpError, InvalidValueError, UnknownNameError
-from coopqp.base.qp import Row
 from coopqp.base.reading import absolute
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem, Features, Law
 from coopqp.controllers.qp import QPController
 from coopqp.execution.controller_run import controller_of
+from coopqp.execution.instants import parts_of, rows_of
 from coopqp.model.state import State
 from coopqp.plant import Disturbance
 from coopqp.plants import Kinematic
@@ -33,7 +35,6 @@ from coopqp.scenario.input import wanted
 from coopqp.scenario.scenario import Phase, Scenario
 from coopqp.signal import InputValues, Kind, Trajectory
 from coopqp.solver import HALTS, Status, causes_of
-from coopqp.study.explanation.goal import parts_of
 from coopqp.study.tick_record import TickRecord, record_tick
 from coopqp.trace import Failure, InputTrace, PhaseInfo, TaskInfo, Trace, join, no_input
 
@@ -80,6 +81,7 @@ def trace_from_file(path: Path | Run, scenario: Scenario, controller: str) -> Tr
     signals = {
         "tau": told.joints("tau", held.chain.joint_names, empty=True),  # passive joints have none
         "held": told.numbers(["held"], empty=True),
+        "push": told.numbers(of_field("push", Layout(joints=())), empty=True),
     }
     signals = {name: np.nan_to_num(of) for name, of in signals.items() if np.isfinite(of).any()}
     trace = join(legs) if held.phases else legs[0][1]
@@ -110,24 +112,19 @@ def _phase(
     chain, dt, told = problem.chain, problem.dt, run.only(slice(-1))
     joints, ticks, nothing = chain.joint_names, len(told), np.zeros((len(run), 0))
     q, v = run.joints("q", joints), told.joints("v", joints)
-    loop = run.numbers(["loop_position", "loop_orientation"], empty=True)
-    tasks = tuple(
-        TaskInfo(
-            part.name,
-            part.part.unit,
-            part.part.tolerance,
-            part.task.end,
-            mode=part.task.mode,
-            priority=part.task.priority,
-        )
-        for part in parts_of(phase.tasks, chain)
+    loop = run.numbers(["loop_position", "loop_orientation"])
+    asked = (*problem.tasks, *problem.wrenches)
+    tasks, rows = tuple(info for info, _ in parts_of(asked, chain)), rows_of(asked, chain)
+    begin = f"{phase.name}." if scenario.phases else ""
+    layout = Layout(
+        joints=(),
+        tasks=tuple(begin + of.name for of in tasks),
+        rows=tuple(begin + row for row in rows),
     )
+    e, rate = (run.numbers(of_field(name, layout), empty=True) for name in ("e", "rate"))
     causes = [causes_of(word)[0] for word in told.columns["status"]]
     failed = [(k, cause.value) for k, cause in enumerate(causes) if not cause.usable]
-    margins, starts = dict[Row, Array](), dict[Row, Array]()
-    for limit in scenario.limits:
-        margins |= limit.margins(chain, q, v, dt)
-        starts |= limit.margins(chain, q[[0, 0]], np.zeros_like(q[:1]), dt)
+    kept = audit(problem.limits, chain, q, v, dt)
     return Trace(
         controller=run.controllers[0], solver=None, engine=None, dt=dt, kappa=problem.kappa,
         joints=joints, units=chain.joint_units, lower=chain.lower, upper=chain.upper,
@@ -136,24 +133,29 @@ def _phase(
         t=np.arange(ticks + 1.0) * dt, q=q, v=v, commanded=q[:-1], measured=q[:-1],
         gap=nothing[1:], memory=nothing[1:], position=nothing, rotation=nothing,
         loop_position=loop[:, 0], loop_orientation=loop[:, 1],
-        task_error=_errors(run, scenario, phase, tasks), goal_error=nothing,
-        task_rows=(), e=nothing, rate=np.ones((len(run), 1)),
+        task_error=_errors(run, layout, tasks), goal_error=nothing,
+        task_rows=rows, e=e, rate=rate,
         usable=np.array([cause.usable for cause in causes]), inaccurate=np.zeros(ticks, bool),
         status=tuple(told.columns["status"].tolist()), scale=np.ones(ticks),
-        margins=margins, starts={row: float(left[0]) for row, left in starts.items()},
+        margins=kept.margins, starts=kept.starts, unaudited=kept.unaudited,
         compiled=np.zeros(ticks, bool), tick_us=np.zeros(ticks), points={}, supports=supports,
         failures=tuple(Failure(*each) for each in failed),
     )  # fmt: skip
 
 
-def _errors(run: Run, scenario: Scenario, phase: Phase, tasks: Sequence[TaskInfo]) -> Array:
-    """Of each part of each task, shape (ticks + 1, parts)."""
-    names = tuple(f"{phase.name}.{of.name}" if scenario.phases else of.name for of in tasks)
-    columns = of_field("error", Layout(joints=(), tasks=names))
-    for name, column in zip(names, columns, strict=True):
+def _errors(run: Run, layout: Layout, tasks: Sequence[TaskInfo]) -> Array:
+    """Of each part of each task, shape (ticks + 1, parts); forces may be told by nobody."""
+    columns = of_field("error", layout)
+    for name, column in zip(layout.tasks, columns, strict=True):
         if column not in run.columns:
             raise CoopqpError(f"{run.header}: has no error of '{name}'; {OTHER}")
-    return run.numbers(columns, empty=True)
+    found, known = run.numbers(columns, empty=True), [of.unit not in FORCES for of in tasks]
+    usable = np.array([bool(word) and causes_of(word)[0].usable for word in run.columns["status"]])
+    lost = np.argwhere(np.isnan(found) & known & usable[:, None])
+    if len(lost):
+        k, i = lost[0].tolist()
+        raise run.fault(k, f"{columns[i]}: found nothing, needs a finite number")
+    return found
 
 
 def check_trace(run: Run, scenario: Scenario, controller: str) -> None:

@@ -1,4 +1,4 @@
-"""What forces a torque law is refused for, at the start and at rest: by linear programs."""
+"""Checks of wanted forces at the start and at rest, by linear programs."""
 
 from __future__ import annotations
 
@@ -8,27 +8,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coopqp.base.errors import GraspError, InvalidValueError
-from coopqp.closed_loop.carrying import cannot_carry
-from coopqp.closed_loop.holding import Bound, StaticHold
+from coopqp.closed_loop.holding import Bound, StaticHold, cannot_carry
 from coopqp.closed_loop.wrench_stack import WrenchStack
 from coopqp.controller import ControlProblem
 from coopqp.model.state import State
 
-#: Wanted forces may be beyond what can be had by rounding [N, N m].
+#: Wanted forces may be unreachable by rounding [N, N m].
 ROUNDING = 1e-6
 
 
 def require_forces(problem: ControlProblem, safety: float, name: str) -> None:
-    """Refuse grasps that do not hold with this safety, and wrenches that cannot be had.
-
-    Args:
-        problem: to be controlled.
-        safety: friction is counted on over this.
-        name: of the controller.
+    """Refuse grasps that do not hold with friction over ``safety``, and unreachable wrenches.
 
     Raises:
         GraspError: hands that press cannot carry the object, or hard tasks ask for wrenches that
-            the grasp cannot bear together; says which.
+            the grasp cannot transmit together; says which.
         InvalidValueError: a wrench beyond what motors and friction give; says how much they do.
     """
     pressing = any(grasp.contact for grasp in problem.chain.grasps.values())
@@ -42,26 +36,20 @@ def require_forces(problem: ControlProblem, safety: float, name: str) -> None:
             f"{cannot_carry(problem.chain, hold, load)}"
         )
     asked.update(start)
-    _require_each(hold, asked, name)
+    for fault in unreachable_wrenches(hold, asked):
+        raise InvalidValueError(f"{name}: {fault}")
     _require_together(hold, asked, name)
 
 
-def _require_each(hold: StaticHold, asked: WrenchStack, name: str) -> None:
-    for said in out_of_reach(hold, asked):
-        raise InvalidValueError(f"{name}: {said}")
-
-
-def out_of_reach(hold: StaticHold, asked: WrenchStack) -> Iterator[str]:
+def unreachable_wrenches(hold: StaticHold, asked: WrenchStack) -> Iterator[str]:
     """Wanted wrenches beyond what motors and friction give at rest, a sentence each.
 
-    Args:
-        hold: what the hands can do.
-        asked: what they shall, up to date at the same pose.
+    ``asked`` must be up to date at the pose of ``hold``.
     """
     for row, C, wanted in zip(asked.rows, asked.C, asked.wanted, strict=True):
         least, most = (hold.extreme(C, sign) for sign in (-1.0, 1.0))
         if least is None or most is None:
-            return  # the object cannot be carried; told elsewhere where hands press
+            return  # the object cannot be carried; reported elsewhere where hands press
         if least.value - ROUNDING <= wanted <= most.value + ROUNDING:
             continue
         near: Bound = least if wanted < least.value else most

@@ -1,4 +1,4 @@
-"""The hands' wrenches as variables of a QP: their effect, their cones and what they cost.
+"""Hand wrenches as variables of a QP: dynamics, friction cones and cost.
 
 h (6 N,) are the wrenches of the hands that hold the object, each at its point, in world axes. With
 J_i the object's Jacobian by arm i, G_i from hand i to the object's origin, and the object's mass on
@@ -8,9 +8,9 @@ arm 0 of the tree,
     G h = M (J_0 a + drift_0) + b                         dynamics of the object
     C_i R_i h_i <= sigma,  f_z >= least - sigma           hands that press; sigma = 0
 
-What is internal costs |(1 - X G) h - t|^2, torques over a hand's size, with X of a split by its
-name and t the least internal wrench that tasks ask for. What moves the object costs nothing more,
-so that a mass is not carried lower to save force.
+Internal wrenches cost |(1 - X G) h - t|^2, torques divided by a hand's size, with X of the named
+split and t the smallest internal wrench that tasks ask for. The part that moves the object has no
+further cost, so that a mass is not carried lower to save force.
 """
 
 from __future__ import annotations
@@ -26,34 +26,35 @@ from coopqp.base.qp import Row
 from coopqp.base.rank import least_squares
 from coopqp.base.spec import Array
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
-from coopqp.closed_loop.grasp_matrix import Split, grasp_matrix, virtual_inertia, walker
+from coopqp.closed_loop.grasp_matrix import UNITS, Split, grasp_matrix, virtual_inertia, walker
 from coopqp.closed_loop.hands import hands, into_contacts, points
 from coopqp.closed_loop.screw import LENGTH
 from coopqp.closed_loop.wrench_stack import WrenchStack
 from coopqp.model.closed_chain import AXES, ClosedChain
 from coopqp.model.state import State
 
-SplitName = Literal["virtual_inertia", "walker"]
+SplitName = Literal["virtual_inertia", "walker", "minimum_norm"]
 Shares = Mapping[str, float] | Literal["weights", "motors"]
 
 #: Radius of gyration of a virtual hand. With a small one hands of hinges trade torques that weigh
 #: much for forces that grow, and torques held for a tick err more; cones need no small one here.
 HAND_RADIUS = LENGTH  # [m]
 #: An arm whose motors have nothing left still gets this share of what the strongest gets.
-LEAST_RESERVE = 1e-3
+MIN_RESERVE = 1e-3
 #: Sums of shares are one within this.
 SHARE_SUM = 1e-6
 
 
 class HandWrenches:
-    """Of one problem.
+    """The wrenches of one problem's hands.
 
     Args:
         chain: the closed chain.
-        safety: friction is counted on over this.
-        split: which one says what is internal.
+        safety: by which friction is divided.
+        split: which one defines what is internal; minimum_norm is the pseudoinverse.
         shares: of the object's weight by arm; "weights" as in the object's pose, "motors" in
             proportion to what each arm's motors have left.
+        inertia: of a virtual body over its mass, for virtual_inertia [m2].
 
     Attributes:
         variables: rows of h.
@@ -64,7 +65,7 @@ class HandWrenches:
         G: grasp matrix, shape (6, 6 N).
         feels: sum_i (J_i - J_0)' G_i as a matrix on h, shape (n, 6 N).
         cones: shape (c, 6 N), and stated: cones @ h <= stated, shape (c,).
-        most: what is kept of that now, shape (c,); see ``_held_torques``.
+        most: the right side in this tick, shape (c,); see :mod:`coopqp.torque_law.held_torques`.
         in_cone: 1 for rows of cones, 0 for bounds of the normal force, shape (c,).
         split: of this instant.
 
@@ -74,17 +75,22 @@ class HandWrenches:
     """
 
     def __init__(
-        self, chain: ClosedChain, *, safety: float, split: SplitName, shares: Shares
+        self,
+        chain: ClosedChain,
+        *,
+        safety: float,
+        split: SplitName,
+        shares: Shares,
+        inertia: float = HAND_RADIUS**2,
     ) -> None:
-        self._chain, self._split = chain, split
+        self._chain, self._split, self._inertia = chain, split, inertia
         self.hands = hands(chain)
         N = len(self.hands)
         self.size = 6 * N
-        units = ("N", "N", "N", "N m", "N m", "N m")
         self.variables = tuple(
             Row(name=f"hand[{hand.arm}].{axis}", kind="hand", owner=hand.arm, unit=unit)
             for hand in self.hands
-            for axis, unit in zip(AXES, units, strict=True)
+            for axis, unit in zip(AXES, UNITS, strict=True)
         )
         self._by_motors = shares == "motors"
         self.shares = _shares(chain, shares)
@@ -92,12 +98,11 @@ class HandWrenches:
         self.points, self.G = np.zeros((N, 3)), np.zeros((6, 6 * N))
         self.turned = np.zeros((N, 3, 3))
         self.feels = np.zeros((chain.n, 6 * N))
-        metric = np.tile(np.repeat([1.0, 1.0 / HAND_RADIUS], 3), N)
-        self._metric = metric
-        #: Loops between hands that press are closed by the contact, not by the model.
-        loops = [bool(self.hands[0].contact or hand.contact) for hand in self.hands[1:]]
+        self._metric = np.tile(np.repeat([1.0, 1.0 / HAND_RADIUS], 3), N)
+        # Loops between hands that press are closed by the contact, not by the model.
+        pressed = [bool(self.hands[0].contact or hand.contact) for hand in self.hands[1:]]
         idle = [False] * (len(chain.arms) - N)
-        self.loop_pulls = np.repeat(~np.array([*loops, *idle], bool), 6).astype(float)
+        self._loop_pulls = 1.0 - np.repeat([*pressed, *idle], 6)
 
     def _prepare_cones(self, safety: float) -> None:
         self._local, names, most = [], [], []
@@ -120,12 +125,7 @@ class HandWrenches:
         self.cones = np.zeros((len(self.most), self.size))
 
     def update(self, state: State, dynamics: ClosedLoopDynamics) -> None:
-        """Follow the arms.
-
-        Args:
-            state: with its kinematics up to date.
-            dynamics: up to date, with all of the object's mass on arm 0.
-        """
+        """Update to a state; dynamics must be up to date, with the object's mass on arm 0."""
         self.points[:] = points(self.hands, state.p_WO, state.R_WO)
         self.G[:] = grasp_matrix(self.points, state.p_WO)
         J = dynamics.J_arms
@@ -146,15 +146,20 @@ class HandWrenches:
     def _make_split(self, state: State) -> Split:
         if self._split == "walker":
             return walker(self.points, state.p_WO, self.shares / self.shares.sum())
-        masses = np.maximum(self.shares, LEAST_RESERVE)
-        return virtual_inertia(self.points, state.p_WO, masses, HAND_RADIUS**2 * masses)
+        masses = np.maximum(self.shares, MIN_RESERVE)
+        inertias = self._inertia * masses
+        if self._split == "minimum_norm":
+            masses = inertias = np.ones(len(masses))
+        return virtual_inertia(self.points, state.p_WO, masses, inertias)
+
+    def loop_correction(self, state: State, dynamics: ClosedLoopDynamics, kappa: float) -> Array:
+        """-J_c a that closes open loops, shape (m,); pressing hands are held together by force."""
+        pulls = self._loop_pulls[dynamics.kept]
+        back = 2.0 * kappa * dynamics.J.dot(state.v) + kappa**2 * pulls * state.e_loop
+        return np.asarray(back, float)
 
     def cost(self, wrenches: WrenchStack) -> tuple[Array, Array]:
-        """What is internal and not asked for, as P and q of 1/2 h'P h + q'h.
-
-        Args:
-            wrenches: what tasks ask for, up to date.
-        """
+        """The cost of internal wrenches that no task asks for, as P and q of 1/2 h'P h + q'h."""
         B = self._metric[:, None] * self.split.projector
         P = B.T @ B
         if not len(wrenches.wanted):
@@ -168,7 +173,7 @@ class HandWrenches:
         """Shares in proportion to how much of the object's weight each arm alone could carry."""
         chain, model = self._chain, self._chain.model
         own = np.asarray(pin.computeGeneralizedGravity(model, model.createData(), state.q), float)
-        _, weight, _ = dynamics.object_inertia()
+        _, weight = dynamics.object_inertia()
         left = model.effortLimit - np.abs(own)
         left[chain.passive] = np.inf
         found = np.zeros(len(self.hands))
@@ -178,7 +183,7 @@ class HandWrenches:
             felt = np.abs(dynamics.J_arms[part].T @ (self.G[:, part] @ h))
             felt[chain.passive] = 0.0
             found[i] = np.min(np.maximum(left, 0.0) / np.maximum(felt, 1e-9))
-        found = np.maximum(found, LEAST_RESERVE * max(float(found.max()), 1e-9))
+        found = np.maximum(found, MIN_RESERVE * max(float(found.max()), 1e-9))
         return np.asarray(found / found.sum(), float)
 
 

@@ -1,13 +1,13 @@
-"""What hands that press come to while the torques of a tick are held and the arms move on.
+"""Cones at a tick's end: wrenches change while the torques of a tick are held and the arms move on.
 
-The torque QP decides on wrenches at a tick's beginning. By its end gravity and inertia are those of
-the next pose, and the wrenches h of the hands have become h + d, by little of what the arms weigh,
-which can be much of what a light object needs. Cones keep both, twice for what changes d:
+The torque QP decides wrenches h at a tick's beginning. By its end gravity and inertia are those of
+the next pose, and h has become h + d: little compared with the arms' weight, but possibly much for
+a light object. Cones hold for both, with twice the change:
 
     C h <= most,   C (h + 2 d) <= most
 
-d is what became of the last answer: in the dynamics of this instant, with the torques of the tick
-before, the least change of its accelerations and wrenches. A motion that goes on makes it again.
+d is observed on the last answer: in the dynamics of this instant, with the torques of the tick
+before, the least change of its accelerations and wrenches. A steady motion repeats it.
 """
 
 from __future__ import annotations
@@ -19,8 +19,7 @@ import numpy as np
 from coopqp.base.qp import QP
 from coopqp.base.rank import least_squares
 from coopqp.base.spec import Array
-from coopqp.closed_loop.dynamics import ClosedLoopDynamics
-from coopqp.closed_loop.saddle import Saddle
+from coopqp.closed_loop.dynamics import ClosedLoopDynamics, Saddle
 from coopqp.model.state import State
 from coopqp.torque_law.hand_wrenches import HandWrenches
 from coopqp.torque_law.program import Layout
@@ -30,15 +29,10 @@ AHEAD = 2.0
 
 
 class HeldTorques:
-    """Of one problem.
+    """Predicts the change of wrenches for the cones of one problem.
 
-    Memory: the "answer", with wrenches in the contacts' axes, zero for none, and "back", with which
-    acceleration it closes open loops.
-
-    Args:
-        hands: their cones.
-        layout: of the QP.
-        dynamics: of the chain.
+    Memory: the "answer", with wrenches in contact axes, zero for none, and "back", the acceleration
+    by which it closes open loops.
     """
 
     def __init__(self, hands: HandWrenches, layout: Layout, dynamics: ClosedLoopDynamics) -> None:
@@ -50,12 +44,7 @@ class HeldTorques:
         self.memory_sizes: Mapping[str, int] = sizes if hands.pressing else {}
 
     def foresee(self, state: State, qp: QP) -> None:
-        """Keep cones at the end of the tick as well.
-
-        Args:
-            state: of this tick.
-            qp: with the dynamics of this instant; its cones are written, as are ``hands.most``.
-        """
+        """Tighten ``hands.most`` and the QP's cones, whose dynamics are those of this instant."""
         hands, layout = self._hands, self._layout
         if not hands.pressing:
             return
@@ -71,7 +60,7 @@ class HeldTorques:
         qp.h[layout.cones] = hands.most
 
     def _least(self, A: Array, right: Array) -> Array:
-        """The wrenches of the least change with that effect; as a rule it is the only one."""
+        """The wrenches of the smallest change with that effect; normally it is unique."""
         layout, n, saddle = self._layout, self._layout.n, self._saddle
         if saddle is None:
             return least_squares(np.hstack([A[:, layout.a], A[:, layout.h]]), right)[n:]
@@ -80,7 +69,7 @@ class HeldTorques:
         return np.asarray(saddle.solve(right)[0][n:])
 
     def remember(self, state: State, qp: QP, x: Array | None) -> None:
-        """Take an answer for what is held from now on; None where other torques are."""
+        """Keep an answer for the next tick; None where other torques are commanded."""
         if not self._hands.pressing:
             return
         answer, h = state.memory["answer"], self._layout.h

@@ -1,10 +1,10 @@
-"""What rows with an impedance accelerate by: e_ddot = B (w - K e) - R e_dot.
+"""Accelerations of task rows with an impedance: e_ddot = B (w - K e) - R e_dot.
 
-Rows of which a mass M is stated have B = M^-1; w has to be known there. All others have that of
-what is really there, object and arms with the loops closed, B = W = J N (N' A N)^-1 N' J', which a
-wrench that nobody knows of meets as well: with w = 0 in the law they move as above.
+Rows with a stated mass M have B = M^-1; w has to be known there. All others have the inertia of
+object and arms with the loops closed, B = W = J N (N' A N)^-1 N' J', through which an unknown
+wrench acts as well: with w = 0 in the law they move as above.
 
-R = B D where the damping is stated, and else what gives every mode its damping ratio z. With
+R = B D where the damping is stated, and else gives every mode its damping ratio z. With
 S = K^1/2 the modes are those of C = S W S, and
 
     R = 2 S^-1 C^1/4 z C^1/4 S         (M stated: 2 z (K/M)^1/2)
@@ -12,8 +12,8 @@ S = K^1/2 the modes are those of C = S W S, and
 which is the double diagonalisation of Albu-Schaeffer, Ott, Frese and Hirzinger 2003.
 
 A law that corrects open loops asks for accelerations J_c a = -drift_c - c that closed ones do not
-have. Torques for a then make a + d instead, with J_c d = c and N' A d = 0, and J d would show as a
-push: it is taken off.
+have. Torques for a then produce a + d, with J_c d = c and N' A d = 0, and J d would appear as a
+push: it is subtracted.
 """
 
 from __future__ import annotations
@@ -27,23 +27,19 @@ from coopqp.closed_loop.screw import LENGTH
 from coopqp.controller import ControlProblem
 from coopqp.model.closed_chain import AXES
 from coopqp.model.state import State
-from coopqp.torque_law.margins import DELAY, LEAST_DAMPING, spring_damping
+from coopqp.torque_law.margins import DELAY, MIN_DAMPING, spring_damping
 from coopqp.torque_law.task_dynamics import TaskDynamics
 
 
 class Impedances:
-    """Of all rows of one problem that have one, r of them.
-
-    Args:
-        problem: what to control.
-        level: its tasks and dynamics.
+    """All rows of one problem that have an impedance, r of them.
 
     Attributes:
         rows: which of all task rows, shape (r,); the rest are ``others``.
         B: acceleration by a wrench on the rows, shape (r, r) [1/kg, ...].
         R: acceleration by their rate, shape (r, r) [1/s].
         K: stiffness, shape (r,) [N/m, N m/rad].
-        stated: which have a mass of their own, shape (r,).
+        stated: which have a stated mass, shape (r,).
     """
 
     def __init__(self, problem: ControlProblem, level: TaskDynamics) -> None:
@@ -80,14 +76,14 @@ class Impedances:
         self._fill_stated()
 
     def _fill_stated(self) -> None:
-        """What does not change: rows with a mass of their own."""
+        """Constant entries: rows with a stated mass."""
         own = np.flatnonzero(self.stated)
         self.B[own, own] = 1.0 / self._M[own]
         omega = np.sqrt(self.K[own] / self._M[own])
         self.R[own, own] = self._D[own] / self._M[own] + 2.0 * self._z[own] * omega
 
     def update(self) -> None:
-        """Follow the arms; the level must be up to date."""
+        """Update to the state of the level."""
         if not len(self.rows):
             return
         self._X = self._level.inverse_inertia()
@@ -102,10 +98,10 @@ class Impedances:
         self.B[np.ix_(real, real)], self.R[np.ix_(real, real)] = W, R
 
     def guess(self) -> Array | None:
-        """Who pushes where nobody knows, shape (6,): as much as the springs push back.
+        """The external wrench where it is unknown, shape (6,): equal to the springs' forces.
 
-        None without rows. At rest that is so, and the hands bear it; until then nothing changes
-        by what torques are for, since the springs pull against it by as much.
+        None without rows. At rest that is so, and the hands bear it; until then it does not change
+        the torques' effect, since the springs pull against it by as much.
         """
         if not len(self.rows):
             return None
@@ -114,11 +110,10 @@ class Impedances:
         return wrench
 
     def accelerations(self, wrench: Array, correction: Array) -> Array:
-        """e_ddot of the rows that torques must be for, shape (r,).
+        """e_ddot of the rows that torques must produce, shape (r,).
 
-        Args:
-            wrench: of the surroundings on the object, or the :meth:`guess`, shape (6,).
-            correction: c of the loop rows, shape (m,).
+        ``wrench``, shape (6,), is of the surroundings on the object, or the :meth:`guess`;
+        ``correction``, shape (m,), is c of the loop rows.
         """
         level, rows = self._level, self.rows
         found = self.B.dot(wrench[self._axes] - self.K * level.tasks.e[rows])
@@ -132,13 +127,7 @@ class Impedances:
 def require_impedances(
     problem: ControlProblem, level: TaskDynamics, name: str, *, knows_wrench: bool
 ) -> None:
-    """Refuse masses that nobody can feign without knowing who pushes, and springs that ring.
-
-    Args:
-        problem: what to control.
-        level: its tasks and dynamics.
-        name: of the controller.
-        knows_wrench: whether it knows the wrench of the surroundings.
+    """Refuse masses where the external wrench is unknown, and springs that oscillate.
 
     Raises:
         InvalidValueError: says which task, and what would do.
@@ -150,36 +139,33 @@ def require_impedances(
     which = f"{name}: task {' and '.join(tasks)}"
     if impedances.stated.any() and not knows_wrench:
         raise InvalidValueError(
-            f"{which} states a mass, which only who knows the push can feign; say "
-            "external_wrench: observed, or leave mass out: object and arms as they are"
+            f"{which} states a mass, which needs the external wrench; say "
+            "external_wrench: observed, or leave mass out for the inertia of object and arms"
         )
     level.update(State(problem.chain))
     impedances.update()
     C, R, dt = impedances.B * impedances.K, impedances.R, problem.dt
     asked, found = spring_damping(C, R, dt, None), spring_damping(C, R, dt, DELAY)
-    if found < (needed := min(LEAST_DAMPING, 0.5 * asked)):
+    if found < (needed := min(MIN_DAMPING, 0.5 * asked)):
         raise InvalidValueError(
-            f"{which} rings at dt {1e3 * dt:g} ms when commands are a tick late (damping ratio "
-            f"{found:.2f}, needs {_at_least(needed)}); lower stiffness and damping, or dt, or "
-            "state more mass"
+            f"{which} oscillates at dt {1e3 * dt:g} ms when commands are a tick late (damping "
+            f"ratio {found:.2f}, needs {_at_least(needed)}); lower stiffness and damping, or dt, "
+            "or state more mass"
         )
 
 
 def _at_least(ratio: float) -> str:
-    """A damping ratio that is needed, which is next to none where next to none was asked for."""
+    """A required damping ratio in words, which is next to none where none was asked for."""
     return f"{ratio:.2f}" if ratio >= 5e-3 else "more than 0"
 
 
 def leaks(problem: ControlProblem) -> tuple[str, str, float] | None:
-    """What is felt most along a sprung axis of a push along one that has no spring.
+    """The largest cross-coupling of a push along an axis without a spring into a sprung axis.
 
-    At rest, where nobody knows the push, object and arms must not accelerate along the springs:
-    with W the inverse inertia of the object's six axes, s those with a spring and o the others,
+    At rest, with an unknown push, object and arms must not accelerate along the springs: with W the
+    inverse inertia of the object's six axes, s those with a spring and o the others,
 
         W_ss (w_s - K e) + W_so w_o = 0,       so that K e = w_s + W_ss^-1 W_so w_o
-
-    Args:
-        problem: what to control.
 
     Returns:
         The axis along which it is felt, that along which it pushes, and the force felt of a push by

@@ -1,18 +1,31 @@
-"""Whether a loop is damped: the very steps of the law against a plant that is linear and late.
+"""Reference models and stability margins of torque and velocity laws.
 
-The plant of a torque law is e_ddot = a for each row of the tasks, a held for dt; that of a velocity
-law e_dot = u. A command arrives some ticks late. Both together are one linear map from tick to
-tick, and a pole z of it turns and decays as exp(s dt) = z, with the damping ratio -Re s / |s|.
+With g the gain of a row's task, a critically damped reference model of its error e,
 
-Settings are refused where, with one tick of delay, some pole is damped less than 0.215: there each
-swing is half as high as the one before (quarter-amplitude damping, Ziegler and Nichols 1942).
+    e_m_ddot = -2 g e_m_dot - g^2 e_m,   deviation = e - e_m
+
+An integral of e must return to zero after a step of the reference, so that e overshoots; an
+integral of the deviation is unaffected by the step, and sees all effects of payload or pushes.
+The model has to take over each step of the reference, so the deviation is what is kept, by the
+rates, in which a step does not show (e_dot = J v - rate), and e_m = e - deviation:
+
+    deviation += dt (e_dot - e_m_dot),   e_m_dot += dt e_m_ddot
+
+A step of the reference's *rate*, as ``constant_velocity`` has, counts as a deviation.
+
+Margins come from the law's own steps against a linear plant with delay: e_ddot = a for each row of
+a torque law, a held for dt; e_dot = u for a velocity law. A command arrives some ticks late. Both
+together are one linear map from tick to tick, and a pole z of it oscillates and decays as
+exp(s dt) = z, with the damping ratio -Re s / |s|. Settings are refused where, with one tick of
+delay, some pole is damped less than 0.215: there each oscillation has half the amplitude of the one
+before (quarter-amplitude damping, Ziegler and Nichols 1942).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,26 +33,59 @@ from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.model.state import Memory
-from coopqp.torque_law.reference_model import ReferenceModel, memory_of
 
-#: Least damping ratio of a pole: a swing is half as high as the one before, ln 2 / hypot(ln 2, pi).
-LEAST_DAMPING = math.log(2.0) / math.hypot(math.log(2.0), math.pi)
+#: Least damping ratio of a pole: half the amplitude each time, ln 2 / hypot(ln 2, pi).
+MIN_DAMPING = math.log(2.0) / math.hypot(math.log(2.0), math.pi)
 #: Ticks that a command is late where settings are judged; a robot's bus has no less.
 DELAY = 1
 #: Poles slower than this in a tick are what nothing moves: rows without an integral [-].
 STILL = 1e-4
 
 
-def damping_ratio(step: Callable[[Array], Array], size: int) -> float:
-    """Least damping ratio of the poles of a linear step; negative where it is unstable.
+def memory_of(k: int) -> dict[str, int]:
+    """Memory of a law with k rows: "integral" of the deviation, the deviation, and e_m_dot."""
+    return {"integral": k, "deviation": k, "model_rate": k}
 
-    Args:
-        step: from the loop's state at one tick to that at the next, shape (size,).
-        size: of the state.
+
+class ReferenceModel:
+    """The model of all task rows with gains of shape (k,) [1/s]; its state is in the law's memory.
+
+    Attributes:
+        memory_sizes: see :func:`memory_of`.
+        e_ddot: e_m_ddot as of the last :meth:`update`, shape (k,).
+    """
+
+    def __init__(self, gains: Array, dt: float) -> None:
+        self.memory_sizes = memory_of(len(gains))
+        self.e_ddot = np.zeros(len(gains))
+        self._gains, self._dt = gains, dt
+
+    def update(self, memory: Memory, e: Array) -> None:
+        """Compute the model's acceleration, given the error, shape (k,)."""
+        g, model_error = self._gains, e - memory["deviation"]
+        self.e_ddot[:] = -g * (2.0 * memory["model_rate"] + g * model_error)
+
+    def advance(self, memory: Memory, e_dot: Array, *, integrate: bool) -> None:
+        """Advance the memory to the next tick, after :meth:`update`, with the measured e_dot, (k,).
+
+        Integrate is False while motors are at their limits (anti-windup).
+        """
+        dt, deviation, model_rate = self._dt, memory["deviation"], memory["model_rate"]
+        if integrate:
+            integral = memory["integral"]
+            integral += dt * deviation
+        deviation += dt * (e_dot - model_rate)
+        model_rate += dt * self.e_ddot
+
+
+def damping_ratio(step: Callable[[Array], Array], size: int) -> float:
+    """Smallest damping ratio of the poles of a linear step of a state, shape (size,).
+
+    Negative where it is unstable.
     """
     matrix = np.column_stack([step(unit) for unit in np.eye(size)])
     z = np.linalg.eigvals(matrix).astype(complex)
-    s = np.log(z[np.abs(z) > STILL])  # what is gone in a tick has no swing
+    s = np.log(z[np.abs(z) > STILL])  # what is gone in a tick does not oscillate
     s = s[np.abs(s) > STILL]
     return float((-s.real / np.abs(s)).min(initial=1.0))
 
@@ -51,9 +97,9 @@ class TorqueLoop:
     Attributes:
         gains: of the reference model, shape (k,) [1/s].
         kp, ki, kd: shape (k,).
-        W: what acceleration a wrench gives, shape (k, k) [1/kg, ...].
-        forward: 1 where the model's acceleration is fed forward, 0 where not.
+        W: acceleration by a wrench, shape (k, k) [1/kg, ...].
         dt: control period [s].
+        forward: 1 where the model's acceleration is fed forward, 0 where not.
     """
 
     gains: Array
@@ -64,12 +110,8 @@ class TorqueLoop:
     dt: float
     forward: float = 1.0
 
-    def times(self, kp: float, ki: float, kd: float) -> TorqueLoop:
-        """The same with other gains, each times a number."""
-        return replace(self, kp=kp * self.kp, ki=ki * self.ki, kd=kd * self.kd)
-
     def damping(self, delay: int = DELAY) -> float:
-        """Least damping ratio with commands late by some ticks."""
+        """Smallest damping ratio with commands late by some ticks."""
         k, dt = len(self.gains), self.dt
         model = ReferenceModel(self.gains, dt)
         memory = Memory(model.memory_sizes)
@@ -94,9 +136,7 @@ class TorqueLoop:
 class VelocityLoop:
     """All rows of a velocity law with a reference model of first order, e_m_dot = -kp e_m.
 
-    Attributes:
-        kp, ki, kd: shape (k,) [1/s, 1/s2, 1].
-        dt: control period [s].
+    kp, ki, kd have shape (k,) [1/s, 1/s2, 1], and dt is the control period [s].
     """
 
     kp: Array
@@ -105,7 +145,7 @@ class VelocityLoop:
     dt: float
 
     def decide(self, memory: Memory, e: Array, e_dot: Array) -> Array:
-        """J v - rate that the law wants, e_dot being that of the last period; shape (k,)."""
+        """The wanted J v - rate, shape (k,), with e_dot of the last period."""
         deviation, integral = memory["deviation"], memory["integral"]
         model_rate = memory["model_rate"]
         w_dot = e_dot - model_rate
@@ -114,12 +154,8 @@ class VelocityLoop:
         model_rate[:] = -self.kp * (e - deviation)
         return model_rate - self.kp * deviation - self.ki * integral - self.kd * w_dot
 
-    def times(self, kp: float, ki: float, kd: float) -> VelocityLoop:
-        """The same with other gains, each times a number."""
-        return replace(self, kp=kp * self.kp, ki=ki * self.ki, kd=kd * self.kd)
-
     def damping(self, delay: int = DELAY) -> float:
-        """Least damping ratio with commands late by some ticks."""
+        """Smallest damping ratio with commands late by some ticks."""
         k = len(self.kp)
         memory = Memory(memory_of(k))
         own = 2 * k + len(memory.numbers)
@@ -135,13 +171,9 @@ class VelocityLoop:
 
 
 def spring_damping(C: Array, R: Array, dt: float, delay: int | None) -> float:
-    """Least damping ratio of e_ddot = -C e - R e_dot, decided tick by tick.
+    """Smallest damping ratio of e_ddot = -C e - R e_dot, decided tick by tick.
 
-    Args:
-        C: shape (k, k) [1/s2].
-        R: shape (k, k) [1/s].
-        dt: control period [s].
-        delay: ticks that a command is late; None for how it is meant, without ticks.
+    C [1/s2] and R [1/s] have shape (k, k). With a delay of None it is that of continuous time.
     """
     k, nothing = len(C), np.zeros_like(C)
     if delay is None:
@@ -166,13 +198,13 @@ def row_loop(gain: float, integral: float, dt: float) -> TorqueLoop:
 
 def damped(loop: TorqueLoop | VelocityLoop) -> bool:
     """Whether it is damped enough with one tick of delay."""
-    return loop.damping() >= LEAST_DAMPING
+    return loop.damping() >= MIN_DAMPING
 
 
 def largest(good: Callable[[float], bool], most: float) -> float:
     """Largest number below ``most``, which is too large, that is good; 0 below a hundredth.
 
-    Rounded down to two digits, so that it can be said and used.
+    Rounded down to two digits.
     """
     low, high = 0.0, most
     for _ in range(20):
@@ -185,7 +217,7 @@ def largest(good: Callable[[float], bool], most: float) -> float:
 
 
 def require_damped_models(problem: ControlProblem, controller: str) -> None:
-    """Refuse tasks that decay faster than a control by torques can follow at this rate.
+    """Refuse tasks whose reference decays faster than torque control can follow at this rate.
 
     Raises:
         InvalidValueError: with the task, and the largest gain.
@@ -196,6 +228,6 @@ def require_damped_models(problem: ControlProblem, controller: str) -> None:
             most = largest(lambda gain: damped(row_loop(gain, 0.0, dt)), task.gain)
             raise InvalidValueError(
                 f"task {task.name}: found gain {task.gain:g} 1/s, {controller} needs at most "
-                f"{most:g} 1/s at dt {1e3 * dt:g} ms; more rings when commands are a tick late, "
-                "so lower it, or dt"
+                f"{most:g} 1/s at dt {1e3 * dt:g} ms; more oscillates when commands are a tick "
+                "late, so lower it, or dt"
             )

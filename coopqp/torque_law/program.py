@@ -1,10 +1,10 @@
-"""The QPs of the torque law: one a level of priority, all with the same constraints.
+"""The QPs of the torque law: one for each level of priority, all with the same constraints.
 
     x = [a; tau of the motors; h of the hands that hold; sigma where some press]
 
-Later levels minimise their own tasks among what leaves J a (and C h) of the soft tasks before them
-as it was decided there. sigma is how far the cones of hands that press are left [N]: zero, unless
-nothing keeps them, and then as small as it can.
+Later levels minimise their own tasks with J a (and C h) of earlier soft tasks as decided there.
+sigma is how far the cones of hands that press are violated [N]: zero, unless they are infeasible,
+and then minimal.
 """
 
 from __future__ import annotations
@@ -18,8 +18,10 @@ from numpy.typing import NDArray
 from coopqp.base.qp import QP, Row, Rows
 from coopqp.base.rank import independent_rows
 from coopqp.base.spec import Array
+from coopqp.closed_loop.grasp_matrix import UNITS
 from coopqp.closed_loop.wrench_stack import WrenchStack
 from coopqp.controller import ControlProblem
+from coopqp.model.closed_chain import AXES
 from coopqp.model.state import State
 from coopqp.qp_law.bounds import Bounds
 from coopqp.solver import Solution, Status, Verifier
@@ -30,7 +32,7 @@ Indices = NDArray[np.intp]
 Mask = NDArray[np.bool_]
 
 #: Cost of squared wrenches, so that those that nothing else decides are the least [1/N2].
-LEAST_WRENCH = 1e-5
+WRENCH_COST = 1e-5
 #: Cost of leaving a cone, per newton and squared: far above what any task gains by it.
 LEAVING = (1e4, 1.0)
 #: Weight of a hard task, over its own, where it has to become soft.
@@ -50,13 +52,7 @@ class Costs:
 
 
 class Layout:
-    """Where the variables and rows of a torque QP are.
-
-    Args:
-        level: tasks and dynamics.
-        hands: their wrenches.
-        bounds: the scenario's limits.
-    """
+    """Where the variables and rows of a torque QP are."""
 
     def __init__(self, level: TaskDynamics, hands: HandWrenches, bounds: Bounds) -> None:
         chain, dynamics = level.dynamics.chain, level.dynamics
@@ -82,9 +78,7 @@ class Layout:
         self.cones = slice(len(bounds.rows), len(self.inequalities))
         object_rows = (
             Row(name=f"object.{axis}", kind="dynamics", unit=unit)
-            for axis, unit in zip(
-                ("x", "y", "z", "rot_x", "rot_y", "rot_z"), ["N"] * 3 + ["N m"] * 3, strict=True
-            )
+            for axis, unit in zip(AXES, UNITS, strict=True)
         )
         self.equalities = (
             *(
@@ -101,18 +95,13 @@ class Program:
     """One level.
 
     Args:
-        problem: what to control.
-        layout: of the variables.
-        level: tasks and dynamics.
-        hands: their wrenches.
-        wrenches: what tasks ask of them.
-        costs: of what no task asks for.
+        problem, layout, level, hands, wrenches, costs: shared by all levels.
         own: which motion rows and which wrench rows are its own.
         must: which must hold: hard ones, and the soft ones of the levels before.
 
     Attributes:
         qp: the last tick's program.
-        solution: its answer.
+        solution: its solution.
     """
 
     def __init__(
@@ -133,7 +122,7 @@ class Program:
         self.solution = Solution(self.qp)
         n, k = layout.n, layout.k
         dynamics = level.dynamics
-        self._diagonal = np.repeat([costs.damping, costs.effort, LEAST_WRENCH], [n, k, hands.size])
+        self._diagonal = np.repeat([costs.damping, costs.effort, WRENCH_COST], [n, k, hands.size])
         effort = level.dynamics.chain.model.effortLimit[dynamics.actuated]
         self.qp.lb[layout.tau], self.qp.ub[layout.tau] = -effort, effort
         self.qp.A[dynamics.actuated, n + np.arange(k)] = -1.0
@@ -179,9 +168,9 @@ class Program:
             wanted: J a that each motion row asks for, shape (k,).
             bounds: lb, ub, G, h of the limits on a.
             loops: right side of the loop rows, shape (m,).
-            before: the answer of the levels before; None for the first.
+            before: the solution of the levels before; None for the first.
             soften: whether hard rows only count with a weight.
-            wrench: of the surroundings on the object, shape (6,); None where nobody knows.
+            wrench: of the surroundings on the object, shape (6,); None where unknown.
         """
         self._fill_cost(state, wanted, soften)
         self._fill_dynamics(loops, wrench)
@@ -219,7 +208,7 @@ class Program:
         qp.A[:n, :n] = dynamics.A
         qp.A[:n, layout.h] = hands.feels
         qp.b[:n] = -dynamics.H
-        M, b, _ = dynamics.object_inertia()
+        M, b = dynamics.object_inertia()
         qp.A[n : n + 6, layout.a] = M @ J_0
         qp.A[n : n + 6, layout.h] = -hands.G
         qp.b[n : n + 6] = -(M @ dynamics.drift_arms[:6] + b)
@@ -245,7 +234,7 @@ class Program:
         rows[:], right[:] = 0.0, 0.0
         if not len(right):
             return
-        hard = self._hard(motion, forces)
+        hard = np.concatenate([hard_rows(self._level)[motion], self._wrenches.hard[forces]])
         if soften and not (~hard).any():
             return
         rows[: len(motion), layout.a] = self._level.tasks.J[motion]
@@ -263,11 +252,6 @@ class Program:
             left[np.linalg.norm(left, axis=1) < DECIDED * np.abs(rows).max()] = 0.0
             again = np.setdiff1d(np.arange(len(rows)), independent_rows(left))
             rows[again], right[again] = 0.0, 0.0
-
-    def _hard(self, motion: Indices, forces: Indices) -> Mask:
-        """Which of the rows that must hold are those of hard tasks."""
-        hard = hard_rows(self._level)
-        return np.concatenate([hard[motion], self._wrenches.hard[forces]])
 
 
 def hard_rows(level: TaskDynamics) -> Mask:

@@ -1,8 +1,7 @@
-"""What the torque-level controllers share: tasks in accelerations and the tree's torques.
+"""Tasks in accelerations and the tree's torques, shared by the torque controllers.
 
 A task e(q, t) with e_dot = J v - rate has e_ddot = J a + drift, where drift is the change of
-J v - rate along v. It is taken by a forward difference of the task itself, so that a task needs no
-second derivative of its own.
+J v - rate along v, by a forward difference of the task, so that a task needs no second derivative.
 """
 
 from __future__ import annotations
@@ -24,9 +23,6 @@ STEP = 1e-6
 class TaskDynamics:
     """Tasks and tree of one problem, for control by torques.
 
-    Args:
-        problem: what to control.
-
     Attributes:
         dynamics: of the modelled object.
         tasks: e, J, rate as of the last update.
@@ -45,7 +41,7 @@ class TaskDynamics:
         self._effort = problem.chain.model.effortLimit
 
     def update(self, state: State) -> None:
-        """Everything for a measured state."""
+        """Update everything to a measured state."""
         ahead, tasks, v = self._ahead, self.tasks, state.v
         np.multiply(v, STEP, ahead.q)
         np.add(ahead.q, state.q, ahead.q)
@@ -60,11 +56,9 @@ class TaskDynamics:
         self.dynamics.update(state.q, v)
 
     def holding(self, state: State, brake_time: float) -> Array:
-        """The weight, and a brake that stops the joints, within the motors' limits [N m].
+        """Gravity compensation and a brake over ``brake_time`` [s], within effort limits [N m].
 
-        Args:
-            state: for which the dynamics are up to date.
-            brake_time: in which motion dies out [s].
+        The dynamics must be up to date with the state.
         """
         dynamics = self.dynamics
         brake = dynamics.A.dot(state.v) / brake_time

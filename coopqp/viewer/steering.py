@@ -19,7 +19,7 @@ from coopqp.base.errors import CoopqpError
 from coopqp.base.spec import Array, Pose, spec
 from coopqp.grasp import pose_matrix
 from coopqp.limits import ObjectSpeed
-from coopqp.model.geometry import pose_course
+from coopqp.model.geometry import pose_trajectory
 from coopqp.model.marker import RelativeMarker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
@@ -36,8 +36,8 @@ from coopqp.signal import (
     Reads,
     Signal,
     Trajectory,
-    course,
     quaternion_of,
+    trajectory_of,
 )
 from coopqp.signals import Input
 from coopqp.task import Task
@@ -207,7 +207,8 @@ def _constant(task: Task, field: str, kind: Kind) -> tuple[float, ...] | None:
         return None
     if kind is DIRECTION:
         return tuple(value)
-    constant = pose_course(value, Moment()) if kind is POSE else course(value, kind, Moment())
+    now = Moment()
+    constant = pose_trajectory(value, now) if kind is POSE else trajectory_of(value, kind, now)
     return tuple(constant.value.tolist())
 
 

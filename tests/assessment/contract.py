@@ -87,11 +87,13 @@ def _cells(row: dict[str, object], found: Assessment) -> dict[str, tuple[object,
     def bad(key: str) -> bool:
         return bool(row[key].bad)  # type: ignore[attr-defined]
 
-    places = [o for o in (*found.joints, *found.limits) if o.row.unit in ("m", "rad")]
     return {
         "cell, reached": (bad("reached"), not found.reached),
         "cell, task_error": (bad("task_error"), bool(found.missed)),
-        "cell, limit": (bad("limit"), any(overrun.farther for overrun in places)),
+        "cell, limit": (
+            bad("limit"),
+            any(overrun.farther for overrun in (*found.joints, *found.limits)),
+        ),
         "cell, speed": (bad("speed"), bool(found.speeds)),
         "cell, loop": (bad("loop"), found.held is not False and not found.loop_closed),
         "cell, motors": (bad("motors"), bool(found.saturated)),

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,17 +17,20 @@ from scenario_files import phased
 import coopqp
 from coopqp.assessment import assess
 from coopqp.assessment.thresholds import TABLE
+from coopqp.base.qp import Row
+from coopqp.base.spec import Array
 from coopqp.execution.comparison import summarize
 from coopqp.execution.controller_run import run
 from coopqp.limit import Limit
 from coopqp.model.profile import Profile
 from coopqp.plants import RigidBody
 from coopqp.report import files
+from coopqp.report.cells import NBSP, cells
 from coopqp.scenario.input import InputSettings
 from coopqp.scenario.scenario import Scenario
 from coopqp.signals import Input
 from coopqp.solver import Status
-from coopqp.study.explanation import explain_run
+from coopqp.study.explanation import explain_run, words
 from coopqp.study.trace_file import trace_from_file
 from coopqp.tasks import PointOnPoint
 from coopqp.trace import Failure, Trace
@@ -57,6 +61,14 @@ def said_of(scenario: Scenario, trace: Trace) -> tuple[str, str, str]:
     found = explain_run(scenario, trace)
     said = summarize(scenario, {trace.controller: trace}).verdicts
     return said[trace.controller], found.kind, found.sentence
+
+
+def again(folder: Path, scenario: Scenario, trace: Trace) -> Trace:
+    """The same, written and read."""
+    path = folder / "trace.csv"
+    comparison = summarize(scenario, {trace.controller: trace})
+    path.write_text(files.trace_csv(comparison), encoding="utf-8")
+    return trace_from_file(path, scenario, trace.controller)
 
 
 def fed(folder: Path, *rows: str, **settings: Any) -> Scenario:
@@ -140,22 +152,29 @@ def test_a_lost_object_reaches_nothing() -> None:
     assert not told  # whose metrics are those of a plant without hands that press
 
 
-def test_an_error_that_is_no_number_is_none() -> None:
+def test_an_error_that_is_no_number_is_none(tmp_path: Path) -> None:
+    """Nor one that is infinite, which no file can hold."""
     scenario = short(duration=0.1)
     trace = run(scenario, controller="qp")
-    trace.task_error[-1, 0] = np.nan
-    assert not assess(trace).reached
-    assert not list(disagreements(scenario, trace))
+    for error in (np.nan, np.inf):
+        trace.task_error[-1, 0] = error
+        assert not assess(trace).reached
+        assert not list(disagreements(scenario, trace))
+        said = said_of(scenario, trace)
+        assert "loses 'reach': its error is no number" in said[0].lower()
+        assert said[1:] == ("failed", "the error of reach is no number")
+        assert said_of(scenario, again(tmp_path, scenario, trace))[1:] == said[1:]
 
 
-def test_motors_at_their_limit_are_told_by_all() -> None:
+def test_motors_at_their_limit_are_told_by_all(tmp_path: Path) -> None:
+    """Also where it is the law that heeds it, so that the plant has nothing to cut off."""
     scenario = short()
     trace = run(scenario, controller="qp")
-    at_limit = np.zeros_like(trace.v)
-    at_limit[::2, 3] = 1.0
-    signals = {"tau": np.zeros_like(trace.v), "saturated": at_limit}
-    weak = replace(trace, signals=signals, effort=np.ones_like(trace.effort))
+    tau = np.zeros_like(trace.v)
+    tau[::2, 3] = trace.effort[3]
+    weak = replace(trace, signals={"tau": tau, "saturated": np.zeros_like(tau)})
     assert assess(weak).saturated == {trace.joints[3]: 0.5}
+    assert assess(again(tmp_path, scenario, weak)).saturated == assess(weak).saturated
     assert not list(disagreements(scenario, weak))
     said, _, sentence = said_of(scenario, weak)
     words = f"the motor of {trace.joints[3]} in 50 % of the ticks"
@@ -209,11 +228,11 @@ def test_a_run_in_a_file_is_explained_as_the_same_in_memory(tmp_path: Path, whic
     }[which]  # fmt: skip
     name = "pseudoinverse" if which == "broken" else "qp"
     trace = run(scenario, controller=name)
-    path = tmp_path / "trace.csv"
-    path.write_text(files.trace_csv(summarize(scenario, {name: trace})), encoding="utf-8")
-    read = trace_from_file(path, scenario, name)
+    read = again(tmp_path, scenario, trace)
     memory, file = (explain_run(scenario, each) for each in (trace, read))
     assert (file.kind, file.sentence) == (memory.kind, memory.sentence)
+    assert assess(read).motion == assess(trace).motion
+    np.testing.assert_array_equal(read.rate, trace.rate)
 
 
 def test_hands_that_move_along_a_held_object_keep_it_in_a_file_too(tmp_path: Path) -> None:
@@ -222,9 +241,7 @@ def test_hands_that_move_along_a_held_object_keep_it_in_a_file_too(tmp_path: Pat
     name = next(iter(scenario.controllers))
     trace = run(scenario, controller=name)
     slid = replace(trace, loop_position=trace.loop_position + 2e-3)
-    path = tmp_path / "trace.csv"
-    path.write_text(files.trace_csv(summarize(scenario, {name: slid})), encoding="utf-8")
-    memory, file = (assess(each) for each in (slid, trace_from_file(path, scenario, name)))
+    memory, file = (assess(each) for each in (slid, again(tmp_path, scenario, slid)))
     assert memory.held
     assert file.held
     assert [task.torn for task in file.tasks] == [task.torn for task in memory.tasks]
@@ -233,9 +250,6 @@ def test_hands_that_move_along_a_held_object_keep_it_in_a_file_too(tmp_path: Pat
 
 class Unaudited(Limit):
     """A limit that does not say what it left."""
-
-    def rows(self, chain: coopqp.ClosedChain) -> tuple[()]:
-        return ()
 
     def bind(self, chain: coopqp.ClosedChain, dt: float) -> Any:
         return lambda state, rows: None
@@ -247,6 +261,97 @@ def test_a_limit_that_says_nothing_of_itself_is_not_audited() -> None:
     trace = run(scenario, controller="qp")
     assert trace.unaudited
     assert f"but {trace.unaudited[0]} is not audited" in said_of(scenario, trace)[0]
+
+
+class Says(Unaudited):
+    """A limit that says something of itself."""
+
+    def __init__(self, said: Any) -> None:
+        self.said = said
+
+    def margins(self, chain: coopqp.ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
+        found: dict[Row, Array] = self.said(len(v))
+        return found
+
+
+OWN = Row(name="limit.own", kind="limit", owner="own", unit="N", label="own limit")
+
+
+@pytest.mark.parametrize(
+    ("said", "why"),
+    [
+        (lambda ticks: 1 / 0, "raises ZeroDivisionError"),
+        (lambda ticks: None, "raises AttributeError"),
+        (lambda ticks: {OWN: "much"}, "raises ValueError"),
+        (lambda ticks: {"own": np.ones(ticks)}, "has the key 'own', needs a Row"),
+        (lambda ticks: {OWN: np.ones(ticks + 1)}, "gives the shape"),
+        (lambda ticks: {OWN: np.full(ticks, np.nan)}, "gives nan for 'limit.own'"),
+        (lambda ticks: {OWN: np.full(ticks, -np.inf)}, "gives -inf for 'limit.own'"),
+        (lambda ticks: {replace(OWN, owner="position"): np.ones(ticks)}, "owner 'position'"),
+    ],
+)
+def test_a_limit_that_says_nonsense_of_itself_is_not_audited(
+    tmp_path: Path, said: Any, why: str
+) -> None:
+    like = short(duration=0.1)
+    scenario = replace(like, limits=(*like.limits, Says(said)))
+    trace = run(scenario, controller="qp")
+    for each in (trace, again(tmp_path, scenario, trace)):
+        told = said_of(scenario, each)[0]
+        assert re.search(rf"but \w+ \(.*{why}.*\) is not audited", told), told
+        assert assess(each).broken == ()
+
+
+def test_the_table_has_what_was_broken_whatever_its_unit() -> None:
+    like = short(duration=0.1)
+    sinks = Says(lambda ticks: {OWN: np.linspace(1.0, -2.0, ticks)})
+    scenario = replace(like, limits=(*like.limits, sinks))
+    trace = run(scenario, controller="qp")
+    assert not list(disagreements(scenario, trace))
+    cell = cells(trace, summarize(scenario, {"qp": trace}).metrics["qp"])["limit"]
+    assert (cell.lines, cell.bad) == ((f"own: 2{NBSP}N",), True)
+
+
+def test_who_is_beyond_a_limit_is_not_at_it_and_by_one_amount() -> None:
+    scenario = coopqp.load("joint_limit_stress")
+    trace = run(scenario, controller="pseudoinverse")
+    q = trace.q.copy()
+    i, row = next((i, row) for row, i in zip(*np.nonzero(q > trace.upper), strict=True))
+    start = float(trace.upper[i]) + 0.01
+    q[0, i], q[row, i] = start, start + 0.02
+    outside = replace(trace, q=q)
+    found = assess(outside)
+    (worst,) = (overrun for overrun in found.joints if overrun.name == trace.joints[i])
+    assert not {o.name for o in found.joints} & set(found.at_limits(0))
+    assert f"{worst.by:.3g} rad" in words.broken(found)
+
+
+@pytest.mark.parametrize(("error", "said"), [(4e-6, "0.004 mm"), (0.0123, "12.3 mm")])
+def test_what_is_missed_has_digits_enough(error: float, said: str) -> None:
+    scenario = short(duration=0.1)
+    trace = run(scenario, controller="qp")
+    trace.task_error[-1, 0] = error
+    strict = replace(trace, tasks=(replace(trace.tasks[0], tolerance=1e-9),))
+    found = summarize(scenario, {"qp": strict}).verdicts["qp"]
+    assert found.startswith(f"Ends {said} off the goal of 'reach'")
+
+
+def test_a_task_without_weight_is_told_so() -> None:
+    goal = PointOnPoint(name="reach", goal=(0.19, 0.0, 0.05), weight=0.0, gain=20.0)
+    scenario = short(tasks=(goal,))
+    _, kind, sentence = said_of(scenario, run(scenario, controller="qp"))
+    assert kind == "weight"
+    assert "reach has weight: 0" in sentence
+
+
+def test_an_acceleration_hardly_above_what_is_allowed_is_no_multiple() -> None:
+    scenario = short()
+    trace = run(scenario, controller="qp")
+    worst = assess(trace).acceleration
+    assert worst
+    v = trace.v * (1.004 * worst.allowed / worst.value)
+    said = summarize(scenario, {"qp": replace(trace, v=v)}).verdicts["qp"]
+    assert "0.4 % more than what the loop for robots allows" in said
 
 
 def test_the_demo_is_told_how_hard_it_accelerates() -> None:

@@ -23,6 +23,7 @@ from coopqp.task import Evaluate, Task, TaskRows
 TASK = '''
 import os, signal, sys
 from coopqp import Task, spec
+from coopqp.task import Part
 
 asked = [0]
 
@@ -37,6 +38,9 @@ class Bad(Task):
     def rows(self, chain):
         {rows}
         return ("z",)
+    def parts(self, chain):
+        {parts}
+        return super().parts(chain)
     def bind(self, start):
         {bind}
         def evaluate(state, rows):
@@ -53,9 +57,9 @@ SHORT = GOOD.replace("duration: 3.0", "duration: 0.1").replace("duration: 2.0", 
 
 def given(folder: Path, **code: str) -> tuple[Path, Path]:
     """A scenario with a task that does something somewhere, and its folder of plug-ins."""
-    parts = {"rows": "pass", "bind": "pass", "evaluate": "pass", "marks": "pass", **code}
+    parts = {"rows": "pass", "bind": "pass", "evaluate": "pass", "marks": "pass", "parts": "pass"}
     (folder / "own" / "tasks").mkdir(parents=True)
-    (folder / "own" / "tasks" / "bad.py").write_text(TASK.format(**parts), encoding="utf-8")
+    (folder / "own" / "tasks" / "bad.py").write_text(TASK.format(**parts | code), encoding="utf-8")
     path = folder / "s.yaml"
     path.write_text(SHORT.replace("secondary:", "  - bad: {}\nsecondary:"), encoding="utf-8")
     return path, folder / "own"
@@ -116,6 +120,27 @@ def test_a_user_who_ends_python_where_nobody_looks_is_told_of(tmp_path: Path) ->
     result = typed("validate", path, "--plugins", tmp_path / "own")
     assert result.exit_code == 2
     assert result.stderr.strip().endswith("bad.py:8: raises SystemExit: 0")
+
+
+@pytest.mark.parametrize(
+    ("code", "said"),
+    [
+        ({"rows": "return ('z', 'z')"}, "rows(): the name 'z' is taken"),
+        ({"parts": "return [Part('', 1, 'm', 0.0)]"}, "found a tolerance of 0.0, needs more"),
+        ({"parts": "return [Part('', 1, 'm', float('nan'))]"}, "found a tolerance of nan, needs"),
+        (
+            {"rows": "return ('y', 'z')", "parts": "return 2 * [Part('a', 1, 'm', 0.1)]"},
+            "parts(): the name 'a' is taken",
+        ),
+    ],
+)
+def test_rows_and_parts_that_cannot_be_told_apart_or_met_are_refused(
+    tmp_path: Path, code: dict[str, str], said: str
+) -> None:
+    path, own = given(tmp_path, **code)
+    result = typed("validate", path, "--plugins", own)
+    assert result.exit_code == 2
+    assert f"bad.py: {said}" in result.stderr.replace("bad.py: parts(): found", "bad.py: found")
 
 
 @pytest.mark.parametrize("marks", ["return 5", "return (5,)"])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from coopqp.closed_loop.saddle import PIVOT, SINGULAR, Saddle
+from coopqp.closed_loop.dynamics import PIVOT, SINGULAR, Saddle
 
 
 def filled(rng: np.random.Generator, n: int, m: int, lost: float) -> Saddle:

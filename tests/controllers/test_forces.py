@@ -16,7 +16,7 @@ import coopqp
 from coopqp.base.errors import GraspError, InvalidValueError
 from coopqp.base.spec import Array
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
-from coopqp.closed_loop.section import section
+from coopqp.closed_loop.grasp_matrix import section
 from coopqp.controllers import TorqueQp
 from coopqp.controllers.torque_qp import TorqueQpLaw
 from coopqp.grasps import Rigid

@@ -212,8 +212,12 @@ def test_other_laws_refuse_it(controller: Any, chain: ClosedChain) -> None:
 @pytest.mark.parametrize(
     ("law", "settings", "words"),
     [
-        (TorqueQp(), {"mass": {"x": 1.0}}, "states a mass, which only who knows the push"),
-        (TorqueQp(), {"stiffness": {"x": 1e6}}, "rings at dt 2 ms when commands are a tick late"),
+        (TorqueQp(), {"mass": {"x": 1.0}}, "states a mass, which needs the external wrench"),
+        (
+            TorqueQp(),
+            {"stiffness": {"x": 1e6}},
+            "oscillates at dt 2 ms",
+        ),
         (replace(OBSERVED, observer_gain=900.0), {}, "observer_gain: found 900 1/s, needs more"),
         (OBSERVED, {"mass": {"x": 1e-4}}, "state more mass"),
     ],

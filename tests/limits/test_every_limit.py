@@ -170,7 +170,7 @@ def test_what_sank_in_a_little_is_asked_back_and_what_started_deep_is_not() -> N
     assert h.tolist() == pytest.approx([0.2, 0.0, -5.0 * SHALLOW, 0.0])
 
 
-IN_SPACE = [limit for limit in EXAMPLES if type(limit).room is not Limit.room]
+IN_SPACE = [limit for limit in EXAMPLES if type(limit).clearance is not Limit.clearance]
 
 
 @pytest.mark.parametrize("limit", IN_SPACE, ids=lambda limit: type(limit).__name__)
@@ -180,7 +180,7 @@ def test_rows_in_space_are_the_slope_of_what_is_left(limit: Limit, held_box: Clo
     coal ends its search for the distance of what is round with a normal that is 1e-4 off.
     """
     rng = np.random.default_rng(0)
-    left = limit.room(held_box)
+    left = limit.clearance(held_box)
     assert left
     allowed = np.array([2e-4 if "|post]" in row.name else 1e-6 for row in limit.rows(held_box)])
     for _ in range(5):
@@ -203,20 +203,20 @@ def test_rows_in_space_are_the_slope_of_what_is_left(limit: Limit, held_box: Clo
 def test_an_eased_limit_leaves_so_much_more_and_nothing_else(
     limit: Limit, held_box: ClosedChain
 ) -> None:
-    eased = limit.eased(0.004)
-    assert eased
-    assert type(eased) is type(limit)
-    before, after = limit.room(held_box), eased.room(held_box)
+    relaxed = limit.relaxed(0.004)
+    assert relaxed
+    assert type(relaxed) is type(limit)
+    before, after = limit.clearance(held_box), relaxed.clearance(held_box)
     assert before
     assert after
     state = State(held_box)
     np.testing.assert_allclose(after(state) - before(state), 0.004, atol=1e-12)
-    assert limit.rows(held_box) == eased.rows(held_box)
+    assert limit.rows(held_box) == relaxed.rows(held_box)
 
 
 def test_limits_that_are_not_in_space_cannot_be_eased() -> None:
-    assert {limit.eased(0.01) for limit in EXAMPLES if limit not in IN_SPACE} == {None}
-    assert SelfCollision(distance=0.01).eased(0.02) is None
+    assert {limit.relaxed(0.01) for limit in EXAMPLES if limit not in IN_SPACE} == {None}
+    assert SelfCollision(distance=0.01).relaxed(0.02) is None
 
 
 def test_rows_have_words_for_people(held_box: ClosedChain) -> None:

@@ -17,8 +17,7 @@ from example_limits import empty_rows
 import coopqp
 from coopqp.base.spec import Array
 from coopqp.limits import Obstacle, Obstacles, SelfCollision
-from coopqp.limits._keep_apart import distances_along
-from coopqp.limits._step_verification import levers
+from coopqp.limits._keep_apart import distances_along, levers
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.scenario.loader import load
 from coopqp.trace import Trace

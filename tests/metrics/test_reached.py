@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +14,9 @@ from coopqp.assessment import assess
 from coopqp.base.spec import Array
 from coopqp.execution.comparison import Comparison, summarize
 from coopqp.plant import Disturbance, Push
+from coopqp.report import files
 from coopqp.scenario.scenario import Scenario
+from coopqp.study.trace_file import trace_from_file
 from coopqp.trace import Trace
 
 TOLERANCE = 1.0  # [N]
@@ -94,7 +97,9 @@ def test_a_force_that_is_no_number_is_lost(scenario: Scenario, trace: Trace) -> 
 
 
 @pytest.mark.skipif(not HAS_ROBOTS, reason="needs coopqp[robots]")
-def test_an_impedance_that_is_pushed_to_the_end_has_to_be_where_its_springs_are() -> None:
+def test_an_impedance_that_is_pushed_to_the_end_has_to_be_where_its_springs_are(
+    tmp_path: Path,
+) -> None:
     """F/K is 6/3000 and 8/400 m; after 0.1 s of the push it is not there yet."""
     given = replace(coopqp.load("impedance"), dt=0.002)
     push = Push(force=(6.0, 8.0, 0.0), start=0.1, duration=9.0)
@@ -107,3 +112,6 @@ def test_an_impedance_that_is_pushed_to_the_end_has_to_be_where_its_springs_are(
         (trace,) = found.traces.values()
         off = np.linalg.norm(trace.e[-1, :3] - [6.0 / 3000.0, 8.0 / 400.0, 0.0])
         assert assess(trace).errors[0] == pytest.approx(off)
+        files.write_one(tmp_path / "trace.csv", files.trace_csv(found))
+        read = trace_from_file(tmp_path / "trace.csv", pushed, "torque_qp")
+        np.testing.assert_array_equal(assess(read).errors, assess(trace).errors)

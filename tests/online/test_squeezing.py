@@ -12,7 +12,7 @@ from online_loops import follows, simulated
 
 from coopqp.base.errors import InvalidValueError
 from coopqp.closed_loop.admittance import Admittance
-from coopqp.closed_loop.section import section
+from coopqp.closed_loop.grasp_matrix import section
 from coopqp.controllers import QPController
 from coopqp.online.simulated import SimulatedRobot
 from coopqp.scenario.scenario import Scenario

@@ -14,9 +14,9 @@ from coopqp_site.pages import written
 from coopqp_site.writing import ROOT
 
 from coopqp import Catalog, Status, cli
+from coopqp.scenario.catalog import COLLECTIONS
 from coopqp.scenario.form import file_model
 from coopqp.scenario.loader import shipped
-from coopqp.scenario.plugin import COLLECTIONS
 
 #: Every page, made once.
 PAGES = cache(written)

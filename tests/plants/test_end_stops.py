@@ -15,7 +15,7 @@ from coopqp.execution.comparison import summarize
 from coopqp.metrics.internal_force import InternalForce
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.plants import Mujoco, RigidBody
-from coopqp.plants._end_stops import STOP_ANGLE, EndStops
+from coopqp.plants.rigid_body import STOP_ANGLE, EndStops
 from coopqp.scenario.scenario import Scenario
 from coopqp.trace import Trace
 

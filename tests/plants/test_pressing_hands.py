@@ -14,7 +14,7 @@ from pads import pressing
 from coopqp.assessment import assess
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array
-from coopqp.closed_loop.section import section
+from coopqp.closed_loop.grasp_matrix import section
 from coopqp.controller import Controller, ControlProblem
 from coopqp.controllers import TorqueQp, WrenchSplit
 from coopqp.execution.rollout import rollout

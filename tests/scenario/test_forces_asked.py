@@ -87,6 +87,6 @@ def test_validate_refuses_what_every_run_would_be_refused_for(tmp_path: Path) ->
     path.write_text("\n".join(stiff), encoding="utf-8")
     result = typed("validate", str(path))
     assert result.exit_code == 2
-    assert "rings at dt 1 ms" in result.output
+    assert "oscillates at dt 1 ms" in result.output
     path.write_text("\n".join(lines), encoding="utf-8")
     assert typed("validate", str(path)).exit_code == 0

@@ -94,10 +94,10 @@ def test_a_rounded_start_hides_the_freedom_and_solve_start_finds_it(
     scenario = load(path)
     hidden = found(scenario)
     assert (hidden.rank, hidden.resisting) == (4, 3)
-    assert hidden.position == pytest.approx(
+    assert hidden.start[0] == pytest.approx(
         np.linalg.norm(scenario.chain.loop_error(scenario.chain.q_start)[:3])
     )
-    assert hidden.open_position < 1e-12
+    assert hidden.walk[0] < 1e-12
     assert "paste the start that `coopqp solve-start` prints" in hidden.words()
     told = mobility(scenario.chain)
     assert told.freedom == 0

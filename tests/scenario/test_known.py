@@ -12,7 +12,7 @@ import pytest
 from coopqp.base.errors import ScenarioError
 from coopqp.execution.controller_run import run
 from coopqp.scenario.catalog import Catalog
-from coopqp.scenario.known import Known
+from coopqp.scenario.checks import Known
 from coopqp.scenario.loader import find, load_file
 from coopqp.scenario.scenario import Scenario
 from coopqp.scenario.yaml import YamlFile, read_yaml

@@ -74,7 +74,7 @@ duration: 1.0
         ("right: r_hand", "right: hand", 21, "robot: arm right: unknown frame 'hand'"),
         ("tip: l2", "tip: l9", 22, "robot: arm left: unknown frame 'l9'"),
         ("      []\n", "      r9: 0.1\n", 25, "robot: locked: unknown joint 'r9'"),
-        ("    [0.1, 0.2]\ntasks", "    [0.1]\ntasks", 28, "start: left: found 1 numbers, needs 2"),
+        ("    [0.1, 0.2]\ntasks", "    [0.1]\ntasks", 28, "start: left: found 1 number, needs 2"),
         ("  left:\n    [0.1", "  lift:\n    [0.1", 28, "start: unknown arm or joint 'lift'"),
         (
             "  left:\n    [0.1",

@@ -35,6 +35,10 @@ FAULTS = [
     ("kappa: 100", "kappa: 101", "kappa: found 101.0; needs at most 1/dt"),
     ("mass: 0.2", "mass: -1", "mass: found -1; needs greater than or equal to 0"),
     ("[qp, ", "[qp, qp, ", "controllers[1]: the name 'qp' is taken"),
+    ("tasks:", "tasks:\n  - pose: {name: p, goal: {position: [0.1, 0, 0]}, profile: {duration: 1}}"
+     "\n  - point_on_point: {name: p.position, goal: [0.1, 0, 0]}",
+     "tasks[1]: 'p.position' would be a part of 'p' too; give 'p.position' another name"),
+    ("goal: [", "goal: [1.0e9, 0, 0]  # [", "tasks[0]: row x: is"),
     ("robot: nao_t14\n", "", "robot: is missing"),
     ("robot: nao_t14", "robot: nao_t14\nsolver: dapq", "unknown solver 'dapq'; did you mean"),
     ("grasp: rigid", "grasp: {rigid: {}, firm: {}}", "needs one grasp by name, such as"),

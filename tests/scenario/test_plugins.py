@@ -58,7 +58,7 @@ def test_there_is_an_example_and_a_page_for_every_collection() -> None:
     assert {file.parent.name for file in FILES} == set(COLLECTIONS)
     pages = {page.stem + "s" for page in (ROOT / "docs" / "plugins").glob("*.md")}
     assert pages == set(COLLECTIONS)
-    assert (*COLLECTIONS, "scenarios") == cli.scenarios.COLLECTIONS
+    assert (*COLLECTIONS, "scenarios", "studies") == cli.scenarios.COLLECTIONS
 
 
 @pytest.mark.parametrize("kind", COLLECTIONS)
@@ -66,11 +66,6 @@ def test_the_code_on_a_page_is_the_example(kind: str) -> None:
     page = ROOT / "docs" / "plugins" / f"{kind.removesuffix('s')}.md"
     blocks = re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.M | re.S)
     assert blocks[0] == EXAMPLE[kind].read_text(encoding="utf-8")
-
-
-def test_the_task_in_the_readme_is_the_example() -> None:
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert EXAMPLE["tasks"].read_text(encoding="utf-8").split("\n\n\n", 1)[1] in readme
 
 
 def test_a_scenario_of_plug_ins_alone_runs_and_its_metric_is_measured(tmp_path: Path) -> None:
@@ -345,6 +340,12 @@ def test_a_metric_that_would_need_keys_is_refused(tmp_path: Path) -> None:
     text = text.replace('= "m"', '= "m"\n    share: float')
     said = line_of("metrics", "mine", text, tmp_path)
     assert said.endswith("'share' needs a default, because scenarios have no keys for metrics")
+
+
+def test_a_metric_called_as_a_column_of_every_study_is_refused(tmp_path: Path) -> None:
+    text = EXAMPLE["metrics"].read_text(encoding="utf-8")
+    said = line_of("metrics", "success", text, tmp_path)
+    assert said.endswith("every study has a column 'success' of its own; rename the file")
 
 
 @pytest.mark.parametrize(

@@ -12,13 +12,13 @@ import click
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # what tests share, for workers as well
 
-from coopqp.base.errors import InvalidValueError
+from coopqp.base.errors import InvalidValueError, UnknownNameError
 from coopqp.cli.ending import Command
 from coopqp.cli.options import JSON, engined
 from coopqp.report import strict_json
 from coopqp.report.terminal import console, progress_bars
 from coopqp.scenario.catalog import Catalog
-from coopqp.scenario.loader import plant_by_name, solver_by_name
+from coopqp.scenario.loader import solver_by_name
 from stress.contacts import ContactRollout, contact_rollout
 from stress.summary import contact_table, summarize, table
 from stress.trial import one_rollout, stress
@@ -47,7 +47,10 @@ def main(
         raise InvalidValueError(
             f"--contacts: found --plant {plant}, needs rigid_body; omit --plant"
         )
-    asked = solver_by_name(solver, catalog), plant_by_name(plant, catalog)
+    plants = catalog.entries("plants")
+    if plant not in plants:
+        raise UnknownNameError("plant", plant, plants)
+    asked = solver_by_name(solver, catalog), plants[plant].cls()
     with progress_bars(["rollouts"], rollouts) as progress:
         where: Any = {"seed": seed, "engine": engine}
         where["progress"] = partial(progress, "rollouts") if progress else None

@@ -8,14 +8,13 @@ import numpy as np
 
 from coopqp.assessment.oscillation import turns
 from coopqp.base.spec import Array
-from coopqp.closed_loop import many_poses
 from coopqp.controller import ControlProblem, Law
 from coopqp.kernel.trajectory_evaluation import loop_survey
 from coopqp.limits import JointVelocity
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 
-from . import signs
+from . import many_poses, signs
 from .ending import PartErrors
 from .signs import Record
 
@@ -69,7 +68,7 @@ def drive_on(
 
 
 def loop_errors(chain: ClosedChain, q: Array) -> tuple[Array, Array]:
-    """As :func:`coopqp.closed_loop.many_poses.loop_errors`, compiled where the kernel can."""
+    """As :func:`many_poses.loop_errors`, compiled where the kernel can."""
     look = loop_survey(chain)
     if look is None or chain.holding < 2:
         return many_poses.loop_errors(chain, q)

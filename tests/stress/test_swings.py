@@ -224,7 +224,7 @@ class Standing:
         self.problem = problem
 
     def run(self, state: State, ticks: int) -> TickBatch:
-        made = TickBatch.room(ticks, len(state.q), 0)
+        made = TickBatch.empty(ticks, len(state.q), 0)
         made.q[:] = state.q
         return made
 

@@ -14,7 +14,7 @@ from coopqp.assessment import assess
 from coopqp.base.errors import CoopqpError, ScenarioError
 from coopqp.cli.studies import _LivePage
 from coopqp.execution.controller_run import run
-from coopqp.scenario.loader import load
+from coopqp.scenario.loader import load, shipped
 from coopqp.study.engine import Engine, Share
 from coopqp.study.sweep import kept_study, read_study, scenario_of_row, sweep
 
@@ -46,6 +46,17 @@ def test_points_are_scipys_in_the_units_of_the_study(plate: Path) -> None:
         goal, mass = study.variant(k).values
         np.testing.assert_allclose(goal, [0.30 + 0.1 * u[k, 0], -0.05 + 0.15 * u[k, 1], 0.0])
         assert mass == pytest.approx(0.1 * 20.0 ** u[k, 3])
+
+
+def test_shipped_studies_go_by_name_as_scenarios_do() -> None:
+    names = shipped("studies")
+    assert "reach_of_nao" in names
+    for name, path in names.items():
+        assert read_study(Path(name)).file.text == path.read_text(encoding="utf-8")
+        assert name in typed("list", "studies").stdout
+        assert typed("validate", name).stdout == f"{name}: ok\n"
+    with pytest.raises(ScenarioError, match="unknown shipped study 'reach_of_nap'; did you mean"):
+        read_study(Path("reach_of_nap"))
 
 
 def test_seeds_are_spawned_from_one(plate: Path) -> None:
@@ -169,16 +180,22 @@ def test_shipped_studies_can_be_read(path: Path) -> None:
         ("log: [0.1", "log: [0.0", 4, "a logarithm needs numbers above 0"),
         ("log: [0.1, 2.0]", "log: [2.0, 0.1]", 4, "is empty: 2 to 0.1; give the least first"),
         ("log: [0.1, 2.0]", "lgo: [1, 2]", 4, "unknown variation 'lgo'; did you mean 'log'?"),
+        ("log: [0.1, 2.0]", "values: [a]", 4, 'values[0]: found "a"; needs a number or a list'),
         ("log: [0.1, 2.0]", "values: []", 4, "is empty; needs a list of at least one value"),
         ("log: [0.1, 2.0]", "values: [1, 1]", 4, "has 1 twice; leave one out"),
         ("log: [0.1, 2.0]", "choice: [heavy, light]", 4, 'found "heavy"; needs a number'),
-        ("log: [0.1, 2.0]", "range: [0, 1], log: [1, 2]", 4, "found 2 keys; needs one of box"),
+        (
+            "log: [0.1, 2.0]",
+            "range: [0, 1], log: [1, 2]",
+            4,
+            "found 2 keys; needs exactly one of box",
+        ),
         ("log: [0.1, 2.0]", "normal: [1, 0]", 4, "a deviation of 0; needs more than 0"),
         ("object.mass: {log: [0.1, 2.0]}", "tasks.slide: {choice: [a]}", 4, "is the same as"),
         ("choice: [qp,", "choice: [pq,", 5, "unknown controller 'pq'; did you mean 'qp'"),
         ("sobol: 8", "sobl: 8", 6, "unknown way to sample 'sobl'; did you mean 'sobol'?"),
         ("sobol: 8", "sobol: 0", 6, "found 0; needs a whole number of 1 to"),
-        ("sobol: 8", "sobol: 8, random: 8", 6, "found 2; needs one of grid"),
+        ("sobol: 8", "sobol: 8, random: 8", 6, "found 2; needs exactly one of grid"),
         ("sobol: 8, seed: 1", "grid: null", 3, "has no levels for a grid; give it levels"),
         ("[loop_error_max]", "[loop_eror_max]", 7, "unknown metric 'loop_eror_max'; did you mean"),
         ("metrics:", "metric:", 7, "unknown key 'metric'; did you mean 'metrics'?"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -120,6 +121,20 @@ def test_a_damaged_trace_names_the_line(
     path.write_text(text.replace(old, new, 1), encoding="utf-8")
     with pytest.raises(CoopqpError, match=rf"trace\.csv:{line}: {words}"):
         trace_from_file(path, scenario, "qp")
+
+
+@pytest.mark.parametrize("value", ["", "1e300"])
+@pytest.mark.parametrize("field", ["loop_position", "error[{}]"])
+def test_a_column_that_says_nothing_is_damage(
+    trace_csv: Path, scenario: Scenario, tmp_path: Path, field: str, value: str
+) -> None:
+    name = field.format(scenario.tasks[0].name)
+    rows = list(csv.reader(trace_csv.read_text(encoding="utf-8").splitlines()))
+    k = rows[0].index(name)
+    with (tmp_path / "trace.csv").open("w", encoding="utf-8", newline="") as stream:
+        csv.writer(stream).writerows([rows[0], *([*r[:k], value, *r[k + 1 :]] for r in rows[1:])])
+    with pytest.raises(CoopqpError, match=rf"csv:2: {re.escape(name)}: .*; the trace is damaged"):
+        trace_from_file(tmp_path / "trace.csv", scenario, "qp")
 
 
 @pytest.mark.parametrize("wrong", ["file", "controller"])

@@ -10,8 +10,8 @@ from chains import planar_pair, ring, three_arms
 
 from coopqp.base.errors import CoopqpError
 from coopqp.base.spec import Array
+from coopqp.closed_loop.grasp_matrix import virtual_linkage
 from coopqp.closed_loop.hands import hands, points
-from coopqp.closed_loop.virtual_linkage import virtual_linkage
 from coopqp.closed_loop.wrench_stack import WrenchStack
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
@@ -51,7 +51,7 @@ def test_between_three_hands_a_squeeze_is_the_push_along_their_edge() -> None:
     rest = np.zeros((3, 6))
     rest[other, 3:] = 1.0  # a torque is no push
     assert np.allclose(stack.error(rest), [-2.0])
-    assert virtual_linkage(at).E.shape == (9, 3)
+    assert virtual_linkage(at).shape == (3, 9)
 
 
 def test_a_signal_says_how_much_and_when(chain: ClosedChain) -> None:

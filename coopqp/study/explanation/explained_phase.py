@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from coopqp.assessment import assess
+from coopqp.assessment.audit import audit
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.qp import Row
 from coopqp.base.spec import Array
@@ -187,7 +188,7 @@ def without_position_limits(scenario: Scenario) -> tuple[Limit, ...]:
     return tuple(
         limit
         for limit in scenario.limits
-        if all(row.unit not in PLACE_UNITS for row in limit.margins(chain, q, v, 0.01))
+        if all(row.unit not in PLACE_UNITS for row in audit([limit], chain, q, v, 0.01).margins)
     )
 
 

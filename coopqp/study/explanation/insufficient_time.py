@@ -123,7 +123,7 @@ def _told(share: Share, room: Room, q: Array) -> Share:
 def _leash(leg: ExplainedPhase) -> str:
     """Which limits made commands wait for the measured joints; empty where none did."""
     limits = leg.scenario.limits
-    leash = [limit for limit in limits if limit.heeds_measured]
+    leash = [limit for limit in limits if limit.uses_measurements]
     free = tuple(limit for limit in limits if limit not in leash)
     if not leash or rerun(leg, limits=free).missed:
         return ""
@@ -180,26 +180,17 @@ def _falls(before: ExplainedPhase, after: ExplainedPhase) -> bool:
 
 
 def _pushed(leg: ExplainedPhase, goal: Goal) -> str:
-    """What pushes an impedance away at the end; empty where nothing does, or it still moves.
-
-    In the end a steady force moves its springs, F = K e, by F/K: that is no goal that was missed
-    but what was asked for.
-    """
+    """What else than the scenario's push holds an impedance away; empty where it still moves."""
     task = leg.missed[0][0].task
-    springs, push = task.impedance, leg.scenario.disturbance.push
-    if springs is None:
-        return ""
-    end = leg.first * leg.problem.dt + leg.t_end  # since the run began
-    lasts = push is not None and push.wrench(end - leg.problem.dt) is not None
-    if not (lasts or rests(leg.v[-1])):
+    springs = task.impedance
+    if springs is None or not rests(leg.v[-1]):
         return ""
     forces = springs.stiffness * goal.stack.e[goal.stack.slices[goal.tasks.index(task)]]
     said = _by_axis(tuple(AXES[axis] for axis in springs.axes), forces)
-    text = f"it gives way as asked: its springs bear {said} there, and move by F/K"
-    if push is not None and lasts:
-        until = push.start + push.duration
-        return f"{text}; the scenario's push lasts until {until:.3g} s, the run {end:.3g} s"
-    return f"{text}; that is a push, a weight that is wrong, or another task that pulls"
+    return (
+        f"it gives way as asked: its springs bear {said} there, and move by F/K; that is a push, a "
+        "weight that is wrong, or another task that pulls"
+    )
 
 
 def _by_axis(axes: tuple[str, ...], forces: Array) -> str:

@@ -1,7 +1,7 @@
 """Position limits as geometry, and which of them hold the tasks back, by their multipliers.
 
-Joint limits bound q; limits in space give a clearance (:meth:`coopqp.limit.Limit.room`). Limits of
-speeds are not in here. Where e' W e is minimal subject to closed loops and limits, with n_i the
+Joint limits bound q; limits in space give a clearance (:meth:`coopqp.limit.Limit.clearance`); those
+of speeds are not in here. Where e' W e is minimal subject to closed loops and limits, with n_i the
 joint motion that violates limit i,
 
     J' W e + J_c' lambda + sum mu_i n_i = 0,   mu_i >= 0
@@ -17,10 +17,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from coopqp.assessment.audit import audit
 from coopqp.base.qp import Row
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
-from coopqp.limit import Limit, LimitRows, RoomLeft
+from coopqp.limit import Clearance, Limit, LimitRows
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 
@@ -49,14 +50,14 @@ class Room:
         self.rows: tuple[Row, ...] = ()
         self.owners: list[int] = []
         self.limits: list[Limit] = []
-        self._left: list[tuple[RoomLeft, Callable[[State], Array]]] = []
+        self._left: list[tuple[Clearance, Callable[[State], Array]]] = []
         self._state = State(chain)
         self._kept: tuple[Array, Array, Array] | None = None
         for limit in problem.limits:
             self._add(limit)
 
     def _add(self, limit: Limit) -> None:
-        left = limit.room(self.chain)
+        left = limit.clearance(self.chain)
         if left is not None:
             rows = limit.rows(self.chain)[: len(left(self._state))]
             self.owners += [len(self.limits)] * len(rows)
@@ -65,7 +66,7 @@ class Room:
             self._left.append((left, _slope(limit, self.chain, self._dt, len(rows))))
             return
         q, v = np.vstack([self.chain.q_start] * 2), np.zeros((1, self.chain.n))
-        for row, margin in limit.margins(self.chain, q, v, self._dt).items():
+        for row, margin in audit([limit], self.chain, q, v, self._dt).margins.items():
             if row.joint and row.side and row.unit in PLACE_UNITS:
                 self._bound(row, float(margin[0]))
 

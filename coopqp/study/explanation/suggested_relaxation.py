@@ -256,10 +256,10 @@ def _tried(
     for need in needs:
         if need.space is not None:
             limit = leg.room.limits[need.space]
-            eased = limit.eased(need.amount)
-            if eased is None:
+            relaxed = limit.relaxed(need.amount)
+            if relaxed is None:
                 return SuggestedRelaxation(needs, None)
-            limits = tuple(eased if other is limit else other for other in limits)
+            limits = tuple(relaxed if other is limit else other for other in limits)
     wider = {need.row: need.amount for need in needs if need.space is None}
     after = rerun(leg, wider=wider, limits=limits)
     if after.missed and goal:

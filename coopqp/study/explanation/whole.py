@@ -81,6 +81,9 @@ def _explained(
     stops = replace(base, sentence=words.stops(leg)) if leg.missed else base
     if (leg.missed or not found.reached) and (failed := _failed(leg)):
         return stops.because("failed", failed)
+    if strange := [words.stops_short(part, error) for part, error in leg.missed if np.isnan(error)]:
+        said = "; ".join(dict.fromkeys((stops.sentence, *strange)))
+        return replace(base, kind="failed", sentence=said)
     given_up = relaxed([leg] if leg.missed else phases)
     if not leg.missed:
         return _kept(found, phases, replace(base, relaxed=given_up))
@@ -145,6 +148,9 @@ def _failed(leg: ExplainedPhase) -> str:
 
 
 def _blocked(leg: ExplainedPhase, base: RunExplanation, report: Report) -> RunExplanation:
+    first = leg.missed[0][0].task
+    if leg.ordered and first.mode == "soft" and not first.weight:
+        return base.because("weight", f"{first.name} has weight: 0, so nothing moves for it")
     goal = leg.goal()
     places = [part for part, _ in leg.missed if part.task in goal.tasks]
     velocities = [part for part, _ in leg.missed if part.task.asks_velocity]

@@ -194,7 +194,7 @@ def broken(found: Assessment) -> str:
     overruns = [o for o in (*found.joints, *found.limits, *found.speeds) if o.farther]
     if not overruns:
         return ""
-    said = [f"{o.row.words} by {size(o.by - o.at_start, o.row.unit)}" for o in overruns[:MOST]]
+    said = [f"{o.row.words} by {size(o.by, o.row.unit)}" for o in overruns[:MOST]]
     more = [f"{len(overruns) - MOST} more"] if len(overruns) > MOST else []
     return f"beyond limits: {listed([*said, *more])}"
 
@@ -243,7 +243,8 @@ class RunExplanation:
     Attributes:
         controller, phase, tick: of the run; the phase that missed, empty if the only one; its last.
         kind: reached, broken, open, input, lost, limits, elsewhere, reach, contradiction,
-            freedom, speed, budget, short, rest, model, motors, springs, way, failed or unplaced.
+            freedom, speed, budget, short, rest, model, motors, springs, way, weight, failed or
+            unplaced.
         missed: what ended outside its tolerance, hard and scaled tasks first, then the worst.
         held_back, needed: limits by their share of the force; relaxations that would do.
         tried: whether a rerun with these, or with the time needed, reached the goal; None if none.

@@ -21,9 +21,8 @@ import coopqp
 from coopqp.base.errors import CoopqpError, ScenarioError
 from coopqp.base.reading import absolute
 from coopqp.base.wording import dotted
-from coopqp.scenario.catalog import Catalog
+from coopqp.scenario.catalog import COLLECTIONS, Catalog
 from coopqp.scenario.loader import FILE_KEYS, has_files
-from coopqp.scenario.plugin import COLLECTIONS
 from coopqp.scenario.yaml import parsed
 from coopqp.study.sweep.journal import PATTERN, head_of, journals
 from coopqp.study.sweep.reader import study_text

@@ -31,7 +31,9 @@ NAMED = "needs the path of a scenario, or the name of a shipped one"
 def _variation(value: Any) -> Any:
     if not isinstance(value, dict) or len(value) != 1:
         found = f"found {len(value)} keys" if isinstance(value, dict) else "found no mapping"
-        raise ValueError(f"{found}; needs one of {', '.join(space.KINDS)}, such as range: [0, 1]")
+        raise ValueError(
+            f"{found}; needs exactly one of {', '.join(space.KINDS)}, such as range: [0, 1]"
+        )
     (kind,) = value
     if kind not in space.KINDS:
         raise ValueError(unknown_name("variation", kind, space.KINDS))
@@ -58,7 +60,7 @@ def _samples(value: Any) -> Any:
             raise ValueError(unknown_name("way to sample", key, SAMPLES))
     if len(asked) != 1:
         ways = ", ".join((GRID, *(way for way in SAMPLES if way != GRID)))
-        raise ValueError(f"found {len(asked)}; needs one of {ways}, such as sobol: 1024")
+        raise ValueError(f"found {len(asked)}; needs exactly one of {ways}, such as sobol: 1024")
     return named
 
 
@@ -105,6 +107,7 @@ class StudyFile(BaseModel):
 
     model_config = STRICT
 
+    description: str = Field(default="", description="What the study asks, in a line.")
     scenario: Annotated[str, Field(min_length=1), _filled(str, NAMED)] = Field(
         description="A file beside the study, or the name of a shipped scenario."
     )

@@ -34,13 +34,13 @@ def read_study(path: Path, catalog: Catalog | None = None) -> Study:
     """Read and check a study file.
 
     Args:
-        path: of a YAML file.
+        path: of a YAML file, or the name of a shipped study.
         catalog: what its scenario can name; shipped and installed plug-ins when omitted.
 
     Raises:
         ScenarioError: with every fault, its line and its likely fix.
     """
-    file = read_yaml(path)
+    file = read_yaml(find(path, "studies"))
     with file.lines():
         return _study(file, catalog or Catalog(), None)
 

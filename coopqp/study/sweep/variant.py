@@ -18,15 +18,15 @@ import numpy as np
 
 from coopqp.assessment import assess
 from coopqp.base.errors import CoopqpError, InternalError
-from coopqp.base.wording import by_user, raised
+from coopqp.base.wording import raised
 from coopqp.execution.controller_run import run
+from coopqp.metric import measured
 from coopqp.scenario.catalog import Catalog
-from coopqp.scenario.known import Known
+from coopqp.scenario.checks import Known
 from coopqp.scenario.loader import load_file
 from coopqp.scenario.scenario import Scenario
 from coopqp.scenario.yaml import YamlFile, parsed
 from coopqp.study.sweep.study import Study, Variant, changed
-from coopqp.trace import Trace
 
 DONE, INVALID, FAILED = "done", "invalid", "failed"
 
@@ -86,8 +86,8 @@ def _rows(job: Job, variant: Variant) -> list[Row]:
 def _row(job: Job, scenario: Scenario, controller: str) -> Row:
     try:
         entries = scenario.catalog.entries("metrics")
-        measured = {name: entries[name].cls() for name in job.metrics}
-        timed = any(metric.timed for metric in measured.values())
+        metrics = {name: entries[name].cls() for name in job.metrics}
+        timed = any(metric.timed for metric in metrics.values())
         trace = run(scenario, controller=controller, timed=timed)
         found = assess(trace)
         own: Row = {
@@ -95,29 +95,18 @@ def _row(job: Job, scenario: Scenario, controller: str) -> Row:
             "blocked_by": ", ".join(found.blocked_by),
             "broken": ", ".join(found.broken),
         }
-        for name, metric in measured.items():
-            own |= _flat(name, _measured(metric, trace))
+        values, faults = measured(metrics, trace)
+        for name, value in values.items():
+            own |= _flat(name, value)
     except InternalError as error:
         return _without(FAILED, str(error))
     except CoopqpError as error:
         return _without(INVALID, str(error))
-    return {"state": DONE, "reason": "", **own}
+    return {"state": DONE, "reason": "; ".join(faults), **own}
 
 
 def _without(state: str, reason: str) -> Row:
     return {"state": state, "reason": "; ".join(reason.splitlines())}
-
-
-def _measured(metric: Any, trace: Trace) -> Any:
-    """A metric's value; None where a user's own raises."""
-    try:
-        value = metric.measure(trace)
-        json.dumps(value)
-    except Exception as error:
-        if by_user(error):
-            return None
-        raise
-    return value
 
 
 def _flat(name: str, value: Any) -> Row:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from typing import Any
 
 from docutils import nodes
 from sphinx import addnodes
 
-ANNOTATED = re.compile(r"\bAnnotated\[")
+from coopqp_site.signatures import ANNOTATED, without_notes
+
 #: Before and after napoleon, which takes what an attribute says before a colon for its type.
 EARLY, LATE = 400, 600
 
@@ -50,18 +50,3 @@ def short_types(app: Any, domain: str, kind: str, content: nodes.Element) -> Non
         if ANNOTATED.search(words := node.astext()):
             node.clear()
             node += nodes.Text(without_notes(words))
-
-
-def without_notes(signature: str) -> str:
-    """X for Annotated[X, ...]."""
-    while found := ANNOTATED.search(signature):
-        depth, comma = 1, 0
-        for i in range(found.end(), len(signature)):
-            depth += (signature[i] in "[(") - (signature[i] in "])")
-            if depth == 1 and signature[i] == "," and not comma:
-                comma = i
-            if not depth:
-                break
-        inside = signature[found.end() : comma or i]
-        signature = signature[: found.start()] + inside + signature[i + 1 :]
-    return signature

@@ -8,8 +8,8 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from coopqp.base.spec import told
-from coopqp.scenario.plugin import COLLECTIONS
+from coopqp.base.spec import field_docs
+from coopqp.scenario.catalog import COLLECTIONS
 from coopqp_site.writing import table
 
 HEAD = ("key", "takes", "default", "meaning")
@@ -36,7 +36,7 @@ def own_keys(cls: type, idea: type) -> str:
     schema = schema_of(cls)
     inherited = set(vars(idea).get("__pydantic_fields__", ())) - set(inspect.get_annotations(cls))
     own = {key: v for key, v in schema.get("properties", {}).items() if key not in inherited}
-    return keys({**schema, "properties": own}, told(cls))
+    return keys({**schema, "properties": own}, field_docs(cls))
 
 
 def common_keys(idea: type) -> str:
@@ -50,7 +50,7 @@ def common_keys(idea: type) -> str:
     for key, shown in properties.items():
         bounds = {name: value for m in fields[key].metadata for name, value in _bound(m)}
         rows[key] = {**shown, **bounds}
-    return keys({"properties": rows}, told(idea))
+    return keys({"properties": rows}, field_docs(idea))
 
 
 def _bound(metadata: Any) -> Iterator[tuple[str, Any]]:

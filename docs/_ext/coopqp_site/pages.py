@@ -21,4 +21,5 @@ def written() -> dict[str, str]:
     """Text of each page of the reference, by its name."""
     pages = {**dict(reference.pages()), "command_line.md": commands.page(), **dict(api.pages())}
     listed = [name.removesuffix(".md") for name in pages if "/" not in name]
+    listed.remove("python")  # docs/index.md has it
     return {"index.md": INDEX.format(pages="\n".join(listed)), **pages}

@@ -10,12 +10,11 @@ from typing import Any
 
 from pydantic.dataclasses import is_pydantic_dataclass
 
-from coopqp.base.spec import told
+from coopqp.base.spec import field_docs
 from coopqp.report.terminal import help_lines
-from coopqp.scenario.catalog import Catalog
+from coopqp.scenario.catalog import COLLECTIONS, Catalog, Entry
 from coopqp.scenario.form import file_model
 from coopqp.scenario.loader import shipped
-from coopqp.scenario.plugin import COLLECTIONS, Entry
 from coopqp.scenario.yaml import read_yaml
 from coopqp.solver import Status
 from coopqp.study.sweep import reader, space
@@ -112,7 +111,7 @@ def values(catalog: Catalog) -> str:
             continue
         done.add(title)
         text += f"\n## {title}\n\n{plain(known[name].get('description'))}\n\n"
-        text += keys(known[name], told(_class_of(name)))
+        text += keys(known[name], field_docs(_class_of(name)))
     return text
 
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from stress import arrangements, driving
 
-from coopqp.closed_loop.many_poses import angles, carried, loop_errors
 from coopqp.model.state import State
 from coopqp.scenario.loader import load
+from stress import arrangements, driving
+from stress.many_poses import angles, carried, loop_errors
 
 COUNT = 20
 
