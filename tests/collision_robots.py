@@ -22,7 +22,7 @@ from coopqp.limit import Limit
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.held_object import HeldObject
 from coopqp.robot import Robot
-from coopqp.robot_files.keys import ArmJoints
+from coopqp.robot_files.selection import ArmJoints
 from coopqp.robots import Several
 from coopqp.robots.example_robot import ExampleRobot, robots
 from coopqp.robots.several import Placed

@@ -7,8 +7,8 @@ from typing import ClassVar, Literal
 from coopqp.base.spec import NonNegative, Positive, spec
 from coopqp.closed_loop.admittance import Admittance, internal_force_control
 from coopqp.controller import ALL_FEATURES, Controller, ControlProblem, Features, Law
-from coopqp.kernel.fit import required, why_not
 from coopqp.kernel.law import KernelLaw
+from coopqp.kernel.native import required, why_not
 from coopqp.qp_law.law import ERROR_DAMPING, QPLaw
 
 

@@ -1,8 +1,8 @@
 """The compiled tick: C++ in ``core/``, and the thin Python side that fills its arrays.
 
-native   finds the compiled module, if there is one
-flat     a problem as flat arrays
-levels   the tasks of a problem as levels of rows, and who fills them
-fit      what the kernel can do, and why it cannot do the rest
-law      the law: a tick by the kernel, or by the plain law where the kernel has no answer
+native                 finds the compiled module, if there is one, and says what it cannot do
+flat                   a problem and its tasks as flat arrays
+compiled               one program of the kernel: levels of tasks and limits, and who fills them
+law                    the law: a tick by the kernel, or by the plain law where it has no answer
+trajectory_evaluation  errors, object and loops along a recorded motion
 """

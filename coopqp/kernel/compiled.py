@@ -10,20 +10,84 @@ import numpy as np
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.kernel import native
-from coopqp.kernel.flat import flat_model, flat_settings, kept_rows
-from coopqp.kernel.levels import Group, Levels
-from coopqp.kernel.limits import Limits
+from coopqp.kernel.flat import (
+    Flat,
+    Group,
+    Levels,
+    flat_joint_limit,
+    flat_model,
+    flat_settings,
+    flat_twist_limit,
+    kept_rows,
+)
+from coopqp.limit import Bounded, JointBounds, TwistBounds
 from coopqp.model.state import Memory, State
 from coopqp.program import Programs
+from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.equations import ALL_OF_IT
 from coopqp.signal import Trajectory
+
+
+class Limits:
+    """The limits of a problem: those that the kernel knows as numbers, and those Python fills.
+
+    A limit that Python fills may have rows beside the kernel's. One without rows may depend on the
+    bounds that the others left; then Python fills all of them.
+
+    Attributes:
+        joints: bounds on joints as numbers, in the order in which they tighten.
+        twist: rows on the object's twist as numbers; they come first.
+        filled: the others, if there are any; their rows come after these.
+        rows: their number.
+        q_measured: shape (n,), NaN where nothing is measured; None where no limit reads it.
+    """
+
+    def __init__(self, problem: ControlProblem, start: State) -> None:
+        chain, dt, limits = problem.chain, problem.dt, problem.limits
+        programs = [limit.program(chain, dt) for limit in limits]
+        known = list(zip(limits, programs, strict=True))
+        if any(program is None and not limit.rows(chain) for limit, program in known):
+            known = [(limit, None) for limit in limits]
+        self.joints: list[Flat] = []
+        self.twist: list[Flat] = []
+        self.filled: Bounds | None = None
+        self.q_measured: Array | None = None
+        self.rows = 0
+        for _, program in known:
+            if isinstance(program, JointBounds):
+                self.joints.append(flat_joint_limit(program))
+                if program.of is Bounded.LEAD:
+                    self.q_measured = np.full(chain.n, np.nan)
+            elif isinstance(program, TwistBounds):
+                self.twist.append(flat_twist_limit(program, self.rows))
+                self.rows += program.rows
+        if filled := [limit for limit, program in known if program is None]:
+            self.filled = Bounds(chain, filled, start, dt)
+            self.rows += len(self.filled.rows)
+
+    @property
+    def in_python(self) -> tuple[str, ...]:
+        rows = self.filled.rows if self.filled else ()
+        return tuple(dict.fromkeys(row.owner for row in rows))
+
+    @property
+    def compiled(self) -> bool:
+        return self.filled is None and self.q_measured is None
+
+    def update(self, state: State) -> None:
+        if self.filled is not None:
+            self.filled.update(state)
+        if self.q_measured is not None:
+            measured = state.q_measured
+            known = measured is not None and np.shape(measured) == self.q_measured.shape
+            self.q_measured[:] = measured if known else np.nan
 
 
 class Outcome(IntEnum):
     """What became of a tick of the kernel; ``core/shared.hpp`` is made from it.
 
     RELAXED is added to an answer where hard or scaled tasks are not met in full, COMES_BACK where
-    joints are on their way back from outside their limits, STANDS where nothing moves.
+    joints recover from outside their limits, STANDS where nothing moves.
     """
 
     BUSY = -1
@@ -36,7 +100,7 @@ class Outcome(IntEnum):
     BOUND = 6  # the answer breaks a limit
     SINGULAR = 7  # loop or hard rows that are independent in general are not so here
     OPENS = 8  # hardly a step leaves the loops within their budget
-    OUTSIDE = 9  # a joint is outside its limits; no way back does all of the drift correction
+    OUTSIDE = 9  # a joint is outside its limits; no recovery keeps all of the loop stabilisation
     SHORTENED = 10  # optimal, but for the length of the step
     UNPROVEN = 11  # no answer was found, and no proof that there is none
     CLASHING = 12  # the first level's constraints leave nothing, by less than they may give way
@@ -49,19 +113,17 @@ class Compiled:
     """Tasks and limits that the kernel decides by.
 
     Args:
-        problem: what to control.
-        programs: of tasks, from the state from which references set out.
-        groups: its tasks, a level each.
-        limits: its limits; whoever owns them updates them.
+        programs: of tasks, from the state where their references start.
+        groups: tasks, a level each.
+        limits: updated by their owner.
         damping: cost of |v|^2.
         error_damping: share of the damping that rules out any overshoot.
-        v: where velocities are written, shape (n,).
+        v: output, shape (n,).
 
     Attributes:
-        engine: of the compiled module.
-        alone: whether nothing is Python's but the signals that tasks follow.
+        alone: whether Python only evaluates the signals that tasks follow.
         rows_in_python: names of tasks and limits that Python fills.
-        follows: whether there are such signals, beside the places that inputs give.
+        follows: whether there are such signals, other than places that inputs give.
         outcome: of the last tick, one of :class:`Outcome`.
     """
 
@@ -96,15 +158,15 @@ class Compiled:
             self.engine.bind_measured(limits.q_measured)
         if filled is not None:
             self.engine.bind_limits(filled.lb, filled.ub, filled.G, filled.h)
-        for task in levels.filled:
-            self.engine.bind_rows(*task.bound)
+        for block in levels.bound:
+            self.engine.bind_rows(*block)
         for primitive, at in levels.followed:
             self.engine.bind_reference(primitive, at.c, at.RT, at.c_dot, at.omega)
         self.follows = bool(levels.followed)
         self._heard: list[tuple[str, Array | None, Array | None]] = []
 
     def bind(self, state: State, memory: Memory) -> bool:
-        """Show it the arrays of a state; False where an input is no place."""
+        """Bind the arrays of a state; False where an input is no place."""
         names = "later pulls", "missed", "missing", "scaled pull", "recovery", "swing", "stopped"
         self.engine.bind_state({**state.written(), **{name: memory[name] for name in names}})
         before, self._heard = self._heard, []
@@ -125,17 +187,14 @@ class Compiled:
     def heard(
         self, state: State
     ) -> tuple[tuple[str, Trajectory | None, Array | None, Array | None], ...]:
-        """Inputs and the arrays of theirs that it was shown."""
+        """Inputs, each with the arrays that were bound."""
         inputs = state.inputs
         return tuple((name, inputs.get(name), value, rate) for name, value, rate in self._heard)
 
     def tick(self, state: State) -> int:
-        """Decide, and return what became of it: INFEASIBLE only where that is proved.
+        """Decide at a bound state, and return the outcome: INFEASIBLE only where that is proved.
 
         Where Python fills rows, the state's kinematics and the limits must be up to date.
-
-        Args:
-            state: of the tick, bound before.
         """
         all_corrected = state.corrected >= ALL_OF_IT
         if self.alone:
@@ -149,7 +208,7 @@ class Compiled:
 
 
 def plain_numbers(*arrays: Array) -> bool:
-    """Whether arrays are as the kernel reads and writes them."""
+    """Whether arrays have the layout that the kernel reads and writes."""
     return all(a.dtype == np.float64 and a.flags.carray for a in arrays)
 
 

@@ -1,7 +1,9 @@
-"""A problem as flat arrays, which is all that the kernel knows of it."""
+"""A problem and its tasks, in the order of the plain law, as flat arrays for the kernel."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,7 +13,11 @@ from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.limit import JointBounds, TwistBounds, opening
 from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.geometry import Reference
+from coopqp.model.state import State
+from coopqp.program import Programs, sees_twist
 from coopqp.robot import axis_of
+from coopqp.task import Task, TaskStack, levers_of
 
 Flat = dict[str, Any]
 
@@ -19,11 +25,7 @@ LARGE = 1e300  # stands for no limit
 
 
 def flat_model(chain: ClosedChain) -> Flat | None:
-    """Joints with their axes turned to z, and the arms; None where a joint is of another kind.
-
-    Args:
-        chain: the closed chain.
-    """
+    """Joints with their axes turned to z, and the arms; None where a joint is of another kind."""
     return chain.once(_flat_model)
 
 
@@ -61,11 +63,7 @@ def _flat_model(chain: ClosedChain) -> Flat | None:
 
 
 def turned(chain: ClosedChain) -> list[Array]:
-    """The kernel's frame of each joint in the joint's own, a rotation; of the world first.
-
-    Args:
-        chain: the closed chain, whose joints have one axis each.
-    """
+    """Rotation of the kernel's frame of each joint in the joint's own; the world's first."""
     axes = [_axis(chain.model.joints[j]) for j in range(1, chain.model.njoints)]
     return [np.eye(3), *(np.eye(3) if axis is None else _z_along(axis[1]) for axis in axes)]
 
@@ -73,14 +71,7 @@ def turned(chain: ClosedChain) -> list[Array]:
 def flat_settings(
     problem: ControlProblem, damping: float, error_damping: float, inequalities: int
 ) -> Flat:
-    """Numbers of a problem that hold for all ticks.
-
-    Args:
-        problem: what to control.
-        damping: cost of |v|^2.
-        error_damping: share of the damping that rules out any overshoot.
-        inequalities: how many rows of limits there are.
-    """
+    """Constants of a problem; arguments as in :class:`coopqp.kernel.compiled.Compiled`."""
     chain, budget = problem.chain, problem.budget
     return {
         "dt": problem.dt,
@@ -88,25 +79,20 @@ def flat_settings(
         "damping": damping,
         "error_damping": error_damping,
         "reach": chain.reach,
-        "budget": np.array(
-            [
-                budget.equality,
-                budget.bound,
-                budget.accuracy,
-                budget.loop_position,
-                budget.loop_orientation,
-            ]
-        ),
+        "budget": np.array([
+            budget.equality, budget.bound, budget.accuracy,
+            budget.loop_position, budget.loop_orientation,
+        ]),
         "lower": np.maximum(chain.lower, -LARGE),
         "upper": np.minimum(chain.upper, LARGE),
         "second_order": opening(chain, problem.dt).ravel(),
         "inequalities": float(inequalities),
         "relaxes": float(problem.on_infeasible == "scale"),
-    }
+    }  # fmt: skip
 
 
 def flat_joint_limit(bounds: JointBounds) -> Flat:
-    """Bounds on the joints, as numbers."""
+    """Bounds on the joints as numbers."""
     return {
         "kind": float(bounds.of),
         "lower": np.maximum(bounds.lower, -LARGE),
@@ -117,12 +103,7 @@ def flat_joint_limit(bounds: JointBounds) -> Flat:
 
 
 def flat_twist_limit(bounds: TwistBounds, at: int) -> Flat:
-    """Rows that see the object's twist, as numbers.
-
-    Args:
-        bounds: on the twist.
-        at: the first of the rows.
-    """
+    """Bounds on the object's twist as numbers; ``at``: the first of their rows."""
     return {
         "at": float(at),
         "components": np.array(bounds.components, float),
@@ -166,3 +147,115 @@ def _z_along(axis: Array) -> Array:
 
 def _placement(R: Array, p: Array) -> Array:
     return np.concatenate([R.ravel(), p])
+
+
+#: Numbers of a level's rows.
+ROW = ("gain", "weight", "lever", "asks_velocity", "twist", "share")
+
+
+@dataclass(frozen=True)
+class Group:
+    """The tasks of one level, by mode; later levels have soft ones alone."""
+
+    soft: Sequence[Task]
+    hard: Sequence[Task] = ()
+    scaled: Sequence[Task] = ()
+
+
+class Levels:
+    """Tasks level by level; programs: of tasks, from the state where their references start.
+
+    Attributes:
+        flat: each level's numbers.
+        primitives: the tasks that the kernel evaluates itself, as numbers.
+        filled, bound: the others, which Python fills: a stack of each alone; its arrays for the
+            kernel to read, its level, first row, whether J is the identity, weight and gain.
+        arriving: references whose place is an input and nothing else, each with the index of its
+            primitive; the kernel reads the input itself.
+        followed: other references that signals move.
+    """
+
+    def __init__(self, groups: Sequence[Group], programs: Programs) -> None:
+        self.primitives: list[Flat] = []
+        self.filled: list[TaskStack] = []
+        self.bound: list[tuple[Any, ...]] = []
+        self.arriving: list[tuple[int, Reference]] = []
+        self.followed: list[tuple[int, Reference]] = []
+        self._programs, self._start = programs, programs.start
+        self.flat = [self._level(level, group) for level, group in enumerate(groups)]
+
+    @property
+    def compiled(self) -> bool:
+        return not self.filled
+
+    @property
+    def in_python(self) -> tuple[str, ...]:
+        return tuple(task.name for stack in self.filled for task in stack.tasks)
+
+    def follow(self, state: State) -> None:
+        """Move the references that follow signals; kinematics need not be up to date."""
+        state.lock()
+        try:
+            for _, reference in self.followed:
+                reference.update(state)
+        finally:
+            state.unlock()
+
+    def update(self, state: State) -> None:
+        self.follow(state)
+        for stack in self.filled:
+            stack.update(state)
+
+    def _level(self, level: int, group: Group) -> Flat:
+        rows: list[tuple[float, ...]] = []
+        joint_weight, first = 0.0, list[float]()
+        for task in group.hard:
+            first.append(float(len(rows)))
+            self._take(level, task, rows)
+        hard = len(rows)
+        for share, task in enumerate(group.scaled):
+            self._take(level, task, rows, share)
+        exact = len(rows)
+        for task in group.soft:
+            joints = task.joint_space and task.all_joints
+            self._take(level, task, rows, joints=joints)
+            joint_weight += float(task.weight) if joints else 0.0
+        columns = np.array(rows, float).reshape(-1, len(ROW)).T
+        return {
+            **{name: column.copy() for name, column in zip(ROW, columns, strict=True)},
+            "hard": float(hard),
+            "exact": float(exact),
+            "shares": float(len(group.scaled)),
+            "task": np.array(first),
+            "joint_weight": joint_weight,
+        }
+
+    def _take(
+        self,
+        level: int,
+        task: Task,
+        rows: list[tuple[float, ...]],
+        share: int = -1,
+        *,
+        joints: bool = False,
+    ) -> None:
+        """Add a task's rows to a level, as primitives where it has any."""
+        program, at, twist = self._programs.of(task), len(rows), False
+        levers, weight, gain = levers_of(task, self._start.chain), task.weight, task.gain
+        if program is None or not all(p.compiles and p.of_joints == joints for p in program):
+            stack = TaskStack([task], self._start)
+            block = stack.e, stack.J, stack.rate
+            self.filled.append(stack)
+            self.bound.append((*block, level, at, joints, float(weight), float(gain)))
+        else:
+            numbers = {"level": float(level), "weight": float(weight), "gain": float(gain)}
+            twist = sees_twist(program)
+            for primitive in program:
+                if primitive.reference.follows:
+                    of_kind = self.arriving if primitive.reference.arrives else self.followed
+                    of_kind.append((len(self.primitives), primitive.reference))
+                self.primitives.append({**primitive.flat(), **numbers, "at": float(at)})
+                at += len(primitive.rows)
+            levers = levers[: at - len(rows)]
+        if not joints:
+            rows += [(gain, weight, lever, task.asks_velocity, twist, share) for lever in levers]

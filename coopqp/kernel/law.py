@@ -1,9 +1,9 @@
 """A tick by the kernel, or by the plain law where the kernel has no verified answer.
 
-The kernel does what the plain law does when limits leave all of the drift correction: loops, limits
-and the way back of joints outside of them, hard, scaled and soft tasks, any number of levels, the
-check and the look ahead. What is rarer is written once, in the plain law, which decides every tick
-that the kernel does not: drift that is corrected in part, acceleration limits that are given up.
+The kernel does what the plain law does when limits leave all of the Baumgarte stabilisation: loops,
+limits and the recovery of joints outside them, hard, scaled and soft tasks, any number of levels,
+the check and the step verification. What is rarer is written once, in the plain law, which decides
+every other tick: stabilisation in part, acceleration limits that are relaxed.
 """
 
 from __future__ import annotations
@@ -15,9 +15,8 @@ from typing import Any
 import numpy as np
 
 from coopqp.controller import Command, ControlProblem, InternalForceControl, Law
-from coopqp.kernel.compiled import Compiled, Outcome, plain_numbers
-from coopqp.kernel.levels import Group
-from coopqp.kernel.limits import Limits
+from coopqp.kernel.compiled import Compiled, Limits, Outcome, plain_numbers
+from coopqp.kernel.flat import Group
 from coopqp.model.state import Memory, State
 from coopqp.qp_law.equations import ALL_OF_IT
 from coopqp.qp_law.law import QPLaw, memory_sizes
@@ -56,10 +55,9 @@ class KernelLaw(Law):
     """The QP law, compiled.
 
     Args:
-        problem: what to control.
         damping: cost of |v|^2.
         error_damping: share of the damping that rules out any overshoot.
-        squeezer: who presses by measured forces, if anybody does.
+        squeezer: internal force control by measured forces, if any.
 
     Attributes:
         whole: the problem, compiled.
@@ -95,17 +93,17 @@ class KernelLaw(Law):
 
     @cached_property
     def plain(self) -> QPLaw:
-        """The same law in Python, for ticks that the kernel leaves to it; built when asked for."""
+        """The same law in Python, for ticks without an answer of the kernel; built on demand."""
         _, damping, error_damping, _ = self._settings
         return QPLaw(self.problem, damping, error_damping, self.squeezer, self._order)
 
     def prepare(self) -> KernelLaw:
-        """Build now what only rare ticks need, so that none waits for it; returns itself."""
+        """Build now what only rare ticks need, so that none is slow; returns itself."""
         self.plain.prepare()
         return self
 
     def tick(self, state: State) -> Command:
-        """The command for the next dt; without a line of Python between where nothing needs it."""
+        """The command for the next dt; by the kernel alone where possible."""
         self._asked = False
         if self._alone(state) and not self._stopped[0]:
             self._asked = True
@@ -116,7 +114,7 @@ class KernelLaw(Law):
         return super().tick(state)
 
     def decide(self, state: State) -> Command:
-        """Fill what Python has to, and let the kernel decide; the plain law where it does not."""
+        """Fill Python's rows and let the kernel decide; the plain law where it has no answer."""
         self.compiled = False
         if not self._asked and self._ready(state):
             if self._stopped[0]:
@@ -133,7 +131,7 @@ class KernelLaw(Law):
         return command
 
     def _decided_alone(self, state: State) -> bool:
-        """The same where a signal may raise; :meth:`decide` then meets what it does."""
+        """The same where a signal may raise; :meth:`decide` then handles the exception."""
         try:
             return self._decides(state)
         except KeyboardInterrupt:
@@ -156,7 +154,7 @@ class KernelLaw(Law):
         return True
 
     def step(self, state: State) -> Command:
-        """A tick and its step in one; state.advance without Python where nothing needs it."""
+        """A tick and state.advance in one; by the kernel alone where possible."""
         inputs = state.inputs
         seen, q, v, gap, memory, heard = self._shown
         # As _alone and _ready, without their calls, which are 3 % of a tick.
@@ -187,11 +185,10 @@ class KernelLaw(Law):
         return super().step(state)
 
     def run(self, state: State, ticks: int) -> TickBatch:
-        """Many ticks at once, the same as one by one, without the GIL.
+        """Many ticks at once, bit-equal to one by one, without the GIL.
 
         Where the kernel has no answer the plain law decides the tick, and the kernel goes on. Where
-        Python fills rows or limits, tasks follow signals, or joints are measured, every tick is one
-        of :meth:`tick`.
+        Python fills rows, tasks follow signals, or joints are measured, each is a :meth:`tick`.
         """
         found = self._room(state, ticks)
         done = 0
@@ -210,7 +207,7 @@ class KernelLaw(Law):
         return found
 
     def _run(self, state: State, found: TickBatch, done: int, most: int) -> int:
-        """As many as the kernel does in one go; how many."""
+        """Number of ticks that the kernel has done in one go."""
         said, whole = np.zeros(most, np.uint8), state.corrected >= ALL_OF_IT
         room = found.q[done:], found.v[done:], said, found.scale[done:]
         remembered = state.memory.numbers, found.memory[done:]
@@ -230,7 +227,7 @@ class KernelLaw(Law):
         self.command.causes, self.command.note = causes, ""
 
     def _rests(self, said: int) -> bool:
-        """As the problem wants it where not everything can hold, if v is there already."""
+        """Whether the engine's answer for an infeasible tick, at rest or recovering, is usable."""
         if said not in RESTS:
             return False
         self._say(RESTS[said])
@@ -239,17 +236,14 @@ class KernelLaw(Law):
         return True
 
     def _alone(self, state: State) -> bool:
-        """Whether the kernel may decide and nothing of a tick is Python's.
-
-        There are no rows, no sensors, no inputs to complain of.
-        """
+        """Whether the kernel may decide, without Python's rows, sensors or inputs at fault."""
         inputs = state.inputs
         if inputs.stale or inputs.refused or state.q_measured is not None:
             return False
         return self._alone_at_all and self._ready(state)
 
     def _ready(self, state: State) -> bool:
-        """Whether the kernel may decide at a state; it is shown arrays that it has not seen."""
+        """Whether the kernel may decide at a state; binds arrays that are new to it."""
         seen, q, v, gap, memory, heard = self._shown
         if (
             state is seen
@@ -263,7 +257,7 @@ class KernelLaw(Law):
         return self._shows(state)
 
     def _shows(self, state: State) -> bool:
-        """Whether the kernel may decide at the arrays of a state, which it is shown."""
+        """Bind the arrays of a state; whether the kernel may decide at them."""
         memory = state.memory
         if not self._fits(state) or not plain_numbers(state.q, state.v, state.gap):
             return False
@@ -280,9 +274,9 @@ class KernelLaw(Law):
 
 
 def _others(inputs: InputValues, heard: Sequence[tuple[Any, ...]]) -> bool:
-    """Whether inputs have other arrays than the kernel was shown, :meth:`Compiled.heard`."""
-    for name, course, value, rate in heard:
+    """Whether inputs have other arrays than those bound, :meth:`Compiled.heard`."""
+    for name, trajectory, value, rate in heard:
         now = inputs.get(name)
-        if now is not course or (now and (now.value is not value or now.rate is not rate)):
+        if now is not trajectory or (now and (now.value is not value or now.rate is not rate)):
             return True
     return False

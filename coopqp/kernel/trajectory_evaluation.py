@@ -1,4 +1,4 @@
-"""What there was along a motion that has been made, compiled: for those who keep what happened."""
+"""Task errors, object and loop errors along a recorded motion, compiled."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ import numpy as np
 
 from coopqp.base.spec import Array
 from coopqp.kernel import native
-from coopqp.kernel.flat import Flat, flat_model, turned
-from coopqp.kernel.levels import Group, Levels
+from coopqp.kernel.flat import Flat, Group, Levels, flat_model, turned
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.program import Programs
@@ -19,15 +18,15 @@ from coopqp.task import Task
 
 
 @dataclass(frozen=True)
-class Surveyed:
-    """What there was at I instants.
+class TrajectoryValues:
+    """Values at I instants.
 
     Attributes:
         e, rate: of each row of the tasks, shape (I, R), as in :class:`coopqp.task.TaskRows`.
-        moved: J v of each row in the ticks between them, shape (I - 1, R); None where not asked.
+        moved: J v of each row in the ticks between, shape (I - 1, R); None without v.
         position, rotation: of the object, shapes (I, 3) [m] and (I, 3, 3).
         loop_error: as ``State.loop_error``, shape (I, 6 L) [m, rad].
-        points: where the points are, shape (I, P, 3) [m].
+        points: positions, shape (I, P, 3) [m].
     """
 
     e: Array
@@ -40,12 +39,12 @@ class Surveyed:
 
 
 class TrajectoryEvaluation:
-    """Looks at all instants of a motion at once; :func:`survey` makes it.
+    """Evaluates all instants of a motion at once; made by :func:`survey`.
 
     Args:
-        chain: the closed chain.
+        chain: that moves.
         levels: the tasks, in one level.
-        points: ids of joints and where the points are in their frames; 0 is the world.
+        points: ids of joints, 0 for the world, and points in their frames [m].
     """
 
     def __init__(
@@ -64,17 +63,11 @@ class TrajectoryEvaluation:
             "places": np.concatenate([np.zeros(0), *places]),
         }).look  # fmt: skip
 
-    def look(self, t: Array, q: Array, v: Array | None = None) -> Surveyed:
-        """What there was.
-
-        Args:
-            t: of the instants, shape (I,) [s].
-            q: there, shape (I, n) [rad, m].
-            v: in between, shape (I - 1, n); only where J v is asked for.
-        """
+    def look(self, t: Array, q: Array, v: Array | None = None) -> TrajectoryValues:
+        """Evaluate at t, shape (I,) [s], q, shape (I, n), and v in between, shape (I - 1, n)."""
         instants, rows = len(t), self._rows
         moved = None if v is None else np.zeros((max(instants - 1, 0), rows))
-        out = Surveyed(
+        out = TrajectoryValues(
             np.zeros((instants, rows)),
             np.zeros((instants, rows)),
             moved,
@@ -95,12 +88,12 @@ class TrajectoryEvaluation:
 def survey(
     chain: ClosedChain, tasks: Sequence[Task], start: State, points: Sequence[tuple[int, Array]]
 ) -> TrajectoryEvaluation | None:
-    """What looks along motions of a chain; None where rows are Python's, or follow signals.
+    """The evaluation of motions; None where tasks have rows in Python, or follow signals.
 
     Args:
-        chain: the closed chain.
-        tasks: whose rows are asked for, in their order.
-        start: the state from which their references set out.
+        chain: that moves.
+        tasks: whose rows are wanted, in their order.
+        start: the state where their references start.
         points: ids of joints into chain.model.joints, and points in their frames [m].
     """
     model: Flat | None = flat_model(chain)
@@ -116,11 +109,7 @@ def survey(
 
 
 def loop_survey(chain: ClosedChain) -> TrajectoryEvaluation | None:
-    """What looks at the object and the loops alone, wherever the chain starts; None as above.
-
-    Args:
-        chain: the closed chain.
-    """
+    """The evaluation of the object and the loops alone; None as above."""
     return chain.once(_loop_survey)
 
 

@@ -1,7 +1,7 @@
-"""What comes with a tick of the loop, looked at before it is believed: inputs, and measured joints.
+"""Checks of what comes with a tick of the loop: inputs and measured joints.
 
-The loop's time stands still while it comes to rest, and waits for late ticks. Values are stamped by
-a clock that does neither, so their age is what counts: sent = t - age.
+The loop's time stands still while it comes to rest, and waits for late ticks. Time stamps of values
+are of a clock that does neither, so their age is what counts: sent = t - age.
 """
 
 from __future__ import annotations
@@ -21,16 +21,17 @@ from coopqp.scenario.input import AHEAD, Arrival, Inputs
 from coopqp.signal import Kind, matrix
 from coopqp.solver import Status
 
-#: So many unknown names are remembered, to speak of each but once.
-MOST_NAMES = 100
+#: Number of unknown names that are remembered, to report each only once.
+MAX_NAMES = 100
 
 
 class Arrivals:
     """From a mapping of the user's to arrivals.
 
     Args:
-        names: of all inputs of the scenario; what no task of this phase follows is let pass.
-        since: when the phase began, in the time of the whole session [s].
+        inputs: of the phase.
+        names: of all inputs of the scenario; those that no task of this phase follows are ignored.
+        since: start of the phase in the time of the whole session [s].
 
     Attributes:
         refused: what was wrong with the mapping of the last tick, a sentence each.
@@ -40,7 +41,7 @@ class Arrivals:
         self._inputs, self._names, self._since = inputs, names, since
         self._stamped: dict[str, float] = {}
         self._sent: dict[str, float] = {}
-        self._strange: set[str] = set()
+        self._unknown: set[str] = set()
         self.refused: list[str] = []
 
     def read(self, given: Any, t: float, now: float) -> list[Arrival]:
@@ -57,7 +58,7 @@ class Arrivals:
         for name, value in given.items():
             channel = self._inputs.channels.get(name)
             if channel is None:
-                self._say_unknown(str(name))
+                self._refuse_unknown(str(name))
                 continue
             if not _is_stamped(value):
                 self._stamped[name] = now  # it is sent when it arrives
@@ -68,18 +69,18 @@ class Arrivals:
             if why:
                 self.refused.append(f"{name}: {why}")
                 continue
-            # A tick that was late must not make a later value the older one.
+            # A late tick must not make a later value the older one.
             sent = max(t - (now - float(stamp)), self._sent.get(name, -math.inf))
             self._stamped[name] = float(stamp)
             yield name, in_columns(channel.kind, value), self._shared(name, min(sent, t))
 
     def age(self, time: float) -> None:
-        """Let what has arrived be older by a time that the loop's own time does not know of [s]."""
+        """Make what has arrived older by a time that the loop's own time does not count [s]."""
         for channel in self._inputs.channels.values():
             channel.sent -= time
 
     def _shared(self, name: str, t: float) -> float:
-        """The time as who plays the session again comes to know it, to the last digit."""
+        """The time exactly as a replay of the session computes it."""
         self._sent[name] = (self._since + t) - self._since
         return self._sent[name]
 
@@ -94,18 +95,15 @@ class Arrivals:
             return f"is older than the last, sent at {stamp:.3f} s after {last:.3f} s"
         return ""
 
-    def _say_unknown(self, name: str) -> None:
-        new = name not in self._strange and len(self._strange) < MOST_NAMES
+    def _refuse_unknown(self, name: str) -> None:
+        new = name not in self._unknown and len(self._unknown) < MAX_NAMES
         if new and name not in self._names:
-            self._strange.add(name)
+            self._unknown.add(name)
             self.refused.append(unknown_name("input", name, self._names))
 
 
 def in_columns(kind: Kind, value: Any) -> Any:
-    """A value as the columns of a file have it, so that who reads them takes the same for it.
-
-    What cannot be one is left as it is, for the input to refuse.
-    """
+    """A value as a file's columns have it; what is none stays as it is, for the input to refuse."""
     try:
         found = real(value)
         if found.shape == (len(kind.columns),):
@@ -120,100 +118,99 @@ def in_columns(kind: Kind, value: Any) -> Any:
 
 
 def _is_stamped(value: Any) -> bool:
-    """Whether it is a value and when it was sent; two numbers are a value."""
+    """Whether it is a pair of a value and its time stamp; two numbers are a value."""
     return isinstance(value, tuple) and len(value) == 2 and not isinstance(value[0], Real)
 
 
-#: Joints measured farther from the last than this many times what their velocity limit allows,
-#: and this much beside it for noise [rad, m], have jumped.
+#: Joints have jumped if they moved since the last reading by more than their velocity limit allows
+#: times this factor, and this much for noise [rad, m].
 FASTER, NOISE = 1.5, 0.02
-#: Speed of joints without a limit, beyond which they have jumped [rad/s, m/s].
+#: Limit of joints without a velocity limit [rad/s, m/s].
 UNLIMITED = 1e6
 
 
 class Readings:
-    """The last configuration that was believed.
+    """The last configuration that was accepted.
 
     Args:
-        chain: whose joints.
+        chain: whose joints are measured.
         silent_after: how long the last reading counts where there is no new one [s].
 
     Attributes:
-        q: of all joints, shape (n,) [rad, m]; NaN before the first. Passive joints that the robot
-            does not tell of are where they were commanded.
+        q: of all joints, shape (n,) [rad, m]; NaN before the first. Passive joints that are not
+            measured have their commanded values.
         note: what was wrong with the last reading; empty if nothing was.
     """
 
     def __init__(self, chain: ClosedChain, silent_after: float = 0.0) -> None:
         n, self._silent_after = chain.n, silent_after
         self.q, self.note = np.full(n, np.nan), ""
-        self._found, self._step = np.zeros((2, n))
-        self._passive = chain.passive
+        self._reading, self._step = np.zeros((2, n))
         self._own = np.setdiff1d(np.arange(n), chain.passive)
         self._names, self._units = chain.joint_names, chain.joint_units
-        self._most = FASTER * np.nan_to_num(np.abs(chain.velocity), posinf=UNLIMITED)
+        self._max_speed = FASTER * np.nan_to_num(np.abs(chain.velocity), posinf=UNLIMITED)
         self._since = 0.0
-        self._heard = -np.inf
-        self._judged: Status | None = None
+        self._read_at = -np.inf
+        self._fault: Status | None = None
 
     def forget(self) -> None:
-        """Believe the next reading wherever it is."""
-        self.q[:], self._heard = np.nan, -np.inf
+        """Accept the next reading wherever it is."""
+        self.q[:], self._read_at = np.nan, -np.inf
 
     def take(self, q: Any, commanded: Array, now: float) -> Status | None:
-        """Look at a reading.
+        """Check a reading.
 
         Args:
             q: shape (n,), or that of the robot's own joints; None where there is none.
-            commanded: where the joints were told to be, shape (n,).
+            commanded: joint positions, shape (n,).
             now: [s].
 
         Returns:
             What is wrong with it; None if nothing is, and then :attr:`q` is this reading.
         """
-        if q is None and now - self._heard < self._silent_after:
-            return self._judged
+        if q is None and now - self._read_at < self._silent_after:
+            return self._fault
         self.note = ""
         if q is None:
             return Status.ROBOT_SILENT
-        self._heard, self._judged = now, self._judge(q, commanded, now)
-        return self._judged
+        self._read_at, self._fault = now, self._judge(q, commanded, now)
+        return self._fault
 
     def _judge(self, q: Any, commanded: Array, now: float) -> Status | None:
         if not self._read(q, commanded):
             return Status.NOT_MEASURED
-        np.subtract(self._found, self.q, self._step)
+        np.subtract(self._reading, self.q, self._step)
         np.abs(self._step, self._step)
-        np.subtract(self._step, NOISE + self._most * max(0.0, now - self._since), self._step)
-        if (self._step > 0.0).any():  # not so where nothing was believed before
+        np.subtract(self._step, NOISE + self._max_speed * max(0.0, now - self._since), self._step)
+        if (self._step > 0.0).any():  # False before the first accepted reading: NaN
             self._say_jump(now)
-            self._since = now  # so that what stays elsewhere does not come to be possible
+            self._since = now  # so that a lasting jump does not become plausible with time
             return Status.MEASURED_JUMPED
-        self.q[:], self._since = self._found, now
+        self.q[:], self._since = self._reading, now
         return None
 
     def _read(self, q: Any, commanded: Array) -> bool:
-        found = self._found
+        reading = self._reading
         try:
             given = real(q)
         except Exception as error:  # noqa: BLE001 - anything can come from a driver
             self.note = said(error) or f"found {type(q).__name__}, needs numbers"
             return False
-        if given.shape == found.shape:
-            found[:] = given
+        if given.shape == reading.shape:
+            reading[:] = given
         elif given.shape == self._own.shape:
-            found[:] = commanded
-            found[self._own] = given
+            reading[:] = commanded
+            reading[self._own] = given
         else:
-            self.note = f"found shape {given.shape}, needs {found.shape}"
+            self.note = f"found shape {given.shape}, needs {reading.shape}"
             return False
-        if not np.isfinite(found).all():
-            bad = [self._names[i] for i in np.flatnonzero(~np.isfinite(found))]
+        if not np.isfinite(reading).all():
+            bad = [self._names[i] for i in np.flatnonzero(~np.isfinite(reading))]
             self.note = f"no finite number for {', '.join(bad)}"
             return False
         return True
 
     def _say_jump(self, now: float) -> None:
         i = int(np.argmax(np.where(np.isnan(self._step), -np.inf, self._step)))
-        way, unit = self._found[i] - self.q[i], self._units[i]
+        way, unit = self._reading[i] - self.q[i], self._units[i]
         self.note = f"{self._names[i]} by {way:+.3g} {unit} in {now - self._since:.3g} s"

@@ -6,76 +6,150 @@
             robot.write(loop.setpoint, command.v)
             ...  # wait for the next period
 
-A tick raises nothing and prints nothing: what is wrong is said by the command's status and note,
-and the robot comes to rest where it must not go on. :func:`coopqp.online.real_time.real_time` does
-all of this, keeps the time, and tells the robot to stand still at the end.
+A tick raises nothing and prints nothing: the command's status and note say what is wrong, and the
+robot comes to rest where it must not go on. :func:`coopqp.online.real_time.real_time` does all of
+this, keeps the period, and stops the robot at the end.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NoReturn
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from coopqp.assessment.thresholds import SPEED_UP
 from coopqp.base.errors import CoopqpError, InvalidValueError
+from coopqp.base.spec import Array
 from coopqp.base.wording import raised
 from coopqp.controller import Command, ControlProblem, Law
 from coopqp.execution.controller_run import controller_of
 from coopqp.execution.phase_run import PhaseRun
+from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.online.arrivals import Readings
-from coopqp.online.braking import with_acceleration
-from coopqp.online.history import History
 from coopqp.online.options import HowHeld, PhasesEnd, Reference, check_options
-from coopqp.online.phases import Phases
+from coopqp.online.phases import Phases, with_acceleration
 from coopqp.online.session import Keeper, Record, scenario_text
-from coopqp.online.stops import Interrupts, Stops
-from coopqp.online.watch import Waiting, Watch
+from coopqp.online.stops import Interrupts, Stops, Waiting, Watch
 from coopqp.scenario.scenario import Phase, Scenario
 from coopqp.solver import Status
+
+_STATUSES = tuple(Status)
+_NUMBER = {status: i for i, status in enumerate(_STATUSES)}
+
+
+@dataclass(frozen=True)
+class TickBatch:
+    """Some ticks, oldest first; T of them.
+
+    Attributes:
+        number: since the loop was made, shape (T,).
+        clock: start by the loop's clock, shape (T,) [s].
+        t: time of the references, shape (T,) [s].
+        q, v: configuration before the tick, and command, shape (T, n).
+        measured: joints; NaN without a usable reading, shape (T, n).
+        position, rotation: of the object at q, shapes (T, 3) [m] and (T, 3, 3).
+        loop_position, loop_orientation: largest loop error, shape (T,) [m], [rad].
+        us: computing time, shape (T,) [us].
+        causes: one bit for each status, in their order, shape (T,).
+    """
+
+    number: NDArray[np.int64]
+    clock: Array
+    t: Array
+    q: Array
+    v: Array
+    measured: Array
+    position: Array
+    rotation: Array
+    loop_position: Array
+    loop_orientation: Array
+    us: Array
+    causes: NDArray[np.int64]
+
+    def causes_at(self, k: int) -> tuple[Status, ...]:
+        """Statuses of a tick, in their order, not by severity."""
+        bits = int(self.causes[k])
+        return tuple(status for i, status in enumerate(_STATUSES) if bits >> i & 1)
+
+    def share(self, status: Status) -> float:
+        """Share of the ticks with a status."""
+        bit = 1 << _NUMBER[status]
+        return float(np.mean((self.causes & bit) != 0)) if len(self.causes) else 0.0
+
+
+class History:
+    """A ring buffer of the last ticks."""
+
+    def __init__(self, chain: ClosedChain, capacity: int) -> None:
+        self.capacity, self.count = capacity, 0
+        shapes = {"position": (3,), "rotation": (3, 3)}
+        shapes |= dict.fromkeys(("q", "v", "measured"), (chain.n,))
+        numbers = dict.fromkeys(("number", "causes"), np.int64)
+        self._all = TickBatch(*(
+            np.zeros((capacity, *shapes.get(name, ())), numbers.get(name, float))
+            for name in TickBatch.__dataclass_fields__
+        ))  # fmt: skip
+
+    def add(self, clock: float, state: State, measured: Array, command: Command, us: float) -> None:
+        kept, i = self._all, self.count % self.capacity
+        kept.number[i], kept.clock[i], kept.t[i], kept.us[i] = self.count, clock, state.t, us
+        kept.q[i], kept.v[i], kept.measured[i] = state.q, command.v, measured
+        kept.position[i], kept.rotation[i] = state.p_WO, state.R_WO
+        kept.loop_position[i] = state.loop_position_error
+        kept.loop_orientation[i] = state.loop_orientation_error
+        kept.causes[i] = sum(1 << _NUMBER[cause] for cause in set(command.causes))
+        self.count += 1
+
+    def last(self, ticks: int | None = None) -> TickBatch:
+        """A copy of the last ticks, all that are kept when omitted."""
+        kept = min(self.count, self.capacity)
+        count = kept if ticks is None else max(0, min(ticks, kept))
+        rows = np.arange(self.count - count, self.count) % self.capacity
+        return TickBatch(
+            *(getattr(self._all, name)[rows] for name in TickBatch.__dataclass_fields__)
+        )
+
 
 Clock = Callable[[], float]
 """Seconds, by a clock that never goes back."""
 
 
 class OnlineLoop:
-    """One controller of a scenario, tick by tick, on whatever gives it measured joints.
+    """One controller of a scenario, tick by tick, with measured joints from any robot.
 
     Args:
-        scenario: from :func:`coopqp.load`. What it says of plant, duration and feeds of inputs does
-            not matter here.
+        scenario: from :func:`coopqp.load`; its plant, duration and feeds of inputs are not used.
         controller: its name in the scenario, or any controller's type name.
-        reference: from what the next command is reckoned. "commanded": from where the joints were
-            told to be, as robots that hold one object firmly need it (docs/real_robots.md);
-            what is measured teaches the gap. "measured": from where they are, for joints that do
-            exactly as told, and for arms that yield and must be followed.
+        reference: configuration that commands are computed from. "commanded": the last command's,
+            for robots that hold one object firmly (docs/real_robots.md); measurements update the
+            estimated loop-closure offset. "measured": for joints that track exactly, and for
+            compliant arms that must be followed.
         grasp: "as_held": each hand holds the object where it is at the first tick; "as_written":
-            as at the scenario's own start, the difference taken for the model's error.
+            as at the scenario's own start; the difference counts as model error.
         speed_up: time in which a joint may get from rest to its velocity limit [s], which is an
             acceleration limit where the scenario has none; None for none.
         clock: of ticks and of what is sent to inputs; None counts ticks, as in simulation, where
             none is late or early.
-        silent_after: how long the last word of a robot counts that speaks less often [s].
+        silent_after: how long the last reading counts where a robot sends less often [s].
         patience: time without measurement or tick after which it stops until :meth:`resume` [s].
-        keep: how much of the past is kept in memory, an hour at most [s].
-        phases: "by_time": as the scenario says; "asked": when :meth:`next_phase` says.
+        keep: length of the history in memory, an hour at most [s].
+        phases: "by_time": as in the scenario; "asked": at :meth:`next_phase`.
         out: folder for what is needed to play the session again (:mod:`coopqp.online.session`).
         record: makes a recording when the loop has begun.
 
     Attributes:
-        command, status, note: of the last tick; the gravest, and what else is to be said of it.
-        setpoint: where the joints shall be at the end of the period, shape (n,) [rad, m].
-        history: the last ticks.
-        watch: late and early ticks counted, the longest named.
-        ticks, begun: how many there have been, early ones not counted; whether the object is held.
-        patience, simulated: as given; simulated without a clock. measured: what was last believed.
+        command, status, note: of the last tick; its most severe status, and what else is wrong.
+        setpoint: joints at the end of the period, shape (n,) [rad, m].
+        history: the last ticks. watch: counts late and early ticks, and has the longest period.
+        ticks, begun: number of ticks without early calls; whether the object is held.
+        patience, simulated: as given; whether without a clock. measured: last accepted reading.
 
     Raises:
         CoopqpError: an option is none; the controller cannot be built, or commands torques.
@@ -112,7 +186,7 @@ class OnlineLoop:
         self.history = History(chain, max(1, round(keep / dt)))
         self._readings, self._stops = Readings(chain, silent_after), Stops(patience)
         self.measured = self._readings.q
-        self.setpoint, self._nothing = chain.q_start.copy(), np.full(chain.n, np.nan)
+        self.setpoint, self._no_reading = chain.q_start.copy(), np.full(chain.n, np.nan)
         self._refusal, self._holding = Command(chain.n), Command(chain.n)
         self._waiting = Waiting()
         self._keeper = Keeper(self, None if out is None else Path(out), record)
@@ -120,7 +194,7 @@ class OnlineLoop:
         self.reset()
 
     def reset(self) -> None:
-        """Forget all but the history; the next tick begins anew, where the robot is then."""
+        """Forget all but the history; the next tick begins where the robot is then."""
         self._keeper.close()
         self._phases = Phases(
             self._given, self._chosen, observed=self._observed, by_time=self._by_time
@@ -136,12 +210,12 @@ class OnlineLoop:
 
     @property
     def scenario(self) -> Scenario:
-        """As begun: its start is where the robot was."""
+        """As begun: it starts where the robot was."""
         return self._phases.scenario
 
     @property
     def source(self) -> str:
-        """Its text, with what the loop has changed; empty where it was made in Python."""
+        """The scenario's text with the loop's changes; empty where it was made in Python."""
         begun = self.scenario
         if not begun.source:
             return ""
@@ -149,32 +223,32 @@ class OnlineLoop:
 
     @property
     def phases(self) -> tuple[PhaseRun, ...]:
-        """The phases so far, the last one that which runs; none before the beginning."""
+        """The phases so far, the running one last; none before the beginning."""
         return self._phases.done
 
     @property
     def state(self) -> State:
-        """What the last tick decided from: commanded joints, kinematics, inputs."""
+        """State before the last tick's command: commanded joints, kinematics, inputs."""
         return self._phases.now.state
 
     @property
     def law(self) -> Law:
-        """The controller, built for this phase."""
+        """The controller built for this phase."""
         return self._phases.now.law
 
     @property
     def problem(self) -> ControlProblem:
-        """What it was built for."""
+        """The problem it was built for."""
         return self._phases.now.problem
 
     @property
     def phase(self) -> Phase:
-        """The phase that runs."""
+        """The running phase."""
         return self._phases.now.phase
 
     @property
     def now(self) -> float:
-        """By the loop's clock [s]."""
+        """Time by the loop's clock [s]."""
         return self._clock() if self._clock else self.ticks * self._given.dt
 
     @property
@@ -184,12 +258,12 @@ class OnlineLoop:
 
     @property
     def stopped(self) -> str:
-        """Why it does not go on until :meth:`resume`; empty while it goes on."""
-        return self._stops.told
+        """Why it stands still until :meth:`resume`; empty while it goes on."""
+        return self._stops.requested
 
     @property
     def stopped_by_itself(self) -> bool:
-        """Whether nobody has told it to stop: it has waited in vain, or could not go on."""
+        """Whether it stopped without a request: after its patience, or as it could not go on."""
         return self._stops.by_itself and bool(self.stopped)
 
     @property
@@ -198,15 +272,15 @@ class OnlineLoop:
         return not (self._stops.ends and self.at_rest)
 
     def stop(self, why: object = "") -> None:
-        """Come to rest, and stay there; references wait. Any thread may say so."""
+        """Come to rest, and stay there; references wait. Thread-safe."""
         self._stops.stop(why)
 
     def end(self, why: object = "") -> None:
-        """Come to rest for good; then :attr:`running` is False. Any thread may say so."""
+        """Come to rest for good; then :attr:`running` is False. Thread-safe."""
         self._stops.end(why)
 
     def resume(self) -> None:
-        """Go on: from where the robot is then, if it has come to rest. Any thread may say so."""
+        """Go on, after a rest from where the robot is then. Thread-safe."""
         self._stops.resume()
 
     def next_phase(self) -> None:
@@ -218,10 +292,7 @@ class OnlineLoop:
         self._phases.ask()
 
     def begin(self, q: ArrayLike) -> None:
-        """Take hold where the robot is; the first tick does it, if nobody has done it before.
-
-        Args:
-            q: measured, shape (n,), or that of the robot's own joints.
+        """Take hold at measured joints, as in :meth:`tick`; else the first tick does it.
 
         Raises:
             CoopqpError: q is none, the object cannot be held so, or nothing can be written.
@@ -236,18 +307,17 @@ class OnlineLoop:
     def tick(self, q: Any, inputs: Mapping[str, Any] | None = None) -> Command:
         """One period.
 
-        Called again before its period is over, it holds the last command and says ``EARLY``; what
-        has come counts for the next tick.
+        Called before its period is over, it holds the last command with status ``EARLY``; what has
+        come counts for the next tick.
 
         Args:
-            q: where the joints are, shape (n,) [rad, m], or those of the robot alone without the
-                grasps' passive joints; None where the robot says nothing.
+            q: measured joints, shape (n,) [rad, m], or those of the robot alone without the
+                grasps' passive joints; None without a measurement.
             inputs: what has arrived since the last tick, by name: a value, or a value and when it
-                was sent by the loop's clock [s]; ``hand_wrench`` where hands squeeze by it.
+                was sent by the loop's clock [s]; ``hand_wrench`` for internal force control.
 
         Returns:
-            The command for the next period; its arrays are reused. :attr:`setpoint` is where it
-            leads.
+            The command for the next period, whose arrays are reused; it leads to :attr:`setpoint`.
         """
         before, now = time.perf_counter_ns(), self.now
         if left := self.watch.left(now):
@@ -258,13 +328,13 @@ class OnlineLoop:
         except Exception as error:  # noqa: BLE001 - a robot must not be left alone with its speed
             command = self._refuse(Status.RAISED, raised(error))
         self._say(command)
-        self._led = command
+        self._last = command
         state = self._phases.now.state
         np.multiply(command.v, self._phases.now.problem.dt, out=self.setpoint)
         np.add(state.q, self.setpoint, out=self.setpoint)
         us = 1e-3 * (time.perf_counter_ns() - before)
-        heard = self._nothing if self._wrong else self._readings.q
-        self.history.add(now, state, heard, command, us)
+        measured = self._no_reading if self._wrong else self._readings.q
+        self.history.add(now, state, measured, command, us)
         self._keeper.tick(state, command, us)
         self.ticks += 1
         if self._built:
@@ -273,11 +343,11 @@ class OnlineLoop:
         return command
 
     def flush(self) -> None:
-        """Write out what is new of the session; in the time that a period leaves."""
+        """Write what is new of the session, in the rest of a period."""
         self._keeper.flush()
 
     def replay(self) -> Scenario:
-        """The scenario that plays again what is on disk of the session so far; flushes it.
+        """The scenario that plays the session so far again, from disk; flushes it.
 
         Raises:
             InvalidValueError: there is no session.
@@ -298,7 +368,7 @@ class OnlineLoop:
             raise CoopqpError(self._keeper.fault)
 
     def __reduce__(self) -> NoReturn:
-        """Neither copied nor sent: two loops of one robot would both move it."""
+        """Refused: two loops of one robot would both move it."""
         raise CoopqpError("a loop cannot be copied; make another from its scenario")
 
     def __enter__(self) -> OnlineLoop:
@@ -326,7 +396,7 @@ class OnlineLoop:
             self._readings.forget()
         is_late = self.watch.tick(self.ticks, now)
         self._wrong = self._readings.take(q, self.state.q, now)
-        self._stops.heard(self._wrong, now, self.watch.elapsed)
+        self._stops.wait(self._wrong, now, self.watch.elapsed)
         if not self.begun:
             refused = self._try_to_begin()
             if refused:
@@ -336,7 +406,7 @@ class OnlineLoop:
             self._phases.arrivals.age(self.watch.elapsed - self.problem.dt)
         command = self._decide(inputs, now)
         if is_late:
-            _add(command, Status.LATE)
+            command.say(*(c for c in command.causes if c is not Status.OPTIMAL), Status.LATE)
         return command
 
     def _try_to_begin(self) -> Command | None:
@@ -352,28 +422,28 @@ class OnlineLoop:
         return self._refuse(Status.NOT_BEGUN, self._stops.why)
 
     def _advance(self) -> None:
-        """Make of the last command what it has led to; while it only brakes, time stands still."""
+        """Integrate the last command; the loop's time stands still while it brakes."""
         if self.begun:
             state, t = self.state, self.state.t
-            state.advance(self._led.v, self.problem.dt)
+            state.advance(self._last.v, self.problem.dt)
             if not self._moved:
                 state.t = t
 
     def _go_by_measurement(self) -> None:
-        """Put what was measured where it belongs; begin anew after a stop, or with a new phase."""
-        heard = None if self._wrong else self._readings.q
-        if self._stops.goes_on_again and heard is not None and not self._stops.why:
+        """Use the measurement; begin anew after a stop, or with a new phase."""
+        measured = None if self._wrong else self._readings.q
+        if self._stops.goes_on_again and measured is not None and not self._stops.why:
             self._stops.goes_on_again = False
-            if not self._led.v.any():
-                self._phases.take_up(heard.copy())
+            if not self._last.v.any():
+                self._phases.take_up(measured.copy())
                 self._keeper.go_on()
         if self._observed:
-            self.state.q_measured = self._nothing if heard is None else heard
-        elif heard is not None:
-            self.state.q[:] = heard
-        if heard is None or self._stops.why or not self._phases.over:
+            self.state.q_measured = self._no_reading if measured is None else measured
+        elif measured is not None:
+            self.state.q[:] = measured
+        if measured is None or self._stops.why or not self._phases.over:
             return
-        self._built = self._phases.hand_over(heard.copy())
+        self._built = self._phases.hand_over(measured.copy())
         if self._built and not self._phases.fault:
             self._keeper.go_on()
         elif self._phases.fault:
@@ -400,18 +470,17 @@ class OnlineLoop:
         return command
 
     def _refuse(self, why: Status, note: str) -> Command:
-        """Stand still at once, where nothing is known."""
         command, self._moved = self._refusal, False
-        self._led, self._wrong = command, why
+        self._last, self._wrong = command, why
         command.v[:] = 0.0
         command.say(why)
         command.note = note
         return command
 
     def _hold(self, left: float) -> Command:
-        """Go on as the last command says: who ticks too often must not move faster."""
+        """Hold the last command: early calls must not move the robot faster."""
         held = self._holding
-        held.v[:] = 0.0 if self.watch.stands else self._led.v  # else it might never end
+        held.v[:] = 0.0 if self.watch.stands else self._last.v  # else it might never end
         held.say(Status.EARLY)
         held.note = f"{1e3 * left:.3g} ms of the period are left; wait for its end"
         return self._say(held)
@@ -419,7 +488,3 @@ class OnlineLoop:
     def _say(self, command: Command) -> Command:
         self.command, self.status, self.note = command, command.status, command.note
         return command
-
-
-def _add(command: Command, cause: Status) -> None:
-    command.say(*(c for c in command.causes if c is not Status.OPTIMAL), cause)

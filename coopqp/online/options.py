@@ -1,4 +1,4 @@
-"""What a loop can be asked for."""
+"""Checks of a loop's options."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ HowHeld = Literal["as_held", "as_written"]
 PhasesEnd = Literal["by_time", "asked"]
 
 CHOICES = {"reference": Reference, "grasp": HowHeld, "phases": PhasesEnd}
-#: So much of the past can be kept in memory [s].
-MOST_KEPT = 3600.0
+#: Longest history in memory [s].
+MAX_KEPT = 3600.0
 
 
 def check_options(options: Mapping[str, Any]) -> None:
-    """Refuse what a loop cannot be asked for."""
+    """Refuse options that are none."""
     found = [f"{name}: {words}" for name, words in _faults(options)]
     if found:
         raise InvalidValueError("\n".join(found))
 
 
-def time_fault(found: Any, *, none: bool = False, zero: bool = False, most: float = 0.0) -> str:
+def time_fault(found: Any, *, none: bool = False, zero: bool = False, maximum: float = 0.0) -> str:
     """What is wrong with a time [s]; empty if nothing is."""
     if found is None and none:
         return ""
     needs = "a finite time, " + ("at least 0" if zero else "more than 0")
-    if most:
-        needs += f" and at most {most:g} s"
+    if maximum:
+        needs += f" and at most {maximum:g} s"
     if isinstance(found, bool) or not isinstance(found, Real):
         return f"found {found!r}; needs {needs}{', or None' if none else ''}"
     time = float(found)
-    if (time >= 0.0 if zero else time > 0.0) and time < math.inf and time <= (most or math.inf):
+    if (time >= 0.0 if zero else time > 0.0) and time < math.inf and time <= (maximum or math.inf):
         return ""
     return f"found {found} s; needs {needs}"
 
@@ -56,7 +56,7 @@ def _faults(options: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     times = {
         "speed_up": time_fault(options["speed_up"], none=True),
         "patience": time_fault(options["patience"]),
-        "keep": time_fault(options["keep"], most=MOST_KEPT),
+        "keep": time_fault(options["keep"], maximum=MAX_KEPT),
         "silent_after": time_fault(options["silent_after"], zero=True),
     }
     yield from ((name, fault) for name, fault in times.items() if fault)

@@ -1,34 +1,121 @@
-"""The phases of a loop, one after the other, each begun where the robot is then.
+"""The phases of a loop, each begun where the robot is then, and braking to rest.
 
 A scenario says where the object is in the hands by ``object_in_hand`` or ``object.pose``, for its
-own start. The hands of the robot are not quite there: links, encoders and grasp are some
-millimetres off. The object is then where the hands have it in the mean, and each hand holds it
-there. Where the scenario says nothing, each hand holds it midway between the hands, as ever.
+own start. Links, encoders and grasp of the robot are some millimetres off that; then the object is
+where the hands have it in the mean, and each hand holds it there. Where the scenario says nothing,
+each hand holds it midway between the hands, as ever.
+
+When braking, all joints slow down as fast as they may, and the loops stay closed,
+
+    minimise |v|^2   subject to   J_c v = -kappa e,  limits,  |v - v_before| <= a dt
+
+by the QP law of the same problem without its tasks. Where one tick is enough to stop, v = 0, which
+without acceleration limits is at once.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
+from coopqp.assessment.assessment import allowed_acceleration
+from coopqp.assessment.thresholds import ACCELERATION_UNLIMITED
 from coopqp.base.errors import CoopqpError, GraspError, InvalidValueError
 from coopqp.base.spec import Array, Pose, finite, vector
-from coopqp.controller import Controller
+from coopqp.controller import Command, Controller, ControlProblem, InternalForceControl
+from coopqp.controllers import QPController
 from coopqp.execution.phase_run import Measured, PhaseRun, begin_phase
+from coopqp.limit import Limit
+from coopqp.limits import JointAcceleration, JointPosition
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.grasp_configuration import grasp_of_each
 from coopqp.model.loop_observer import MOST_ORIENTATION, MOST_POSITION
-from coopqp.model.state import State
+from coopqp.model.state import Memory, State
 from coopqp.online.arrivals import Arrivals
-from coopqp.online.braking import Braking
 from coopqp.scenario.input import Arrival
 from coopqp.scenario.scenario import Scenario
+from coopqp.solver import Status
 
-#: What force sensors say arrives as an input of this name with every tick; ``State.hand_wrench``.
+#: Acceleration limit of joints without a motor, which bounds nothing [rad/s2].
+PASSIVE = 1e4
+
+
+def with_acceleration(
+    limits: Sequence[Limit], chain: ClosedChain, speed_up: float | None
+) -> tuple[Limit, ...]:
+    """The limits, with one on accelerations if there is none among them."""
+    if speed_up is None or any(isinstance(limit, JointAcceleration) for limit in limits):
+        return tuple(limits)
+    allowed = allowed_acceleration(chain.velocity, speed_up)
+    allowed[chain.passive] = PASSIVE
+    joints = dict(zip(chain.joint_names, allowed.tolist(), strict=True))
+    margin = max((x.margin for x in limits if isinstance(x, JointPosition)), default=0.0)
+    others = float(ACCELERATION_UNLIMITED)
+    return *limits, JointAcceleration(max=others, joints=joints, margin=margin)
+
+
+def acceleration_of(limits: Sequence[Limit], chain: ClosedChain) -> Array:
+    """Each joint's acceleration limit, shape (n,) [rad/s2, m/s2]; infinite where there is none."""
+    found = np.full(chain.n, np.inf)
+    for limit in limits:
+        if isinstance(limit, JointAcceleration):
+            own = [limit.joints.get(name, limit.max) for name in chain.joint_names]
+            np.minimum(found, own, out=found)
+    return found
+
+
+class _Kept:
+    """Internal force control that keeps the hands' distance and ignores the force."""
+
+    memory_sizes: Mapping[str, int] = {}
+    note = ""
+
+    def __init__(self, squeezer: InternalForceControl) -> None:
+        self.along = squeezer.along
+
+    def update(self, state: State) -> Status | None:
+        return None
+
+
+class Braking:
+    """The law that brings a problem's joints to rest."""
+
+    def __init__(
+        self, problem: ControlProblem, squeezer: InternalForceControl | None = None
+    ) -> None:
+        still = replace(problem, tasks=(), wrenches=(), secondary=())
+        self._law = QPController().build(still)
+        self._law.squeezer = _Kept(squeezer) if squeezer else None
+        self._memory = Memory(self._law.memory_sizes)
+        self._step = acceleration_of(problem.limits, problem.chain) * problem.dt
+        self._still = Command(problem.chain.n)
+
+    def can_stop(self, state: State) -> bool:
+        return bool((np.abs(state.v) <= self._step).all())
+
+    def tick(self, state: State) -> Command:
+        """The next command on the way to rest; the state's kinematics are up to date after it."""
+        if self.can_stop(state):
+            return self._stand(state)
+        memory, state.memory = state.memory, self._memory
+        command = self._law.tick(state)
+        state.memory = memory
+        return command if command.status.usable else self._stand(state)
+
+    def _stand(self, state: State) -> Command:
+        still = self._still
+        state.update()
+        still.v[:], still.note = 0.0, ""
+        still.say(Status.OPTIMAL)
+        self._memory.numbers[:] = 0.0
+        return still
+
+
+#: Name of the input with the readings of force sensors; ``State.hand_wrench``.
 HAND_WRENCH = "hand_wrench"
 
 
@@ -36,14 +123,15 @@ class Phases:
     """The phases so far.
 
     Args:
-        given: the scenario as it is written.
-        observed: whether what is measured stays a measurement, from which commands may differ.
+        given: the scenario as written.
+        controller: its settings.
+        observed: whether commands may differ from what is measured.
         by_time: whether a phase ends by itself.
 
     Attributes:
         scenario: as begun.
-        done: the phases so far, the last one that which runs; none before the beginning.
-        now: the phase that runs, or would. arrivals: at its inputs. braking: brings it to rest.
+        done: the phases so far, the running one last; none before the beginning.
+        now: the running phase. arrivals: at its inputs. braking: brings it to rest.
         fault: why the next phase could not begin; empty if it could.
     """
 
@@ -57,7 +145,6 @@ class Phases:
         self._enter(None, None)
 
     def begin(self, q: Array, *, held: bool) -> None:
-        """Begin the first phase."""
         if held and not np.array_equal(q, self._given.chain.q_start):
             self.scenario = as_held(self._given, q)
         self._enter(None, q)
@@ -71,7 +158,6 @@ class Phases:
         self.braking = Braking(now.problem, now.law.squeezer)
 
     def ask(self) -> None:
-        """Let the phase end."""
         if self.now.is_last:
             raise InvalidValueError(f"phase '{self.now.phase.name}' is the last")
         self._asked = True
@@ -82,10 +168,9 @@ class Phases:
         return not self.now.is_last and (self._asked or (self._by_time and self.now.over))
 
     def hand_over(self, q: Array) -> bool:
-        """Begin the next phase, if the arms can stop in a tick, with the speed that they have.
+        """Begin the next phase at the present speed, if the arms can stop in a tick.
 
-        Returns:
-            Whether it was tried; :attr:`fault` says if it was in vain.
+        Returns whether it was tried; :attr:`fault` says why it failed.
         """
         if not self.braking.can_stop(self.now.state):
             return False
@@ -99,22 +184,22 @@ class Phases:
         return True
 
     def take_up(self, q: Array) -> None:
-        """Go on from where the robot is, at rest, at the time where the phase has stopped."""
+        """Go on from where the robot is, at rest, at the time when the phase stopped."""
         now, before = self.now, self.now.state
         now.state = Measured(q, self._observed).start(now.law)
         now.state.t, now.state.inputs = before.t, before.inputs
         self.rest_inputs()
 
     def take(self, inputs: Any, now: float) -> list[Arrival]:
-        """Let what has come since the last tick arrive."""
+        """Pass on what has come since the last tick."""
         state = self.now.state
-        arrivals = self.arrivals.read(self._feel(inputs), state.t, now)
+        arrivals = self.arrivals.read(self._without_wrench(inputs), state.t, now)
         self.now.inputs.step(state, arrivals)
         state.inputs.refused = (*self.arrivals.refused, *state.inputs.refused)
         return arrivals
 
-    def _feel(self, inputs: Any) -> Any:
-        """Take what the force sensors say out of what has come, where hands squeeze by it."""
+    def _without_wrench(self, inputs: Any) -> Any:
+        """Move the readings of force sensors to the state, if internal forces are controlled."""
         if not self.now.law.squeezer:
             return inputs
         self.now.state.hand_wrench = None
@@ -124,23 +209,22 @@ class Phases:
         return {name: given for name, given in inputs.items() if name != HAND_WRENCH}
 
     def rest_inputs(self) -> None:
-        """Let what follows the inputs stand where it is."""
+        """Hold the references that follow inputs where they are."""
         for channel in self.now.inputs.channels.values():
             channel.rate[:] = channel.acceleration[:] = 0.0
             if channel.kind.velocity:
                 channel.value[:] = 0.0
 
 
-#: Numbers of a scenario file are at least so large, or zero.
-LEAST = 1e-30
+#: Smallest size of a number in a scenario file that is not zero.
+SMALLEST = 1e-30
 
 
 def as_held(scenario: Scenario, q: Array) -> Scenario:
     """The scenario with its start where the robot is, and the grasp as it is held there.
 
     Raises:
-        GraspError: the hands are so far from how the scenario says they hold the object that it
-            cannot be the model's error.
+        GraspError: the hands are farther from the scenario's grasp than a model's error.
         InvalidValueError: q is no n finite numbers.
     """
     chain = scenario.chain
@@ -157,7 +241,7 @@ def as_held(scenario: Scenario, q: Array) -> Scenario:
 
 
 def _plain(numbers: Array) -> Array:
-    return np.where(np.abs(numbers) < LEAST, 0.0, numbers)
+    return np.where(np.abs(numbers) < SMALLEST, 0.0, numbers)
 
 
 def _pose(X: pin.SE3) -> Pose:

@@ -1,13 +1,11 @@
 """The loop with a robot and a clock: it keeps the period, and leaves the robot at rest.
 
-Python's collector of garbage stops everything for as long as it takes, 20 ms and more with all that
-a scenario has built, at a moment of its own choosing. So before the first tick all garbage is
-collected, what is left is frozen (never looked at again) and the collector switched off; what the
-ticks leave is little, and is collected in the time that a period leaves over.
+A garbage collection stops Python for 20 ms and more with all that a scenario has built, at any
+time. So all garbage is collected before the first tick, what is left is frozen and the collector
+switched off; the little garbage of ticks is collected in the rest of a period.
 
-Sleeping is not exact, so the last part of a period is waited for awake. After a late tick the next
-comes a whole period later, and none is made up for: ticks in quick succession would ask for as much
-motion in less time.
+Sleeping is not exact, so the last part of a period is a busy wait. After a late tick the next comes
+a whole period later: ticks in quick succession would ask for as much motion in less time.
 """
 
 from __future__ import annotations
@@ -33,47 +31,37 @@ class Robot(Protocol):
     """A driver of a robot; any class with these two methods."""
 
     def read(self) -> ArrayLike | None:
-        """Where the joints are now, shape (n,) [rad, m]; None where the robot says nothing.
+        """Measured joints, shape (n,) [rad, m], in the chain's order; None without a measurement.
 
-        In the order of the chain's joints; without the grasps' passive joints it is taken for the
-        robot's own. It returns what came last and does not wait. Where that came before the tick
-        before, None is the better answer, with ``silent_after`` of the loop: a joint may have gone
-        farther in many ticks than in one.
+        The grasps' passive joints may be missing. It returns what came last and does not wait. If
+        that came before the last tick, None is the better answer, with ``silent_after`` of the
+        loop: a joint may have gone farther in many ticks than in one.
         """
 
     def write(self, q: Array, v: Array) -> None:
-        """Take a command.
+        """Command joint positions or velocities, whichever the robot takes.
 
         Args:
-            q: where the joints shall be at the end of the period, shape (n,) [rad, m]; for robots
-                that take positions.
-            v: how fast they go there, shape (n,) [rad/s, m/s]; for robots that take velocities.
-                Zero tells it to stand still.
+            q: at the end of the period, shape (n,) [rad, m].
+            v: until then, shape (n,) [rad/s, m/s]; zero to stand still.
         """
 
 
-#: The last part of a period, waited for awake [s].
+#: Busy wait at the end of a period [s].
 AWAKE = 1.5e-4
-#: Time between collections of garbage and between writings of the session [s], and what must be
-#: left of a period for one of them, as a share of it.
+#: Time between garbage collections and between writings of the session [s]; the rest of a period
+#: that one of them needs, as a share of it.
 EVERY, LEFT = 0.25, 0.4
-
 #: From a tick so late, as a share of a period, the next is a whole period away.
 BEHIND = 0.4
 
 InputsNow = Callable[[], Mapping[str, Any] | None]
-"""What has arrived since it was last asked, as :meth:`OnlineLoop.tick` takes it; never waits."""
+"""What has arrived since the last call, as :meth:`OnlineLoop.tick` takes it; never waits."""
 
 
 @dataclass(frozen=True)
 class Ended:
-    """How a loop came to its end.
-
-    Attributes:
-        late: how many of them came late.
-        longest: the longest time between two ticks [s].
-        longest_tick: the number of the tick after it.
-    """
+    """How a loop ended: the longest time between two ticks [s], the number of the tick after it."""
 
     why: str
     ticks: int
@@ -82,7 +70,6 @@ class Ended:
     longest_tick: int
 
     def __str__(self) -> str:
-        """One sentence."""
         if not self.ticks:
             return self.why
         slow = f"the longest wait was {1e3 * self.longest:.2f} ms, before tick {self.longest_tick}"
@@ -96,20 +83,17 @@ def real_time(
     inputs: InputsNow | None = None,
     duration: float | None = None,
 ) -> Ended:
-    """Run a loop on a robot until something ends it; the robot is then told to stand still.
+    """Run a loop on a robot until something ends it; the robot is then commanded to stand still.
 
-    It ends, at rest, at Ctrl-C and SIGTERM, after the duration, when :meth:`OnlineLoop.end` is
-    called, and when the loop has stopped by itself, as after a silence of the robot. Where somebody
-    has told it to stop, it waits at rest until it is told to go on.
+    It ends, at rest, at Ctrl-C and SIGTERM, after the duration, at :meth:`OnlineLoop.end`, and when
+    the loop has stopped by itself, as after a silence of the robot. After :meth:`OnlineLoop.stop`
+    it waits at rest for :meth:`OnlineLoop.resume`.
 
     Args:
         loop: not begun yet, or at rest; with a clock.
-        robot: to be moved.
+        robot: its driver.
         inputs: what has arrived; nothing does when omitted.
         duration: [s]; without an end when omitted.
-
-    Returns:
-        How it ended.
 
     Raises:
         InvalidValueError: an argument is none; the loop counts ticks, or has ended.
@@ -151,8 +135,6 @@ def _check(loop: Any, robot: Any, inputs: Any, duration: Any) -> None:
 
 
 class _Run:
-    """A loop on a robot."""
-
     def __init__(
         self, loop: OnlineLoop, robot: Robot, inputs: InputsNow | None, duration: float
     ) -> None:
@@ -163,7 +145,7 @@ class _Run:
         self._flushed = self._collected = 0.0
 
     def begin(self) -> None:
-        """Wait until the robot says where it is, and begin there."""
+        """Wait for the first measurement, and begin there."""
         if self._loop.begun:
             return
         until = self._loop.now + self._loop.patience
@@ -174,7 +156,6 @@ class _Run:
         self._loop.begin(q)
 
     def until_the_end(self) -> None:
-        """Tick after tick."""
         loop, due = self._loop, self._loop.now
         until = due + self._duration
         while loop.running:
@@ -191,7 +172,7 @@ class _Run:
             self._wait(due)
 
     def _ask(self, who: Callable[[], Any] | None) -> Any:
-        """What somebody says; nothing once one of them has failed."""
+        """The result of a call of the user's code; None once one of them has raised."""
         if who is None or self.fault:
             return None
         try:

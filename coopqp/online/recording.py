@@ -1,4 +1,4 @@
-"""A recording of a loop while it runs, in pieces: whoever kills the process loses the last of them.
+"""A recording of a running loop, in pieces: a process that is killed loses the last of them.
 
     with LiveRecording(path, scenario, law, state, controller="qp") as recording:
         while True:
@@ -6,14 +6,13 @@
             recording.tick(state, command, us)  # before the state goes on
             ...
 
-A tick copies numbers into a ring that was there before the first one, and does nothing else. Every
-``EVERY`` seconds a thread adds what is new to the file, as one piece of Arrow's IPC stream, which
-is done without Python's lock but for a moment. Nothing waits: where the disk does not keep up, the
-ring fills, and ticks that find no room are left out and counted.
+A tick copies numbers into a preallocated ring. Every ``EVERY`` seconds a thread adds what is new to
+the file, as one piece of Arrow's IPC stream, almost without the GIL. Nothing waits: where the disk
+does not keep up, the ring fills, and ticks without room are left out and counted.
 
-The columns are those of ``trace.csv`` from which a tick is done again. Nobody knows the truth of a
-real robot: ``q`` is what the tick decided from, and the object is where q has it; ``measured`` is
-what the sensors said. What was made of the inputs is in it, too.
+The columns are those of ``trace.csv`` from which a tick can be repeated: ``q`` is the configuration
+before the tick, the object's pose is that at q, ``measured`` are the sensors' joints. Input values
+are in it, too.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ from coopqp.scenario.scenario import Scenario
 from coopqp.signal import Kind
 from coopqp.solver import Status, written
 
-#: Where a live loop measures fields of the table, those beside time, memory and inputs.
+#: Fields of the table other than time, memory and inputs, as a live loop has them.
 MEASURED: dict[str, Callable[[State, Command], Any]] = {
     "q": lambda state, command: state.q,
     "v": lambda state, command: command.v,
@@ -55,18 +54,15 @@ MEASURED: dict[str, Callable[[State, Command], Any]] = {
 
 
 class TickRing:
-    """The last ticks of a loop that have not been written yet, in memory there before the first.
+    """Ring buffer of the ticks of a loop that have not been written yet.
 
-    A row is copied in one step when it is whole, and counted after that, so the side that fills the
-    ring and the one that empties it need no lock.
+    A row is copied in one step and counted after that, so writer and reader need no lock.
 
     Attributes:
-        names: of the columns that are numbers, C of them; NaN is an empty cell.
-        numbers: shape (C, capacity).
-        numbered: which tick a row is of, shape (capacity,).
-        causes: what became of it, by row.
-        filled, emptied: how many rows have gone in and out.
-        dropped: how many ticks found no room.
+        names, numbers: of the columns that are numbers, C of them; shape (C, capacity), NaN is an
+            empty cell.
+        numbered, causes: number and statuses of each row's tick, capacity of each.
+        filled, emptied, dropped: rows that have gone in and out; ticks without room.
     """
 
     def __init__(
@@ -107,15 +103,15 @@ class TickRing:
         self.begin(start)
 
     def _view(self, name: str, layout: Layout) -> Array:
-        """A field's part of the row; its columns stand beside each other."""
+        """A field's part of the row; its columns are adjacent."""
         columns = of_field(name, layout)
         first = self.names.index(columns[0]) if columns else 0
         return self._row[first : first + len(columns)]
 
     def begin(self, state: State, since: float = 0.0) -> None:
-        """Take down from what a law decides its first tick.
+        """Record the state before a first tick.
 
-        A tick is done again from the velocity of the one before. Where that is not the state's, as
+        A tick is repeated from the velocity of the one before. Where that is not the state's, as
         after a stop, a number is left out between them.
         """
         self._remember(state)
@@ -152,16 +148,16 @@ class TickRing:
             rate[:] = np.nan if followed is None else followed.rate
 
     def waiting(self) -> list[slice]:
-        """Rows that have gone in and not out, in their order: one piece, or two around the end."""
+        """Rows not yet written, in their order: one slice, or two around the end."""
         first, count = self.emptied % self.capacity, self.filled - self.emptied
         before = min(count, self.capacity - first)
         pieces = slice(first, first + before), slice(0, count - before)
         return [piece for piece in pieces if piece.stop > piece.start]
 
 
-#: Seconds between pieces, so that a crash loses less than one.
+#: Time between pieces [s]; a crash loses less than one.
 EVERY = 0.25
-#: Seconds of ticks that the ring holds, for disks that are slow for a while.
+#: Time that the ring holds, for disks that are slow for a while [s].
 ROOM = 8.0
 
 
@@ -169,19 +165,18 @@ class LiveRecording:
     """A file that grows while a loop runs.
 
     Args:
-        path: of the file, ``NAME.arrows``; must not exist.
-        scenario: whose joints and tasks they are.
-        law: whose ticks, of the first phase.
+        path: ``NAME.arrows``; must not exist.
+        scenario: that runs.
+        law: of the first phase.
         start: the state before the first tick. Where it has measured joints, all ticks have.
         controller: the law's name in the scenario.
-        source: the scenario's text, with which ticks are done again; what it was read from if
-            omitted.
-        also: names of further columns, such as ``input[hand].x``; all numbers, NaN is nothing.
-        memory: how many numbers the laws remember at most, where later ones remember more.
-        every: seconds between pieces; 0 without a thread: whoever ticks calls :meth:`flush`.
+        source: the scenario's text, for repeating ticks; what it was read from if omitted.
+        also: names of further columns of numbers, such as ``input[hand].x``; NaN is empty.
+        memory: largest size of the laws' memory, where later ones have more than the first.
+        every: time between pieces [s]; 0 without a thread: the caller calls :meth:`flush`.
 
     Attributes:
-        fault: why it could not be written on, as a sentence; empty while all is well.
+        fault: why writing failed; empty if it did not.
 
     Raises:
         CoopqpError: the file exists, or cannot be made.
@@ -225,28 +220,28 @@ class LiveRecording:
 
     @property
     def dropped(self) -> int:
-        """How many ticks were left out because the disk did not keep up."""
+        """Number of ticks left out because the disk did not keep up."""
         return self._ring.dropped
 
     def tick(
         self, state: State, command: Command, us: float, also: Array | Sequence[float] = ()
     ) -> None:
-        """Take down a tick; raises nothing and waits for nothing.
+        """Record a tick; raises nothing and waits for nothing.
 
         Args:
-            state: as the law left it, before it goes on.
+            state: as the law left it, before it advances.
             command: the law's.
-            us: how long the law took [us].
-            also: the further columns' numbers.
+            us: computing time of the law [us].
+            also: numbers of the further columns.
         """
         self._ring.add(state, command, us, also)
 
     def begin(self, state: State, since: float = 0.0) -> None:
-        """Say that the loop goes on from another state than the last tick's, as after a stop.
+        """Go on from another state than the last tick's, as after a stop.
 
         Args:
             state: before its first tick.
-            since: when its own time began, as in a later phase [s].
+            since: start of its own time, as in a later phase [s].
         """
         self._ring.begin(state, since)
 
@@ -309,7 +304,7 @@ class LiveRecording:
             self.flush()
 
     def _write(self, piece: slice) -> None:
-        # One look into a dictionary a tick: the loop waits for Python's lock meanwhile.
+        # One look-up a tick: the loop waits for the GIL meanwhile.
         words = self._pa.array(list(map(_word, self._ring.causes[piece])))
         batch = self._batch.slice(piece.start, piece.stop - piece.start)
         last = batch.num_columns - 1
@@ -321,7 +316,7 @@ _word = cache(written)
 
 
 def _check(path: Path, text: str, columns: Sequence[str], also: Sequence[str]) -> None:
-    """Refuse what could be written and not be read."""
+    """Refuse what could be written and not read."""
     if path.suffix != SUFFIX:
         raise InvalidValueError(f"'{path}': needs a name that ends with {SUFFIX}")
     if not text:

@@ -1,11 +1,10 @@
-"""What is kept of a loop: its recording, and the session on disk, so that it can be played again.
+"""Recording of a loop, and its session on disk, which can be played again.
 
     OUT/scenario.yaml        the scenario, begun where the robot was, fed from the files
     OUT/inputs/NAME.csv      t: of the tick for which it arrived; sent: when; the value's columns
 
-``coopqp compare OUT/scenario.yaml`` plays it again, for the same law or for others. With the same
-law on the same plant the joints are equal bit for bit, if nothing came in between: no stop, no
-silence.
+``coopqp compare OUT/scenario.yaml`` plays it again, with the same law or others. With the same law
+on the same plant the joints are bit-equal, if there was no stop and no silence in between.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ from coopqp.scenario.scenario import Scenario
 from coopqp.scenario.yaml import parsed
 from coopqp.signal import Kind
 
-#: So much of a session is kept in memory before it is written by a tick itself [s].
+#: Largest part of a session in memory; beyond it a tick itself writes [s].
 AT_MOST = 1.0
 
 
@@ -50,7 +49,7 @@ class _File(Sent):
             with self.path.open("a", encoding="utf-8") as file:
                 file.write(lines if self.written else self.header + lines)
         except OSError:
-            with suppress(OSError):  # a row that is torn would make all of them unreadable
+            with suppress(OSError):  # a torn row would make the file unreadable
                 os.truncate(self.path, whole)
             raise
         self.written = True
@@ -76,14 +75,12 @@ class Session:
             raise CoopqpError(f"cannot write to '{folder}': {error.strerror or error}") from error
 
     def add(self, name: str, kind: Kind, t: float, sent: float, value: Array) -> None:
-        """Keep what arrived at an input."""
         if name not in self._sent:
             file = file_name(name, {sent.path.name for sent in self._sent.values()})
             self._sent[name] = _File(self._folder / FOLDER / file, kind)
         self._sent[name].add(t, sent, value)
 
     def flush(self, now: float, phases: Sequence[PhaseRun]) -> None:
-        """Write what is new."""
         before = {name for name, sent in self._sent.items() if sent.written}
         for sent in self._sent.values():
             sent.flush(now)
@@ -91,12 +88,11 @@ class Session:
             self._write_scenario(phases)
 
     def close(self, phases: Sequence[PhaseRun]) -> None:
-        """Write the rest, and how long the phases were."""
+        """Write the rest, and the durations of the phases."""
         self.flush(float("inf"), phases)
         self._write_scenario(phases)
 
     def replay(self, phases: Sequence[PhaseRun]) -> Scenario:
-        """The scenario that plays what is on disk again."""
         begun, feeds = self._scenario, self._feeds()
         inputs = {
             name: replace(settings, feed=None, feed_file=feeds.get(name))
@@ -115,7 +111,7 @@ class Session:
 
     def _write_scenario(self, phases: Sequence[PhaseRun]) -> None:
         if not self._scenario.source:
-            return  # it was made in Python; who plays it again has it there
+            return  # it was made in Python, and is replayed there
         text = scenario_text(
             self._scenario, self._given, self._controller, phases, self._feeds(), self._folder
         )
@@ -137,10 +133,10 @@ def scenario_text(
     feeds: Mapping[str, Path],
     folder: Path,
 ) -> str:
-    """The scenario of a session as the text of a file.
+    """The scenario of a session as a file's text.
 
-    A reference must arrive before the end of its phase, so a phase that was cut short is written
-    with the time that its references take.
+    A reference must end before its phase, so a phase that was cut short is written with the time
+    that its references take.
     """
     data = dict(parsed(Path(given.name), given.source).data)
     for key in ("start_deg", "start_near"):
@@ -163,7 +159,7 @@ def scenario_text(
 
 
 def _place_object(data: dict[str, Any], scenario: Scenario) -> None:
-    """Where the object is, instead of where it is in the hands that hold it."""
+    """The object's pose, instead of its place in the hands that hold it."""
     pose = scenario.held.pose
     assert pose is not None
     where = {"position": list(pose.position), "rpy": list(pose.angles)}
@@ -180,7 +176,7 @@ def _place_object(data: dict[str, Any], scenario: Scenario) -> None:
 
 
 def _add_limits(data: dict[str, Any], scenario: Scenario) -> None:
-    """The acceleration limit, where the loop has added it."""
+    """The acceleration limit, if the loop has added one."""
     written = data.get("limits", ["joint_position", "joint_velocity"])
     if len(written) < len(scenario.limits):
         limit = scenario.limits[-1]
@@ -190,7 +186,6 @@ def _add_limits(data: dict[str, Any], scenario: Scenario) -> None:
 
 
 def _seen_from(folder: Path | None, feeds: Mapping[str, Path]) -> dict[str, str]:
-    """Paths of what was sent, from a folder if one is given."""
     return {
         name: str(path.relative_to(folder) if folder else path.resolve())
         for name, path in feeds.items()
@@ -209,15 +204,15 @@ def _set_durations(data: dict[str, Any], runs: Sequence[PhaseRun]) -> None:
 
 
 class Record(Protocol):
-    """Takes down ticks; raises nothing and waits for nothing."""
+    """Records ticks; raises nothing and waits for nothing."""
 
     def tick(
         self, state: State, command: Command, us: float, also: Array | Sequence[float] = ()
     ) -> None:
-        """Take down a tick, as :meth:`coopqp.online.recording.LiveRecording.tick`."""
+        """As :meth:`coopqp.online.recording.LiveRecording.tick`."""
 
     def begin(self, state: State, since: float = 0.0) -> None:
-        """Say that the loop goes on from another state than the last tick's, as after a stop."""
+        """Go on from another state than the last tick's, as after a stop."""
 
     def close(self) -> None:
         """Write the rest and the end."""
@@ -234,7 +229,6 @@ class Keeper:
         self.fault, self._flushed = "", 0.0
 
     def begin(self, given: Scenario) -> None:
-        """The loop has begun."""
         if self._out is not None:
             self.session = Session(self._out, self._loop.scenario, given, self._loop.controller)
             self._out, self._flushed = None, 0.0
@@ -242,12 +236,11 @@ class Keeper:
 
     def go_on(self) -> None:
         """The loop goes on from another state, as after a stop or in another phase."""
-        if self._record is not None:
-            now, record = self._loop.phases[-1], self._record
-            self._safely("_record", lambda: record.begin(now.state, now.since))
+        now = self._loop.phases[-1]
+        self._safely("_record", "begin", now.state, now.since)
 
     def arrived(self, arrivals: Sequence[Arrival]) -> None:
-        """Keep what arrived and was taken; write it when it is much."""
+        """Add what arrived and was accepted to the session; write it when it is much."""
         if self.session is None:
             return
         run = self._loop.phases[-1]
@@ -261,31 +254,26 @@ class Keeper:
             self.flush()
 
     def tick(self, state: State, command: Command, us: float) -> None:
-        """Hand a tick to the recording."""
-        record = self._record
-        if record is not None:
-            self._safely("_record", lambda: record.tick(state, command, us))
+        if self._record is not None:
+            self._safely("_record", "tick", state, command, us)
 
     def flush(self) -> None:
-        """Write what is new of the session."""
         if self.session is None or not self._loop.phases:
             return
-        run, session = self._loop.phases[-1], self.session
-        now = self._flushed = run.since + run.state.t
-        self._safely("session", lambda: session.flush(now, self._loop.phases))
+        run = self._loop.phases[-1]
+        self._flushed = run.since + run.state.t
+        self._safely("session", "flush", self._flushed, self._loop.phases)
 
     def close(self) -> None:
-        """Write the rest of all."""
-        if self._record is not None:
-            self._safely("_record", self._record.close)
-            self._record = None
+        self._safely("_record", "close")
         if self.session is not None:
-            session, self.session = self.session, None
-            self._safely("session", lambda: session.close(self._loop.phases))
+            self._safely("session", "close", self._loop.phases)
+        self.session = self._record = None
 
-    def _safely(self, whose: Literal["session", "_record"], write: Callable[[], None]) -> None:
+    def _safely(self, whose: Literal["session", "_record"], method: str, *given: Any) -> None:
         try:
-            write()
+            if (written := getattr(self, whose)) is not None:
+                getattr(written, method)(*given)
         except Exception as error:  # noqa: BLE001 - the robot comes before its record
             self.fault = f"the record is not whole: {error}"
             setattr(self, whose, None)

@@ -1,4 +1,4 @@
-"""A plant of a scenario in the place of a robot."""
+"""A scenario's plant in the place of a robot."""
 
 from __future__ import annotations
 
@@ -12,15 +12,12 @@ from coopqp.plant import PlantModel
 
 
 class SimulatedRobot:
-    """Reads and writes like a robot; each write lets one period pass.
+    """The plant of a loop's scenario with a robot's methods; each write simulates one period.
 
-    Args:
-        loop: whose scenario's plant it is. With the plant ``kinematic`` give the loop
-            ``reference="measured"``, so that it does what a comparison does, to the last bit.
+    With the plant ``kinematic`` and ``reference="measured"`` the loop is bit-equal to a comparison.
 
     Attributes:
-        plant: with its signals, such as forces.
-        state: of the plant, which is not the loop's.
+        plant, state: with its signals, such as forces; its state, which is not the loop's.
     """
 
     def __init__(self, loop: OnlineLoop) -> None:
@@ -30,12 +27,12 @@ class SimulatedRobot:
         self._command = Command(loop.problem.chain.n)
 
     def read(self) -> Array:
-        """Where the sensors say that the joints are."""
+        """Measured joints, shape (n,) [rad, m]."""
         measured = self.plant.measured
         return self.state.q.copy() if measured is None else measured.copy()
 
     def write(self, q: Array, v: Array) -> None:
-        """Let the plant do for one period what it is told."""
+        """Simulate one period."""
         if len(self._loop.phases) - 1 > self._index:
             self._hand_over()
         self._command.v[:] = v
@@ -46,7 +43,6 @@ class SimulatedRobot:
         return scenario.plant.build(self._loop.problem, scenario.seed, scenario.disturbance)
 
     def _hand_over(self) -> None:
-        """The loop has gone on to another phase: other arms hold the object."""
         before, old, self._index = self.plant, self.state, len(self._loop.phases) - 1
         self.plant = self._built()
         self.plant.resume(before)

@@ -1,19 +1,107 @@
-"""Whether the loop goes on: who has stopped it, and what it has waited for in vain.
+"""Whether a tick of the loop is late or early, and whether the loop goes on.
 
-Signal handlers and other threads may tell it to stop, to end and to go on, in the midst of a tick.
-Each of them writes one reference, which Python does in one step, and needs no lock; a tick looks
-once, at its beginning. The first Ctrl-C or SIGTERM ends it at rest, the second at once.
+Signal handlers and other threads may stop, end and resume it in the midst of a tick. Each of them
+writes one reference, which is atomic in Python and needs no lock; a tick reads once, at its
+beginning. The first Ctrl-C or SIGTERM ends it at rest, the second at once.
 """
 
 from __future__ import annotations
 
+import math
 import signal
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from types import FrameType
 from typing import Any
 
 from coopqp.solver import Status
+
+#: A tick is late, or early, by more than this share of a period.
+SHARE = 0.5
+#: The caller's clock may be faster by this share.
+CLOCK_FASTER = 0.02
+
+
+class Watch:
+    """Counts late and early ticks.
+
+    Early calls are no ticks: each command is for a whole period, so two in one ask for twice the
+    speed. The earliest time of a tick advances by a period with each, so that ticks which come a
+    little early again and again do not add up.
+
+    Attributes:
+        longest: the longest time between two ticks [s].
+        longest_tick: the number of the tick after it; -1 before the second tick.
+        elapsed: from the tick before to the last one [s]; NaN for a first one.
+        began: start of the last tick that was not early [s].
+        stands: whether the clock has not advanced since it was last read.
+    """
+
+    def __init__(self, dt: float) -> None:
+        self._dt = dt
+        self.late, self.early, self.longest, self.longest_tick = 0, 0, 0.0, -1
+        self.elapsed, self._last = math.nan, math.nan
+        self.began = self._since = self._seen = -math.inf
+        self.stands = self._held = False
+
+    def __repr__(self) -> str:
+        slow = f"longest={self.longest:.6f}, longest_tick={self.longest_tick}"
+        return f"Watch(late={self.late}, early={self.early}, {slow})"
+
+    def forget(self) -> None:
+        """Let the next tick be a first one, as after a pause."""
+        self._last = math.nan
+
+    def left(self, now: float) -> float:
+        """The rest of the period [s]; zero if a tick may come."""
+        self.stands, self._seen = now <= self._seen, now
+        if not now < self._since:
+            return 0.0
+        self.early += 1
+        self._held = True
+        return self.began + self._dt - now
+
+    def tick(self, k: int, now: float) -> bool:
+        """A tick begins; whether it is late."""
+        self.elapsed, self._last, self.began = now - self._last, now, now
+        behind = now - (SHARE - CLOCK_FASTER) * self._dt
+        self._since = max(self._since, behind) + (1.0 - CLOCK_FASTER) * self._dt  # earliest next
+        if self.elapsed > self.longest:
+            self.longest, self.longest_tick = self.elapsed, k
+        # After an early call the next tick is due a period later.
+        is_late = self.elapsed > (1.0 + SHARE + self._held) * self._dt
+        self._held = False
+        self.late += is_late
+        return is_late
+
+
+class Waiting:
+    """A reading and inputs of early calls, for the next tick; of several the last counts."""
+
+    def __init__(self) -> None:
+        self.forget()
+
+    def forget(self) -> None:
+        self._q: Any = None
+        self._inputs: dict[Any, Any] = {}
+
+    def keep(self, q: Any, inputs: Any) -> None:
+        if q is not None:
+            self._q = q
+        if isinstance(inputs, Mapping):
+            with suppress(Exception):  # a class of a user's may fail
+                self._inputs.update(inputs)
+
+    def take(self, q: Any, inputs: Any) -> tuple[Any, Any]:
+        """What a tick is given, completed by what was kept."""
+        waited, values = self._q, self._inputs
+        if waited is None and not values:
+            return q, inputs
+        self.forget()
+        if inputs is None or isinstance(inputs, Mapping):
+            inputs = {**values, **(inputs or {})}
+        return waited if q is None else q, inputs
 
 
 class Stops:
@@ -21,8 +109,8 @@ class Stops:
 
     Attributes:
         why: for this tick, why it stands still until :meth:`resume`; empty while it goes on.
-        goes_on_again: whether it was stopped and has not gone on yet.
-        by_itself: whether nobody has told it to stop.
+        goes_on_again: whether it was resumed and has not gone on yet.
+        by_itself: whether it stopped without a request.
     """
 
     def __init__(self, patience: float) -> None:
@@ -30,7 +118,6 @@ class Stops:
         self.forget()
 
     def forget(self) -> None:
-        """Begin anew."""
         self.why, self.goes_on_again, self.by_itself = "", False, False
         self._stopped = self._ended = ""
         self._resumed = False
@@ -38,17 +125,16 @@ class Stops:
 
     @property
     def ends(self) -> bool:
-        """Whether it stands still for good."""
         return bool(self._ended)
 
     @property
-    def told(self) -> str:
-        """Why it shall stand still, as last told; empty where it shall go on."""
+    def requested(self) -> str:
+        """The reason of the last request to stop or end; empty where it shall go on."""
         return self._ended or self._stopped
 
     @property
     def cause(self) -> Status | None:
-        """Why it does not go on in this tick, as a status."""
+        """The status of a tick in which it is stopped."""
         return Status.STOPPED if self.why else None
 
     def stop(self, why: Any) -> None:
@@ -61,25 +147,25 @@ class Stops:
 
     def resume(self) -> None:
         """Go on, unless it has ended."""
-        if self.told and not self.ends:
+        if self.requested and not self.ends:
             self._resumed, self._stopped = True, ""
 
     def look(self) -> bool:
-        """A tick begins; whether it was told to go on since the last."""
-        self.why, resumed = self.told, self._resumed
+        """A tick begins; whether :meth:`resume` was called since the last."""
+        self.why, resumed = self.requested, self._resumed
         if resumed:
             self._resumed, self._wrong_since = False, None
             self.goes_on_again, self.by_itself = True, False
         return resumed
 
     def halt(self, why: str) -> None:
-        """Stop in this tick, by itself; the first reason counts."""
-        self.by_itself = self.by_itself or not self.told
+        """Stop in this tick, without a request; the first reason counts."""
+        self.by_itself = self.by_itself or not self.requested
         self.stop(why)
-        self.why = self.told
+        self.why = self.requested
 
-    def heard(self, wrong: Status | None, now: float, elapsed: float) -> None:
-        """Lose patience where that is due."""
+    def wait(self, wrong: Status | None, now: float, elapsed: float) -> None:
+        """Stop after too long a time without a tick, or without a measurement."""
         if elapsed > self._patience:
             self.halt(f"no tick came for {elapsed:.3g} s")
         if wrong is None:
@@ -98,33 +184,31 @@ _WORDS = {
 
 
 def reason(why: Any, otherwise: str) -> str:
-    """A reason in words, whatever was given: a robot must stop for any, and for none."""
+    """A reason in words, whatever was given: a robot must stop for any object."""
     try:
         return ("" if why is None else str(why).strip()) or otherwise
     except Exception:  # noqa: BLE001 - an object of a user's may not say what it is
         return otherwise
 
 
-#: What ends a loop, and what it is called.
+#: Signals that end a loop, and their names in messages.
 NAMES = {signal.SIGINT: "Ctrl-C", signal.SIGTERM: "SIGTERM"}
 
 
 class Interrupts:
-    """The signals that end a loop while it runs, in the main thread; in others they stay as is."""
+    """Handlers of the signals that end a loop while it runs in the main thread."""
 
     def __init__(self, end: Callable[[str], None]) -> None:
         self._end, self._depth, self._caught = end, 0, False
         self._before: dict[signal.Signals, Any] = {}
 
     def take(self) -> None:
-        """Take them over."""
         self._depth += 1
         if self._depth == 1 and threading.current_thread() is threading.main_thread():
             self._caught = False
             self._before = {number: signal.signal(number, self._catch) for number in NAMES}
 
     def give_back(self) -> None:
-        """Let them be what they were."""
         self._depth -= 1
         if self._depth == 0:
             for number, before in self._before.items():
@@ -132,7 +216,7 @@ class Interrupts:
             self._before = {}
 
     def _catch(self, number: int, frame: FrameType | None) -> None:
-        if self._caught:  # comes out of the tick, so that who runs the loop can stop the robot
+        if self._caught:  # is raised in the tick, so that the caller can stop the robot
             raise KeyboardInterrupt if number == signal.SIGINT else SystemExit(128 + number)
         self._caught = True
         self._end(NAMES[signal.Signals(number)])

@@ -1,6 +1,6 @@
 """Triangles of COLLADA files (.dae): the geometry of the scene, where its nodes put it.
 
-As pinocchio has it, a file's unit and its upward axis are not looked at.
+A file's unit and upward axis are ignored, as by pinocchio.
 """
 
 from __future__ import annotations
@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -20,11 +19,11 @@ from coopqp.robot_files.xml import DEEPEST, place_of, read_xml
 
 Ints = NDArray[np.int64]
 
-#: Nodes and corners of triangles that the instances of a file may come to.
+#: Largest numbers of nodes and corners of triangles of a file's instances.
 MOST_NODES, MOST_CORNERS = 10_000, 10_000_000
-#: Geometry with faces; lines and points are read over.
+#: Geometry with faces; lines and points are ignored.
 FACES = ("triangles", "polylist", "polygons", "tristrips", "trifans")
-#: What a node may have that would put its geometry elsewhere.
+#: Parts of a node that would move its geometry.
 NOT_READ = ("lookat", "skew", "instance_controller")
 
 
@@ -38,55 +37,39 @@ def collada_corners(path: Path) -> tuple[Array, Ints]:
     library, points, corners = _Library(xml), [np.zeros((0, 3))], [np.zeros(0, np.int64)]
     before, total = 0, 0
     for X, geometry in _instances(xml, library):
-        for part in library.faces(geometry):
-            corners.append(part.corners + before)
-            points.append(part.points @ X[:3, :3].T + X[:3, 3])
-            before, total = before + len(part.points), total + len(part.corners)
+        for places, rows in library.faces(geometry):
+            corners.append(rows + before)
+            points.append(places @ X[:3, :3].T + X[:3, 3])
+            before, total = before + len(places), total + len(rows)
             if max(before, total) > MOST_CORNERS:
                 words = f"its instances have more than {MOST_CORNERS} corners"
                 raise InvalidValueError(f"{place_of(geometry)}: {words}")
     return np.concatenate(points), np.concatenate(corners).reshape(-1, 3)
 
 
-@dataclass(frozen=True, eq=False)
-class _Faces:
-    """Points, shape (v, 3), and corners of triangles, three to each, shape (3 t,)."""
-
-    points: Array
-    corners: Ints
-
-
 class _Library:
-    """The elements of a file by their ids, and their triangles.
-
-    Args:
-        xml: of the file.
-    """
+    """The elements of a file by their ids, and their triangles."""
 
     def __init__(self, xml: ET.Element) -> None:
         self._by_id = {(e.tag, e.get("id")): e for e in xml.iter() if e.get("id")}
-        self._read: dict[ET.Element, list[_Faces]] = {}
+        self._read: dict[ET.Element, list[tuple[Array, Ints]]] = {}
 
     def named(self, user: ET.Element, tag: str, key: str) -> ET.Element:
-        """What an element refers to by ``#id``.
-
-        Raises:
-            InvalidValueError: there is no such element.
-        """
+        """The element that an attribute refers to by ``#id``."""
         address = user.get(key, "")
         found = self._by_id.get((tag, address.removeprefix("#")))
         if found is None or not address.startswith("#"):
             raise InvalidValueError(f"{place_of(user)} {key}: no {tag} '{address[:40]}'")
         return found
 
-    def faces(self, geometry: ET.Element) -> list[_Faces]:
-        """The triangles of a geometry."""
+    def faces(self, geometry: ET.Element) -> list[tuple[Array, Ints]]:
+        """Points, shape (v, 3), and corners of triangles, three to each, shape (3 t,)."""
         if geometry not in self._read:
             parts = (part for mesh in geometry.findall("mesh") for part in mesh)
             self._read[geometry] = [self._faces(part) for part in parts if part.tag in FACES]
         return self._read[geometry]
 
-    def _faces(self, part: ET.Element) -> _Faces:
+    def _faces(self, part: ET.Element) -> tuple[Array, Ints]:
         inputs = {e.get("semantic"): e for e in part.findall("input")}
         if "VERTEX" not in inputs:
             raise InvalidValueError(f"{place_of(part)}: needs an input of vertices")
@@ -104,7 +87,7 @@ class _Library:
         if len(rows) and not (rows.min() >= 0 and rows.max() < len(points)):
             wrong = int(rows[(rows < 0) | (rows >= len(points))][0])
             raise InvalidValueError(f"{place_of(part)}: no vertex {wrong}; it has {len(points)}")
-        return _Faces(points, rows[_corners(part, counts, len(rows))])
+        return points, rows[_corners(part, counts, len(rows))]
 
     def _points(self, user: ET.Element) -> Array:
         """The places of vertices, shape (v, 3)."""
@@ -189,13 +172,7 @@ TRANSFORMS: dict[str, tuple[int, Callable[[Array], Array]]] = {
 
 
 def _corners(part: ET.Element, counts: Ints, total: int) -> Ints:
-    """Where the corners of triangles are in the list of an element's corners.
-
-    Args:
-        part: of :data:`FACES`.
-        counts: corners of each ``p`` in it.
-        total: of them.
-    """
+    """Indices of triangles' corners among an element's; counts: corners of each ``p`` in it."""
     if part.tag == "triangles":
         if total % 3:
             raise InvalidValueError(f"{place_of(part)}: {total} corners are no whole triangles")

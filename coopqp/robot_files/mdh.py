@@ -21,7 +21,7 @@ from coopqp.base.errors import InvalidValueError, UnknownNameError
 from coopqp.base.spec import Array
 from coopqp.model.held_object import check_inertia, inertia_matrix
 
-#: sin(alpha) below which two axes count as parallel; a grasp is never known to a nanoradian.
+#: sin(alpha) below which two axes count as parallel.
 PARALLEL_AXES = 1e-8
 
 JointKind = Literal["revolute", "prismatic", "fixed"]
@@ -45,11 +45,10 @@ class Link:
 
     Attributes:
         mass: [kg].
-        com: centre of mass, shape (3,) [m].
+        com: centre of mass from the origin of frame j, shape (3,) [m].
         inertia: ixx ixy ixz iyy iyz izz about the centre of mass [kg m2].
-        axes: "joint" when com and inertia are written along the axes of MDH frame j; "base" when
-            they are written along the base axes at the zero pose, as robot makers do. The origin
-            is that of frame j in both cases.
+        axes: of com and inertia: "joint", those of MDH frame j; "base", those of the base at the
+            zero pose, as in data of robot makers.
     """
 
     mass: float
@@ -78,12 +77,10 @@ class MdhRow:
         name: of the joint (or of the frame, for a fixed row).
         antecedent: name of the antecedent joint; None for the base.
         kind: sigma of the table: revolute (0), prismatic (1), fixed (2).
-        parameters: the transform at joint value 0. For a revolute joint theta holds the offset
-            between the encoder's zero and the table's, for a prismatic joint r does.
-        lower, upper: position limits [rad or m].
-        velocity: [rad/s or m/s].
-        effort: [N m or N].
-        link: mass properties; None for a massless link.
+        parameters: the transform at joint value 0; theta of a revolute joint, r of a prismatic one
+            is the offset between the encoder's zero and the table's.
+        lower, upper, velocity, effort: limits [rad or m], [rad/s or m/s], [N m or N].
+        link: None if massless.
     """
 
     name: str
@@ -113,11 +110,9 @@ class MdhRow:
 
 @dataclass(frozen=True, kw_only=True)
 class Tip:
-    """A frame fixed to a row's link, with the base's axes at the zero pose.
+    """A frame fixed to the parent row's link, with the base's axes at the zero pose.
 
-    Attributes:
-        parent: name of the row it is fixed to.
-        offset: from that row's origin, along the base axes at the zero pose, shape (3,) [m].
+    ``offset``: from that row's origin, along the base axes at the zero pose, shape (3,) [m].
     """
 
     parent: str
@@ -138,10 +133,7 @@ def fixed_part(p: MdhParameters) -> pin.SE3:
 
 
 def grasp_parameters(X: pin.SE3) -> MdhParameters:
-    """The six parameters whose transform is X: the inverse of eq. (2).
-
-    When the two z axes are parallel there are infinitely many; the one with r = 0 is returned.
-    """
+    """The parameters whose transform is X, the inverse of eq. (2); with r = 0 for parallel axes."""
     R, p = X.rotation, X.translation
     sin_alpha = math.hypot(R[0, 2], R[1, 2])
     alpha = math.atan2(sin_alpha, R[2, 2])
@@ -153,7 +145,7 @@ def grasp_parameters(X: pin.SE3) -> MdhParameters:
         return MdhParameters(
             gamma=gamma, b=b_plus_r_cos - r * R[2, 2], alpha=alpha, d=d, theta=theta, r=r
         )
-    # Parallel axes: alpha is 0 or pi and only gamma +- theta is seen; x is put on the offset.
+    # Parallel axes: alpha is 0 or pi and only gamma +- theta matters; x is along the offset.
     alpha = 0.0 if R[2, 2] > 0.0 else math.pi
     gamma = math.atan2(p[1], p[0])
     about_z = math.atan2(R[1, 0], R[0, 0])
@@ -164,15 +156,11 @@ def grasp_parameters(X: pin.SE3) -> MdhParameters:
 
 
 def build_model(name: str, rows: Sequence[MdhRow], tips: Mapping[str, Tip]) -> pin.Model:
-    """Turn a table into a pinocchio model whose joint frames are the table's frames.
+    """A pinocchio model whose joint frames are the table's frames.
 
     The joint variable is the encoder angle (or stroke): frame j of the table at joint value q is
-    ``transform`` with theta + q (or r + q). Rows must be listed arm by arm (depth first).
-
-    Args:
-        name: of the model.
-        rows: the table.
-        tips: frames to add at the end of a row, such as a hand, by name.
+    ``transform`` with theta + q (or r + q). Rows are listed arm by arm (depth first); tips are
+    frames to add at the end of a row, such as a hand, by name.
 
     Raises:
         UnknownNameError: an antecedent or tip parent is not in the table above it.
@@ -201,8 +189,10 @@ def build_model(name: str, rows: Sequence[MdhRow], tips: Mapping[str, Tip]) -> p
     if not model.check(model.createData()):
         words = f"MDH table {name}: list the rows arm by arm (depth first)"
         raise InvalidValueError(words).at("rows")
-    _add_links(model, rows, joint_of, frame_in_joint)
-    _add_tips(model, tips, joint_of, frame_in_joint)
+    data = model.createData()
+    pin.forwardKinematics(model, data, pin.neutral(model))
+    _add_links(model, data, rows, joint_of, frame_in_joint)
+    _add_tips(model, data, tips, joint_of, frame_in_joint)
     return model
 
 
@@ -217,26 +207,18 @@ def _add_joint(model: pin.Model, parent: int, placement: pin.SE3, row: MdhRow) -
     return int(index)
 
 
-def _zero_pose(model: pin.Model) -> pin.Data:
-    data = model.createData()
-    pin.forwardKinematics(model, data, pin.neutral(model))
-    return data
-
-
 def _add_links(
     model: pin.Model,
+    data: pin.Data,
     rows: Sequence[MdhRow],
     joint_of: Mapping[str | None, int],
     frame_in_joint: Mapping[str | None, pin.SE3],
 ) -> None:
-    data = _zero_pose(model)
     for row in rows:
         if row.link is None:
             continue
         joint, X = joint_of[row.name], frame_in_joint[row.name]
-        R = np.eye(3)
-        if row.link.axes == "base":
-            R = (data.oMi[joint] * X).rotation.T
+        R = (data.oMi[joint] * X).rotation.T if row.link.axes == "base" else np.eye(3)
         com = R @ np.asarray(row.link.com)
         body = pin.Inertia(row.link.mass, com, R @ row.link.matrix @ R.T)
         model.appendBodyToJoint(joint, body, X)
@@ -244,11 +226,11 @@ def _add_links(
 
 def _add_tips(
     model: pin.Model,
+    data: pin.Data,
     tips: Mapping[str, Tip],
     joint_of: Mapping[str | None, int],
     frame_in_joint: Mapping[str | None, pin.SE3],
 ) -> None:
-    data = _zero_pose(model)
     for name, tip in tips.items():
         if name in joint_of:
             raise InvalidValueError(f"tip {name}: a row has this name already").at("tips", name)

@@ -1,8 +1,7 @@
 """Triangles of mesh files: STL, OBJ and COLLADA (.dae).
 
-They are read here and not by coal's loader, since that waits for pipes that an OBJ file names, dies
-of COLLADA files that go round in a circle, and takes half a file for a whole one. Materials,
-normals and all else in them is not read.
+coal's loader waits for pipes that an OBJ file names, crashes on COLLADA files with circles, and
+accepts half a file. Materials, normals and all else are not read.
 """
 
 from __future__ import annotations
@@ -74,20 +73,20 @@ def _stl_text(path: Path, content: bytes) -> Array:
 
 
 def _vertex(place: str, words: list[bytes], most: int) -> list[float]:
-    """The numbers of a vertex: 3 are needed, and there may be so many."""
+    """The numbers of a vertex, 3 to ``most``."""
     try:
         found = [float(word) for word in words]
     except ValueError:
         found = []
     fine = 3 <= len(found) <= most and all(map(math.isfinite, found))
-    if not fine or b"_" in b"".join(words):  # which Python takes for 1000 in 1_000
+    if not fine or b"_" in b"".join(words):  # Python reads 1_000 as 1000
         shown = b" ".join(words)[:40].decode("ascii", "replace")
         raise InvalidValueError(f"{place}: found '{shown}', needs 3 numbers")
     return found
 
 
-MOST = 10**9  # number of a vertex
-COLOURED = 8  # numbers that a vertex has at most: its place, a weight and a colour
+MOST = 10**9  # largest number of a vertex
+COLOURED = 8  # numbers of a vertex with a weight and a colour
 
 
 def _obj(path: Path) -> tuple[Array, NDArray[np.int64]]:
@@ -129,7 +128,7 @@ def _face(place: str, words: list[bytes], last: int) -> list[int]:
     return face
 
 
-#: Of a file's name what it holds. A reader gives vertices and the rows of them that triangles have.
+#: By suffix, readers of vertices and of triangles as rows of them.
 READERS: Mapping[str, Callable[[Path], tuple[Array, NDArray[np.int64]]]] = {
     ".stl": _stl,
     ".obj": _obj,
@@ -139,19 +138,14 @@ READERS: Mapping[str, Callable[[Path], tuple[Array, NDArray[np.int64]]]] = {
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A surface of triangles.
-
-    Attributes:
-        vertices: that triangles have, each once, shape (v, 3) [m].
-        corners: of each triangle, rows of vertices, shape (t, 3).
-    """
+    """A surface: vertices of triangles, shape (v, 3) [m]; rows of them, shape (t, 3)."""
 
     vertices: Array
     corners: NDArray[np.int64]
 
 
 def version(path: Path) -> tuple[Path, int, int]:
-    """The file and what tells that it is still the same."""
+    """The file with modification time and size."""
     try:
         found = path.stat()
     except (OSError, ValueError):
@@ -160,21 +154,16 @@ def version(path: Path) -> tuple[Path, int, int]:
 
 
 def read_mesh(path: Path, scale: tuple[float, ...]) -> Mesh:
-    """Read a file of triangles.
-
-    Args:
-        path: of a file whose name ends in .stl, .obj or .dae.
-        scale: factors along the axes of the file.
+    """Read an .stl, .obj or .dae file, with scale factors along its axes.
 
     Raises:
-        InvalidValueError: no such file, no such kind of file, or nothing with a surface in it; with
-            the line where it has lines.
+        InvalidValueError: no such file, another kind of file, or no surface in it; with the line.
     """
     read = READERS.get(path.suffix.lower())
     if read is None:
         raise InvalidValueError(f"mesh {path}: is of no kind that is read: {', '.join(READERS)}")
     try:
-        with np.errstate(all="ignore"):  # what overflows is nowhere
+        with np.errstate(all="ignore"):  # overflows are refused below
             points, corners = read(path)
     except (InvalidValueError, UnreadableFileError) as error:
         raise InvalidValueError(f"mesh {error}") from None

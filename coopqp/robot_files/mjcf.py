@@ -1,9 +1,8 @@
 """Reading MuJoCo files (MJCF) with MuJoCo's own compiler.
 
-The XML is read here, within bounds and with all that it includes, and written anew an element to a
-line, so that lines in MuJoCo's messages are elements of the file. Sections that say nothing of
-what the robot is are left out. Of meshes MuJoCo gets triangles that were read here, and only where
-a body's mass is that of its mesh.
+The XML is read here, within bounds and with its includes, and written anew an element to a line, so
+that lines in MuJoCo's messages are elements of the file. Sections that do not describe the robot
+are left out. MuJoCo gets the triangles of meshes only where a body's mass is that of its mesh.
 """
 
 from __future__ import annotations
@@ -23,9 +22,8 @@ import numpy as np
 from coopqp.base.errors import InvalidValueError, MissingDependencyError
 from coopqp.base.reading import absolute
 from coopqp.base.spec import FARTHEST
-from coopqp.robot_files.description import Description
-from coopqp.robot_files.mjcf_geoms import Geoms
-from coopqp.robot_files.mjcf_model import Named, floating, followers, pinocchio_model
+from coopqp.robot_files.mjcf_model import Geoms, Named, floating, followers, pinocchio_model
+from coopqp.robot_files.selection import Description
 from coopqp.robot_files.xml import (
     ALIKE,
     DEEPEST,
@@ -36,7 +34,7 @@ from coopqp.robot_files.xml import (
     stderr_lines,
 )
 
-#: Elements that are left out with all that is in them, by what they are in.
+#: Elements that are left out, by their parents.
 LEFT_OUT = {
     "mujoco": "size statistic visual extension contact deformable tendon sensor custom keyframe",
     "asset": "hfield skin texture material model",
@@ -50,7 +48,7 @@ LEFT_OUT = {
     "compiler": "lengthrange",
     "actuator": "plugin",
 }
-#: What MuJoCo makes bodies of, in a few lines as many as one likes.
+#: Macros of MuJoCo, which make any number of bodies.
 NOT_READ = {
     "replicate": "write out what it repeats",
     "attach": "write out what it attaches, or include it",
@@ -59,11 +57,11 @@ NOT_READ = {
 }
 #: Attributes that name something, which may be called "nan".
 NAMES = ("name", "class", "childclass", "model", "file", "joint", "joint1", "joint2", "mesh")
-#: Letters of an attribute or its name; MuJoCo cuts long messages, and the line with them.
+#: Letters of an attribute or its name; MuJoCo truncates long messages, with the line.
 LONGEST = 250
 LONG = ("vertex", "normal", "texcoord", "face", "user", "file")  # that may be longer
 NOT_A_NUMBER = re.compile(r"(^|\s)[+-]?nan", re.IGNORECASE)
-#: What MuJoCo says, and what is said of it.
+#: MuJoCo's messages, and plainer ones.
 PLAIN = {
     "^(XML )?Error: (Error: )?": "",
     "Schema violation: unrecognized attribute:": "unknown attribute",
@@ -79,7 +77,7 @@ OTHERWISE = {
     "xyz": "pos", "position": "pos", "rpy": "euler", "radius": "size", "length": "size",
     "filename": "file", "lower": "range", "upper": "range", "cube": "box",
 }  # fmt: skip
-#: Largest sizes of what MuJoCo has made of a file: elements, their array, and the bound.
+#: Bounds on sizes in the compiled model: elements, their array, and the bound.
 BOUNDS = (
     ("joints", "jnt_pos", FARTHEST),
     ("geoms", "geom_pos", FARTHEST),
@@ -122,21 +120,13 @@ def _mujoco() -> ModuleType:
 
 
 class _Includes:
-    """Puts the files that are included where they are included.
-
-    Args:
-        path: of the outermost file.
-    """
+    """Replaces <include> by the contents of files; path: of the outermost one."""
 
     def __init__(self, path: Path) -> None:
         self._folder, self._seen, self._left = path.parent, {path}, MOST_ELEMENTS
 
     def fill_in(self, element: ET.Element, depth: int = 0) -> None:
-        """Put in all that an element, and what is in it, includes.
-
-        Raises:
-            InvalidValueError: a file cannot be read, or is included a second time; too much is.
-        """
+        """Replace the includes in an element; none may be included twice, or too large."""
         if depth > DEEPEST:
             words = f"elements inside elements are more than {DEEPEST} deep"
             raise InvalidValueError(f"{place_of(element)}: {words}")
@@ -151,7 +141,7 @@ class _Includes:
 
     def _included(self, include: ET.Element, depth: int) -> ET.Element:
         path = absolute(self._folder / include.get("file", ""))
-        if path in self._seen:  # as MuJoCo has it; else ten small files can be ten billion
+        if path in self._seen:  # as in MuJoCo; else ten small files can be ten billion
             name = include.get("file")
             raise InvalidValueError(f"{place_of(include)}: file '{name}' is included already")
         self._seen.add(path)
@@ -168,11 +158,7 @@ class _Includes:
 
 
 def _take_out(xml: ET.Element) -> None:
-    """Leave out what is not looked at, and refuse what MuJoCo would not refuse.
-
-    Raises:
-        InvalidValueError: with file and line.
-    """
+    """Leave out what is not read, and refuse what MuJoCo would not refuse."""
     for element in xml.iter():
         if element.tag in NOT_READ:
             raise InvalidValueError(f"{place_of(element)}: is not read; {NOT_READ[element.tag]}")
@@ -195,7 +181,7 @@ def _take_out(xml: ET.Element) -> None:
 
 
 def _lines(xml: ET.Element) -> tuple[str, list[ET.Element]]:
-    """The file anew, an element to a line, and the elements in the order of their lines."""
+    """The file with an element to a line, and the elements in the order of their lines."""
     lines, elements = list[str](), list[ET.Element]()
 
     def write(element: ET.Element) -> None:
@@ -211,16 +197,7 @@ def _lines(xml: ET.Element) -> tuple[str, list[ET.Element]]:
 
 
 class _Compiled:
-    """A file as MuJoCo has it.
-
-    Args:
-        mujoco: the package.
-        xml: with all includes filled in.
-        path: of the file.
-
-    Raises:
-        InvalidValueError: MuJoCo refuses it, or nobody has built what it describes.
-    """
+    """A file, with its includes, compiled by MuJoCo."""
 
     def __init__(self, mujoco: ModuleType, xml: ET.Element, path: Path) -> None:
         self._path = path
@@ -238,7 +215,6 @@ class _Compiled:
         self._check_bounds()
 
     def description(self) -> Description:
-        """What it says of the robot."""
         named = Named(self._model)
         try:
             model = pinocchio_model(self._model, named)
@@ -263,7 +239,7 @@ class _Compiled:
         )
 
     def _element(self, said: str) -> ET.Element:
-        """The element whose line is named; the outermost one where none is."""
+        """The element whose line a message names; the outermost one where none is."""
         line = re.search(r"line (\d+)", said)
         return self._elements[int(line[1]) - 1 if line else 0]
 
@@ -280,7 +256,7 @@ class _Compiled:
         return InvalidValueError(f"{place}: {words}{self._hint(words, element)}")
 
     def _hint(self, words: str, element: ET.Element) -> str:
-        """What a word that MuJoCo does not know may have been meant to be."""
+        """What an unknown word may have been meant to be."""
         quoted = re.search("'(.+?)'", words)
         word = quoted[1] if quoted else ""
         schema = _schema()
@@ -299,11 +275,7 @@ class _Compiled:
         return f"; did you mean '{alike[0]}'?" if alike else ""
 
     def _check_bounds(self) -> None:
-        """Refuse what no robot has, which MuJoCo does not.
-
-        Raises:
-            InvalidValueError: with file and line.
-        """
+        """Refuse sizes that no robot has, which MuJoCo accepts."""
         for elements, array, most in BOUNDS:
             values = np.abs(getattr(self._model, array))
             if not (values <= most).all():
@@ -315,7 +287,7 @@ class _Compiled:
 
 
 def _attribute(words: str, element: ET.Element) -> str:
-    """Which of an element's attributes the words are about, as far as that can be told."""
+    """The attribute that a message is about, if that is clear."""
     for key, text in element.attrib.items():
         if f"'{text}'" in words:
             return f" {key}"

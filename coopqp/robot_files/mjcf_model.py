@@ -1,20 +1,35 @@
-"""From a model that MuJoCo has compiled to what we say of a robot.
+"""From a model that MuJoCo has compiled to a pinocchio model and shapes.
 
 MuJoCo's joint frames turn with the body, and a body may have several joints: each is a joint of
 pinocchio at its anchor, one after another, and the body's frame is behind the last of them.
+
+MuJoCo gets only the triangles of meshes that a moving body has its mass of, read here within
+bounds. In the place of other meshes, and of kinds without a shape here, a geom of negligible mass
+stands while it compiles. Planes are left out; geoms that only collide (group above 2) are not
+drawn.
 """
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.reading import absolute
 from coopqp.base.spec import Array
-from coopqp.robot_files.description import Follower
+from coopqp.robot import Shape
+from coopqp.robot_files.meshes import Mesh, read_mesh
+from coopqp.robot_files.selection import Follower
+from coopqp.robot_files.xml import missing_meshes
 
-#: Added in front of a geom's name that a body has already; names in files may have it, too.
+#: Prefix of a geom's name that a body has already; names in files may have it, too.
 WORLD = "world/"
 #: Numbers of MuJoCo's kinds of joints, motors and equalities.
 FREE, BALL, SLIDE, HINGE = 0, 1, 2, 3
@@ -32,13 +47,12 @@ UNALIGNED = {SLIDE: pin.JointModelPrismaticUnaligned, HINGE: pin.JointModelRevol
 
 
 class Named:
-    """Names of what a model has, in its order; what has none is called after its place.
+    """Names in a model, in its order; without one such as "body_3".
 
     Attributes:
-        bodies: the world's first, which is pinocchio's.
-        joints: a body's after it, "upper_joint_2".
-        geoms: of the frames that they are fixed to: their bodies', or their own, such as "geom_3",
-            in the world.
+        bodies: pinocchio's world first.
+        joints: after their body without a name, "upper_joint_2".
+        geoms: frames that they are fixed to: their bodies', or their own, "geom_3", in the world.
         sites: empty where they have none.
     """
 
@@ -103,7 +117,7 @@ def _add_joint(made: pin.Model, model: Any, joint: int, parent: int, X: pin.SE3,
 
 
 def _back_to_zero(model: Any, joint: int) -> pin.SE3:
-    """From where the file draws a joint, at its reference, to where it is at zero."""
+    """From a joint's reference position, as the file draws it, to zero."""
     axis, back = np.array(model.jnt_axis[joint]), -float(model.qpos0[model.jnt_qposadr[joint]])
     if model.jnt_type[joint] == BALL or not back:
         return pin.SE3.Identity()
@@ -113,7 +127,7 @@ def _back_to_zero(model: Any, joint: int) -> pin.SE3:
 
 
 def pose(p: Array, quaternion: Array) -> pin.SE3:
-    """As MuJoCo has it: w first."""
+    """Of a position and a quaternion with w first."""
     return pin.SE3(pin.Quaternion(*map(float, quaternion)).matrix(), np.array(p))
 
 
@@ -124,7 +138,7 @@ def _inertia(model: Any, body: int) -> pin.Inertia:
 
 
 def _effort(model: Any, joint: int) -> float:
-    """What a joint's motors give at most, both ways [N m or N]; infinite where nothing says so."""
+    """Effort limit of a joint's motors in both directions [N m or N]; infinite if unknown."""
     motors = np.flatnonzero(
         (model.actuator_trnid[:, 0] == joint) & np.isin(model.actuator_trntype, AT_JOINT)
     )
@@ -132,15 +146,13 @@ def _effort(model: Any, joint: int) -> float:
     if len(motors):
         low, high = np.sum([_motor(model, motor) for motor in motors], axis=0)
     if model.jnt_actfrclimited[joint]:
-        low, high = (
-            max(low, model.jnt_actfrcrange[joint, 0]),
-            min(high, model.jnt_actfrcrange[joint, 1]),
-        )
+        lower, upper = model.jnt_actfrcrange[joint]
+        low, high = max(low, lower), min(high, upper)
     return float(min(-low, high))
 
 
 def _motor(model: Any, motor: Any) -> tuple[float, float]:
-    """Least and most force of a motor at its joint."""
+    """Force range of a motor at its joint."""
     low, high = -np.inf, np.inf
     gain, gear = float(model.actuator_gainprm[motor, 0]), float(model.actuator_gear[motor, 0])
     linear = model.actuator_gaintype[motor] == FIXED_GAIN and (
@@ -149,8 +161,8 @@ def _motor(model: Any, motor: Any) -> tuple[float, float]:
     if linear and model.actuator_ctrllimited[motor] and gain:
         low, high = sorted(gain * model.actuator_ctrlrange[motor])
     if model.actuator_forcelimited[motor]:
-        least, most = model.actuator_forcerange[motor]
-        low, high = max(low, least), min(high, most)
+        lower, upper = model.actuator_forcerange[motor]
+        low, high = max(low, lower), min(high, upper)
     low, high = sorted((gear * low, gear * high)) if gear else (0.0, 0.0)
     return low, high
 
@@ -180,3 +192,180 @@ def floating(model: Any, named: Named) -> dict[str, frozenset[str]]:
             moved.update(names[i] for i in np.flatnonzero(root[bodies] == body))
         found[named.joints[joint]] = frozenset(moved)
     return found
+
+
+#: Of MuJoCo's geoms kind and size as a shape has them.
+SIZES: dict[str, Callable[[list[float]], tuple[float, ...]]] = {
+    "box": lambda half: (2.0 * half[0], 2.0 * half[1], 2.0 * half[2]),
+    "sphere": lambda size: (size[0],),
+    "ellipsoid": lambda radii: (radii[0], radii[1], radii[2]),
+    "capsule": lambda size: (size[0], 2.0 * size[1]),
+    "cylinder": lambda size: (size[0], 2.0 * size[1]),
+}
+#: Kinds that neither pinocchio nor coal has.
+NOT_READ = ("hfield", "sdf")
+#: Mass [kg] and radius [m] of what stands for a geom, and what does so for a mesh.
+STAND_IN = 1e-9, 0.1
+TETRAHEDRON = Mesh(
+    np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
+    np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]),
+)
+DRAWN = 2  # the last group that is
+
+
+@dataclass(frozen=True, eq=False)
+class _Form:
+    """A geom of the file.
+
+    ``mesh``: MuJoCo's, None if it is none nor fitted to one; ``name``: of the mesh.
+    """
+
+    geom: Any
+    mesh: Any
+    name: str
+    kind: str
+    collides: bool
+    drawn: bool
+
+
+class Geoms:
+    """The geoms of a file; prepares MuJoCo's ``spec`` of it for compilation."""
+
+    def __init__(self, mujoco: ModuleType, spec: Any, path: Path) -> None:
+        self._mujoco, self._spec, self._path = mujoco, spec, path
+        self._meshes = {mesh.name: mesh for mesh in spec.meshes}
+        self._files = {name: self._file(mesh) for name, mesh in self._meshes.items()}
+        self._given = {name: mesh.file for name, mesh in self._meshes.items()}
+        self._forms = [self._form(geom) for geom in spec.geoms]
+        weigh = [form for form in self._forms if form.mesh is not None and self._weighs(form.geom)]
+        meshes = [form for form in weigh if form.kind == "mesh"]
+        surfaces = {form.name: self._surface(form.name) for form in meshes}
+        known = [form for form in meshes if surfaces[form.name] or not self._files[form.name]]
+        self._light = [form for form in weigh if form not in known]
+        for form in self._forms:
+            if form in known:
+                form.geom.contype = form.geom.conaffinity = 0  # so that it needs no hull
+            elif form.kind in NOT_READ or form.mesh is not None:
+                self._stand_in(form.geom)
+        for name, mesh in self._meshes.items():
+            if mesh.file:
+                surface = surfaces.get(name) or TETRAHEDRON
+                mesh.uservert, mesh.userface = surface.vertices.ravel(), surface.corners.ravel()
+                mesh.file = mesh.content_type = ""
+
+    def _file(self, mesh: Any) -> Path | None:
+        """A mesh's file; None where its vertices are in the robot's file."""
+        if not mesh.file:
+            return None
+        name = Path(mesh.file).name if self._spec.strippath else mesh.file
+        return Path(absolute(self._path).parent / self._spec.meshdir / name)
+
+    def _form(self, geom: Any) -> _Form:
+        looks = not (geom.contype or geom.conaffinity)
+        return _Form(
+            geom=geom,
+            mesh=self._meshes.get(geom.meshname),
+            name=geom.meshname,
+            kind=self._mujoco.mjtGeom(geom.type).name.removeprefix("mjGEOM_").lower(),
+            collides=not looks,
+            drawn=looks or geom.group <= DRAWN,
+        )
+
+    def _weighs(self, geom: Any) -> bool:
+        """Whether a geom contributes to the mass of a moving body."""
+        body, of_all = geom.parent, self._spec.compiler.inertiafromgeom
+        kinds = self._mujoco.mjtInertiaFromGeom
+        own = body.explicitinertial and of_all != kinds.mjINERTIAFROMGEOM_TRUE
+        if own or of_all == kinds.mjINERTIAFROMGEOM_FALSE or 0.0 in (geom.mass, geom.density):
+            return False
+        while body.name != "world" and not body.joints:
+            body = body.parent
+        return bool(body.joints)
+
+    def _surface(self, name: str) -> Mesh | None:
+        """The triangles of a mesh, without its scale; None where they cannot be read."""
+        file = self._files[name]
+        try:
+            return read_mesh(file, (1.0, 1.0, 1.0)) if file else None
+        except InvalidValueError:
+            return None
+
+    def _stand_in(self, geom: Any) -> None:
+        geom.type, geom.meshname, geom.hfieldname = self._mujoco.mjtGeom.mjGEOM_SPHERE, "", ""
+        geom.mass, geom.size[0] = STAND_IN
+
+    def shapes(self, model: Any, named: Named) -> tuple[tuple[Shape, ...], tuple[Shape, ...]]:
+        """Visual and collision shapes; a mesh without a file is in the latter alone."""
+        drawn, collide = [], []
+        for form in self._forms:
+            if shape := self._shape(form, model, named):
+                if form.drawn and (shape.mesh is None or os.path.isfile(shape.mesh)):
+                    drawn.append(shape)
+                if form.collides:
+                    collide.append(shape)
+        return tuple(drawn), tuple(collide)
+
+    def _shape(self, form: _Form, model: Any, named: Named) -> Shape | None:
+        i = form.geom.id
+        if _why_unseen(form, self._files) or form.kind not in (*SIZES, "mesh"):
+            return None
+        X, kind, mesh = pose(model.geom_pos[i], model.geom_quat[i]), form.kind, None
+        if form.mesh is None:
+            size = SIZES[kind](model.geom_size[i].tolist())
+        else:
+            if (moved := model.geom_dataid[i]) >= 0:  # MuJoCo has centred it
+                X = X * pose(model.mesh_pos[moved], model.mesh_quat[moved]).inverse()
+            size = tuple(form.mesh.scale.tolist())
+            R = pose(np.zeros(3), form.mesh.refquat).rotation.T
+            X = X * pin.SE3(R, -np.array(size) * (R @ form.mesh.refpos))
+            kind, mesh = "mesh", self._files[form.name]
+        named_kind: Any = kind
+        return Shape(frame=named.geoms[i], placement=X, kind=named_kind, size=size, mesh=mesh)
+
+    def unseen(self, named: Named) -> tuple[str, ...]:
+        """Collision geoms that are not read, a sentence each."""
+        return tuple(
+            f"{named.geoms[form.geom.id]}: {why}"
+            for form in self._forms
+            if form.collides and (why := _why_unseen(form, self._files))
+        )
+
+    def warnings(
+        self, named: Named, drawn: Sequence[Shape], collide: Sequence[Shape]
+    ) -> tuple[str, ...]:
+        """What is not drawn as it is, or weighs less than it should."""
+        missing = [
+            self._given[name] or f"{name}, of vertices"
+            for name, file in self._files.items()
+            if file is None or not os.path.isfile(file)
+        ]
+        light = dict.fromkeys(named.geoms[form.geom.id] for form in self._light)
+        seen = {shape.frame for shape in drawn}
+        there = [shape for shape in collide if shape.mesh is None or os.path.isfile(shape.mesh)]
+        hidden = dict.fromkeys(shape.frame for shape in there if shape.frame not in seen)
+        found = [*missing_meshes(self._path.name, missing, len(self._files))]
+        if light:
+            words = "lack the mass of meshes that are not read; give <inertial>"
+            found.append(f"{self._path.name}: {len(light)} bodies {words} ({_first(light)})")
+        if hidden:
+            words = "are not drawn as they are, since all their geoms are of groups above 2"
+            found.append(f"{self._path.name}: {len(hidden)} bodies {words} ({_first(hidden)})")
+        return tuple(found)
+
+
+def _why_unseen(form: _Form, files: Mapping[str, Path | None]) -> str:
+    """Why no shape is made of what is no plane; empty if one is."""
+    if form.kind in NOT_READ:
+        return f"a geom of type {form.kind} is not read"
+    if form.mesh is None:
+        return ""
+    if files[form.name] is None:
+        return f"mesh {form.name}: is given by vertices, which are not read; put them in a file"
+    if len(set(form.mesh.scale)) > 1 and any(form.mesh.refquat[1:]):
+        return f"mesh {form.name}: is turned by refquat and scaled unevenly, which is not read"
+    return ""
+
+
+def _first(names: Iterable[str]) -> str:
+    first = list(names)
+    return ", ".join(first[:3]) + (", ..." if len(first) > 3 else "")

@@ -1,6 +1,6 @@
-"""From a description of a whole robot and a choice of its arms to a robot model.
+"""From a description of a whole robot and the keys that choose its arms to a robot model.
 
-A description has all joints of a robot; what is controlled are the joints that move a tip:
+A description has all joints of a robot; controlled are the joints that move a tip:
 
 1. free are the joints on the arms' ways to their tips, or those that an arm names;
 2. all others are locked;
@@ -15,17 +15,134 @@ import fnmatch
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Any
 
 import numpy as np
 import pinocchio as pin
+from pydantic import BeforeValidator
 
 from coopqp.base.errors import InvalidValueError, UnknownNameError, under
-from coopqp.base.spec import Array
-from coopqp.robot import Arm, RobotModel, copy_per_velocity
-from coopqp.robot_files.description import Description
-from coopqp.robot_files.keys import ArmJoints, JointLimits
+from coopqp.base.spec import Array, NonNegative, Positive, spec
+from coopqp.grasp import range_fault
+from coopqp.robot import Arm, RobotModel, Shape, copy_per_velocity
+
+
+@dataclass(frozen=True, kw_only=True)
+class Follower:
+    """A joint with the value ratio * leader + offset; constant without a leader (empty name)."""
+
+    leader: str
+    ratio: float = 1.0
+    offset: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Description:
+    """A whole robot as a file describes it.
+
+    Attributes:
+        model: pinocchio model of all joints.
+        followers: joints that follow others (mimic), by name.
+        floating: joints that are free in space, which the model leaves out, each with the frames
+            that they would move.
+        shapes, collision_shapes, unseen, warnings: as in :class:`coopqp.robot.RobotModel`.
+        places: file and line of joints, by name.
+    """
+
+    name: str
+    model: pin.Model
+    followers: Mapping[str, Follower] = field(default_factory=dict)
+    floating: Mapping[str, frozenset[str]] = field(default_factory=dict)
+    shapes: tuple[Shape, ...] = ()
+    collision_shapes: tuple[Shape, ...] = ()
+    unseen: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    places: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def joint_names(self) -> list[str]:
+        return [*list(self.model.names)[1:], *self.floating]
+
+    def joint(self, name: str) -> str:
+        """``FILE:LINE: joint r1``, without a place where it has none."""
+        place = self.places.get(name)
+        return f"{place}: joint {name}" if place else f"joint {name}"
+
+
+@spec
+class ArmJoints:
+    """Tip and joints of an arm."""
+
+    tip: str
+    """Frame of the hand: a link, joint or site of the robot."""
+    joints: tuple[str, ...] | None = None
+    """Those that this arm moves by; all between base and tip when omitted."""
+
+
+@dataclass(frozen=True)
+class _Or:
+    """Adds the schema of a shorter form to the JSON Schema."""
+
+    shorter: dict[str, Any]
+
+    def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> Any:
+        return {"anyOf": [self.shorter, handler(core)]}
+
+
+def _arm_or_tip(value: Any) -> Any:
+    if isinstance(value, dict | ArmJoints):
+        return value
+    if type(value) not in (str, int):  # a number may be a row of an MDH table
+        raise ValueError("needs the tip's frame, or {tip: frame, joints: [...]}")
+    return {"tip": str(value)}
+
+
+def _values_or_names(value: Any) -> Any:
+    if isinstance(value, list | tuple) and all(isinstance(name, str) for name in value):
+        return dict.fromkeys(value)
+    if not isinstance(value, dict):
+        raise ValueError("needs a list of joints, or joints with values")
+    return value
+
+
+def _some_arms(value: Any) -> Any:
+    if not isinstance(value, dict) or not value:
+        raise ValueError("needs arms by name, such as {right: TIP, left: TIP}")
+    return value
+
+
+Arms = Annotated[
+    dict[str, Annotated[ArmJoints, BeforeValidator(_arm_or_tip), _Or({"type": "string"})]],
+    BeforeValidator(_some_arms),
+]
+"""Arms by name, each its tip's frame or {tip: frame, joints: [...]}; the first is the reference."""
+
+Locked = Annotated[
+    dict[str, float | None],
+    BeforeValidator(_values_or_names),
+    _Or({"type": "array", "items": {"type": "string"}}),
+]
+"""Joints that stay where they are: names, or names with values [rad or m]."""
+
+
+@spec
+class JointLimits:
+    """Limits of a joint that replace those of the file."""
+
+    lower: float | None = None
+    """[rad or m]"""
+    upper: float | None = None
+    """[rad or m]"""
+    velocity: Positive | None = None
+    """[rad/s or m/s]"""
+    effort: NonNegative | None = None
+    """[N m or N]"""
+
+    def __post_init__(self) -> None:
+        if wrong := range_fault(self.lower, self.upper):
+            raise ValueError(wrong)
+
 
 #: A limit of this size is none; files write 1e10, 1e16 or 3.4e38 for it.
 BEYOND = 1e9
@@ -44,8 +161,8 @@ def robot_model(
     Args:
         description: of the whole robot.
         arms: by name; the order is that of the loops.
-        free: joints that join in although they are on no arm's way, or not among its joints.
-        locked: joints that stay at a value, or where they are when it is None [rad or m].
+        free: joints that move although they are on no arm's path, or not among its joints.
+        locked: joints fixed at a value [rad or m]; None: at zero, or the limit nearest to zero.
         joint_limits: by name of a joint, or a pattern such as ``left_*``.
 
     Raises:
@@ -73,11 +190,7 @@ def robot_model(
 
 
 def _with_one_coordinate(model: pin.Model) -> pin.Model:
-    """The model with (cos, sin) joints made revolute: one angle, without limits.
-
-    pinocchio gives a joint that turns without end two coordinates; here every joint has one, and
-    an angle that has gone round once differs by 2 pi.
-    """
+    """With one unlimited angle, 2 pi more after a turn, in place of pinocchio's (cos, sin)."""
     if model.nq == model.nv:
         return model
     data = model.createData()
@@ -141,7 +254,7 @@ def _set_limits(
 
 
 def _or_infinite(limits: Array) -> Array:
-    """Limits with "no limit" where a file has 0, nothing or a number beyond all."""
+    """Infinite where a file has 0, nothing or BEYOND."""
     values = np.array(limits)
     return np.where((values > 0.0) & (values < BEYOND), values, np.inf)
 
@@ -171,8 +284,8 @@ KINDS = {
     "JointModelComposite": "composite",
 }
 
-#: What pinocchio and others call the joint of a floating base: one that a file does not have is
-#: fixed anyway, so that locking it asks for nothing.
+#: Name of a floating base's joint in pinocchio and elsewhere; locking it is allowed where a file
+#: has none.
 FIXED_BASE = "root_joint"
 
 
@@ -182,7 +295,7 @@ def _free_joints(
     free: Sequence[str],
     locked: Mapping[str, float | None],
 ) -> set[str]:
-    """Names of the joints that move: those on arms' ways to tips, and free ones, but the locked."""
+    """Names of the joints that move: on arms' paths to tips, and free ones, but the locked."""
     known = description.joint_names
     for name in locked:
         if name not in known and name != FIXED_BASE:
@@ -270,19 +383,15 @@ def _still_followers(
     ]
 
 
-#: Added to names for a moment; no name in a file ends so.
+#: Suffix of names for a moment; no name in a file ends so.
 NAMESAKE = "\0namesake"
 
 
 def _without_locked_joints(
     description: Description, moving: set[str], locked: Mapping[str, float | None]
 ) -> pin.Model:
-    """The model of the joints that move, a copy.
-
-    Others stand where locked says, where their leader puts them, or at zero (or at the limit
-    nearest to zero).
-    """
-    model = description.model.copy()  # for its names are changed for a moment
+    """The model of the joints that move, a copy; others are at their locked value."""
+    model = description.model.copy()  # its names are changed for a moment
     q = np.array(pin.neutral(model))
     for joint in range(1, model.njoints):
         name, kind = model.names[joint], model.joints[joint]
@@ -308,9 +417,9 @@ def _without_locked_joints(
 
 @contextmanager
 def _joints_alone_by_name(model: pin.Model) -> Iterator[None]:
-    """Call frames that share a joint's name otherwise: pinocchio finds joints' frames by name."""
+    """Rename frames that share a joint's name: pinocchio finds joints' frames by name."""
     joints = set(model.names)
-    frames = list(model.frames)[1:]  # but the world's, which joint 0 shares its name with
+    frames = list(model.frames)[1:]  # without the world's, which has the name of joint 0
     namesakes = [f for f in frames if f.name in joints and f.type != pin.FrameType.JOINT]
     for frame in namesakes:
         frame.name += NAMESAKE
@@ -322,7 +431,7 @@ def _joints_alone_by_name(model: pin.Model) -> Iterator[None]:
 
 
 def _locked_value(description: Description, name: str, locked: Mapping[str, float | None]) -> float:
-    """Where a joint with one coordinate is locked [rad or m]."""
+    """Value of a locked joint with one coordinate: given, its leader's, or nearest to zero."""
     model, given = description.model, locked.get(name)
     follower = description.followers.get(name)
     if given is None and follower:

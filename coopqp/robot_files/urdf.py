@@ -1,4 +1,4 @@
-"""Reading URDF files: joints by pinocchio, looks and followers from the XML."""
+"""Reading URDF files: joints by pinocchio, shapes and mimic joints from the XML."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import pinocchio as pin
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.reading import absolute
 from coopqp.robot import Shape
-from coopqp.robot_files.description import Description, Follower
+from coopqp.robot_files.selection import Description, Follower
 from coopqp.robot_files.urdf_schema import (
     Numbers,
     check_circles,
@@ -40,8 +40,7 @@ def read_urdf(path: Path, package_dirs: Sequence[Path] = ()) -> Description:
 
     Args:
         path: of the file.
-        package_dirs: folders that hold ``package://`` packages; the folders above the file are
-            searched anyway.
+        package_dirs: folders of ``package://`` packages, besides those above the file.
 
     Raises:
         InvalidValueError: no such file, or not a URDF file.
@@ -63,8 +62,9 @@ def read_urdf(path: Path, package_dirs: Sequence[Path] = ()) -> Description:
         raise InvalidValueError(
             f"{told_place(xml, why)}: is not a robot that can be read: {'; '.join(why)}"
         ) from None
-    shapes, missing = _urdf_shapes(xml, path, package_dirs)
-    collide, unseen = _collision_shapes(xml, path, package_dirs)
+    shapes, undrawn = _shapes(xml, "visual", path, package_dirs)
+    collide, unread = _shapes(xml, "collision", path, package_dirs)
+    missing = [part.get("filename", "") for _, part in undrawn if part.tag == "mesh"]
     meshes = sum(shape.kind == "mesh" for shape in shapes) + len(missing)
     return Description(
         name=xml.get("name") or path.stem,
@@ -72,7 +72,7 @@ def read_urdf(path: Path, package_dirs: Sequence[Path] = ()) -> Description:
         followers=dict(_mimics(xml)),
         shapes=shapes,
         collision_shapes=collide,
-        unseen=unseen,
+        unseen=tuple(_why_unseen(frame, part) for frame, part in unread),
         places=places(xml.findall("joint")),
         warnings=(
             *impossible,
@@ -82,22 +82,22 @@ def read_urdf(path: Path, package_dirs: Sequence[Path] = ()) -> Description:
     )
 
 
-_ONE, _THREE = Numbers(1, 1), Numbers(3, 3)
-_LENGTH, _LIMIT = Numbers(1, 1, "length", positive=True), Numbers(1, 1, "limit")
+_ONE, _THREE = Numbers(1), Numbers(3)
+_LENGTH, _LIMIT = Numbers(1, "length", positive=True), Numbers(1, "limit")
 #: Geometries that are read.
 SHAPES = ("box", "cylinder", "capsule", "sphere", "mesh")
 _ROUND = {"radius": _LENGTH, "length": _LENGTH}
 _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 #: The attributes of links and joints that hold numbers, by element.
 NUMBERS: dict[str, dict[str, Numbers]] = {
-    "origin": {"xyz": Numbers(3, 3, "length"), "rpy": _THREE},
+    "origin": {"xyz": Numbers(3, "length"), "rpy": _THREE},
     "axis": {"xyz": _THREE},
     "limit": dict.fromkeys(("lower", "upper", "effort", "velocity"), _LIMIT),
-    "mass": {"value": Numbers(1, 1, "mass", positive=True)},
+    "mass": {"value": Numbers(1, "mass", positive=True)},
     "inertia": dict.fromkeys(_MOMENTS, _ONE),
     "mimic": {"multiplier": _ONE, "offset": _ONE},
     "dynamics": {"damping": _ONE, "friction": _ONE},
-    "box": {"size": Numbers(3, 3, "length", positive=True)},
+    "box": {"size": Numbers(3, "length", positive=True)},
     "cylinder": _ROUND,
     "capsule": _ROUND,
     "sphere": {"radius": _LENGTH},
@@ -106,11 +106,7 @@ NUMBERS: dict[str, dict[str, Numbers]] = {
 
 
 def _check(xml: ET.Element) -> list[str]:
-    """Refuse what no parser should make something of; returns what is only to be warned of.
-
-    Raises:
-        InvalidValueError: with the line.
-    """
+    """Refuse what no parser should get; returns warnings."""
     warnings = []
     check_names(xml.findall("link"), "link")
     check_names(xml.findall("joint"), "joint")
@@ -118,7 +114,7 @@ def _check(xml: ET.Element) -> list[str]:
         for element in part.iter():
             check_numbers(element, NUMBERS.get(element.tag, {}))
             if element.tag == "axis" and part.get("type") != "fixed":
-                check_numbers(element, {"xyz": Numbers(3, 3, direction=True)})
+                check_numbers(element, {"xyz": Numbers(3, direction=True)})
             if element.tag == "inertia":
                 warnings.append(negative_moment(element, map(element.get, _MOMENTS)))
     strange = check_schema(xml)
@@ -138,46 +134,28 @@ def _mimics(xml: ET.Element) -> list[tuple[str, Follower]]:
     return found
 
 
-def _urdf_shapes(
-    xml: ET.Element, path: Path, package_dirs: Sequence[Path]
-) -> tuple[tuple[Shape, ...], list[str]]:
-    """What the links look like, and the meshes that cannot be found."""
-    shapes, missing = [], []
-    for frame, place, part in _parts(xml, "visual"):
-        mesh = None
-        if part.tag == "mesh":
-            uri = part.get("filename", "")
-            mesh = find_mesh(uri, path, package_dirs)
-            if mesh is None:
-                missing.append(uri)
-                continue
-        shapes += _shape(frame, place, part, mesh)
-    return tuple(shapes), missing
-
-
-def _collision_shapes(
-    xml: ET.Element, path: Path, package_dirs: Sequence[Path]
-) -> tuple[tuple[Shape, ...], tuple[str, ...]]:
-    """What must not hit others, and what cannot be had of it, a sentence each."""
-    shapes, unseen = [], []
-    for frame, place, part in _parts(xml, "collision"):
-        uri, mesh = part.get("filename", ""), None
-        if part.tag not in SHAPES:
-            unseen.append(f"{frame}: <{part.tag}> is not read; known: {', '.join(SHAPES)}")
-        elif part.tag == "mesh" and (mesh := find_mesh(uri, path, package_dirs)) is None:
-            where = "; see package_dirs" if uri.startswith("package:") else ""
-            unseen.append(f"{frame}: mesh {uri}: there is no such file{where}")
+def _shapes(
+    xml: ET.Element, tag: str, path: Path, package_dirs: Sequence[Path]
+) -> tuple[tuple[Shape, ...], list[tuple[str, ET.Element]]]:
+    """Visual or collision shapes; link and geometry of those that cannot be read."""
+    shapes, unread = [], []
+    for frame, X, part in _parts(xml, tag):
+        kind: Any = part.tag
+        mesh = find_mesh(part.get("filename", ""), path, package_dirs) if kind == "mesh" else None
+        if kind not in SHAPES or (kind == "mesh" and mesh is None):
+            unread.append((frame, part))
         else:
-            shapes += _shape(frame, place, part, mesh)
-    return tuple(shapes), tuple(unseen)
+            size = _urdf_size(part)
+            shapes.append(Shape(frame=frame, placement=X, kind=kind, size=size, mesh=mesh))
+    return tuple(shapes), unread
 
 
-def _shape(frame: str, place: pin.SE3, part: ET.Element, mesh: Path | None) -> list[Shape]:
-    """One, or none where it is of a kind that is not read."""
-    if part.tag not in SHAPES:
-        return []
-    named: Any = part.tag
-    return [Shape(frame=frame, placement=place, kind=named, size=_urdf_size(part), mesh=mesh)]
+def _why_unseen(frame: str, part: ET.Element) -> str:
+    if part.tag != "mesh":
+        return f"{frame}: <{part.tag}> is not read; known: {', '.join(SHAPES)}"
+    uri = part.get("filename", "")
+    where = "; see package_dirs" if uri.startswith("package:") else ""
+    return f"{frame}: mesh {uri}: there is no such file{where}"
 
 
 def _parts(xml: ET.Element, tag: str) -> Iterator[tuple[str, pin.SE3, ET.Element]]:
@@ -208,13 +186,13 @@ def _origin(origin: ET.Element | None) -> pin.SE3:
 
 
 def find_mesh(uri: str, urdf: Path, package_dirs: Sequence[Path]) -> Path | None:
-    """The file behind a mesh's address, or None.
+    """The file at a mesh's URI, or None.
 
     Args:
         uri: ``package://NAME/PATH`` (or ``model://``), ``file://PATH`` or a path, relative to
             the URDF's folder.
-        urdf: the file that has the address.
-        package_dirs: folders that hold packages.
+        urdf: the file with the URI.
+        package_dirs: folders of packages.
     """
     scheme, _, rest = uri.rpartition("://")
     folder = absolute(urdf).parent

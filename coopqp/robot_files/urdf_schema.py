@@ -1,9 +1,8 @@
 """What a URDF file may have, what its attributes must hold, and how its parts fit together.
 
-Parsers pass over what they do not know, read "a b c" as whatever was in memory, leave links out
-that go round in a circle, and tell without lines. So all that is looked at here, before any parser
-makes something of it. Robots in the world carry elements of simulators, of ROS and of their
-makers; these are passed over unless they are a known name misspelt.
+Parsers ignore unknown names, read "a b c" as whatever was in memory, leave out links in a circle,
+and report without lines. So all that is checked here, before any parser. Elements of simulators, of
+ROS and of robot makers are ignored unless they are a known name misspelt.
 """
 
 from __future__ import annotations
@@ -23,37 +22,31 @@ from coopqp.base.spec import FARTHEST
 from coopqp.model.held_object import inertia_matrix
 from coopqp.robot_files.xml import ALIKE, place_of
 
-#: What happens to a name that is not known.
-Unknown = Literal["refused", "refused if alike"]
-
 
 @dataclass(frozen=True)
 class Known:
     """What an element may have.
 
     Attributes:
-        attributes: their names.
-        inside: of the elements in it, by name: which entry of the table describes them; empty for
-            those that are not read, and so not looked at.
-        required: attributes that it must have.
-        attribute, element: what happens to others; files of many makers bring elements and
-            attributes of their own, which are let pass unless they are known names misspelt.
+        attributes, required: names of those it may have; of those it must have.
+        inside: entry of KNOWN for each element that it may contain; empty for those not read.
+        lenient: "attributes", "elements" or both, where others pass unless they are known names
+            misspelt: files of many makers have elements and attributes of their own.
     """
 
     attributes: str = ""
     inside: Mapping[str, str] = field(default_factory=dict)
     required: str = ""
-    attribute: Unknown = "refused"
-    element: Unknown = "refused"
+    lenient: str = ""
 
 
 def _check_known(element: Element, entry: str) -> None:
-    """Refuse what an entry of KNOWN does not know, in an element and in all that is in it."""
+    """Check an element and its contents against an entry of KNOWN."""
     known = KNOWN[entry]
     names = known.attributes.split()
     for name in element.attrib:
         absent = [other for other in names if other not in element.attrib]
-        if name not in names and _is_refused(name, absent, known.attribute):
+        if name not in names and _is_refused(name, absent, "attributes" in known.lenient):
             words = _nearest("attribute", name, names)
             raise InvalidValueError(f"{place_of(element)}: {words}")
     for name in known.required.split():
@@ -63,29 +56,28 @@ def _check_known(element: Element, entry: str) -> None:
         inner = known.inside.get(child.tag)
         if inner:
             _check_known(child, inner)
-        elif inner is None and _is_refused(child.tag, known.inside, known.element):
+        elif inner is None and _is_refused(child.tag, known.inside, "elements" in known.lenient):
             words = _nearest("element", child.tag, known.inside)
             raise InvalidValueError(f"{place_of(child)} in <{element.tag}>: {words}")
 
 
-def _is_refused(name: str, known: Collection[str], unknown: Unknown) -> bool:
-    if ":" in name:  # somebody's own, and said to be so
+def _is_refused(name: str, known: Collection[str], lenient: bool) -> bool:
+    if ":" in name:  # of another namespace
         return False
-    alike = difflib.get_close_matches(name.lower(), known, cutoff=ALIKE)
-    return unknown == "refused" or bool(alike)
+    return not lenient or bool(difflib.get_close_matches(name.lower(), known, cutoff=ALIKE))
 
 
 def _nearest(kind: str, name: str, known: Collection[str]) -> str:
-    """Sentence for a name that is not known, with what it is called here or the nearest ones."""
+    """Sentence for an unknown name, with its name here or the nearest ones."""
     here = OTHERWISE.get(name)
     if here in known:
         return f"unknown {kind} '{name}'; it is called '{here}' here"
     return unknown_name(kind, name, known)
 
 
-#: Largest size of a number of each kind; what is beyond it nobody has built.
+#: Largest plausible size of a number of each kind.
 LARGEST = {"length": FARTHEST, "mass": 1e6, "other": 1e12, "limit": math.inf}
-#: What rounding may make a principal moment negative by [kg m2].
+#: Rounding error of a principal moment [kg m2].
 ROUNDING = 1e-6
 
 
@@ -94,14 +86,13 @@ class Numbers:
     """What an attribute holds.
 
     Attributes:
-        least, most: how many numbers.
+        count: how many numbers.
         kind: lengths [m], masses [kg], limits, which may be infinite, or others.
         positive: whether none may be negative.
-        direction: whether they are one, so that not all may be zero.
+        direction: whether not all may be zero.
     """
 
-    least: int
-    most: int
+    count: int
     kind: Literal["length", "mass", "other", "limit"] = "other"
     positive: bool = False
     direction: bool = False
@@ -124,13 +115,12 @@ def check_numbers(element: Element, attributes: Mapping[str, Numbers]) -> None:
 
 def _wrong(text: str, needs: Numbers) -> str:
     """What is wrong with the numbers of an attribute; empty if nothing is."""
-    count = f"{needs.least}" if needs.least == needs.most else f"{needs.least} to {needs.most}"
     try:
         values = [float(word) for word in text.split()]
     except ValueError:
-        return f"needs {count} numbers" if needs.most > 1 else "needs a number"
-    if not needs.least <= len(values) <= needs.most:
-        return f"needs {count} numbers" if needs.most > 1 else "needs a number"
+        values = []
+    if len(values) != needs.count:
+        return f"needs {needs.count} numbers" if needs.count > 1 else "needs a number"
     largest = LARGEST[needs.kind]
     if any(math.isnan(value) or (math.isinf(value) and needs.kind != "limit") for value in values):
         return "needs finite numbers"
@@ -144,18 +134,18 @@ def _wrong(text: str, needs: Numbers) -> str:
 
 
 def negative_moment(element: Element, moments: Iterable[str | None]) -> str:
-    """What to say of an inertia with which turning would give energy away; empty of others.
+    """Warning about an inertia that is not positive semidefinite; empty of others.
 
-    That principal moments exceed the sum of the others is let pass: many published robots have it.
+    A principal moment above the sum of the others passes: many published robots have it.
 
     Args:
         element: for its place.
         moments: ixx ixy ixz iyy iyz izz as the file has them [kg m2]; what is missing is zero.
     """
-    least, *_ = np.linalg.eigvalsh(inertia_matrix([float(m or 0.0) for m in moments]))
-    if least >= -ROUNDING:
+    smallest, *_ = np.linalg.eigvalsh(inertia_matrix([float(m or 0.0) for m in moments]))
+    if smallest >= -ROUNDING:
         return ""
-    return f"{place_of(element)}: a principal moment is {least:.3g} kg m2; no body has that"
+    return f"{place_of(element)}: a principal moment is {smallest:.3g} kg m2; no body has that"
 
 
 def check_names(elements: Iterable[Element], kind: str) -> None:
@@ -175,13 +165,7 @@ def check_names(elements: Iterable[Element], kind: str) -> None:
             taken.add(name)
 
 
-_LIKE: Unknown = "refused if alike"
-_PART = Known(
-    "name",
-    {"origin": "origin", "geometry": "geometry", "material": ""},
-    attribute=_LIKE,
-    element=_LIKE,
-)
+_BOTH = "attributes elements"
 _ROUND = Known("radius length name", required="radius length")
 _LINK = Known("link", required="link")
 _INERTIA = "ixx ixy ixz iyy iyz izz"
@@ -189,57 +173,50 @@ KNOWN: dict[str, Known] = {
     "robot": Known(
         "name version",
         {"link": "link", "joint": "joint", "material": "", "gazebo": "", "transmission": ""},
-        attribute=_LIKE,
-        element=_LIKE,
+        lenient=_BOTH,
     ),
     "link": Known(
         "name type",
         {"inertial": "inertial", "visual": "part", "collision": "part"},
         required="name",
-        attribute=_LIKE,
-        element=_LIKE,
+        lenient=_BOTH,
     ),
     "joint": Known(
         "name type",
         {
-            "origin": "origin",
-            "parent": "end",
-            "child": "end",
-            "axis": "axis",
-            "limit": "limit",
-            "mimic": "mimic",
-            "dynamics": "dynamics",
-            "calibration": "",
-            "safety_controller": "",
+            "parent": "end", "child": "end", "calibration": "", "safety_controller": "",
+            **{tag: tag for tag in ("origin", "axis", "limit", "mimic", "dynamics")},
         },
         required="name type",
-        attribute=_LIKE,
-        element=_LIKE,
+        lenient=_BOTH,
     ),
-    "part": _PART,
+    "part": Known(
+        "name", {"origin": "origin", "geometry": "geometry", "material": ""}, lenient=_BOTH
+    ),
     "inertial": Known(
-        "", {"origin": "origin", "mass": "mass", "inertia": "inertia"}, element=_LIKE
+        "", {"origin": "origin", "mass": "mass", "inertia": "inertia"}, lenient="elements"
     ),
     "geometry": Known(
         "name",
         {kind: kind for kind in ("box", "cylinder", "capsule", "sphere", "mesh")},
-        attribute=_LIKE,
-        element=_LIKE,
+        lenient=_BOTH,
     ),
     "origin": Known("xyz rpy"),
     "end": _LINK,
     "axis": Known("xyz", required="xyz"),
-    "limit": Known("lower upper effort velocity", required="effort velocity", attribute=_LIKE),
+    "limit": Known(
+        "lower upper effort velocity", required="effort velocity", lenient="attributes"
+    ),
     "mimic": Known("joint multiplier offset", required="joint"),
-    "dynamics": Known("damping friction", attribute=_LIKE),
+    "dynamics": Known("damping friction", lenient="attributes"),
     "mass": Known("value", required="value"),
     "inertia": Known(_INERTIA, required=_INERTIA),
     "box": Known("size name", required="size"),
     "cylinder": _ROUND,
     "capsule": _ROUND,
     "sphere": Known("radius name", required="radius"),
-    "mesh": Known("filename scale", required="filename", attribute=_LIKE),
-}
+    "mesh": Known("filename scale", required="filename", lenient="attributes"),
+}  # fmt: skip
 KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 #: Words of MuJoCo files, and what URDF has for them.
 OTHERWISE = {
@@ -257,7 +234,7 @@ OTHERWISE = {
 def check_schema(xml: Element) -> list[str]:
     """Refuse what is misspelt or missing, and links and joints that are no tree.
 
-    Returns what is only to be warned of: some published robots have joints that follow none.
+    Returns warnings: some published robots have joints that follow none.
 
     Raises:
         InvalidValueError: with file and line.
@@ -297,7 +274,7 @@ def _check_limit(joint: Element) -> None:
 
 
 def _check_tree(xml: Element) -> None:
-    """Every link hangs on one other, but one."""
+    """Every link but one is the child of exactly one joint."""
     links = {link.get("name", ""): link for link in xml.findall("link")}
     carried: dict[str, str] = {}
     for joint in xml.findall("joint"):
@@ -324,7 +301,7 @@ def _check_tree(xml: Element) -> None:
 
 
 def _end(joint: Element, tag: str, links: Collection[str]) -> Element:
-    """Where a joint says which link is before it, or after it."""
+    """A joint's <parent> or <child>."""
     end = joint.find(tag)
     if end is None:
         raise InvalidValueError(f"{place_of(joint)}: needs <{tag} link=>")
@@ -334,7 +311,7 @@ def _end(joint: Element, tag: str, links: Collection[str]) -> Element:
     return end
 
 
-#: Joints between a link and the base; the parser in C++ dies of some thousands.
+#: Joints between a link and the base; the parser in C++ crashes with some thousands.
 LONGEST = 500
 
 
@@ -362,17 +339,15 @@ def check_circles(xml: Element) -> None:
 
 
 def _link(joint: Element, tag: str) -> str:
-    """The link before or behind a joint."""
+    """Name of a joint's parent or child link."""
     end = joint.find(tag)
     return "" if end is None else end.get("link", "")
 
 
 def told_place(xml: Element, words: Sequence[str]) -> str:
-    """The place of the first joint or link that the parser's words name in brackets; else the top.
+    """The place of the joint or link in brackets in a parser's message; else of the outermost one.
 
-    Args:
-        xml: the file.
-        words: such as "joint [elbow]: limit has no velocity".
+    Messages are such as "joint [elbow]: limit has no velocity".
     """
     named = {part.get("name"): part for tag in ("link", "joint") for part in xml.findall(tag)}
     for name in re.findall(r"\[(.*?)\]", "; ".join(words)):

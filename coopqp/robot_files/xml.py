@@ -1,7 +1,7 @@
-"""What reading robots from URDF and MJCF files has in common: XML, element by element.
+"""Bounded reading of XML files.
 
-The XML is parsed once, here, within bounds, and what pinocchio reads is written anew from what was
-checked. So no parser behind it meets entities, odd encodings or words where numbers belong.
+What pinocchio reads is written anew from what was checked here, so no parser behind it meets
+entities, odd encodings or words where numbers belong.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from coopqp.base.reading import read_bytes
 MOST_BYTES = 32 << 20  # of a file
 MOST_ELEMENTS = 100_000  # in a file
 DEEPEST = 150  # elements inside elements
-#: Names that are as alike as these are one name misspelt: "axes" and "axis" have 0.75.
+#: Similarity from which one name is another misspelt: "axes" and "axis" have 0.75.
 ALIKE = 0.75
 
 
@@ -32,7 +32,7 @@ class Element(ET.Element):
 
 
 def place_of(element: ET.Element) -> str:
-    """``FILE:LINE: <joint name="elbow">``, without the line where it was made by us."""
+    """``FILE:LINE: <joint name="elbow">``, without a place where it is not from a file."""
     name = element.get("name")
     tag = f'<{element.tag} name="{name}">' if name else f"<{element.tag}>"
     place = getattr(element, "place", "")
@@ -40,7 +40,7 @@ def place_of(element: ET.Element) -> str:
 
 
 def places(elements: Iterable[ET.Element]) -> dict[str, str]:
-    """``FILE:LINE`` of elements, by name; none of those made by us."""
+    """``FILE:LINE`` of elements from files, by name."""
     found = ((element.get("name", ""), getattr(element, "place", "")) for element in elements)
     return {name: place for name, place in found if place}
 
@@ -52,7 +52,7 @@ def read_xml(path: Path, roots: Sequence[str], kind: str, *, texts: bool = False
         path: of the file.
         roots: names that its outermost element may have.
         kind: of file, for messages.
-        texts: whether what stands between the elements is wanted too.
+        texts: whether to read the text between elements.
 
     Raises:
         InvalidValueError: no such file, or no such kind of file.
@@ -70,8 +70,6 @@ def read_xml(path: Path, roots: Sequence[str], kind: str, *, texts: bool = False
 
 
 class _Tree:
-    """Builds the elements of one file."""
-
     def __init__(self, path: Path, kind: str, *, texts: bool) -> None:
         self._path, self._kind = path, kind
         self._open: list[Element] = []
@@ -87,7 +85,6 @@ class _Tree:
             self._parser.CharacterDataHandler = self._text
 
     def parsed(self, content: bytes) -> Element:
-        """The outermost element."""
         try:
             self._parser.Parse(content, True)
         except expat.ExpatError as error:
@@ -157,7 +154,7 @@ def pinocchio_says(error: Exception) -> str:
 
 @contextmanager
 def stderr_lines(heard: list[str]) -> Iterator[None]:
-    """Collect what parsers in C and C++ would print; of errors and warnings alone."""
+    """Collect errors and warnings that parsers in C and C++ would print."""
     with tempfile.TemporaryFile() as file:
         kept = os.dup(2)
         os.dup2(file.fileno(), 2)

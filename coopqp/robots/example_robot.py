@@ -15,9 +15,7 @@ from pydantic import Field
 from coopqp.base.errors import MissingDependencyError, UnknownNameError
 from coopqp.base.spec import spec
 from coopqp.robot import Robot, RobotModel
-from coopqp.robot_files.description import Description
-from coopqp.robot_files.keys import Arms, JointLimits, Locked
-from coopqp.robot_files.selection import robot_model
+from coopqp.robot_files.selection import Arms, Description, JointLimits, Locked, robot_model
 from coopqp.robot_files.urdf import read_urdf
 
 PACKAGE = "example-robot-data"

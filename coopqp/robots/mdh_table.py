@@ -14,9 +14,7 @@ from coopqp.base.errors import under
 from coopqp.base.spec import FARTHEST, NonNegative, Positive, Vector3, Vector6, one_angle, spec
 from coopqp.robot import Robot, RobotModel
 from coopqp.robot_files import mdh
-from coopqp.robot_files.description import Description
-from coopqp.robot_files.keys import Arms, Locked
-from coopqp.robot_files.selection import robot_model
+from coopqp.robot_files.selection import Arms, Description, Locked, robot_model
 
 SIGMA: tuple[mdh.JointKind, ...] = ("revolute", "prismatic", "fixed")
 

@@ -8,8 +8,7 @@ from coopqp.base.errors import under
 from coopqp.base.reading import FilePath
 from coopqp.base.spec import spec
 from coopqp.robot import Robot, RobotModel
-from coopqp.robot_files.keys import Arms, JointLimits, Locked
-from coopqp.robot_files.selection import robot_model
+from coopqp.robot_files.selection import Arms, JointLimits, Locked, robot_model
 from coopqp.robot_files.urdf import read_urdf
 
 

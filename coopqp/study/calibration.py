@@ -1,18 +1,17 @@
-"""The constant errors of a model, from the joints that a run has measured.
+"""The constant errors of a model, identified from the measured joints of a run.
 
-Where the hands hold one object the real loops are closed, so what the model's loops are open by at
-measured joints q_m is the model's own error. With A_i the object in hand i, X_i the hand, and what
-is looked for, a shift and a turn xi_i of the object in each hand but the first, and what the
-encoders say too much, o,
+Where the hands hold one object the real loops are closed, so the loop error at measured joints q_m
+is the model's own error. With A_i the object in hand i, X_i the hand, and the unknown shift and
+rotation xi_i of the object in each hand but the first, and encoder offsets o,
 
     X_i(q_m - o) A_i exp(xi_i) = X_0(q_m - o) A_0      in every tick
 
 by Gauss-Newton least squares: errors are millimetres, so the second step is the last that matters.
-Where the object is in *all* hands cannot be told: moving it in all of them alike opens no loop.
-Rows count by what is left of them, positions and orientations apart.
+A motion of the object in *all* hands alike opens no loop, and is not identifiable. Rows are
+weighted by their residuals, positions and orientations apart.
 
-A combination of parameters that the motion does not show, or not to ``SIZE``, stays zero, and is
-said. Hand-eye calibration by closed loops: Hollerbach and Wampler 1996.
+A combination of parameters that the motion does not identify to ``SIZE`` stays zero, and is named.
+Hand-eye calibration by closed loops: Hollerbach and Wampler 1996.
 """
 
 from __future__ import annotations
@@ -30,26 +29,22 @@ from coopqp.base.spec import Array
 from coopqp.model.closed_chain import AXES, ClosedChain
 from coopqp.model.state import State
 
-#: Ticks that are used at most, evenly spread.
-MOST = 1500
-#: TickBatch below which noise is no noise.
-FEWEST = 10
-#: Steps of Gauss and Newton.
-STEPS = 5
-#: What an offset must be known to [m, rad]; what the motion shows less well stays zero.
+#: Number of ticks that are used at most, evenly spread, and that are needed to estimate noise.
+MAX_TICKS, MIN_TICKS = 1500, 10
+#: Gauss-Newton steps, and Newton steps to the start with the new loops closed.
+STEPS, NEWTON = 5, 20
+#: Accuracy that an offset must be identified to [m, rad]; else it stays zero.
 SIZE = 5e-3
-#: Standard deviation of a row at first, and least [m, rad].
-FIRST, LEAST = np.array([1e-4, 1e-3]), np.array([1e-8, 1e-7])
-#: Share of a parameter in what is not shown, above which it is not shown itself.
+#: Standard deviation of a row at first, and its minimum [m, rad].
+FIRST, SMALLEST = np.array([1e-4, 1e-3]), np.array([1e-8, 1e-7])
+#: Share of a parameter in what is not identified, above which it is not identified itself.
 SHARE = 0.1
 #: Joints that move less than this stand still [rad, m].
 STILL = 0.02
-#: A fit leaves more than noise where it leaves so many times as much, and more than a share of
-#: the error, and more than this [m, rad].
+#: A residual is more than noise above so many times the noise, this share of the error, and this
+#: much [m, rad].
 TIMES, LEFT, WORTH = 3.0, 0.1, np.array([1e-4, 5e-4])
 WORLD = pin.LOCAL_WORLD_ALIGNED
-#: Newton steps to the start with the new loops closed.
-NEWTON = 20
 
 
 @dataclass(frozen=True)
@@ -58,10 +53,9 @@ class Offset:
 
     Attributes:
         name: such as "left.rot_x" of the object in a hand, in its axes, or "encoder[LElbowRoll]".
-        unit: "m" or "rad".
-        value: of it [unit].
-        deviation: its standard deviation by noise alone; infinite where the motion does not show
-            it, NaN where there is one instant only.
+        unit, value: "m" or "rad"; in this unit.
+        deviation: standard deviation by noise alone; infinite where the motion does not identify
+            the parameter, NaN where there is one instant only.
     """
 
     name: str
@@ -72,20 +66,20 @@ class Offset:
 
 @dataclass(frozen=True)
 class Calibration:
-    """What a run tells of the model's errors.
+    """The identified errors of a model.
 
     Attributes:
         chain: with the offsets of the object in the hands, at the nearest start to where the run
             began with its loops closed.
-        offsets: all that was looked for.
-        before, after: what the loops are open by, root of the mean square of the largest one:
-            position, orientation [m, rad], without the offsets and with them.
-        noise: the same of what jumps from tick to tick.
-        predicted: the same in the ticks far from the start, with the offsets that those near it
-            alone tell; and ``unfitted``, with none. None where the joints stand still.
-        hidden: how many combinations of offsets the motion does not show.
-        ticks: how many were used.
-        travel: how far the joint went that went farthest [rad, m].
+        offsets: all parameters.
+        before, after: RMS of the largest loop error, position and orientation [m, rad], without
+            the offsets and with them.
+        noise: the same of the noise from tick to tick.
+        predicted, unfitted: the same in the ticks far from the start, with the offsets identified
+            from those near it alone, and without offsets; None where the joints stand still.
+        hidden: number of combinations of offsets that the motion does not identify.
+        ticks: number used.
+        travel: of the joint that moved farthest [rad, m].
     """
 
     chain: ClosedChain
@@ -104,36 +98,36 @@ class Calibration:
         """Whether the offsets explain the run but for noise; None where nothing moved."""
         if self.predicted is None or self.unfitted is None:
             return None
-        most = np.maximum(np.maximum(TIMES * self.noise, LEFT * self.unfitted), WORTH)
-        return bool((self.predicted <= most).all())
+        allowed = np.maximum(np.maximum(TIMES * self.noise, LEFT * self.unfitted), WORTH)
+        return bool((self.predicted <= allowed).all())
 
 
 def calibrate(chain: ClosedChain, q: Array, *, encoders: bool = False) -> Calibration:
-    """Find the constant errors that explain what the loops are open by.
+    """Identify the constant errors that explain the loop errors.
 
     Args:
         chain: as modelled.
         q: measured joints with the real loops closed, passive ones too, in order, shape (T, n).
-        encoders: whether to look for offsets of the motors' encoders as well.
+        encoders: whether to identify offsets of the motors' encoders as well.
 
     Raises:
         InvalidValueError: only one arm holds; too few ticks; or the hands are where the model says.
     """
     if chain.holding < 2:
         raise InvalidValueError("nothing to calibrate: one arm holds the object, no loop is closed")
-    if not len(q) or (len(q) < FEWEST and (encoders or len(q) > 1)):
-        raise InvalidValueError(f"found {len(q)} measured ticks, needs at least {FEWEST}")
-    every = q[:: -(-len(q) // MOST)]
+    if not len(q) or (len(q) < MIN_TICKS and (encoders or len(q) > 1)):
+        raise InvalidValueError(f"found {len(q)} measured ticks, needs at least {MIN_TICKS}")
+    every = q[:: -(-len(q) // MAX_TICKS)]
     fit = _Fit(chain, encoders=encoders)
     nothing = np.zeros(len(fit.names))
     before = fit.errors(every, nothing)
-    if np.abs(before).max() < LEAST.max():
+    if np.abs(before).max() < SMALLEST.max():
         raise InvalidValueError("nothing to calibrate: the hands are where the model says")
     solution = fit.solve(every)
     after = fit.errors(every, solution.x)
     travel = np.ptp(every, axis=0)
     near, far = _near_and_far(every)
-    moved = bool(travel.max() > STILL) and len(q) >= 2 * FEWEST
+    moved = bool(travel.max() > STILL) and len(q) >= 2 * MIN_TICKS
     start = State(fit.chain_with(solution.x), every[0] - fit.encoder_offsets(solution.x))
     start.close_loops(NEWTON)
     return Calibration(
@@ -151,7 +145,7 @@ def calibrate(chain: ClosedChain, q: Array, *, encoders: bool = False) -> Calibr
 
 
 class _Solution(NamedTuple):
-    """Parameters x, their standard deviations, and a basis of what was not shown, (P, hidden)."""
+    """Parameters x, standard deviations, and a basis of what is not identified, (P, hidden)."""
 
     x: Array
     deviations: Array
@@ -173,7 +167,7 @@ class _Fit:
         self.units += [chain.joint_units[i] for i in motors]
 
     def encoder_offsets(self, x: Array) -> Array:
-        """What each encoder says too much, shape (n,)."""
+        """Offset of each encoder, shape (n,)."""
         offsets = np.zeros(self.chain.n)
         offsets[self._motors] = x[6 * self._loops :]
         return offsets
@@ -186,23 +180,23 @@ class _Fit:
         return ClosedChain(replace(hold, X_EO={**hold.X_EO, **moved}))
 
     def _moves(self, x: Array) -> list[pin.SE3]:
-        """Shift and turn in each hand but the first, both in the object's axes."""
+        """Shift and rotation in each hand but the first, both in the object's axes."""
         poses = x[: 6 * self._loops].reshape(-1, 6)
         return [pin.SE3(pin.exp3(xi[3:]), xi[:3]) for xi in poses]
 
     def errors(self, q: Array, x: Array) -> Array:
-        """What each loop is open by in each tick, shape (T, L, 2, 3) [m; rad]."""
+        """Error of each loop in each tick, shape (T, L, 2, 3) [m; rad]."""
         return self._linearised(q, x, slopes=False)[0]
 
     def solve(self, q: Array) -> _Solution:
-        """The parameters that leave least, and what is known of them."""
+        """The least-squares parameters."""
         x, sigma = np.zeros(len(self.names)), FIRST
         solution = _Solution(x, x, np.zeros((len(x), 0)))
         for _ in range(STEPS):
             e, J = self._linearised(q, solution.x, slopes=True)
             solution = _step(e, J, sigma, solution.x)
-            left = e + np.einsum("tlkip,p->tlki", J, solution.x - x)
-            sigma = np.maximum(np.sqrt(np.mean(left**2, axis=(0, 1, 3))), LEAST)
+            residual = e + np.einsum("tlkip,p->tlki", J, solution.x - x)
+            sigma = np.maximum(np.sqrt(np.mean(residual**2, axis=(0, 1, 3))), SMALLEST)
             x = solution.x
         return solution
 
@@ -228,7 +222,7 @@ class _Fit:
                 X_i = X * moved[i]
                 e[k, i] = X_i.translation - X_0.translation, pin.log3(X_i.rotation @ X_0.rotation.T)
                 if slopes:
-                    # Of the first order; the turn's own offset turns what comes after it.
+                    # First order; the rotation also turns what comes after it.
                     J[k, i, 0, :, 6 * i : 6 * i + 3] = X.rotation
                     J[k, i, 1, :, 6 * i + 3 : 6 * i + 6] = X_i.rotation
                     levers[i] = pin.skew(X_i.translation - X.translation)
@@ -243,39 +237,39 @@ class _Fit:
 
 
 def _step(e: Array, J: Array, sigma: Array, x: Array) -> _Solution:
-    """One step along what the motion shows; rows are counted in standard deviations."""
+    """One step along what the motion identifies; rows are in standard deviations."""
     weight = 1.0 / sigma[:, None]
     rows = (weight[..., None] * J).reshape(-1, len(x)) * SIZE
     U, values, Vt = np.linalg.svd(rows, full_matrices=False)
-    shown = values > max(RANK_TOLERANCE * values[0], 1.0)
-    along = Vt[shown].T / values[shown]
+    known = values > max(RANK_TOLERANCE * values[0], 1.0)
+    along = Vt[known].T / values[known]
     wanted = rows @ (x / SIZE) - (weight * e).reshape(-1)
     freedom = len(rows) - len(x)
     deviations = SIZE * np.linalg.norm(along, axis=1) if freedom else np.full(len(x), np.nan)
-    return _Solution(SIZE * along @ (U[:, shown].T @ wanted), deviations, Vt[~shown].T)
+    return _Solution(SIZE * along @ (U[:, known].T @ wanted), deviations, Vt[~known].T)
 
 
 def _near_and_far(q: Array) -> tuple[Array, Array]:
-    """The ticks less than half as far from the first as the farthest one is, and the others."""
+    """The ticks nearer to the first than half of the largest distance, and the others."""
     way = np.linalg.norm(q - q[0], axis=1)
     near = int(np.sum(way < 0.5 * way.max()))
-    cut = max(FEWEST, min(near, len(q) - FEWEST))
+    cut = max(MIN_TICKS, min(near, len(q) - MIN_TICKS))
     order = np.argsort(way)
     return q[order[:cut]], q[order[cut:]]
 
 
 def _size(errors: Array) -> Array:
-    """Root of the mean square of the loop that is open farthest, shape (2,) [m, rad]."""
+    """RMS of the largest loop error, shape (2,) [m, rad]."""
     largest = np.linalg.norm(errors, axis=3).max(axis=1)
     return np.asarray(np.sqrt(np.mean(largest**2, axis=0)), float)
 
 
 def _noise(errors: Array) -> Array:
-    """The same of noise, which alone differs from the mean of the ticks before and after."""
-    bend = errors[2:] - 2.0 * errors[1:-1] + errors[:-2]
-    return _size(bend) / np.sqrt(6.0) if len(bend) else np.zeros(2)
+    """The same of noise, by second differences."""
+    curvature = errors[2:] - 2.0 * errors[1:-1] + errors[:-2]
+    return _size(curvature) / np.sqrt(6.0) if len(curvature) else np.zeros(2)
 
 
 def not_shown(offsets: Sequence[Offset]) -> tuple[str, ...]:
-    """Names of the offsets that the motion does not show."""
+    """Names of the offsets that the motion does not identify."""
     return tuple(offset.name for offset in offsets if np.isinf(offset.deviation))

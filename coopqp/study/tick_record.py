@@ -37,21 +37,18 @@ class TickRecord:
     """All that explains one tick of a QP controller, and solves it again.
 
     Attributes:
-        scenario, controller, tick: where it is from.
-        t, q, v, memory: the state that the tick began with.
-        dt: control period [s].
-        damping: least curvature of the cost.
-        budget: what an answer may be off by.
-        P, q_cost, C, lower, upper: the first level's QP, ``QP``: hard and scaled
-            tasks as equality rows, or, where hard ones cannot hold, as the cost
+        t, q, v, memory: the state before the tick.
+        damping: smallest curvature of the cost.
+        budget: tolerances of an answer.
+        P, q_cost, C, lower, upper: the first level's QP, ``QP``: hard and scaled tasks as equality
+            rows, or, where hard ones cannot hold, as the cost
             (:class:`coopqp.qp_law.nearest.Nearest`), which has no shares of scaled tasks.
         inequalities: number of rows of G in C.
-        variables, inequality_rows, equality_rows: what they are.
         lb_rows, ub_rows: the limit that each bound on v comes from.
         J, wanted, task_rows: rows of all tasks.
         modes: soft, hard or scaled, by the task's name.
-        answer, status: what the controller made of it, all levels included.
-        first_answer: what its solver made of this QP.
+        answer, status: the controller's, all levels included.
+        first_answer: its solver's, of this QP.
     """
 
     scenario: str
@@ -109,7 +106,7 @@ class TickRecord:
         return record
 
     def wrong(self) -> tuple[Location, str] | None:
-        """Where and how it is no tick; None if it is one."""
+        """Location and reason of the first fault; None if there is none."""
         if wrong := self._misfit():
             return wrong
         unknown = [row.owner for row in self.task_rows if row.owner not in self.modes]
@@ -126,13 +123,13 @@ class TickRecord:
         if apart:
             i, j = apart[-1]
             return ("P", i, j), f"found {P[i, j]:g}, but [{j}][{i}] is {P[j, i]:g}: not symmetric"
-        least, *_, most = np.linalg.eigvalsh(np.pad(P, (0, 1)))  # a second one, and none negative
-        if least < -1e-9 * most:
-            return ("P",), f"has the eigenvalue {least:.3g}, needs none below zero"
+        lowest, *_, highest = np.linalg.eigvalsh(np.pad(P, (0, 1)))  # padded: two at least
+        if lowest < -1e-9 * highest:
+            return ("P",), f"has the eigenvalue {lowest:.3g}, needs none below zero"
         return None
 
     def _misfit(self) -> tuple[Location, str] | None:
-        """The first array whose size does not belong to the others."""
+        """The first array whose size does not fit the others."""
         n, p, m = len(self.variables), len(self.inequality_rows), len(self.equality_rows)
         k = len(self.task_rows)
         if not n:
@@ -166,7 +163,7 @@ _RECORD = TypeAdapter(TickRecord)
 
 
 def _refused(path: Path, text: str, location: Location, why: str) -> CoopqpError:
-    """That a file is no tick, with the line that shows it."""
+    """The error for a file that is no tick, with its line."""
     broken = re.search(r" at line (\d+) column (\d+)", why)
     line = int(broken[1]) if broken else line_in_json(text, location)
     if broken and broken[2] == "0":  # it is the line break before that is wrong
@@ -179,14 +176,7 @@ def _refused(path: Path, text: str, location: Location, why: str) -> CoopqpError
 def record_tick(
     law: QPLaw, state: State, *, scenario: str, controller: str, tick: int
 ) -> TickRecord:
-    """Keep the tick that a law would do at a state.
-
-    Args:
-        law: the controller, built for the scenario.
-        state: updated; its memory is the law's.
-        scenario: its name, for the record.
-        controller: likewise.
-        tick: likewise.
+    """Record the tick that a law would do at an updated state with the law's memory.
 
     Raises:
         InvalidValueError: code of a task, a limit or a solver raises in it, so that it has no QP.
@@ -234,12 +224,8 @@ def _first_level(law: QPLaw, state: State) -> Level:
 class NamedBounds:
     """The limits of a problem one by one, so that each bound on v has the name of one.
 
-    Args:
-        problem: with the limits.
-        state: the first that they are looked at.
-
     Attributes:
-        lb, ub: the tightest of all limits. G, h: rows of one after the other.
+        lb, ub, G, h: the tightest bounds; rows of one limit after the other.
         below, above: the limits that lb and ub come from.
     """
 
@@ -262,7 +248,7 @@ class NamedBounds:
         self.update(state)
 
     def update(self, state: State) -> None:
-        """Bring all to a state."""
+        """Evaluate all at a state."""
         n = len(state.v)
         self.below, self.above = found = [*self._none[0]], [*self._none[1]]
         tightest = np.full((2, n), np.inf)
@@ -295,13 +281,9 @@ def _infinite(values: Sequence[float]) -> Array:
 
 @dataclass(frozen=True)
 class Replay:
-    """A saved tick solved again.
+    """A saved tick solved again: verified status, answer v, its residuals.
 
-    Attributes:
-        status: as verified.
-        v: the answer.
-        primal_residual, dual_residual: of the answer.
-        difference: largest distance to the answer that was saved [rad/s].
+    ``difference`` is the largest distance to the answer that was saved [rad/s].
     """
 
     status: Status
@@ -311,7 +293,7 @@ class Replay:
     difference: float
 
     def as_json(self) -> dict[str, Any]:
-        """For machines."""
+        """The replay as JSON data."""
         return {**asdict(self), "status": self.status.value, "v": self.v.tolist()}
 
 

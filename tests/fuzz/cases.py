@@ -24,7 +24,7 @@ from coopqp.scenario.loader import load, solver_by_name
 from coopqp.scenario.scenario import Scenario
 from coopqp.scenario.yaml import read_yaml
 from coopqp.study import explanation
-from coopqp.study.explanation.explained_phase import legs
+from coopqp.study.explanation.explained_phase import explained_phases
 from coopqp.study.tick_record import TickRecord, replay
 from coopqp.study.trace_file import measured_run, recorded_tick, trace_from_file
 
@@ -213,7 +213,7 @@ def _trace(rng: Random, folder: Path) -> Case:
         if asked == "joints":
             measured_run(path, scenario, name)
         elif asked == "run":
-            list(legs(scenario.held_by(name), trace_from_file(path, scenario, name)))
+            list(explained_phases(scenario.held_by(name), trace_from_file(path, scenario, name)))
         else:
             explanation.explain(recorded_tick(path, scenario, None, tick))
 

@@ -22,7 +22,7 @@ from coopqp.limits import SelfCollision
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.held_object import HeldObject
 from coopqp.robot import RobotModel
-from coopqp.robot_files.keys import ArmJoints
+from coopqp.robot_files.selection import ArmJoints
 from coopqp.robots import Mjcf, Urdf
 
 BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "collisions.py"

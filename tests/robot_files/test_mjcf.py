@@ -10,9 +10,9 @@ import pinocchio as pin
 import pytest
 
 from coopqp.base.errors import InvalidValueError, MissingDependencyError
-from coopqp.robot_files.description import Description
 from coopqp.robot_files.meshes import read_mesh
 from coopqp.robot_files.mjcf import read_mjcf
+from coopqp.robot_files.selection import Description
 from coopqp.robots import Mjcf
 
 WORLD = """<mujoco model="two"><compiler angle="degree"/>

@@ -33,10 +33,8 @@ from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Budget
 from coopqp.study.explanation import explain_run, insufficient_time, words
-from coopqp.study.explanation.explained_phase import legs
-from coopqp.study.explanation.rerun import _Wider
-from coopqp.study.explanation.room import Room
-from coopqp.study.explanation.shares import Share
+from coopqp.study.explanation.explained_phase import _Wider, explained_phases
+from coopqp.study.explanation.room import Room, Share
 from coopqp.tasks import Twist
 
 # Speed, time, budget
@@ -138,7 +136,7 @@ def test_bodies_that_hold_a_run_are_named_with_their_distance() -> None:
     x, y, z = (like.chain.start_position + np.array([0.0, 0.0, 0.11])).tolist()
     slab = Obstacle(box=(0.4, 0.4, 0.05), position=(x, y, z))
     limits = (*like.limits, Obstacles(shapes={"slab": slab}, bodies=("object",)))
-    leg = next(legs(replace(like, limits=limits), run(like, controller="qp")))
+    leg = next(explained_phases(replace(like, limits=limits), run(like, controller="qp")))
     room = Room(leg.problem)
     corner = next(row for row in limits[-1].rows(like.chain) if "corner" in row.name)
     told = insufficient_time._told(Share(corner, 1.0), room, like.chain.q_start)
@@ -153,7 +151,7 @@ def test_bodies_that_hold_a_run_are_named_with_their_distance() -> None:
 def test_joint_values_that_are_told_close_the_loops() -> None:
     """To two digits the hands were 13 mm apart."""
     scenario = load("point_on_point")
-    leg = next(legs(scenario, run(scenario, controller="qp")))
+    leg = next(explained_phases(scenario, run(scenario, controller="qp")))
     said = words.start(leg.q[-1], leg.problem.chain)
     arms = dict(part.split(" ", 1) for part in said.split("; "))
     values = {arm: [float(x) for x in text.strip("[]").split(",")] for arm, text in arms.items()}

@@ -1,16 +1,20 @@
-"""What a tick was asked, and its answer: kept, now, or looked at again; what held it back.
+"""Rows and answer of a tick, what held it back, and hard and scaled tasks not met in full.
 
 In ticks in which the tasks were not followed, multipliers tell what held them back:
 
     minimise |Z' (J' W (wanted - J v) - sum mu_i n_i)|,   mu_i >= 0
 
-with n_i the limits at their bound in that tick, Z the motions that keep the loops closed. Of a run
-the shares mu_i |Z' n_i| are summed over the ticks, each by |J v - wanted|.
+with n_i the limits active in that tick, Z the motions that keep the loops closed. Of a run the
+shares mu_i |Z' n_i| are summed over the ticks, each by |J v - wanted|.
+
+A task that wants the rate w and gets u = J v gets the share 1 - |u - w| / max(|w|, |u - w|) of it,
+that is s where u = s w.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -26,13 +30,14 @@ from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.safety import drift_gain
 from coopqp.solver import Status, causes_of
 from coopqp.study.explanation.explained_phase import ExplainedPhase
-from coopqp.study.explanation.room import PLACE_UNITS
-from coopqp.study.explanation.shares import Share, forces, shares
+from coopqp.study.explanation.room import PLACE_UNITS, Share, forces, shares
 from coopqp.study.tick_record import NamedBounds, TickRecord
 from coopqp.task import Mode, TaskStack
 
-#: Most ticks of a run that are looked at, and what one is off by to count [m/s, rad/s].
+#: Number of ticks of a run that are evaluated at most; error from which one counts [m/s, rad/s].
 TICKS, BEHIND = 150, 1e-3
+#: A task that lacks more than this share of its rate counts, as does the one that lacks most.
+WORTH_COUNTING = 0.02
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,13 +45,11 @@ class Asked:
     """A tick without its solver's program.
 
     Attributes:
-        causes: what became of it.
-        dt: control period [s].
         A, b: rows of the closed loops, A v = b.
         lb, ub, G, h: the limits, lb <= v <= ub and G v <= h.
         J, wanted, task_rows: rows of all tasks, J v = wanted.
         modes: soft, hard or scaled, by the task's name.
-        v: the answer; beside velocities it may have the shares of scaled tasks.
+        v: the answer, followed by shares of scaled tasks if there are any.
         name_limits: finds ``limit_rows``, which few need.
     """
 
@@ -67,7 +70,7 @@ class Asked:
 
     @cached_property
     def slack(self) -> Array:
-        """What the answer leaves of lb, ub and h."""
+        """Slack of lb, ub and h at the answer."""
         return np.concatenate([self.v - self.lb, self.ub - self.v, self.h - self.G @ self.v])
 
     @cached_property
@@ -76,20 +79,20 @@ class Asked:
         return self.name_limits()
 
     def at_limits(self, near: float) -> list[tuple[Row, Array]]:
-        """Those that the answer is so near to, each with the joint motion that breaks it."""
+        """Limits with less slack than ``near``, each with the joint motion that violates it."""
         eye = np.eye(len(self.v))
         ways = np.vstack([-eye, eye, self.G])
         at = np.flatnonzero(self.slack < near).tolist()
         return [(self.limit_rows[i], ways[i]) for i in at]
 
     def forces(self, near: float, weights: Array | float = 1.0) -> list[tuple[Row, float]]:
-        """What holds the tasks back of what the answer is so near to, by :func:`forces`."""
+        """Forces, :func:`forces`, of the limits with less slack than ``near``."""
         Z, missed = null_space(self.A), self.wanted - self.J @ self.v
         return forces(Z.T @ self.J.T @ (weights * missed), Z, self.at_limits(near))
 
 
 def asked_then(record: TickRecord) -> Asked:
-    """What a kept tick was asked; hard and scaled tasks are tasks here."""
+    """Of a saved tick; hard and scaled tasks are tasks here."""
     qp = record.qp()
     loops = [i for i, row in enumerate(record.equality_rows) if row.kind == "loop"]
     return Asked(
@@ -102,26 +105,37 @@ def asked_then(record: TickRecord) -> Asked:
 
 
 def asked_now(problem: ControlProblem, state: State, tasks: TaskStack, command: Command) -> Asked:
-    """What a tick is asked at a state with its joints inside their limits, and its answer.
-
-    State and tasks are up to date.
-    """
+    """Of a tick at an updated state with its joints inside their limits, and updated tasks."""
     bounds = Bounds(problem.chain, problem.limits, state, problem.dt)
     bounds.update(state)
+    causes, v = command.causes, command.v
+    return _asked(
+        problem, state, tasks, bounds, causes, v, lambda: NamedBounds(problem, state).rows
+    )
+
+
+def _asked(
+    problem: ControlProblem,
+    state: State,
+    tasks: TaskStack,
+    limits: Bounds | NamedBounds,
+    causes: tuple[Status, ...],
+    v: Array,
+    name_limits: Callable[[], Sequence[Row]],
+) -> Asked:
     return Asked(
-        causes=command.causes, dt=problem.dt,
+        causes=causes, dt=problem.dt,
         A=state.J_loop, b=state.e_loop * -drift_gain(problem, state),
-        lb=bounds.lb, ub=bounds.ub, G=bounds.G, h=bounds.h,
+        lb=limits.lb, ub=limits.ub, G=limits.G, h=limits.h,
         J=tasks.J, wanted=tasks.wanted, task_rows=tasks.rows,
-        modes={task.name: task.mode for task in problem.tasks}, v=command.v,
-        name_limits=lambda: NamedBounds(problem, state).rows,
+        modes={task.name: task.mode for task in problem.tasks}, v=v, name_limits=name_limits,
     )  # fmt: skip
 
 
 class TickBatch:
-    """The ticks of a leg, whose law commands velocities, looked at again one by one.
+    """The ticks of a phase whose law commands velocities, evaluated again one by one.
 
-    State and stack of tasks are those of the last that was looked at.
+    ``state`` and ``stack`` of tasks are those of the last one.
     """
 
     def __init__(self, leg: ExplainedPhase) -> None:
@@ -130,7 +144,7 @@ class TickBatch:
         self.stack = TaskStack(problem.tasks, State(problem.chain))
 
     def look(self, k: int) -> Array:
-        """Bring all to tick k; what its tasks missed, wanted - J v."""
+        """Evaluate tick k; what its tasks missed, wanted - J v."""
         state, leg = self.state, self._leg
         state.q[:], state.t = leg.q[k], k * leg.problem.dt
         state.v[:] = leg.v[k - 1] if k else 0.0
@@ -145,31 +159,103 @@ class TickBatch:
 
     def forces(self, k: int) -> list[tuple[Row, float]]:
         """What held tick k back, each limit with its force; their sum is what was missed."""
-        missed, leg, stack, state = self.look(k), self._leg, self.stack, self.state
+        missed, leg, limits = self.look(k), self._leg, self._limits
         if np.abs(missed).max(initial=0.0) <= BEHIND:
             return []
-        limits = self._limits
-        limits.update(state)
-        tick = Asked(
-            causes=leg.causes[k], dt=leg.problem.dt,
-            A=state.J_loop, b=state.e_loop * -drift_gain(leg.problem, state),
-            lb=limits.lb, ub=limits.ub, G=limits.G, h=limits.h,
-            J=stack.J, wanted=stack.wanted, task_rows=stack.rows, modes={}, v=leg.v[k],
-            name_limits=lambda: limits.rows,
+        limits.update(self.state)
+        tick = _asked(
+            leg.problem, self.state, self.stack, limits,
+            leg.causes[k], leg.v[k], lambda: limits.rows,
         )  # fmt: skip
-        found = tick.forces(AT_LIMIT, stack.weights)
-        total, size = sum(amount for _, amount in found), float(np.linalg.norm(missed))
-        return [(row, amount / total * size) for row, amount in found if total > 0.0]
+        held = tick.forces(AT_LIMIT, self.stack.weights)
+        total, size = sum(amount for _, amount in held), float(np.linalg.norm(missed))
+        return [(row, amount / total * size) for row, amount in held if total > 0.0]
 
 
 def held_up(leg: ExplainedPhase, ticks: range | None = None) -> tuple[Share, ...]:
-    """Which limits held a run up in some ticks or all, the largest share first."""
+    """Which limits slowed a run in some ticks or all, the largest share first."""
     look, ticks = TickBatch(leg), ticks or range(len(leg.v))
     some = ticks[:: max(1, len(ticks) // TICKS)]
     return shares(force for k in some for force in look.forces(k))
 
 
 def speed_share(shares: Sequence[Share]) -> float:
-    """What limits of speeds and accelerations, and of no place, have of the force."""
+    """Share of the limits of speeds and accelerations."""
     rates = (s for s in shares if not s.row.of_place and s.row.unit not in PLACE_UNITS)
     return sum(share.share for share in rates)
+
+
+@dataclass(frozen=True)
+class Unmet:
+    """A hard or scaled task that gets only a share of its rate in a tick."""
+
+    task: str
+    mode: Mode
+    share: float
+
+    @property
+    def words(self) -> str:
+        return f"{self.mode} task '{self.task}'"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Relaxed:
+    """A hard or scaled task that is not met in full in some ticks of a run.
+
+    ``missing`` is the share of its rate that it lacks in the last tick.
+    """
+
+    task: str
+    mode: Mode
+    ticks: int
+    missing: float
+
+    @property
+    def words(self) -> str:
+        ticks = f"{self.ticks} tick{'' if self.ticks == 1 else 's'}"
+        end = f"lacks {percent(self.missing)} of its rate" if self.missing else "is met"
+        return f"{self.mode} task '{self.task}' is not met in full in {ticks} and {end} at the end"
+
+
+def part_of_rate(got: Array, wanted: Array) -> float:
+    """The share of its rate that a task gets."""
+    off, size = float(np.linalg.norm(got - wanted)), float(np.linalg.norm(wanted))
+    return 1.0 - off / max(size, off, 1e-300)
+
+
+def relaxed(explained_phases: Sequence[ExplainedPhase]) -> tuple[Relaxed, ...]:
+    """Tasks not met in full in relaxed ticks, the most frequent first; none under torque laws."""
+    modes: dict[str, Mode] = {}
+    ticks, missing = Counter[str](), dict[str, float]()
+    for leg in explained_phases:
+        if leg.controller.commands_torques:
+            break
+        missing = {}
+        modes |= {task.name: task.mode for task in leg.problem.tasks}
+        for k, lacks in _lacks(leg):
+            ticks.update(lacks.keys())
+            missing = lacks if k == len(leg.v) - 1 else {}
+    return tuple(
+        Relaxed(task=name, mode=modes[name], ticks=count, missing=missing.get(name, 0.0))
+        for name, count in ticks.most_common()
+    )
+
+
+def _lacks(leg: ExplainedPhase) -> Iterator[tuple[int, dict[str, float]]]:
+    """Relaxed ticks of a phase, with the share that each task lacks."""
+    look = TickBatch(leg)
+    every = zip(leg.problem.tasks, look.stack.slices, strict=True)
+    firm = [(task.name, rows) for task, rows in every if task.mode != "soft"]
+    for k in (k for k, causes in enumerate(leg.causes) if Status.TASKS_RELAXED in causes):
+        off, wanted = look.look(k), look.stack.wanted
+        got = wanted - off
+        lacks = {name: 1.0 - part_of_rate(got[rows], wanted[rows]) for name, rows in firm}
+        least = min(max(lacks.values(), default=0.0), WORTH_COUNTING)
+        yield k, {name: x for name, x in lacks.items() if x >= least > 0.0}
+
+
+def percent(share: float) -> str:
+    """A share, in words."""
+    if share < 0.01:
+        return "less than 1 %"
+    return "more than 99 %" if 0.99 < share < 1.0 else f"{100.0 * share:.0f} %"

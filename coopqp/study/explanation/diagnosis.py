@@ -2,35 +2,119 @@
 
 Searches from where the run has ended answer in turn
 
-    inside the limits    it is reached: geometry is not what blocks
-    without limits       it is reached: the limits block, or only this configuration does
+    inside the limits    reached: geometry is not what blocks
+    without limits       reached: the limits block, or only this configuration does
     tasks by themselves  on a free object, then on this robot: which contradict each other
     rank of the task     the loops leave fewer motions than it asks for
-    else                 out of reach: how far, and which way
+    else                 unreachable: how far, and in which direction
+
+A contradiction is a smallest set of tasks, by a deletion filter: on an object that nothing holds it
+is one on any robot; else on this one, without limits. A free object has six coordinates,
+x = (translation, rotation vector) from where it is now, and the tasks see it with J_task = [1 0]
+in a state whose pose is overwritten.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
+import pinocchio as pin
 
 from coopqp.assessment.thresholds import BEYOND
 from coopqp.base.rank import independent_rows, null_space
 from coopqp.base.spec import Array
-from coopqp.study.explanation.contradiction import (
-    Contradiction,
-    on_a_free_object,
-    on_this_robot,
-)
-from coopqp.study.explanation.goal import Goal, PartOfTask
-from coopqp.study.explanation.room import Room
-from coopqp.study.explanation.search import Place, Search
-from coopqp.study.explanation.shares import Share, forces, shares
+from coopqp.scenario.bounded_steps import BoundedSteps, Stop
+from coopqp.study.explanation.goal import Goal, PartOfTask, Place, Search
+from coopqp.study.explanation.room import Room, Share, forces, shares
+from coopqp.task import Task
 
-#: Limits that cost less of the distance are not told of; a restart nearer by this is.
+T = TypeVar("T")
+
+#: Random starts of a free object, steps of each, and the longest step.
+FREE_STARTS, FREE_STEPS, FREE_STEP = 6, 80, 0.5
+#: Rows belong to the object where J is a combination of the rows of J_task to this share.
+OF_OBJECT = 1e-6
+
+
+@dataclass(frozen=True)
+class Contradiction:
+    """Two tasks or more that cannot hold together, on any robot if a free object cannot either."""
+
+    tasks: tuple[Task, ...]
+    any_robot: bool
+
+
+def irreducible(tasks: Sequence[T], fails: Callable[[tuple[T, ...]], bool]) -> tuple[T, ...]:
+    """A minimal subset that fails, of tasks or names that fail together (deletion filter)."""
+    kept = tuple(tasks)
+    for task in tasks:
+        rest = tuple(other for other in kept if other is not task)
+        if rest and fails(rest):
+            kept = rest
+    return kept
+
+
+def contradicting(tasks: Sequence[T], fails: Callable[[tuple[T, ...]], bool]) -> tuple[T, ...]:
+    """A minimal subset of two or more that fails; none where all hold, or one alone fails."""
+    found = irreducible(tasks, fails) if len(tasks) > 1 and fails(tuple(tasks)) else ()
+    return found if len(found) > 1 else ()
+
+
+def on_a_free_object(goal: Goal) -> tuple[Task, ...]:
+    """Tasks of the object that contradict each other on any robot; empty where none do."""
+    if goal.chain.n < 6:
+        return ()
+    own = tuple(task for task in goal.tasks if _of_object(goal.only([task])))
+    return contradicting(own, lambda some: _free_fails(goal.only(some)))
+
+
+def on_this_robot(goal: Goal, q: Array) -> tuple[Task, ...]:
+    """A minimal set of tasks, maybe one, that cannot hold on the robot without limits."""
+    return irreducible(goal.tasks, lambda some: not Search(goal.only(some)).best(q).reached)
+
+
+def _of_object(goal: Goal) -> bool:
+    """Whether a task sees the object alone."""
+    chain = goal.chain
+    goal.look(chain.q_start + 0.1 * np.sin(1.0 + np.arange(chain.n)))
+    J, J_task = goal.stack.J, goal.state.J_task
+    left = J.T - J_task.T @ np.linalg.lstsq(J_task.T, J.T, rcond=None)[0]
+    return bool(np.linalg.norm(left) <= OF_OBJECT * np.linalg.norm(J))
+
+
+def _free_fails(goal: Goal) -> bool:
+    """Whether the search finds no pose of a free object that fulfils the tasks."""
+    state, root, rng = goal.state, np.sqrt(goal.weights), np.random.default_rng(0)
+    goal.look(goal.chain.q_start)
+    p, R = state.p_WO.copy(), state.R_WO.copy()
+
+    def residual(x: Array) -> tuple[Array, Array]:
+        state.p_WO[:] = p + x[:3]
+        state.R_WO[:] = pin.exp3(x[3:]) @ R
+        state.J_task[:] = 0.0
+        state.J_task[:3, :3] = np.eye(3)
+        state.J_task[3:, 3:6] = pin.Jexp3(-x[3:])  # the left Jacobian
+        goal.stack.update(state)
+        return root * goal.stack.e, root[:, None] * goal.stack.J[:, :6]
+
+    small = 0.05 * min(part.part.tolerance for part in goal.parts) * float(root.min())
+    stop = Stop(FREE_STEPS, FREE_STEP, lambda r: bool(np.abs(r).max() < small))
+    steps, far = BoundedSteps(6), np.full(6, np.inf)
+    for i in range(FREE_STARTS):
+        x = rng.normal(size=6) * np.repeat([0.3 * goal.chain.reach, 1.0], 3) * min(i, 1)
+        steps.descend(x, residual, (-far, far), stop)
+        residual(x)
+        if goal.miss <= 1.0:
+            return False
+    return True
+
+
+#: Share of the distance from which on limits, or a nearer restart, are mentioned.
 WORTH_TELLING = 0.1
-#: Closed configurations at which the freedoms are counted, how far they are off, and the cut.
+#: Closed configurations at which freedoms are counted, their distance [rad, m], rank tolerance.
 POSES, AWAY, RANK = 5, 0.3, 1e-4
 
 
@@ -43,11 +127,10 @@ class NotBlocked:
 
 @dataclass(frozen=True)
 class BlockedByLimits:
-    """The goal can be reached without the limits, and not with them.
+    """The goal is reachable without the limits only.
 
     Attributes:
-        shares: of the limits that hold back where the search inside them ends.
-        place: where that is.
+        place: where the search inside the limits ends; ``shares``: of the limits that hold it back.
         start: a configuration at the goal, outside the limits.
         elsewhere: one at the goal inside the limits, that cannot be reached from here.
     """
@@ -60,10 +143,7 @@ class BlockedByLimits:
 
 @dataclass(frozen=True)
 class Elsewhere:
-    """The goal can be reached inside the limits, but from another configuration only.
-
-    The limits hold back here by their shares; the place is at the goal.
-    """
+    """The goal is reachable inside the limits from another configuration only, at ``place``."""
 
     shares: tuple[Share, ...]
     place: Place
@@ -83,12 +163,10 @@ class OutOfReach:
     """One task cannot be met, whatever the limits.
 
     Attributes:
-        goal: of that task.
-        part: the one that is farthest off.
-        gap: from the nearest place to the goal, rows of the part [the part's unit].
-        nearest: that place.
-        cost: by how much the limits keep it farther off [the part's unit]; 0 if not worth telling.
-        shares: of these limits.
+        goal, part: of that task; the part that is farthest off.
+        nearest: the nearest place.
+        gap: from there to the goal, rows of the part [the part's unit].
+        cost, shares: how much the limits add to it [the part's unit], 0 if little; their shares.
         elsewhere: a nearer place in another configuration, if there is one.
         in_world: whether the gap is along the world's x, y and z.
     """
@@ -104,7 +182,6 @@ class OutOfReach:
 
     @property
     def distance(self) -> float:
-        """How far out of reach [the part's unit]."""
         return float(np.linalg.norm(self.gap))
 
 
@@ -113,7 +190,7 @@ Diagnosis = NotBlocked | BlockedByLimits | Unreachable
 
 
 def diagnose(goal: Goal, room: Room, q: Array) -> Diagnosis:
-    """What geometry says of a run that has ended at q, of all its tasks that have a place."""
+    """Which geometric cause keeps tasks that have a place from their goal at q."""
     inside, free = Search(goal, room), Search(goal)
     at = inside.from_(q)
     if at.reached:
@@ -135,11 +212,10 @@ def diagnose(goal: Goal, room: Room, q: Array) -> Diagnosis:
 def _blocked(
     goal: Goal, room: Room, inside: Search, at: Place, near: Place, found: Place
 ) -> BlockedByLimits | Elsewhere:
-    """By the limits, or only in this configuration."""
     held = held_back(goal, room, at.q)
     other = inside.best(at.q)
     other_or_none = other if other.reached else None
-    if other_or_none and not (near.reached and room.overrun(near.q) > BEYOND):
+    if other_or_none and not (near.reached and room.violation(near.q) > BEYOND):
         return Elsewhere(held, other)
     return BlockedByLimits(held, at, found.q, other_or_none)
 
@@ -153,7 +229,7 @@ def held_back(goal: Goal, room: Room, q: Array) -> tuple[Share, ...]:
 
 
 def _too_few(goal: Goal, q: Array) -> TooFewFreedoms | None:
-    """Whether the loops leave less than the task asks for, and all of that can be had."""
+    """Where the loops leave fewer motions than the task asks for, and those are reachable."""
     rows, asked, left = _generic_rank(goal, q)
     if left >= asked or not rows:
         return None
@@ -163,7 +239,7 @@ def _too_few(goal: Goal, q: Array) -> TooFewFreedoms | None:
 
 
 def _generic_rank(goal: Goal, q: Array) -> tuple[list[int], int, int]:
-    """Independent rows of the task within the loops, how many it has and how many are left."""
+    """Rows of the task that are independent within the loops; its rank without and within them."""
     closing, rng = Search(Goal(goal.chain, (), goal.t)), np.random.default_rng(1)
     within, alone = [], []
     for _ in range(POSES):
@@ -181,7 +257,6 @@ def _generic_rank(goal: Goal, q: Array) -> tuple[list[int], int, int]:
 
 
 def _out_of_reach(goal: Goal, room: Room, q: Array) -> OutOfReach:
-    """How far, on the branch where the run has ended."""
     inside, free = Search(goal, room), Search(goal)
     at = inside.from_(q)
     here, best = free.from_(at.q), free.best(at.q)
@@ -205,10 +280,7 @@ def _out_of_reach(goal: Goal, room: Room, q: Array) -> OutOfReach:
 
 
 def _in_world(goal: Goal, part: PartOfTask, q: Array) -> bool:
-    """Whether the part's rows are the world's coordinates of a point of the object.
-
-    Its Jacobian is then that of the object's origin but for a lever times the angular one.
-    """
+    """Whether the part is the world coordinates of an object point: J = J_v + lever x J_w."""
     if part.part.rows != 3 or part.part.unit != "m":
         return False
     goal.look(q)

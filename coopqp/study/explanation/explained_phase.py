@@ -1,22 +1,34 @@
-"""A phase of a run as it was: what was asked in it, and what became of it."""
+"""A phase of a run as recorded, and rerun with wider limits, more time or another drift gain.
+
+A rerun has only the phases up to the one that missed; the scenario itself is not changed.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
+
+import numpy as np
 
 from coopqp.assessment import assess
+from coopqp.assessment.audit import audit
 from coopqp.base.errors import InvalidValueError
+from coopqp.base.qp import Row
 from coopqp.base.spec import Array
 from coopqp.controller import Controller, ControlProblem
-from coopqp.execution.controller_run import controller_of
+from coopqp.execution.controller_run import controller_of, run
+from coopqp.grasp import PassiveJoint
+from coopqp.limit import Limit
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.grasp_configuration import GraspConfiguration
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import InputValues
 from coopqp.solver import Status, causes_of
 from coopqp.study.explanation.goal import Goal, Missed, PartOfTask, parts_of, placed
-from coopqp.study.explanation.room import Room
+from coopqp.study.explanation.room import PLACE_UNITS, Room
 from coopqp.trace import InputTrace, Trace, followed
 
 
@@ -26,13 +38,11 @@ class ExplainedPhase:
 
     Attributes:
         scenario: as the controller holds it, :meth:`Scenario.held_by`. name: the controller's.
-        problem: what it was built for; without limits where it supports none.
-        index: in the schedule. phase: its name, empty where there is one only.
-        first: its first tick.
+        problem: without limits where the controller supports none.
+        index, first: in the schedule; its first tick. phase: its name, empty if it is the only one.
         q: shape (K + 1, n). v: shape (K, n). tau: shape (K, n), or empty.
-        causes: of each tick.
-        inputs: what was followed in the whole run, by name.
-        parts: of all tasks. errors: at the end, by the parts' order [the part's unit].
+        inputs: values of the whole run, by name.
+        parts, errors: of all tasks; at the end [the part's unit].
         missed: parts that ended outside their tolerance, with their errors, as the assessment
             orders them. gave_way: those of them that come after the first.
         ordered: whether its law lets tasks of later levels give way.
@@ -57,42 +67,35 @@ class ExplainedPhase:
 
     @property
     def controller(self) -> Controller:
-        """Settings of the controller."""
         return controller_of(self.scenario, self.name)
 
     @property
     def t_end(self) -> float:
-        """Since the phase began [s]."""
+        """Duration [s]."""
         return len(self.v) * self.problem.dt
 
     @cached_property
     def room(self) -> Room:
-        """What its limits leave."""
         return Room(self.problem)
 
     @property
     def stands_still(self) -> str:
-        """In how many ticks it does."""
+        """In how many ticks it stands still, in words."""
         count = sum(not causes[0].usable for causes in self.causes)
         return f"it stands still in {count} of {len(self.causes)} ticks"
 
     def followed(self, k: int) -> InputValues:
-        """What was made of the inputs in a tick of the leg."""
         return followed(self.inputs, self.first + k)
 
     def goal(self) -> Goal:
-        """Of its tasks with a place, when it ends."""
+        """Of its tasks with a place, at its end."""
         chain = self.problem.chain
         tasks = placed(self.problem.tasks, chain)
         return Goal(chain, tasks, self.t_end, self.followed(len(self.v)))
 
 
-def legs(scenario: Scenario, trace: Trace) -> Iterator[ExplainedPhase]:
-    """The phases of a run, each with its own chain.
-
-    Args:
-        scenario: as the controller holds it, :meth:`Scenario.held_by`.
-        trace: of the controller.
+def explained_phases(scenario: Scenario, trace: Trace) -> Iterator[ExplainedPhase]:
+    """The phases of a run of a scenario as the controller holds it, each with its own chain.
 
     Raises:
         InvalidValueError: the trace is of another scenario.
@@ -121,3 +124,91 @@ def legs(scenario: Scenario, trace: Trace) -> Iterator[ExplainedPhase]:
             gave_way=tuple((named[of.name], of.error) for of in found.gave_way if of.name in named),
             ordered=trace.orders_tasks,
         )  # fmt: skip
+
+
+#: A longer run has so many times the time more, and so much [s].
+TIMES, MORE = 2.0, 2.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Wider(Scenario):
+    """A scenario whose joints have wider limits."""
+
+    wider: Mapping[Row, float] = field(default_factory=dict)
+
+    @cached_property
+    def chain(self) -> ClosedChain:
+        return ClosedChain(_widened(super().chain.hold, self.wider))
+
+
+def rerun(
+    leg: ExplainedPhase,
+    *,
+    longer: bool = False,
+    wider: Mapping[Row, float] | None = None,
+    **changed: Any,
+) -> ExplainedPhase:
+    """A phase rerun.
+
+    Args:
+        leg: as recorded.
+        longer: whether it gets more time.
+        wider: by the row of a position limit's side, how much wider it is [rad, m].
+        changed: fields of the scenario.
+    """
+    end = leg.scenario.schedule[leg.index]
+    if longer:
+        end = replace(end, duration=end.duration + TIMES * leg.t_end + MORE)
+    if leg.scenario.phases:
+        changed["phases"] = (*leg.scenario.phases[: leg.index], end)
+    else:
+        changed["duration"] = end.duration
+    other = replace(leg.scenario, grasp_of={}, **changed)
+    if wider:
+        known = {name: getattr(other, name) for name in Scenario.__dataclass_fields__}
+        other = _Wider(**known, wider=wider)
+    return list(explained_phases(other, run(other, controller=leg.name, timed=False)))[leg.index]
+
+
+def arrival(goal: Goal, leg: ExplainedPhase) -> float:
+    """When a phase that reached a goal arrived there for good [s]."""
+    dt = leg.problem.dt
+    for k in range(len(leg.v), 0, -1):
+        goal.state.t = k * dt
+        goal.look(leg.q[k])
+        if goal.miss > 1.0:
+            return (k + 1) * dt
+    return dt
+
+
+def without_position_limits(scenario: Scenario) -> tuple[Limit, ...]:
+    """Limits without those of position, which braking before an end stop is as well."""
+    chain = scenario.chain
+    q, v = np.vstack([chain.q_start] * 2), np.zeros((1, chain.n))
+    return tuple(
+        limit
+        for limit in scenario.limits
+        if all(row.unit not in PLACE_UNITS for row in audit([limit], chain, q, v, 0.01).margins)
+    )
+
+
+def _widened(hold: GraspConfiguration, wider: Mapping[Row, float]) -> GraspConfiguration:
+    """With other position limits; passive joints have theirs in the grasp."""
+    model, own = hold.robot.model.copy(), hold.robot.joint_names
+    passive = dict(hold.passive)
+    for row, amount in wider.items():
+        if row.joint in own:
+            side = model.lowerPositionLimit if row.side == "lower" else model.upperPositionLimit
+            side[own.index(row.joint)] += -amount if row.side == "lower" else amount
+            continue
+        arm, _, name = row.joint.partition(".")
+        passive[arm] = tuple(
+            _wider(joint, row, amount) if joint.name == name else joint for joint in passive[arm]
+        )
+    return replace(hold, robot=replace(hold.robot, model=model), passive=passive)
+
+
+def _wider(joint: PassiveJoint, row: Row, amount: float) -> PassiveJoint:
+    if row.side == "lower":
+        return replace(joint, lower=joint.lower - amount)
+    return replace(joint, upper=joint.upper + amount)

@@ -1,10 +1,8 @@
-"""An object that hands which press have lost: when, by whom and by what, and what would hold it.
+"""An object that pressing hands have lost: when, where, why, and what would hold it.
 
-A recorded run does not tell forces, so it is made again. The hands are named whose contacts were
-the first at the end of what they bear, without a break until something had slipped by SLIPPED:
-at the pad's edge, or else with all the friction that there is needed.
-
-What would hold it is tried: more friction, or more of what the controller presses with.
+A recorded run has no forces, so it is made again. The hands are named whose contacts were the first
+at their limit without a break until something had slipped by SLIPPED: at the pad's edge, or else at
+the friction limit. Tried are more friction, and more of what the controller presses with.
 """
 
 from __future__ import annotations
@@ -23,22 +21,22 @@ from coopqp.controller import Controller
 from coopqp.execution.controller_run import run
 from coopqp.metrics.friction_margin import FrictionMargin
 from coopqp.study.explanation import words
-from coopqp.study.explanation.answer import RunExplanation
 from coopqp.study.explanation.explained_phase import ExplainedPhase
+from coopqp.study.explanation.words import RunExplanation
 from coopqp.trace import Trace
 
-#: From this share on what a contact bears is used up.
+#: Share of a contact's capacity from which it is at its limit.
 TIPS = 0.98
-#: So many times of what the controller presses with are tried.
+#: Multiples of what the controller presses with that are tried.
 TIMES = (1.5, 2.0, 3.0)
-#: What a controller presses with, by the name of its setting: the first that it has.
+#: Settings of what a controller presses with; the first that it has counts.
 SETTINGS = ("squeeze", "safety")
-#: Friction is told with this much to spare.
+#: Margin on the friction that is suggested.
 SPARE = 1.05
 
 
 def lost(leg: ExplainedPhase, base: RunExplanation) -> RunExplanation | None:
-    """How the object was lost until the end of a leg; None where it was held."""
+    """How the object was lost until the end of a phase; None where it was held."""
     presses = any(grasp.contact for grasp in leg.problem.chain.grasps.values())
     if not presses or not leg.scenario.plant.takes_torques:
         return None
@@ -55,7 +53,7 @@ def lost(leg: ExplainedPhase, base: RunExplanation) -> RunExplanation | None:
 
 
 def _culprits(leg: ExplainedPhase, trace: Trace, tick: int) -> str:
-    """Which hands, and by what, when what contacts bear was first used up."""
+    """Which hands were at the limit of their contacts first, and by what."""
     slipped = np.flatnonzero((trace.signals["slip"][: tick + 1] > SLIPPED).any(axis=1))
     k = int(slipped[0]) if len(slipped) else tick
     found = _used_up(leg, trace, k)
@@ -68,7 +66,7 @@ def _culprits(leg: ExplainedPhase, trace: Trace, tick: int) -> str:
 
 
 def _used_up(leg: ExplainedPhase, trace: Trace, k: int) -> list[tuple[str, str]]:
-    """The hands in which a contact is at the end of what it bears in a tick, and what ends it."""
+    """Hands with a contact at its limit in a tick, and why."""
     robot, found = [arm.name for arm in leg.scenario.robot_model.arms], []
     friction, edge = (trace.signals[name][k] for name in ("friction_use", "edge_use"))
     for hand in hands(leg.problem.chain):
@@ -88,24 +86,23 @@ def _used_up(leg: ExplainedPhase, trace: Trace, k: int) -> list[tuple[str, str]]
 
 
 def _friction(leg: ExplainedPhase) -> str:
-    """The friction that would do, where the controller was told of more than there is."""
+    """The friction that would do, where the controller expects more than there is."""
     there = leg.scenario.disturbance.friction
     if there >= 1.0:
         return ""
-    known = _with_friction(leg, 1.0)
+
+    def tried(friction: float) -> Trace | None:
+        return _again(leg, disturbance=replace(leg.scenario.disturbance, friction=friction))
+
+    known = tried(1.0)
     margin = FrictionMargin().measure(known) if known else None
     needed = 1.0 if margin is None else round(SPARE * (1.0 - margin), 2)
-    if not there < needed < 1.0 or _with_friction(leg, needed) is None:
+    if not there < needed < 1.0 or tried(needed) is None:
         return ""
     return f"{needed:g} of the modelled friction instead of {there:g}"
 
 
-def _with_friction(leg: ExplainedPhase, friction: float) -> Trace | None:
-    return _again(leg, disturbance=replace(leg.scenario.disturbance, friction=friction))
-
-
 def _pressing(leg: ExplainedPhase) -> str:
-    """The setting of the controller that would do."""
     for other, setting in _firmer(leg.controller):
         if _again(leg, controllers={**leg.scenario.controllers, leg.name: other}) is not None:
             return f"{leg.name}: {{{setting}}}"
@@ -113,7 +110,6 @@ def _pressing(leg: ExplainedPhase) -> str:
 
 
 def _firmer(chosen: Controller) -> Iterator[tuple[Controller, str]]:
-    """The controller with more of what it presses with."""
     key = next((key for key in SETTINGS if getattr(chosen, key, None)), None)
     for times in TIMES if key else ():
         more = times * getattr(chosen, str(key))
@@ -124,7 +120,7 @@ def _firmer(chosen: Controller) -> Iterator[tuple[Controller, str]]:
 
 
 def _again(leg: ExplainedPhase, **changed: Any) -> Trace | None:
-    """The run with something changed; None where the object is lost in it all the same."""
+    """The run with something changed; None where the object is still lost."""
     try:
         trace = run(replace(leg.scenario, **changed), controller=leg.name)
     except CoopqpError:

@@ -14,15 +14,12 @@ from coopqp.model.closed_chain import AXES
 from coopqp.plant import Disturbance
 from coopqp.solver import Status
 from coopqp.study.explanation import words
-from coopqp.study.explanation.answer import RunExplanation
 from coopqp.study.explanation.asked import held_up, speed_share
 from coopqp.study.explanation.diagnosis import OutOfReach
-from coopqp.study.explanation.explained_phase import ExplainedPhase
-from coopqp.study.explanation.goal import Goal
-from coopqp.study.explanation.rerun import arrival, rerun
-from coopqp.study.explanation.room import Room
-from coopqp.study.explanation.search import Place
-from coopqp.study.explanation.shares import Share
+from coopqp.study.explanation.explained_phase import ExplainedPhase, arrival, rerun
+from coopqp.study.explanation.goal import Goal, Place
+from coopqp.study.explanation.room import Room, Share
+from coopqp.study.explanation.words import RunExplanation
 
 #: The loop budget is what slows where more than MANY of the LAST ticks were cut for it.
 LAST, MANY = 20, 5
@@ -71,7 +68,6 @@ def _too_short(
     *,
     slow: bool,
 ) -> RunExplanation:
-    """Of a run that gets nearer in the longer rerun ``after``."""
     why = words.slow(held) if slow else "nothing is in the way; the run ends too early"
     task = leg.missed[0][0].task
     gain = "" if slow or task.impedance else f" (gain {task.gain:g} 1/s)"
@@ -107,7 +103,6 @@ def _error_of(leg: ExplainedPhase, name: str) -> float:
 
 
 def _rests(leg: ExplainedPhase, place: Place, held: Sequence[Share]) -> str:
-    """Of a run that more time does not help."""
     if not leg.problem.limits:
         return "it rests there, although the goal is in reach"
     ends = "it rests" if rests(leg.v[-1]) else "it keeps moving"  # as where a reference goes on
@@ -117,7 +112,7 @@ def _rests(leg: ExplainedPhase, place: Place, held: Sequence[Share]) -> str:
 
 
 def _told(share: Share, room: Room, q: Array) -> Share:
-    """The same, where bodies hold it up with the nearest pair and its distance."""
+    """With the nearest pair of bodies and its distance, where these hold it up."""
     pair = room.nearest(share.row.owner, q)
     if pair is None:
         return share
@@ -126,7 +121,7 @@ def _told(share: Share, room: Room, q: Array) -> Share:
 
 
 def _leash(leg: ExplainedPhase) -> str:
-    """Commands that had to wait for the measured joints; empty where they had not."""
+    """Which limits made commands wait for the measured joints; empty where none did."""
     limits = leg.scenario.limits
     leash = [limit for limit in limits if limit.uses_measurements]
     free = tuple(limit for limit in limits if limit not in leash)
@@ -138,7 +133,7 @@ def _leash(leg: ExplainedPhase) -> str:
 
 
 def _misled(leg: ExplainedPhase) -> str:
-    """That what the controller was not told keeps it from the goal; empty where it does not."""
+    """Whether the disturbance keeps it from the goal, in words; empty where it does not."""
     perfect = Disturbance()
     if leg.scenario.disturbance == perfect or rerun(leg, disturbance=perfect).missed:
         return ""
@@ -164,7 +159,7 @@ def _budget(leg: ExplainedPhase, base: RunExplanation) -> RunExplanation:
 
 
 def _motors(leg: ExplainedPhase) -> str:
-    """Motors that were at their limits; empty where none was."""
+    """Motors at their limits; empty where none was."""
     effort = leg.problem.chain.model.effortLimit
     tau = leg.tau[-LAST:]
     if not tau.size:
@@ -199,7 +194,7 @@ def _pushed(leg: ExplainedPhase, goal: Goal) -> str:
 
 
 def _by_axis(axes: tuple[str, ...], forces: Array) -> str:
-    """Forces and torques, without what is next to nothing."""
+    """Forces and torques, without negligible ones."""
     turns = np.array([axis.startswith("rot") for axis in axes])
     sizes = np.abs(forces) / np.where(turns, LENGTH, 1.0)
     told = []

@@ -1,7 +1,15 @@
-"""What would do, and whether it does: amounts by which limits would have to give, tried in a rerun.
+"""By how much limits would have to be relaxed for a goal to be reached, tried in a rerun.
 
-The least total excess comes first. A law may stop short with it, where its way leads into a saddle;
-then the run is made without limits of place, and the largest overrun on the way is enough.
+First the minimal total violation of the limits with which the goal holds:
+
+    minimise    sum s_j + 4 sum sigma_l                              [rad, and m times 4 rad/m]
+    subject to  e(q) = 0,   e_loop(q) = 0
+                lower - s <= q <= upper + s,   room_k(q) >= -sigma_l,   s, sigma >= 0
+
+with one s a joint and one sigma a limit in space (a wall moves as a whole), by sequential quadratic
+programs from a configuration at the goal outside the limits; one radian counts as a quarter of a
+metre. A law may stop short with it, where its path leads into a saddle; then the run is made
+without position limits, and the largest violation on its path is enough.
 """
 
 from __future__ import annotations
@@ -12,34 +20,187 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from coopqp.base.qp import QP, Row, Rows
+from coopqp.base.spec import Array
+from coopqp.solver import Solution
+from coopqp.solvers import Daqp
 from coopqp.study.explanation import words
-from coopqp.study.explanation.answer import Needed, RunExplanation
 from coopqp.study.explanation.diagnosis import BlockedByLimits
-from coopqp.study.explanation.explained_phase import ExplainedPhase
-from coopqp.study.explanation.goal import Goal
-from coopqp.study.explanation.minimal_violation import Violation, excess_at, least_excess
-from coopqp.study.explanation.rerun import arrival, rerun, without_places
-from coopqp.study.explanation.room import Room
-from coopqp.study.explanation.search import NEAR, Search
-from coopqp.study.explanation.shares import Share, thing_of
+from coopqp.study.explanation.explained_phase import (
+    ExplainedPhase,
+    arrival,
+    rerun,
+    without_position_limits,
+)
+from coopqp.study.explanation.goal import NEAR, Goal, Search
+from coopqp.study.explanation.room import Room, Share, thing_of
+from coopqp.study.explanation.words import Needed, RunExplanation
 
-#: What is told is more than the least by this share and this much [rad, m], rounded up.
+#: Cost of a metre [rad], of a step [1/rad], and of what the equalities are off by.
+METRE, PROXIMAL, OFF = 4.0, 0.05, 100.0
+#: Steps, farthest that a joint goes in one [rad, m], how it shrinks, and where that ends.
+STEPS, STEP, SHRINK, SMALLEST = 60, 0.3, 0.6, 1e-5
+#: Newton steps after each, and the smallest decrease of the sum that is accepted.
+NEWTON, ENOUGH = 2, 1e-6
+#: Smallest singular value of the equalities that counts.
+CUT = 1e-5
+#: A violation below this is not named [rad, m].
+NOTHING = 1e-4
+#: A relaxation is suggested larger than the minimum by this share and amount [rad, m], rounded up.
 SHARE, MORE = 1.05, 5e-4
 #: Digits of an amount.
 DIGITS = 2
-#: Beginnings of the least excess.
+#: Starts of the minimisation.
 STARTS = 5
 
 
 @dataclass(frozen=True)
+class Violation:
+    """By how much one limit is violated [rad or m].
+
+    ``row`` is its most violated one, ``space`` its index in ``Room.limits``, None for a joint's.
+    """
+
+    row: Row
+    amount: float
+    space: int | None = None
+
+
+def minimal_violations(goal: Goal, room: Room, starts: Sequence[Array]) -> list[Violation]:
+    """The smallest of the local minima from starts at the goal; none where all lose the goal."""
+    programs = _Programs(goal, room)
+    minima = [minimum for q in starts if (minimum := programs.shrink(q)) is not None]
+    return min(minima, key=_total, default=[])
+
+
+def violations_along(room: Room, qs: Array) -> list[Violation]:
+    """The largest violation of each limit along configurations, shape (T, n)."""
+    found = []
+    for (i, side), row in room.sides.items():
+        out = room.lower[i] - qs[:, i] if side == "lower" else qs[:, i] - room.upper[i]
+        found.append(Violation(row, float(out.max())))
+    rooms = np.array([room.at(q) for q in qs])
+    for space in dict.fromkeys(room.owners):
+        own = np.flatnonzero(np.array(room.owners) == space)
+        row = room.rows[own[rooms[-1, own].argmin()]]
+        found.append(Violation(row, float(-rooms[:, own].min()), space))
+    return [violation for violation in found if violation.amount > NOTHING]
+
+
+def _total(found: Sequence[Violation]) -> float:
+    return sum(
+        x.amount * (METRE if x.space is not None or x.row.unit == "m" else 1.0) for x in found
+    )
+
+
+class _Programs:
+    """The quadratic program of a step; its variables are d, s and sigma."""
+
+    def __init__(self, goal: Goal, room: Room) -> None:
+        self._goal, self._room = goal, room
+        n, k = goal.chain.n, len(room.limits)
+        self._equal = len(goal.state.e_loop) + len(goal.stack.e)
+        self._low = np.flatnonzero(np.isfinite(room.lower))
+        self._high = np.flatnonzero(np.isfinite(room.upper))
+        p = len(self._low) + len(self._high) + len(room.rows)
+        variables = [f"d[{i}]" for i in range(n)] + [f"s[{i}]" for i in range(n + k)]
+        self._qp = qp = QP(
+            Rows(
+                _numbered("joint", variables),
+                _numbered("limit", [f"limit[{i}]" for i in range(p)]),
+                _numbered("task", [f"goal[{i}]" for i in range(self._equal)]),
+            )
+        )
+        np.fill_diagonal(qp.P, np.repeat([2.0 * PROXIMAL, 1e-6], [n, n + k]))
+        per_joint = [METRE if unit == "m" else 1.0 for unit in goal.chain.joint_units]
+        qp.q[n:] = [*per_joint, *[METRE] * k]
+        qp.lb[n:], qp.ub[n:] = 0.0, 1e3
+        self._fill_sides()
+        self._solution = Solution(qp)
+        self._solve = Daqp().open(qp, self._solution)
+
+    def _fill_sides(self) -> None:
+        """The constant rows: d_j - s_j <= upper - q, and the same below."""
+        low, high, n = self._low, self._high, self._goal.chain.n
+        joints, rows = np.concatenate([low, high]), np.arange(len(low) + len(high))
+        self._qp.G[rows, joints] = np.repeat([-1.0, 1.0], [len(low), len(high)])
+        self._qp.G[rows, n + joints] = -1.0
+        spaces = len(joints) + np.arange(len(self._room.owners))
+        self._qp.G[spaces, 2 * n + np.array(self._room.owners, int)] = -1.0
+
+    def shrink(self, start: Array) -> list[Violation] | None:
+        """A local minimum near a start; None where the goal is lost."""
+        q, step = self._back(start), STEP
+        merit, off = self._merit(q)
+        if off >= 1.0:
+            return None
+        for _ in range(STEPS):
+            d = self._step(q, step)
+            if d is None or step < SMALLEST:
+                break
+            trial = self._back(q + d)
+            trial_merit, off = self._merit(trial)
+            if off < 1.0 and trial_merit < merit - ENOUGH:
+                q, merit, step = trial, trial_merit, min(STEP, step / SHRINK)
+            else:
+                step *= SHRINK
+        return violations_along(self._room, q[None])
+
+    def _back(self, q: Array) -> Array:
+        """Newton steps to where the equalities hold again, so that steps may be long."""
+        for _ in range(NEWTON):
+            C, r = self._equalities(q)
+            q = q - np.linalg.lstsq(C, r, rcond=CUT)[0]
+        return q
+
+    def _equalities(self, q: Array) -> tuple[Array, Array]:
+        goal = self._goal
+        goal.look(q)
+        C = np.vstack([goal.state.J_loop, goal.stack.J])
+        return C, np.concatenate([goal.state.e_loop, goal.stack.e])
+
+    def _merit(self, q: Array) -> tuple[float, float]:
+        """Violation and residual of the equalities; the latter in tolerances as well."""
+        room, goal = self._room, self._goal
+        goal.look(q)
+        joints = np.maximum(room.lower - q, q - room.upper).clip(0.0)
+        total = float(joints @ self._qp.q[len(q) : 2 * len(q)])
+        spaces = np.zeros(len(room.limits))
+        np.maximum.at(spaces, np.array(room.owners, int), -room.at(q))
+        off = np.abs(np.concatenate([goal.state.e_loop, goal.stack.e])).sum()
+        missed = max(goal.miss, goal.open / 1e-4)
+        return total + METRE * float(spaces.sum()) + OFF * float(off), missed
+
+    def _step(self, q: Array, farthest: float) -> Array | None:
+        room, qp, n = self._room, self._qp, len(q)
+        C, r = self._equalities(q)
+        U, values, Vt = np.linalg.svd(C, full_matrices=False)
+        kept = int((values > CUT).sum())
+        qp.A[:], qp.b[:] = 0.0, 0.0
+        qp.A[:kept, :n] = Vt[:kept]
+        qp.b[:kept] = -(U[:, :kept].T @ r) / values[:kept]
+        qp.lb[:n], qp.ub[:n] = -farthest, farthest
+        low, high = self._low, self._high
+        sides = q[low] - room.lower[low], room.upper[high] - q[high]
+        qp.h[:] = np.concatenate([*sides, room.at(q)])
+        qp.G[len(low) + len(high) :, :n] = -room.gradient(q)
+        qp.seal()
+        self._solve()
+        return self._solution.v[:n].copy() if self._solution.status.usable else None
+
+
+def _numbered(kind: str, names: Sequence[str]) -> tuple[Row, ...]:
+    return tuple(Row(name=name, kind=kind) for name in names)  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True)
 class SuggestedRelaxation:
-    """Amounts, and what came of trying them.
+    """Relaxations of limits, and the rerun with them.
 
     Attributes:
-        needs: what all limits would have to give, the largest first.
-        after: the rerun with exactly these amounts; None if untried, because a limit has no
-            setting that gives so much.
-        time: that it takes then, where that is more than the run has [s].
+        needs: by limit, the largest first.
+        after: the rerun; None if untried, because a limit has no setting that gives so much.
+        time: that it takes, where that is more than the run has [s].
     """
 
     needs: tuple[Violation, ...]
@@ -48,14 +209,13 @@ class SuggestedRelaxation:
 
     @property
     def reached(self) -> bool | None:
-        """Whether the rerun reached the goal; None without one."""
         return None if self.after is None else not self.after.missed
 
 
 def by_geometry(
     leg: ExplainedPhase, goal: Goal, found: BlockedByLimits, report: Callable[[float], None]
 ) -> SuggestedRelaxation | None:
-    """Amounts that would do where limits keep a leg from its goal; None where none were found."""
+    """Relaxations where limits keep a phase from its goal; None where none were found."""
     needs = least_needs(goal, leg.room, found)
     report(0.5)
     first = _tried(leg, needs, goal)
@@ -66,34 +226,30 @@ def by_geometry(
 
 
 def by_rerun(leg: ExplainedPhase, goal: Goal | None) -> SuggestedRelaxation | None:
-    """What is enough by construction: the overrun of a run without limits of place.
-
-    Where the goal is given, more time is tried as well.
-    """
-    limits = without_places(leg.scenario)
+    """The violations of a run without position limits; with a goal more time is tried as well."""
+    limits = without_position_limits(leg.scenario)
     free = rerun(leg, limits=limits)
     if free.missed and goal:
         free = rerun(leg, longer=True, limits=limits)
     if free.missed:
         return None
-    return _tried(leg, _told(excess_at(leg.room, free.q)), goal)
+    return _tried(leg, _told(violations_along(leg.room, free.q)), goal)
 
 
 def least_needs(goal: Goal, room: Room, found: BlockedByLimits) -> tuple[Violation, ...]:
-    """The least of what was found from the configuration at the goal, and from others near by."""
+    """The smallest found from the configuration at the goal, and from others near by."""
     search, rng = Search(goal), np.random.default_rng(2)
     starts = [found.start]
     for _ in range(STARTS - 1):
         other = search.from_(found.start + rng.normal(scale=NEAR, size=goal.chain.n))
         if other.reached:
             starts.append(other.q)
-    return _told(least_excess(goal, room, starts))
+    return _told(minimal_violations(goal, room, starts))
 
 
 def _tried(
     leg: ExplainedPhase, needs: tuple[Violation, ...], goal: Goal | None
 ) -> SuggestedRelaxation | None:
-    """A rerun with what would have to be given, as it is told."""
     if not needs:
         return None
     limits = leg.scenario.limits
@@ -114,54 +270,58 @@ def _tried(
 
 
 def _told(found: Sequence[Violation]) -> tuple[Violation, ...]:
-    """What limits would have to give, as it is told; the largest first."""
-    told = [replace(excess, amount=_rounded_up(excess.amount)) for excess in found]
-    return tuple(sorted(told, key=lambda need: -need.amount))
+    """Rounded up, the largest first."""
+    needs = [replace(violation, amount=_rounded_up(violation.amount)) for violation in found]
+    return tuple(sorted(needs, key=lambda need: -need.amount))
 
 
 def _rounded_up(amount: float) -> float:
-    """An amount as it is told: a little more than the least, in two digits [rad or m]."""
+    """A little more than the minimum, in two digits [rad or m]."""
     more = SHARE * amount + MORE
     step = 10.0 ** (math.floor(math.log10(more)) - DIGITS + 1)
     return round(math.ceil(more / step - 1e-9) * step, 9)
 
 
-def with_cure(
-    base: RunExplanation, shares: Sequence[Share], cure: SuggestedRelaxation | None, *more: str
+def with_suggestion(
+    base: RunExplanation,
+    shares: Sequence[Share],
+    suggestion: SuggestedRelaxation | None,
+    *more: str,
 ) -> RunExplanation:
-    """That limits hold a run back, and what would do."""
-    said = "; ".join([words.holding(shares), _said(cure, shares), *more])
-    if cure is None:
+    """That limits hold a run back, and which relaxation would do."""
+    said = "; ".join([words.holding(shares), _said(suggestion, shares), *more])
+    if suggestion is None:
         return base.because("limits", said, shares)
     needed = tuple(
         Needed(limit=n.row.name, words=n.row.words, amount=n.amount, unit=n.row.unit)
-        for n in cure.needs
+        for n in suggestion.needs
     )
-    return base.because("limits", said, shares, needed=needed, tried=cure.reached, time=cure.time)
+    return base.because(
+        "limits", said, shares, needed=needed, tried=suggestion.reached, time=suggestion.time
+    )
 
 
-def _said(cure: SuggestedRelaxation | None, shares: Sequence[Share]) -> str:
-    """What would do, and whether it was seen to."""
-    if cure is None:
+def _said(suggestion: SuggestedRelaxation | None, shares: Sequence[Share]) -> str:
+    if suggestion is None:
         return "even without limits of place the law does not get there"
     now = {thing_of(share.row) for share in shares}
-    first = [need for need in cure.needs if thing_of(need.row) in now]
-    later = [need for need in cure.needs if thing_of(need.row) not in now]
+    first = [need for need in suggestion.needs if thing_of(need.row) in now]
+    later = [need for need in suggestion.needs if thing_of(need.row) not in now]
     text = f"to get there {needed(first)}" if first else "to get there"
     if later:
         text += (
             f"{'; next' if first else ' next'} would come {needed(later, alone=False)}, idle now"
         )
-    if cure.after is None:
+    if suggestion.after is None:
         return f"{text} (not tried: no setting gives so much)"
-    if cure.after.missed:
-        return f"{text}; tried, but then {words.stops(cure.after)}"
-    time = "" if cure.time is None else f" and the run {cure.time:.3g} s"
+    if suggestion.after.missed:
+        return f"{text}; tried, but then {words.stops(suggestion.after)}"
+    time = "" if suggestion.time is None else f" and the run {suggestion.time:.3g} s"
     return f"{text}{time} (tried: reached)"
 
 
 def needed(needs: Sequence[Violation], *, alone: bool = True) -> str:
-    """Amounts that limits would have to give, each beside its limit; the verb with the first."""
+    """Limits with their relaxations; the verb with the first."""
     said: list[str] = []
     for need in needs:
         name = need.row.words if need.space is None else need.row.owner.replace("_", " ")

@@ -1,20 +1,19 @@
 """Why a tick could not do what its tasks asked, by name.
 
-A tick is kept as its QP with the names of all rows. Four things are told of it:
+An explanation of a tick, which is its QP with the names of all rows, has
 
 * hard and scaled tasks that are not met in full, with the share of their rate that they get; where
-  there are any the rest is told of them alone, and not of what comes after them,
+  there are any, the rest is about them alone, not about later levels,
 * task rows that the loops alone rule out, and tasks that ask for motions which rule each other out,
-* the limits at their bound now that hold the tasks back, by force
-  (:mod:`coopqp.study.explanation.shares`),
-* the smallest relaxation, in the sum of what each limit would have to give, with which loops and
-  tasks can all hold in this tick, by an open solver (HiGHS):
+* active limits that hold the tasks back, by force (:mod:`coopqp.study.explanation.room`),
+* the relaxation of limits with the smallest sum, with which loops and tasks can all hold in this
+  tick, by an open solver (HiGHS):
 
     minimise    sum r
     subject to  J_c v = b,   J_task v = wanted,   lb - r <= v <= ub + r,   G v <= h + r,   r >= 0
 
-What it names and is not at its bound now would come next. It is of one tick, a twentieth of the way
-or less; what would do in all is said of the whole run (:mod:`coopqp.study.explanation.whole`).
+Limits in it that are not active now would come next. It is of one tick, a twentieth of the way or
+less; :mod:`coopqp.study.explanation.whole` has what would do in all.
 """
 
 from __future__ import annotations
@@ -28,10 +27,9 @@ from numpy.typing import NDArray
 from coopqp.base.qp import Row, names_of
 from coopqp.base.spec import Array
 from coopqp.solver import HALTS, Budget, Status
-from coopqp.study.explanation.asked import Asked, asked_then
-from coopqp.study.explanation.contradiction import contradicting
-from coopqp.study.explanation.shares import Share, shares, thing_of
-from coopqp.study.explanation.unmet import Unmet, part_of_rate, percent
+from coopqp.study.explanation.asked import Asked, Unmet, asked_then, part_of_rate, percent
+from coopqp.study.explanation.diagnosis import contradicting
+from coopqp.study.explanation.room import Share, shares, thing_of
 from coopqp.study.explanation.words import listed, with_note
 from coopqp.study.tick_record import TickRecord
 
@@ -39,34 +37,27 @@ Mask = NDArray[np.bool_]
 
 #: A relaxation below this is nothing [rad/s, m/s].
 NOTHING = 1e-7
-
 #: A task row is missed by more than this [rad/s, m/s], and by more than a share of what is wanted:
 #: the damping holds ordinary ticks back by some percent of it.
 MISSED, MISSED_SHARE = 1e-4, 0.02
-
 #: Rows of a hard task are missed by more than this [rad/s, m/s].
 HELD = Budget().equality
-
 #: Task rows that the loops leave less than this share of are impossible, not merely blocked.
 IMPOSSIBLE = 1e-7
-
 #: A velocity this near to its bound is at it [rad/s, m/s].
 AT_BOUND = 1e-6
-
-#: Ticks that end so have an answer that says something of limits and tasks.
+#: Causes of a tick whose answer says something of limits and tasks.
 CONFLICTS = (Status.INFEASIBLE, Status.LOOP_BUDGET)
 
 
 @dataclass(frozen=True)
 class Relaxation:
-    """What one limit would have to give.
+    """By how much one limit would have to give.
 
     Attributes:
-        name: of the limit's row.
-        amount: for this tick; ``unit`` says of what.
-        unit: of amount: limits of place in rad or m, the others per second.
-        words: what a sentence calls it.
-        now: whether it is at its bound in this tick; the others would come next.
+        name, words: of the limit's row; what a sentence calls it.
+        amount: for this tick [``unit``]: position limits in rad or m, the others per second.
+        now: whether it is active in this tick; the others would come next.
     """
 
     name: str
@@ -84,9 +75,8 @@ class Explanation:
         missed: task rows that the answer misses.
         impossible: those that the loops alone rule out, whatever the limits.
         relaxations: the smallest that would let all others hold; empty when nothing is missed.
-        sentence: the same in words.
         contradicting: names of tasks that ask for motions which rule each other out.
-        holding: limits at their bound now that hold back, the most forceful first.
+        holding: active limits that hold back, the most forceful first.
         unmet: hard and scaled tasks that are not met in full.
     """
 
@@ -100,12 +90,12 @@ class Explanation:
 
 
 def explain(record: TickRecord) -> Explanation:
-    """Why, as far as one tick can tell."""
+    """Why a saved tick could not do what its tasks asked."""
     return explain_asked(asked_then(record))
 
 
 def explain_asked(tick: Asked) -> Explanation:
-    """The same of a tick that nobody kept."""
+    """The same of a tick that was not saved."""
     causes = tick.causes
     if halts := [cause for cause in causes if cause in HALTS]:
         return Explanation((), (), (), f"the law was not asked; the loop {halts[0].value}")
@@ -132,7 +122,7 @@ def explain_asked(tick: Asked) -> Explanation:
 
 
 def at_bound(record: TickRecord) -> tuple[Row, ...]:
-    """The limits that the answer is at, each side of a joint and each thing in space once."""
+    """Active limits, each side of a joint and each limit in space once."""
     tick = asked_then(record)
     return tuple({thing_of(row): row for row, _ in tick.at_limits(AT_BOUND)}.values())
 
@@ -156,7 +146,7 @@ def _unmet(tick: Asked, over: Mask) -> tuple[Unmet, ...]:
 
 
 def _until_missed(tick: Asked, over: Mask) -> list[int]:
-    """Task rows up to the first of hard, scaled and soft that misses any: later ones give way."""
+    """Task rows up to the first mode, of hard, scaled and soft, that misses any."""
     modes = [tick.modes[row.owner] for row in tick.task_rows]
     missing = {mode for mode, o in zip(modes, over, strict=True) if o}
     order = ("hard", "scaled", "soft")
@@ -165,11 +155,9 @@ def _until_missed(tick: Asked, over: Mask) -> list[int]:
 
 
 class _Rows:
-    """Which task rows the loops leave, and which only repeat or contradict others.
+    """``kept``: task rows that loops and earlier rows leave open.
 
-    Attributes:
-        kept: rows that loops and rows before them leave open.
-        impossible: rows that loops and other rows of the same task rule out.
+    ``impossible``: those that the loops and other rows of the same task rule out.
     """
 
     def __init__(self, tick: Asked) -> None:
@@ -217,7 +205,7 @@ def _spanned(basis: Array, row: Array) -> Array | None:
 
 def _relax(tick: Asked, kept: Sequence[int]) -> tuple[Relaxation, ...] | None:
     """The smallest with which some task rows hold as well; None where none helps."""
-    from scipy.optimize import linprog  # which takes a sixth of a second to come
+    from scipy.optimize import linprog  # its import takes a sixth of a second
 
     n, more = len(tick.v), 2 * len(tick.v) + len(tick.h)
     equal = np.vstack([tick.A, tick.J[kept]])
@@ -272,7 +260,6 @@ def _sentence(
 
 
 def _with_amount(words: str, relaxation: Relaxation | None) -> str:
-    """A limit, with what it lacks where that is a speed."""
     if relaxation is None or not relaxation.unit.endswith(("/s", "/s2")):
         return words
     lacks = f"{relaxation.amount:.3g} {relaxation.unit} short"

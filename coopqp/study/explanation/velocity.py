@@ -15,21 +15,21 @@ import numpy as np
 from coopqp.base.rank import null_space
 from coopqp.base.spec import Array
 from coopqp.study.explanation import words
-from coopqp.study.explanation.answer import RunExplanation
 from coopqp.study.explanation.asked import TickBatch, held_up, speed_share
-from coopqp.study.explanation.contradiction import contradicting as smallest
+from coopqp.study.explanation.diagnosis import contradicting as smallest
 from coopqp.study.explanation.explained_phase import ExplainedPhase
 from coopqp.study.explanation.goal import PartOfTask
-from coopqp.study.explanation.suggested_relaxation import by_rerun, with_cure
+from coopqp.study.explanation.suggested_relaxation import by_rerun, with_suggestion
+from coopqp.study.explanation.words import RunExplanation
 from coopqp.task import Task
 
 #: Singular below this share of the start's, or when so many times the joints' speed is needed.
 SINGULAR, BEYOND = 0.02, 20.0
-#: Rows have a solution where least squares leaves less than this share of what is wanted.
+#: Rows have a solution where the least-squares residual is a smaller share of what is wanted.
 SOLVED = 1e-3
 #: Singular values below this share of the largest are no motion.
 CUT = 1e-4
-#: Ticks at the end that are looked at, and the share of places from which on they are the cause.
+#: Last ticks that are evaluated, and the share of position limits from which they are the cause.
 LAST, MOSTLY = 50, 0.5
 
 
@@ -46,7 +46,7 @@ def explain(leg: ExplainedPhase, base: RunExplanation) -> RunExplanation:
         return _at_the_edge(leg, k, part, base)
     held = held_up(leg, range(max(0, k - LAST), k + 1))
     if held and speed_share(held) <= MOSTLY:
-        return with_cure(base, held, by_rerun(leg, None))
+        return with_suggestion(base, held, by_rerun(leg, None))
     why = words.slow(held) if held else "the law does not follow it"
     more = f"; it asks for {needed:.2g} times the speed there is" if needed > 1.0 else ""
     return base.because("speed", why + more, held, tasks=(part.task.name,))

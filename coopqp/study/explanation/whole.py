@@ -1,9 +1,9 @@
-"""Why a whole run did not reach its goal, and what would do."""
+"""Why a run did not reach its goal and what would do; the same of arms at one instant."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,13 +14,15 @@ from coopqp.assessment.verdict import (
     not_followed,
     saturation_words,
 )
+from coopqp.base.spec import Array
+from coopqp.controller import ControlProblem
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status
 from coopqp.study.explanation import insufficient_time, velocity, words
-from coopqp.study.explanation.answer import MissedPart, RunExplanation
-from coopqp.study.explanation.contradiction import Contradiction
+from coopqp.study.explanation.asked import relaxed
 from coopqp.study.explanation.diagnosis import (
     BlockedByLimits,
+    Contradiction,
     Diagnosis,
     Elsewhere,
     NotBlocked,
@@ -28,12 +30,18 @@ from coopqp.study.explanation.diagnosis import (
     Unreachable,
     diagnose,
 )
-from coopqp.study.explanation.explained_phase import ExplainedPhase, legs
-from coopqp.study.explanation.goal import Goal
+from coopqp.study.explanation.explained_phase import ExplainedPhase, explained_phases
+from coopqp.study.explanation.goal import Goal, Search, placed
 from coopqp.study.explanation.grasp_lost import lost
-from coopqp.study.explanation.search import Search
-from coopqp.study.explanation.suggested_relaxation import by_geometry, with_cure
-from coopqp.study.explanation.unmet import relaxed
+from coopqp.study.explanation.room import Room
+from coopqp.study.explanation.suggested_relaxation import (
+    by_geometry,
+    least_needs,
+    needed,
+    with_suggestion,
+)
+from coopqp.study.explanation.words import MissedPart, RunExplanation
+from coopqp.task import Task
 from coopqp.trace import Trace
 
 Report = Callable[[float], None]
@@ -42,17 +50,14 @@ Report = Callable[[float], None]
 def explain_run(
     scenario: Scenario, trace: Trace, report: Report = lambda share: None
 ) -> RunExplanation:
-    """Say why a run did not reach its goals.
+    """Say why a run of one of a scenario's controllers did not reach its goals.
 
-    Args:
-        scenario: that was run.
-        trace: of one of its controllers.
-        report: called now and then with the share that is done.
+    ``report`` is called now and then with the share that is done.
 
     Raises:
         CoopqpError: no such controller, or the scenario cannot be run again.
     """
-    found, phases = assess(trace), list(legs(scenario.held_by(trace.controller), trace))
+    found, phases = assess(trace), list(explained_phases(scenario.held_by(trace.controller), trace))
     leg = next((leg for leg in phases if leg.missed), phases[-1])
     explained = _explained(found, phases, leg, report)
     saturated = saturation_words(found)
@@ -97,7 +102,7 @@ def _at_limits(found: Assessment, answer: RunExplanation) -> str:
 
 
 def _gave_way(leg: ExplainedPhase, answer: RunExplanation) -> Iterator[str]:
-    """What tasks have lost that come after the first that is missed, where that is not said yet."""
+    """Errors of tasks that come after the first that is missed, where that is not said yet."""
     goal = leg.goal()
     for part, error in leg.gave_way:
         if part.task.name in answer.tasks:
@@ -118,7 +123,7 @@ def _base(leg: ExplainedPhase) -> RunExplanation:
 def _kept(
     found: Assessment, phases: Sequence[ExplainedPhase], base: RunExplanation
 ) -> RunExplanation:
-    """Of a run that got there, but perhaps not as it should."""
+    """Of a run that reached its goals, but perhaps not as it should."""
     said, kind = [], "reached"
     if not found.succeeds:
         kind = "broken" if found.loop_closed else "open"
@@ -135,7 +140,7 @@ def _kept(
 
 
 def _failed(leg: ExplainedPhase) -> str:
-    """Why the last tick stood still, where that is no answer of geometry's."""
+    """Why the last tick stood still, where geometry is not the reason."""
     last = leg.causes[-1][0]
     if last.usable or last in (Status.INFEASIBLE, Status.LOOP_BUDGET):
         return "" if np.isfinite(leg.q[-1]).all() else "the joints are no finite numbers any more"
@@ -143,7 +148,6 @@ def _failed(leg: ExplainedPhase) -> str:
 
 
 def _blocked(leg: ExplainedPhase, base: RunExplanation, report: Report) -> RunExplanation:
-    """Of a run that missed, with what it misses in ``base``."""
     first = leg.missed[0][0].task
     if leg.ordered and first.mode == "soft" and not first.weight:
         return base.because("weight", f"{first.name} has weight: 0, so nothing moves for it")
@@ -164,15 +168,15 @@ def _blocked(leg: ExplainedPhase, base: RunExplanation, report: Report) -> RunEx
             return velocity.explain(leg, base)
         return insufficient_time.explain(leg, goal, found.place, base)
     if isinstance(found, BlockedByLimits):
-        cure = by_geometry(leg, goal, found, report)
+        suggestion = by_geometry(leg, goal, found, report)
         other = found.elsewhere
         more = [words.elsewhere(other, goal.chain)] if other else []
-        return with_cure(base, found.shares, cure, *more)
+        return with_suggestion(base, found.shares, suggestion, *more)
     return _by_geometry(leg, found, base)
 
 
 def _diagnosed(leg: ExplainedPhase, goal: Goal) -> tuple[Goal, Diagnosis]:
-    """Of hard and scaled tasks alone where geometry keeps them already from their goals."""
+    """Of hard and scaled tasks alone where geometry keeps these already from their goals."""
     modes = {part.task.mode for part, _ in leg.missed} if leg.ordered else {"soft"}
     heeded = {"hard"} if "hard" in modes else {"hard", "scaled"}
     first = [task for task in goal.tasks if task.mode in heeded]
@@ -185,7 +189,6 @@ def _diagnosed(leg: ExplainedPhase, goal: Goal) -> tuple[Goal, Diagnosis]:
 
 
 def _by_geometry(leg: ExplainedPhase, found: Unreachable, base: RunExplanation) -> RunExplanation:
-    """Of what limits alone do not explain."""
     said = words.geometry(found, leg.missed, leg.problem.chain, ordered=leg.ordered)
     base = replace(base, sentence="")
     if isinstance(found, Elsewhere):
@@ -201,3 +204,56 @@ def _by_geometry(leg: ExplainedPhase, found: Unreachable, base: RunExplanation) 
             "reach", said, found.shares, tasks=tasks, distance=found.distance, way=way
         )
     return base.because("freedom", said, tasks=(found.goal.tasks[0].name,))
+
+
+@dataclass(frozen=True)
+class Standing:
+    """How arms stand to their goals.
+
+    Attributes:
+        reached: whether all tasks with a place are within their tolerances.
+        blocked: whether geometry keeps the arms from one that is not.
+        sentence: in words.
+        held_back: the limits that hold back, the most forceful first.
+    """
+
+    reached: bool
+    blocked: bool
+    sentence: str
+    held_back: tuple[str, ...] = ()
+
+
+def explain_standing(
+    problem: ControlProblem, tasks: Sequence[Task], q: Array, *, rests: bool
+) -> Standing:
+    """Say what keeps arms from their goals, by geometry alone; relaxations are not tried.
+
+    Args:
+        problem: with the limits that count.
+        tasks: of the problem, each with its reference at its goal.
+        q: shape (n,) [rad, m].
+        rests: whether they stay there; else the explanation says how near they can get.
+    """
+    chain = problem.chain
+    goal = Goal(chain, placed(tasks, chain), 0.0)
+    missed = goal.missed(q)
+    if not missed:
+        return Standing(True, False, "at every goal" if goal.parts else "")
+    short, room = words.stops_short(*missed[0]), Room(problem)
+    found = diagnose(goal, room, q)
+    if isinstance(found, NotBlocked):
+        return Standing(False, False, f"{short}; it can be reached from here")
+    held = tuple(share.row.words for share in getattr(found, "shares", ()))
+    if not isinstance(found, BlockedByLimits):
+        # At one instant nobody knows which law acts, and which task it puts first.
+        said = words.geometry(found, missed, chain, ordered=False)
+        return Standing(False, True, said, held)
+    if not rests and (nearest := goal.missed(found.place.q)):
+        part, error = nearest[0]
+        short = f"{part.name} gets no nearer than {words.size(error, part.part.unit)}"
+    parts = [short, words.holding(found.shares)]
+    if needs := least_needs(goal, room, found):
+        parts.append(f"to get there {needed(needs)} (not tried)")
+    if found.elsewhere:
+        parts.append(words.elsewhere(found.elsewhere, chain))
+    return Standing(False, True, "; ".join(parts), held)

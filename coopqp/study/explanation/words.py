@@ -1,8 +1,10 @@
-"""The sentences: names and numbers together, in units that a person has for them."""
+"""The explanation of a run, and its sentences: names and numbers, in units for people."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -11,12 +13,11 @@ from coopqp.assessment.verdict import loop_words
 from coopqp.base.qp import Row
 from coopqp.base.spec import Array
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.study.explanation.contradiction import Contradiction
-from coopqp.study.explanation.diagnosis import Elsewhere, OutOfReach, Unreachable
+from coopqp.study.explanation.asked import Relaxed
+from coopqp.study.explanation.diagnosis import Contradiction, Elsewhere, OutOfReach, Unreachable
 from coopqp.study.explanation.explained_phase import ExplainedPhase
-from coopqp.study.explanation.goal import Missed, PartOfTask
-from coopqp.study.explanation.search import Place
-from coopqp.study.explanation.shares import Share
+from coopqp.study.explanation.goal import Missed, PartOfTask, Place
+from coopqp.study.explanation.room import Share
 
 #: A direction this near to an axis is the axis.
 ALONG = 0.97
@@ -45,7 +46,7 @@ def with_note(row: Row, note: str) -> str:
 
 
 def stops(leg: ExplainedPhase) -> str:
-    """What the worst part of a task ended off by."""
+    """The same of the worst part of all tasks."""
     return stops_short(*leg.missed[0])
 
 
@@ -55,13 +56,13 @@ def ends_off(part: PartOfTask, error: float) -> str:
 
 
 def gave_way(part: PartOfTask, error: float, first: PartOfTask, *, because: bool) -> str:
-    """How far a part of a task ends off that comes after another, and whether because of it."""
+    """Error of a part that comes after another, and whether it is because of that."""
     after = f"{part.name}, which comes after {first.name}, ends {size(error, part.part.unit)} off"
     return f"{after} because of that" if because else after
 
 
 def stops_short(part: PartOfTask, error: float) -> str:
-    """What a part of a task is off by."""
+    """How far a part of a task stops short."""
     if np.isnan(error):
         return f"the error of {part.name} is no number"
     amount = size(error, part.part.unit)
@@ -92,10 +93,7 @@ def geometry(
     *,
     ordered: bool,
 ) -> str:
-    """What keeps a chain from its goal, where that is not its limits alone.
-
-    It is ordered where the law supports which task comes first.
-    """
+    """What keeps a chain from its goal, if not limits alone; ordered: as the law has levels."""
     if isinstance(found, Contradiction):
         return _contradiction(found, missed, ordered=ordered)
     if isinstance(found, OutOfReach):
@@ -114,14 +112,13 @@ def elsewhere(place: Place, chain: ClosedChain) -> str:
 
 
 def start(q: Array, chain: ClosedChain) -> str:
-    """A configuration by arm, as a scenario's start has it; the digits close its loops."""
+    """A configuration by arm, as a scenario's start; with these digits its loops are closed."""
     at = {name: f"{x:.5f}" for name, x in zip(chain.joint_names, q.tolist(), strict=True)}
     arms = ((arm.name, map(at.__getitem__, chain.robot.arm_joints(arm))) for arm in chain.arms)
     return "; ".join(f"{name} [{', '.join(numbers)}]" for name, numbers in arms)
 
 
 def _reach(found: OutOfReach) -> str:
-    """How far out of reach, which way, and what the limits cost beside."""
     part = found.part
     name, unit = part.task.name, part.part.unit
     several = len(found.shares) > 1
@@ -148,7 +145,7 @@ def _reach(found: OutOfReach) -> str:
 
 
 def _reached_point(found: OutOfReach) -> Array:
-    """Where the point of the object that the task moves is, as near as it gets."""
+    """The point of the object that the task moves, at the nearest place."""
     found.goal.look(found.nearest.q)
     return found.goal.state.point(np.array(getattr(found.part.task, "point", (0.0, 0.0, 0.0))))
 
@@ -167,7 +164,6 @@ def _point(p: Array, digits: int = 3) -> str:
 
 
 def _contradiction(found: Contradiction, missed: Sequence[Missed], *, ordered: bool) -> str:
-    """Which tasks, what they miss, and who comes first."""
     where = "on any robot" if found.any_robot else "on this robot, whatever the limits"
     text = f"{listed([task.name for task in found.tasks])} cannot hold together, {where}"
     mine = [(part, e) for part, e in missed if part.task in found.tasks]
@@ -210,3 +206,79 @@ def slow(shares: Sequence[Share]) -> str:
 
 def _with_percents(shares: Sequence[Share]) -> str:
     return listed([with_note(share.row, f"{100.0 * share.share:.0f} %") for share in shares])
+
+
+@dataclass(frozen=True, kw_only=True)
+class MissedPart:
+    """A part of a task that ended outside its tolerance."""
+
+    task: str
+    error: float
+    unit: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeldBack:
+    """A limit that holds back, with its share of the force."""
+
+    limit: str
+    words: str
+    share: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Needed:
+    """By how much a limit would have to be relaxed [rad or m]."""
+
+    limit: str
+    words: str
+    amount: float
+    unit: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunExplanation:
+    """Why a run did not reach its goal.
+
+    Attributes:
+        controller, phase, tick: of the run; the phase that missed, empty if the only one; its last.
+        kind: reached, broken, open, input, lost, limits, elsewhere, reach, contradiction,
+            freedom, speed, budget, short, rest, model, motors, springs, way, weight, failed or
+            unplaced.
+        missed: what ended outside its tolerance, hard and scaled tasks first, then the worst.
+        held_back, needed: limits by their share of the force; relaxations that would do.
+        tried: whether a rerun with these, or with the time needed, reached the goal; None if none.
+        tasks: that contradict each other, or are out of reach.
+        any_robot: whether they would on any other robot.
+        distance: to the nearest place [unit of what is missed most].
+        way: unit vector from there to the goal, where the task is a point of the world.
+        time: that would do, or at which the object was lost [s].
+        relaxed: hard and scaled tasks that were not met in full on the way.
+    """
+
+    controller: str
+    phase: str
+    tick: int
+    kind: str = ""
+    sentence: str = ""
+    missed: tuple[MissedPart, ...] = ()
+    held_back: tuple[HeldBack, ...] = ()
+    needed: tuple[Needed, ...] = ()
+    tried: bool | None = None
+    tasks: tuple[str, ...] = ()
+    any_robot: bool = False
+    distance: float | None = None
+    way: tuple[float, ...] = ()
+    time: float | None = None
+    relaxed: tuple[Relaxed, ...] = ()
+
+    def because(
+        self, kind: str, words: str, shares: Sequence[Share] = (), **more: Any
+    ) -> RunExplanation:
+        """With its cause, in words after what it misses, and more attributes."""
+        said = f"{self.sentence}; {words}" if self.sentence else words
+        held = tuple(HeldBack(limit=s.row.name, words=s.row.words, share=s.share) for s in shares)
+        return replace(self, kind=kind, sentence=said, held_back=held, **more)
+
+    def as_json(self) -> dict[str, Any]:
+        return asdict(self)
