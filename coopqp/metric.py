@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import json
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
@@ -11,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from coopqp.base.spec import spec
-from coopqp.base.wording import raised
+from coopqp.base.wording import raised, written_in
 from coopqp.trace import Trace, read_only
 
 #: Columns that every study has of its own; no metric is called so.
@@ -55,7 +54,7 @@ def measured(metrics: Mapping[str, Metric], trace: Trace) -> tuple[dict[str, Any
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # noqa: BLE001 - a metric may be the user's
-            file = inspect.getfile(type(metric))
+            file = written_in(metric, "measure")
             faults.append(f"metric '{name}': {raised(error, file)}")
     return found, faults
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -12,7 +11,7 @@ from coopqp.assessment.limits import JUDGED_OTHERWISE
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.qp import Row
 from coopqp.base.spec import Array, type_name
-from coopqp.base.wording import raised
+from coopqp.base.wording import raised, written_in
 from coopqp.limit import Limit
 from coopqp.model.closed_chain import ClosedChain
 
@@ -63,7 +62,7 @@ def left(limit: Limit, chain: ClosedChain, q: Array, v: Array, dt: float) -> dic
     Raises:
         InvalidValueError: with its file, and what it raises or gives instead.
     """
-    file = inspect.getfile(type(limit))
+    file = written_in(limit, "bind")
     try:
         found = limit.margins(chain, q, v, dt)
         rows = {row: np.asarray(margin, float) for row, margin in found.items()}

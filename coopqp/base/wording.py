@@ -119,6 +119,11 @@ def culprit(error: BaseException, plugins: Sequence[tuple[str, object]]) -> str:
     return raised(error)
 
 
+def written_in(plugin: object, method: str) -> str:
+    """The file of a plug-in's method; a class that was typed in has none."""
+    return str(getattr(type(plugin), method).__code__.co_filename)
+
+
 def _codes(cls: type) -> set[types.CodeType]:
     """All code that is written inside a class."""
     found = set[types.CodeType]()

@@ -20,7 +20,7 @@ from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.qp import names_of
 from coopqp.base.rank import null_space
 from coopqp.base.spec import Array, taken_names, type_name
-from coopqp.base.wording import counted, raised
+from coopqp.base.wording import counted, raised, written_in
 from coopqp.limit import Limit, LimitRows
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.marker import markers_fault
@@ -267,7 +267,7 @@ class _PromiseError(Exception):
 @contextmanager
 def blamed(plugin: Task | Limit | Plant, method: str = "bind") -> Iterator[None]:
     """Raise what goes wrong in a plug-in with its file and line; its own CoopqpError as it is."""
-    file = str(getattr(type(plugin), method).__code__.co_filename)
+    file = written_in(plugin, method)
     try:
         with np.errstate(all="ignore"):  # what is not finite is reported anyway
             yield
