@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -87,6 +88,9 @@ class InternalForceControl(Protocol):
 
 
 TELL_APART = "add 'name:' to tell them apart"
+
+#: Ticks of one run; a day at 100 Hz.
+MAX_TICKS = 10_000_000
 
 OnInfeasible = Literal["scale", "hold", "stop"]
 
@@ -253,6 +257,7 @@ class Law(ABC):
         self.compiled = False
         self.command = Command(problem.chain.n, torques=torques)
         self._observer = LoopObserver(problem.chain, problem.dt)
+        self._lock = threading.Lock()
 
     def start(
         self,
@@ -307,19 +312,30 @@ class Law(ABC):
         return command
 
     def run(self, state: State, ticks: int) -> TickBatch:
-        """Many ticks on ideal joints, without inputs from outside; ``state`` is written."""
-        found = self._room(state, ticks)
-        for k in range(ticks):
-            self._keep(state, found, k)
-        found.q[ticks] = state.q
-        state.update()
+        """Many ticks on ideal joints, without inputs from outside; ``state`` is written.
+
+        One thread at a time runs a law, others wait.
+
+        Raises:
+            InvalidValueError: ``ticks`` is no whole number from 0 to ``MAX_TICKS``.
+        """
+        if type(ticks) is not int or not 0 <= ticks <= MAX_TICKS:
+            raise InvalidValueError(
+                f"ticks: found {ticks!r}, needs a whole number, 0 to {MAX_TICKS}"
+            )
+        with self._lock:
+            if state.memory.sizes != self.memory_sizes:
+                state.memory = Memory(self.memory_sizes)
+            found = TickBatch.empty(ticks, self.problem.chain.n, len(state.memory.numbers))
+            self._run_all(state, found)
+            found.q[ticks] = state.q
+            state.update()
         return found
 
-    def _room(self, state: State, ticks: int) -> TickBatch:
-        """For so many ticks from a state, whose memory is then this law's."""
-        if state.memory.sizes != self.memory_sizes:
-            state.memory = Memory(self.memory_sizes)
-        return TickBatch.empty(ticks, self.problem.chain.n, len(state.memory.numbers))
+    def _run_all(self, state: State, found: TickBatch) -> None:
+        """All ticks of a run; laws that can do several at once override it."""
+        for k in range(len(found.v)):
+            self._keep(state, found, k)
 
     def _keep(self, state: State, found: TickBatch, k: int) -> None:
         """One of them, by the tick: whatever a law has instead has been tried."""

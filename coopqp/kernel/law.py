@@ -184,14 +184,13 @@ class KernelLaw(Law):
                 return command
         return super().step(state)
 
-    def run(self, state: State, ticks: int) -> TickBatch:
-        """Many ticks at once, bit-equal to one by one, without the GIL.
+    def _run_all(self, state: State, found: TickBatch) -> None:
+        """Without the GIL, bit-equal to tick by tick.
 
         Where the kernel has no answer the plain law decides the tick, and the kernel goes on. Where
         Python fills rows, tasks follow signals, or joints are measured, each is a :meth:`tick`.
         """
-        found = self._room(state, ticks)
-        done = 0
+        done, ticks = 0, len(found.v)
         while done < ticks:
             if self._runs and self._alone(state):
                 rest = min(ticks - done, AT_ONCE)  # in between signals are heard
@@ -202,9 +201,6 @@ class KernelLaw(Law):
             if done < ticks:
                 self._keep(state, found, done)
                 done += 1
-        found.q[ticks] = state.q
-        state.update()
-        return found
 
     def _run(self, state: State, found: TickBatch, done: int, most: int) -> int:
         """Number of ticks that the kernel has done in one go."""

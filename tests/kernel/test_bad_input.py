@@ -6,8 +6,9 @@ import multiprocessing
 import os
 import pickle
 import signal
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from chains import ring, robot_of, serial
 from forking import program
 from laws import LIMITS, NEAR, problem
 
+from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array
 from coopqp.controllers import QPController
 from coopqp.execution.controller_run import run
@@ -93,6 +95,26 @@ def test_laws_are_not_pickled(chain: ClosedChain) -> None:
     with pytest.raises((TypeError, pickle.PicklingError, AttributeError)):
         pickle.dumps(law)
     assert law.tick(law.start()).status is Status.OPTIMAL
+
+
+@pytest.mark.parametrize("ticks", [-1, 1.5, "x", None, True, 10**9])
+@pytest.mark.parametrize("engine", ["python", "kernel"])
+def test_a_run_has_a_whole_number_of_ticks(
+    chain: ClosedChain, engine: Literal["python", "kernel"], ticks: Any
+) -> None:
+    law = QPController(engine=engine).build(problem(chain, PointOnPoint(goal=NEAR)))
+    with pytest.raises(InvalidValueError, match="ticks: found"):
+        law.run(law.start(), ticks)
+
+
+def test_two_threads_that_run_one_law_take_turns(chain: ClosedChain) -> None:
+    """Each gets what a run alone gives, to the last bit."""
+    law = QPController(engine="kernel").build(problem(chain, PointOnPoint(goal=NEAR)))
+    alone = law.run(law.start(), 20_000).v
+    with ThreadPoolExecutor(2) as pool:
+        runs = [pool.submit(law.run, law.start(), 20_000) for _ in range(4)]
+        for found in runs:
+            np.testing.assert_array_equal(found.result().v, alone)
 
 
 def test_a_spawned_process_gives_the_same_bits() -> None:
