@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.assessment.assessment import Assessment, TaskEnd
-from coopqp.assessment.ends import pushed
+from coopqp.assessment.assessment import Assessment, TaskEnd, pushed
 from coopqp.assessment.limits import Overrun, beyond
 from coopqp.assessment.thresholds import (
     CALIBRATE,

@@ -12,7 +12,7 @@ from typing import Any
 from plotly.offline import get_plotlyjs
 
 from coopqp import __version__
-from coopqp.assessment.ends import FORCES
+from coopqp.assessment.assessment import FORCES
 from coopqp.assessment.thresholds import ACCELERATION_UNLIMITED, SPEED_UP
 from coopqp.execution.comparison import Comparison
 from coopqp.limits import JointAcceleration

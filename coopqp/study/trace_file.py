@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from coopqp.assessment import assess
-from coopqp.assessment.audit import audit
-from coopqp.assessment.ends import FORCES
+from coopqp.assessment.assessment import FORCES
+from coopqp.assessment.limits import audit
 from coopqp.base.errors import CoopqpError, InvalidValueError, UnknownNameError
 from coopqp.base.reading import absolute
 from coopqp.base.spec import Array

@@ -12,7 +12,7 @@ from stress.draw import DAQP, LAW, draw
 from stress.trial import one_rollout
 
 from coopqp.assessment import Assessment, assess
-from coopqp.assessment.ends import FORCES
+from coopqp.assessment.assessment import FORCES
 from coopqp.assessment.thresholds import matters
 from coopqp.assessment.verdict import MOST_NAMES, verdict
 from coopqp.controller import ControlProblem

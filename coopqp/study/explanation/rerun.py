@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.assessment.audit import audit
+from coopqp.assessment.limits import audit
 from coopqp.base.qp import Row
 from coopqp.execution.controller_run import run
 from coopqp.grasp import PassiveJoint

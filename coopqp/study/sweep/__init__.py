@@ -2,7 +2,7 @@
 
 space      what a key is varied over, and the points of that
 path       a key of the scenario by its path
-reader     from the file to a study, or to its faults
+reader     the form of the file, and from it to a study, or to its faults
 study      the study, and its variants
 variant    a variant under some controllers: its rows
 journal    a record for each finished variant
