@@ -31,44 +31,29 @@ from coopqp.assessment.thresholds import (
 from coopqp.base.spec import Array
 from coopqp.solver import Status, causes_of
 from coopqp.task import Level, Mode, level_of
-from coopqp.trace import TaskInfo, Trace
+from coopqp.trace import Trace
 
 #: Units of what is asked of the hands' wrenches.
 FORCES = ("N", "N m")
 
 
-def settled(error: Array, unit: str, dt: float) -> Array:
-    """The errors that count as the end: the last; of a force the last ``SETTLED`` seconds.
+def _end_errors(trace: Trace, k: int) -> Array:
+    """The errors of task k that count as its end [the task's unit].
 
-    And of that no more than the last fifth of its time.
-
-    Args:
-        error: at the instants for which the task counts.
-        unit: of the error.
-        dt: control period [s].
+    Of a force those of the last ``SETTLED`` seconds, and no more than the last fifth of its time.
     """
-    if unit not in FORCES:
-        return error[-1:]
-    ticks = min(round(SETTLED / dt), (len(error) - 1) // 5)
-    return error[-max(ticks, 1) :]
-
-
-def end_errors(trace: Trace, k: int) -> Array:
-    """The errors of task k that count as its end [the task's unit]."""
     last, task = trace.last_instants[k], trace.tasks[k]
     if pushed(trace, k):
-        rows = rows_of(trace, task)
+        rows = _rows_of(trace, task.name.rpartition(".")[0])  # the task is one of several parts
         e = trace.e[last, [rows[row] for row, _, _ in task.springs]]
         push = trace.signals["push"][last - 1]
         asked = np.array([push[axis] / stiffness for _, axis, stiffness in task.springs])
         return np.array([np.linalg.norm(e - asked)])
-    return settled(trace.task_error[task.rows.start : last + 1, k], task.unit, trace.dt)
-
-
-def end_error(trace: Trace, k: int) -> float:
-    """The largest of them; NaN where it is no number, as files have it."""
-    worst = float(end_errors(trace, k).max())
-    return worst if np.isfinite(worst) else np.nan
+    error = trace.task_error[task.rows.start : last + 1, k]
+    if task.unit not in FORCES:
+        return error[-1:]
+    ticks = min(round(SETTLED / trace.dt), (len(error) - 1) // 5)
+    return error[-max(ticks, 1) :]
 
 
 def pushed(trace: Trace, k: int) -> bool:
@@ -77,19 +62,15 @@ def pushed(trace: Trace, k: int) -> bool:
     return bool(trace.tasks[k].springs and push is not None and last and push[last - 1].any())
 
 
-def oscillates(trace: Trace, k: int) -> bool:
+def _oscillates(trace: Trace, k: int, errors: Array) -> bool:
     """Whether what task k asks for is only passed through, or passed about, at its end."""
-    task, errors = trace.tasks[k], end_errors(trace, k)
-    last = trace.last_instants[k] + 1
-    own = [i for i, row in enumerate(trace.task_rows) if row.rpartition(".")[0] == task.name]
-    e = trace.e[last - len(errors) : last, own]
+    task, last = trace.tasks[k], trace.last_instants[k] + 1
+    e = trace.e[last - len(errors) : last, _rows_of(trace, task.name)]
     about = (e.min(axis=0) < -task.tolerance) & (e.max(axis=0) > task.tolerance)
     return bool(errors.min() <= task.tolerance or about.any())
 
 
-def rows_of(trace: Trace, part: TaskInfo) -> list[int]:
-    """Indices of the rows of an impedance's task, of which ``part`` is a part."""
-    task = part.name.rpartition(".")[0]
+def _rows_of(trace: Trace, task: str) -> list[int]:
     return [i for i, name in enumerate(trace.task_rows) if name.rpartition(".")[0] == task]
 
 
@@ -100,11 +81,7 @@ ENDED = {Status.PLANT_FAILED, Status.OBJECT_LOST}
 
 
 def assess(trace: Trace) -> Assessment:
-    """Assess a run.
-
-    Args:
-        trace: of the run; each answer is found when it is first asked for.
-    """
+    """Assess a run; each answer is found when it is first asked for."""
     return Assessment(trace)
 
 
@@ -194,19 +171,14 @@ class Acceleration:
 
 @dataclass(frozen=True, eq=False)
 class Assessment:
-    """All answers on one run.
-
-    Attributes:
-        trace: of the run.
-    """
+    """All answers on one run."""
 
     trace: Trace
 
     @cached_property
     def tasks(self) -> tuple[TaskEnd, ...]:
         """How each task ended, in their order."""
-        trace = self.trace
-        lost = np.array([any(apart[: i + 1]) for apart, i in self._apart])
+        trace, apart = self.trace, self._apart
         ordered = trace.orders_tasks
         return tuple(
             TaskEnd(
@@ -216,11 +188,12 @@ class Assessment:
                 task.mode if ordered else "soft",
                 level_of(task.mode, task.priority) if ordered else (0, 0),
                 trace.last_instants[k],
-                end_error(trace, k),
-                bool(lost[k]),
-                oscillates(trace, k),
+                float(errors.max()) if np.isfinite(errors.max()) else np.nan,
+                bool(apart[: trace.last_instants[k] + 1].any()),
+                _oscillates(trace, k, errors),
             )
             for k, task in enumerate(trace.tasks)
+            for errors in (_end_errors(trace, k),)
         )
 
     @property
@@ -399,15 +372,13 @@ class Assessment:
         return {cause for word in set(self.trace.status) for cause in causes_of(word)}
 
     @cached_property
-    def _apart(self) -> list[tuple[list[bool], int]]:
-        """Whether hands were too far apart for one object at each instant, and each task's last."""
+    def _apart(self) -> NDArray[np.bool_]:
+        """Whether hands were too far apart for one object at each instant, shape (T + 1,)."""
         trace = self.trace
         if "held" in trace.signals:  # hands that press may move along the object
-            lost = [False, *(trace.signals["held"][:, 0] <= 0.0).tolist()]
-        else:
-            sizes = zip(trace.loop_position.tolist(), trace.loop_orientation.tolist(), strict=True)
-            lost = [torn(*size) for size in sizes]
-        return [(lost, i) for i in trace.last_instants]
+            return np.append(False, trace.signals["held"][:, 0] <= 0.0)
+        sizes = zip(trace.loop_position.tolist(), trace.loop_orientation.tolist(), strict=True)
+        return np.array([torn(*size) for size in sizes])
 
     @property
     def _at_effort(self) -> NDArray[np.bool_]:
@@ -444,9 +415,7 @@ def accelerations(trace: Trace) -> Accelerations:
 def allowed_acceleration(velocity: Array, speed_up: float = SPEED_UP) -> Array:
     """What the loop for robots allows joints whose scenario has no limit of it, shape (n,).
 
-    Args:
-        velocity: speed limits, shape (n,) [rad/s, m/s].
-        speed_up: time from rest to full speed [s].
+    Joints with a speed limit [rad/s, m/s] take ``speed_up`` from rest to full speed [s].
     """
     limited = np.isfinite(velocity) & (velocity > 0.0)
     allowed: Array = np.where(limited, velocity / speed_up, float(ACCELERATION_UNLIMITED))

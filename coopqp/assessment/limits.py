@@ -8,7 +8,7 @@ the start counts from where it began.
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -115,29 +115,18 @@ def other_overruns(trace: Trace) -> tuple[Overrun, ...]:
 def at_limits(trace: Trace, instant: int) -> tuple[str, ...]:
     """Joints at a limit that they have not left, and other limits of place, by name.
 
-    Args:
-        trace: of a run.
-        instant: row of trace.q.
+    Of others only for a controller that keeps them: one that breaks limits is not stopped by any.
     """
-    return tuple(dict.fromkeys((*_joints_at(trace, instant), *_others_at(trace, instant))))
-
-
-def _joints_at(trace: Trace, instant: int) -> Iterator[str]:
     out = beyond(trace)
     near = (out.max(axis=0) <= OUTSIDE) & (out[instant] > -AT_LIMIT)
-    yield from np.array(trace.joints)[near].tolist()
-
-
-def _others_at(trace: Trace, instant: int) -> Iterator[str]:
-    """Of a controller that keeps them: one that breaks limits is not stopped by any."""
-    if not trace.keeps_limits or instant == 0:
-        return
-    for row, margin in trace.margins.items():
+    names = np.array(trace.joints)[near].tolist()
+    for row, margin in trace.margins.items() if trace.keeps_limits and instant else ():
         at = margin[instant - 1] < AT_LIMIT
         if at and row.owner == "position":
-            yield row.joint
+            names.append(row.joint)
         elif at and row.unit == "m" and not row.joint:
-            yield row.owner
+            names.append(row.owner)
+    return tuple(dict.fromkeys(names))
 
 
 def slowed_by(trace: Trace, k: int) -> tuple[str, ...]:
@@ -145,10 +134,6 @@ def slowed_by(trace: Trace, k: int) -> tuple[str, ...]:
 
     Those that were met in many of the ticks for which a task counts, where the arms still move when
     these end. ``coopqp explain`` finds out more, with what would do.
-
-    Args:
-        trace: of a run.
-        k: which of its tasks.
     """
     instants = range(len(trace.t))[trace.tasks[k].rows]
     ticks = slice(instants[0], instants[-1])
@@ -182,15 +167,7 @@ class Audit:
 
 
 def audit(limits: Sequence[Limit], chain: ClosedChain, q: Array, v: Array, dt: float) -> Audit:
-    """Ask limits what they had left.
-
-    Args:
-        limits: of the run.
-        chain: what they limit.
-        q: configurations, shape (T + 1, n) [rad, m].
-        v: velocities of the ticks, shape (T, n) [rad/s, m/s].
-        dt: control period [s].
-    """
+    """Ask limits what they had left; q has shape (T + 1, n) [rad, m], v (T, n) [rad/s, m/s]."""
     margins, starts, unaudited = dict[Row, Array](), dict[Row, float](), list[str]()
     for limit in limits:
         name = type_name(type(limit))

@@ -42,10 +42,7 @@ MOST_NAMES = 3
 def verdict(found: Assessment, metrics: Mapping[str, Any], unseen: Sequence[str] = ()) -> str:
     """Say in one sentence whether it gets there, keeps the limits and the loop closed.
 
-    Args:
-        found: the assessment of the run.
-        metrics: of its trace, by name.
-        unseen: what the limits ought to bound and cannot, one sentence each.
+    ``unseen`` is what the limits ought to bound and cannot, one sentence each.
     """
     parts = [
         *_broken(found.trace), _hold(found, metrics), _arrival(found), _motion(found),

@@ -9,7 +9,8 @@ the scenario.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -52,21 +53,25 @@ class Mcap(ExportFormat):
             writer.finish()
 
     def read(self, path: Path) -> Run:
-        with needs("MCAP"):
-            from mcap.reader import make_reader
-        with open_bytes(path) as stream, readable(path):
-            found = make_reader(stream).iter_messages([TICK])
+        with _reader(path) as reader:
+            found = reader.iter_messages([TICK])
             rows = (flat(json.loads(message.data)) for _, _, message in found)
             return read_rows(path, f"{path}: message ", rows)
 
     def scenario(self, path: Path, catalog: Catalog) -> Scenario:
-        with needs("MCAP"):
-            from mcap.reader import make_reader
-        with open_bytes(path) as stream, readable(path):
-            attached = {found.name: found.data for found in make_reader(stream).iter_attachments()}
+        with _reader(path) as reader:
+            attached = {found.name: found.data for found in reader.iter_attachments()}
         if ATTACHED not in attached:
             raise CoopqpError(f"{path}: holds no run of coopqp: has no attachment '{ATTACHED}'")
         return load_text(path, attached[ATTACHED].decode("utf-8", "replace"), catalog)
+
+
+@contextmanager
+def _reader(path: Path) -> Iterator[Any]:
+    with needs("MCAP"):
+        from mcap.reader import make_reader
+    with open_bytes(path) as stream, readable(path):
+        yield make_reader(stream)
 
 
 class _Messages:

@@ -69,8 +69,14 @@ def write_one(path: Path, content: str) -> None:
     Raises:
         CoopqpError: it cannot be written.
     """
+    aside = path.parent / _new_name()
     try:
-        replace_file(path, content)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            _write(aside, content)
+            os.replace(aside, path)
+        finally:
+            aside.unlink(missing_ok=True)
     except OSError as error:
         raise CoopqpError(f"cannot write '{path}': {error.strerror or error}") from error
 
@@ -141,21 +147,6 @@ def _check_writable(folder: Path, names: Iterable[str]) -> None:
     except OSError as error:
         words = f"cannot write to '{folder}': {error.strerror or error}"
         raise CoopqpError(one_line(words)) from error
-
-
-def replace_file(path: Path, content: str) -> None:
-    """Write one file; the old one stays until the new one is whole.
-
-    Raises:
-        OSError: it cannot be written.
-    """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    aside = path.parent / _new_name()
-    try:
-        _write(aside, content)
-        os.replace(aside, path)
-    finally:
-        aside.unlink(missing_ok=True)
 
 
 @contextmanager

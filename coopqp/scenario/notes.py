@@ -64,10 +64,8 @@ def notes(
     object, hands that are far from it, a freedom that rounded values hide, and what a tick is too
     long for.
 
-    Args:
-        scenario: what is to be run.
-        controllers: that are to run, which say what they heed; the scenario's own when omitted.
-        steered: whether people send to inputs that nothing feeds.
+    The controllers, the scenario's own when omitted, say what they support; ``steered`` says that
+    people send to inputs that nothing feeds.
     """
     chosen = scenario.controllers if controllers is None else controllers
     hidden = hidden_freedom(scenario.chain)

@@ -188,11 +188,7 @@ MOST_TRIED = 1000  # values of a key that are checked before anything runs
 
 
 def read_study(path: Path, catalog: Catalog | None = None) -> Study:
-    """Read and check a study file.
-
-    Args:
-        path: of a YAML file.
-        catalog: what its scenario can name; shipped and installed plug-ins when omitted.
+    """Read and check a study file; without a catalogue its scenario can name what is installed.
 
     Raises:
         ScenarioError: with every fault, its line and its likely fix.

@@ -24,7 +24,7 @@ from scipy.special import bdtr, bdtrik
 
 from coopqp.base.spec import Array
 from coopqp.study.sweep.results import Columns
-from coopqp.study.sweep.variant import DONE
+from coopqp.study.sweep.study import DONE
 
 Z = 1.959963984540054  # of a two-sided 95 % interval
 TAIL = 0.025  # of it, on each side

@@ -16,8 +16,7 @@ from coopqp.study.engine import Engine, Lost
 from coopqp.study.sweep.folder import check_folder, head_for
 from coopqp.study.sweep.journal import Journal, path_of
 from coopqp.study.sweep.results import Index, compact, needs_arrow
-from coopqp.study.sweep.study import Study, Variant
-from coopqp.study.sweep.variant import Folders, job_of, lost_rows, run_variants
+from coopqp.study.sweep.study import Folders, Study, Variant, job_of, lost_rows, run_variants
 
 HERE = Engine()
 
