@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coopqp.assessment import limits
-from coopqp.assessment.limits import Overrun
+from coopqp.assessment.limits import LimitViolation
 from coopqp.assessment.oscillation import Oscillation, oscillation
 from coopqp.assessment.thresholds import (
     ACCELERATION_UNLIMITED,
@@ -228,8 +228,8 @@ class Assessment:
     def broken(self) -> tuple[str, ...]:
         """What it broke, by name: joints, their speeds, limits, the loop, the hold, the plant."""
         order = self.trace.joints.index
-        overruns = sorted((*self.joints, *self.speeds), key=lambda found: order(found.row.joint))
-        names = [overrun.name for overrun in (*overruns, *self.limits) if overrun.farther]
+        violations = sorted((*self.joints, *self.speeds), key=lambda found: order(found.row.joint))
+        names = [violation.name for violation in (*violations, *self.limits) if violation.farther]
         if self.held is False:
             return *names, HOLD
         if not self.loop_closed:
@@ -237,19 +237,19 @@ class Assessment:
         return (*names, PLANT) if self.ended else tuple(names)
 
     @cached_property
-    def joints(self) -> tuple[Overrun, ...]:
+    def joints(self) -> tuple[LimitViolation, ...]:
         """Joints beyond their places' limits, the farthest first."""
-        return limits.joint_overruns(self.trace)
+        return limits.joint_violations(self.trace)
 
     @cached_property
-    def speeds(self) -> tuple[Overrun, ...]:
+    def speeds(self) -> tuple[LimitViolation, ...]:
         """Joints faster than they can be, by the share of their limit."""
-        return limits.too_fast(self.trace)
+        return limits.speed_violations(self.trace)
 
     @cached_property
-    def limits(self) -> tuple[Overrun, ...]:
+    def limits(self) -> tuple[LimitViolation, ...]:
         """All other limits that it was beyond, one each."""
-        return limits.other_overruns(self.trace)
+        return limits.other_violations(self.trace)
 
     @property
     def blocked_by(self) -> tuple[str, ...]:
@@ -263,7 +263,7 @@ class Assessment:
 
     def at_limits(self, k: int) -> tuple[str, ...]:
         """Limits of place at which it is when task k ends, and was never beyond, by name."""
-        past = {overrun.name for overrun in (*self.joints, *self.limits)}
+        past = {violation.name for violation in (*self.joints, *self.limits)}
         names = limits.at_limits(self.trace, self.trace.last_instants[k])
         return tuple(name for name in names if name not in past)
 

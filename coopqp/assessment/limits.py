@@ -22,14 +22,14 @@ from coopqp.limit import Limit
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.trace import Trace
 
-#: Judged by the robot's limits; what cannot be braked any more shows when the place is overrun.
+#: Judged by the robot's limits; what cannot be braked any more shows when the place is left.
 JUDGED_OTHERWISE = ("position", "velocity", "braking")
 #: What joints' limits that bound no place are called, by the end of their unit.
 RATES = {"/s": "speed", "/s2": "acceleration"}
 
 
 @dataclass(frozen=True)
-class Overrun:
+class LimitViolation:
     """A limit that a run was beyond by more than is negligible.
 
     Attributes:
@@ -59,7 +59,7 @@ def beyond(trace: Trace) -> Array:
     return np.maximum(trace.lower - trace.q, trace.q - trace.upper)
 
 
-def joint_overruns(trace: Trace) -> tuple[Overrun, ...]:
+def joint_violations(trace: Trace) -> tuple[LimitViolation, ...]:
     """Of the places of joints, the farthest first."""
     out = np.maximum(beyond(trace), 0.0)
     found = []
@@ -72,13 +72,13 @@ def joint_overruns(trace: Trace) -> tuple[Overrun, ...]:
             label=f"{joint} ({side})",
         )  # fmt: skip
         start, end = float(out[0, i]), float(out[-1, i])
-        overrun = Overrun(joint, row, float(out[k, i]), float(trace.t[k]), start, end)
-        if matters(overrun.by, unit):
-            found.append(overrun)
-    return tuple(sorted(found, key=lambda overrun: -np.nan_to_num(overrun.by, nan=np.inf)))
+        violation = LimitViolation(joint, row, float(out[k, i]), float(trace.t[k]), start, end)
+        if matters(violation.by, unit):
+            found.append(violation)
+    return tuple(sorted(found, key=lambda violation: -np.nan_to_num(violation.by, nan=np.inf)))
 
 
-def too_fast(trace: Trace) -> tuple[Overrun, ...]:
+def speed_violations(trace: Trace) -> tuple[LimitViolation, ...]:
     """Speeds of joints beyond their limits, the largest share of it first."""
     speed = np.abs(trace.v)
     most = speed.max(axis=0, initial=0.0)
@@ -90,20 +90,20 @@ def too_fast(trace: Trace) -> tuple[Overrun, ...]:
         row = Row(name=f"speed of {joint}", kind="limit", owner=joint, unit=unit, joint=joint)
         over = np.maximum(speed[:, i] - trace.velocity[i], 0.0)
         at = float(trace.t[k])
-        found.append(Overrun(row.name, row, float(over[k]), at, 0.0, float(over[-1])))
+        found.append(LimitViolation(row.name, row, float(over[k]), at, 0.0, float(over[-1])))
     return tuple(found)
 
 
-def other_overruns(trace: Trace) -> tuple[Overrun, ...]:
+def other_violations(trace: Trace) -> tuple[LimitViolation, ...]:
     """Of all other limits that say so, one each."""
-    worst: dict[str, Overrun] = {}
+    worst: dict[str, LimitViolation] = {}
     for row, margin in trace.margins.items():
         if (row.joint and row.owner in JUDGED_OTHERWISE) or not margin.size:
             continue
         begun, k = -trace.starts.get(row, float(margin[0])), int(margin.argmin())
         by, at = max((-float(margin[k]), float(trace.t[k + 1])), (begun, float(trace.t[0])))
         at_start, at_end = max(0.0, begun), max(0.0, float(-margin[-1]))
-        found = Overrun(row.owner, row, by, at, at_start, at_end)
+        found = LimitViolation(row.owner, row, by, at, at_start, at_end)
         known = worst.get(row.owner)
         if matters(by, row.unit) and (
             not known or (found.farther, found.by) > (known.farther, known.by)

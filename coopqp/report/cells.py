@@ -123,10 +123,10 @@ def _solver(metrics: Mapping[str, Any]) -> str:
     return f"kernel, {solver} in {left} ticks" if left else "kernel"
 
 
-def _limit(assessed: Assessment, overrun: float, unit: str) -> Cell:
+def _limit(assessed: Assessment, violation: float, unit: str) -> Cell:
     """Joints first, then all other limits; what a start is beyond is nobody's fault."""
     others = assessed.limits
-    lines = [_quantity(overrun, unit)] if matters(overrun, unit) or not others else []
+    lines = [_quantity(violation, unit)] if matters(violation, unit) or not others else []
     for found in others:
         value, of = length(found.by, found.row.unit)
         lines.append(f"{found.row.owner}: {number(value)}{NBSP}{of}")
