@@ -73,7 +73,7 @@ def processor() -> float:
 
 def loop(study: Study, first: int, step: int) -> float:
     """Time that every so manyeth variant takes, one after the other in this process [s]."""
-    job, count = job_of(study, ((), ())), study.points.count
+    job, count = job_of(study), study.points.count
     run_variants([study.variant(0)], job=job)  # what is imported late is imported
     begun = time.perf_counter()
     for k in range(first, count, step):

@@ -250,7 +250,7 @@ def _run(what: Path, out: Path, engine: Any, catalog: Any, *, watch: bool, as_js
             if page:
                 page.update()
 
-        done = study_of.sweep(study, out, engine=engine, folders=catalog.folders, progress=progress)
+        done = study_of.sweep(study, out, engine=engine, progress=progress)
     if done.damaged:
         say(f"warning: {_records(done.damaged)} damaged; what stood there has been done again")
     _print(study, out, as_json=as_json)

@@ -36,7 +36,7 @@ class Mcap(ExportFormat):
     name: ClassVar[str] = "mcap"
     suffix: ClassVar[str] = ".mcap"
 
-    def write(self, run: Run, scenario: Scenario, source: str, path: Path) -> None:
+    def write(self, run: Run, scenario: Scenario, path: Path) -> None:
         # foxglove's own writer prints what goes wrong, and goes on; this one raises.
         with needs("MCAP"):
             from foxglove import messages
@@ -44,7 +44,7 @@ class Mcap(ExportFormat):
         with open(path, "wb") as stream:
             writer = Writer(stream, chunk_size=CHUNK)
             writer.start(library=f"coopqp {__version__}")
-            writer.add_attachment(0, 0, ATTACHED, "text/yaml", source.encode("utf-8"))
+            writer.add_attachment(0, 0, ATTACHED, "text/yaml", scenario.portable.encode("utf-8"))
             controller = run.controllers[0]
             writer.add_metadata("coopqp", {"controller": controller})
             file = _Messages(writer, messages, controller)

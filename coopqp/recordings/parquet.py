@@ -36,11 +36,11 @@ class Parquet(ExportFormat):
     name: ClassVar[str] = "parquet"
     suffix: ClassVar[str] = ".parquet"
 
-    def write(self, run: Run, scenario: Scenario, source: str, path: Path) -> None:
+    def write(self, run: Run, scenario: Scenario, path: Path) -> None:
         with needs("Parquet"):
             import pyarrow as pa
             from pyarrow import parquet as pq
-        schema = arrow_schema(scenario, run.controllers[0], source, run.columns)
+        schema = arrow_schema(scenario, run.controllers[0], scenario.portable, run.columns)
         with pq.ParquetWriter(path, schema, compression="zstd") as writer:
             for first in range(0, len(run), GROUP):
                 part = run.only(slice(first, first + GROUP)).columns.values()

@@ -27,7 +27,7 @@ from coopqp.scenario.yaml import parsed
 from coopqp.study.sweep.journal import PATTERN, head_of, journals
 from coopqp.study.sweep.reader import study_text
 from coopqp.study.sweep.results import NAME
-from coopqp.study.sweep.study import CONTROLLERS, Folders, Study
+from coopqp.study.sweep.study import CONTROLLERS, Study
 
 #: Modules of shipped plug-ins; their files count as the version.
 SHIPPED = tuple(f"coopqp.{kind}." for kind in COLLECTIONS)
@@ -101,14 +101,14 @@ MOST_KEYS = 4  # that are named
 AWAY = "give another --out, or move the folder away"
 
 
-def head_for(study: Study, folders: Folders) -> dict[str, Any]:
+def head_for(study: Study) -> dict[str, Any]:
     """What a journal says of its study."""
     return {
         "name": study.name,
         "identity": identity(study),
         "study": [str(study.file.path), study.file.text],
         "scenario": list(map(str, study.scenario_text)),
-        "folders": [[str(one) for one in kind] for kind in folders],
+        "folders": [[str(one) for one in kind] for kind in study.catalog.folders],
     }
 
 

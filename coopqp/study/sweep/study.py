@@ -1,4 +1,9 @@
-"""A study: a scenario, what of it is varied over what, and what is measured."""
+"""A study: a scenario, what of it is varied over what, and what is measured.
+
+A variant under some controllers makes a row for each of them. Its state is ``done``, ``invalid``
+where the variant is no scenario, or the controller cannot be used for it, and ``failed`` where
+something broke down that should not have.
+"""
 
 from __future__ import annotations
 
@@ -27,6 +32,10 @@ from coopqp.study.sweep.space import Points, Variation
 
 CONTROLLERS = "controllers"
 SEED = "seed"
+DONE, INVALID, FAILED = "done", "invalid", "failed"
+
+Row = dict[str, Any]
+"""What came of one variant under one controller: state, reason, success and so on, metrics."""
 
 
 @dataclass(frozen=True)
@@ -132,14 +141,6 @@ def changed(
     return found
 
 
-DONE, INVALID, FAILED = "done", "invalid", "failed"
-
-Folders = tuple[tuple[Path, ...], tuple[Path, ...]]
-"""With the user's own tasks, and plug-ins."""
-Row = dict[str, Any]
-"""What came of one variant under one controller: state, reason, success and so on, metrics."""
-
-
 @dataclass(frozen=True)
 class Job:
     """What a worker must know: the scenario's file, for faults, its data as JSON, and so on."""
@@ -150,13 +151,13 @@ class Job:
     places: tuple[tuple[Any, ...], ...]
     controllers: tuple[str, ...]
     metrics: tuple[str, ...]
-    folders: Folders
+    folders: tuple[tuple[Path, ...], ...]
 
 
-def job_of(study: Study, folders: Folders) -> Job:
+def job_of(study: Study) -> Job:
     """What the workers must know."""
     places = tuple(one.location for one in study.varied)
-    data = json.dumps(study.scenario.data)
+    data, folders = json.dumps(study.scenario.data), study.catalog.folders
     return Job(*study.scenario_text, data, places, study.controllers, study.metrics, folders)
 
 
