@@ -7,6 +7,7 @@ F / K: it was asked to give way by that.
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -360,11 +361,8 @@ class Assessment:
     @property
     def failed(self) -> tuple[int, dict[str, int]]:
         """Ticks that held still, and how often for which cause, the most frequent first."""
-        causes: dict[str, int] = {}
-        for failure in self.trace.failures:
-            causes[failure.cause] = causes.get(failure.cause, 0) + 1
-        ordered = dict(sorted(causes.items(), key=lambda item: -item[1]))
-        return int((~self.trace.usable).sum()), ordered
+        causes = Counter(failure.cause for failure in self.trace.failures)
+        return int((~self.trace.usable).sum()), dict(causes.most_common())
 
     @cached_property
     def _causes(self) -> set[Status]:

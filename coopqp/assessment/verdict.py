@@ -27,8 +27,8 @@ from coopqp.assessment.thresholds import (
 from coopqp.solver import Status
 from coopqp.trace import Trace
 
-#: What a run that gave something up has done, by cause.
-GIVEN_UP = {
+#: What a run that relaxed something has done, by cause.
+RELAXED = {
     "TASKS_RELAXED": "does not meet hard or scaled tasks in full",
     "CONTACT_GIVEN_UP": "asks for more than friction can bear",
     "ACCELERATION_GIVEN_UP": "gives up an acceleration limit",
@@ -338,7 +338,7 @@ def _ticks(found: Assessment, metrics: Mapping[str, Any]) -> str:
         said.append(f"has an input stale in {found.inputs.stale} of {ticks} ticks")
     said += [
         f"{words} in {given_up[cause]} of {ticks} ticks"
-        for cause, words in GIVEN_UP.items()
+        for cause, words in RELAXED.items()
         if cause in given_up
     ]
     return "; ".join(said)

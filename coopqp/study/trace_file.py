@@ -65,7 +65,7 @@ def trace_from_file(path: Path | Run, scenario: Scenario, controller: str) -> Tr
     q = run.joints("q", held.chain.joint_names)
     ends = pairwise((*held.first_ticks, ticks))
     phases = zip(held.problems(lambda first: q[first]), held.schedule, ends, strict=True)
-    legs = [
+    parts = [
         (
             PhaseInfo(phase.name, first, phase.released),
             _phase(run.only(slice(first, end + 1)), held, phase, problem, supports),
@@ -80,7 +80,7 @@ def trace_from_file(path: Path | Run, scenario: Scenario, controller: str) -> Tr
         "push": told.numbers(of_field("push", Layout(joints=())), empty=True),
     }
     signals = {name: np.nan_to_num(of) for name, of in signals.items() if np.isfinite(of).any()}
-    trace = join(legs) if held.phases else legs[0][1]
+    trace = join(parts) if held.phases else parts[0][1]
     return replace(trace, inputs=inputs, signals=signals)
 
 
