@@ -1,7 +1,13 @@
-"""What became of a run: one answer to each question, which all others read."""
+"""What became of a run: one answer to each question, which all others read.
+
+Of a task's errors the last sample is its end; of a force those of a last stretch, because one
+sample of an oscillation says nothing; of an impedance that is pushed to the end how far it is from
+F / K: it was asked to give way by that.
+"""
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -10,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coopqp.assessment import limits
-from coopqp.assessment.ends import end_error, oscillates
-from coopqp.assessment.limits import Overrun
+from coopqp.assessment.limits import LimitViolation
 from coopqp.assessment.oscillation import Oscillation, oscillation
 from coopqp.assessment.thresholds import (
     ACCELERATION_UNLIMITED,
     AT_EFFORT,
     SATURATED,
+    SETTLED,
     SPEED_UP,
     closed,
     rests,
@@ -28,6 +34,47 @@ from coopqp.solver import Status, causes_of
 from coopqp.task import Level, Mode, level_of
 from coopqp.trace import Trace
 
+#: Units of what is asked of the hands' wrenches.
+FORCES = ("N", "N m")
+
+
+def _end_errors(trace: Trace, k: int) -> Array:
+    """The errors of task k that count as its end [the task's unit].
+
+    Of a force those of the last ``SETTLED`` seconds, and no more than the last fifth of its time.
+    """
+    last, task = trace.last_instants[k], trace.tasks[k]
+    if pushed(trace, k):
+        rows = _rows_of(trace, task.name.rpartition(".")[0])  # the task is one of several parts
+        e = trace.e[last, [rows[row] for row, _, _ in task.springs]]
+        push = trace.signals["push"][last - 1]
+        asked = np.array([push[axis] / stiffness for _, axis, stiffness in task.springs])
+        return np.array([np.linalg.norm(e - asked)])
+    error = trace.task_error[task.rows.start : last + 1, k]
+    if task.unit not in FORCES:
+        return error[-1:]
+    ticks = min(round(SETTLED / trace.dt), (len(error) - 1) // 5)
+    return error[-max(ticks, 1) :]
+
+
+def pushed(trace: Trace, k: int) -> bool:
+    """Whether task k is an impedance, and the plant pushes the object to its end."""
+    last, push = trace.last_instants[k], trace.signals.get("push")
+    return bool(trace.tasks[k].springs and push is not None and last and push[last - 1].any())
+
+
+def _oscillates(trace: Trace, k: int, errors: Array) -> bool:
+    """Whether what task k asks for is only passed through, or passed about, at its end."""
+    task, last = trace.tasks[k], trace.last_instants[k] + 1
+    e = trace.e[last - len(errors) : last, _rows_of(trace, task.name)]
+    about = (e.min(axis=0) < -task.tolerance) & (e.max(axis=0) > task.tolerance)
+    return bool(errors.min() <= task.tolerance or about.any())
+
+
+def _rows_of(trace: Trace, task: str) -> list[int]:
+    return [i for i, name in enumerate(trace.task_rows) if name.rpartition(".")[0] == task]
+
+
 #: What a run can break that is no limit: the closed loops, the hold of an object, the plant.
 LOOP, HOLD, PLANT = "loop", "hold", "plant"
 #: After these a run does not go on, so that nothing is true of it any more.
@@ -35,11 +82,7 @@ ENDED = {Status.PLANT_FAILED, Status.OBJECT_LOST}
 
 
 def assess(trace: Trace) -> Assessment:
-    """Assess a run.
-
-    Args:
-        trace: of the run; each answer is found when it is first asked for.
-    """
+    """Assess a run; each answer is found when it is first asked for."""
     return Assessment(trace)
 
 
@@ -129,19 +172,14 @@ class Acceleration:
 
 @dataclass(frozen=True, eq=False)
 class Assessment:
-    """All answers on one run.
-
-    Attributes:
-        trace: of the run.
-    """
+    """All answers on one run."""
 
     trace: Trace
 
     @cached_property
     def tasks(self) -> tuple[TaskEnd, ...]:
         """How each task ended, in their order."""
-        trace = self.trace
-        lost = np.array([any(apart[: i + 1]) for apart, i in self._apart])
+        trace, apart = self.trace, self._apart
         ordered = trace.orders_tasks
         return tuple(
             TaskEnd(
@@ -151,11 +189,12 @@ class Assessment:
                 task.mode if ordered else "soft",
                 level_of(task.mode, task.priority) if ordered else (0, 0),
                 trace.last_instants[k],
-                end_error(trace, k),
-                bool(lost[k]),
-                oscillates(trace, k),
+                float(errors.max()) if np.isfinite(errors.max()) else np.nan,
+                bool(apart[: trace.last_instants[k] + 1].any()),
+                _oscillates(trace, k, errors),
             )
             for k, task in enumerate(trace.tasks)
+            for errors in (_end_errors(trace, k),)
         )
 
     @property
@@ -190,8 +229,8 @@ class Assessment:
     def broken(self) -> tuple[str, ...]:
         """What it broke, by name: joints, their speeds, limits, the loop, the hold, the plant."""
         order = self.trace.joints.index
-        overruns = sorted((*self.joints, *self.speeds), key=lambda found: order(found.row.joint))
-        names = [overrun.name for overrun in (*overruns, *self.limits) if overrun.farther]
+        violations = sorted((*self.joints, *self.speeds), key=lambda found: order(found.row.joint))
+        names = [violation.name for violation in (*violations, *self.limits) if violation.farther]
         if self.held is False:
             return *names, HOLD
         if not self.loop_closed:
@@ -199,19 +238,19 @@ class Assessment:
         return (*names, PLANT) if self.ended else tuple(names)
 
     @cached_property
-    def joints(self) -> tuple[Overrun, ...]:
+    def joints(self) -> tuple[LimitViolation, ...]:
         """Joints beyond their places' limits, the farthest first."""
-        return limits.joint_overruns(self.trace)
+        return limits.joint_violations(self.trace)
 
     @cached_property
-    def speeds(self) -> tuple[Overrun, ...]:
+    def speeds(self) -> tuple[LimitViolation, ...]:
         """Joints faster than they can be, by the share of their limit."""
-        return limits.too_fast(self.trace)
+        return limits.speed_violations(self.trace)
 
     @cached_property
-    def limits(self) -> tuple[Overrun, ...]:
+    def limits(self) -> tuple[LimitViolation, ...]:
         """All other limits that it was beyond, one each."""
-        return limits.other_overruns(self.trace)
+        return limits.other_violations(self.trace)
 
     @property
     def blocked_by(self) -> tuple[str, ...]:
@@ -225,7 +264,7 @@ class Assessment:
 
     def at_limits(self, k: int) -> tuple[str, ...]:
         """Limits of place at which it is when task k ends, and was never beyond, by name."""
-        past = {overrun.name for overrun in (*self.joints, *self.limits)}
+        past = {violation.name for violation in (*self.joints, *self.limits)}
         names = limits.at_limits(self.trace, self.trace.last_instants[k])
         return tuple(name for name in names if name not in past)
 
@@ -322,11 +361,8 @@ class Assessment:
     @property
     def failed(self) -> tuple[int, dict[str, int]]:
         """Ticks that held still, and how often for which cause, the most frequent first."""
-        causes: dict[str, int] = {}
-        for failure in self.trace.failures:
-            causes[failure.cause] = causes.get(failure.cause, 0) + 1
-        ordered = dict(sorted(causes.items(), key=lambda item: -item[1]))
-        return int((~self.trace.usable).sum()), ordered
+        causes = Counter(failure.cause for failure in self.trace.failures)
+        return int((~self.trace.usable).sum()), dict(causes.most_common())
 
     @cached_property
     def _causes(self) -> set[Status]:
@@ -334,15 +370,13 @@ class Assessment:
         return {cause for word in set(self.trace.status) for cause in causes_of(word)}
 
     @cached_property
-    def _apart(self) -> list[tuple[list[bool], int]]:
-        """Whether hands were too far apart for one object at each instant, and each task's last."""
+    def _apart(self) -> NDArray[np.bool_]:
+        """Whether hands were too far apart for one object at each instant, shape (T + 1,)."""
         trace = self.trace
         if "held" in trace.signals:  # hands that press may move along the object
-            lost = [False, *(trace.signals["held"][:, 0] <= 0.0).tolist()]
-        else:
-            sizes = zip(trace.loop_position.tolist(), trace.loop_orientation.tolist(), strict=True)
-            lost = [torn(*size) for size in sizes]
-        return [(lost, i) for i in trace.last_instants]
+            return np.append(False, trace.signals["held"][:, 0] <= 0.0)
+        sizes = zip(trace.loop_position.tolist(), trace.loop_orientation.tolist(), strict=True)
+        return np.array([torn(*size) for size in sizes])
 
     @property
     def _at_effort(self) -> NDArray[np.bool_]:
@@ -379,9 +413,7 @@ def accelerations(trace: Trace) -> Accelerations:
 def allowed_acceleration(velocity: Array, speed_up: float = SPEED_UP) -> Array:
     """What the loop for robots allows joints whose scenario has no limit of it, shape (n,).
 
-    Args:
-        velocity: speed limits, shape (n,) [rad/s, m/s].
-        speed_up: time from rest to full speed [s].
+    Joints with a speed limit [rad/s, m/s] take ``speed_up`` from rest to full speed [s].
     """
     limited = np.isfinite(velocity) & (velocity > 0.0)
     allowed: Array = np.where(limited, velocity / speed_up, float(ACCELERATION_UNLIMITED))

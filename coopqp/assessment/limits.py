@@ -1,4 +1,4 @@
-"""Which limits a run was beyond, and which it was at.
+"""What limits had left in a run, as they say; which it was beyond, and at which it was.
 
 Places and speeds of joints are judged by the robot's own limits, whatever the scenario keeps free
 of them; all others by what :meth:`coopqp.limit.Limit.margins` says. What was beyond a limit from
@@ -7,24 +7,28 @@ the start counts from where it began.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from coopqp.assessment.thresholds import AT_LIMIT, HELD_UP, OUTSIDE, TOO_FAST, matters, rests
+from coopqp.base.errors import InvalidValueError
 from coopqp.base.qp import Row
-from coopqp.base.spec import Array
+from coopqp.base.spec import Array, type_name
+from coopqp.base.wording import raised, written_in
+from coopqp.limit import Limit
+from coopqp.model.closed_chain import ClosedChain
 from coopqp.trace import Trace
 
-#: Judged by the robot's limits; what cannot be braked any more shows when the place is overrun.
+#: Judged by the robot's limits; what cannot be braked any more shows when the place is left.
 JUDGED_OTHERWISE = ("position", "velocity", "braking")
 #: What joints' limits that bound no place are called, by the end of their unit.
 RATES = {"/s": "speed", "/s2": "acceleration"}
 
 
 @dataclass(frozen=True)
-class Overrun:
+class LimitViolation:
     """A limit that a run was beyond by more than is negligible.
 
     Attributes:
@@ -54,7 +58,7 @@ def beyond(trace: Trace) -> Array:
     return np.maximum(trace.lower - trace.q, trace.q - trace.upper)
 
 
-def joint_overruns(trace: Trace) -> tuple[Overrun, ...]:
+def joint_violations(trace: Trace) -> tuple[LimitViolation, ...]:
     """Of the places of joints, the farthest first."""
     out = np.maximum(beyond(trace), 0.0)
     found = []
@@ -67,13 +71,13 @@ def joint_overruns(trace: Trace) -> tuple[Overrun, ...]:
             label=f"{joint} ({side})",
         )  # fmt: skip
         start, end = float(out[0, i]), float(out[-1, i])
-        overrun = Overrun(joint, row, float(out[k, i]), float(trace.t[k]), start, end)
-        if matters(overrun.by, unit):
-            found.append(overrun)
-    return tuple(sorted(found, key=lambda overrun: -np.nan_to_num(overrun.by, nan=np.inf)))
+        violation = LimitViolation(joint, row, float(out[k, i]), float(trace.t[k]), start, end)
+        if matters(violation.by, unit):
+            found.append(violation)
+    return tuple(sorted(found, key=lambda violation: -np.nan_to_num(violation.by, nan=np.inf)))
 
 
-def too_fast(trace: Trace) -> tuple[Overrun, ...]:
+def speed_violations(trace: Trace) -> tuple[LimitViolation, ...]:
     """Speeds of joints beyond their limits, the largest share of it first."""
     speed = np.abs(trace.v)
     most = speed.max(axis=0, initial=0.0)
@@ -85,20 +89,20 @@ def too_fast(trace: Trace) -> tuple[Overrun, ...]:
         row = Row(name=f"speed of {joint}", kind="limit", owner=joint, unit=unit, joint=joint)
         over = np.maximum(speed[:, i] - trace.velocity[i], 0.0)
         at = float(trace.t[k])
-        found.append(Overrun(row.name, row, float(over[k]), at, 0.0, float(over[-1])))
+        found.append(LimitViolation(row.name, row, float(over[k]), at, 0.0, float(over[-1])))
     return tuple(found)
 
 
-def other_overruns(trace: Trace) -> tuple[Overrun, ...]:
+def other_violations(trace: Trace) -> tuple[LimitViolation, ...]:
     """Of all other limits that say so, one each."""
-    worst: dict[str, Overrun] = {}
+    worst: dict[str, LimitViolation] = {}
     for row, margin in trace.margins.items():
         if (row.joint and row.owner in JUDGED_OTHERWISE) or not margin.size:
             continue
         begun, k = -trace.starts.get(row, float(margin[0])), int(margin.argmin())
         by, at = max((-float(margin[k]), float(trace.t[k + 1])), (begun, float(trace.t[0])))
         at_start, at_end = max(0.0, begun), max(0.0, float(-margin[-1]))
-        found = Overrun(row.owner, row, by, at, at_start, at_end)
+        found = LimitViolation(row.owner, row, by, at, at_start, at_end)
         known = worst.get(row.owner)
         if matters(by, row.unit) and (
             not known or (found.farther, found.by) > (known.farther, known.by)
@@ -110,29 +114,18 @@ def other_overruns(trace: Trace) -> tuple[Overrun, ...]:
 def at_limits(trace: Trace, instant: int) -> tuple[str, ...]:
     """Joints at a limit that they have not left, and other limits of place, by name.
 
-    Args:
-        trace: of a run.
-        instant: row of trace.q.
+    Of others only for a controller that keeps them: one that breaks limits is not stopped by any.
     """
-    return tuple(dict.fromkeys((*_joints_at(trace, instant), *_others_at(trace, instant))))
-
-
-def _joints_at(trace: Trace, instant: int) -> Iterator[str]:
     out = beyond(trace)
     near = (out.max(axis=0) <= OUTSIDE) & (out[instant] > -AT_LIMIT)
-    yield from np.array(trace.joints)[near].tolist()
-
-
-def _others_at(trace: Trace, instant: int) -> Iterator[str]:
-    """Of a controller that keeps them: one that breaks limits is not stopped by any."""
-    if not trace.keeps_limits or instant == 0:
-        return
-    for row, margin in trace.margins.items():
+    names = np.array(trace.joints)[near].tolist()
+    for row, margin in trace.margins.items() if trace.keeps_limits and instant else ():
         at = margin[instant - 1] < AT_LIMIT
         if at and row.owner == "position":
-            yield row.joint
+            names.append(row.joint)
         elif at and row.unit == "m" and not row.joint:
-            yield row.owner
+            names.append(row.owner)
+    return tuple(dict.fromkeys(names))
 
 
 def slowed_by(trace: Trace, k: int) -> tuple[str, ...]:
@@ -140,10 +133,6 @@ def slowed_by(trace: Trace, k: int) -> tuple[str, ...]:
 
     Those that were met in many of the ticks for which a task counts, where the arms still move when
     these end. ``coopqp explain`` finds out more, with what would do.
-
-    Args:
-        trace: of a run.
-        k: which of its tasks.
     """
     instants = range(len(trace.t))[trace.tasks[k].rows]
     ticks = slice(instants[0], instants[-1])
@@ -160,3 +149,69 @@ def slowed_by(trace: Trace, k: int) -> tuple[str, ...]:
 def _rate_of(row: Row) -> str:
     rate = next(word for end, word in RATES.items() if row.unit.endswith(end))
     return f"{rate} of {row.joint}" if row.joint else row.owner
+
+
+@dataclass(frozen=True)
+class Audit:
+    """Of all limits, as the trace has it.
+
+    Attributes:
+        margins: after each tick, by row. starts: before the first, at rest.
+        unaudited: limits that do not say so, by name, with why where they say it wrongly.
+    """
+
+    margins: dict[Row, Array]
+    starts: dict[Row, float]
+    unaudited: tuple[str, ...]
+
+
+def audit(limits: Sequence[Limit], chain: ClosedChain, q: Array, v: Array, dt: float) -> Audit:
+    """Ask limits what they had left; q has shape (T + 1, n) [rad, m], v (T, n) [rad/s, m/s]."""
+    margins, starts, unaudited = dict[Row, Array](), dict[Row, float](), list[str]()
+    for limit in limits:
+        name = type_name(type(limit))
+        try:
+            own = left(limit, chain, q, v, dt)
+            begun = left(limit, chain, q[[0, 0]], np.zeros_like(q[:1]), dt)
+            if not limit.audited(chain):
+                unaudited.append(name)
+        except InvalidValueError as error:
+            unaudited.append(f"{name} ({error})")
+            continue
+        margins |= own
+        starts |= {row: float(margin[0]) for row, margin in begun.items()}
+    return Audit(margins, starts, tuple(dict.fromkeys(unaudited)))
+
+
+def left(limit: Limit, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
+    """What one limit had left after each tick: :meth:`coopqp.limit.Limit.margins`, checked.
+
+    Raises:
+        InvalidValueError: with its file, and what it raises or gives instead.
+    """
+    file = written_in(limit, "bind")
+    try:
+        found = limit.margins(chain, q, v, dt)
+        rows = {row: np.asarray(margin, float) for row, margin in found.items()}
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
+        raise InvalidValueError(raised(error, file)) from error
+    own = type(limit).__module__.startswith("coopqp.limits.")
+    for row, margin in rows.items():
+        if wrong := _wrong_with(row, margin, len(v), () if own else JUDGED_OTHERWISE):
+            raise InvalidValueError(f"{file}: margins() {wrong}")
+    return rows
+
+
+def _wrong_with(row: object, margin: Array, ticks: int, taken: Sequence[str]) -> str:
+    """Why a margin cannot be used; empty where it can."""
+    if not isinstance(row, Row):
+        return f"has the key {row!r:.40}, needs a Row"
+    if row.owner in taken:
+        return f"has a row of the owner '{row.owner}', which coopqp's own limit is; rename it"
+    if margin.shape != (ticks,):
+        return f"gives the shape {margin.shape} for '{row}', needs ({ticks},)"
+    if not (margin > -np.inf).all():
+        return f"gives {margin.min()} for '{row}', needs a number, or inf where nothing is near"
+    return ""

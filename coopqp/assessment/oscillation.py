@@ -77,9 +77,7 @@ def oscillation(
 def turns(q: Array, units: Sequence[str]) -> bool:
     """Whether a joint turns round in the last half of the time, so that it may oscillate.
 
-    Args:
-        q: since all references rest, shape (T + 1, n) [rad, m].
-        units: of the joints.
+    q is since all references rest, shape (T + 1, n) [rad, m].
     """
     if len(q) <= SHORTEST:
         return False

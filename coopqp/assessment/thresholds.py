@@ -15,13 +15,7 @@ from coopqp.solver import Budget
 
 
 class Threshold(float):
-    """A number that knows its unit and why it is so large.
-
-    Args:
-        value: the number.
-        unit: of it.
-        reason: one sentence.
-    """
+    """A number that knows its unit and why it is so large."""
 
     unit: str
     reason: str
@@ -106,22 +100,12 @@ def resolved(value: float, threshold: float) -> bool:
 
 
 def matters(by: float, unit: str) -> bool:
-    """Whether a limit is broken by more than is negligible; what is no number is broken.
-
-    Args:
-        by: how far beyond the limit [unit].
-        unit: of it.
-    """
+    """Whether a limit is broken by more than is negligible [unit]; what is no number is broken."""
     return not by <= _BEYOND.get(unit, ROUNDING)
 
 
 def closed(position: float, orientation: float) -> bool:
-    """Whether a loop counts as closed; what is no number is open.
-
-    Args:
-        position: how far apart two arms carry the object [m].
-        orientation: the same of its orientation [rad].
-    """
+    """Whether arms that carry one object so far apart [m], [rad] close a loop; NaN does not."""
     return bool(position <= LOOP_CLOSED and orientation <= LOOP_CLOSED_ANGLE)
 
 
@@ -131,9 +115,5 @@ def torn(position: float, orientation: float) -> bool:
 
 
 def rests(v: np.typing.NDArray[np.float64]) -> bool:
-    """Whether joints are at rest.
-
-    Args:
-        v: of all joints [rad/s, m/s].
-    """
+    """Whether joints with velocities v [rad/s, m/s] are at rest."""
     return bool(np.abs(v).max(initial=0.0) <= AT_REST)

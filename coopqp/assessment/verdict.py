@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.assessment.assessment import Assessment, TaskEnd
-from coopqp.assessment.ends import pushed
-from coopqp.assessment.limits import Overrun, beyond
+from coopqp.assessment.assessment import Assessment, TaskEnd, pushed
+from coopqp.assessment.limits import LimitViolation, beyond
 from coopqp.assessment.thresholds import (
     CALIBRATE,
     CALIBRATE_ANGLE,
@@ -28,8 +27,8 @@ from coopqp.assessment.thresholds import (
 from coopqp.solver import Status
 from coopqp.trace import Trace
 
-#: What a run that gave something up has done, by cause.
-GIVEN_UP = {
+#: What a run that relaxed something has done, by cause.
+RELAXED = {
     "TASKS_RELAXED": "does not meet hard or scaled tasks in full",
     "CONTACT_GIVEN_UP": "asks for more than friction can bear",
     "ACCELERATION_GIVEN_UP": "gives up an acceleration limit",
@@ -43,10 +42,7 @@ MOST_NAMES = 3
 def verdict(found: Assessment, metrics: Mapping[str, Any], unseen: Sequence[str] = ()) -> str:
     """Say in one sentence whether it gets there, keeps the limits and the loop closed.
 
-    Args:
-        found: the assessment of the run.
-        metrics: of its trace, by name.
-        unseen: what the limits ought to bound and cannot, one sentence each.
+    ``unseen`` is what the limits ought to bound and cannot, one sentence each.
     """
     parts = [
         *_broken(found.trace), _hold(found, metrics), _arrival(found), _motion(found),
@@ -154,7 +150,7 @@ def _limits(found: Assessment, unseen: Sequence[str]) -> str:
         return ", but ".join((f"keeps {_kept(found.trace, unseen)}", *silent))
     if not found.joints:
         return others
-    worst = next((overrun for overrun in found.joints if overrun.farther), found.joints[0])
+    worst = next((violation for violation in found.joints if violation.farther), found.joints[0])
     if worst.farther:
         far = _amount(worst.by, worst.row.unit)
         joints = f"drives {worst.name} {far} beyond its limit"
@@ -180,37 +176,37 @@ def _unaudited(trace: Trace) -> list[str]:
     return [f"{_listed(trace.unaudited)} {verb} not audited"] if trace.unaudited else []
 
 
-def _beyond(overrun: Overrun) -> str:
+def _beyond(violation: LimitViolation) -> str:
     """A limit other than a joint's, and how far it was broken."""
-    row, far = overrun.row, _amount(overrun.by, overrun.row.unit)
+    row, far = violation.row, _amount(violation.by, violation.row.unit)
     if row.unit not in ("m", "rad"):
         return f"exceeds the {row.words} by {far}"
     if row.bodies:
-        return _too_near(overrun)
-    if not overrun.farther:
-        out = matters(overrun.at_end, row.unit)
+        return _too_near(violation)
+    if not violation.farther:
+        out = matters(violation.at_end, row.unit)
         return f"starts {far} beyond {row.words} and {'ends outside' if out else 'comes back'}"
-    start = f" ({_amount(overrun.at_start, row.unit)} at the start)" if overrun.at_start else ""
+    start = f" ({_amount(violation.at_start, row.unit)} at the start)" if violation.at_start else ""
     return f"goes {far} beyond {row.words}{start}"
 
 
-def _too_near(overrun: Overrun) -> str:
+def _too_near(violation: LimitViolation) -> str:
     """Two bodies that were nearer to each other than asked."""
-    row, far = overrun.row, _amount(overrun.by, "m")
+    row, far = violation.row, _amount(violation.by, "m")
     one, other = row.bodies
-    left = row.kept - overrun.by
+    left = row.kept - violation.by
     what = f"{one} {far} nearer to {other} than asked"
     if left > 0.0:
         what += f" ({_round(1e3 * left)} of {_round(1e3 * row.kept)} mm left)"
     elif left < 0.0:
         what += f", {_amount(-left, 'm')} deep in it"
-    if not overrun.farther:
-        return f"starts with {what} and {'ends so' if matters(overrun.at_end, 'm') else 'parts'}"
-    start = f", {_amount(overrun.at_start, 'm')} at the start" if overrun.at_start else ""
+    if not violation.farther:
+        return f"starts with {what} and {'ends so' if matters(violation.at_end, 'm') else 'parts'}"
+    start = f", {_amount(violation.at_start, 'm')} at the start" if violation.at_start else ""
     return f"brings {what}{start}"
 
 
-def _way_back(found: Assessment, worst: Overrun) -> str:
+def _way_back(found: Assessment, worst: LimitViolation) -> str:
     """Of a run that starts outside, and goes no farther out."""
     trace = found.trace
     far = _amount(worst.at_start, worst.row.unit)
@@ -342,7 +338,7 @@ def _ticks(found: Assessment, metrics: Mapping[str, Any]) -> str:
         said.append(f"has an input stale in {found.inputs.stale} of {ticks} ticks")
     said += [
         f"{words} in {given_up[cause]} of {ticks} ticks"
-        for cause, words in GIVEN_UP.items()
+        for cause, words in RELAXED.items()
         if cause in given_up
     ]
     return "; ".join(said)

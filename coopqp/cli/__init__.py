@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from coopqp import __version__
-from coopqp.cli import live, scenarios, studies
+from coopqp.cli import scenarios, studies
 from coopqp.cli.ending import Group
 
 
@@ -19,7 +19,7 @@ def main(debug: bool) -> None:
     """
 
 
-for module in (scenarios, studies, live):
+for module in (scenarios, studies):
     for command in vars(module).values():
         if isinstance(command, click.Command):
             main.add_command(command)

@@ -1,8 +1,9 @@
-"""Commands on scenario files: run them, look at them, check them."""
+"""Commands on scenario files: run them, look at them, check them, play them."""
 
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -72,7 +73,7 @@ def mobility(
     """Tell what a scenario's grasp allows, before anything moves."""
     from coopqp.report import files, strict_json
     from coopqp.report import mobility as report
-    from coopqp.report.terminal import console
+    from coopqp.report.table import console
 
     scheme = [name.strip() for name in actuated.split(",")] if actuated is not None else None
     study = report.study(read_scenario(scenario, catalog), scheme, phase=phase)
@@ -102,7 +103,7 @@ def solve_start(scenario: str, seed: int | None, catalog: Any, as_json: bool) ->
     Without object.pose the loops are closed near its own start, wherever that puts the object.
     """
     from coopqp.report import strict_json
-    from coopqp.report.terminal import progress_bars
+    from coopqp.report.table import progress_bars
     from coopqp.scenario.loader import load_and_solve
     from coopqp.scenario.start_solver import yaml_text
 
@@ -179,7 +180,7 @@ def _build_all(scenario: Any, name: str) -> None:
 @JSON
 def list_(kind: str | None, catalog: Any, as_json: bool) -> None:
     """List what scenarios can name, with a line of help each."""
-    from coopqp.report.terminal import console, help_lines, names_table
+    from coopqp.report.table import console, help_lines, names_table
 
     rows = {k: help_lines(k, catalog) for k in ([kind] if kind else COLLECTIONS)}
     if as_json:
@@ -194,9 +195,9 @@ def list_(kind: str | None, catalog: Any, as_json: bool) -> None:
 def schema(catalog: Any, study: bool) -> None:
     """Print the JSON Schema of scenario files, for editors."""
     from coopqp.scenario.form import file_model
-    from coopqp.study.sweep import form
+    from coopqp.study.sweep import reader
 
-    data = form.schema(catalog) if study else file_model(catalog).model_json_schema()
+    data = reader.schema(catalog) if study else file_model(catalog).model_json_schema()
     click.echo(json.dumps(data, indent=2))
 
 
@@ -204,7 +205,7 @@ def compare_on(scenario: Any, controllers: list[str], out: Path | None, *, as_js
     """Run, print the table or JSON, and write the report to a folder, if one is given."""
     from coopqp.execution.comparison import compare as run_all
     from coopqp.report import files, table
-    from coopqp.report.terminal import console, progress_bars
+    from coopqp.report.table import console, progress_bars
 
     print_notes(scenario, controllers)
     if out:
@@ -222,3 +223,88 @@ def compare_on(scenario: Any, controllers: list[str], out: Path | None, *, as_js
     written = files.write(comparison, out) if out else []
     for path in written if not as_json else ():
         say(f"wrote {path}", aside=False)
+
+
+class _Speed(click.FloatRange):
+    """A share of real time; NaN is in no range."""
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        speed = super().convert(value, param, ctx)
+        if math.isnan(speed):
+            self.fail(f"{value} is not in the range {self._describe_range()}.", param, ctx)
+        return speed
+
+
+@click.command()
+@SCENARIO
+@click.option(
+    "--controller", "controllers", multiple=True,
+    help="Which; may be given more than once. All of the scenario's if omitted.",
+)  # fmt: skip
+@click.option("--port", type=int, default=8080, help="Of the page; any that is free if 0.")
+@click.option("--host", default="127.0.0.1", help="Address to listen on; this machine's alone.")
+@click.option("--speed", type=_Speed(0.05, 4.0), default=1.0, help="Times real time, at first.")
+@click.option(
+    "--record", type=WRITTEN,
+    help="Folder for a recording, which coopqp compare replays; written at the end too.",
+)  # fmt: skip
+@SOLVER
+@catalogued
+def play(
+    scenario: str,
+    controllers: tuple[str, ...],
+    port: int,
+    host: str,
+    speed: float,
+    record: Path | None,
+    solver: str | None,
+    catalog: Any,
+) -> None:
+    """Play a scenario on a page in the browser, where its goals can be dragged.
+
+    SCENARIO is a YAML file or the name of a shipped scenario (coopqp list scenarios).
+    """
+    from coopqp.base.errors import CoopqpError
+    from coopqp.viewer import play as viewer
+    from coopqp.viewer.player import Player
+    from coopqp.viewer.recording import check_folder
+
+    viewer.check_viewer()
+    viewer.check_address(host, port)
+    if record:
+        check_folder(record)
+    loaded = read_scenario(scenario, catalog, solver)
+    print_notes(loaded, controllers, steered=True)
+
+    player = Player(loaded, controllers, record)
+    player.speed = speed
+    left_out = (f"{name} is left out: {why}" for name, why in player.refused.items())
+    for line in (*left_out, *player.faults):
+        say(f"warning: {line}")
+    try:
+        viewer.play(player, host, port, lambda page: click.echo(f"{page}  (Ctrl-C ends it)"))
+    except CoopqpError:
+        player.save()  # the recording survives the page
+        raise
+    except KeyboardInterrupt:
+        words = f"ended after {player.controllers[0].t:.2f} s"
+        if record:
+            player.save()
+            words += f"; {player.note}"
+        click.echo(words)
+
+
+@click.command(context_settings={"ignore_unknown_options": True})
+@SCENARIO
+@click.argument("ros_args", nargs=-1, type=click.UNPROCESSED, metavar="[--ros-args ...]")
+@catalogued
+def ros(scenario: str, ros_args: tuple[str, ...], catalog: Any) -> None:
+    """Run a scenario on a robot as a node of ROS 2 (docs/ros.md).
+
+    Its parameters and topics are ROS's own, after --ros-args.
+    """
+    from coopqp.ros.node import run_node
+
+    if ros_args and ros_args[0] != "--ros-args":
+        raise click.UsageError(f"found {ros_args[0]}; what is for ROS comes after --ros-args")
+    click.echo(str(run_node(read_scenario(scenario, catalog), ros_args)))

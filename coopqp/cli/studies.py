@@ -53,7 +53,7 @@ def explain(
     made of it.
     """
     from coopqp.report import files, table
-    from coopqp.report.terminal import progress_bars
+    from coopqp.report.table import progress_bars
     from coopqp.study.explanation import explain_run
     from coopqp.study.trace_file import trace_from_file, worth_explaining
 
@@ -122,7 +122,7 @@ def calibrate(
     """
     from coopqp.report import calibration as report
     from coopqp.report import strict_json
-    from coopqp.report.terminal import console
+    from coopqp.report.table import console
     from coopqp.study.calibration import calibrate as find
     from coopqp.study.trace_file import measured_run
 
@@ -160,7 +160,7 @@ def replay(
     """
     from coopqp.recordings.known import is_run
     from coopqp.report import strict_json, table
-    from coopqp.report.terminal import console
+    from coopqp.report.table import console
     from coopqp.scenario.loader import solver_by_name, solver_names
     from coopqp.study.tick_record import TickRecord
     from coopqp.study.tick_record import replay as solve_again
@@ -251,7 +251,7 @@ def _run(what: Path, out: Path, engine: Any, catalog: Any, *, watch: bool, as_js
             if page:
                 page.update()
 
-        done = study_of.sweep(study, out, engine=engine, folders=catalog.folders, progress=progress)
+        done = study_of.sweep(study, out, engine=engine, progress=progress)
     if done.damaged:
         say(f"warning: {_records(done.damaged)} damaged; what stood there has been done again")
     _print(study, out, as_json=as_json)
@@ -285,7 +285,7 @@ def _print(study: Any, folder: Path, *, as_json: bool) -> None:
     from coopqp.report import strict_json
     from coopqp.report.sweep import table
     from coopqp.report.sweep.page import write
-    from coopqp.report.terminal import console
+    from coopqp.report.table import console
     from coopqp.study.sweep.results import Columns
     from coopqp.study.sweep.summary import summarize
 

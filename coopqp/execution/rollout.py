@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 
-from coopqp.assessment.audit import audit
+from coopqp.assessment.limits import audit
 from coopqp.assessment.thresholds import within
 from coopqp.base.spec import Array
 from coopqp.controller import NO_FEATURES, Command, Features, Law

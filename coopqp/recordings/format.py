@@ -62,13 +62,12 @@ class ExportFormat(Format):
         return path.suffix == self.suffix
 
     @abstractmethod
-    def write(self, run: Run, scenario: Scenario, source: str, path: Path) -> None:
+    def write(self, run: Run, scenario: Scenario, path: Path) -> None:
         """Write a new file.
 
         Args:
             run: of one controller.
             scenario: as the controller holds it, :meth:`Scenario.held_by`.
-            source: the scenario's text, :attr:`Scenario.portable`.
             path: of the file.
 
         Raises:
@@ -77,7 +76,7 @@ class ExportFormat(Format):
             OSError: the file cannot be written.
         """
 
-    def replace(self, run: Run, scenario: Scenario, source: str, path: Path) -> None:
+    def replace(self, run: Run, scenario: Scenario, path: Path) -> None:
         """Write a file, as :meth:`write`; one that is there stays until the new one is whole.
 
         Raises:
@@ -88,7 +87,7 @@ class ExportFormat(Format):
         aside = path.with_name(f".{path.name}-{secrets.token_hex(8)}")
         try:
             aside.mkdir(parents=True)
-            self.write(run, scenario, source, aside / path.name)  # files in it are named after it
+            self.write(run, scenario, aside / path.name)  # files in it are named after it
             if path.is_dir():
                 shutil.rmtree(path)
             os.replace(aside / path.name, path)

@@ -58,4 +58,4 @@ def export(run: Run, scenario: Scenario, to: str, controller: str, out: Path) ->
         raise UnknownNameError("format", to, NAMES)
     if out.resolve() == run.path.resolve():
         raise CoopqpError(f"'{out}' is what is read; choose another name with --out")
-    chosen.replace(run.of(controller), scenario.held_by(controller), scenario.portable, out)
+    chosen.replace(run.of(controller), scenario.held_by(controller), out)

@@ -9,7 +9,8 @@ the scenario.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -35,7 +36,7 @@ class Mcap(ExportFormat):
     name: ClassVar[str] = "mcap"
     suffix: ClassVar[str] = ".mcap"
 
-    def write(self, run: Run, scenario: Scenario, source: str, path: Path) -> None:
+    def write(self, run: Run, scenario: Scenario, path: Path) -> None:
         # foxglove's own writer prints what goes wrong, and goes on; this one raises.
         with needs("MCAP"):
             from foxglove import messages
@@ -43,7 +44,7 @@ class Mcap(ExportFormat):
         with open(path, "wb") as stream:
             writer = Writer(stream, chunk_size=CHUNK)
             writer.start(library=f"coopqp {__version__}")
-            writer.add_attachment(0, 0, ATTACHED, "text/yaml", source.encode("utf-8"))
+            writer.add_attachment(0, 0, ATTACHED, "text/yaml", scenario.portable.encode("utf-8"))
             controller = run.controllers[0]
             writer.add_metadata("coopqp", {"controller": controller})
             file = _Messages(writer, messages, controller)
@@ -52,21 +53,25 @@ class Mcap(ExportFormat):
             writer.finish()
 
     def read(self, path: Path) -> Run:
-        with needs("MCAP"):
-            from mcap.reader import make_reader
-        with open_bytes(path) as stream, readable(path):
-            found = make_reader(stream).iter_messages([TICK])
+        with _reader(path) as reader:
+            found = reader.iter_messages([TICK])
             rows = (flat(json.loads(message.data)) for _, _, message in found)
             return read_rows(path, f"{path}: message ", rows)
 
     def scenario(self, path: Path, catalog: Catalog) -> Scenario:
-        with needs("MCAP"):
-            from mcap.reader import make_reader
-        with open_bytes(path) as stream, readable(path):
-            attached = {found.name: found.data for found in make_reader(stream).iter_attachments()}
+        with _reader(path) as reader:
+            attached = {found.name: found.data for found in reader.iter_attachments()}
         if ATTACHED not in attached:
             raise CoopqpError(f"{path}: holds no run of coopqp: has no attachment '{ATTACHED}'")
         return load_text(path, attached[ATTACHED].decode("utf-8", "replace"), catalog)
+
+
+@contextmanager
+def _reader(path: Path) -> Iterator[Any]:
+    with needs("MCAP"):
+        from mcap.reader import make_reader
+    with open_bytes(path) as stream, readable(path):
+        yield make_reader(stream)
 
 
 class _Messages:

@@ -7,6 +7,7 @@ NaN. The metadata of the file has the scenario, that of each field its unit.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -35,11 +36,11 @@ class Parquet(ExportFormat):
     name: ClassVar[str] = "parquet"
     suffix: ClassVar[str] = ".parquet"
 
-    def write(self, run: Run, scenario: Scenario, source: str, path: Path) -> None:
+    def write(self, run: Run, scenario: Scenario, path: Path) -> None:
         with needs("Parquet"):
             import pyarrow as pa
             from pyarrow import parquet as pq
-        schema = arrow_schema(scenario, run.controllers[0], source, run.columns)
+        schema = arrow_schema(scenario, run.controllers[0], scenario.portable, run.columns)
         with pq.ParquetWriter(path, schema, compression="zstd") as writer:
             for first in range(0, len(run), GROUP):
                 part = run.only(slice(first, first + GROUP)).columns.values()
@@ -49,17 +50,21 @@ class Parquet(ExportFormat):
                 writer.write_batch(pa.record_batch(arrays, schema=schema))
 
     def read(self, path: Path) -> Run:
-        with needs("Parquet"):
-            from pyarrow import parquet as pq
-        with open_bytes(path) as stream, readable(path):
-            return _run(path, pq.ParquetFile(stream).read())
+        with _file(path) as file:
+            return _run(path, file.read())
 
     def scenario(self, path: Path, catalog: Catalog) -> Scenario:
-        with needs("Parquet"):
-            from pyarrow import parquet as pq
-        with open_bytes(path) as stream, readable(path):
-            kept = pq.ParquetFile(stream).schema_arrow.metadata
+        with _file(path) as file:
+            kept = file.schema_arrow.metadata
         return _scenario_in(path, kept, catalog)
+
+
+@contextmanager
+def _file(path: Path) -> Iterator[Any]:
+    with needs("Parquet"):
+        from pyarrow import parquet as pq
+    with open_bytes(path) as stream, readable(path):
+        yield pq.ParquetFile(stream)
 
 
 class ArrowStream(Format):

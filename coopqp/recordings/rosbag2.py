@@ -40,7 +40,7 @@ class Rosbag2(ExportFormat):
     def holds(self, path: Path) -> bool:
         return path.suffix == self.suffix or (path / "metadata.yaml").is_file()
 
-    def write(self, run: Run, scenario: Scenario, source: str, path: Path) -> None:
+    def write(self, run: Run, scenario: Scenario, path: Path) -> None:
         with needs("rosbag2"):
             from rosbags.rosbag2 import Writer
         try:
@@ -48,7 +48,8 @@ class Rosbag2(ExportFormat):
                 bag = _Bag(writer, run.controllers[0])
                 for i, instant in enumerate(instants_of(run, scenario)):
                     if not i:
-                        bag.write(SCENARIO, STRING, instant.ns, bag.new(STRING, data=source))
+                        text = bag.new(STRING, data=scenario.portable)
+                        bag.write(SCENARIO, STRING, instant.ns, text)
                     bag.log(instant)
         except sqlite3.Error as error:  # as of a full disk
             raise OSError(str(error)) from error

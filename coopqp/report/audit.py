@@ -116,13 +116,13 @@ def limits_of(trace: Trace) -> list[Audited]:
             name = f"{row.owner} of {row.joint}" if row.joint else row.owner
             groups.setdefault(name, []).append((row, margin))
     return [
-        Audited(name, min(group, key=_least)[0], np.min([margin for _, margin in group], axis=0))
+        Audited(
+            name,
+            min(group, key=lambda entry: float(entry[1].min()))[0],
+            np.min([margin for _, margin in group], axis=0),
+        )
         for name, group in groups.items()
     ]
-
-
-def _least(entry: tuple[Row, Array]) -> float:
-    return float(entry[1].min())
 
 
 def _tightest(trace: Trace) -> list[Audited]:

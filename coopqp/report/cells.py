@@ -12,7 +12,7 @@ import numpy as np
 from coopqp.assessment import Assessment, assess
 from coopqp.assessment.limits import beyond
 from coopqp.assessment.thresholds import OUTSIDE, matters
-from coopqp.base.spec import Array
+from coopqp.base.spec import Array, type_name
 from coopqp.execution.comparison import Comparison
 from coopqp.scenario.scenario import Scenario
 from coopqp.trace import Trace
@@ -123,10 +123,10 @@ def _solver(metrics: Mapping[str, Any]) -> str:
     return f"kernel, {solver} in {left} ticks" if left else "kernel"
 
 
-def _limit(assessed: Assessment, overrun: float, unit: str) -> Cell:
+def _limit(assessed: Assessment, violation: float, unit: str) -> Cell:
     """Joints first, then all other limits; what a start is beyond is nobody's fault."""
     others = assessed.limits
-    lines = [_quantity(overrun, unit)] if matters(overrun, unit) or not others else []
+    lines = [_quantity(violation, unit)] if matters(violation, unit) or not others else []
     for found in others:
         value, of = length(found.by, found.row.unit)
         lines.append(f"{found.row.owner}: {number(value)}{NBSP}{of}")
@@ -158,7 +158,7 @@ def facts(comparison: Comparison) -> list[tuple[str, str]]:
     """What the runs have in common, as name and value."""
     scenario = comparison.scenario
     dropped = scenario.chain.loops.dropped
-    limits = ", ".join(plugin_name(limit) for limit in scenario.limits) or "none"
+    limits = ", ".join(type_name(type(limit)) for limit in scenario.limits) or "none"
     listed = [
         ("robot", scenario.robot_model.name),
         ("control period", f"{1e3 * scenario.dt:g} ms"),
@@ -167,7 +167,7 @@ def facts(comparison: Comparison) -> list[tuple[str, str]]:
         ("drift correction κ", f"{scenario.drift_gain:g} 1/s ({_worst_gap(comparison)})"),
         ("QP solver", _solvers(comparison)),
         ("limits of the QP", limits),
-        ("plant", plugin_name(scenario.plant)),
+        ("plant", type_name(type(scenario.plant))),
     ]
     if dropped:
         listed.append(("redundant loop rows left out", ", ".join(dropped)))
@@ -179,11 +179,6 @@ def _phases(scenario: Scenario) -> str:
         f"{phase.name} ({' and '.join(phase.released)} released)" if phase.released else phase.name
         for phase in scenario.phases
     )
-
-
-def plugin_name(plugin: object) -> str:
-    """The name in YAML, which is the name of the file."""
-    return type(plugin).__module__.rpartition(".")[2]
 
 
 def length(value: float, unit: str) -> tuple[float, str]:

@@ -69,8 +69,14 @@ def write_one(path: Path, content: str) -> None:
     Raises:
         CoopqpError: it cannot be written.
     """
+    aside = path.parent / _new_name()
     try:
-        replace_file(path, content)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            _write(aside, content)
+            os.replace(aside, path)
+        finally:
+            aside.unlink(missing_ok=True)
     except OSError as error:
         raise CoopqpError(f"cannot write '{path}': {error.strerror or error}") from error
 
@@ -84,7 +90,25 @@ def check_folder(folder: Path) -> None:
     if any(next(folder.glob(pattern), None) for pattern in (PATTERN, OLDER)):
         words = "holds a study, whose page a report would replace; give another --out"
         raise CoopqpError(f"'{folder}' {words}")
-    _check_writable(folder, NAMES)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with _alone(folder):
+            _sweep(folder)
+            trial = _new_folder(folder)
+            os.symlink(trial.name, trial / "link")
+            shutil.rmtree(trial)
+        for name in NAMES:
+            if os.path.lexists(folder / name) and (folder / name).is_dir():
+                raise CoopqpError(
+                    f"'{folder / name}' is a folder, but a file is to be written there"
+                )
+        if os.path.lexists(folder / POINTER) and not (folder / POINTER).is_symlink():
+            raise CoopqpError(f"'{folder / POINTER}' is in the way; remove it")
+    except FileExistsError:
+        raise CoopqpError(one_line(f"'{folder}' is not a folder")) from None
+    except OSError as error:
+        words = f"cannot write to '{folder}': {error.strerror or error}"
+        raise CoopqpError(one_line(words)) from error
 
 
 def metrics_json(comparison: Comparison) -> str:
@@ -118,44 +142,6 @@ def publish(contents: Mapping[str, str], folder: Path) -> list[Path]:
         finally:
             _sweep(folder)
     return [folder / name for name in contents]
-
-
-def _check_writable(folder: Path, names: Iterable[str]) -> None:
-    """Refuse a folder that cannot be written to, or that has a folder of one of the names."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with _alone(folder):
-            _sweep(folder)
-            trial = _new_folder(folder)
-            os.symlink(trial.name, trial / "link")
-            shutil.rmtree(trial)
-        for name in names:
-            if os.path.lexists(folder / name) and (folder / name).is_dir():
-                raise CoopqpError(
-                    f"'{folder / name}' is a folder, but a file is to be written there"
-                )
-        if os.path.lexists(folder / POINTER) and not (folder / POINTER).is_symlink():
-            raise CoopqpError(f"'{folder / POINTER}' is in the way; remove it")
-    except FileExistsError:
-        raise CoopqpError(one_line(f"'{folder}' is not a folder")) from None
-    except OSError as error:
-        words = f"cannot write to '{folder}': {error.strerror or error}"
-        raise CoopqpError(one_line(words)) from error
-
-
-def replace_file(path: Path, content: str) -> None:
-    """Write one file; the old one stays until the new one is whole.
-
-    Raises:
-        OSError: it cannot be written.
-    """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    aside = path.parent / _new_name()
-    try:
-        _write(aside, content)
-        os.replace(aside, path)
-    finally:
-        aside.unlink(missing_ok=True)
 
 
 @contextmanager

@@ -12,12 +12,13 @@ from typing import Any
 from plotly.offline import get_plotlyjs
 
 from coopqp import __version__
-from coopqp.assessment.ends import FORCES
+from coopqp.assessment.assessment import FORCES
 from coopqp.assessment.thresholds import ACCELERATION_UNLIMITED, SPEED_UP
+from coopqp.base.spec import type_name
 from coopqp.execution.comparison import Comparison
 from coopqp.limits import JointAcceleration
 from coopqp.report import audit
-from coopqp.report.cells import COLUMNS, Cell, Column, cells, facts, plugin_name
+from coopqp.report.cells import COLUMNS, Cell, Column, cells, facts
 from coopqp.report.curves import Figure
 from coopqp.report.figures.groups import Group, groups
 from coopqp.report.scene.playback import scene
@@ -167,7 +168,7 @@ def how_to_read(comparison: Comparison) -> Iterator[str]:
     yield _of_motors(comparison)
     of_forces = list(_forces(comparison))
     yield from of_forces
-    laws = [plugin_name(law) for law in comparison.scenario.controllers.values()]
+    laws = [type_name(type(law)) for law in comparison.scenario.controllers.values()]
     if not of_forces or any("pseudoinverse" in law for law in laws):
         yield from _laws(comparison)
 
@@ -211,7 +212,7 @@ def _forces(comparison: Comparison) -> Iterator[str]:
             "all that yields."
         )
     tasks = [task for phase in scenario.schedule for task in phase.tasks]
-    if any(plugin_name(task) == "impedance" for task in tasks):
+    if any(type_name(type(task)) == "impedance" for task in tasks):
         yield (
             "An impedance lets the object give way like a mass on springs: a push F moves it by "
             "F / K, with the stiffness K as stated. While it is pushed its error is how far it has "

@@ -177,13 +177,6 @@ class Shelf:
         return found
 
 
-def shipped() -> Iterator[Shelf]:
-    """What comes with coopqp."""
-    folder = Path(__file__).parents[1]
-    for kind in COLLECTIONS:
-        yield Shelf(kind, folder / kind, f"coopqp.{kind}")
-
-
 def installed() -> Iterator[Shelf | Fault]:
     """What installed packages bring along."""
     for point in _points(tuple((place, _changed(place)) for place in sys.path)):
@@ -215,17 +208,6 @@ def _changed(place: str) -> int:
         return Path(place).stat().st_mtime_ns
     except OSError:
         return 0
-
-
-def in_folder(folder: Path) -> Iterator[Shelf | Fault]:
-    """What a user's folder of plug-ins holds."""
-    yield from _in_subfolders(absolute(folder), None)
-
-
-def of_tasks(folder: Path) -> Shelf:
-    """A user's folder of task files alone."""
-    folder = absolute(folder)
-    return Shelf("tasks", folder, package_of(folder))
 
 
 def _in_subfolders(folder: Path, package: str | None) -> Iterator[Shelf | Fault]:
@@ -284,8 +266,14 @@ class Catalog:
     ) -> None:
         self.folders = tuple(tuple(map(absolute, kind)) for kind in (task_folders, plugin_folders))
         self._collections: dict[str, dict[str, Entry]] = {kind: {} for kind in COLLECTIONS}
-        faults, users = list[Fault](), map(in_folder, plugin_folders)
-        shelves = chain(shipped(), installed(), *users, map(of_tasks, task_folders))
+        faults, (tasks, plugins) = list[Fault](), self.folders
+        shipped = Path(__file__).parents[1]
+        shelves = chain(
+            (Shelf(kind, shipped / kind, f"coopqp.{kind}") for kind in COLLECTIONS),
+            installed(),
+            *(_in_subfolders(folder, None) for folder in plugins),
+            (Shelf("tasks", folder, package_of(folder)) for folder in tasks),
+        )
         for shelf in dict.fromkeys(shelves):
             if isinstance(shelf, Fault):
                 faults.append(shelf)

@@ -27,7 +27,7 @@ from coopqp.model.grasp_configuration import arm_weights, grasp_of_each
 from coopqp.model.state import State
 from coopqp.robot import RobotModel
 from coopqp.scenario.input import Feed, Inputs, wanted
-from coopqp.scenario.scenario import Phase, Scenario, Start, arm_names, start_of
+from coopqp.scenario.scenario import Phase, Scenario, Start, start_of
 from coopqp.scenario.trial import Places, blamed, try_limit, try_task
 from coopqp.scenario.yaml import MisplacedError, Wrong
 from coopqp.task import Task
@@ -232,17 +232,18 @@ def check_start(data: Mapping[str, Any], scenario: Scenario, known: Known) -> No
         arm_weights(robot, scenario.weights)
     with at(["grasps"]):
         grasp_of_each(robot, scenario.grasps)
-    outside = [] if allowed else outside_limits(robot, of_robot, q, key)
+    outside = [] if allowed else _joints_outside(robot, of_robot, q, key)
     refuse([*_released(scenario), *outside])
     with at(_longest(scenario)):
         scenario.check_size()
     known.lend_chain(scenario)
     chain = _closed(data, scenario, key)
-    if wrong := _too_large(chain):
-        refuse([Wrong(["object", "size"], wrong)])
+    refuse(_too_large(chain))
     if not allowed:
-        refuse(_passive_outside(chain, passive, key))
-    problems = scenario.problems(lambda _: chain.q_start)
+        values = (chain.joint_units, chain.q_start, chain.lower, chain.upper)
+        joints = dict(zip(chain.joint_names, zip(*values, strict=True), strict=True))
+        refuse(wrong for name in passive for wrong in _outside([key, name], name, *joints[name]))
+    problems = list(scenario.problems(lambda _: chain.q_start))
     # Later phases are tried where the first begins: nobody knows yet where the motion leads.
     places = {
         phase.name: Places(problem.chain, known.place(phase.name))
@@ -306,7 +307,7 @@ def _longest(scenario: Scenario) -> Location:
 
 
 def _released(scenario: Scenario) -> Iterator[Wrong]:
-    arms = arm_names(scenario.robot_model)
+    arms = {arm.name for arm in scenario.robot_model.arms}
     for i, phase in enumerate(scenario.phases):
         place: Location = ["phases", i, "released"]
         for name in phase.released:
@@ -402,45 +403,32 @@ def _broken_limits(scenario: Scenario, places: Places) -> Iterator[Wrong]:
             yield Wrong(["limits", i], f"margin: found {limit.margin:g}, {words}")
 
 
-def _passive_outside(chain: ClosedChain, passive: Mapping[str, float], key: str) -> Iterator[Wrong]:
-    for name in passive:
-        i = chain.joint_names.index(name)
-        value, low, high = chain.q_start[i], chain.lower[i], chain.upper[i]
-        if not low <= value <= high:
-            words = _outside(name, value, (low, high), _unit(chain.joint_units[i], key))
-            yield Wrong([key, name], words)
-
-
-def outside_limits(robot: RobotModel, start: Start, q: Array, key: str) -> Iterator[Wrong]:
-    """Where a start leaves the position limits, and by how much."""
+def _joints_outside(robot: RobotModel, start: Start, q: Array, key: str) -> Iterator[Wrong]:
+    """Where a start leaves the robot's position limits, and by how much."""
     if key == "start" and _like_degrees(robot, q):
         words = "found angles of more than a turn, which are inside the limits in degrees"
         yield Wrong([key], f"{words}; did you mean start_deg?")
         return
     lower, upper = robot.model.lowerPositionLimit, robot.model.upperPositionLimit
     arms = {arm.name: robot.arm_joints(arm) for arm in robot.arms}
-    joints_of_robot = zip(robot.joint_names, robot.joint_units, q, lower, upper, strict=True)
-    for joint, unit, value, low, high in joints_of_robot:
-        if low <= value <= high:
-            continue
+    values = zip(robot.joint_names, robot.joint_units, q, lower, upper, strict=True)
+    for joint, *value in values:
         location: list[str | int] = [key, joint]
         for arm, joints in arms.items():
             if arm in start and joint in joints and joint not in start:
                 location = [key, arm, joints.index(joint)]
-        yield Wrong(location, _outside(joint, value, (low, high), _unit(unit, key)))
+        yield from _outside(location, joint, *value)
 
 
-def _unit(unit: str, key: str) -> str:
-    return "degrees" if unit == "rad" and key == "start_deg" else unit
-
-
-def _outside(joint: str, value: float, limits: tuple[float, float], unit: str) -> str:
-    scale = math.degrees(1.0) if unit == "degrees" else 1.0
-    low, high = limits
-    return (
-        f"{joint} starts at {value * scale:.6g} {unit}, outside its limits "
-        f"{low * scale:.6g} to {high * scale:.6g}; or say start_outside: true to see it recover"
-    )
+def _outside(
+    place: Location, joint: str, unit: str, value: float, low: float, high: float
+) -> Iterator[Wrong]:
+    if low <= value <= high:
+        return
+    if unit == "rad" and place[0] == "start_deg":
+        unit, (value, low, high) = "degrees", np.degrees((value, low, high)).tolist()
+    words = f"{joint} starts at {value:.6g} {unit}, outside its limits {low:.6g} to {high:.6g}"
+    yield Wrong(place, f"{words}; or say start_outside: true to see it recover")
 
 
 def _like_degrees(robot: RobotModel, q: Array) -> bool:
@@ -451,11 +439,8 @@ def _like_degrees(robot: RobotModel, q: Array) -> bool:
     return bool((np.abs(q[outside]) > 2.0 * math.pi).any() and inside[turns].all())
 
 
-def _too_large(chain: ClosedChain) -> str:
+def _too_large(chain: ClosedChain) -> Iterator[Wrong]:
     longest = max(chain.held.size)
-    if longest <= LARGE * chain.reach:
-        return ""
-    return (
-        f"found an edge of {longest:g} m, but the arms reach {chain.reach:.2g} m; "
-        "lengths are metres"
-    )
+    if longest > LARGE * chain.reach:
+        words = f"found an edge of {longest:g} m, but the arms reach {chain.reach:.2g} m"
+        yield Wrong(["object", "size"], f"{words}; lengths are metres")

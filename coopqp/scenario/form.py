@@ -209,9 +209,6 @@ def check(file: YamlFile, catalog: Catalog) -> BaseModel:
         """A robot inside a robot, such as one of several."""
         return _inner(robot, value, context)
 
-    own = file.data.get("folder")
-    folder = file.path.parent / own if isinstance(own, str) else file.path.parent
-
     def read_signal(value: dict[str, Any], needed: bool) -> Signal | None:
         """A signal where a task may have one."""
         if not needed and not (len(value) == 1 and set(value) <= set(catalog.entries("signals"))):
@@ -219,7 +216,7 @@ def check(file: YamlFile, catalog: Catalog) -> BaseModel:
         signal: Signal = _inner(signal_slot, value, context)
         return signal
 
-    context = {"folder": folder, "robot": read_robot, "signal": read_signal}
+    context = {"folder": file.folder, "robot": read_robot, "signal": read_signal}
     found = list(_phases_or_not(file.data))
     try:
         read = model.model_validate_json(json.dumps(file.data), context=context)

@@ -63,7 +63,6 @@ def _read(file: YamlFile, catalog: Catalog, *, needs_start: bool = True) -> Scen
     """The scenario as the file says it, of which nothing is built yet."""
     read: Any = check(file, catalog)
     keys = given(read)
-    own_folder = absolute(file.path.parent / keys["folder"])
     scenario = Scenario(
         **{
             **fields_of(keys),
@@ -73,7 +72,7 @@ def _read(file: YamlFile, catalog: Catalog, *, needs_start: bool = True) -> Scen
             "controllers": {controller.name: controller for controller in keys["controllers"]},
             "solver_name": getattr(keys["solver"], "backend", chosen(read.solver)[0]),
             "source": file.text,
-            "folder": own_folder if has_files(file.data) else None,
+            "folder": absolute(file.folder) if has_files(file.data) else None,
             "catalog": catalog,
         }
     )

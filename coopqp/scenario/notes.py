@@ -57,25 +57,22 @@ def notes(
     *,
     steered: bool = False,
 ) -> list[str]:
-    """One sentence for parts of the scenario that the same controllers do not read.
+    """One sentence for parts of the scenario that the same controllers do not support.
 
     Before it come goals that are far, which make all else worthless; after it priorities without
     effect, that the kernel is not built, what limits cannot bound, pads that reach beyond the
     object, hands that are far from it, a freedom that rounded values hide, and what a tick is too
     long for.
 
-    Args:
-        scenario: what is to be run.
-        controllers: that are to run, which say what they heed; the scenario's own when omitted.
-        steered: whether people send to inputs that nothing feeds.
+    The controllers, the scenario's own when omitted, say what they support; ``steered`` says that
+    people send to inputs that nothing feeds.
     """
     chosen = scenario.controllers if controllers is None else controllers
     hidden = hidden_freedom(scenario.chain)
     of_limits = (line for k in scenario.limits for line in k.notes(scenario.chain))
     return [
-        *_far_goals(scenario),
-        *_far_inputs(scenario),
-        *_unheeded(scenario, chosen),
+        *_far(scenario),
+        *_unsupported(scenario, chosen),
         *_idle_priorities(scenario),
         *_without_kernel(chosen),
         *of_limits,
@@ -90,15 +87,15 @@ def notes(
     ]
 
 
-def _unheeded(scenario: Scenario, chosen: Mapping[str, Controller]) -> Iterator[str]:
-    """A sentence for all parts that the same controllers do not read."""
+def _unsupported(scenario: Scenario, chosen: Mapping[str, Controller]) -> Iterator[str]:
+    """A sentence for all parts that the same controllers do not support."""
     parts: dict[tuple[str, ...], list[str]] = {}
     for part, what in _stated(scenario):
-        deaf = tuple(name for name, c in chosen.items() if part not in c.supports)
-        parts.setdefault(deaf, []).append(what)
-    for deaf, unread in parts.items():
-        if deaf:
-            yield f"no effect on {' and '.join(deaf)}: {', '.join(unread)}"
+        names = tuple(name for name, c in chosen.items() if part not in c.supports)
+        parts.setdefault(names, []).append(what)
+    for names, unsupported in parts.items():
+        if names:
+            yield f"no effect on {' and '.join(names)}: {', '.join(unsupported)}"
 
 
 def _idle_priorities(scenario: Scenario) -> Iterator[str]:
@@ -155,7 +152,8 @@ def _of_springs(scenario: Scenario, chosen: Mapping[str, Controller]) -> Iterato
     if found is None:
         return
     felt, pushed, force = found
-    share = abs(force) * _length(pushed) / _length(felt)
+    lengths = [LENGTH if axis.startswith("rot_") else 1.0 for axis in (pushed, felt)]
+    share = abs(force) * lengths[0] / lengths[1]
     if share > LEAKS:
         yield (
             f"{' and '.join(unaware)}: nobody knows the push, so that a push {_along(pushed)} by 1 "
@@ -171,10 +169,6 @@ def _along(axis: str) -> str:
 
 def _unit(axis: str) -> str:
     return "N m" if axis.startswith("rot_") else "N"
-
-
-def _length(axis: str) -> float:
-    return LENGTH if axis.startswith("rot_") else 1.0
 
 
 def _of_friction(scenario: Scenario) -> Iterator[str]:
@@ -237,34 +231,24 @@ def _far_hands(chain: ClosedChain) -> Iterator[str]:
             )
 
 
-def _far_goals(scenario: Scenario) -> Iterator[str]:
-    """A sentence on each task whose goal is nowhere near."""
-    chain = scenario.chain
+def _far(scenario: Scenario) -> Iterator[str]:
+    """A sentence on each goal, and each place that an input is sent, which is nowhere near."""
+    chain, distances = scenario.chain, list[tuple[str, float]]()
     for phase in scenario.schedule:
         for task in phase.tasks:
             marks = asked(task.name, partial(task.marks, Moment(phase.duration)), [])
             far = max((_distance(mark, chain.start_position) for mark in marks), default=0.0)
-            if far > FAR * chain.reach:
-                yield _far(f"the goal of '{task.name}' is", far, chain.reach)
-
-
-def _far_inputs(scenario: Scenario) -> Iterator[str]:
-    """A sentence on each input that is sent a place which is nowhere near."""
-    chain = scenario.chain
+            distances.append((f"the goal of '{task.name}' is", far))
     for name, kind in scenario.followed().items():
-        if kind not in (POINT, POSE):
-            continue
-        places = _sent(scenario.inputs[name], kind, scenario.duration)
-        far = max((float(np.linalg.norm(p - chain.start_position)) for p in places), default=0.0)
+        if kind in (POINT, POSE):
+            places = _sent(scenario.inputs[name], kind, scenario.duration)
+            offsets = (float(np.linalg.norm(p - chain.start_position)) for p in places)
+            distances.append((f"the input '{name}' is sent a place", max(offsets, default=0.0)))
+    for what, far in distances:
         if far > FAR * chain.reach:
-            yield _far(f"the input '{name}' is sent a place", far, chain.reach)
-
-
-def _far(what: str, far: float, reach: float) -> str:
-    """How far off a place is, and what it might be meant as [m]."""
-    said = f"{what} {far:.3g} m from where the object starts, but the arms reach {reach:.2g} m"
-    meant = ": are these millimetres?" if 1e-3 * far <= FAR * reach else ""
-    return f"{said}; lengths are metres{meant}"
+            meant = ": are these millimetres?" if 1e-3 * far <= FAR * chain.reach else ""
+            reach = f"but the arms reach {chain.reach:.2g} m; lengths are metres{meant}"
+            yield f"{what} {far:.3g} m from where the object starts, {reach}"
 
 
 def _sent(settings: InputSettings, kind: Kind, duration: float) -> Iterator[Array]:

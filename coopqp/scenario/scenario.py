@@ -209,12 +209,12 @@ class Scenario:
         start = start_of(self.robot_model, self.start)[0]  # other grasps, other passive joints
         return replace(self, grasps=grasp, grasp_of={}, start=start)
 
-    @property
+    @cached_property
     def schedule(self) -> tuple[Phase, ...]:
         """The phases one after the other; one where all arms hold on throughout."""
         return self.phases or (Phase(tasks=self.tasks, duration=self.duration),)
 
-    @property
+    @cached_property
     def first_ticks(self) -> tuple[int, ...]:
         """At which tick each phase begins."""
         ticks = [phase.ticks(self.dt) for phase in self.schedule]
@@ -326,7 +326,7 @@ def _stranger(value: Any, hint: Any) -> str:
 
 def start_of(robot: RobotModel, start: Start) -> tuple[Start, dict[str, float]]:
     """The start of the robot's joints, and of the grasps' passive joints ("right.hinge")."""
-    arms = arm_names(robot)
+    arms = {arm.name for arm in robot.arms}
     own, passive = dict(start), {}
     for key, value in start.items():
         arm, dot, _ = key.rpartition(".")
@@ -365,8 +365,3 @@ def from_degrees(robot: RobotModel, grasps: Grasp | Mapping[str, Grasp], start: 
         else:
             converted[key] = np.radians(value).tolist()
     return converted
-
-
-def arm_names(robot: RobotModel) -> set[str]:
-    """Names of the robot's arms."""
-    return {arm.name for arm in robot.arms}

@@ -12,6 +12,7 @@ import math
 import re
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -88,6 +89,12 @@ class YamlFile:
     data: dict[str, Any]
     _root: _Node
 
+    @property
+    def folder(self) -> Path:
+        """Where relative paths begin: its own folder, or another that it names."""
+        own = self.data.get("folder")
+        return self.path.parent / own if isinstance(own, str) else self.path.parent
+
     def place(self, location: Location, inside: Location = ()) -> str:
         """``file:line: key.path`` of a value, or of the nearest mapping that holds it."""
         node, line = self._root, 1
@@ -103,27 +110,17 @@ class YamlFile:
         faults = (Fault(self.place(one.place, one.inside), one.message) for one in found)
         return ScenarioError(list(dict.fromkeys(faults)))
 
-    def lines(self) -> FaultLines:
-        """With it, all that checks find has its line in the file."""
-        return FaultLines(self)
+    @contextmanager
+    def lines(self) -> Iterator[None]:
+        """Give all that checks below find its line: they yield places, and do not know the file."""
+        try:
+            yield
+        except MisplacedError as error:
+            raise self.refused(error.found) from None
 
     def changed(self, data: dict[str, Any]) -> YamlFile:
         """What the file would be with other data; places are those of this file."""
         return replace(self, data=data, text=json.dumps(data) + "\n")
-
-
-@dataclass(frozen=True)
-class FaultLines:
-    """Where places become lines: checks below it do not know the file."""
-
-    file: YamlFile
-
-    def __enter__(self) -> None:
-        pass
-
-    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
-        if isinstance(error, MisplacedError):
-            raise self.file.refused(error.found) from None
 
 
 def read_yaml(path: Path) -> YamlFile:
@@ -137,17 +134,16 @@ def read_yaml(path: Path) -> YamlFile:
 
 def parsed(path: Path, text: str) -> YamlFile:
     """The same from what a file holds."""
-    lines = _Lines(text)
-    builder = _Builder(path, text, lines)
+    builder = _Builder(path, text)
     try:
         root = builder.document()
     except MarkedYAMLError as error:
         what = " ".join(str(error.problem or error.context).split())
         mark = error.problem_mark or error.context_mark
-        line = lines.at(mark.index) if mark else builder.line
+        line = builder.line_at(mark.index) if mark else builder.line
         raise _refused(f"{path}:{line}", f"not YAML: {what}") from None
     except YAMLError as error:
-        line = lines.at(getattr(error, "position", 0))
+        line = builder.line_at(getattr(error, "position", 0))
         what = getattr(error, "reason", " ".join(str(error).split()))
         raise _refused(f"{path}:{line}", f"not YAML: {what}") from None
     except (ArithmeticError, AssertionError, AttributeError, LookupError, TypeError, ValueError):
@@ -166,27 +162,20 @@ def _refused(place: object, message: str) -> ScenarioError:
     return ScenarioError([Fault(str(place), message)])
 
 
-class _Lines:
-    """Lines as editors number them; YAML breaks lines at more characters than they do."""
-
-    def __init__(self, text: str) -> None:
-        self._starts = [found.end() for found in re.finditer(r"\r\n?|\n", text)]
-
-    def at(self, index: int) -> int:
-        return bisect_right(self._starts, index) + 1
-
-    def of(self, event: Any) -> int:
-        return self.at(event.start_mark.index)
-
-
 class _Builder:
     """From a file's events to its values."""
 
-    def __init__(self, path: Path, text: str, lines: _Lines) -> None:
-        self._path, self._lines, self.line = path, lines, 1
+    def __init__(self, path: Path, text: str) -> None:
+        self._path, self.line = path, 1
+        # Lines as editors number them; YAML breaks lines at more characters than they do.
+        self._starts = [found.end() for found in re.finditer(r"\r\n?|\n", text)]
         self._events = self._numbered(YAML(typ="safe", pure=True).parse(text))
         self._anchors: dict[str, _Node] = {}
         self._values = 0
+
+    def line_at(self, index: int) -> int:
+        """The line of a character."""
+        return bisect_right(self._starts, index) + 1
 
     def document(self) -> _Node | None:
         root = None
@@ -201,11 +190,11 @@ class _Builder:
 
     def _numbered(self, events: Iterator[Any]) -> Iterator[Any]:
         for event in events:
-            self.line = self._lines.of(event)
+            self.line = self.line_at(event.start_mark.index)
             yield event
 
     def _fault(self, event: Any, message: str) -> ScenarioError:
-        return _refused(f"{self._path}:{self._lines.of(event)}", message)
+        return _refused(f"{self._path}:{self.line_at(event.start_mark.index)}", message)
 
     def _node(self, event: Any, deeper: int) -> _Node:
         if isinstance(event, AliasEvent):
@@ -238,7 +227,7 @@ class _Builder:
         for event in self._events:
             if isinstance(event, SequenceEndEvent):
                 break
-            inside[len(inside)] = (self._lines.of(event), self._node(event, deeper))
+            inside[len(inside)] = (self.line_at(event.start_mark.index), self._node(event, deeper))
         return _node_of([node.value for _, node in inside.values()], inside)
 
     def _mapping(self, deeper: int) -> _Node:
@@ -247,7 +236,7 @@ class _Builder:
         for event in self._events:
             if isinstance(event, MappingEndEvent):
                 break
-            key, line = self._key(event), self._lines.of(event)
+            key, line = self._key(event), self.line_at(event.start_mark.index)
             if key in inside:
                 raise self._fault(event, f"key '{key}' is given twice")
             after = next(self._events)

@@ -1,6 +1,7 @@
 """What a recorded run tells: the whole run, a tick done again, and what the sensors measured.
 
-A file that is damaged, or of another scenario, is refused with the line that shows it.
+A run is given as read, or by its path, with the scenario that it was written for. A file that is
+damaged, or of another scenario, is refused with the line that shows it.
 """
 
 from __future__ import annotations
@@ -15,8 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from coopqp.assessment import assess
-from coopqp.assessment.audit import audit
-from coopqp.assessment.ends import FORCES
+from coopqp.assessment.assessment import FORCES
+from coopqp.assessment.limits import audit
 from coopqp.base.errors import CoopqpError, InvalidValueError, UnknownNameError
 from coopqp.base.reading import absolute
 from coopqp.base.spec import Array
@@ -45,11 +46,6 @@ OF_A_TICK, ROUNDING = 0.01, 1e-9
 def trace_from_file(path: Path | Run, scenario: Scenario, controller: str) -> Trace:
     """A controller's whole run, as far as a file tells it; what it does not is left empty.
 
-    Args:
-        path: of ``trace.csv``, or of a run in another format; or the run, as read.
-        scenario: that it was written for.
-        controller: whose.
-
     Raises:
         CoopqpError: no such file or controller, or a damaged file.
     """
@@ -69,7 +65,7 @@ def trace_from_file(path: Path | Run, scenario: Scenario, controller: str) -> Tr
     q = run.joints("q", held.chain.joint_names)
     ends = pairwise((*held.first_ticks, ticks))
     phases = zip(held.problems(lambda first: q[first]), held.schedule, ends, strict=True)
-    legs = [
+    parts = [
         (
             PhaseInfo(phase.name, first, phase.released),
             _phase(run.only(slice(first, end + 1)), held, phase, problem, supports),
@@ -84,7 +80,7 @@ def trace_from_file(path: Path | Run, scenario: Scenario, controller: str) -> Tr
         "push": told.numbers(of_field("push", Layout(joints=())), empty=True),
     }
     signals = {name: np.nan_to_num(of) for name, of in signals.items() if np.isfinite(of).any()}
-    trace = join(legs) if held.phases else legs[0][1]
+    trace = join(parts) if held.phases else parts[0][1]
     return replace(trace, inputs=inputs, signals=signals)
 
 
@@ -210,12 +206,8 @@ def recorded_tick(
     """Do a tick of a trace again and keep it.
 
     Where a live loop came to rest instead, its law's problem is kept, with what the loop said.
-
-    Args:
-        path: of ``trace.csv``, or of a run in another format; or the run, as read.
-        scenario: that it was written for.
-        controller: whose; the first QP controller of the trace when None.
-        tick: which; the first that gave something up when None, else the last.
+    Without a controller it is the first QP controller of the trace, without a tick the first that
+    relaxed something, else the last.
 
     Raises:
         CoopqpError: no such file, controller or tick; no controller that solves a QP.
@@ -265,14 +257,7 @@ def state_from_trace(run: Run, controller: str, tick: int, law: Law, t_start: fl
     """The state that a tick of a recorded run decided from; the law's tick repeats it.
 
     The gap is what the observer had made of the measured joints already, and who squeezes of the
-    forces, so neither adds to it.
-
-    Args:
-        run: as read.
-        controller: whose.
-        tick: which.
-        law: gives the joints.
-        t_start: when its phase began [s].
+    forces, so neither adds to it. The law gives the joints; its phase began at t_start [s].
 
     Raises:
         CoopqpError: no such controller or tick; a damaged row.
@@ -358,11 +343,7 @@ def measured_run(
 
     An arm that has let go takes hold otherwise than before, so that what comes after is of another
     grasp. On the plant ``kinematic`` nothing holds the hands together: only the first tick counts.
-
-    Args:
-        path: of ``trace.csv``, or of a run in another format; or the run, as read.
-        scenario: that it was written for.
-        controller: whose; the first of the trace for which sensors said something when None.
+    Without a controller it is the first of the trace for which sensors measured something.
 
     Returns:
         The controller's name, and the joints, shape (T, n) [rad, m].

@@ -12,7 +12,7 @@ from stress.draw import DAQP, LAW, draw
 from stress.trial import one_rollout
 
 from coopqp.assessment import Assessment, assess
-from coopqp.assessment.ends import FORCES
+from coopqp.assessment.assessment import FORCES
 from coopqp.assessment.thresholds import matters
 from coopqp.assessment.verdict import MOST_NAMES, verdict
 from coopqp.controller import ControlProblem
@@ -23,7 +23,7 @@ from coopqp.plants import Kinematic
 from coopqp.report.cells import cells
 from coopqp.scenario.scenario import Scenario
 from coopqp.study.explanation import explain_run
-from coopqp.study.sweep import variant
+from coopqp.study.sweep import study
 from coopqp.trace import Trace
 from coopqp.viewer.picture import drawn
 from coopqp.viewer.simulated_controller import SimulatedController
@@ -103,9 +103,9 @@ def _cells(row: dict[str, object], found: Assessment) -> dict[str, tuple[object,
 def _row(scenario: Scenario, trace: Trace, found: Assessment) -> dict[str, tuple[object, object]]:
     """What a study writes down."""
     nowhere = Path("none.yaml")
-    job = variant.Job(nowhere, "", "", (), (trace.controller,), ("reached",), ((), ()))
-    with mock.patch.object(variant, "run", return_value=trace):
-        row = variant._row(job, scenario, trace.controller)
+    job = study.Job(nowhere, "", "", (), (trace.controller,), ("reached",), ((), ()))
+    with mock.patch.object(study, "run", return_value=trace):
+        row = study._row(job, scenario, trace.controller)
     return {
         "study, success": (row["success"], found.succeeds),
         "study, reached": (row["reached"], found.reached),

@@ -18,7 +18,7 @@ from coopqp.base.errors import CoopqpError
 from coopqp.cli.ending import Command
 from coopqp.cli.options import JSON, WRITTEN, engined
 from coopqp.report import strict_json
-from coopqp.report.terminal import console, progress_bars
+from coopqp.report.table import console, progress_bars
 from coopqp.study.sweep.journal import Journal, head_of, records
 from random_goals import trial
 from random_goals.draw import arenas

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from coopqp.study.sweep.paired import Share, Success, success, wilson
+from coopqp.study.sweep.summary import Share, Success, success, wilson
 from random_goals.trial import GoalRun, LawRun
 
 AS_NEAR = 1.05  # an error up to so many times the best, plus the tolerance, counts as nearest

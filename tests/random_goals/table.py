@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from rich import box
 from rich.table import Table
 
-from coopqp.study.sweep.paired import Difference
+from coopqp.study.sweep.summary import Difference
 from random_goals.summary import Line
 
 #: Goals beyond the limits cannot be reached inside them, so that "all three" says nothing there.

@@ -16,7 +16,7 @@ from coopqp.base.errors import InvalidValueError, UnknownNameError
 from coopqp.cli.ending import Command
 from coopqp.cli.options import JSON, engined
 from coopqp.report import strict_json
-from coopqp.report.terminal import console, progress_bars
+from coopqp.report.table import console, progress_bars
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.loader import solver_by_name
 from stress.contacts import ContactRollout, contact_rollout

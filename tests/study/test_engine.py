@@ -21,7 +21,7 @@ from coopqp.base.errors import (
     UnknownNameError,
 )
 from coopqp.study.engine import Engine, Lost, Share
-from coopqp.study.engine.batches import Batches
+from coopqp.study.engine.workers import Batches
 
 
 def squares(items: Sequence[int]) -> list[int]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from coopqp.study.sweep.paired import heads, median, success
+from coopqp.study.sweep.summary import heads, median, success
 
 
 @pytest.mark.parametrize(("b", "c"), [(0, 1), (3, 9), (20, 20), (0, 30), (200, 150)])

@@ -14,7 +14,7 @@ from coopqp.base.errors import ScenarioError
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.yaml import parsed
 from coopqp.study.sweep import read_study
-from coopqp.study.sweep.form import StudyFile
+from coopqp.study.sweep.reader import StudyFile
 from coopqp.study.sweep.space import KINDS, SAMPLES
 
 

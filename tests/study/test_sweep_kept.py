@@ -151,9 +151,9 @@ class Twice(Metric):
     (plugins / "twice.py").write_text(source, encoding="utf-8")
     catalog = Catalog((), (plate / "plugins",))
     study = read_study(written(plate, STUDY.replace("[loop_error_max]", "[twice]")), catalog)
-    sweep(study, plate / "out", engine=HERE, folders=catalog.folders)
+    sweep(study, plate / "out", engine=HERE)
     assert {row["twice"] for row in table_of(plate / "out")} == {20}
     assert kept_study(plate / "out").metrics[-1] == "twice"
     (plugins / "_helper.py").write_text("x = 1\n", encoding="utf-8")
     with pytest.raises(CoopqpError, match="the plug-ins differs"):
-        sweep(study, plate / "out", engine=HERE, folders=catalog.folders)
+        sweep(study, plate / "out", engine=HERE)

@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from coopqp.base.spec import Array
+from coopqp.base.spec import Array, type_name
 from coopqp.execution.instants import arm_points
 from coopqp.model.marker import (
     CircleMarker,
@@ -30,7 +30,6 @@ from coopqp.model.marker import (
     TrackedMarker,
     asked,
 )
-from coopqp.report.cells import plugin_name
 from coopqp.scenario.scenario import Scenario
 from coopqp.tasks.posture import posture
 from coopqp.trace import Trace
@@ -96,7 +95,7 @@ def shown_marks(
             }
             every += _through_time(marks, task.name, place, limit=False)
         for limit in scenario.limits:
-            name = plugin_name(limit)
+            name = type_name(type(limit))
             marks = {k: asked(name, partial(limit.marks, t), faults) for k, t in times.items()}
             every += _through_time(marks, name, place, limit=True)
     return every

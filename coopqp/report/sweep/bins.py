@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from coopqp.base.spec import Array
 from coopqp.study.sweep.results import Columns
 from coopqp.study.sweep.space import Box
-from coopqp.study.sweep.study import Study
+from coopqp.study.sweep.study import DONE, Study
 from coopqp.study.sweep.summary import ERROR
-from coopqp.study.sweep.variant import DONE
 
 BINS, MIN_BINS = 16, 4  # of an axis with numbers
 ROWS_A_CELL = 8  # of a map and a controller, where there are enough variants

@@ -17,8 +17,8 @@ from coopqp.report.sweep.bins import Binned, worst_error, worst_rows
 from coopqp.report.sweep.table import difference, points
 from coopqp.study.sweep import Study, scenario_of_row
 from coopqp.study.sweep.results import Columns
+from coopqp.study.sweep.study import DONE
 from coopqp.study.sweep.summary import ERROR, MARGIN, Line, Pair, Summary
-from coopqp.study.sweep.variant import DONE
 
 NAME = "report.html"
 ROWS = "rows"  # folder with the scenarios of the worst rows

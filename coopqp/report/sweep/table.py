@@ -17,9 +17,8 @@ from rich.table import Table
 from rich.text import Text
 
 from coopqp.base.errors import one_line
-from coopqp.study.sweep.paired import Difference
 from coopqp.study.sweep.study import Study
-from coopqp.study.sweep.summary import ERROR, Line, Summary
+from coopqp.study.sweep.summary import ERROR, Difference, Line, Summary
 from coopqp.study.sweep.sweep import Progress as State
 
 MAX_NAMES, MAX_REASONS = 3, 5

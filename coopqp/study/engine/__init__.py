@@ -1,7 +1,6 @@
 """What runs many rollouts: processes of this machine or a Dask cluster, through joblib's interface.
 
-batches    items in batches of about a second
-processes  loky's processes on this machine
+workers    items in batches of about a second, and loky's processes, which do them on this machine
 cluster    workers of a Dask scheduler
 engine     the results of all items, whatever becomes of the workers
 """

@@ -14,7 +14,7 @@ from typing import Any
 from joblib._dask import DaskDistributedBackend  # there without Dask as well
 
 from coopqp.base.errors import CoopqpError, MissingDependencyError
-from coopqp.study.engine.batches import Batch, Outcome, Work, WorkersLostError, by_joblib, done
+from coopqp.study.engine.workers import Batch, Outcome, Work, WorkersLostError, by_joblib, done
 
 PATIENCE = 15.0  # s within which a scheduler must answer, and have a worker
 

@@ -13,17 +13,18 @@ from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 from coopqp.base.errors import InvalidValueError
-from coopqp.study.engine.batches import (
+from coopqp.study.engine.workers import (
     Batch,
     Batches,
     Items,
     Outcome,
+    Processes,
     Work,
     Workers,
     WorkersLostError,
+    cores,
     done,
 )
-from coopqp.study.engine.processes import Processes, cores
 
 Item = TypeVar("Item")
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from coopqp.assessment import assess
-from coopqp.assessment.audit import audit
+from coopqp.assessment.limits import audit
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.qp import Row
 from coopqp.base.spec import Array

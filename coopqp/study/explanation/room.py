@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from coopqp.assessment.audit import audit
+from coopqp.assessment.limits import audit
 from coopqp.base.qp import Row
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem

@@ -2,9 +2,8 @@
 
 space      what a key is varied over, and the points of that
 path       a key of the scenario by its path
-reader     from the file to a study, or to its faults
-study      the study, and its variants
-variant    a variant under some controllers: its rows
+reader     the form of the file, and from it to a study, or to its faults
+study      the study, its variants, and the rows of a variant under some controllers
 journal    a record for each finished variant
 results    the journals as one Parquet file, and its columns
 folder     whether a folder is a study's own; the study from its folder alone

@@ -8,7 +8,7 @@ from __future__ import annotations
 import inspect
 import io
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
@@ -28,7 +28,6 @@ from coopqp.study.sweep.journal import PATTERN, head_of, journals
 from coopqp.study.sweep.reader import study_text
 from coopqp.study.sweep.results import NAME
 from coopqp.study.sweep.study import CONTROLLERS, Study
-from coopqp.study.sweep.variant import Folders
 
 #: Modules of shipped plug-ins; their files count as the version.
 SHIPPED = tuple(f"coopqp.{kind}." for kind in COLLECTIONS)
@@ -45,12 +44,11 @@ PARTS = {
 
 def identity(study: Study) -> dict[str, str]:
     """A hash of each part, by name."""
-    scenario = json.dumps(study.scenario.data, sort_keys=True)
-    folder = _folder_of(study.scenario.path, study.scenario.data)
-    named = {absolute(folder / name) for name in _files([study.scenario.data, study.file.data])}
+    data, folder = study.scenario.data, study.scenario.folder
+    named = {absolute(folder / name) for name in _files([data, study.file.data])}
     return {
         "study": _hash(json.dumps(study.file.data, sort_keys=True)),
-        "scenario": _hash(study.scenario.path.stem, scenario),
+        "scenario": _hash(study.scenario.path.stem, json.dumps(data, sort_keys=True)),
         "files": _hash(*_of_files(named)),
         "plugins": plugins_hash(study),
         "points": study.points.digest,
@@ -97,26 +95,20 @@ def _files(value: Any) -> Iterator[str]:
         yield from _files(inside)
 
 
-def _folder_of(path: Path, data: Mapping[str, Any]) -> Path:
-    """Where the files that a scenario names lie."""
-    own = data.get("folder")
-    return path.parent / own if isinstance(own, str) else path.parent
-
-
 #: Files that only a comparison's folder has.
 COMPARISONS = ("metrics.json", "trace.csv")
 MOST_KEYS = 4  # that are named
 AWAY = "give another --out, or move the folder away"
 
 
-def head_for(study: Study, folders: Folders) -> dict[str, Any]:
+def head_for(study: Study) -> dict[str, Any]:
     """What a journal says of its study."""
     return {
         "name": study.name,
         "identity": identity(study),
         "study": [str(study.file.path), study.file.text],
         "scenario": list(map(str, study.scenario_text)),
-        "folders": [[str(one) for one in kind] for kind in folders],
+        "folders": [[str(one) for one in kind] for kind in study.catalog.folders],
     }
 
 
@@ -174,12 +166,8 @@ def _keys(one: Any, other: Any, place: tuple[str | int, ...] = ()) -> Iterator[s
 def kept_study(folder: Path, catalog: Catalog | None = None) -> Study:
     """The study whose results a folder holds.
 
-    No plug-ins are looked for where it was run: who opens a folder runs none of its code.
-
-    Args:
-        folder: of the study.
-        catalog: what its scenario can name, for who runs it; shipped and installed plug-ins when
-            omitted.
+    No plug-ins are looked for where it was run: who opens a folder runs none of its code. Who runs
+    it gives a catalogue of what its scenario can name; shipped and installed plug-ins when omitted.
 
     Raises:
         CoopqpError: it holds none; its points cannot be drawn again.
@@ -241,7 +229,7 @@ def scenario_of_row(study: Study, row: int) -> tuple[str, str]:
     if controllers:
         data = {**data, CONTROLLERS: [controllers[k]]}
     if has_files(data):
-        data = {**data, "folder": str(_folder_of(study.scenario_text[0], data))}
+        data = {**data, "folder": str(absolute(study.scenario.changed(data).folder))}
     columns = zip(study.columns, study.parts(variant), strict=True)
     values = ", ".join(f"{name} {value}" for name, value in columns)
     head = f"# Row {row} of the study {study.name}, variant {number}: {values}\n"

@@ -17,12 +17,9 @@ _STEP = re.compile(r"\[(\d{1,6})\]|\.?([^.\[\]]+)")
 
 
 def located(data: Mapping[str, Any], path: str, defaults: Mapping[str, Any]) -> tuple[Any, ...]:
-    """Keys and indices of a path, and the data in which they lead somewhere.
+    """Keys and indices of a path in a file's data, where plain slots on the way become mappings.
 
-    Args:
-        data: of the scenario's file; plain slots on the way become mappings in it.
-        path: as above.
-        defaults: by key, for what the file leaves out.
+    ``defaults`` stand, by key, for what the file leaves out.
 
     Raises:
         InvalidValueError: the path is none, or leads to what is not there.

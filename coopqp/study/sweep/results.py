@@ -25,8 +25,7 @@ import coopqp
 from coopqp.base.errors import CoopqpError, MissingDependencyError
 from coopqp.base.spec import Array
 from coopqp.study.sweep.journal import journals, records
-from coopqp.study.sweep.study import Study, Varied
-from coopqp.study.sweep.variant import Row
+from coopqp.study.sweep.study import Row, Study, Varied
 
 NAME = "results.parquet"
 LOCK = ".results.lock"

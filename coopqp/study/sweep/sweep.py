@@ -16,8 +16,7 @@ from coopqp.study.engine import Engine, Lost
 from coopqp.study.sweep.folder import check_folder, head_for
 from coopqp.study.sweep.journal import Journal, path_of
 from coopqp.study.sweep.results import Index, compact, needs_arrow
-from coopqp.study.sweep.study import Study, Variant
-from coopqp.study.sweep.variant import Folders, job_of, lost_rows, run_variants
+from coopqp.study.sweep.study import Study, Variant, job_of, lost_rows, run_variants
 
 HERE = Engine()
 
@@ -55,7 +54,6 @@ def sweep(
     folder: Path,
     *,
     engine: Engine = HERE,
-    folders: Folders = ((), ()),
     progress: Callable[[Progress], None] | None = None,
 ) -> Progress:
     """Run the variants that are not in the folder yet; at the end write ``results.parquet``.
@@ -66,7 +64,6 @@ def sweep(
         study: what is asked.
         folder: for its journal and results; made if it does not exist.
         engine: where, and which share; on all cores when omitted.
-        folders: that the study's catalogue was made from.
         progress: called after each batch.
 
     Raises:
@@ -74,9 +71,9 @@ def sweep(
             at the scheduler's address.
     """
     needs_arrow()
-    head = head_for(study, folders)
+    head = head_for(study)
     check_folder(folder, head)
-    job = job_of(study, folders)
+    job = job_of(study)
     with Journal.opened(path_of(folder, engine.share), head) as journal:
         mine = engine.share.taken(range(study.points.count))
         index = Index(folder, study)

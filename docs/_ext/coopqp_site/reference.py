@@ -11,14 +11,14 @@ from typing import Any
 from pydantic.dataclasses import is_pydantic_dataclass
 
 from coopqp.base.spec import field_docs
-from coopqp.report.terminal import help_lines
+from coopqp.report.table import help_lines
 from coopqp.scenario.catalog import COLLECTIONS, Catalog, Entry
 from coopqp.scenario.form import file_model
 from coopqp.scenario.loader import shipped
 from coopqp.scenario.yaml import read_yaml
 from coopqp.solver import Status
 from coopqp.study.sweep import reader, space
-from coopqp.study.sweep.form import StudyFile
+from coopqp.study.sweep.reader import StudyFile
 from coopqp_site.fields import SLOTS, common_keys, keys, own_keys, schema_of
 from coopqp_site.writing import ROOT, plain, table
 
