@@ -1,5 +1,6 @@
 """Messages between the player, the page and the explainer; arrays and text alone.
 
+The page first sends its port, or as a text why it cannot be served.
 Letters: b bodies, n joints, s segments. Poses are x, y, z, qx, qy, qz, qw.
 """
 
@@ -145,14 +146,6 @@ class Action:
     what: str
     which: int | str = 0
     value: tuple[float, ...] = ()
-
-
-@dataclass(frozen=True)
-class Opened:
-    """The port of the page, or why it cannot be served."""
-
-    port: int = 0
-    fault: str = ""
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from coopqp.base.errors import CoopqpError, InternalError, InvalidValueError, MissingDependencyError
 from coopqp.viewer import explainer, page
-from coopqp.viewer.messages import Action, ExplainedController, Explanation, Opened
+from coopqp.viewer.messages import ExplainedController, Explanation
 from coopqp.viewer.player import Player
 from coopqp.viewer.worker import Worker
 
@@ -75,10 +75,9 @@ def play(
 def _address(server: Worker, host: str) -> str:
     try:
         for message in server.received(PATIENCE):
-            if isinstance(message, Opened):
-                if message.fault:
-                    raise CoopqpError(message.fault)
-                return f"http://{f'[{host}]' if ':' in host else host}:{message.port}"
+            if isinstance(message, str):
+                raise CoopqpError(message)
+            return f"http://{f'[{host}]' if ':' in host else host}:{message}"
     except EOFError:
         pass
     raise InternalError("the page did not open; see what is printed above")
@@ -94,7 +93,6 @@ class _Clock:
         self._done: list[tuple[float, float]] = []  # end of ticks [s], and their duration [us]
 
     def run(self, goes_on: Callable[[], bool]) -> None:
-        """Until somebody ends it."""
         while goes_on():
             now = time.perf_counter()
             self._receive()
@@ -108,8 +106,7 @@ class _Clock:
     def _receive(self) -> None:
         try:
             for message in self._page.received():
-                if isinstance(message, Action):
-                    self._player.do(message)
+                self._player.do(message)
         except EOFError:
             if name := self._page.killed_by:
                 raise CoopqpError(f"the page's process was ended from outside by {name}") from None
@@ -121,10 +118,9 @@ class _Clock:
             return
         try:
             for message in self._explainer.received():
-                if isinstance(message, Explanation):
-                    self._player.explanation = message
+                self._player.explanation = message
         except EOFError:
-            self._player.explainer_ended()
+            self._player.has_explainer, self._player.explanation = False, Explanation()
             return
         if not self._explainer.ready or now < self._next_explanation:
             return

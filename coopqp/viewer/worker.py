@@ -96,7 +96,6 @@ class Worker:
         return signal.Signals(-code).name if code < 0 else ""
 
     def end(self) -> None:
-        """End it."""
         self._connection.close()
         self._process.join(PATIENCE)
         if self._process.is_alive():
