@@ -40,7 +40,6 @@ class Chart:
 
     @property
     def chain(self) -> ClosedChain:
-        """The chain of the trace with most joints."""
         return self.comparison.scenario.held_by(self.any.controller).chain
 
     def problems(self, name: str) -> list[ControlProblem]:

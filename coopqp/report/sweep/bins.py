@@ -46,11 +46,9 @@ class Axis:
 
     @property
     def count(self) -> int:
-        """Number of bins."""
         return len(self.labels) or len(self.edges) - 1
 
     def as_json(self) -> dict[str, Any]:
-        """For the page."""
         edges = [short(edge) for edge in self.edges]
         return {"name": self.name, "labels": self.labels, "edges": edges, "log": self.log}
 
@@ -139,7 +137,6 @@ class Binned:
 
     @classmethod
     def of(cls, study: Study, columns: Columns) -> Binned:
-        """From the results of a study."""
         controller, names = columns.codes("controller")
         state, states = columns.codes("state")
         done = np.array([name == DONE for name in states] + [False])[state]
