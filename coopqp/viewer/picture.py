@@ -11,7 +11,6 @@ import pinocchio as pin
 
 from coopqp.assessment.thresholds import AT_LIMIT, TOO_FAST, closed, matters, within
 from coopqp.base.spec import Array
-from coopqp.closed_loop.forces import squeezes
 from coopqp.model.marker import SolidMarker, asked
 from coopqp.model.state import State
 from coopqp.report.scene.bodies import robot_bodies, solid_body
@@ -177,8 +176,8 @@ def _forces(controller: SimulatedController, state: State) -> tuple[Array, Array
     hands[:, 2] += ABOVE * size
     below = state.p_WO - [0.0, 0.0, BELOW * size]
     arrows = np.stack([hands - scale * forces, hands], axis=1)
-    words = squeeze_words(squeezes(points.reshape(-1, 3), wrenches.reshape(-1, 6)))
-    return arrows, np.array([[below, below - [0.0, 0.0, scale * down]]]), words
+    weight_arrow = np.array([[below, below - [0.0, 0.0, scale * down]]])
+    return arrows, weight_arrow, squeeze_words(points, wrenches)
 
 
 def _closed(corners: Array) -> Array:
