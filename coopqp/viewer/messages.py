@@ -149,18 +149,17 @@ class Action:
 
 
 @dataclass(frozen=True)
-class ExplainedController:
-    """The controller that is explained, its dials, and q where each later phase has begun."""
+class Snapshot:
+    """A state to explain; inputs with kind, value and rate, and their targets, by name.
+
+    Attributes:
+        law: the controller, with the values of its dials.
+        starts: q where each later phase has begun, shape (n,) each.
+    """
 
     law: str
     dials: Mapping[str, float]
     starts: tuple[Array, ...]
-
-
-@dataclass(frozen=True)
-class Snapshot:
-    """A state to explain; inputs with kind, value and rate, and their targets, by name."""
-
     t: float
     q: Array
     v: Array

@@ -24,7 +24,6 @@ from coopqp.viewer.messages import (
     Action,
     ControllerFrame,
     Dial,
-    ExplainedController,
     Explanation,
     Frame,
     PageSetup,
@@ -184,13 +183,12 @@ class Player:
             tick_us=tick_us,
         )
 
-    def explained(self) -> ExplainedController:
-        starts = tuple(self._controller.starts)
-        return ExplainedController(self._controller.name, dict(self._values), starts)
-
     def snapshot(self) -> Snapshot:
         controller, state = self._controller, self._controller.state
         return Snapshot(  # which is sent to another process, and so copied
+            law=controller.name,
+            dials=dict(self._values),
+            starts=tuple(controller.starts),
             t=state.t,
             q=state.q,
             v=state.v,
