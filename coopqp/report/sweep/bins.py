@@ -180,12 +180,11 @@ class Binned:
         """
         good = self.success > 0.0
         sides = [self.controller, *(axis.code for axis in self.axes), good.astype(np.int64)]
-        counts = [len(self.controllers), *(axis.count for axis in self.axes), 2]
+        counts = [*(axis.count for axis in self.axes), 2]
         flows = []
-        for (a, b), n in zip(itertools.pairwise(sides), counts[1:], strict=True):
+        for (a, b), n in zip(itertools.pairwise(sides), counts, strict=True):
             pair = (a * n + b)[self.done]
-            every = np.bincount(pair)
-            succeeded = np.bincount(pair, weights=good[self.done])
+            every, succeeded = np.bincount(pair), np.bincount(pair, weights=good[self.done])
             there = np.flatnonzero(every).tolist()
             flows.append([[c // n, c % n, int(every[c]), int(succeeded[c])] for c in there])
         return flows
