@@ -97,8 +97,8 @@ def yaml_text(result: Calibration, scenario: Scenario) -> str:
             field.name: value
             for field in dataclasses.fields(grasp)
             if (value := getattr(grasp, field.name)) != field.default
-            and field.name != "object_in_hand"
         }
+        settings.pop("object_in_hand", None)
         if arm.name in chain.hold.holders or grasp.object_in_hand:
             settings["object_in_hand"] = _pose(_object_in_hand(result, arm.name))
         lines.append(f"  {arm.name}: {{{name}: {_flow(settings)}}}")

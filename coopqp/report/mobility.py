@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
-import html
-import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import asdict, dataclass
 from itertools import islice
-from pathlib import Path
 from string import Template
 from typing import Any
 
@@ -22,16 +19,16 @@ from coopqp.base.errors import CoopqpError, InvalidValueError, UnknownNameError
 from coopqp.base.spec import Array
 from coopqp.base.wording import counted
 from coopqp.closed_loop.forces import Forces, forces
+from coopqp.closed_loop.holding import Bound
 from coopqp.closed_loop.mobility import WEAK, Mobility, manipulability, mobility
 from coopqp.closed_loop.transmission import force_words
 from coopqp.execution.controller_run import run
-from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
+from coopqp.report.page import asset, script_json, text
 from coopqp.report.strict_json import finite
 from coopqp.scenario.scenario import Scenario
 from coopqp.task import TaskStack
 
-HERE = Path(__file__).parent
 SHOWN = 8  # schemes in the tables
 MAX_POINTS = 400  # of the manipulability curve
 
@@ -63,7 +60,6 @@ class Study:
         return f"{self.scenario.name}, phase {self.phase}" if self.phase else self.scenario.name
 
     def verdict(self) -> str:
-        """The report in a few sentences."""
         forces = self.forces.sentences() if self.forces else ()
         return " ".join([self.mobility.verdict(), *forces])
 
@@ -95,7 +91,7 @@ def study(
     slices = zip(tasks.tasks, tasks.slices, strict=True)
     rows = [(task.name, tasks.J[part].copy()) for task, part in slices]
     joints = {f"q{i}": name for i, name in enumerate(chain.joint_names, start=1)}
-    names = [joints.get(name, name) for name in scheme] if scheme is not None else None
+    names = None if scheme is None else [joints.get(name, name) for name in scheme]
     analysis = mobility(chain, task_rows=rows, asked=names, seed=scenario.seed)
     first = scenario.first_ticks[number]
     last = first + scenario.schedule[number].ticks(scenario.dt)
@@ -106,15 +102,11 @@ def study(
         state.update()
         tasks.update(state)
         measure.append(manipulability(chain, q, tasks.J))
+    between = None
+    with suppress(CoopqpError):  # hands in one place have no direction between them
+        between = forces(chain) if chain.holding > 1 else None
     on_the_way = times[kept], np.array(measure)
-    return Study(scenario, phases[number], analysis, _between(chain), *on_the_way, refused)
-
-
-def _between(chain: ClosedChain) -> Forces | None:
-    try:
-        return forces(chain) if chain.holding > 1 else None
-    except CoopqpError:  # hands in one place have no direction between them
-        return None
+    return Study(scenario, phases[number], analysis, between, *on_the_way, refused)
 
 
 def _run(scenario: Scenario) -> tuple[Array, Array, CoopqpError | None]:
@@ -129,9 +121,9 @@ def _run(scenario: Scenario) -> tuple[Array, Array, CoopqpError | None]:
 def as_json(result: Study) -> dict[str, Any]:
     """Everything, with infinities as null."""
     m = result.mobility
-    data = dataclasses.asdict(m)
+    data = asdict(m)
     for key in ("impossible", "uncontrolled"):
-        data[key] = [dataclasses.asdict(s) | {"words": s.words()} for s in getattr(m, key)]
+        data[key] = [asdict(s) | {"words": s.words()} for s in getattr(m, key)]
     data |= {
         "scenario": result.scenario.name,
         "phase": result.phase,
@@ -153,13 +145,13 @@ def _forces_json(internal: Forces | None) -> dict[str, Any] | None:
     ranks = internal.transmission
     return {
         "dimensions": ranks.dimensions,
-        "all": dataclasses.asdict(ranks.all),
+        "all": asdict(ranks.all),
         "arms": {
-            arm.arm: {**dataclasses.asdict(arm.counts), "borne": [*map(force_words, arm.borne)]}
+            arm.arm: asdict(arm.counts) | {"borne": [*map(force_words, arm.borne)]}
             for arm in ranks.arms
         },
         "pairs": [
-            {"arms": pair.arms, **dataclasses.asdict(pair.counts), "components": pair.components}
+            {"arms": pair.arms, **asdict(pair.counts), "components": pair.components}
             for pair in ranks.pairs
         ],
         "squeeze": [
@@ -171,8 +163,8 @@ def _forces_json(internal: Forces | None) -> dict[str, Any] | None:
     }
 
 
-def _bound_json(bound: Any) -> dict[str, Any] | None:
-    return bound and {"value": bound.value, "by": bound.by}
+def _bound_json(bound: Bound | None) -> dict[str, Any] | None:
+    return {"value": bound.value, "by": bound.by} if bound else None
 
 
 def rows(result: Study) -> list[tuple[str, str, str]]:
@@ -239,13 +231,11 @@ def schemes(result: Study) -> list[tuple[str, str, str]]:
 def tables(result: Study) -> list[Table]:
     """For the terminal."""
     shown = "asked for, then best" if result.mobility.asked else "best"
-    parts = (
-        (f"mobility of {result.name}", ("", "generic poses", "at the start"), rows(result)),
-        ("actuation schemes: condition number", (shown, "generic", "start"), schemes(result)),
-    )
+    titles = f"mobility of {result.name}", "actuation schemes: condition number"
+    headings = ("", "generic poses", "at the start"), (shown, "generic", "start")
     every = []
-    for title, headings, lines in parts:
-        table = Table(*headings, title=Text(title), title_justify="left")
+    for title, heads, lines in zip(titles, headings, (rows(result), schemes(result)), strict=True):
+        table = Table(*heads, title=Text(title), title_justify="left")
         for row in lines:
             table.add_row(*map(Text, row))
         every.append(table)
@@ -262,23 +252,22 @@ def page(result: Study) -> str:
         "xaxis": {"title": {"text": "time [s]"}},
         "yaxis": {"title": {"text": "manipulability"}, "rangemode": "tozero"},
     }
-    template = (HERE / "mobility.html").read_text(encoding="utf-8")
-    return Template(template).substitute(
-        css=(HERE / "page.css").read_text(encoding="utf-8"),
-        title=html.escape(result.name),
+    return Template(asset("mobility.html")).substitute(
+        css=asset("page.css"),
+        title=text(result.name),
         version=__version__,
-        description=html.escape(result.scenario.description),
-        verdict=html.escape(result.verdict()),
+        description=text(result.scenario.description),
+        verdict=text(result.verdict()),
         rows=_html_rows(rows(result)),
         schemes=_html_rows(schemes(result)),
-        figure=json.dumps({"data": [line], "layout": layout}).replace("<", "\\u003c"),
+        figure=script_json({"data": [line], "layout": layout}),
         plotly=get_plotlyjs(),
     )
 
 
 def _html_rows(lines: Sequence[tuple[str, str, str]]) -> str:
     return "".join(
-        f"<tr><td class='name'>{html.escape(name)}</td>"
-        f"{''.join(f'<td>{html.escape(value)}</td>' for value in values)}</tr>"
+        f"<tr><td class='name'>{text(name)}</td>"
+        f"{''.join(f'<td>{text(value)}</td>' for value in values)}</tr>"
         for name, *values in lines
     )

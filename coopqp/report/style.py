@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import count
 
 from coopqp.trace import Trace
 
@@ -33,14 +34,8 @@ class Style:
     width: float
 
     def line(self) -> dict[str, object]:
-        """As Plotly takes it."""
-        lengths = ",".join(f"{length}px" for length in self.dash.split(",")) if self.dash else ""
-        return {
-            "color": self.color,
-            "dash": lengths or "solid",
-            "width": self.width,
-            "simplify": False,
-        }
+        dash = ",".join(f"{length}px" for length in self.dash.split(",")) if self.dash else "solid"
+        return {"color": self.color, "dash": dash, "width": self.width, "simplify": False}
 
     def swatch(self) -> str:
         """A sample of the line, as SVG."""
@@ -58,12 +53,11 @@ def styles(traces: Mapping[str, Trace]) -> dict[str, Style]:
 
 def chosen_styles(keeps_limits: Mapping[str, bool]) -> dict[str, Style]:
     """The same by whether each controller keeps limits."""
-    counts = {True: 0, False: 0}
     chosen: dict[str, Style] = {}
+    before = {True: count(), False: count()}
     for name, keeps in keeps_limits.items():
         colors, dashes = (QP_COLORS, QP_DASHES) if keeps else (OTHER_COLORS, OTHER_DASHES)
-        i = counts[keeps]
-        counts[keeps] += 1
+        i = next(before[keeps])
         width = QP_WIDTH if keeps else OTHER_WIDTHS[min(i, len(OTHER_WIDTHS) - 1)]
         chosen[name] = Style(colors[i % len(colors)], dashes[i % len(dashes)], width)
     return chosen

@@ -267,12 +267,8 @@ class Bridge:
         self._note = ""
         self._reported_at = -np.inf
 
-    def take_joint_state(self, message: Any) -> None:
-        """Joint states have come; from any thread."""
-        self._queue.append(("", message, self._loop.now))
-
-    def take_target(self, name: str, message: Any) -> None:
-        """A message for an input has come, of the type :func:`message_of`; from any thread."""
+    def take(self, name: str, message: Any) -> None:
+        """Queue a message for an input, or joint states if the name is empty; from any thread."""
         self._queue.append((name, message, self._loop.now))
 
     def read(self) -> Array | None:
@@ -367,23 +363,22 @@ def _limits(loop: OnlineLoop) -> Iterator[Remark]:
     kept, problem = loop.history.last(2), loop.problem
     q, v = np.vstack([kept.q, loop.setpoint]), kept.v
     for limit in problem.limits:
-        margins: dict[Row, float] = {}
+        margins: dict[str, dict[Row, float]] = {}
         with suppress(Exception):  # a tick that met the same error names it
-            each = limit.margins(problem.chain, q, v, problem.dt)
-            margins = {row: float(margin[-1]) for row, margin in each.items() if margin.size}
-        for owner in dict.fromkeys(row.owner for row in margins):
-            yield _limit(owner, {row: m for row, m in margins.items() if row.owner == owner})
+            for row, margin in limit.margins(problem.chain, q, v, problem.dt).items():
+                if margin.size:
+                    margins.setdefault(row.owner, {})[row] = float(margin[-1])
+        yield from (_limit(owner, own) for owner, own in margins.items())
 
 
 def _limit(owner: str, margins: Mapping[Row, float]) -> Remark:
-    level = max(2 if m < BROKEN else int(m <= AT) for m in margins.values())
-    texts = [
-        f"{'beyond' if m < BROKEN else 'at'} {row.words}" for row, m in margins.items() if m <= AT
-    ]
+    reached = {row: m < BROKEN for row, m in margins.items() if m <= AT}
+    texts = [f"{'beyond' if broken else 'at'} {row.words}" for row, broken in reached.items()]
     units = dict.fromkeys(row.unit for row in margins)
     nearest = {
         u: min((row for row in margins if row.unit == u), key=margins.__getitem__) for u in units
     }
     values = {f"left [{unit}]": f"{margins[row]:.4g}" for unit, row in nearest.items()}
     values |= {f"nearest [{unit}]": row.words for unit, row in nearest.items()}
+    level = max((1 + broken for broken in reached.values()), default=0)
     return Remark(f"limit {owner}", level, "; ".join(texts), values)

@@ -42,10 +42,9 @@ def run_node(scenario: Scenario, arguments: Sequence[str] = ()) -> Ended:
         kinds = scenario.followed()
         topics = _Topics(node, settings.controllers)
         bridge = Bridge(loop, joints, kinds, settings, topics)
-        topics.subscribe(JOINT_STATE, settings.joint_states, bridge.take_joint_state)
+        topics.subscribe(JOINT_STATE, settings.joint_states, partial(bridge.take, ""))
         for name, kind in kinds.items():
-            take = partial(bridge.take_target, name)
-            topics.subscribe(message_of(kind), f"~/inputs/{name}", take)
+            topics.subscribe(message_of(kind), f"~/inputs/{name}", partial(bridge.take, name))
         with _received(node):
             return _run(loop, bridge, topics)
 
@@ -169,15 +168,12 @@ class _Topics:
             raise CoopqpError(f"topic '{topic}': {words}") from None
 
     def now(self) -> int:
-        """By the clock of ROS [ns]."""
         return int(self._node.get_clock().now().nanoseconds)
 
     def command(self, controller: str, velocities: list[float]) -> None:
-        """Publish velocities."""
         self._commands[controller].publish(self._velocities(data=velocities))
 
     def diagnose(self, remarks: Sequence[Remark]) -> None:
-        """Publish diagnostics."""
         array = _type(DIAGNOSTICS)(status=[_status(remark) for remark in remarks])
         array.header.stamp = self._node.get_clock().now().to_msg()
         self._diagnostics.publish(array)

@@ -18,28 +18,28 @@ from coopqp.scenario.scenario import Scenario
 from coopqp.signal import Trajectory
 from coopqp.study.explanation import at_bound, explain, explain_standing
 from coopqp.study.tick_record import record_tick
-from coopqp.viewer.messages import ExplainedController, Explanation, Snapshot
+from coopqp.viewer.messages import Explanation, Snapshot
 from coopqp.viewer.steering import at_targets, with_dials
 from coopqp.viewer.worker import Peer
 
 
 def serve(peer: Peer, scenario: Scenario) -> None:
     """Answer until the player ends."""
-    explainer: _Explainer | None = None
-    for message in peer.messages():
-        if isinstance(message, ExplainedController):
-            explainer = _Explainer(scenario, message)
-        elif isinstance(message, Snapshot) and explainer:
-            peer.send(explainer.explain(message))
+    explainer, built_for = None, None
+    for snapshot in peer.messages():
+        controller = snapshot.law, snapshot.dials, [q.tolist() for q in snapshot.starts]
+        if explainer is None or controller != built_for:
+            explainer, built_for = _Explainer(scenario, snapshot), controller
+        peer.send(explainer.explain(snapshot))
 
 
 class _Explainer:
-    """Explains one controller in one phase."""
+    """Explains the controller of a snapshot in its phase."""
 
-    def __init__(self, scenario: Scenario, explained: ExplainedController) -> None:
-        self._name, starts = explained.law, explained.starts
-        held = with_dials(scenario, explained.dials).held_by(explained.law)
-        controller = controller_of(held, explained.law)
+    def __init__(self, scenario: Scenario, snapshot: Snapshot) -> None:
+        self._name, starts = snapshot.law, snapshot.starts
+        held = with_dials(scenario, snapshot.dials).held_by(self._name)
+        controller = controller_of(held, self._name)
         begun = dict(zip(held.first_ticks[1:], starts, strict=False))
         problems = held.problems(begun.__getitem__)
         self._problem = next(islice(problems, len(starts), None))

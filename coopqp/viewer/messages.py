@@ -1,5 +1,6 @@
 """Messages between the player, the page and the explainer; arrays and text alone.
 
+The page first sends its port, or as a text why it cannot be served.
 Letters: b bodies, n joints, s segments. Poses are x, y, z, qx, qy, qz, qw.
 """
 
@@ -148,26 +149,17 @@ class Action:
 
 
 @dataclass(frozen=True)
-class Opened:
-    """The port of the page, or why it cannot be served."""
+class Snapshot:
+    """A state to explain; inputs with kind, value and rate, and their targets, by name.
 
-    port: int = 0
-    fault: str = ""
-
-
-@dataclass(frozen=True)
-class ExplainedController:
-    """The controller that is explained, its dials, and q where each later phase has begun."""
+    Attributes:
+        law: the controller, with the values of its dials.
+        starts: q where each later phase has begun, shape (n,) each.
+    """
 
     law: str
     dials: Mapping[str, float]
     starts: tuple[Array, ...]
-
-
-@dataclass(frozen=True)
-class Snapshot:
-    """A state to explain; inputs with kind, value and rate, and their targets, by name."""
-
     t: float
     q: Array
     v: Array

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from html import escape
 from typing import Any
 
-from coopqp.viewer.messages import Action, Dial, Frame, Opened, PageSetup
+from coopqp.viewer.messages import Action, Dial, Frame, PageSetup
 from coopqp.viewer.scene import AT, BEYOND, FORCE, GOAL, LINK, NEAR, TONES, WEIGHT, Scene, css
 from coopqp.viewer.worker import Peer
 
@@ -31,57 +31,51 @@ def serve(peer: Peer, setup: PageSetup, host: str, port: int) -> None:
     server = viser.ViserServer(host=host, port=port, label="coopqp play", verbose=False)
     used = server.get_port()
     if port and used != port:  # somebody was faster
-        peer.send(Opened(fault=f"port {port} is taken; take another with --port"))
+        peer.send(f"port {port} is taken; take another with --port")
         return
-    page = _Page(server, setup, peer)
-    peer.send(Opened(used))
-    for message in peer.messages():
-        if isinstance(message, Frame):
-            with server.atomic():
-                page.scene.draw(message)
-                page.panel.draw(message)
-    page.panel.end()
+    lock, begun = threading.Lock(), False
+
+    def send(action: Action) -> None:
+        with lock:
+            peer.send(action)
+
+    server.gui.configure_theme(
+        control_width="large", show_logo=False, show_share_button=False, brand_color=(0, 114, 178)
+    )
+    with server.atomic():  # viser keeps all browsers alike, also those that come late
+        scene = Scene(server, setup, send)
+        panel = _Panel(server.gui, setup, send, scene.arrange)
+
+    async def begin(client: Any) -> None:
+        """Time starts when the first browser connects."""
+        nonlocal begun
+        scene.fit(client)
+        if not begun:
+            begun = True
+            send(Action("play"))
+
+    server.on_client_connect(begin)
+    peer.send(used)
+    for frame in peer.messages():
+        with server.atomic():
+            scene.draw(frame)
+            panel.draw(frame)
+    panel.end()
     server.flush()
     time.sleep(FAREWELL)
 
 
-class _Page:
-    """The page of all browsers; viser keeps them alike, also those that come late."""
-
-    def __init__(self, server: Any, setup: PageSetup, peer: Peer) -> None:
-        self._peer, self._lock, self._begun = peer, threading.Lock(), False
-        server.gui.configure_theme(
-            control_width="large", show_logo=False, show_share_button=False,
-            brand_color=(0, 114, 178),
-        )  # fmt: skip
-        with server.atomic():
-            self.scene = Scene(server, setup, self._send)
-            self.panel = Panel(server, setup, self._send, self.scene.arrange)
-        server.on_client_connect(self._begin)
-
-    async def _begin(self, client: Any) -> None:
-        """Time starts when the first browser connects."""
-        self.scene.fit(client)
-        if not self._begun:
-            self._begun = True
-            self._send(Action("play"))
-
-    def _send(self, action: Action) -> None:
-        with self._lock:
-            self._peer.send(action)
-
-
-class Panel:
+class _Panel:
     """The sentence, buttons, controllers, dials and the recording."""
 
     def __init__(
         self,
-        server: Any,
+        gui: Any,
         setup: PageSetup,
         send: Callable[[Action], None],
         arrange: Callable[[str, int], None],
     ) -> None:
-        self._gui, self._setup, self._send, self._arrange = server.gui, setup, send, arrange
+        self._gui, self._setup, self._send, self._arrange = gui, setup, send, arrange
         self._texts: dict[int, str] = {}
         self._gui.add_html(_head(setup))
         self._verdict = self._gui.add_html("")
@@ -91,21 +85,19 @@ class Panel:
         self._table = self._gui.add_html("")
         self._gui.add_html(_legend(setup))
         self._all_dials()
-        with self._folder("Recording"):
+        with gui.add_folder("Recording"):
             self._recorded = self._gui.add_html("")
             if setup.folder:
                 save = self._gui.add_button("Save", hint=f"to {setup.folder}")
                 self._on(save.on_click, lambda: Action("save"))
 
     def draw(self, frame: Frame) -> None:
-        """Show a frame."""
         self._set(self._verdict, _verdict(frame))
         self._set(self._status, _status(frame, self._setup))
         self._set(self._table, _table(frame, self._setup))
         self._set(self._recorded, _recorded(frame, self._setup))
 
     def end(self) -> None:
-        """Say that nobody plays any more."""
         self._set(self._verdict, _box('<div data-tone="ended">coopqp play has ended.</div>'))
         self._set(self._status, _box("ended"))
 
@@ -145,23 +137,21 @@ class Panel:
         choice.on_update(choose)
 
     def _all_dials(self) -> None:
-        with self._folder("Gains, weights, priorities, kappa", folded=True):
+        folder = self._gui.add_folder
+        with folder("Gains, weights, priorities, kappa", expand_by_default=False):
             for group in dict.fromkeys(dial.group for dial in self._setup.dials):
-                with self._folder(group):
+                with folder(group):
                     for dial in self._setup.dials:
                         if dial.group == group:
                             self._slider(dial, "dial", dial.label)
         if self._setup.knobs:
-            with self._folder("Inputs"):
+            with folder("Inputs"):
                 for knob in self._setup.knobs:
                     self._slider(knob, "knob", f"{knob.group} {knob.label}")
 
     def _slider(self, dial: Dial, what: str, label: str) -> None:
         slider = self._gui.add_slider(label, dial.low, dial.high, dial.step, dial.value)
         self._on(slider.on_update, lambda: Action(what, dial.key, (float(slider.value),)))
-
-    def _folder(self, name: str, *, folded: bool = False) -> Any:
-        return self._gui.add_folder(name, expand_by_default=not folded)
 
 
 def _box(content: str, *, style: str = "") -> str:

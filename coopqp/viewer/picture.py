@@ -11,13 +11,11 @@ import pinocchio as pin
 
 from coopqp.assessment.thresholds import AT_LIMIT, TOO_FAST, closed, matters, within
 from coopqp.base.spec import Array
-from coopqp.closed_loop.forces import squeezes
 from coopqp.model.marker import SolidMarker, asked
 from coopqp.model.state import State
 from coopqp.report.scene.bodies import robot_bodies, solid_body
 from coopqp.report.scene.markers import Place
 from coopqp.report.scene.playback import MIN_FORCE, squeeze_words, weight
-from coopqp.robot import RobotModel
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import axes_along, quaternion_of
 from coopqp.study.explanation.words import listed, size
@@ -40,12 +38,12 @@ def surfaces(scenario: Scenario) -> tuple[tuple[Surface, ...], tuple[str, ...]]:
     bodies, faults = robot_bodies(robot)
     marks = (mark for limit in scenario.limits for mark in limit.marks(0.0))
     solids = [solid_body(mark) for mark in marks if isinstance(mark, SolidMarker)]
-    index = scenario.chain.joint_names.index
-    drawn = (
-        (index(robot.model.names[b.joint]) if b.joint else None, b.surface)
-        for b in (*bodies, *solids)
-    )
-    return tuple(Surface(joint, s.vertices, s.corners) for joint, s in drawn), faults
+    surfaces = []
+    for body in (*bodies, *solids):
+        name = robot.model.names[body.joint]
+        joint = scenario.chain.joint_names.index(name) if body.joint else None
+        surfaces.append(Surface(joint, body.surface.vertices, body.surface.corners))
+    return tuple(surfaces), faults
 
 
 def space(scenario: Scenario, bodies: Sequence[Surface]) -> tuple[Array, Array]:
@@ -169,21 +167,17 @@ def _forces(controller: SimulatedController, state: State) -> tuple[Array, Array
     longest = max(float(np.linalg.norm(forces, axis=1).max()), down, MIN_FORCE)
     size = max(controller.run.scenario.held.size)
     scale = ARROW * size / longest
-    hands = _hands(state, controller.run.scenario.chain.robot)
-    hands[:, 2] += ABOVE * size
-    below = state.p_WO - [0.0, 0.0, BELOW * size]
-    arrows = np.stack([hands - scale * forces, hands], axis=1)
-    words = squeeze_words(squeezes(points.reshape(-1, 3), wrenches.reshape(-1, 6)))
-    return arrows, np.array([[below, below - [0.0, 0.0, scale * down]]]), words
-
-
-def _hands(state: State, robot: RobotModel) -> Array:
-    places = []
+    robot, places = controller.run.scenario.chain.robot, []
     for arm in robot.arms:
         frame = robot.model.frames[robot.model.getFrameId(arm.tip)]
         joint = state.chain.model.getJointId(robot.model.names[frame.parentJoint])
         places.append(state.joint_pose(joint).act(frame.placement.translation))
-    return np.array(places)
+    hands = np.array(places)
+    hands[:, 2] += ABOVE * size
+    below = state.p_WO - [0.0, 0.0, BELOW * size]
+    arrows = np.stack([hands - scale * forces, hands], axis=1)
+    weight_arrow = np.array([[below, below - [0.0, 0.0, scale * down]]])
+    return arrows, weight_arrow, squeeze_words(points, wrenches)
 
 
 def _closed(corners: Array) -> Array:

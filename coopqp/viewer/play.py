@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from coopqp.base.errors import CoopqpError, InternalError, InvalidValueError, MissingDependencyError
 from coopqp.viewer import explainer, page
-from coopqp.viewer.messages import Action, ExplainedController, Explanation, Opened
+from coopqp.viewer.messages import Explanation
 from coopqp.viewer.player import Player
 from coopqp.viewer.worker import Worker
 
@@ -75,10 +75,9 @@ def play(
 def _address(server: Worker, host: str) -> str:
     try:
         for message in server.received(PATIENCE):
-            if isinstance(message, Opened):
-                if message.fault:
-                    raise CoopqpError(message.fault)
-                return f"http://{f'[{host}]' if ':' in host else host}:{message.port}"
+            if isinstance(message, str):
+                raise CoopqpError(message)
+            return f"http://{f'[{host}]' if ':' in host else host}:{message}"
     except EOFError:
         pass
     raise InternalError("the page did not open; see what is printed above")
@@ -90,11 +89,9 @@ class _Clock:
     def __init__(self, player: Player, server: Worker, thinker: Worker) -> None:
         self._player, self._page, self._explainer = player, server, thinker
         self._next_tick = self._next_frame = self._next_explanation = 0.0
-        self._explained: ExplainedController | None = None
         self._done: list[tuple[float, float]] = []  # end of ticks [s], and their duration [us]
 
     def run(self, goes_on: Callable[[], bool]) -> None:
-        """Until somebody ends it."""
         while goes_on():
             now = time.perf_counter()
             self._receive()
@@ -108,8 +105,7 @@ class _Clock:
     def _receive(self) -> None:
         try:
             for message in self._page.received():
-                if isinstance(message, Action):
-                    self._player.do(message)
+                self._player.do(message)
         except EOFError:
             if name := self._page.killed_by:
                 raise CoopqpError(f"the page's process was ended from outside by {name}") from None
@@ -121,20 +117,13 @@ class _Clock:
             return
         try:
             for message in self._explainer.received():
-                if isinstance(message, Explanation):
-                    self._player.explanation = message
+                self._player.explanation = message
         except EOFError:
-            self._player.explainer_ended()
+            self._player.has_explainer, self._player.explanation = False, Explanation()
             return
-        if not self._explainer.ready or now < self._next_explanation:
-            return
-        explained = self._player.explained()
-        if self._explained is None or not _same(self._explained, explained):
-            self._explained = explained
-            self._explainer.send(explained)
-            return
-        self._explainer.send(self._player.snapshot())
-        self._next_explanation = now + EXPLANATION
+        if self._explainer.ready and now >= self._next_explanation:
+            self._explainer.send(self._player.snapshot())
+            self._next_explanation = now + EXPLANATION
 
     def _tick(self, now: float) -> None:
         player = self._player
@@ -155,8 +144,3 @@ class _Clock:
         longest = max((us for _, us in self._done), default=0.0)
         self._page.send(self._player.frame(factor, longest))
         self._next_frame = max(self._next_frame + FRAME, now)
-
-
-def _same(one: ExplainedController, other: ExplainedController) -> bool:
-    same = (one.law, one.dials, len(one.starts)) == (other.law, other.dials, len(other.starts))
-    return same and all((a == b).all() for a, b in zip(one.starts, other.starts, strict=True))

@@ -24,7 +24,6 @@ from coopqp.viewer.messages import (
     Action,
     ControllerFrame,
     Dial,
-    ExplainedController,
     Explanation,
     Frame,
     PageSetup,
@@ -87,7 +86,6 @@ class Player:
         return self.controllers[self._main]
 
     def tick(self) -> None:
-        """One tick of all controllers."""
         self._apply_dials()
         try:
             for controller in self.controllers:
@@ -121,10 +119,6 @@ class Player:
             self.save()
         else:
             self._steer(action)
-
-    def explainer_ended(self) -> None:
-        """Show explanations no more."""
-        self.has_explainer, self.explanation = False, Explanation()
 
     def save(self) -> Path | None:
         """Write the recording; where nothing can be written the note says why."""
@@ -189,15 +183,12 @@ class Player:
             tick_us=tick_us,
         )
 
-    def explained(self) -> ExplainedController:
-        """The controller that is explained, as the explainer has to build it."""
-        starts = tuple(self._controller.starts)
-        return ExplainedController(self._controller.name, dict(self._values), starts)
-
     def snapshot(self) -> Snapshot:
-        """The state to explain."""
         controller, state = self._controller, self._controller.state
         return Snapshot(  # which is sent to another process, and so copied
+            law=controller.name,
+            dials=dict(self._values),
+            starts=tuple(controller.starts),
             t=state.t,
             q=state.q,
             v=state.v,

@@ -67,13 +67,11 @@ class Recording:
 
     @property
     def seconds(self) -> float:
-        """Its duration [s]."""
         return sum(self.ticks) * self._scenario.dt
 
     def add(
         self, phase: int, since: float, t: float, sent: Iterable[Arrival], kinds: Mapping[str, Kind]
     ) -> None:
-        """Add a tick."""
         if self.note:
             return
         if sum(self.ticks) >= self._max_ticks:
@@ -143,16 +141,13 @@ class Recording:
     def _phases(self, data: dict[str, Any]) -> list[dict[str, Any]]:
         """Put the phases that were played into the mapping, with their durations."""
         phases = []
-        for k, ticks in enumerate(self.ticks):
-            given = data["phases"][k] if "phases" in data else data
-            ends = max((task.end for task in self._scenario.schedule[k].tasks), default=0.0)
-            lasts, tasks = max(ticks * self._scenario.dt, ends), map(_spelled, given["tasks"])
-            kept = given if "phases" in data else {}
-            phases.append({**kept, "duration": lasts, "tasks": list(tasks)})
-        if "phases" in data:
-            data["phases"] = phases
-        else:
-            data |= phases[0]
+        for given, phase, ticks in zip(
+            data.get("phases", [data]), self._scenario.schedule, self.ticks, strict=False
+        ):
+            end = max((task.end for task in phase.tasks), default=0.0)
+            played = {"duration": max(ticks * self._scenario.dt, end)}
+            phases.append(given | played | {"tasks": [*map(_spelled, given["tasks"])]})
+        data |= {"phases": phases} if "phases" in data else phases[0]
         return phases
 
     def _turn(

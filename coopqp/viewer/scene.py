@@ -52,9 +52,8 @@ def of_joint(left: float, base: Rgb) -> Rgb:
         return AT
     if left >= WARNS:
         return base
-    near = np.ceil(STEPS * (1.0 - left / WARNS)) / STEPS
-    first, last = (base, NEAR) if near < 0.5 else (NEAR, AT)
-    return mixed(first, last, 2.0 * near if near < 0.5 else 2.0 * near - 1.0)
+    near = 2.0 * np.ceil(STEPS * (1.0 - left / WARNS)) / STEPS
+    return mixed(base, NEAR, near) if near < 1.0 else mixed(NEAR, AT, near - 1.0)
 
 
 def mixed(first: Rgb, last: Rgb, share: float) -> Rgb:
@@ -76,18 +75,15 @@ def css(color: Rgb) -> str:
 
 
 def view(setup: PageSetup) -> tuple[Array, Array]:
-    """Target and position of the camera at first, shape (3,) each [m].
-
-    It looks from the side of the longer horizontal edge.
-    """
+    """Target and position of the camera at first, beside the longer horizontal edge, (3,) [m]."""
     aside = BESIDE if _longer_along_x(setup) else BEFORE
     middle = 0.5 * (setup.low + setup.high)
     return middle, middle + float(np.linalg.norm(setup.high - setup.low)) * np.array(aside)
 
 
 def _longer_along_x(setup: PageSetup) -> bool:
-    size = setup.high - setup.low
-    return bool(size[0] > size[1])
+    x, y, _ = setup.high - setup.low
+    return bool(x > y)
 
 
 class Scene:
@@ -122,7 +118,6 @@ class Scene:
                 client.camera.look_at = middle
 
     def draw(self, frame: Frame) -> None:
-        """Draw a frame."""
         for drawn, each in zip(self._drawn, frame.laws, strict=True):
             drawn.draw(each)
         now = time.monotonic()
@@ -213,7 +208,6 @@ class _Controller:
             self._send(Action("carry", 0, _numbers(np.asarray(self._held.position) + pull)))
 
     def place(self, *, shown: bool, ghost: bool, shift: Array, draggable: bool) -> None:
-        """Where and how it is drawn."""
         self._shown, self._draggable = shown, draggable
         self._root.visible = shown
         self._root.position = shift
@@ -222,7 +216,6 @@ class _Controller:
             node.opacity = GHOST if ghost else None
 
     def draw(self, drawn: ControllerFrame) -> None:
-        """Draw its frame."""
         if not self._shown:
             return
         _move(self._held, drawn.held)

@@ -76,7 +76,6 @@ class SimulatedController:
 
     @property
     def state(self) -> State:
-        """That of the last tick."""
         return self.run.state
 
     @property
@@ -104,14 +103,12 @@ class SimulatedController:
             self._enter(begin_phase(self.run.scenario, self.run.controller, self.run))
         self.command, self.us = next(self._ticks)
         self.run.ticks += 1
-        self.torn = self.torn or self._is_torn()
-
-    def _is_torn(self) -> bool:
         held = self.plant.signals.get("held")
         if held is not None:  # hands that press may move along the object
-            return self.run.ticks > 1 and not held[0] > 0.0
-        true = self.plant.truth(self.state)
-        return torn(true.loop_position_error, true.loop_orientation_error)
+            self.torn |= self.run.ticks > 1 and not held[0] > 0.0
+        else:
+            true = self.plant.truth(self.state)
+            self.torn |= torn(true.loop_position_error, true.loop_orientation_error)
 
     def change(self, scenario: Scenario) -> None:
         """Build the controller for other gains and the like, and continue from the current state.

@@ -9,7 +9,7 @@ normal: its position is the one, its z axis the other.
 from __future__ import annotations
 
 import typing
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -25,7 +25,7 @@ from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.model.trajectory_filter import RAMPS, VELOCITIES, MotionLimits
 from coopqp.scenario.input import InputSettings
-from coopqp.scenario.scenario import Phase, Scenario
+from coopqp.scenario.scenario import Scenario
 from coopqp.signal import (
     DIRECTION,
     POSE,
@@ -76,12 +76,10 @@ class Fixed(Signal):
     """As many numbers as are needed."""
 
     def bind(self, kind: Kind, start: Instant, here: Array | None) -> Trajectory:
-        """It is constant."""
         return Trajectory(kind, kind.read(self.value))
 
     @property
     def rest(self) -> float:
-        """At once [s]."""
         return 0.0
 
 
@@ -89,26 +87,27 @@ def with_inputs(scenario: Scenario) -> tuple[Scenario, tuple[SteeredField, ...]]
     """The scenario with inputs for everything that can be dragged, and the fields they steer."""
     if scenario.inputs:
         return scenario, tuple(_own(scenario))
-    state = State(scenario.chain)
-    steered: list[SteeredField] = []
-    schedule = []
-    for i, phase in enumerate(scenario.schedule):
-        tasks = []
-        for j, task in enumerate(phase.tasks):
-            changed, own = _with_inputs(task, f"{phase.name} {task.name}".strip(), (i, j), state)
-            tasks.append(changed)
-            steered += own
-        schedule.append(replace(phase, tasks=tuple(tasks)))
+    state, steered = State(scenario.chain), list[SteeredField]()
+
+    def with_own(task: Task, i: int, j: int) -> Task:
+        name = f"{scenario.schedule[i].name} {task.name}".strip()
+        changed, own = _with_inputs(task, name, (i, j), state)
+        steered.extend(own)
+        return changed
+
+    changed = _with_tasks(scenario, with_own)
     settings = InputSettings(**input_limits(scenario))
-    inputs = {field.name: settings for field in steered}
-    return replace(_with_schedule(scenario, schedule), inputs=inputs), tuple(steered)
+    return replace(changed, inputs={field.name: settings for field in steered}), tuple(steered)
 
 
-def _with_schedule(scenario: Scenario, schedule: Sequence[Phase]) -> Scenario:
-    """The scenario with other phases, or with the tasks of the only one."""
-    if scenario.phases:
-        return replace(scenario, phases=tuple(schedule))
-    return replace(scenario, tasks=tuple(schedule[0].tasks))
+def _with_tasks(scenario: Scenario, changed: Callable[[Task, int, int], Task]) -> Scenario:
+    """The scenario with other tasks, each made of one with the indices of its phase and itself."""
+    phases = tuple(
+        replace(phase, tasks=tuple(changed(task, i, j) for j, task in enumerate(phase.tasks)))
+        for i, phase in enumerate(scenario.schedule)
+    )
+    own: Any = {"phases": phases} if scenario.phases else {"tasks": phases[0].tasks}
+    return replace(scenario, **own)
 
 
 def input_limits(scenario: Scenario) -> dict[str, Any]:
@@ -130,19 +129,14 @@ def at_targets(task: Task, targets: Mapping[str, Array]) -> Task:
     """A task whose goal is the target of its inputs, without a profile on the way there."""
 
     def fixed(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: fixed(each) for key, each in value.items()}
         if isinstance(value, Input) and value.name in targets:
             return Fixed(value=targets[value.name].tolist())
         return value
 
-    changes: dict[str, Any] = {}
-    for part in fields(task):
-        value = getattr(task, part.name)
-        if isinstance(value, dict):
-            inside = {key: fixed(each) for key, each in value.items()}
-            if inside != value:
-                changes[part.name] = inside
-        elif isinstance(value, Input):
-            changes[part.name] = fixed(value)
+    values = ((field.name, getattr(task, field.name)) for field in fields(task))
+    changes = {key: fixed(value) for key, value in values if isinstance(value, dict | Input)}
     if isinstance(task.way, Profile):
         changes["profile"] = Profile(kind="step")
     return replace(task, **changes) if changes else task
@@ -305,13 +299,9 @@ def with_dials(scenario: Scenario, values: Mapping[str, float]) -> Scenario:
             given["priority"] = round(given["priority"])
         return replace(task, **given) if given else task
 
-    phases = [
-        replace(p, tasks=tuple(changed(t, f"tasks.{i}.{j}") for j, t in enumerate(p.tasks)))
-        for i, p in enumerate(scenario.schedule)
-    ]
     secondary = tuple(changed(t, f"secondary.{i}") for i, t in enumerate(scenario.secondary))
-    other = replace(_with_schedule(scenario, phases), secondary=secondary)
-    return replace(other, kappa=values[KAPPA]) if KAPPA in values else other
+    other = _with_tasks(scenario, lambda task, i, j: changed(task, f"tasks.{i}.{j}"))
+    return replace(other, secondary=secondary, kappa=values.get(KAPPA, scenario.kappa))
 
 
 def dialled_field(key: str) -> tuple[str, int, int, str]:

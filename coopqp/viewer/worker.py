@@ -1,7 +1,7 @@
 """A process beside the control loop: it gets the newest message and never delays the loop.
 
-The worker says when it is ready, and only then one message is sent, so that outdated ones are never
-sent at all. What it sends back is read without waiting.
+The worker says by None when it is ready, and only then one message is sent, so that outdated ones
+are never sent at all. What it sends back is read without waiting.
 """
 
 from __future__ import annotations
@@ -19,10 +19,6 @@ from typing import Any
 PATIENCE = 2.0  # for the process to end by itself [s]
 
 
-class _Ready:
-    """Sent by a worker that waits for the next message."""
-
-
 class Peer:
     """The connection to the control loop, in the worker."""
 
@@ -38,7 +34,7 @@ class Peer:
         """Messages until the loop ends, each the newest at the time it is asked for."""
         with suppress(EOFError, OSError):
             while True:
-                self._connection.send(_Ready())
+                self._connection.send(None)
                 yield self._connection.recv()
 
 
@@ -81,7 +77,7 @@ class Worker:
             while self._connection.poll(timeout):
                 message = self._connection.recv()
                 timeout = 0.0
-                if isinstance(message, _Ready):
+                if message is None:
                     self.ready = True
                 else:
                     yield message
@@ -96,7 +92,6 @@ class Worker:
         return signal.Signals(-code).name if code < 0 else ""
 
     def end(self) -> None:
-        """End it."""
         self._connection.close()
         self._process.join(PATIENCE)
         if self._process.is_alive():

@@ -71,9 +71,9 @@ class World:
         """Some periods; the target is sent before each tick."""
         for _ in range(ticks):
             if not self.silent and self.ticks % self.every == 0:
-                self.bridge.take_joint_state(self.state())
+                self.bridge.take("", self.state())
             if target is not None:
-                self.bridge.take_target("target", target())
+                self.bridge.take("target", target())
             command = self.loop.tick(self.bridge.read(), self.bridge.inputs())
             self.bridge.write(self.loop.setpoint, command.v)
             for arm, velocities in self.sent.items():
@@ -242,7 +242,7 @@ def test_arms_that_speak_apart_are_one_robot_until_one_of_them_is_silent(
         return joint_state(world.now(), names, [world.q[world.names.index(n)] for n in names])
 
     def half() -> Any:
-        world.bridge.take_joint_state(of("left"))
+        world.bridge.take("", of("left"))
         return of("right")
 
     world.state = half

@@ -37,7 +37,7 @@ class _Wire:
 
 def told(player: Player) -> Explanation:
     """What the explainer says of a player now."""
-    wire = _Wire(player.explained(), player.snapshot())
+    wire = _Wire(player.snapshot())
     serve(Peer(wire), player.scenario)  # type: ignore[arg-type]
     (found,) = (thing for thing in wire.sent if isinstance(thing, Explanation))
     return found
@@ -105,7 +105,7 @@ def test_a_scenario_with_hinges_can_be_sent_to_the_explainer() -> None:
     """Models with them cannot be pickled; what is sent is built anew there."""
     player = Player(load("passive_grasp_pose"), ("qp",))
     sent = pickle.loads(pickle.dumps(replace(player.scenario)))
-    wire = _Wire(player.explained(), player.snapshot())
+    wire = _Wire(player.snapshot())
     serve(Peer(wire), sent)  # type: ignore[arg-type]
     assert not next(thing for thing in wire.sent if isinstance(thing, Explanation)).blocked
 

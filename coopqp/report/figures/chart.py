@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,20 +37,19 @@ class Chart:
         self.styles = styles(self.traces)
         self.any = max(self.traces.values(), key=lambda trace: len(trace.joints))
         self.end = float(self.any.t[-1])
-        self._problems: dict[str, list[ControlProblem]] = {}
 
     @property
     def chain(self) -> ClosedChain:
-        """The chain of the trace with most joints."""
         return self.comparison.scenario.held_by(self.any.controller).chain
 
-    def problems(self, name: str) -> list[ControlProblem]:
-        """A controller's problem in each phase, from where it then was."""
-        if name not in self._problems:
-            decided = self.traces[name].commanded
-            scenario = self.comparison.scenario.held_by(name)
-            self._problems[name] = list(scenario.problems(lambda first: decided[first]))
-        return self._problems[name]
+    @cached_property
+    def problems(self) -> dict[str, list[ControlProblem]]:
+        """Each controller's problem in each phase, from where it then was."""
+        scenario = self.comparison.scenario
+        return {
+            name: list(scenario.held_by(name).problems(trace.commanded.__getitem__))
+            for name, trace in self.traces.items()
+        }
 
     def instants(self, trace: Trace, count: int) -> list[NDArray[np.int64]]:
         """At most ``count`` rows of each phase, evenly spread, first and last among them."""

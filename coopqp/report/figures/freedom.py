@@ -112,7 +112,7 @@ def _phases(chart: Chart, name: str) -> Phases:
     instants = chart.instants(trace, MAX_INSTANTS)
     return [
         (t := trace.t[rows], singular_values(problem, t - t[0], trace.q[rows]))
-        for problem, rows in zip(chart.problems(name), instants, strict=True)
+        for problem, rows in zip(chart.problems[name], instants, strict=True)
     ]
 
 

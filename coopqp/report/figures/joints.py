@@ -75,15 +75,12 @@ def joint_rows(chain: ClosedChain) -> list[JointRow]:
         if count > 1:
             carried = [name for name, arm in zip(names, arms, strict=True) if j in arm]
             captions[j] = f"carries {' and '.join(carried)}"
-    if len(own) == 2 and len(own[0]) == len(own[1]):
-        rows: list[tuple[int, ...]] = list(zip(*own, strict=True))
-    else:
-        rows = [(j,) for j in joined(*own)]
+    alike = len(own) == 2 and len(own[0]) == len(own[1])
     shared = [(j,) for j, count in counts.items() if count > 1]
+    rows = zip(*own, strict=True) if alike else ((j,) for j in joined(*own))
     idle = [(j,) for j in range(chain.n) if j not in counts]
-    return [
-        JointRow(row, tuple(captions.get(j, "") for j in row)) for row in [*shared, *rows, *idle]
-    ]
+    every = joined(shared, rows, idle)
+    return [JointRow(row, tuple(captions.get(j, "") for j in row)) for row in every]
 
 
 def joint_order(chain: ClosedChain) -> list[int]:
@@ -94,9 +91,8 @@ def joint_order(chain: ClosedChain) -> list[int]:
 def _min_margin(chart: Chart, i: int) -> float:
     """Smallest margin of a joint under any controller, over its range; inf without limits."""
     lower, upper = chart.any.lower[i], chart.any.upper[i]
-    margins = [
-        float(np.minimum(q - lower, upper - q).min()) for q in _joint_lines(chart, i).values()
-    ]
+    lines = _joint_lines(chart, i).values()
+    margins = [float(np.minimum(q - lower, upper - q).min()) for q in lines]
     smallest, span = min(margins, default=np.inf), upper - lower
     return smallest / span if np.isfinite(span) and span > 0.0 else smallest
 
@@ -119,11 +115,11 @@ def _joint(chart: Chart, i: int) -> Figure:
     lower, upper = limits = float(chart.any.lower[i]), float(chart.any.upper[i])
     lines = _joint_lines(chart, i)
     shown = joint_window(lower, upper, list(lines.values()))
-    levels = []
-    if np.isfinite(lower):
-        levels.append(curves.level(lower, f"lower limit {lower:.3g}", above=False))
-    if np.isfinite(upper):
-        levels.append(curves.level(upper, f"upper limit {upper:.3g}"))
+    levels = [
+        curves.level(bound, f"{side} limit {bound:.3g}", above=side == "upper")
+        for side, bound in (("lower", lower), ("upper", upper))
+        if np.isfinite(bound)
+    ]
     return chart.figure(
         chart.any.joints[i],
         unit if levels else f"{unit}, no limits",

@@ -168,7 +168,7 @@ def targets(chart: Chart, quantity: Quantity) -> list[Target]:
             share = np.array([way.at(now)[0] if way else 1.0 for now in times])
             references = {}
             for name in chart.names if (share < 1.0).any() else ():
-                chain = chart.problems(name)[number].chain
+                chain = chart.problems[name][number].chain
                 start = chain.object_pose(chart.traces[name].commanded[first])
                 references[name] = quantity.reference(start, marks, share)
             every.append(Target(task.name, t[rows], goal, references))

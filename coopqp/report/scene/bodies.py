@@ -107,17 +107,15 @@ def body_places(
 def _surfaces_of_shapes(robot: RobotModel) -> tuple[dict[int, list[Triangles]], tuple[str, ...]]:
     """Surfaces of the links' shapes by joint, and what cannot be read."""
     surfaces: dict[int, list[Triangles]] = {}
-    read: dict[tuple[str, tuple[float, ...], Path | None], tuple[Triangles, str]] = {}
+    faults = set()
     for shape in robot.shapes:
-        look = (shape.kind, shape.size, shape.mesh)
-        if look not in read:
-            read[look] = _surface(shape)
-        surface, wrong = read[look]
-        if not wrong:
-            frame = robot.model.frames[robot.model.getFrameId(shape.frame)]
-            placed = moved(surface, frame.placement * shape.placement)
-            surfaces.setdefault(frame.parentJoint, []).append(placed)
-    faults = {f"{wrong}; not drawn" for _, wrong in read.values() if wrong}
+        surface, wrong = _surface(shape)
+        if wrong:
+            faults.add(f"{wrong}; not drawn")
+            continue
+        frame = robot.model.frames[robot.model.getFrameId(shape.frame)]
+        placed = moved(surface, frame.placement * shape.placement)
+        surfaces.setdefault(frame.parentJoint, []).append(placed)
     return surfaces, tuple(sorted(faults))
 
 
@@ -211,9 +209,8 @@ def _surface(shape: Shape | SolidMarker) -> tuple[Triangles, str]:
         return _turned(np.array([[0, -half], [radius, -half], [radius, half], [0, half]])), ""
     if shape.kind == "capsule":
         return _turned(_round_ends(size[0], size[1])), ""
-    radii = np.array(size if shape.kind == "ellipsoid" else 3 * size)
-    ball = _turned(_round_ends(1.0, 0.0))
-    return Triangles(ball.vertices * radii, ball.corners), ""
+    ball = _turned(_round_ends(1.0, 0.0))  # an ellipsoid has three radii, a sphere one
+    return Triangles(ball.vertices * np.array(size), ball.corners), ""
 
 
 def _of_capsule(capsule: Capsule) -> Triangles:
@@ -281,8 +278,7 @@ def _cells(surface: Triangles, cell: float) -> tuple[Ints, Ints]:
 def _distinct(corners: Ints) -> Ints:
     """Corners of the triangles with three distinct ones, each triangle once, shape (., 3)."""
     ordered = np.sort(corners, axis=1)
-    whole = (ordered[:, 0] != ordered[:, 1]) & (ordered[:, 1] != ordered[:, 2])
-    ordered = ordered[whole]
+    ordered = ordered[np.diff(ordered, axis=1).all(axis=1)]
     _, first = np.unique(_number(ordered), return_index=True)
     distinct: Ints = ordered[first]
     return distinct

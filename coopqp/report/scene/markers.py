@@ -52,6 +52,11 @@ PLACES = {
 TRACKED, POSTURE, RELATIVE = "tracked", "posture", "relative"
 #: What stands still, and is drawn as the robot is.
 SOLID = "solid"
+#: Kinds of markers whose fields are drawn as they are.
+AS_THEY_ARE: dict[type, str] = {
+    PointMarker: "goals", CircleMarker: "circles", SphereMarker: "spheres",
+    TrackedMarker: TRACKED, PostureMarker: POSTURE,
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -74,7 +79,6 @@ class Shown:
         return np.array([values[key] for values in self.values], float)
 
     def as_json(self) -> Json:
-        """For ``playback.js``."""
         values = {key: short(self.stacked(key)) for key in self.values[0]}
         return {"name": self.name, "limit": self.limit, **self.frames, **values}
 
@@ -127,34 +131,18 @@ class Place:
     def drawn(self, mark: Marker) -> tuple[str, Json]:
         """The kind and what is drawn."""
         match mark:
-            case PointMarker():
-                return "goals", {"at": mark.at}
             case LineMarker():
                 return self._line(mark)
             case PlaneMarker():
                 return "planes", {"corners": self._patch(mark)}
-            case CircleMarker():
-                values = {"center": mark.center, "normal": mark.normal, "radius": mark.radius}
-                return "circles", values
-            case SphereMarker():
-                return "spheres", {"center": mark.center, "radius": mark.radius}
             case SolidMarker():
                 return SOLID, {"solid": mark}
-            case PoseMarker():
-                axes = {"axes": self._axes(mark.rotation)}
-                where = mark.position
-                return ("orientations", axes) if where is None else ("poses", {"at": where} | axes)
-            case TrackedMarker() | PostureMarker() | RelativeMarker():
-                return self._moving(mark)
-
-    def _moving(self, mark: TrackedMarker | PostureMarker | RelativeMarker) -> tuple[str, Json]:
-        """What moves with the robot."""
-        match mark:
-            case TrackedMarker():
-                return TRACKED, {"point": mark.point}
-            case PostureMarker():
-                return POSTURE, {"goal": mark.goal}
-        return RELATIVE, {"at": mark.position, "axes": self._axes(mark.rotation)}
+            case PoseMarker(position=None):
+                return "orientations", {"axes": self._axes(mark.rotation)}
+            case PoseMarker() | RelativeMarker():
+                kind = "poses" if isinstance(mark, PoseMarker) else RELATIVE
+                return kind, {"at": mark.position, "axes": self._axes(mark.rotation)}
+        return AS_THEY_ARE[type(mark)], vars(mark)
 
     def _line(self, line: LineMarker) -> tuple[str, Json]:
         """Ends of a piece of it, or a vector from the object."""

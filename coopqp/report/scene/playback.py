@@ -158,11 +158,8 @@ def _readout(trace: Trace, frames: NDArray[np.int64]) -> list[list[str]]:
         if left:
             lines.append(f"limit margin {', '.join(left)}")
         if k > 0 and "hand_wrench" in trace.signals:
-            points, wrenches = (
-                trace.signals[name][k - 1] for name in ("hand_point", "hand_wrench")
-            )
-            words = squeeze_words(squeezes(points.reshape(-1, 3), wrenches.reshape(-1, 6)))
-            lines += [words] if words else []
+            signals = (trace.signals[name][k - 1] for name in ("hand_point", "hand_wrench"))
+            lines += filter(None, [squeeze_words(*signals)])
         texts.append(lines)
     return texts
 
@@ -213,10 +210,10 @@ def weight(scenario: Scenario) -> float:
     return GRAVITY * scenario.held.mass * scenario.disturbance.object_mass
 
 
-def squeeze_words(forces: list[float]) -> str:
-    """Such as "squeeze 60.0 N"; empty where there is none."""
-    numbers = ", ".join(f"{newtons:.3g}" for newtons in forces)
-    return f"squeeze {numbers} N" if forces else ""
+def squeeze_words(points: Array, wrenches: Array) -> str:
+    """Such as "squeeze 60.0 N", by signals of the hands, (3 N,), (6 N,); empty if there is none."""
+    forces = squeezes(points.reshape(-1, 3), wrenches.reshape(-1, 6))
+    return f"squeeze {', '.join(f'{force:.3g}' for force in forces)} N" if forces else ""
 
 
 def arrows(trace: Trace, scenario: Scenario, frames: NDArray[np.int64]) -> Json | None:

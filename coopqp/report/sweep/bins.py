@@ -45,11 +45,9 @@ class Axis:
 
     @property
     def count(self) -> int:
-        """Number of bins."""
         return len(self.labels) or len(self.edges) - 1
 
     def as_json(self) -> dict[str, Any]:
-        """For the page."""
         edges = [short(edge) for edge in self.edges]
         return {"name": self.name, "labels": self.labels, "edges": edges, "log": self.log}
 
@@ -138,7 +136,6 @@ class Binned:
 
     @classmethod
     def of(cls, study: Study, columns: Columns) -> Binned:
-        """From the results of a study."""
         controller, names = columns.codes("controller")
         state, states = columns.codes("state")
         done = np.array([name == DONE for name in states] + [False])[state]
@@ -182,12 +179,11 @@ class Binned:
         """
         good = self.success > 0.0
         sides = [self.controller, *(axis.code for axis in self.axes), good.astype(np.int64)]
-        counts = [len(self.controllers), *(axis.count for axis in self.axes), 2]
+        counts = [*(axis.count for axis in self.axes), 2]
         flows = []
-        for (a, b), n in zip(itertools.pairwise(sides), counts[1:], strict=True):
+        for (a, b), n in zip(itertools.pairwise(sides), counts, strict=True):
             pair = (a * n + b)[self.done]
-            every = np.bincount(pair)
-            succeeded = np.bincount(pair, weights=good[self.done])
+            every, succeeded = np.bincount(pair), np.bincount(pair, weights=good[self.done])
             there = np.flatnonzero(every).tolist()
             flows.append([[c // n, c % n, int(every[c]), int(succeeded[c])] for c in there])
         return flows

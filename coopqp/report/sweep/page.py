@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from string import Template
 
@@ -104,7 +104,7 @@ def _facts(study: Study, summary: Summary) -> str:
     return " · ".join(f"{name} <b>{text(value)}</b>" for name, value in facts.items())
 
 
-def _table(heads: Sequence[str], rows: Iterator[Sequence[str]] | Sequence[Sequence[str]]) -> str:
+def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """A table of cells that are HTML already; the first of each row is its name."""
     first, *others = heads
     head = f'<th class="name">{first}</th>' + "".join(f"<th>{x}</th>" for x in others)
