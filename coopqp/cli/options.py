@@ -59,11 +59,25 @@ def catalogued(command: Callable[..., None]) -> Callable[..., None]:
     ) -> None:
         from coopqp.scenario.catalog import Catalog
 
+        if options.get("out"):
+            _refuse_inside(plugin_folders, options["out"])
         with printed_aside(options.get("as_json", False)):
             catalog = Catalog(task_folders, plugin_folders)
         command(catalog=catalog, **options)
 
     return with_catalog
+
+
+def _refuse_inside(folders: Sequence[Path], out: Path) -> None:
+    """Results in a folder of plug-ins would be taken for a collection from then on."""
+    for folder in folders:
+        within = os.path.relpath(out, folder).split(os.sep)
+        if within[0] != ".." and not any(name.startswith("_") for name in within):
+            raise click.BadParameter(
+                f"{out} lies in the folder of plug-ins {folder}, where it would be taken for a "
+                "collection; write elsewhere, or under a name that begins with _",
+                param_hint="--out",
+            )
 
 
 def engined(command: Callable[..., None]) -> Callable[..., None]:

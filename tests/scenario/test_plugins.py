@@ -377,3 +377,13 @@ def test_all_mistakes_are_told_at_once_and_a_mended_file_is_read(tmp_path: Path)
 def test_a_folder_given_twice_counts_once() -> None:
     catalog = Catalog((EXAMPLES / "tasks",), (EXAMPLES, EXAMPLES))
     assert isinstance(catalog.entries("tasks")["hold_height"], Entry)
+
+
+@pytest.mark.parametrize("out", ["out", "tasks/out", "."])
+def test_results_are_not_written_into_a_folder_of_plugins(tmp_path: Path, out: str) -> None:
+    """They would be a collection that nobody knows, from then on."""
+    (tmp_path / "tasks").mkdir()
+    found = coopqp("compare", "point_on_point", "--plugins", tmp_path, "--out", tmp_path / out)
+    assert found.exit_code == 2
+    assert "folder of plug-ins" in found.output
+    assert [path.name for path in tmp_path.rglob("*")] == ["tasks"]
