@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import tempfile
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -37,12 +37,6 @@ def place_of(element: ET.Element) -> str:
     tag = f'<{element.tag} name="{name}">' if name else f"<{element.tag}>"
     place = getattr(element, "place", "")
     return f"{place}: {tag}" if place else tag
-
-
-def places(elements: Iterable[ET.Element]) -> dict[str, str]:
-    """``FILE:LINE`` of elements from files, by name."""
-    found = ((element.get("name", ""), getattr(element, "place", "")) for element in elements)
-    return {name: place for name, place in found if place}
 
 
 def read_xml(path: Path, roots: Sequence[str], kind: str, *, texts: bool = False) -> ET.Element:
