@@ -34,7 +34,7 @@ from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Budget
 from coopqp.study.explanation import explain_run, insufficient_time, words
 from coopqp.study.explanation.explained_phase import _Wider, explained_phases
-from coopqp.study.explanation.room import Room, Share
+from coopqp.study.explanation.goal import Room, Share
 from coopqp.tasks import Twist
 
 # Speed, time, budget

@@ -27,8 +27,16 @@ from coopqp.assessment.thresholds import BEYOND
 from coopqp.base.rank import independent_rows, null_space
 from coopqp.base.spec import Array
 from coopqp.scenario.bounded_steps import BoundedSteps, Stop
-from coopqp.study.explanation.goal import Goal, PartOfTask, Place, Search
-from coopqp.study.explanation.room import Room, Share, forces, shares
+from coopqp.study.explanation.goal import (
+    Goal,
+    PartOfTask,
+    Place,
+    Room,
+    Search,
+    Share,
+    forces,
+    shares,
+)
 from coopqp.task import Task
 
 T = TypeVar("T")

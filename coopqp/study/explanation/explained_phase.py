@@ -27,8 +27,15 @@ from coopqp.model.grasp_configuration import GraspConfiguration
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import InputValues
 from coopqp.solver import Status, causes_of
-from coopqp.study.explanation.goal import Goal, Missed, PartOfTask, parts_of, placed
-from coopqp.study.explanation.room import PLACE_UNITS, Room
+from coopqp.study.explanation.goal import (
+    PLACE_UNITS,
+    Goal,
+    Missed,
+    PartOfTask,
+    Room,
+    parts_of,
+    placed,
+)
 from coopqp.trace import InputTrace, Trace, followed
 
 

@@ -32,8 +32,7 @@ from coopqp.study.explanation.explained_phase import (
     rerun,
     without_position_limits,
 )
-from coopqp.study.explanation.goal import NEAR, Goal, Search
-from coopqp.study.explanation.room import Room, Share, thing_of
+from coopqp.study.explanation.goal import NEAR, Goal, Room, Search, Share, thing_of
 from coopqp.study.explanation.words import Needed, RunExplanation
 
 #: Cost of a metre [rad], of a step [1/rad], and of what the equalities are off by.

@@ -18,8 +18,7 @@ from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status
-from coopqp.study.explanation import insufficient_time, velocity, words
-from coopqp.study.explanation.asked import relaxed
+from coopqp.study.explanation import insufficient_time, words
 from coopqp.study.explanation.diagnosis import (
     BlockedByLimits,
     Contradiction,
@@ -31,15 +30,15 @@ from coopqp.study.explanation.diagnosis import (
     diagnose,
 )
 from coopqp.study.explanation.explained_phase import ExplainedPhase, explained_phases
-from coopqp.study.explanation.goal import Goal, Search, placed
+from coopqp.study.explanation.goal import Goal, Room, Search, placed
 from coopqp.study.explanation.grasp_lost import lost
-from coopqp.study.explanation.room import Room
 from coopqp.study.explanation.suggested_relaxation import (
     by_geometry,
     least_needs,
     needed,
     with_suggestion,
 )
+from coopqp.study.explanation.tick import relaxed
 from coopqp.study.explanation.words import MissedPart, RunExplanation
 from coopqp.task import Task
 from coopqp.trace import Trace
@@ -154,8 +153,8 @@ def _blocked(leg: ExplainedPhase, base: RunExplanation, report: Report) -> RunEx
     goal = leg.goal()
     places = [part for part, _ in leg.missed if part.task in goal.tasks]
     velocities = [part for part, _ in leg.missed if part.task.asks_velocity]
-    if velocities and (not places or velocity.contradicting(leg)):
-        return velocity.explain(leg, base)
+    if velocities and (not places or insufficient_time.contradicting(leg)):
+        return insufficient_time.explain_velocity(leg, base)
     if not places and Status.SQUEEZE_GIVEN_UP in leg.causes[-1]:
         said = "the hands stand at admittance.most_way; raise it, unless the force sensor is dead"
         return base.because("way", said)
@@ -165,7 +164,7 @@ def _blocked(leg: ExplainedPhase, base: RunExplanation, report: Report) -> RunEx
     report(0.4)
     if isinstance(found, NotBlocked):
         if velocities:
-            return velocity.explain(leg, base)
+            return insufficient_time.explain_velocity(leg, base)
         return insufficient_time.explain(leg, goal, found.place, base)
     if isinstance(found, BlockedByLimits):
         suggestion = by_geometry(leg, goal, found, report)

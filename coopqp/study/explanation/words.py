@@ -13,11 +13,10 @@ from coopqp.assessment.verdict import loop_words
 from coopqp.base.qp import Row
 from coopqp.base.spec import Array
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.study.explanation.asked import Relaxed
 from coopqp.study.explanation.diagnosis import Contradiction, Elsewhere, OutOfReach, Unreachable
 from coopqp.study.explanation.explained_phase import ExplainedPhase
-from coopqp.study.explanation.goal import Missed, PartOfTask, Place
-from coopqp.study.explanation.room import Share
+from coopqp.study.explanation.goal import Missed, PartOfTask, Place, Share
+from coopqp.task import Mode
 
 #: A direction this near to an axis is the axis.
 ALONG = 0.97
@@ -206,6 +205,32 @@ def slow(shares: Sequence[Share]) -> str:
 
 def _with_percents(shares: Sequence[Share]) -> str:
     return listed([with_note(share.row, f"{100.0 * share.share:.0f} %") for share in shares])
+
+
+def percent(share: float) -> str:
+    """A share, in words."""
+    if share < 0.01:
+        return "less than 1 %"
+    return "more than 99 %" if 0.99 < share < 1.0 else f"{100.0 * share:.0f} %"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Relaxed:
+    """A hard or scaled task that is not met in full in some ticks of a run.
+
+    ``missing`` is the share of its rate that it lacks in the last tick.
+    """
+
+    task: str
+    mode: Mode
+    ticks: int
+    missing: float
+
+    @property
+    def words(self) -> str:
+        ticks = f"{self.ticks} tick{'' if self.ticks == 1 else 's'}"
+        end = f"lacks {percent(self.missing)} of its rate" if self.missing else "is met"
+        return f"{self.mode} task '{self.task}' is not met in full in {ticks} and {end} at the end"
 
 
 @dataclass(frozen=True, kw_only=True)
