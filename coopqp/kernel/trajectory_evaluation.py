@@ -108,15 +108,6 @@ def survey(
     return TrajectoryEvaluation(chain, levels, points)
 
 
-def loop_survey(chain: ClosedChain) -> TrajectoryEvaluation | None:
-    """The evaluation of the object and the loops alone; None as above."""
-    return chain.once(_loop_survey)
-
-
-def _loop_survey(chain: ClosedChain) -> TrajectoryEvaluation | None:
-    return survey(chain, (), State(chain), ())
-
-
 def joint_points(chain: ClosedChain) -> dict[str, list[tuple[int, Array]]]:
     """Joint origins and hand of each arm, base first, as :func:`survey` takes them."""
     found: dict[str, list[tuple[int, Any]]] = {}
