@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from coopqp.controller import Command, ControlProblem, InternalForceControl, Law
-from coopqp.kernel.compiled import Compiled, Limits, Outcome, plain_numbers
+from coopqp.kernel.compiled import Bound, Compiled, Limits, Outcome, plain_numbers
 from coopqp.kernel.flat import Group
 from coopqp.model.state import Memory, State
 from coopqp.qp_law.equations import ALL_OF_IT
@@ -264,17 +264,17 @@ class KernelLaw(Law):
         if memory.sizes != self.memory_sizes:
             state.memory = memory = Memory(self.memory_sizes)
         self._shown = NOTHING
-        if not self.whole.bind(state, memory):
+        heard = self.whole.bind(state, memory)
+        if heard is None:
             return False
-        heard = self.whole.heard(state)
         self._shown = (state, state.q, state.v, state.gap, memory, heard)
         self._stopped = memory["stopped"]
         self._missed, self._missing = memory["missed"], memory["missing"]
         return True
 
 
-def _others(inputs: InputValues, heard: Sequence[tuple[Any, ...]]) -> bool:
-    """Whether inputs have other arrays than those bound, :meth:`Compiled.heard`."""
+def _others(inputs: InputValues, heard: Sequence[Bound]) -> bool:
+    """Whether inputs have other arrays than those bound, :meth:`Compiled.bind`."""
     for name, trajectory, value, rate in heard:
         now = inputs.get(name)
         if now is not trajectory or (now and (now.value is not value or now.rate is not rate)):

@@ -71,7 +71,7 @@ def unfit(chain: ClosedChain) -> str:
 
 
 def _unfit(chain: ClosedChain) -> str:
-    if flat_model(chain) is None:
+    if chain.once(flat_model) is None:
         return "a joint is neither a hinge nor a slide"
     if chain.n <= len(chain.loops.kept):
         return "the loops leave no motion"
@@ -118,7 +118,7 @@ def slide(chain: ClosedChain) -> Slide | None:
 
 def _slide(chain: ClosedChain) -> Slide | None:
     engine: Any = module()
-    model = flat_model(chain)
+    model = chain.once(flat_model)
     if engine is None or model is None or unfit(chain):
         return None
     step: Slide = engine.Slide({"model": model, "kept": kept_rows(chain)}).step

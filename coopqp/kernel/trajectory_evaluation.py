@@ -56,7 +56,7 @@ class TrajectoryEvaluation:
         axes = chain.once(turned)
         places = [axes[joint].T @ p for joint, p in points]
         self._look = found.TrajectoryEvaluation({
-            "model": flat_model(chain),
+            "model": chain.once(flat_model),
             "levels": levels.flat,
             "primitives": levels.primitives,
             "joints": np.array([joint - 1 for joint, _ in points], float),
@@ -96,7 +96,7 @@ def survey(
         start: the state where their references start.
         points: ids of joints into chain.model.joints, and points in their frames [m].
     """
-    model: Flat | None = flat_model(chain)
+    model: Flat | None = chain.once(flat_model)
     if native.module() is None or model is None:
         return None
     levels = Levels([Group((), hard=tasks)], Programs(start))

@@ -68,7 +68,12 @@ def explain_run(
 def _explained(
     found: Assessment, phases: Sequence[ExplainedPhase], leg: ExplainedPhase, report: Report
 ) -> RunExplanation:
-    base, torn = _base(leg), any(task.torn for task in found.tasks)
+    missed = tuple(
+        MissedPart(task=part.name, error=error, unit=part.part.unit) for part, error in leg.missed
+    )
+    last = leg.first + len(leg.v) - 1
+    base = RunExplanation(controller=leg.name, phase=leg.phase, tick=last, missed=missed)
+    torn = any(task.torn for task in found.tasks)
     suspect = leg.missed or torn or found.held is False
     if suspect and (gone := lost(leg, base)):
         return gone
@@ -109,14 +114,6 @@ def _gave_way(leg: ExplainedPhase, answer: RunExplanation) -> Iterator[str]:
         alone = [task for task in goal.tasks if task is part.task]
         free = alone and Search(goal.only(alone), leg.room).best(leg.q[-1]).reached
         yield words.gave_way(part, error, leg.missed[0][0], because=bool(free))
-
-
-def _base(leg: ExplainedPhase) -> RunExplanation:
-    missed = tuple(
-        MissedPart(task=part.name, error=error, unit=part.part.unit) for part, error in leg.missed
-    )
-    last = leg.first + len(leg.v) - 1
-    return RunExplanation(controller=leg.name, phase=leg.phase, tick=last, missed=missed)
 
 
 def _kept(
