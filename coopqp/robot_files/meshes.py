@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from coopqp.base.errors import InvalidValueError, UnreadableFileError
 from coopqp.base.reading import read_bytes
 from coopqp.base.spec import FARTHEST, Array
-from coopqp.robot_files.xml import DEEPEST, place_of, read_xml
+from coopqp.robot_files.xml import MAX_DEPTH, place_of, read_xml
 
 Ints = NDArray[np.int64]
 
@@ -76,13 +76,13 @@ def _stl_text(path: Path, content: bytes) -> Array:
     return np.array(numbers).reshape(-1, 3)
 
 
-def _vertex(place: str, words: list[bytes], most: int) -> list[float]:
-    """The numbers of a vertex, 3 to ``most``."""
+def _vertex(place: str, words: list[bytes], maximum: int) -> list[float]:
+    """The numbers of a vertex, 3 to ``maximum``."""
     try:
         found = [float(word) for word in words]
     except ValueError:
         found = []
-    fine = 3 <= len(found) <= most and all(map(math.isfinite, found))
+    fine = 3 <= len(found) <= maximum and all(map(math.isfinite, found))
     if not fine or b"_" in b"".join(words):  # Python reads 1_000 as 1000
         shown = b" ".join(words)[:40].decode("ascii", "replace")
         raise InvalidValueError(f"{place}: found '{shown}', needs 3 numbers")
@@ -133,7 +133,7 @@ def _face(place: str, words: list[bytes], last: int) -> list[int]:
 
 
 #: Largest numbers of nodes and corners of triangles of a file's instances.
-MOST_NODES, MOST_CORNERS = 10_000, 10_000_000
+MAX_NODES, MAX_CORNERS = 10_000, 10_000_000
 #: Geometry with faces; lines and points are ignored.
 FACES = ("triangles", "polylist", "polygons", "tristrips", "trifans")
 #: Parts of a node that would move its geometry.
@@ -154,8 +154,8 @@ def _collada(path: Path) -> tuple[Array, Ints]:
             corners.append(rows + before)
             points.append(places @ X[:3, :3].T + X[:3, 3])
             before, total = before + len(places), total + len(rows)
-            if max(before, total) > MOST_CORNERS:
-                words = f"its instances have more than {MOST_CORNERS} corners"
+            if max(before, total) > MAX_CORNERS:
+                words = f"its instances have more than {MAX_CORNERS} corners"
                 raise InvalidValueError(f"{place_of(geometry)}: {words}")
     return np.concatenate(points), np.concatenate(corners).reshape(-1, 3)
 
@@ -230,8 +230,8 @@ def _instances(xml: ET.Element, library: _Library) -> Iterator[tuple[Array, ET.E
     while waiting:
         X, holder, depth = waiting.pop()
         nodes += 1
-        if nodes > MOST_NODES or depth > DEEPEST:
-            words = f"nodes inside nodes are more than {MOST_NODES}, or go round in a circle"
+        if nodes > MAX_NODES or depth > MAX_DEPTH:
+            words = f"nodes inside nodes are more than {MAX_NODES}, or go round in a circle"
             raise InvalidValueError(f"{place_of(holder)}: {words}")
         X = X @ _transform(holder) if holder.tag == "node" else X
         for other in holder:
@@ -303,11 +303,11 @@ def _corners(part: ET.Element, counts: Ints, total: int) -> Ints:
     return np.column_stack([start, first + i + 1, first + i + 2]).ravel()
 
 
-def _whole(element: ET.Element, key: str, default: int, most: int) -> int:
+def _whole(element: ET.Element, key: str, default: int, maximum: int) -> int:
     """A count in an attribute."""
     text = element.get(key, str(default))
-    if not (text.isascii() and text.isdigit() and len(text) <= 9 and int(text) <= most):
-        words = f"found '{text[:40]}', needs a whole number of at most {most}"
+    if not (text.isascii() and text.isdigit() and len(text) <= 9 and int(text) <= maximum):
+        words = f"found '{text[:40]}', needs a whole number of at most {maximum}"
         raise InvalidValueError(f"{place_of(element)} {key}: {words}")
     return int(text)
 

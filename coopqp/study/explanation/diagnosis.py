@@ -274,14 +274,14 @@ def _out_of_reach(goal: Goal, room: Room, q: Array) -> OutOfReach:
     part = max(goal.parts, key=lambda p: p.size(here.e) / p.part.tolerance)
     distance, with_limits = part.size(here.e), part.size(at.e)
     cost = with_limits - distance if at.valid else 0.0
-    told = cost > WORTH_TELLING * with_limits
+    worth_telling = cost > WORTH_TELLING * with_limits
     return OutOfReach(
         goal=goal,
         part=part,
         gap=-here.e[part.rows],
         nearest=here,
-        cost=cost if told else 0.0,
-        shares=held_back(goal, room, at.q) if told else (),
+        cost=cost if worth_telling else 0.0,
+        shares=held_back(goal, room, at.q) if worth_telling else (),
         elsewhere=best if nearer else None,
         in_world=_in_world(goal, part, here.q),
     )

@@ -47,25 +47,26 @@ def explain(leg: ExplainedPhase, goal: Goal, place: Place, base: RunExplanation)
     """Why, with a rerun that shows it, although there is a place at the goal inside the limits."""
     goal.look(leg.q[-1])
     if goal.miss <= 1.0:
-        said = "by its model it has arrived; the rest is what the model gets wrong"
-        return base.because("model", said)
+        sentence = "by its model it has arrived; the rest is what the model gets wrong"
+        return base.because("model", sentence)
     if leg.causes[-1][0] is Status.INFEASIBLE:
-        said = f"{leg.stands_still}: not all could hold in them; --tick says what"
-        return base.because("failed", said)
+        sentence = f"{leg.stands_still}: not all could hold in them; --tick says what"
+        return base.because("failed", sentence)
     if _out_of_budget(leg):
         return _budget(leg, base)
     torques = leg.controller.commands_torques
     if torques and (motors := _motors(leg)):
         return base.because("motors", motors)
-    if given_way := _pushed(leg, goal):
+    if given_way := _yields_to_push(leg, goal):
         return base.because("springs", given_way)
-    held = () if torques else tuple(_told(share, leg.room, leg.q[-1]) for share in held_up(leg))
+    limits = () if torques else held_up(leg)
+    held = tuple(_with_nearest_pair(share, leg.room, leg.q[-1]) for share in limits)
     slow = speed_share(held) > MOSTLY
-    if not slow and (waits := _leash(leg)):
+    if not slow and (waits := _waits_for_measured(leg)):
         return base.because("speed", waits, tried=True)
     after = rerun(leg, longer=True)
     if after.missed and not _falls(leg, after):
-        if misled := _misled(leg):
+        if misled := _misled_by_model(leg):
             return base.because("model", misled, tried=True)
         return base.because("rest", _rests(leg, place, held), held, tried=False)
     return _too_short(leg, goal, after, held, base, slow=slow)
@@ -123,7 +124,7 @@ def _rests(leg: ExplainedPhase, place: Place, held: Sequence[Share]) -> str:
     return f"{why} although this is inside the limits: {at}"
 
 
-def _told(share: Share, room: Room, q: Array) -> Share:
+def _with_nearest_pair(share: Share, room: Room, q: Array) -> Share:
     """With the nearest pair of bodies and its distance, where these hold it up."""
     pair = room.nearest(share.row.owner, q)
     if pair is None:
@@ -132,7 +133,7 @@ def _told(share: Share, room: Room, q: Array) -> Share:
     return replace(share, row=replace(row, label=f"{row.words} ({1e3 * distance:.1f} mm)"))
 
 
-def _leash(leg: ExplainedPhase) -> str:
+def _waits_for_measured(leg: ExplainedPhase) -> str:
     """Which limits made commands wait for the measured joints; empty where none did."""
     limits = leg.scenario.limits
     leash = [limit for limit in limits if limit.uses_measurements]
@@ -140,17 +141,17 @@ def _leash(leg: ExplainedPhase) -> str:
     if not leash or rerun(leg, limits=free).missed:
         return ""
     names = words.listed([type_name(type(limit)) for limit in leash])
-    said = f"{names} keeps the commands near the measured joints"
-    return f"{said}; without it the goal is reached (tried)"
+    sentence = f"{names} keeps the commands near the measured joints"
+    return f"{sentence}; without it the goal is reached (tried)"
 
 
-def _misled(leg: ExplainedPhase) -> str:
+def _misled_by_model(leg: ExplainedPhase) -> str:
     """Whether the disturbance keeps it from the goal, in words; empty where it does not."""
     perfect = Disturbance()
     if leg.scenario.disturbance == perfect or rerun(leg, disturbance=perfect).missed:
         return ""
-    said = "this is what the model gets wrong: without the disturbance the goal is reached (tried)"
-    return f"{said}; 'coopqp calibrate' may find out what"
+    why = "this is what the model gets wrong: without the disturbance the goal is reached (tried)"
+    return f"{why}; 'coopqp calibrate' may find out what"
 
 
 def _out_of_budget(leg: ExplainedPhase) -> bool:
@@ -164,10 +165,10 @@ def _budget(leg: ExplainedPhase, base: RunExplanation) -> RunExplanation:
     if kappa >= most * (1.0 - 1e-9):
         return base.because("budget", f"{text}, although kappa is as large as it can be")
     after = rerun(leg, kappa=most)
-    said = f"{text}; kappa: {most:g} would do (tried: reached)"
+    sentence = f"{text}; kappa: {most:g} would do (tried: reached)"
     if after.missed:
-        said = f"{text}; with kappa: {most:g} {words.stops(after)}"
-    return base.because("budget", said, tried=not after.missed)
+        sentence = f"{text}; with kappa: {most:g} {words.stops(after)}"
+    return base.because("budget", sentence, tried=not after.missed)
 
 
 def _motors(leg: ExplainedPhase) -> str:
@@ -191,17 +192,17 @@ def _falls(before: ExplainedPhase, after: ExplainedPhase) -> bool:
     return bool(_error_of(after, part.name) < (1.0 - FALLS) * error)
 
 
-def _pushed(leg: ExplainedPhase, goal: Goal) -> str:
+def _yields_to_push(leg: ExplainedPhase, goal: Goal) -> str:
     """What else than the scenario's push holds an impedance away; empty where it still moves."""
     task = leg.missed[0][0].task
     springs = task.impedance
     if springs is None or not rests(leg.v[-1]):
         return ""
     forces = springs.stiffness * goal.stack.e[goal.stack.slices[goal.tasks.index(task)]]
-    said = _by_axis(tuple(AXES[axis] for axis in springs.axes), forces)
+    loads = _by_axis(tuple(AXES[axis] for axis in springs.axes), forces)
     return (
-        f"it gives way as asked: its springs bear {said} there, and move by F/K; that is a push, a "
-        "weight that is wrong, or another task that pulls"
+        f"it gives way as asked: its springs bear {loads} there, and move by F/K; that is a push, "
+        "a weight that is wrong, or another task that pulls"
     )
 
 
@@ -209,11 +210,11 @@ def _by_axis(axes: tuple[str, ...], forces: Array) -> str:
     """Forces and torques, without negligible ones."""
     turns = np.array([axis.startswith("rot") for axis in axes])
     sizes = np.abs(forces) / np.where(turns, LENGTH, 1.0)
-    told = []
+    named = []
     for i in np.flatnonzero(sizes > WORTH_TELLING * sizes.max()):
         unit, way = ("N m", "about") if turns[i] else ("N", "along")
-        told.append(f"{forces[i]:.3g} {unit} {way} {axes[i].removeprefix('rot_')}")
-    return words.listed(told)
+        named.append(f"{forces[i]:.3g} {unit} {way} {axes[i].removeprefix('rot_')}")
+    return words.listed(named)
 
 
 #: Singular below this share of the start's, or when so many times the joints' speed is needed.
@@ -232,8 +233,8 @@ def explain_velocity(leg: ExplainedPhase, base: RunExplanation) -> RunExplanatio
     look, k = TickBatch(leg), len(leg.v) - 1
     if tasks := contradicting(leg):
         names = tuple(task.name for task in tasks)
-        said = f"{words.listed(names)} cannot hold together: they ask for different motions"
-        return base.because("contradiction", said, tasks=names)
+        sentence = f"{words.listed(names)} cannot hold together: they ask for different motions"
+        return base.because("contradiction", sentence, tasks=names)
     u = look.look(k)[part.rows]
     needed, now = _speed_needed(look, part.rows), _freedom(look, part, u)
     axes = [row.name.rpartition(".")[2] for row in look.stack.rows[part.rows]]
@@ -255,7 +256,7 @@ def _at_the_edge(
     i = int(np.abs(u).argmax())
     along = f"{'+' if u[i] > 0 else '-'}{names[i]}"
     of = " of its own axes" if getattr(part.task, "axes", "world") == "object" else ""
-    said = (
+    sentence = (
         f"the object is at the edge of its reach along {along}{of}: whatever the limits and "
         "speeds, the loops leave no motion there"
     )
@@ -263,7 +264,7 @@ def _at_the_edge(
     way = np.array([missed.get(axis, 0.0) for axis in "xyz"])
     size = float(np.linalg.norm(way))
     unit = tuple((way / size).tolist()) if size else ()
-    return base.because("reach", said, tasks=(part.task.name,), way=unit)
+    return base.because("reach", sentence, tasks=(part.task.name,), way=unit)
 
 
 def _speed_needed(look: TickBatch, rows: slice) -> float:

@@ -199,7 +199,7 @@ def by_geometry(
     leg: ExplainedPhase, goal: Goal, found: BlockedByLimits, report: Callable[[float], None]
 ) -> SuggestedRelaxation | None:
     """Relaxations where limits keep a phase from its goal; None where none were found."""
-    needs = least_needs(goal, leg.room, found)
+    needs = minimal_relaxations(goal, leg.room, found)
     report(0.5)
     first = _tried(leg, needs, goal)
     if first and first.reached:
@@ -216,10 +216,10 @@ def by_rerun(leg: ExplainedPhase, goal: Goal | None) -> SuggestedRelaxation | No
         free = rerun(leg, longer=True, limits=limits)
     if free.missed:
         return None
-    return _tried(leg, _told(violations_along(leg.room, free.q)), goal)
+    return _tried(leg, _rounded(violations_along(leg.room, free.q)), goal)
 
 
-def least_needs(goal: Goal, room: Room, found: BlockedByLimits) -> tuple[Violation, ...]:
+def minimal_relaxations(goal: Goal, room: Room, found: BlockedByLimits) -> tuple[Violation, ...]:
     """The smallest found from the configuration at the goal, and from others near by."""
     search, rng = Search(goal), np.random.default_rng(2)
     starts = [found.start]
@@ -229,7 +229,7 @@ def least_needs(goal: Goal, room: Room, found: BlockedByLimits) -> tuple[Violati
             starts.append(other.q)
     programs = _Programs(goal, room)
     minima = [minimum for q in starts if (minimum := programs.shrink(q)) is not None]
-    return _told(min(minima, key=_total, default=[]))  # nothing where all starts lose the goal
+    return _rounded(min(minima, key=_total, default=[]))  # nothing where all starts lose the goal
 
 
 def _tried(
@@ -254,7 +254,7 @@ def _tried(
     return SuggestedRelaxation(needs, after)
 
 
-def _told(found: Sequence[Violation]) -> tuple[Violation, ...]:
+def _rounded(found: Sequence[Violation]) -> tuple[Violation, ...]:
     """Rounded up, the largest first."""
     needs = [replace(violation, amount=_rounded_up(violation.amount)) for violation in found]
     return tuple(sorted(needs, key=lambda need: -need.amount))
@@ -274,15 +274,15 @@ def with_suggestion(
     *more: str,
 ) -> RunExplanation:
     """That limits hold a run back, and which relaxation would do."""
-    said = "; ".join([words.holding(shares), _said(suggestion, shares), *more])
+    sentence = "; ".join([words.holding(shares), _said(suggestion, shares), *more])
     if suggestion is None:
-        return base.because("limits", said, shares)
+        return base.because("limits", sentence, shares)
     needed = tuple(
         Needed(limit=n.row.name, words=n.row.words, amount=n.amount, unit=n.row.unit)
         for n in suggestion.needs
     )
     return base.because(
-        "limits", said, shares, needed=needed, tried=suggestion.reached, time=suggestion.time
+        "limits", sentence, shares, needed=needed, tried=suggestion.reached, time=suggestion.time
     )
 
 
@@ -307,10 +307,10 @@ def _said(suggestion: SuggestedRelaxation | None, shares: Sequence[Share]) -> st
 
 def needed(needs: Sequence[Violation], *, alone: bool = True) -> str:
     """Limits with their relaxations; the verb with the first."""
-    said: list[str] = []
+    clauses: list[str] = []
     for need in needs:
         name = need.row.words if need.space is None else need.row.owner.replace("_", " ")
         amount = words.size(need.amount, need.row.unit)
-        verb = "would need " if alone and not said else ""
-        said.append(f"{name} {verb}{amount} more{'' if need.space is None else ' room'}")
-    return words.listed(said)
+        verb = "would need " if alone and not clauses else ""
+        clauses.append(f"{name} {verb}{amount} more{'' if need.space is None else ' room'}")
+    return words.listed(clauses)

@@ -370,8 +370,8 @@ def _until_missed(tick: Asked, over: Mask) -> list[int]:
     modes = [tick.modes[row.owner] for row in tick.task_rows]
     missing = {mode for mode, o in zip(modes, over, strict=True) if o}
     order = ("hard", "scaled", "soft")
-    heeded = order[: 1 + min(map(order.index, missing))]
-    return [i for i, mode in enumerate(modes) if mode in heeded]
+    first_modes = order[: 1 + min(map(order.index, missing))]
+    return [i for i, mode in enumerate(modes) if mode in first_modes]
 
 
 class _Rows:
@@ -457,26 +457,26 @@ def _relax(tick: Asked, kept: Sequence[int]) -> tuple[Relaxation, ...] | None:
 def _sentence(
     found: Explanation, along: Sequence[str], held: Sequence[Share], *, relaxed: bool
 ) -> str:
-    said = [f"{task.words} gets {percent(task.share)} of its rate" for task in found.unmet]
+    clauses = [f"{task.words} gets {percent(task.share)} of its rate" for task in found.unmet]
     if found.impossible:
-        said.append(f"the loops alone leave no motion along {listed(found.impossible)}")
+        clauses.append(f"the loops alone leave no motion along {listed(found.impossible)}")
     if found.contradicting:
-        said.append(f"{listed(found.contradicting)} ask for motions that rule each other out")
+        clauses.append(f"{listed(found.contradicting)} ask for motions that rule each other out")
     elif along and found.relaxations:
         more = {r.name: r for r in found.relaxations}
         now = [_with_amount(share.row.words, more.get(share.row.name)) for share in held]
         now = now or [_with_amount(r.words, r) for r in found.relaxations if r.now]
         coming = [r.words for r in found.relaxations if not r.now]
         who = listed(["the loop", *now])
-        said.append(f"{who} leave{'' if now else 's'} no more motion along {listed(along)}")
+        clauses.append(f"{who} leave{'' if now else 's'} no more motion along {listed(along)}")
         if coming:
-            said.append(f"next would come {listed(coming)}")
+            clauses.append(f"next would come {listed(coming)}")
     elif along and not relaxed:
-        said.append(f"no relaxation of the limits makes {listed(along)} possible")
+        clauses.append(f"no relaxation of the limits makes {listed(along)} possible")
     elif along:
         other = " or the least squares of its rows" if found.unmet else ", weights or a later level"
-        said.append(f"{listed(along)} could be met; damping{other} gave it up")
-    return "; ".join(said)
+        clauses.append(f"{listed(along)} could be met; damping{other} gave it up")
+    return "; ".join(clauses)
 
 
 def _with_amount(words: str, relaxation: Relaxation | None) -> str:
