@@ -11,28 +11,17 @@ tick                  one tick: its rows and answer, tasks not met in full; what
 words                 the explanation of a run, and the sentences
 """
 
-from coopqp.study.explanation.tick import (
-    Asked,
-    Explanation,
-    Relaxation,
-    asked_now,
-    at_bound,
-    explain,
-    explain_asked,
-)
+from coopqp.study.explanation.tick import Explanation, Relaxation, at_bound, explain
 from coopqp.study.explanation.whole import Standing, explain_run, explain_standing
 from coopqp.study.explanation.words import RunExplanation
 
 __all__ = [
-    "Asked",
     "Explanation",
     "Relaxation",
     "RunExplanation",
     "Standing",
-    "asked_now",
     "at_bound",
     "explain",
-    "explain_asked",
     "explain_run",
     "explain_standing",
 ]

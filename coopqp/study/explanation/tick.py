@@ -29,7 +29,7 @@ less; :mod:`coopqp.study.explanation.whole` has what would do in all.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -40,9 +40,7 @@ from coopqp.assessment.thresholds import AT_LIMIT
 from coopqp.base.qp import Row, names_of
 from coopqp.base.rank import null_space
 from coopqp.base.spec import Array
-from coopqp.controller import Command, ControlProblem
 from coopqp.model.state import State
-from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.safety import drift_gain
 from coopqp.solver import HALTS, Budget, Status, causes_of
 from coopqp.study.explanation.diagnosis import contradicting
@@ -68,7 +66,7 @@ class Asked:
         J, wanted, task_rows: rows of all tasks, J v = wanted.
         modes: soft, hard or scaled, by the task's name.
         v: the answer, followed by shares of scaled tasks if there are any.
-        name_limits: finds ``limit_rows``, which few need.
+        limit_rows: the limits that lb, ub and h come from, in this order.
     """
 
     causes: tuple[Status, ...]
@@ -84,17 +82,12 @@ class Asked:
     task_rows: Sequence[Row]
     modes: Mapping[str, Mode]
     v: Array
-    name_limits: Callable[[], Sequence[Row]]
+    limit_rows: Sequence[Row]
 
     @cached_property
     def slack(self) -> Array:
         """Slack of lb, ub and h at the answer."""
         return np.concatenate([self.v - self.lb, self.ub - self.v, self.h - self.G @ self.v])
-
-    @cached_property
-    def limit_rows(self) -> Sequence[Row]:
-        """The limits that lb, ub and h come from, in this order."""
-        return self.name_limits()
 
     def at_limits(self, near: float) -> list[tuple[Row, Array]]:
         """Limits with less slack than ``near``, each with the joint motion that violates it."""
@@ -118,35 +111,7 @@ def asked_then(record: TickRecord) -> Asked:
         A=qp.A[loops], b=qp.b[loops], lb=qp.lb, ub=qp.ub, G=qp.G, h=qp.h,
         J=np.array(record.J).reshape(-1, qp.n), wanted=np.array(record.wanted),
         task_rows=record.task_rows, modes=record.modes, v=np.array(record.answer),
-        name_limits=lambda: [*record.lb_rows, *record.ub_rows, *record.inequality_rows],
-    )  # fmt: skip
-
-
-def asked_now(problem: ControlProblem, state: State, tasks: TaskStack, command: Command) -> Asked:
-    """Of a tick at an updated state with its joints inside their limits, and updated tasks."""
-    bounds = Bounds(problem.chain, problem.limits, state, problem.dt)
-    bounds.update(state)
-    causes, v = command.causes, command.v
-    return _asked(
-        problem, state, tasks, bounds, causes, v, lambda: NamedBounds(problem, state).rows
-    )
-
-
-def _asked(
-    problem: ControlProblem,
-    state: State,
-    tasks: TaskStack,
-    limits: Bounds | NamedBounds,
-    causes: tuple[Status, ...],
-    v: Array,
-    name_limits: Callable[[], Sequence[Row]],
-) -> Asked:
-    return Asked(
-        causes=causes, dt=problem.dt,
-        A=state.J_loop, b=state.e_loop * -drift_gain(problem, state),
-        lb=limits.lb, ub=limits.ub, G=limits.G, h=limits.h,
-        J=tasks.J, wanted=tasks.wanted, task_rows=tasks.rows,
-        modes={task.name: task.mode for task in problem.tasks}, v=v, name_limits=name_limits,
+        limit_rows=[*record.lb_rows, *record.ub_rows, *record.inequality_rows],
     )  # fmt: skip
 
 
@@ -181,9 +146,14 @@ class TickBatch:
         if np.abs(missed).max(initial=0.0) <= BEHIND:
             return []
         limits.update(self.state)
-        tick = _asked(
-            leg.problem, self.state, self.stack, limits,
-            leg.causes[k], leg.v[k], lambda: limits.rows,
+        state, stack, problem = self.state, self.stack, leg.problem
+        tick = Asked(
+            causes=leg.causes[k], dt=problem.dt,
+            A=state.J_loop, b=state.e_loop * -drift_gain(problem, state),
+            lb=limits.lb, ub=limits.ub, G=limits.G, h=limits.h,
+            J=stack.J, wanted=stack.wanted, task_rows=stack.rows,
+            modes={task.name: task.mode for task in problem.tasks}, v=leg.v[k],
+            limit_rows=limits.rows,
         )  # fmt: skip
         held = tick.forces(AT_LIMIT, self.stack.weights)
         total, size = sum(amount for _, amount in held), float(np.linalg.norm(missed))
@@ -311,11 +281,7 @@ class Explanation:
 
 def explain(record: TickRecord) -> Explanation:
     """Why a saved tick could not do what its tasks asked."""
-    return explain_asked(asked_then(record))
-
-
-def explain_asked(tick: Asked) -> Explanation:
-    """The same of a tick that was not saved."""
+    tick = asked_then(record)
     causes = tick.causes
     if halts := [cause for cause in causes if cause in HALTS]:
         return Explanation((), (), (), f"the law was not asked; the loop {halts[0].value}")

@@ -210,13 +210,11 @@ class Standing:
         reached: whether all tasks with a place are within their tolerances.
         blocked: whether geometry keeps the arms from one that is not.
         sentence: in words.
-        held_back: the limits that hold back, the most forceful first.
     """
 
     reached: bool
     blocked: bool
     sentence: str
-    held_back: tuple[str, ...] = ()
 
 
 def explain_standing(
@@ -239,11 +237,10 @@ def explain_standing(
     found = diagnose(goal, room, q)
     if isinstance(found, NotBlocked):
         return Standing(False, False, f"{short}; it can be reached from here")
-    held = tuple(share.row.words for share in getattr(found, "shares", ()))
     if not isinstance(found, BlockedByLimits):
         # At one instant nobody knows which law acts, and which task it puts first.
         sentence = words.geometry(found, missed, chain, ordered=False)
-        return Standing(False, True, sentence, held)
+        return Standing(False, True, sentence)
     if not rests and (nearest := goal.missed(found.place.q)):
         part, error = nearest[0]
         short = f"{part.name} gets no nearer than {words.size(error, part.part.unit)}"
@@ -252,4 +249,4 @@ def explain_standing(
         parts.append(f"to get there {needed(needs)} (not tried)")
     if found.elsewhere:
         parts.append(words.elsewhere(found.elsewhere, chain))
-    return Standing(False, True, "; ".join(parts), held)
+    return Standing(False, True, "; ".join(parts))
