@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.kernel.flat import flat_model, kept_rows
@@ -93,16 +92,6 @@ def _unfit(chain: ClosedChain) -> str:
     if chain.holding - 1 > MOST_LOOPS:
         return f"there are more than {MOST_LOOPS} loops"
     return ""
-
-
-def required(problem: ControlProblem) -> None:
-    """Refuse what the kernel cannot do.
-
-    Raises:
-        InvalidValueError: with the reason.
-    """
-    if reason := why_not(problem):
-        raise InvalidValueError(f"engine: kernel cannot do this: {reason}; use engine: auto")
 
 
 #: slide(q, direction, length, steps) moves q in place along the projection of a direction on the
