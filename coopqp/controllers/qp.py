@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from typing import ClassVar, Literal
 
+from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import NonNegative, Positive, spec
 from coopqp.closed_loop.admittance import Admittance, internal_force_control
 from coopqp.controller import ALL_FEATURES, Controller, ControlProblem, Features, Law
 from coopqp.kernel.law import KernelLaw
-from coopqp.kernel.native import required, why_not
+from coopqp.kernel.native import why_not
 from coopqp.qp_law.law import ERROR_DAMPING, QPLaw
 
 
@@ -40,10 +41,12 @@ class QPController(Controller):
 
     def unprepared(self, problem: ControlProblem) -> QPLaw | KernelLaw:
         """The same; what only rare ticks need is built in the first of them."""
-        if self.engine == "kernel":
-            required(problem)
-        if self.engine == "python" or why_not(problem):
+        if self.engine == "python":
             return self.plain(problem)
+        if reason := why_not(problem):
+            if self.engine == "auto":
+                return self.plain(problem)
+            raise InvalidValueError(f"engine: kernel cannot do this: {reason}; use engine: auto")
         force = internal_force_control(problem, self.admittance)
         return KernelLaw(problem, self.damping, self.error_damping, force)
 

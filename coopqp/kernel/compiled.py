@@ -109,6 +109,10 @@ class Outcome(IntEnum):
     COMES_BACK = 64
 
 
+Bound = tuple[str, Trajectory | None, Array | None, Array | None]
+"""An input by name, and the arrays of its value and rate that the kernel reads."""
+
+
 class Compiled:
     """Tasks and limits that the kernel decides by.
 
@@ -145,7 +149,7 @@ class Compiled:
         found = native.module()
         assert found is not None  # whoever builds this has asked coopqp.kernel.law.why_not
         self.engine = found.Engine({
-            "model": flat_model(chain),
+            "model": chain.once(flat_model),
             "kept": kept_rows(chain),
             "levels": levels.flat,
             "primitives": levels.primitives,
@@ -165,8 +169,8 @@ class Compiled:
         self.follows = bool(levels.followed)
         self._heard: list[tuple[str, Array | None, Array | None]] = []
 
-    def bind(self, state: State, memory: Memory) -> bool:
-        """Bind the arrays of a state; False where an input is no place."""
+    def bind(self, state: State, memory: Memory) -> tuple[Bound, ...] | None:
+        """Bind the arrays of a state; returns those of inputs, None where one is no place."""
         names = "later pulls", "missed", "missing", "scaled pull", "recovery", "swing", "stopped"
         self.engine.bind_state({**state.written(), **{name: memory[name] for name in names}})
         before, self._heard = self._heard, []
@@ -175,19 +179,14 @@ class Compiled:
                 if name == at.arrives and value is not None and rate is not None:
                     at.c[:], at.c_dot[:] = value, rate  # where it stays if the input has gone
         for primitive, at in self._levels.arriving:
-            value, rate = arrays = _heard(state, at.arrives)
+            now = state.inputs.get(at.arrives)
+            value, rate = arrays = (None, None) if now is None else (now.value, now.rate)
             if value is None or rate is None:
                 arrays = at.c, at.c_dot
             elif not (value.shape == rate.shape == at.c.shape and plain_numbers(value, rate)):
-                return False
+                return None
             self.engine.bind_reference(primitive, arrays[0], at.RT, arrays[1], at.omega)
             self._heard.append((at.arrives, value, rate))
-        return True
-
-    def heard(
-        self, state: State
-    ) -> tuple[tuple[str, Trajectory | None, Array | None, Array | None], ...]:
-        """Inputs, each with the arrays that were bound."""
         inputs = state.inputs
         return tuple((name, inputs.get(name), value, rate) for name, value, rate in self._heard)
 
@@ -210,9 +209,3 @@ class Compiled:
 def plain_numbers(*arrays: Array) -> bool:
     """Whether arrays have the layout that the kernel reads and writes."""
     return all(a.dtype == np.float64 and a.flags.carray for a in arrays)
-
-
-def _heard(state: State, name: str) -> tuple[Array | None, Array | None]:
-    """Where an input is and how it moves; None where there is none."""
-    now = state.inputs.get(name)
-    return (None, None) if now is None else (now.value, now.rate)

@@ -26,36 +26,23 @@ LARGE = 1e300  # stands for no limit
 
 def flat_model(chain: ClosedChain) -> Flat | None:
     """Joints with their axes turned to z, and the arms; None where a joint is of another kind."""
-    return chain.once(_flat_model)
-
-
-def _flat_model(chain: ClosedChain) -> Flat | None:
     model = chain.model
-    slides, parents, placements = [], [], []
+    kinds = [_axis(model.joints[j]) for j in range(1, model.njoints)]
+    if None in kinds or any(model.idx_vs[j] != j - 1 for j in range(1, model.njoints)):
+        return None
+    axes, placements, objects = chain.once(turned), [], []
     for j in range(1, model.njoints):
-        axis = _axis(model.joints[j])
-        if axis is None or model.idx_vs[j] != j - 1:
-            return None
-        slides.append(float(axis[0]))
-    axes = chain.once(turned)
-    for j in range(1, model.njoints):
-        parent = int(model.parents[j])
-        parents.append(float(parent - 1))
-        X = model.jointPlacements[j]
-        placements.append(
-            _placement(axes[parent].T @ X.rotation @ axes[j], axes[parent].T @ X.translation)
-        )
-    tips, objects = [], []
-    for frame in chain.frames:
-        f = model.frames[frame]
-        tips.append(float(f.parentJoint - 1))
-        A = axes[f.parentJoint].T
-        objects.append(_placement(A @ f.placement.rotation, A @ f.placement.translation))
+        A, X = axes[model.parents[j]].T, model.jointPlacements[j]
+        placements += [(A @ X.rotation @ axes[j]).ravel(), A @ X.translation]
+    frames = [model.frames[frame] for frame in chain.frames]
+    for f in frames:
+        A, X = axes[f.parentJoint].T, f.placement
+        objects += [(A @ X.rotation).ravel(), A @ X.translation]
     return {
-        "parents": np.array(parents),
-        "slides": np.array(slides),
+        "parents": np.array([float(parent - 1) for parent in list(model.parents)[1:]]),
+        "slides": np.array([float(kind[0]) for kind in kinds if kind]),
         "placements": np.concatenate(placements),
-        "tips": np.array(tips),
+        "tips": np.array([float(f.parentJoint - 1) for f in frames]),
         "object_placements": np.concatenate(objects),
         "alpha": np.ascontiguousarray(chain.alpha),
         "holding": float(chain.holding),
@@ -143,10 +130,6 @@ def _z_along(axis: Array) -> Array:
     x = np.eye(3)[least] - d[least] * d
     x /= np.linalg.norm(x)
     return np.column_stack([x, np.cross(d, x), d])
-
-
-def _placement(R: Array, p: Array) -> Array:
-    return np.concatenate([R.ravel(), p])
 
 
 #: Numbers of a level's rows.

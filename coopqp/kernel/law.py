@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from coopqp.controller import Command, ControlProblem, InternalForceControl, Law
-from coopqp.kernel.compiled import Compiled, Limits, Outcome, plain_numbers
+from coopqp.kernel.compiled import Bound, Compiled, Limits, Outcome, plain_numbers
 from coopqp.kernel.flat import Group
 from coopqp.model.state import Memory, State
 from coopqp.qp_law.equations import ALL_OF_IT
@@ -143,12 +143,12 @@ class KernelLaw(Law):
     def _decides(self, state: State) -> bool:
         """Whether the kernel has an answer, which is the command then."""
         self.compiled = False
-        said = self.whole.tick(state)
-        if said in ALL_WELL:
-            self._say(ALL_WELL[said])
+        outcome = self.whole.tick(state)
+        if outcome in ALL_WELL:
+            self._say(ALL_WELL[outcome])
             self.command.scale = self.whole.engine.scale() if self._exact else 1.0
             return True
-        if said != INFEASIBLE or self._relaxes or not self._rests(self.whole.engine.rest()):
+        if outcome != INFEASIBLE or self._relaxes or not self._rests(self.whole.engine.rest()):
             return False
         self._missed[:] = self._missing[:] = 0.0
         return True
@@ -156,7 +156,7 @@ class KernelLaw(Law):
     def step(self, state: State) -> Command:
         """A tick and state.advance in one; by the kernel alone where possible."""
         inputs = state.inputs
-        seen, q, v, gap, memory, heard = self._shown
+        seen, q, v, gap, memory, bound = self._shown
         # As _alone and _ready, without their calls, which are 3 % of a tick.
         if (
             state is seen
@@ -169,16 +169,16 @@ class KernelLaw(Law):
             and self._runs
             and not (inputs.stale or inputs.refused)
         ):
-            if heard and _others(inputs, heard):
+            if bound and _others(inputs, bound):
                 return super().step(state)
-            said = self._engine_step(state.t)
-            if said in ALL_WELL:
+            outcome = self._engine_step(state.t)
+            if outcome in ALL_WELL:
                 state.t += self._dt
                 state.jacobians_due = True
                 state.corrected = 1.0
                 command, self.compiled = self.command, True
                 command.drift = command.scale = 1.0
-                command.causes, command.note = ALL_WELL[said], ""
+                command.causes, command.note = ALL_WELL[outcome], ""
                 if self._exact:
                     command.scale = self.whole.engine.scale()
                 return command
@@ -202,13 +202,13 @@ class KernelLaw(Law):
                 self._keep(state, found, done)
                 done += 1
 
-    def _run(self, state: State, found: TickBatch, done: int, most: int) -> int:
+    def _run(self, state: State, found: TickBatch, done: int, ticks: int) -> int:
         """Number of ticks that the kernel has done in one go."""
-        said, whole = np.zeros(most, np.uint8), state.corrected >= ALL_OF_IT
-        room = found.q[done:], found.v[done:], said, found.scale[done:]
+        outcome, whole = np.zeros(ticks, np.uint8), state.corrected >= ALL_OF_IT
+        room = found.q[done:], found.v[done:], outcome, found.scale[done:]
         remembered = state.memory.numbers, found.memory[done:]
         made: int = max(self.whole.engine.run(state.t, *room, *remembered, self._stops, whole), 0)
-        found.causes[done : done + made] = map(IN_A_RUN.__getitem__, said[:made].tolist())
+        found.causes[done : done + made] = map(IN_A_RUN.__getitem__, outcome[:made].tolist())
         for _ in range(made):
             state.t += self.problem.dt  # as tick by tick, to the last digit
         if made:
@@ -222,11 +222,11 @@ class KernelLaw(Law):
         self.command.drift = 1.0
         self.command.causes, self.command.note = causes, ""
 
-    def _rests(self, said: int) -> bool:
+    def _rests(self, outcome: int) -> bool:
         """Whether the engine's answer for an infeasible tick, at rest or recovering, is usable."""
-        if said not in RESTS:
+        if outcome not in RESTS:
             return False
-        self._say(RESTS[said])
+        self._say(RESTS[outcome])
         self.command.scale = 0.0 if self._exact else 1.0
         self._stopped[0] = float(self._stops)
         return True
@@ -240,14 +240,14 @@ class KernelLaw(Law):
 
     def _ready(self, state: State) -> bool:
         """Whether the kernel may decide at a state; binds arrays that are new to it."""
-        seen, q, v, gap, memory, heard = self._shown
+        seen, q, v, gap, memory, bound = self._shown
         if (
             state is seen
             and state.q is q
             and state.v is v
             and state.gap is gap
             and state.memory is memory
-            and not (heard and _others(state.inputs, heard))
+            and not (bound and _others(state.inputs, bound))
         ):
             return True
         return self._shows(state)
@@ -260,18 +260,18 @@ class KernelLaw(Law):
         if memory.sizes != self.memory_sizes:
             state.memory = memory = Memory(self.memory_sizes)
         self._shown = NOTHING
-        if not self.whole.bind(state, memory):
+        bound = self.whole.bind(state, memory)
+        if bound is None:
             return False
-        heard = self.whole.heard(state)
-        self._shown = (state, state.q, state.v, state.gap, memory, heard)
+        self._shown = (state, state.q, state.v, state.gap, memory, bound)
         self._stopped = memory["stopped"]
         self._missed, self._missing = memory["missed"], memory["missing"]
         return True
 
 
-def _others(inputs: InputValues, heard: Sequence[tuple[Any, ...]]) -> bool:
-    """Whether inputs have other arrays than those bound, :meth:`Compiled.heard`."""
-    for name, trajectory, value, rate in heard:
+def _others(inputs: InputValues, bound: Sequence[Bound]) -> bool:
+    """Whether inputs have other arrays than those bound, :meth:`Compiled.bind`."""
+    for name, trajectory, value, rate in bound:
         now = inputs.get(name)
         if now is not trajectory or (now and (now.value is not value or now.rate is not rate)):
             return True

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.kernel.flat import flat_model, kept_rows
@@ -71,7 +70,7 @@ def unfit(chain: ClosedChain) -> str:
 
 
 def _unfit(chain: ClosedChain) -> str:
-    if flat_model(chain) is None:
+    if chain.once(flat_model) is None:
         return "a joint is neither a hinge nor a slide"
     if chain.n <= len(chain.loops.kept):
         return "the loops leave no motion"
@@ -95,16 +94,6 @@ def _unfit(chain: ClosedChain) -> str:
     return ""
 
 
-def required(problem: ControlProblem) -> None:
-    """Refuse what the kernel cannot do.
-
-    Raises:
-        InvalidValueError: with the reason.
-    """
-    if reason := why_not(problem):
-        raise InvalidValueError(f"engine: kernel cannot do this: {reason}; use engine: auto")
-
-
 #: slide(q, direction, length, steps) moves q in place along the projection of a direction on the
 #: motions that keep the loops closed, and closes them by Newton steps; returns the largest loop
 #: error [m, rad], below zero where rows that are independent in general are not so.
@@ -118,7 +107,7 @@ def slide(chain: ClosedChain) -> Slide | None:
 
 def _slide(chain: ClosedChain) -> Slide | None:
     engine: Any = module()
-    model = flat_model(chain)
+    model = chain.once(flat_model)
     if engine is None or model is None or unfit(chain):
         return None
     step: Slide = engine.Slide({"model": model, "kept": kept_rows(chain)}).step

@@ -56,7 +56,7 @@ class TrajectoryEvaluation:
         axes = chain.once(turned)
         places = [axes[joint].T @ p for joint, p in points]
         self._look = found.TrajectoryEvaluation({
-            "model": flat_model(chain),
+            "model": chain.once(flat_model),
             "levels": levels.flat,
             "primitives": levels.primitives,
             "joints": np.array([joint - 1 for joint, _ in points], float),
@@ -96,7 +96,7 @@ def survey(
         start: the state where their references start.
         points: ids of joints into chain.model.joints, and points in their frames [m].
     """
-    model: Flat | None = flat_model(chain)
+    model: Flat | None = chain.once(flat_model)
     if native.module() is None or model is None:
         return None
     levels = Levels([Group((), hard=tasks)], Programs(start))
@@ -106,15 +106,6 @@ def survey(
     if len(levels.flat[0]["gain"]) != rows:  # a posture of some joints has no rows for the others
         return None
     return TrajectoryEvaluation(chain, levels, points)
-
-
-def loop_survey(chain: ClosedChain) -> TrajectoryEvaluation | None:
-    """The evaluation of the object and the loops alone; None as above."""
-    return chain.once(_loop_survey)
-
-
-def _loop_survey(chain: ClosedChain) -> TrajectoryEvaluation | None:
-    return survey(chain, (), State(chain), ())
 
 
 def joint_points(chain: ClosedChain) -> dict[str, list[tuple[int, Array]]]:

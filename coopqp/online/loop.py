@@ -452,8 +452,8 @@ class OnlineLoop:
     def _decide(self, inputs: Any, now: float) -> Command:
         phases, run = self._phases, self._phases.now
         self._keeper.arrived(phases.take(inputs, now))
-        halts = [cause for cause in (self._wrong, self._stops.cause) if cause]
-        if phases.over:
+        halts = [self._wrong] if self._wrong else []
+        if self._stops.why or phases.over:
             halts.append(Status.STOPPED)
         self._moved = not halts
         if not halts:

@@ -58,16 +58,6 @@ def with_acceleration(
     return *limits, JointAcceleration(max=others, joints=joints, margin=margin)
 
 
-def acceleration_of(limits: Sequence[Limit], chain: ClosedChain) -> Array:
-    """Each joint's acceleration limit, shape (n,) [rad/s2, m/s2]; infinite where there is none."""
-    found = np.full(chain.n, np.inf)
-    for limit in limits:
-        if isinstance(limit, JointAcceleration):
-            own = [limit.joints.get(name, limit.max) for name in chain.joint_names]
-            np.minimum(found, own, out=found)
-    return found
-
-
 class _Kept:
     """Internal force control that keeps the hands' distance and ignores the force."""
 
@@ -91,7 +81,11 @@ class Braking:
         self._law = QPController().build(still)
         self._law.squeezer = _Kept(squeezer) if squeezer else None
         self._memory = Memory(self._law.memory_sizes)
-        self._step = acceleration_of(problem.limits, problem.chain) * problem.dt
+        self._step = np.full(problem.chain.n, np.inf)  # of the velocity in one tick
+        for limit in problem.limits:
+            if isinstance(limit, JointAcceleration):
+                own = [limit.joints.get(name, limit.max) for name in problem.chain.joint_names]
+                np.minimum(self._step, np.array(own) * problem.dt, out=self._step)
         self._still = Command(problem.chain.n)
 
     def can_stop(self, state: State) -> bool:
@@ -228,28 +222,12 @@ def as_held(scenario: Scenario, q: Array) -> Scenario:
         InvalidValueError: q is no n finite numbers.
     """
     chain = scenario.chain
-    q = _plain(finite("q", vector("q", q, chain.n)))
+    q = _without_tiny(finite("q", vector("q", q, chain.n)))
     start = dict(zip(chain.joint_names, q.tolist(), strict=True))
     grasps = grasp_of_each(scenario.robot_model, scenario.grasps)
     holders = chain.hold.holders
     if scenario.held.pose is None and not any(grasps[arm].object_in_hand for arm in holders):
         return replace(scenario, start=start)
-    _check(chain, q)
-    held = replace(scenario.held, pose=_pose(chain.object_pose(q)))
-    without_places = {arm: replace(grasps[arm], object_in_hand=None) for arm in holders}
-    return replace(scenario, start=start, held=held, grasps={**grasps, **without_places})
-
-
-def _plain(numbers: Array) -> Array:
-    return np.where(np.abs(numbers) < SMALLEST, 0.0, numbers)
-
-
-def _pose(X: pin.SE3) -> Pose:
-    place, angles = _plain(X.translation), _plain(pin.rpy.matrixToRpy(X.rotation))
-    return Pose(position=tuple(place.tolist()), rpy=tuple(angles.tolist()))
-
-
-def _check(chain: ClosedChain, q: Array) -> None:
     state = State(chain, q)
     apart, turned = state.loop_position_error, state.loop_orientation_error
     if apart > MOST_POSITION or turned > MOST_ORIENTATION:
@@ -258,3 +236,13 @@ def _check(chain: ClosedChain, q: Array) -> None:
             "says they hold the object, more than a model's error; bring the robot near the "
             "scenario's start, or leave out object_in_hand and object.pose to hold it as it is"
         )
+    X = chain.object_pose(q)
+    place, angles = _without_tiny(X.translation), _without_tiny(pin.rpy.matrixToRpy(X.rotation))
+    pose = Pose(position=tuple(place.tolist()), rpy=tuple(angles.tolist()))
+    without_places = {arm: replace(grasps[arm], object_in_hand=None) for arm in holders}
+    held, grasps = replace(scenario.held, pose=pose), {**grasps, **without_places}
+    return replace(scenario, start=start, held=held, grasps=grasps)
+
+
+def _without_tiny(numbers: Array) -> Array:
+    return np.where(np.abs(numbers) < SMALLEST, 0.0, numbers)

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 from types import TracebackType
@@ -35,7 +35,6 @@ from coopqp.recordings.column import Layout, kind_of, names, of_field
 from coopqp.recordings.format import needs
 from coopqp.recordings.parquet import SUFFIX, arrow_schema
 from coopqp.scenario.scenario import Scenario
-from coopqp.signal import Kind
 from coopqp.solver import Status, written
 
 #: Fields of the table other than time, memory and inputs, as a live loop has them.
@@ -53,108 +52,6 @@ MEASURED: dict[str, Callable[[State, Command], Any]] = {
 }
 
 
-class TickRing:
-    """Ring buffer of the ticks of a loop that have not been written yet.
-
-    A row is copied in one step and counted after that, so writer and reader need no lock.
-
-    Attributes:
-        names, numbers: of the columns that are numbers, C of them; shape (C, capacity), NaN is an
-            empty cell.
-        numbered, causes: number and statuses of each row's tick, capacity of each.
-        filled, emptied, dropped: rows that have gone in and out; ticks without room.
-    """
-
-    def __init__(
-        self,
-        law: Law,
-        start: State,
-        also: Sequence[str],
-        capacity: int,
-        memory: int = 0,
-        inputs: Mapping[str, Kind] | None = None,
-    ) -> None:
-        layout = Layout(
-            joints=law.problem.chain.joint_names,
-            loops=len(start.gap) // 6,
-            memory=max(memory, len(start.memory.numbers)),
-            inputs=inputs or {},
-        )
-        without = {"measured"} if start.q_measured is None else set()
-        without |= {"tau"} if law.command.tau is None else set()
-        told = {name: of for name, of in MEASURED.items() if name not in without}
-        others = ("t", "memory", "followed", "followed_rate", "tick_us")
-        self.names = (*names(layout, {*told, *others}), *also)
-        self.capacity = capacity
-        self.numbers = np.full((len(self.names), capacity), np.nan)
-        self.numbered = np.zeros(capacity, np.int64)
-        self.causes: list[tuple[Status, ...]] = [()] * capacity
-        self.filled = self.emptied = self.dropped = self._ticks = 0
-        self._row = np.zeros(len(self.names))
-        self._told = [(self._view(name, layout), of) for name, of in told.items()]
-        self._t, self._us = self._view("t", layout), self._view("tick_us", layout)
-        self._v, self._memory = self._view("v", layout), self._view("memory", layout)
-        self._also = self._row[len(self.names) - len(also) :]
-        self._followed = []
-        for name, kind in layout.inputs.items():
-            own = Layout(joints=(), inputs={name: kind})
-            values, rates = self._view("followed", own), self._view("followed_rate", own)
-            self._followed.append((name, values, rates))
-        self.begin(start)
-
-    def _view(self, name: str, layout: Layout) -> Array:
-        """A field's part of the row; its columns are adjacent."""
-        columns = of_field(name, layout)
-        first = self.names.index(columns[0]) if columns else 0
-        return self._row[first : first + len(columns)]
-
-    def begin(self, state: State, since: float = 0.0) -> None:
-        """Record the state before a first tick.
-
-        A tick is repeated from the velocity of the one before. Where that is not the state's, as
-        after a stop, a number is left out between them.
-        """
-        self._remember(state)
-        self._since = since
-        if self._ticks and not np.array_equal(self._v, state.v):
-            self._ticks += 1
-
-    def add(self, state: State, command: Command, us: float, also: Array | Sequence[float]) -> None:
-        """Copy a tick; count it as dropped where there is no room."""
-        tick, i = self._ticks, self.filled % self.capacity
-        self._ticks = tick + 1
-        if self.filled - self.emptied < self.capacity:
-            self._fill(state, command, us)
-            if len(self._also):
-                self._also[:] = also
-            self.numbers[:, i] = self._row
-            self.numbered[i], self.causes[i] = tick, command.causes
-            self.filled += 1
-        else:
-            self.dropped += 1
-        self._remember(state)
-
-    def _remember(self, state: State) -> None:
-        kept = state.memory.numbers
-        self._memory[: len(kept)], self._memory[len(kept) :] = kept, 0.0
-
-    def _fill(self, state: State, command: Command, us: float) -> None:
-        self._t[0], self._us[0] = self._since + state.t, us
-        for part, of in self._told:
-            part[:] = of(state, command)
-        for name, value, rate in self._followed:
-            followed = state.inputs.get(name)
-            value[:] = np.nan if followed is None else followed.value
-            rate[:] = np.nan if followed is None else followed.rate
-
-    def waiting(self) -> list[slice]:
-        """Rows not yet written, in their order: one slice, or two around the end."""
-        first, count = self.emptied % self.capacity, self.filled - self.emptied
-        before = min(count, self.capacity - first)
-        pieces = slice(first, first + before), slice(0, count - before)
-        return [piece for piece in pieces if piece.stop > piece.start]
-
-
 #: Time between pieces [s]; a crash loses less than one.
 EVERY = 0.25
 #: Time that the ring holds, for disks that are slow for a while [s].
@@ -163,6 +60,9 @@ ROOM = 8.0
 
 class LiveRecording:
     """A file that grows while a loop runs.
+
+    Ticks that are not written yet are in a ring buffer. A row is copied in one step and counted
+    after that, so writer and reader need no lock.
 
     Args:
         path: ``NAME.arrows``; must not exist.
@@ -177,6 +77,7 @@ class LiveRecording:
 
     Attributes:
         fault: why writing failed; empty if it did not.
+        dropped: number of ticks left out because the disk did not keep up.
 
     Raises:
         CoopqpError: the file exists, or cannot be made.
@@ -199,29 +100,55 @@ class LiveRecording:
         every: float = EVERY,
     ) -> None:
         self.path, self.fault, held = Path(path), "", scenario.held_by(controller)
-        room, inputs = max(16, int(ROOM / law.problem.dt)), held.followed()
-        self._ring = TickRing(law, start, also, room, memory, inputs)
-        columns = ("controller", "tick", *self._ring.names, "status")
+        self.dropped = self._filled = self._emptied = self._ticks = 0  # rows in and out
+        layout = Layout(
+            joints=law.problem.chain.joint_names,
+            loops=len(start.gap) // 6,
+            memory=max(memory, len(start.memory.numbers)),
+            inputs=held.followed(),
+        )
+        without = {"measured"} if start.q_measured is None else set()
+        without |= {"tau"} if law.command.tau is None else set()
+        fields = {name: of for name, of in MEASURED.items() if name not in without}
+        others = ("t", "memory", "followed", "followed_rate", "tick_us")
+        self._names = (*names(layout, {*fields, *others}), *also)
+        columns = ("controller", "tick", *self._names, "status")
         text = source or scenario.portable
         _check(self.path, text, columns, also)
         with needs("a recording of a live loop"):
             import pyarrow as pa
         self._pa: Any = pa
         self._schema = arrow_schema(held, controller, text, columns)
-        names = pa.array([controller] * self._ring.capacity)
+        self._capacity = room = max(16, int(ROOM / law.problem.dt))
+        self._numbers = np.full((len(self._names), room), np.nan)  # an empty cell is NaN
+        self._numbered = np.zeros(room, np.int64)
+        self._causes: list[tuple[Status, ...]] = [()] * room
+        controllers = pa.array([controller] * room)
         self._batch = pa.record_batch(  # over the ring's own memory, but for names and statuses
-            [names, self._ring.numbered, *self._ring.numbers, names], schema=self._schema
+            [controllers, self._numbered, *self._numbers, controllers], schema=self._schema
         )
+        self._row = np.zeros(len(self._names))
+        self._fields = [(self._view(name, layout), of) for name, of in fields.items()]
+        self._t, self._us = self._view("t", layout), self._view("tick_us", layout)
+        self._v, self._memory = self._view("v", layout), self._view("memory", layout)
+        self._also = self._row[len(self._names) - len(also) :]
+        self._followed = []
+        for name, kind in layout.inputs.items():
+            own = Layout(joints=(), inputs={name: kind})
+            values, rates = self._view("followed", own), self._view("followed_rate", own)
+            self._followed.append((name, values, rates))
+        self.begin(start)
         self._alone, self._stop = threading.Lock(), threading.Event()
         self._open()
         self._thread = threading.Thread(target=self._run, args=(every,), daemon=True)
         if every > 0.0:
             self._thread.start()
 
-    @property
-    def dropped(self) -> int:
-        """Number of ticks left out because the disk did not keep up."""
-        return self._ring.dropped
+    def _view(self, name: str, layout: Layout) -> Array:
+        """A field's part of the row; its columns are adjacent."""
+        columns = of_field(name, layout)
+        first = self._names.index(columns[0]) if columns else 0
+        return self._row[first : first + len(columns)]
 
     def tick(
         self, state: State, command: Command, us: float, also: Array | Sequence[float] = ()
@@ -234,16 +161,46 @@ class LiveRecording:
             us: computing time of the law [us].
             also: numbers of the further columns.
         """
-        self._ring.add(state, command, us, also)
+        tick, i = self._ticks, self._filled % self._capacity
+        self._ticks = tick + 1
+        if self._filled - self._emptied < self._capacity:
+            self._fill(state, command, us)
+            if len(self._also):
+                self._also[:] = also
+            self._numbers[:, i] = self._row
+            self._numbered[i], self._causes[i] = tick, command.causes
+            self._filled += 1
+        else:
+            self.dropped += 1
+        self._remember(state)
 
     def begin(self, state: State, since: float = 0.0) -> None:
         """Go on from another state than the last tick's, as after a stop.
+
+        A tick is repeated from the velocity of the one before. Where that is not the state's, a
+        number is left out between them.
 
         Args:
             state: before its first tick.
             since: start of its own time, as in a later phase [s].
         """
-        self._ring.begin(state, since)
+        self._remember(state)
+        self._since = since
+        if self._ticks and not np.array_equal(self._v, state.v):
+            self._ticks += 1
+
+    def _remember(self, state: State) -> None:
+        kept = state.memory.numbers
+        self._memory[: len(kept)], self._memory[len(kept) :] = kept, 0.0
+
+    def _fill(self, state: State, command: Command, us: float) -> None:
+        self._t[0], self._us[0] = self._since + state.t, us
+        for part, of in self._fields:
+            part[:] = of(state, command)
+        for name, value, rate in self._followed:
+            followed = state.inputs.get(name)
+            value[:] = np.nan if followed is None else followed.value
+            rate[:] = np.nan if followed is None else followed.rate
 
     def flush(self) -> None:
         """Write what is new; a thread does it by itself."""
@@ -251,9 +208,12 @@ class LiveRecording:
             return
         with self._alone:
             try:
-                for piece in self._ring.waiting():
-                    self._write(piece)
-                    self._ring.emptied += piece.stop - piece.start
+                first, count = self._emptied % self._capacity, self._filled - self._emptied
+                before = min(count, self._capacity - first)  # the rest is around the end
+                for piece in (slice(first, first + before), slice(0, count - before)):
+                    if piece.stop > piece.start:
+                        self._write(piece)
+                        self._emptied += piece.stop - piece.start
                 os.fsync(self._file.fileno())
             except (OSError, self._pa.ArrowException) as error:
                 self.fault = f"cannot write '{self.path}': {error}"
@@ -305,7 +265,7 @@ class LiveRecording:
 
     def _write(self, piece: slice) -> None:
         # One look-up a tick: the loop waits for the GIL meanwhile.
-        words = self._pa.array(list(map(_word, self._ring.causes[piece])))
+        words = self._pa.array(list(map(_word, self._causes[piece])))
         batch = self._batch.slice(piece.start, piece.stop - piece.start)
         last = batch.num_columns - 1
         batch = batch.set_column(last, self._schema.field(last), words)

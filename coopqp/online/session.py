@@ -149,9 +149,18 @@ def scenario_text(
         data.pop("grasps", None)
     if scenario.held.pose != given.held.pose:
         _place_object(data, scenario)
-    _add_limits(data, scenario)
+    written = data.get("limits", ["joint_position", "joint_velocity"])
+    if len(written) < len(scenario.limits):  # the loop has added one
+        limit = scenario.limits[-1]
+        assert isinstance(limit, JointAcceleration)
+        keys = {"max": limit.max, "joints": limit.joints, "margin": limit.margin}
+        data["limits"] = [*written, {"joint_acceleration": keys}]
     if scenario.inputs:
-        data["inputs"] = fed(data["inputs"], _seen_from(None if scenario.folder else folder, feeds))
+        paths = {
+            name: str(path.resolve() if scenario.folder else path.relative_to(folder))
+            for name, path in feeds.items()
+        }
+        data["inputs"] = fed(data["inputs"], paths)
     if scenario.folder:
         data["folder"] = str(scenario.folder)
     _set_durations(data, runs)
@@ -175,31 +184,12 @@ def _place_object(data: dict[str, Any], scenario: Scenario) -> None:
     data["grasps"] = grasps
 
 
-def _add_limits(data: dict[str, Any], scenario: Scenario) -> None:
-    """The acceleration limit, if the loop has added one."""
-    written = data.get("limits", ["joint_position", "joint_velocity"])
-    if len(written) < len(scenario.limits):
-        limit = scenario.limits[-1]
-        assert isinstance(limit, JointAcceleration)
-        keys = {"max": limit.max, "joints": limit.joints, "margin": limit.margin}
-        data["limits"] = [*written, {"joint_acceleration": keys}]
-
-
-def _seen_from(folder: Path | None, feeds: Mapping[str, Path]) -> dict[str, str]:
-    return {
-        name: str(path.relative_to(folder) if folder else path.resolve())
-        for name, path in feeds.items()
-    }
-
-
 def _set_durations(data: dict[str, Any], runs: Sequence[PhaseRun]) -> None:
-    if not runs:
-        return
     lasted = [max(_duration(run), *(task.end for task in run.phase.tasks)) for run in runs]
-    if "phases" in data:
+    if lasted and "phases" in data:
         pairs = zip(data["phases"], lasted, strict=False)  # those that there were
         data["phases"] = [{**phase, "duration": duration} for phase, duration in pairs]
-    else:
+    elif lasted:
         data["duration"] = lasted[0]
 
 

@@ -132,11 +132,6 @@ class Stops:
         """The reason of the last request to stop or end; empty where it shall go on."""
         return self._ended or self._stopped
 
-    @property
-    def cause(self) -> Status | None:
-        """The status of a tick in which it is stopped."""
-        return Status.STOPPED if self.why else None
-
     def stop(self, why: Any) -> None:
         """Stop; the first reason counts."""
         self._stopped = self._stopped or reason(why, "it was told to stop")

@@ -121,15 +121,11 @@ class Tip:
 
 def transform(p: MdhParameters) -> pin.SE3:
     """The pose of frame j in frame a(j), eq. (2)."""
-    return fixed_part(p) * pin.SE3(_rot_z(p.theta), np.array([0.0, 0.0, p.r]))
-
-
-def fixed_part(p: MdhParameters) -> pin.SE3:
-    """The part of the transform before the joint axis: rot_z trans_z rot_x trans_x."""
     first = pin.SE3(_rot_z(p.gamma), np.array([0.0, 0.0, p.b]))
     c, s = math.cos(p.alpha), math.sin(p.alpha)
     rot_x = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
-    return first * pin.SE3(rot_x, rot_x @ np.array([p.d, 0.0, 0.0]))
+    fixed = first * pin.SE3(rot_x, rot_x @ np.array([p.d, 0.0, 0.0]))
+    return fixed * pin.SE3(_rot_z(p.theta), np.array([0.0, 0.0, p.r]))
 
 
 def grasp_parameters(X: pin.SE3) -> MdhParameters:
@@ -155,6 +151,10 @@ def grasp_parameters(X: pin.SE3) -> MdhParameters:
     )
 
 
+_Placed = dict[str | None, tuple[int, pin.SE3]]
+"""Joint that moves each row's frame, and the frame in it; the base is None."""
+
+
 def build_model(name: str, rows: Sequence[MdhRow], tips: Mapping[str, Tip]) -> pin.Model:
     """A pinocchio model whose joint frames are the table's frames.
 
@@ -168,32 +168,39 @@ def build_model(name: str, rows: Sequence[MdhRow], tips: Mapping[str, Tip]) -> p
     """
     model = pin.Model()
     model.name = name
-    joint_of: dict[str | None, int] = {None: 0}
-    frame_in_joint: dict[str | None, pin.SE3] = {None: pin.SE3.Identity()}
+    placed: _Placed = {None: (0, pin.SE3.Identity())}
     for i, row in enumerate(rows):
-        if row.name in joint_of:
+        if row.name in placed:
             words = f"MDH table {name}: two rows are called '{row.name}'"
             raise InvalidValueError(words).at("rows", i)
-        if row.antecedent not in joint_of:
-            known = [str(n) for n in joint_of if n is not None]
+        if row.antecedent not in placed:
             where = f"row {row.name}: "
-            raise UnknownNameError("antecedent", str(row.antecedent), known, where).at("rows", i)
-        parent, X = joint_of[row.antecedent], frame_in_joint[row.antecedent]
+            raise _unknown("antecedent", str(row.antecedent), placed, where).at("rows", i)
+        parent, X = placed[row.antecedent]
         placement = X * transform(row.parameters)
         if row.kind == "fixed":
-            joint_of[row.name], frame_in_joint[row.name] = parent, placement
+            placed[row.name] = parent, placement
             model.addFrame(pin.Frame(row.name, parent, placement, pin.FrameType.OP_FRAME))
         else:
-            joint_of[row.name] = _add_joint(model, parent, placement, row)
-            frame_in_joint[row.name] = pin.SE3.Identity()
+            placed[row.name] = _add_joint(model, parent, placement, row), pin.SE3.Identity()
     if not model.check(model.createData()):
         words = f"MDH table {name}: list the rows arm by arm (depth first)"
         raise InvalidValueError(words).at("rows")
     data = model.createData()
     pin.forwardKinematics(model, data, pin.neutral(model))
-    _add_links(model, data, rows, joint_of, frame_in_joint)
-    _add_tips(model, data, tips, joint_of, frame_in_joint)
+    for row in rows:
+        if row.link is not None:
+            joint, X = placed[row.name]
+            R = (data.oMi[joint] * X).rotation.T if row.link.axes == "base" else np.eye(3)
+            com = R @ np.asarray(row.link.com)
+            body = pin.Inertia(row.link.mass, com, R @ row.link.matrix @ R.T)
+            model.appendBodyToJoint(joint, body, X)
+    _add_tips(model, data, tips, placed)
     return model
+
+
+def _unknown(kind: str, name: str, placed: _Placed, where: str) -> UnknownNameError:
+    return UnknownNameError(kind, name, [str(n) for n in placed if n is not None], where)
 
 
 def _add_joint(model: pin.Model, parent: int, placement: pin.SE3, row: MdhRow) -> int:
@@ -207,37 +214,13 @@ def _add_joint(model: pin.Model, parent: int, placement: pin.SE3, row: MdhRow) -
     return int(index)
 
 
-def _add_links(
-    model: pin.Model,
-    data: pin.Data,
-    rows: Sequence[MdhRow],
-    joint_of: Mapping[str | None, int],
-    frame_in_joint: Mapping[str | None, pin.SE3],
-) -> None:
-    for row in rows:
-        if row.link is None:
-            continue
-        joint, X = joint_of[row.name], frame_in_joint[row.name]
-        R = (data.oMi[joint] * X).rotation.T if row.link.axes == "base" else np.eye(3)
-        com = R @ np.asarray(row.link.com)
-        body = pin.Inertia(row.link.mass, com, R @ row.link.matrix @ R.T)
-        model.appendBodyToJoint(joint, body, X)
-
-
-def _add_tips(
-    model: pin.Model,
-    data: pin.Data,
-    tips: Mapping[str, Tip],
-    joint_of: Mapping[str | None, int],
-    frame_in_joint: Mapping[str | None, pin.SE3],
-) -> None:
+def _add_tips(model: pin.Model, data: pin.Data, tips: Mapping[str, Tip], placed: _Placed) -> None:
     for name, tip in tips.items():
-        if name in joint_of:
+        if name in placed:
             raise InvalidValueError(f"tip {name}: a row has this name already").at("tips", name)
-        if tip.parent not in joint_of:
-            known = [str(n) for n in joint_of if n is not None]
-            raise UnknownNameError("row", tip.parent, known, f"tip {name}: ").at("tips", name)
-        joint, X = joint_of[tip.parent], frame_in_joint[tip.parent]
+        if tip.parent not in placed:
+            raise _unknown("row", tip.parent, placed, f"tip {name}: ").at("tips", name)
+        joint, X = placed[tip.parent]
         X_WJ = data.oMi[joint]
         X_WT = pin.SE3(np.eye(3), (X_WJ * X).translation + np.asarray(tip.offset))
         model.addFrame(pin.Frame(name, joint, X_WJ.inverse() * X_WT, pin.FrameType.OP_FRAME))

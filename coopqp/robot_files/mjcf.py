@@ -26,8 +26,8 @@ from coopqp.robot_files.mjcf_model import Geoms, Named, floating, followers, pin
 from coopqp.robot_files.selection import Description
 from coopqp.robot_files.xml import (
     ALIKE,
-    DEEPEST,
-    MOST_ELEMENTS,
+    MAX_DEPTH,
+    MAX_ELEMENTS,
     pinocchio_says,
     place_of,
     read_xml,
@@ -123,12 +123,12 @@ class _Includes:
     """Replaces <include> by the contents of files; path: of the outermost one."""
 
     def __init__(self, path: Path) -> None:
-        self._folder, self._seen, self._left = path.parent, {path}, MOST_ELEMENTS
+        self._folder, self._seen, self._left = path.parent, {path}, MAX_ELEMENTS
 
     def fill_in(self, element: ET.Element, depth: int = 0) -> None:
         """Replace the includes in an element; none may be included twice, or too large."""
-        if depth > DEEPEST:
-            words = f"elements inside elements are more than {DEEPEST} deep"
+        if depth > MAX_DEPTH:
+            words = f"elements inside elements are more than {MAX_DEPTH} deep"
             raise InvalidValueError(f"{place_of(element)}: {words}")
         children: list[ET.Element] = []
         for child in element:
@@ -151,7 +151,7 @@ class _Includes:
             raise InvalidValueError(f"{place_of(include)}: {error}") from None
         self._left -= sum(1 for _ in found.iter())
         if self._left < 0:
-            words = f"what is included has more than {MOST_ELEMENTS} elements"
+            words = f"what is included has more than {MAX_ELEMENTS} elements"
             raise InvalidValueError(f"{place_of(include)}: {words}")
         self.fill_in(found, depth)
         return found
@@ -276,13 +276,13 @@ class _Compiled:
 
     def _check_bounds(self) -> None:
         """Refuse sizes that no robot has, which MuJoCo accepts."""
-        for elements, array, most in BOUNDS:
+        for elements, array, maximum in BOUNDS:
             values = np.abs(getattr(self._model, array))
-            if not (values <= most).all():
-                row = int(np.argwhere(~(values <= most))[0][0])
+            if not (values <= maximum).all():
+                row = int(np.argwhere(~(values <= maximum))[0][0])
                 wrong = next(e for e in getattr(self._spec, elements) if e.id == row)
                 place = f"{place_of(self._element(wrong.info))} {array.partition('_')[2]}"
-                words = f"comes to {np.max(values[row]):g}, needs sizes of at most {most:g}"
+                words = f"comes to {np.max(values[row]):g}, needs sizes of at most {maximum:g}"
                 raise InvalidValueError(f"{place}: {words}")
 
 

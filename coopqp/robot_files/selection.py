@@ -13,8 +13,7 @@ from __future__ import annotations
 
 import fnmatch
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any
 
@@ -383,7 +382,7 @@ def _still_followers(
     ]
 
 
-#: Suffix of names for a moment; no name in a file ends so.
+#: Suffix of frames' names for a moment; no name in a file ends so.
 NAMESAKE = "\0namesake"
 
 
@@ -391,7 +390,7 @@ def _without_locked_joints(
     description: Description, moving: set[str], locked: Mapping[str, float | None]
 ) -> pin.Model:
     """The model of the joints that move, a copy; others are at their locked value."""
-    model = description.model.copy()  # its names are changed for a moment
+    model = description.model.copy()
     q = np.array(pin.neutral(model))
     for joint in range(1, model.njoints):
         name, kind = model.names[joint], model.joints[joint]
@@ -408,26 +407,13 @@ def _without_locked_joints(
     still = [j for j in range(1, model.njoints) if model.names[j] not in moving]
     if not still:
         return model
-    with _joints_alone_by_name(model):
-        reduced = pin.buildReducedModel(model, still, q)
+    for frame in list(model.frames)[1:]:  # without the world's, which has the name of joint 0
+        if frame.name in model.names and frame.type != pin.FrameType.JOINT:
+            frame.name += NAMESAKE  # pinocchio finds joints' frames by name
+    reduced = pin.buildReducedModel(model, still, q)
     for frame in reduced.frames:
         frame.name = frame.name.removesuffix(NAMESAKE)
     return reduced
-
-
-@contextmanager
-def _joints_alone_by_name(model: pin.Model) -> Iterator[None]:
-    """Rename frames that share a joint's name: pinocchio finds joints' frames by name."""
-    joints = set(model.names)
-    frames = list(model.frames)[1:]  # without the world's, which has the name of joint 0
-    namesakes = [f for f in frames if f.name in joints and f.type != pin.FrameType.JOINT]
-    for frame in namesakes:
-        frame.name += NAMESAKE
-    try:
-        yield
-    finally:
-        for frame in namesakes:
-            frame.name = frame.name.removesuffix(NAMESAKE)
 
 
 def _locked_value(description: Description, name: str, locked: Mapping[str, float | None]) -> float:

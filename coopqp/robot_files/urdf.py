@@ -1,35 +1,39 @@
-"""Reading URDF files: joints by pinocchio, shapes and mimic joints from the XML."""
+"""Reading URDF files: joints by pinocchio, shapes and mimic joints from the XML.
+
+Parsers ignore unknown names, read "a b c" as whatever was in memory, leave out links in a circle,
+and report without lines. So all that is checked here, before any parser: what elements may have,
+what their attributes must hold, and how links and joints fit together. Elements of simulators, of
+ROS and of robot makers are ignored unless they are a known name misspelt.
+"""
 
 from __future__ import annotations
 
+import difflib
+import math
 import os
+import re
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
+from xml.etree.ElementTree import Element
 
 import numpy as np
 import pinocchio as pin
 
-from coopqp.base.errors import InvalidValueError
+from coopqp.base.errors import InvalidValueError, unknown_name
 from coopqp.base.reading import absolute
+from coopqp.base.spec import FARTHEST
+from coopqp.model.held_object import inertia_matrix
 from coopqp.robot import Shape
 from coopqp.robot_files.selection import Description, Follower
-from coopqp.robot_files.urdf_schema import (
-    Numbers,
-    check_circles,
-    check_names,
-    check_numbers,
-    check_schema,
-    negative_moment,
-    told_place,
-)
 from coopqp.robot_files.xml import (
+    ALIKE,
     missing_meshes,
     numbers_of,
     pinocchio_says,
     place_of,
-    places,
     read_xml,
     stderr_lines,
 )
@@ -60,7 +64,7 @@ def read_urdf(path: Path, package_dirs: Sequence[Path] = ()) -> Description:
     except Exception as error:  # noqa: BLE001 - pinocchio may raise anything
         why = heard or [pinocchio_says(error)]
         raise InvalidValueError(
-            f"{told_place(xml, why)}: is not a robot that can be read: {'; '.join(why)}"
+            f"{_told_place(xml, why)}: is not a robot that can be read: {'; '.join(why)}"
         ) from None
     shapes, undrawn = _shapes(xml, "visual", path, package_dirs)
     collide, unread = _shapes(xml, "collision", path, package_dirs)
@@ -73,7 +77,11 @@ def read_urdf(path: Path, package_dirs: Sequence[Path] = ()) -> Description:
         shapes=shapes,
         collision_shapes=collide,
         unseen=tuple(_why_unseen(frame, part) for frame, part in unread),
-        places=places(xml.findall("joint")),
+        places={
+            joint.get("name", ""): place
+            for joint in xml.findall("joint")
+            if (place := getattr(joint, "place", ""))
+        },
         warnings=(
             *impossible,
             *(f"{path.name}: {line}" for line in heard),
@@ -82,83 +90,382 @@ def read_urdf(path: Path, package_dirs: Sequence[Path] = ()) -> Description:
     )
 
 
+#: Largest plausible size of a number of each kind.
+LARGEST = {"length": FARTHEST, "mass": 1e6, "other": 1e12, "limit": math.inf}
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """What an attribute holds.
+
+    Attributes:
+        count: how many numbers.
+        kind: lengths [m], masses [kg], limits, which may be infinite, or others.
+        positive: whether none may be negative.
+        direction: whether not all may be zero.
+    """
+
+    count: int
+    kind: Literal["length", "mass", "other", "limit"] = "other"
+    positive: bool = False
+    direction: bool = False
+
+
+@dataclass(frozen=True)
+class Known:
+    """What an element may have.
+
+    Attributes:
+        numbers: the attributes that hold numbers.
+        attributes, required: names of others that it may have; of those that it must have.
+        inside: entry of KNOWN for each element that it may contain; empty for those not read.
+        lenient: "attributes", "elements" or both, where others pass unless they are known names
+            misspelt: files of many makers have elements and attributes of their own.
+    """
+
+    attributes: str = ""
+    inside: Mapping[str, str] = field(default_factory=dict)
+    numbers: Mapping[str, Numbers] = field(default_factory=dict)
+    required: str = ""
+    lenient: str = ""
+
+
+def _check_known(element: Element, entry: str) -> None:
+    """Check an element and its contents against an entry of KNOWN."""
+    known = KNOWN[entry]
+    names = [*known.attributes.split(), *known.numbers]
+    for name in element.attrib:
+        absent = [other for other in names if other not in element.attrib]
+        if name not in names and _is_refused(name, absent, "attributes" in known.lenient):
+            words = _nearest("attribute", name, names)
+            raise InvalidValueError(f"{place_of(element)}: {words}")
+    for name in known.required.split():
+        if not element.get(name):
+            raise InvalidValueError(f"{place_of(element)}: needs {name}")
+    for child in element:
+        inner = known.inside.get(child.tag)
+        if inner:
+            _check_known(child, inner)
+        elif inner is None and _is_refused(child.tag, known.inside, "elements" in known.lenient):
+            words = _nearest("element", child.tag, known.inside)
+            raise InvalidValueError(f"{place_of(child)} in <{element.tag}>: {words}")
+
+
+def _is_refused(name: str, known: Collection[str], lenient: bool) -> bool:
+    if ":" in name:  # of another namespace
+        return False
+    return not lenient or bool(difflib.get_close_matches(name.lower(), known, cutoff=ALIKE))
+
+
+def _nearest(kind: str, name: str, known: Collection[str]) -> str:
+    """Sentence for an unknown name, with its name here or the nearest ones."""
+    here = OTHERWISE.get(name)
+    if here in known:
+        return f"unknown {kind} '{name}'; it is called '{here}' here"
+    return unknown_name(kind, name, known)
+
+
+def _check_numbers(element: Element, attributes: Mapping[str, Numbers]) -> None:
+    """Check those attributes of an element that hold numbers."""
+    for key, needs in attributes.items():
+        text = element.get(key)
+        if text is not None and (wrong := _wrong(text, needs)):
+            shown = text if len(text) <= 40 else text[:37] + "..."
+            raise InvalidValueError(f"{place_of(element)} {key}: found '{shown}', {wrong}")
+
+
+def _wrong(text: str, needs: Numbers) -> str:
+    """What is wrong with the numbers of an attribute; empty if nothing is."""
+    try:
+        values = [float(word) for word in text.split()]
+    except ValueError:
+        values = []
+    if len(values) != needs.count:
+        return f"needs {needs.count} numbers" if needs.count > 1 else "needs a number"
+    largest = LARGEST[needs.kind]
+    if any(math.isnan(value) or (math.isinf(value) and needs.kind != "limit") for value in values):
+        return "needs finite numbers"
+    if any(abs(value) > largest for value in values):
+        return f"needs sizes of at most {largest:g}"
+    if needs.positive and min(values) < 0.0:
+        return "needs no negative number"
+    if needs.direction and math.hypot(*values) < 1e-9:
+        return "needs a direction, but all numbers are zero"
+    return ""
+
+
+def _negative_moment(element: Element) -> str:
+    """Warning about an inertia that is not positive semidefinite; empty of others.
+
+    A principal moment above the sum of the others passes: many published robots have it.
+    """
+    moments = [float(element.get(name) or 0.0) for name in _MOMENTS]
+    smallest, *_ = np.linalg.eigvalsh(inertia_matrix(moments))
+    if smallest >= -ROUNDING:
+        return ""
+    return f"{place_of(element)}: a principal moment is {smallest:.3g} kg m2; no body has that"
+
+
+def _check_names(elements: Iterable[Element], kind: str) -> None:
+    """Refuse two elements of one kind with one name."""
+    taken = set[str]()
+    for element in elements:
+        name = element.get("name")
+        if name is not None:
+            if name in taken:
+                raise InvalidValueError(
+                    f"{place_of(element)}: another {kind} has this name already; rename one"
+                )
+            taken.add(name)
+
+
+_BOTH = "attributes elements"
 _ONE, _THREE = Numbers(1), Numbers(3)
 _LENGTH, _LIMIT = Numbers(1, "length", positive=True), Numbers(1, "limit")
-#: Geometries that are read.
-SHAPES = ("box", "cylinder", "capsule", "sphere", "mesh")
-_ROUND = {"radius": _LENGTH, "length": _LENGTH}
+_ROUND = Known("name", required="radius length", numbers={"radius": _LENGTH, "length": _LENGTH})
 _MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-#: The attributes of links and joints that hold numbers, by element.
-NUMBERS: dict[str, dict[str, Numbers]] = {
-    "origin": {"xyz": Numbers(3, "length"), "rpy": _THREE},
-    "axis": {"xyz": _THREE},
-    "limit": dict.fromkeys(("lower", "upper", "effort", "velocity"), _LIMIT),
-    "mass": {"value": Numbers(1, "mass", positive=True)},
-    "inertia": dict.fromkeys(_MOMENTS, _ONE),
-    "mimic": {"multiplier": _ONE, "offset": _ONE},
-    "dynamics": {"damping": _ONE, "friction": _ONE},
-    "box": {"size": Numbers(3, "length", positive=True)},
+#: Geometries that are read, and the attributes of their sizes.
+SIZES = {
+    "box": ("size",),
+    "cylinder": ("radius", "length"),
+    "capsule": ("radius", "length"),
+    "sphere": ("radius",),
+    "mesh": ("scale",),
+}
+KNOWN: dict[str, Known] = {
+    "robot": Known(
+        "name version",
+        {"link": "link", "joint": "joint", "material": "", "gazebo": "", "transmission": ""},
+        lenient=_BOTH,
+    ),
+    "link": Known(
+        "name type",
+        {"inertial": "inertial", "visual": "part", "collision": "part"},
+        required="name",
+        lenient=_BOTH,
+    ),
+    "joint": Known(
+        "name type",
+        {
+            "parent": "end", "child": "end", "calibration": "", "safety_controller": "",
+            **{tag: tag for tag in ("origin", "axis", "limit", "mimic", "dynamics")},
+        },
+        required="name type",
+        lenient=_BOTH,
+    ),
+    "part": Known(
+        "name", {"origin": "origin", "geometry": "geometry", "material": ""}, lenient=_BOTH
+    ),
+    "inertial": Known(
+        "", {"origin": "origin", "mass": "mass", "inertia": "inertia"}, lenient="elements"
+    ),
+    "geometry": Known("name", {kind: kind for kind in SIZES}, lenient=_BOTH),
+    "origin": Known(numbers={"xyz": Numbers(3, "length"), "rpy": _THREE}),
+    "end": Known("link", required="link"),
+    "axis": Known(required="xyz", numbers={"xyz": _THREE}),
+    "limit": Known(
+        required="effort velocity",
+        numbers=dict.fromkeys(("lower", "upper", "effort", "velocity"), _LIMIT),
+        lenient="attributes",
+    ),
+    "mimic": Known("joint", required="joint", numbers={"multiplier": _ONE, "offset": _ONE}),
+    "dynamics": Known(numbers={"damping": _ONE, "friction": _ONE}, lenient="attributes"),
+    "mass": Known(required="value", numbers={"value": Numbers(1, "mass", positive=True)}),
+    "inertia": Known(required=" ".join(_MOMENTS), numbers=dict.fromkeys(_MOMENTS, _ONE)),
+    "box": Known("name", required="size", numbers={"size": Numbers(3, "length", positive=True)}),
     "cylinder": _ROUND,
     "capsule": _ROUND,
-    "sphere": {"radius": _LENGTH},
-    "mesh": {"scale": _THREE},
+    "sphere": Known("name", required="radius", numbers={"radius": _LENGTH}),
+    "mesh": Known(
+        "filename", required="filename", numbers={"scale": _THREE}, lenient="attributes"
+    ),
+}  # fmt: skip
+#: Rounding error of a principal moment [kg m2].
+ROUNDING = 1e-6
+KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
+#: Words of MuJoCo files, and what URDF has for them.
+OTHERWISE = {
+    "hinge": "revolute",
+    "slide": "prismatic",
+    "free": "floating",
+    "body": "link",
+    "geom": "collision",
+    "pos": "xyz",
+    "euler": "rpy",
+    "file": "filename",
 }
 
 
-def _check(xml: ET.Element) -> list[str]:
+def _check_schema(xml: Element) -> list[str]:
+    """Refuse what is misspelt or missing, and links and joints that are no tree.
+
+    Returns warnings: some published robots have joints that follow none.
+    """
+    _check_known(xml, "robot")
+    for part in (*xml.findall("link/visual"), *xml.findall("link/collision")):
+        if part.find("geometry/*") is None:
+            raise InvalidValueError(f"{place_of(part)}: needs a <geometry> with a shape in it")
+    for joint in xml.findall("joint"):
+        if (kind := joint.get("type", "")) not in KINDS:
+            raise InvalidValueError(f"{place_of(joint)} type: {_nearest('type', kind, KINDS)}")
+        _check_limit(joint)
+    _check_tree(xml)
+    names = [joint.get("name", "") for joint in xml.findall("joint")]
+    return [
+        f"{place_of(mimic)}: {unknown_name('joint', leader, names)}; it is kept still"
+        for mimic in xml.findall("joint/mimic")
+        if (leader := mimic.get("joint", "")) not in names
+    ]
+
+
+def _check_limit(joint: Element) -> None:
+    kind, limit = joint.get("type"), joint.find("limit")
+    if kind not in ("revolute", "prismatic"):
+        return
+    if limit is None:
+        without = " or type 'continuous'" if kind == "revolute" else ""
+        raise InvalidValueError(
+            f"{place_of(joint)}: needs <limit lower= upper= effort= velocity=>{without}"
+        )
+    lower, upper = float(limit.get("lower", 0.0)), float(limit.get("upper", 0.0))
+    if lower > upper:
+        raise InvalidValueError(
+            f"{place_of(limit)} of joint {joint.get('name')}: lower {lower:g} is above upper "
+            f"{upper:g}; swap them"
+        )
+
+
+def _check_tree(xml: Element) -> None:
+    """Every link but one is the child of exactly one joint."""
+    links = {link.get("name", ""): link for link in xml.findall("link")}
+    carried: dict[str, str] = {}
+    for joint in xml.findall("joint"):
+        _end(joint, "parent", links)
+        child = _end(joint, "child", links)
+        name, link = joint.get("name", ""), child.get("link", "")
+        if link in carried:
+            raise InvalidValueError(
+                f"{place_of(child)} of joint {name}: link {link} is the child of joint "
+                f"{carried[link]} already"
+            )
+        carried[link] = name
+    roots = [link for link in links if link not in carried]
+    if not roots:
+        raise InvalidValueError(
+            f"{place_of(next(iter(links.values())))}: every link is the child of a joint; one, the "
+            "base, must be none"
+        )
+    for name in roots[1:]:
+        raise InvalidValueError(
+            f"{place_of(links[name])}: is the child of no joint, as is link {roots[0]}; only the "
+            "base may be"
+        )
+
+
+def _end(joint: Element, tag: str, links: Collection[str]) -> Element:
+    """A joint's <parent> or <child>."""
+    end = joint.find(tag)
+    if end is None:
+        raise InvalidValueError(f"{place_of(joint)}: needs <{tag} link=>")
+    if (link := end.get("link", "")) not in links:
+        words = unknown_name("link", link, links)
+        raise InvalidValueError(f"{place_of(end)} of joint {joint.get('name')}: {words}")
+    return end
+
+
+#: Joints between a link and the base; the parser in C++ crashes with some thousands.
+LONGEST = 500
+
+
+def _check_circles(xml: Element) -> None:
+    """Refuse links whose way to the base comes back to them."""
+    moved_by = {_link(joint, "child"): joint for joint in xml.findall("joint")}
+    joints_to: dict[str, int] = {}
+    for first in moved_by:
+        way, link = dict[str, None](), first
+        while link in moved_by and link not in joints_to:
+            if link in way:
+                words = f"link '{link}' moves itself: the joints from it on go round in a circle"
+                raise InvalidValueError(f"{place_of(moved_by[link])}: {words}")
+            way[link] = None
+            link = _link(moved_by[link], "parent")
+        before = joints_to.get(link, 0)
+        joints_to.update((link, before + i) for i, link in enumerate(reversed(way), 1))
+        if joints_to[first] > LONGEST:
+            words = f"more than {LONGEST} joints are between link '{first}' and the base"
+            raise InvalidValueError(f"{place_of(moved_by[first])}: {words}")
+
+
+def _link(joint: Element, tag: str) -> str:
+    """Name of a joint's parent or child link."""
+    end = joint.find(tag)
+    return "" if end is None else end.get("link", "")
+
+
+def _told_place(xml: Element, words: Sequence[str]) -> str:
+    """The place of the joint or link in brackets in a parser's message; else of the outermost one.
+
+    Messages are such as "joint [elbow]: limit has no velocity".
+    """
+    named = {part.get("name"): part for tag in ("link", "joint") for part in xml.findall(tag)}
+    for name in re.findall(r"\[(.*?)\]", "; ".join(words)):
+        if name in named:
+            return place_of(named[name])
+    return place_of(xml)
+
+
+def _check(xml: Element) -> list[str]:
     """Refuse what no parser should get; returns warnings."""
     warnings = []
-    check_names(xml.findall("link"), "link")
-    check_names(xml.findall("joint"), "joint")
+    _check_names(xml.findall("link"), "link")
+    _check_names(xml.findall("joint"), "joint")
     for part in (*xml.findall("link"), *xml.findall("joint")):
         for element in part.iter():
-            check_numbers(element, NUMBERS.get(element.tag, {}))
+            _check_numbers(element, KNOWN.get(element.tag, Known()).numbers)
             if element.tag == "axis" and part.get("type") != "fixed":
-                check_numbers(element, {"xyz": Numbers(3, direction=True)})
+                _check_numbers(element, {"xyz": Numbers(3, direction=True)})
             if element.tag == "inertia":
-                warnings.append(negative_moment(element, map(element.get, _MOMENTS)))
-    strange = check_schema(xml)
-    check_circles(xml)
+                warnings.append(_negative_moment(element))
+    strange = _check_schema(xml)
+    _check_circles(xml)
     return [*(line for line in warnings if line), *strange]
 
 
-def _mimics(xml: ET.Element) -> list[tuple[str, Follower]]:
-    found = []
-    for joint in xml.findall("joint"):
+def _mimics(xml: Element) -> Iterator[tuple[str, Follower]]:
+    for joint in xml.findall("joint[mimic]"):
         mimic = joint.find("mimic")
-        if mimic is not None:
-            (ratio,) = numbers_of(mimic.get("multiplier"), "1")
-            (offset,) = numbers_of(mimic.get("offset"), "0")
-            follower = Follower(leader=mimic.get("joint", ""), ratio=ratio, offset=offset)
-            found.append((joint.get("name", ""), follower))
-    return found
+        assert mimic is not None
+        (ratio,) = numbers_of(mimic.get("multiplier"), "1")
+        (offset,) = numbers_of(mimic.get("offset"), "0")
+        leader = mimic.get("joint", "")
+        yield joint.get("name", ""), Follower(leader=leader, ratio=ratio, offset=offset)
 
 
 def _shapes(
-    xml: ET.Element, tag: str, path: Path, package_dirs: Sequence[Path]
-) -> tuple[tuple[Shape, ...], list[tuple[str, ET.Element]]]:
+    xml: Element, tag: str, path: Path, package_dirs: Sequence[Path]
+) -> tuple[tuple[Shape, ...], list[tuple[str, Element]]]:
     """Visual or collision shapes; link and geometry of those that cannot be read."""
     shapes, unread = [], []
     for frame, X, part in _parts(xml, tag):
         kind: Any = part.tag
         mesh = find_mesh(part.get("filename", ""), path, package_dirs) if kind == "mesh" else None
-        if kind not in SHAPES or (kind == "mesh" and mesh is None):
+        if kind not in SIZES or (kind == "mesh" and mesh is None):
             unread.append((frame, part))
         else:
-            size = _urdf_size(part)
+            size = numbers_of(" ".join(part.get(key, "") for key in SIZES[kind]), "1 1 1")
             shapes.append(Shape(frame=frame, placement=X, kind=kind, size=size, mesh=mesh))
     return tuple(shapes), unread
 
 
-def _why_unseen(frame: str, part: ET.Element) -> str:
+def _why_unseen(frame: str, part: Element) -> str:
     if part.tag != "mesh":
-        return f"{frame}: <{part.tag}> is not read; known: {', '.join(SHAPES)}"
+        return f"{frame}: <{part.tag}> is not read; known: {', '.join(SIZES)}"
     uri = part.get("filename", "")
     where = "; see package_dirs" if uri.startswith("package:") else ""
     return f"{frame}: mesh {uri}: there is no such file{where}"
 
 
-def _parts(xml: ET.Element, tag: str) -> Iterator[tuple[str, pin.SE3, ET.Element]]:
+def _parts(xml: Element, tag: str) -> Iterator[tuple[str, pin.SE3, Element]]:
     """Link, pose in it and geometry of each part."""
     for link in xml.findall("link"):
         for part in link.findall(tag):
@@ -167,17 +474,7 @@ def _parts(xml: ET.Element, tag: str) -> Iterator[tuple[str, pin.SE3, ET.Element
                 yield link.get("name", ""), _origin(part.find("origin")), geometry[0]
 
 
-def _urdf_size(part: ET.Element) -> tuple[float, ...]:
-    if part.tag == "mesh":
-        return numbers_of(part.get("scale"), "1 1 1")
-    if part.tag == "box":
-        return numbers_of(part.get("size"), "")
-    if part.tag in ("cylinder", "capsule"):
-        return numbers_of(part.get("radius"), "") + numbers_of(part.get("length"), "")
-    return numbers_of(part.get("radius"), "") if part.tag == "sphere" else ()
-
-
-def _origin(origin: ET.Element | None) -> pin.SE3:
+def _origin(origin: Element | None) -> pin.SE3:
     if origin is None:
         return pin.SE3.Identity()
     roll, pitch, yaw = numbers_of(origin.get("rpy"), "0 0 0")

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import tempfile
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -18,9 +18,9 @@ from xml.parsers import expat
 from coopqp.base.errors import InvalidValueError, UnreadableFileError
 from coopqp.base.reading import read_bytes
 
-MOST_BYTES = 32 << 20  # of a file
-MOST_ELEMENTS = 100_000  # in a file
-DEEPEST = 150  # elements inside elements
+MAX_BYTES = 32 << 20  # of a file
+MAX_ELEMENTS = 100_000  # in a file
+MAX_DEPTH = 150  # elements inside elements
 #: Similarity from which one name is another misspelt: "axes" and "axis" have 0.75.
 ALIKE = 0.75
 
@@ -39,12 +39,6 @@ def place_of(element: ET.Element) -> str:
     return f"{place}: {tag}" if place else tag
 
 
-def places(elements: Iterable[ET.Element]) -> dict[str, str]:
-    """``FILE:LINE`` of elements from files, by name."""
-    found = ((element.get("name", ""), getattr(element, "place", "")) for element in elements)
-    return {name: place for name, place in found if place}
-
-
 def read_xml(path: Path, roots: Sequence[str], kind: str, *, texts: bool = False) -> ET.Element:
     """Read an XML file of a robot.
 
@@ -58,7 +52,7 @@ def read_xml(path: Path, roots: Sequence[str], kind: str, *, texts: bool = False
         InvalidValueError: no such file, or no such kind of file.
     """
     try:
-        content = read_bytes(path, MOST_BYTES)
+        content = read_bytes(path, MAX_BYTES)
     except UnreadableFileError as error:
         raise InvalidValueError(str(error)) from None
     element = _Tree(path, kind, texts=texts).parsed(content)
@@ -106,10 +100,10 @@ class _Tree:
         element = Element(tag, attributes)
         element.place = f"{self._path}:{self._parser.CurrentLineNumber}"
         self._count += 1
-        if self._count > MOST_ELEMENTS:
-            raise self._fault(f"has more than {MOST_ELEMENTS} elements")
-        if len(self._open) == DEEPEST:
-            raise self._fault(f"elements inside elements are more than {DEEPEST} deep")
+        if self._count > MAX_ELEMENTS:
+            raise self._fault(f"has more than {MAX_ELEMENTS} elements")
+        if len(self._open) == MAX_DEPTH:
+            raise self._fault(f"elements inside elements are more than {MAX_DEPTH} deep")
         if self._open:
             self._open[-1].append(element)
         else:

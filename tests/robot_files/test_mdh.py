@@ -58,12 +58,6 @@ def test_transform_is_the_product_of_six_elementary_motions(rng: np.random.Gener
         assert_same_pose(mdh.transform(p), product(p))
 
 
-def test_fixed_part_is_what_lies_before_the_joint_axis(rng: np.random.Generator) -> None:
-    p = random_parameters(rng)
-    after = rot_z(p.theta) @ trans(0, 0, p.r)
-    np.testing.assert_allclose(mdh.fixed_part(p).homogeneous @ after, product(p), atol=1e-13)
-
-
 def test_six_parameters_give_any_grasp_back(rng: np.random.Generator) -> None:
     for _ in range(1000):
         X = random_pose(rng)

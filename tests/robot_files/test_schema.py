@@ -11,8 +11,7 @@ from scenario_files import needs_robots
 
 from coopqp.base.errors import InvalidValueError
 from coopqp.robot_files.mjcf import read_mjcf
-from coopqp.robot_files.urdf import read_urdf
-from coopqp.robot_files.urdf_schema import check_schema
+from coopqp.robot_files.urdf import _check_schema, read_urdf
 from coopqp.robot_files.xml import read_xml
 from coopqp.robots import example_robot
 
@@ -100,7 +99,7 @@ def test_published_robots_are_not_refused() -> None:
     for path in example_robot.robots().values():
         xml = read_xml(path, ["robot"], "URDF")
         if xml.find("link") is not None:
-            check_schema(xml)
+            _check_schema(xml)
             read += 1
     assert read > 50
 

@@ -9,7 +9,7 @@ import numpy as np
 from coopqp.assessment.oscillation import turns
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem, Law
-from coopqp.kernel.trajectory_evaluation import loop_survey
+from coopqp.kernel.trajectory_evaluation import survey
 from coopqp.limits import JointVelocity
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
@@ -69,7 +69,7 @@ def drive_on(
 
 def loop_errors(chain: ClosedChain, q: Array) -> tuple[Array, Array]:
     """As :func:`many_poses.loop_errors`, compiled where the kernel can."""
-    look = loop_survey(chain)
+    look = survey(chain, (), State(chain), ())
     if look is None or chain.holding < 2:
         return many_poses.loop_errors(chain, q)
     gaps = look.look(np.zeros(len(q)), q).loop_error.reshape(len(q), -1, 2, 3)

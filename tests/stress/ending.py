@@ -19,10 +19,12 @@ from coopqp.assessment.thresholds import AT_LIMIT, within
 from coopqp.base.rank import null_space
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem, Law
+from coopqp.controllers import QPController
 from coopqp.model.state import State
 from coopqp.qp_law.bounds import Bounds
 from coopqp.solver import written
-from coopqp.study.explanation import asked_now, explain_asked
+from coopqp.study.explanation import explain
+from coopqp.study.tick_record import record_tick
 from coopqp.task import TaskStack
 
 from . import signs
@@ -123,8 +125,9 @@ def ending(law: Law, state: State, record: Record, errors: PartErrors) -> Ending
 
 def _rest(law: Law, state: State, record: Record, errors: PartErrors) -> Ending:
     """Why the tasks rest short of the goal; a speed limit blocks nobody who stands still."""
-    problem, tasks, command = law.problem, errors.stack(state), law.tick(state)
-    why = explain_asked(asked_now(problem, state, tasks, command))
+    problem, tasks = law.problem, errors.stack(state)
+    plain = QPController().plain(problem)
+    why = explain(record_tick(plain, state, scenario="random", controller="qp", tick=0))
     limits = [r.name for r in why.relaxations]
     names = [name for name in limits if not name.startswith(OF_SPEED)]
     names += [f"loops|{name}" for name in why.impossible]

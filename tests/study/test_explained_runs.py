@@ -34,7 +34,7 @@ from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Budget
 from coopqp.study.explanation import explain_run, insufficient_time, words
 from coopqp.study.explanation.explained_phase import _Wider, explained_phases
-from coopqp.study.explanation.room import Room, Share
+from coopqp.study.explanation.goal import Room, Share
 from coopqp.tasks import Twist
 
 # Speed, time, budget
@@ -139,13 +139,13 @@ def test_bodies_that_hold_a_run_are_named_with_their_distance() -> None:
     leg = next(explained_phases(replace(like, limits=limits), run(like, controller="qp")))
     room = Room(leg.problem)
     corner = next(row for row in limits[-1].rows(like.chain) if "corner" in row.name)
-    told = insufficient_time._told(Share(corner, 1.0), room, like.chain.q_start)
+    told = insufficient_time._with_nearest_pair(Share(corner, 1.0), room, like.chain.q_start)
     pose, half = State(like.chain), 0.5 * np.array(like.held.size)
     d = z - 0.025 - pose.p_WO[2] - np.abs(pose.R_WO[2]) @ half  # the slab is level
     assert told.row.bodies == ("object", "slab")
     assert told.row.words == f"the distance of object and slab ({1e3 * d:.1f} mm)"
     joint = Share(next(iter(room.sides.values())), 1.0)
-    assert insufficient_time._told(joint, room, like.chain.q_start) is joint
+    assert insufficient_time._with_nearest_pair(joint, room, like.chain.q_start) is joint
 
 
 def test_joint_values_that_are_told_close_the_loops() -> None:

@@ -10,7 +10,6 @@ from example_limits import by_name
 from kept_ticks import POSE, WIDE, at, first_tick, problem, record
 from laws import DT, LIMITS, NEAR, STEP, UNREACHABLE, ticks
 from scipy.optimize import linprog
-from stress.draw import LAW, draw
 
 import coopqp
 from coopqp.controllers import QPController
@@ -22,8 +21,7 @@ from coopqp.qp_law.law import QPLaw
 from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status, causes_of
-from coopqp.study.explanation import Explanation, Relaxation, asked_now, explain, explain_asked
-from coopqp.task import TaskStack
+from coopqp.study.explanation import Explanation, Relaxation, explain
 from coopqp.tasks import Orientation, PointOnPlane, PointOnPoint
 
 LATE = (150, 220, 299)
@@ -433,25 +431,3 @@ def test_a_tick_that_could_not_be_decided_says_its_status(chain: ClosedChain) ->
     assert explain(kept).sentence == (
         "the tick stands still: the state or the answer has NaN or infinite values"
     )
-
-
-@pytest.mark.parametrize("seed", [11, 17, 27, 34])
-def test_a_tick_that_nobody_kept_is_explained_alike(seed: int) -> None:
-    """From the state and the kernel's answer, as from the plain law's program and answer."""
-    given = draw(seed).problem
-    law, plain = LAW.unprepared(given), LAW.plain(given)
-    tasks = TaskStack(given.tasks, State(given.chain))
-    state = law.start()
-    explained = 0
-    for _ in range(4):
-        law.run(state, 50)
-        if not ((given.chain.lower <= state.q) & (state.q <= given.chain.upper)).all():
-            continue
-        kept = explain(record(plain, state))
-        tasks.update(state)
-        found = explain_asked(asked_now(given, state, tasks, law.tick(state)))
-        assert (found.missed, found.impossible) == (kept.missed, kept.impossible)
-        assert found.contradicting == kept.contradicting
-        assert [r.name for r in found.relaxations] == [r.name for r in kept.relaxations]
-        explained += bool(found.missed)
-    assert explained

@@ -2,37 +2,26 @@
 
 whole                 a run, or arms at rest now: from the end to a sentence
 explained_phase       a phase of a run as recorded, and as rerun with something changed
-goal, room            errors of tasks and inverse kinematics; position limits and their multipliers
+goal                  errors of tasks, position limits with their multipliers, inverse kinematics
 diagnosis             limits, reach, contradiction, too few degrees of freedom
 suggested_relaxation  the minimal violation of limits at the goal, and a rerun that allows it
 grasp_lost            objects that pressing hands have lost
-insufficient_time     what slows a run that geometry does not block
-velocity              velocities that could not be followed
-asked, tick           one tick: its rows and answer, tasks not met in full; what blocks it
+insufficient_time     what slows a run that geometry does not block, and velocities not followed
+tick                  one tick: its rows and answer, tasks not met in full; what blocks it
 words                 the explanation of a run, and the sentences
 """
 
-from coopqp.study.explanation.asked import Asked, asked_now
-from coopqp.study.explanation.tick import (
-    Explanation,
-    Relaxation,
-    at_bound,
-    explain,
-    explain_asked,
-)
+from coopqp.study.explanation.tick import Explanation, Relaxation, at_bound, explain
 from coopqp.study.explanation.whole import Standing, explain_run, explain_standing
 from coopqp.study.explanation.words import RunExplanation
 
 __all__ = [
-    "Asked",
     "Explanation",
     "Relaxation",
     "RunExplanation",
     "Standing",
-    "asked_now",
     "at_bound",
     "explain",
-    "explain_asked",
     "explain_run",
     "explain_standing",
 ]

@@ -27,8 +27,16 @@ from coopqp.assessment.thresholds import BEYOND
 from coopqp.base.rank import independent_rows, null_space
 from coopqp.base.spec import Array
 from coopqp.scenario.bounded_steps import BoundedSteps, Stop
-from coopqp.study.explanation.goal import Goal, PartOfTask, Place, Search
-from coopqp.study.explanation.room import Room, Share, forces, shares
+from coopqp.study.explanation.goal import (
+    Goal,
+    PartOfTask,
+    Place,
+    Room,
+    Search,
+    Share,
+    forces,
+    shares,
+)
 from coopqp.task import Task
 
 T = TypeVar("T")
@@ -230,16 +238,6 @@ def held_back(goal: Goal, room: Room, q: Array) -> tuple[Share, ...]:
 
 def _too_few(goal: Goal, q: Array) -> TooFewFreedoms | None:
     """Where the loops leave fewer motions than the task asks for, and those are reachable."""
-    rows, asked, left = _generic_rank(goal, q)
-    if left >= asked or not rows:
-        return None
-    if not Search(goal.masked(rows)).best(q).reached:
-        return None
-    return TooFewFreedoms(goal, asked, left)
-
-
-def _generic_rank(goal: Goal, q: Array) -> tuple[list[int], int, int]:
-    """Rows of the task that are independent within the loops; its rank without and within them."""
     closing, rng = Search(Goal(goal.chain, (), goal.t)), np.random.default_rng(1)
     within, alone = [], []
     for _ in range(POSES):
@@ -249,11 +247,14 @@ def _generic_rank(goal: Goal, q: Array) -> tuple[list[int], int, int]:
             within.append(goal.stack.J @ null_space(goal.state.J_loop))
             alone.append(goal.stack.J.copy())
     if not within:
-        return [], 0, 0
+        return None
     asked = max(np.linalg.matrix_rank(J, rtol=RANK) for J in alone)
     best = max(within, key=lambda JZ: int(np.linalg.matrix_rank(JZ, rtol=RANK)))
     left = int(np.linalg.matrix_rank(best, rtol=RANK))
-    return independent_rows(best, most=left), int(asked), left
+    rows = independent_rows(best, most=left)
+    if left >= asked or not rows or not Search(goal.masked(rows)).best(q).reached:
+        return None
+    return TooFewFreedoms(goal, int(asked), left)
 
 
 def _out_of_reach(goal: Goal, room: Room, q: Array) -> OutOfReach:
@@ -266,14 +267,14 @@ def _out_of_reach(goal: Goal, room: Room, q: Array) -> OutOfReach:
     part = max(goal.parts, key=lambda p: p.size(here.e) / p.part.tolerance)
     distance, with_limits = part.size(here.e), part.size(at.e)
     cost = with_limits - distance if at.valid else 0.0
-    told = cost > WORTH_TELLING * with_limits
+    worth_telling = cost > WORTH_TELLING * with_limits
     return OutOfReach(
         goal=goal,
         part=part,
         gap=-here.e[part.rows],
         nearest=here,
-        cost=cost if told else 0.0,
-        shares=held_back(goal, room, at.q) if told else (),
+        cost=cost if worth_telling else 0.0,
+        shares=held_back(goal, room, at.q) if worth_telling else (),
         elsewhere=best if nearer else None,
         in_world=_in_world(goal, part, here.q),
     )

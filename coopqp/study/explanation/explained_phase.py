@@ -20,15 +20,21 @@ from coopqp.base.qp import Row
 from coopqp.base.spec import Array
 from coopqp.controller import Controller, ControlProblem
 from coopqp.execution.controller_run import controller_of, run
-from coopqp.grasp import PassiveJoint
 from coopqp.limit import Limit
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.grasp_configuration import GraspConfiguration
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import InputValues
 from coopqp.solver import Status, causes_of
-from coopqp.study.explanation.goal import Goal, Missed, PartOfTask, parts_of, placed
-from coopqp.study.explanation.room import PLACE_UNITS, Room
+from coopqp.study.explanation.goal import (
+    PLACE_UNITS,
+    Goal,
+    Missed,
+    PartOfTask,
+    Room,
+    parts_of,
+    placed,
+)
 from coopqp.trace import InputTrace, Trace, followed
 
 
@@ -197,18 +203,15 @@ def _widened(hold: GraspConfiguration, wider: Mapping[Row, float]) -> GraspConfi
     model, own = hold.robot.model.copy(), hold.robot.joint_names
     passive = dict(hold.passive)
     for row, amount in wider.items():
+        side = str(row.side)
+        outward = -amount if side == "lower" else amount
         if row.joint in own:
-            side = model.lowerPositionLimit if row.side == "lower" else model.upperPositionLimit
-            side[own.index(row.joint)] += -amount if row.side == "lower" else amount
+            limits = model.lowerPositionLimit if side == "lower" else model.upperPositionLimit
+            limits[own.index(row.joint)] += outward
             continue
         arm, _, name = row.joint.partition(".")
         passive[arm] = tuple(
-            _wider(joint, row, amount) if joint.name == name else joint for joint in passive[arm]
+            j if j.name != name else replace(j, **{side: getattr(j, side) + outward})
+            for j in passive[arm]
         )
     return replace(hold, robot=replace(hold.robot, model=model), passive=passive)
-
-
-def _wider(joint: PassiveJoint, row: Row, amount: float) -> PassiveJoint:
-    if row.side == "lower":
-        return replace(joint, lower=joint.lower - amount)
-    return replace(joint, upper=joint.upper + amount)

@@ -45,11 +45,11 @@ def lost(leg: ExplainedPhase, base: RunExplanation) -> RunExplanation | None:
     if tick is None or tick >= leg.first + len(leg.v):
         return None
     time, why = float(trace.t[tick + 1]), _culprits(leg, trace, tick)
-    said = f"the object is lost at {time:.3g} s{': ' if why else ''}{why}"
+    sentence = f"the object is lost at {time:.3g} s{': ' if why else ''}{why}"
     holds = " or ".join(f"with {text}" for text in (_friction(leg), _pressing(leg)) if text)
     if holds:
-        said += f"; {holds} it is held (tried)"
-    return base.because("lost", said, tried=True if holds else None, time=time)
+        sentence += f"; {holds} it is held (tried)"
+    return base.because("lost", sentence, tried=True if holds else None, time=time)
 
 
 def _culprits(leg: ExplainedPhase, trace: Trace, tick: int) -> str:
@@ -79,8 +79,8 @@ def _used_up(leg: ExplainedPhase, trace: Trace, k: int) -> list[tuple[str, str]]
             modelled, factor = hand.contact.friction, leg.scenario.disturbance.friction
             there = f"friction of {modelled:g}"
             if factor != 1.0:
-                told = f"where the controller is told {modelled:g}"
-                there = f"friction of {modelled * factor:.2g}, {told},"
+                believed = f"where the controller is told {modelled:g}"
+                there = f"friction of {modelled * factor:.2g}, {believed},"
             found.append((hand.arm, f"{there} does not do"))
     return found
 

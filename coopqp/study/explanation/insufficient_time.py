@@ -1,4 +1,13 @@
-"""A goal that geometry allows and the run missed: too slow, no loop budget, too short, at rest."""
+"""What geometry allows and the run missed: too slow, no loop budget, too short, at rest.
+
+A velocity has no goal to search for. At the last tick, with u the direction that is missed and Z
+the motions that keep the loops closed:
+
+    contradiction   all tasks' rows together have no solution within the loops, each alone has one
+    reach           |Z' J' u| has fallen below a share of what it was at the start, or the speed
+                    that is needed is far beyond the joints'
+    limits, speed   by the multipliers of the ticks, as in :mod:`coopqp.study.explanation.tick`
+"""
 
 from __future__ import annotations
 
@@ -8,18 +17,21 @@ from dataclasses import replace
 import numpy as np
 
 from coopqp.assessment.thresholds import AT_EFFORT, HELD_UP, rests
+from coopqp.base.rank import null_space
 from coopqp.base.spec import Array, type_name
 from coopqp.closed_loop.screw import LENGTH
 from coopqp.model.closed_chain import AXES
 from coopqp.plant import Disturbance
 from coopqp.solver import Status
 from coopqp.study.explanation import words
-from coopqp.study.explanation.asked import held_up, speed_share
 from coopqp.study.explanation.diagnosis import OutOfReach
+from coopqp.study.explanation.diagnosis import contradicting as smallest_contradiction
 from coopqp.study.explanation.explained_phase import ExplainedPhase, arrival, rerun
-from coopqp.study.explanation.goal import Goal, Place
-from coopqp.study.explanation.room import Room, Share
+from coopqp.study.explanation.goal import Goal, PartOfTask, Place, Room, Share
+from coopqp.study.explanation.suggested_relaxation import by_rerun, with_suggestion
+from coopqp.study.explanation.tick import TickBatch, held_up, speed_share
 from coopqp.study.explanation.words import RunExplanation
+from coopqp.task import Task
 
 #: The loop budget is what slows where more than MANY of the LAST ticks were cut for it.
 LAST, MANY = 20, 5
@@ -35,25 +47,26 @@ def explain(leg: ExplainedPhase, goal: Goal, place: Place, base: RunExplanation)
     """Why, with a rerun that shows it, although there is a place at the goal inside the limits."""
     goal.look(leg.q[-1])
     if goal.miss <= 1.0:
-        said = "by its model it has arrived; the rest is what the model gets wrong"
-        return base.because("model", said)
+        sentence = "by its model it has arrived; the rest is what the model gets wrong"
+        return base.because("model", sentence)
     if leg.causes[-1][0] is Status.INFEASIBLE:
-        said = f"{leg.stands_still}: not all could hold in them; --tick says what"
-        return base.because("failed", said)
+        sentence = f"{leg.stands_still}: not all could hold in them; --tick says what"
+        return base.because("failed", sentence)
     if _out_of_budget(leg):
         return _budget(leg, base)
     torques = leg.controller.commands_torques
     if torques and (motors := _motors(leg)):
         return base.because("motors", motors)
-    if given_way := _pushed(leg, goal):
+    if given_way := _yields_to_push(leg, goal):
         return base.because("springs", given_way)
-    held = () if torques else tuple(_told(share, leg.room, leg.q[-1]) for share in held_up(leg))
+    limits = () if torques else held_up(leg)
+    held = tuple(_with_nearest_pair(share, leg.room, leg.q[-1]) for share in limits)
     slow = speed_share(held) > MOSTLY
-    if not slow and (waits := _leash(leg)):
+    if not slow and (waits := _waits_for_measured(leg)):
         return base.because("speed", waits, tried=True)
     after = rerun(leg, longer=True)
     if after.missed and not _falls(leg, after):
-        if misled := _misled(leg):
+        if misled := _misled_by_model(leg):
             return base.because("model", misled, tried=True)
         return base.because("rest", _rests(leg, place, held), held, tried=False)
     return _too_short(leg, goal, after, held, base, slow=slow)
@@ -111,7 +124,7 @@ def _rests(leg: ExplainedPhase, place: Place, held: Sequence[Share]) -> str:
     return f"{why} although this is inside the limits: {at}"
 
 
-def _told(share: Share, room: Room, q: Array) -> Share:
+def _with_nearest_pair(share: Share, room: Room, q: Array) -> Share:
     """With the nearest pair of bodies and its distance, where these hold it up."""
     pair = room.nearest(share.row.owner, q)
     if pair is None:
@@ -120,7 +133,7 @@ def _told(share: Share, room: Room, q: Array) -> Share:
     return replace(share, row=replace(row, label=f"{row.words} ({1e3 * distance:.1f} mm)"))
 
 
-def _leash(leg: ExplainedPhase) -> str:
+def _waits_for_measured(leg: ExplainedPhase) -> str:
     """Which limits made commands wait for the measured joints; empty where none did."""
     limits = leg.scenario.limits
     leash = [limit for limit in limits if limit.uses_measurements]
@@ -128,17 +141,17 @@ def _leash(leg: ExplainedPhase) -> str:
     if not leash or rerun(leg, limits=free).missed:
         return ""
     names = words.listed([type_name(type(limit)) for limit in leash])
-    said = f"{names} keeps the commands near the measured joints"
-    return f"{said}; without it the goal is reached (tried)"
+    sentence = f"{names} keeps the commands near the measured joints"
+    return f"{sentence}; without it the goal is reached (tried)"
 
 
-def _misled(leg: ExplainedPhase) -> str:
+def _misled_by_model(leg: ExplainedPhase) -> str:
     """Whether the disturbance keeps it from the goal, in words; empty where it does not."""
     perfect = Disturbance()
     if leg.scenario.disturbance == perfect or rerun(leg, disturbance=perfect).missed:
         return ""
-    said = "this is what the model gets wrong: without the disturbance the goal is reached (tried)"
-    return f"{said}; 'coopqp calibrate' may find out what"
+    why = "this is what the model gets wrong: without the disturbance the goal is reached (tried)"
+    return f"{why}; 'coopqp calibrate' may find out what"
 
 
 def _out_of_budget(leg: ExplainedPhase) -> bool:
@@ -152,10 +165,10 @@ def _budget(leg: ExplainedPhase, base: RunExplanation) -> RunExplanation:
     if kappa >= most * (1.0 - 1e-9):
         return base.because("budget", f"{text}, although kappa is as large as it can be")
     after = rerun(leg, kappa=most)
-    said = f"{text}; kappa: {most:g} would do (tried: reached)"
+    sentence = f"{text}; kappa: {most:g} would do (tried: reached)"
     if after.missed:
-        said = f"{text}; with kappa: {most:g} {words.stops(after)}"
-    return base.because("budget", said, tried=not after.missed)
+        sentence = f"{text}; with kappa: {most:g} {words.stops(after)}"
+    return base.because("budget", sentence, tried=not after.missed)
 
 
 def _motors(leg: ExplainedPhase) -> str:
@@ -179,17 +192,17 @@ def _falls(before: ExplainedPhase, after: ExplainedPhase) -> bool:
     return bool(_error_of(after, part.name) < (1.0 - FALLS) * error)
 
 
-def _pushed(leg: ExplainedPhase, goal: Goal) -> str:
+def _yields_to_push(leg: ExplainedPhase, goal: Goal) -> str:
     """What else than the scenario's push holds an impedance away; empty where it still moves."""
     task = leg.missed[0][0].task
     springs = task.impedance
     if springs is None or not rests(leg.v[-1]):
         return ""
     forces = springs.stiffness * goal.stack.e[goal.stack.slices[goal.tasks.index(task)]]
-    said = _by_axis(tuple(AXES[axis] for axis in springs.axes), forces)
+    loads = _by_axis(tuple(AXES[axis] for axis in springs.axes), forces)
     return (
-        f"it gives way as asked: its springs bear {said} there, and move by F/K; that is a push, a "
-        "weight that is wrong, or another task that pulls"
+        f"it gives way as asked: its springs bear {loads} there, and move by F/K; that is a push, "
+        "a weight that is wrong, or another task that pulls"
     )
 
 
@@ -197,8 +210,102 @@ def _by_axis(axes: tuple[str, ...], forces: Array) -> str:
     """Forces and torques, without negligible ones."""
     turns = np.array([axis.startswith("rot") for axis in axes])
     sizes = np.abs(forces) / np.where(turns, LENGTH, 1.0)
-    told = []
+    named = []
     for i in np.flatnonzero(sizes > WORTH_TELLING * sizes.max()):
         unit, way = ("N m", "about") if turns[i] else ("N", "along")
-        told.append(f"{forces[i]:.3g} {unit} {way} {axes[i].removeprefix('rot_')}")
-    return words.listed(told)
+        named.append(f"{forces[i]:.3g} {unit} {way} {axes[i].removeprefix('rot_')}")
+    return words.listed(named)
+
+
+#: Singular below this share of the start's, or when so many times the joints' speed is needed.
+SINGULAR, BEYOND = 0.02, 20.0
+#: Rows have a solution where the least-squares residual is a smaller share of what is wanted.
+SOLVED = 1e-3
+#: Singular values below this share of the largest are no motion.
+CUT = 1e-4
+#: Last ticks of a velocity that are evaluated.
+EVALUATED = 50
+
+
+def explain_velocity(leg: ExplainedPhase, base: RunExplanation) -> RunExplanation:
+    """Why a velocity was missed, at the last tick."""
+    part = next(part for part, _ in leg.missed if part.task.asks_velocity)
+    look, k = TickBatch(leg), len(leg.v) - 1
+    if tasks := contradicting(leg):
+        names = tuple(task.name for task in tasks)
+        sentence = f"{words.listed(names)} cannot hold together: they ask for different motions"
+        return base.because("contradiction", sentence, tasks=names)
+    u = look.look(k)[part.rows]
+    needed, now = _speed_needed(look, part.rows), _freedom(look, part, u)
+    axes = [row.name.rpartition(".")[2] for row in look.stack.rows[part.rows]]
+    look.look(0)
+    if now < SINGULAR * _freedom(look, part, u) or needed > BEYOND:
+        return _at_the_edge(part, axes, u, base)
+    held = held_up(leg, range(max(0, k - EVALUATED), k + 1))
+    if held and speed_share(held) <= MOSTLY:
+        return with_suggestion(base, held, by_rerun(leg, None))
+    why = words.slow(held) if held else "the law does not follow it"
+    more = f"; it asks for {needed:.2g} times the speed there is" if needed > 1.0 else ""
+    return base.because("speed", why + more, held, tasks=(part.task.name,))
+
+
+def _at_the_edge(
+    part: PartOfTask, names: Sequence[str], u: Array, base: RunExplanation
+) -> RunExplanation:
+    """Explain that the loops leave no motion along u, the missed velocity of the named axes."""
+    i = int(np.abs(u).argmax())
+    along = f"{'+' if u[i] > 0 else '-'}{names[i]}"
+    of = " of its own axes" if getattr(part.task, "axes", "world") == "object" else ""
+    sentence = (
+        f"the object is at the edge of its reach along {along}{of}: whatever the limits and "
+        "speeds, the loops leave no motion there"
+    )
+    missed = dict(zip(names, u.tolist(), strict=True))
+    way = np.array([missed.get(axis, 0.0) for axis in "xyz"])
+    size = float(np.linalg.norm(way))
+    unit = tuple((way / size).tolist()) if size else ()
+    return base.because("reach", sentence, tasks=(part.task.name,), way=unit)
+
+
+def _speed_needed(look: TickBatch, rows: slice) -> float:
+    """Least share of the joints' speeds with which some rows could be followed in the last look.
+
+    Infinite where the loops leave no such motion. A linear program: minimise the largest |v|/v_max
+    under J_c v = 0 and J v = wanted.
+    """
+    from scipy.optimize import linprog  # which takes a sixth of a second to come
+
+    J, most = look.stack.J[rows], look.state.chain.velocity
+    known, n = np.isfinite(most), len(most)
+    sides = np.vstack([np.eye(n)[known], -np.eye(n)[known]])
+    G = np.hstack([sides, -np.tile(most[known], 2)[:, None]])
+    loops = look.state.J_loop
+    A = np.hstack([np.vstack([loops, J]), np.zeros((len(loops) + len(J), 1))])
+    b = np.concatenate([np.zeros(len(loops)), look.stack.wanted[rows]])
+    cost = np.concatenate([np.zeros(n), [1.0]])
+    found = linprog(cost, A_ub=G, b_ub=np.zeros(len(G)), A_eq=A, b_eq=b, bounds=(None, None))
+    return float(found.fun) if found.success else np.inf
+
+
+def _freedom(look: TickBatch, part: PartOfTask, u: Array) -> float:
+    """How much of the direction u the loops leave."""
+    Z = null_space(look.state.J_loop)
+    return float(np.linalg.norm(Z.T @ look.stack.J[part.rows].T @ (u / np.linalg.norm(u))))
+
+
+def contradicting(leg: ExplainedPhase) -> tuple[Task, ...]:
+    """Tasks whose velocities at the last tick rule each other out; none where they do not."""
+    look = TickBatch(leg)
+    look.look(len(leg.v) - 1)
+    Z, stack = null_space(look.state.J_loop), look.stack
+    rows = dict(zip((task.name for task in stack.tasks), stack.slices, strict=True))
+
+    def fails(some: tuple[Task, ...]) -> bool:
+        chosen = np.concatenate([np.arange(rows[t.name].start, rows[t.name].stop) for t in some])
+        JZ, wanted = stack.J[chosen] @ Z, stack.wanted[chosen]
+        if not np.linalg.norm(wanted):
+            return False
+        y = np.linalg.lstsq(JZ, wanted, rcond=CUT)[0]
+        return bool(np.linalg.norm(JZ @ y - wanted) > SOLVED * np.linalg.norm(wanted))
+
+    return smallest_contradiction([task for task in stack.tasks if not task.joint_space], fails)

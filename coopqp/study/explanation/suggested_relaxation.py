@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from coopqp.base.qp import QP, Row, Rows
+from coopqp.base.qp import QP, Kind, Row, Rows
 from coopqp.base.spec import Array
 from coopqp.solver import Solution
 from coopqp.solvers import Daqp
@@ -32,8 +32,7 @@ from coopqp.study.explanation.explained_phase import (
     rerun,
     without_position_limits,
 )
-from coopqp.study.explanation.goal import NEAR, Goal, Search
-from coopqp.study.explanation.room import Room, Share, thing_of
+from coopqp.study.explanation.goal import NEAR, Goal, Room, Search, Share, thing_of
 from coopqp.study.explanation.words import Needed, RunExplanation
 
 #: Cost of a metre [rad], of a step [1/rad], and of what the equalities are off by.
@@ -66,13 +65,6 @@ class Violation:
     space: int | None = None
 
 
-def minimal_violations(goal: Goal, room: Room, starts: Sequence[Array]) -> list[Violation]:
-    """The smallest of the local minima from starts at the goal; none where all lose the goal."""
-    programs = _Programs(goal, room)
-    minima = [minimum for q in starts if (minimum := programs.shrink(q)) is not None]
-    return min(minima, key=_total, default=[])
-
-
 def violations_along(room: Room, qs: Array) -> list[Violation]:
     """The largest violation of each limit along configurations, shape (T, n)."""
     found = []
@@ -99,34 +91,29 @@ class _Programs:
     def __init__(self, goal: Goal, room: Room) -> None:
         self._goal, self._room = goal, room
         n, k = goal.chain.n, len(room.limits)
-        self._equal = len(goal.state.e_loop) + len(goal.stack.e)
         self._low = np.flatnonzero(np.isfinite(room.lower))
         self._high = np.flatnonzero(np.isfinite(room.upper))
         p = len(self._low) + len(self._high) + len(room.rows)
-        variables = [f"d[{i}]" for i in range(n)] + [f"s[{i}]" for i in range(n + k)]
+        equal = len(goal.state.e_loop) + len(goal.stack.e)
+        counts: dict[Kind, int] = {"joint": 2 * n + k, "limit": p, "task": equal}
         self._qp = qp = QP(
-            Rows(
-                _numbered("joint", variables),
-                _numbered("limit", [f"limit[{i}]" for i in range(p)]),
-                _numbered("task", [f"goal[{i}]" for i in range(self._equal)]),
-            )
-        )
+            Rows(*(
+                tuple(Row(name=f"{kind}[{i}]", kind=kind) for i in range(count))
+                for kind, count in counts.items()
+            ))
+        )  # fmt: skip
         np.fill_diagonal(qp.P, np.repeat([2.0 * PROXIMAL, 1e-6], [n, n + k]))
         per_joint = [METRE if unit == "m" else 1.0 for unit in goal.chain.joint_units]
         qp.q[n:] = [*per_joint, *[METRE] * k]
         qp.lb[n:], qp.ub[n:] = 0.0, 1e3
-        self._fill_sides()
+        # The constant rows: d_j - s_j <= upper - q, and the same below.
+        joints = np.concatenate([self._low, self._high])
+        rows, spaces = np.arange(len(joints)), len(joints) + np.arange(len(room.owners))
+        qp.G[rows, joints] = np.repeat([-1.0, 1.0], [len(self._low), len(self._high)])
+        qp.G[rows, n + joints] = -1.0
+        qp.G[spaces, 2 * n + np.array(room.owners, int)] = -1.0
         self._solution = Solution(qp)
         self._solve = Daqp().open(qp, self._solution)
-
-    def _fill_sides(self) -> None:
-        """The constant rows: d_j - s_j <= upper - q, and the same below."""
-        low, high, n = self._low, self._high, self._goal.chain.n
-        joints, rows = np.concatenate([low, high]), np.arange(len(low) + len(high))
-        self._qp.G[rows, joints] = np.repeat([-1.0, 1.0], [len(low), len(high)])
-        self._qp.G[rows, n + joints] = -1.0
-        spaces = len(joints) + np.arange(len(self._room.owners))
-        self._qp.G[spaces, 2 * n + np.array(self._room.owners, int)] = -1.0
 
     def shrink(self, start: Array) -> list[Violation] | None:
         """A local minimum near a start; None where the goal is lost."""
@@ -189,10 +176,6 @@ class _Programs:
         return self._solution.v[:n].copy() if self._solution.status.usable else None
 
 
-def _numbered(kind: str, names: Sequence[str]) -> tuple[Row, ...]:
-    return tuple(Row(name=name, kind=kind) for name in names)  # type: ignore[arg-type]
-
-
 @dataclass(frozen=True)
 class SuggestedRelaxation:
     """Relaxations of limits, and the rerun with them.
@@ -216,7 +199,7 @@ def by_geometry(
     leg: ExplainedPhase, goal: Goal, found: BlockedByLimits, report: Callable[[float], None]
 ) -> SuggestedRelaxation | None:
     """Relaxations where limits keep a phase from its goal; None where none were found."""
-    needs = least_needs(goal, leg.room, found)
+    needs = minimal_relaxations(goal, leg.room, found)
     report(0.5)
     first = _tried(leg, needs, goal)
     if first and first.reached:
@@ -233,10 +216,10 @@ def by_rerun(leg: ExplainedPhase, goal: Goal | None) -> SuggestedRelaxation | No
         free = rerun(leg, longer=True, limits=limits)
     if free.missed:
         return None
-    return _tried(leg, _told(violations_along(leg.room, free.q)), goal)
+    return _tried(leg, _rounded(violations_along(leg.room, free.q)), goal)
 
 
-def least_needs(goal: Goal, room: Room, found: BlockedByLimits) -> tuple[Violation, ...]:
+def minimal_relaxations(goal: Goal, room: Room, found: BlockedByLimits) -> tuple[Violation, ...]:
     """The smallest found from the configuration at the goal, and from others near by."""
     search, rng = Search(goal), np.random.default_rng(2)
     starts = [found.start]
@@ -244,7 +227,9 @@ def least_needs(goal: Goal, room: Room, found: BlockedByLimits) -> tuple[Violati
         other = search.from_(found.start + rng.normal(scale=NEAR, size=goal.chain.n))
         if other.reached:
             starts.append(other.q)
-    return _told(minimal_violations(goal, room, starts))
+    programs = _Programs(goal, room)
+    minima = [minimum for q in starts if (minimum := programs.shrink(q)) is not None]
+    return _rounded(min(minima, key=_total, default=[]))  # nothing where all starts lose the goal
 
 
 def _tried(
@@ -269,7 +254,7 @@ def _tried(
     return SuggestedRelaxation(needs, after)
 
 
-def _told(found: Sequence[Violation]) -> tuple[Violation, ...]:
+def _rounded(found: Sequence[Violation]) -> tuple[Violation, ...]:
     """Rounded up, the largest first."""
     needs = [replace(violation, amount=_rounded_up(violation.amount)) for violation in found]
     return tuple(sorted(needs, key=lambda need: -need.amount))
@@ -289,15 +274,15 @@ def with_suggestion(
     *more: str,
 ) -> RunExplanation:
     """That limits hold a run back, and which relaxation would do."""
-    said = "; ".join([words.holding(shares), _said(suggestion, shares), *more])
+    sentence = "; ".join([words.holding(shares), _said(suggestion, shares), *more])
     if suggestion is None:
-        return base.because("limits", said, shares)
+        return base.because("limits", sentence, shares)
     needed = tuple(
         Needed(limit=n.row.name, words=n.row.words, amount=n.amount, unit=n.row.unit)
         for n in suggestion.needs
     )
     return base.because(
-        "limits", said, shares, needed=needed, tried=suggestion.reached, time=suggestion.time
+        "limits", sentence, shares, needed=needed, tried=suggestion.reached, time=suggestion.time
     )
 
 
@@ -322,10 +307,10 @@ def _said(suggestion: SuggestedRelaxation | None, shares: Sequence[Share]) -> st
 
 def needed(needs: Sequence[Violation], *, alone: bool = True) -> str:
     """Limits with their relaxations; the verb with the first."""
-    said: list[str] = []
+    clauses: list[str] = []
     for need in needs:
         name = need.row.words if need.space is None else need.row.owner.replace("_", " ")
         amount = words.size(need.amount, need.row.unit)
-        verb = "would need " if alone and not said else ""
-        said.append(f"{name} {verb}{amount} more{'' if need.space is None else ' room'}")
-    return words.listed(said)
+        verb = "would need " if alone and not clauses else ""
+        clauses.append(f"{name} {verb}{amount} more{'' if need.space is None else ' room'}")
+    return words.listed(clauses)

@@ -18,8 +18,7 @@ from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status
-from coopqp.study.explanation import insufficient_time, velocity, words
-from coopqp.study.explanation.asked import relaxed
+from coopqp.study.explanation import insufficient_time, words
 from coopqp.study.explanation.diagnosis import (
     BlockedByLimits,
     Contradiction,
@@ -31,15 +30,15 @@ from coopqp.study.explanation.diagnosis import (
     diagnose,
 )
 from coopqp.study.explanation.explained_phase import ExplainedPhase, explained_phases
-from coopqp.study.explanation.goal import Goal, Search, placed
+from coopqp.study.explanation.goal import Goal, Room, Search, placed
 from coopqp.study.explanation.grasp_lost import lost
-from coopqp.study.explanation.room import Room
 from coopqp.study.explanation.suggested_relaxation import (
     by_geometry,
-    least_needs,
+    minimal_relaxations,
     needed,
     with_suggestion,
 )
+from coopqp.study.explanation.tick import relaxed
 from coopqp.study.explanation.words import MissedPart, RunExplanation
 from coopqp.task import Task
 from coopqp.trace import Trace
@@ -69,21 +68,26 @@ def explain_run(
 def _explained(
     found: Assessment, phases: Sequence[ExplainedPhase], leg: ExplainedPhase, report: Report
 ) -> RunExplanation:
-    base, torn = _base(leg), any(task.torn for task in found.tasks)
+    missed = tuple(
+        MissedPart(task=part.name, error=error, unit=part.part.unit) for part, error in leg.missed
+    )
+    last = leg.first + len(leg.v) - 1
+    base = RunExplanation(controller=leg.name, phase=leg.phase, tick=last, missed=missed)
+    torn = any(task.torn for task in found.tasks)
     suspect = leg.missed or torn or found.held is False
     if suspect and (gone := lost(leg, base)):
         return gone
     if unheard := not_followed(found):
         return base.because("input", f"no goal counts as reached: {unheard}")
     if torn and not leg.missed:
-        said = f"no goal counts as reached: the loop came open by {loop_words(found)} on the way"
-        return base.because("open", said)
+        why = f"no goal counts as reached: the loop came open by {loop_words(found)} on the way"
+        return base.because("open", why)
     stops = replace(base, sentence=words.stops(leg)) if leg.missed else base
     if (leg.missed or not found.reached) and (failed := _failed(leg)):
         return stops.because("failed", failed)
     if strange := [words.stops_short(part, error) for part, error in leg.missed if np.isnan(error)]:
-        said = "; ".join(dict.fromkeys((stops.sentence, *strange)))
-        return replace(base, kind="failed", sentence=said)
+        sentence = "; ".join(dict.fromkeys((stops.sentence, *strange)))
+        return replace(base, kind="failed", sentence=sentence)
     given_up = relaxed([leg] if leg.missed else phases)
     if not leg.missed:
         return _kept(found, phases, replace(base, relaxed=given_up))
@@ -112,31 +116,23 @@ def _gave_way(leg: ExplainedPhase, answer: RunExplanation) -> Iterator[str]:
         yield words.gave_way(part, error, leg.missed[0][0], because=bool(free))
 
 
-def _base(leg: ExplainedPhase) -> RunExplanation:
-    missed = tuple(
-        MissedPart(task=part.name, error=error, unit=part.part.unit) for part, error in leg.missed
-    )
-    last = leg.first + len(leg.v) - 1
-    return RunExplanation(controller=leg.name, phase=leg.phase, tick=last, missed=missed)
-
-
 def _kept(
     found: Assessment, phases: Sequence[ExplainedPhase], base: RunExplanation
 ) -> RunExplanation:
     """Of a run that reached its goals, but perhaps not as it should."""
-    said, kind = [], "reached"
+    clauses, kind = [], "reached"
     if not found.succeeds:
         kind = "broken" if found.loop_closed else "open"
         kappa = phases[0].problem.kappa
-        said = [words.opened(found, kappa), words.broken(found)]
-    said = [text for text in said if text] + [task.words for task in base.relaxed]
+        clauses = [words.opened(found, kappa), words.broken(found)]
+    clauses = [text for text in clauses if text] + [task.words for task in base.relaxed]
     count = sum(Status.TASKS_RELAXED in causes for leg in phases for causes in leg.causes)
     if base.relaxed:
-        said.append("--tick says why")
+        clauses.append("--tick says why")
     elif count:
-        said.append(f"in {count} ticks hard tasks are not met in full")
+        clauses.append(f"in {count} ticks hard tasks are not met in full")
     goals = "every goal is reached" if found.succeeds else "the goals are reached"
-    return base.because(kind, f"{goals}{', but ' if said else ''}{'; '.join(said)}")
+    return base.because(kind, f"{goals}{', but ' if clauses else ''}{'; '.join(clauses)}")
 
 
 def _failed(leg: ExplainedPhase) -> str:
@@ -154,18 +150,18 @@ def _blocked(leg: ExplainedPhase, base: RunExplanation, report: Report) -> RunEx
     goal = leg.goal()
     places = [part for part, _ in leg.missed if part.task in goal.tasks]
     velocities = [part for part, _ in leg.missed if part.task.asks_velocity]
-    if velocities and (not places or velocity.contradicting(leg)):
-        return velocity.explain(leg, base)
+    if velocities and (not places or insufficient_time.contradicting(leg)):
+        return insufficient_time.explain_velocity(leg, base)
     if not places and Status.SQUEEZE_GIVEN_UP in leg.causes[-1]:
-        said = "the hands stand at admittance.most_way; raise it, unless the force sensor is dead"
-        return base.because("way", said)
+        why = "the hands stand at admittance.most_way; raise it, unless the force sensor is dead"
+        return base.because("way", why)
     if not places:
         return base.because("unplaced", "it asks for no place")
     goal, found = _diagnosed(leg, goal)
     report(0.4)
     if isinstance(found, NotBlocked):
         if velocities:
-            return velocity.explain(leg, base)
+            return insufficient_time.explain_velocity(leg, base)
         return insufficient_time.explain(leg, goal, found.place, base)
     if isinstance(found, BlockedByLimits):
         suggestion = by_geometry(leg, goal, found, report)
@@ -178,8 +174,8 @@ def _blocked(leg: ExplainedPhase, base: RunExplanation, report: Report) -> RunEx
 def _diagnosed(leg: ExplainedPhase, goal: Goal) -> tuple[Goal, Diagnosis]:
     """Of hard and scaled tasks alone where geometry keeps these already from their goals."""
     modes = {part.task.mode for part, _ in leg.missed} if leg.ordered else {"soft"}
-    heeded = {"hard"} if "hard" in modes else {"hard", "scaled"}
-    first = [task for task in goal.tasks if task.mode in heeded]
+    first_modes = {"hard"} if "hard" in modes else {"hard", "scaled"}
+    first = [task for task in goal.tasks if task.mode in first_modes]
     if first and modes != {"soft"}:
         before = goal.only(first)
         found = diagnose(before, leg.room, leg.q[-1])
@@ -189,21 +185,21 @@ def _diagnosed(leg: ExplainedPhase, goal: Goal) -> tuple[Goal, Diagnosis]:
 
 
 def _by_geometry(leg: ExplainedPhase, found: Unreachable, base: RunExplanation) -> RunExplanation:
-    said = words.geometry(found, leg.missed, leg.problem.chain, ordered=leg.ordered)
+    sentence = words.geometry(found, leg.missed, leg.problem.chain, ordered=leg.ordered)
     base = replace(base, sentence="")
     if isinstance(found, Elsewhere):
-        return base.because("elsewhere", said, found.shares)
+        return base.because("elsewhere", sentence, found.shares)
     if isinstance(found, Contradiction):
         names = tuple(task.name for task in found.tasks)
-        return base.because("contradiction", said, tasks=names, any_robot=found.any_robot)
+        return base.because("contradiction", sentence, tasks=names, any_robot=found.any_robot)
     if isinstance(found, OutOfReach):
-        said += insufficient_time.behind(leg, found)
+        sentence += insufficient_time.behind(leg, found)
         way = tuple((found.gap / max(found.distance, 1e-300)).tolist()) if found.in_world else ()
         tasks = (found.part.task.name,)
         return base.because(
-            "reach", said, found.shares, tasks=tasks, distance=found.distance, way=way
+            "reach", sentence, found.shares, tasks=tasks, distance=found.distance, way=way
         )
-    return base.because("freedom", said, tasks=(found.goal.tasks[0].name,))
+    return base.because("freedom", sentence, tasks=(found.goal.tasks[0].name,))
 
 
 @dataclass(frozen=True)
@@ -214,13 +210,11 @@ class Standing:
         reached: whether all tasks with a place are within their tolerances.
         blocked: whether geometry keeps the arms from one that is not.
         sentence: in words.
-        held_back: the limits that hold back, the most forceful first.
     """
 
     reached: bool
     blocked: bool
     sentence: str
-    held_back: tuple[str, ...] = ()
 
 
 def explain_standing(
@@ -243,17 +237,16 @@ def explain_standing(
     found = diagnose(goal, room, q)
     if isinstance(found, NotBlocked):
         return Standing(False, False, f"{short}; it can be reached from here")
-    held = tuple(share.row.words for share in getattr(found, "shares", ()))
     if not isinstance(found, BlockedByLimits):
         # At one instant nobody knows which law acts, and which task it puts first.
-        said = words.geometry(found, missed, chain, ordered=False)
-        return Standing(False, True, said, held)
+        sentence = words.geometry(found, missed, chain, ordered=False)
+        return Standing(False, True, sentence)
     if not rests and (nearest := goal.missed(found.place.q)):
         part, error = nearest[0]
         short = f"{part.name} gets no nearer than {words.size(error, part.part.unit)}"
     parts = [short, words.holding(found.shares)]
-    if needs := least_needs(goal, room, found):
+    if needs := minimal_relaxations(goal, room, found):
         parts.append(f"to get there {needed(needs)} (not tried)")
     if found.elsewhere:
         parts.append(words.elsewhere(found.elsewhere, chain))
-    return Standing(False, True, "; ".join(parts), held)
+    return Standing(False, True, "; ".join(parts))

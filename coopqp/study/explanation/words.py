@@ -13,16 +13,15 @@ from coopqp.assessment.verdict import loop_words
 from coopqp.base.qp import Row
 from coopqp.base.spec import Array
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.study.explanation.asked import Relaxed
 from coopqp.study.explanation.diagnosis import Contradiction, Elsewhere, OutOfReach, Unreachable
 from coopqp.study.explanation.explained_phase import ExplainedPhase
-from coopqp.study.explanation.goal import Missed, PartOfTask, Place
-from coopqp.study.explanation.room import Share
+from coopqp.study.explanation.goal import Missed, PartOfTask, Place, Share
+from coopqp.task import Mode
 
 #: A direction this near to an axis is the axis.
 ALONG = 0.97
 #: Most limits that are named.
-MOST = 4
+MAX_NAMED = 4
 
 
 def listed(names: Sequence[str]) -> str:
@@ -77,12 +76,12 @@ def holding(shares: Sequence[Share]) -> str:
         return "the limits hold it back"
     if len(shares) == 1:
         return f"{shares[0].row.words} holds it back alone"
-    named = shares[:MOST]
+    named = shares[:MAX_NAMED]
     words = [
         with_note(share.row, f"{100.0 * share.share:.0f} %{' of the force' if i == 0 else ''}")
         for i, share in enumerate(named)
     ]
-    more = [f"{len(shares) - MOST} more"] if len(shares) > MOST else []
+    more = [f"{len(shares) - MAX_NAMED} more"] if len(shares) > MAX_NAMED else []
     return f"{listed([*words, *more])} hold it back"
 
 
@@ -122,7 +121,7 @@ def _reach(found: OutOfReach) -> str:
     part = found.part
     name, unit = part.task.name, part.part.unit
     several = len(found.shares) > 1
-    named = found.shares[:MOST]
+    named = found.shares[:MAX_NAMED]
     held = _with_percents(named) if several else listed([share.row.words for share in named])
     if found.cost > found.distance:
         verb = "hold" if several else "holds"
@@ -191,21 +190,47 @@ def opened(found: Assessment, kappa: float) -> str:
 
 def broken(found: Assessment) -> str:
     """Limits that a run went beyond; empty where there are none."""
-    overruns = [o for o in (*found.joints, *found.limits, *found.speeds) if o.farther]
-    if not overruns:
+    violated = [o for o in (*found.joints, *found.limits, *found.speeds) if o.farther]
+    if not violated:
         return ""
-    said = [f"{o.row.words} by {size(o.by, o.row.unit)}" for o in overruns[:MOST]]
-    more = [f"{len(overruns) - MOST} more"] if len(overruns) > MOST else []
-    return f"beyond limits: {listed([*said, *more])}"
+    clauses = [f"{o.row.words} by {size(o.by, o.row.unit)}" for o in violated[:MAX_NAMED]]
+    more = [f"{len(violated) - MAX_NAMED} more"] if len(violated) > MAX_NAMED else []
+    return f"beyond limits: {listed([*clauses, *more])}"
 
 
 def slow(shares: Sequence[Share]) -> str:
     """Speeds that hold up."""
-    return f"{_with_percents(shares[:MOST])} {'holds' if len(shares) == 1 else 'hold'} it up"
+    return f"{_with_percents(shares[:MAX_NAMED])} {'holds' if len(shares) == 1 else 'hold'} it up"
 
 
 def _with_percents(shares: Sequence[Share]) -> str:
     return listed([with_note(share.row, f"{100.0 * share.share:.0f} %") for share in shares])
+
+
+def percent(share: float) -> str:
+    """A share, in words."""
+    if share < 0.01:
+        return "less than 1 %"
+    return "more than 99 %" if 0.99 < share < 1.0 else f"{100.0 * share:.0f} %"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Relaxed:
+    """A hard or scaled task that is not met in full in some ticks of a run.
+
+    ``missing`` is the share of its rate that it lacks in the last tick.
+    """
+
+    task: str
+    mode: Mode
+    ticks: int
+    missing: float
+
+    @property
+    def words(self) -> str:
+        ticks = f"{self.ticks} tick{'' if self.ticks == 1 else 's'}"
+        end = f"lacks {percent(self.missing)} of its rate" if self.missing else "is met"
+        return f"{self.mode} task '{self.task}' is not met in full in {ticks} and {end} at the end"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -276,9 +301,9 @@ class RunExplanation:
         self, kind: str, words: str, shares: Sequence[Share] = (), **more: Any
     ) -> RunExplanation:
         """With its cause, in words after what it misses, and more attributes."""
-        said = f"{self.sentence}; {words}" if self.sentence else words
+        sentence = f"{self.sentence}; {words}" if self.sentence else words
         held = tuple(HeldBack(limit=s.row.name, words=s.row.words, share=s.share) for s in shares)
-        return replace(self, kind=kind, sentence=said, held_back=held, **more)
+        return replace(self, kind=kind, sentence=sentence, held_back=held, **more)
 
     def as_json(self) -> dict[str, Any]:
         return asdict(self)
