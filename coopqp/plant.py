@@ -161,13 +161,7 @@ class Plant(ABC):
 
     @abstractmethod
     def build(self, problem: ControlProblem, seed: int, disturbance: Disturbance) -> PlantModel:
-        """Make the plant, at rest at the chain's start.
+        """Make the plant of the controller's problem, at rest at the chain's start; or CoopqpError.
 
-        Args:
-            problem: what the controller was built for.
-            seed: of everything random.
-            disturbance: what the controller does not know.
-
-        Raises:
-            CoopqpError: the plant cannot be built for this problem.
+        ``seed`` is that of everything random, the disturbance is unknown to the controller.
         """

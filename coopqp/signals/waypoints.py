@@ -131,8 +131,7 @@ def _value(kind: Kind, row: object) -> Array:
         return kind.read(row)
     if not kind.turns or kind.axis:
         raise InvalidValueError(f"found a pose, needs {kind.values} numbers")
-    X = pose_matrix(row)
-    return kind.read(X if kind.numbers else X.rotation)
+    return kind.read(row if kind.numbers else pose_matrix(row).rotation)
 
 
 def _same(kind: Kind, values: Array) -> bool:
