@@ -20,7 +20,7 @@ from coopqp.model.state import State
 
 #: A joint that is beyond a limit of its place by less is inside but for rounding [rad, m].
 ROUNDING = 1e-9
-#: Depth up to which what crossed a limit in space is asked back [m].
+#: Depth up to which what crossed a limit in space recovers [m].
 SHALLOW = 1e-3
 
 

@@ -115,16 +115,13 @@ class PlantModel(ABC):
         lost: which hand has lost the object and why, where the plant cannot go on; else empty.
     """
 
-    def __init__(self) -> None:
-        self.lost = ""
-        self.signals = {}
-        self.measured = None
-
     ideal: bool = False
     """Whether a step is :meth:`State.advance` alone, so that many may be done at once."""
-    signals: dict[str, Array]
-    measured: Array | None
-    lost: str
+
+    def __init__(self) -> None:
+        self.lost = ""
+        self.signals: dict[str, Array] = {}
+        self.measured: Array | None = None
 
     @property
     def hand_wrench(self) -> Array | None:

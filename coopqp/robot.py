@@ -192,9 +192,9 @@ def _hold_both_ways(model: pin.Model) -> None:
             setattr(model, f"lower{key}Limit", -np.array(getattr(model, f"upper{key}Limit")))
 
 
-def copy_per_velocity(source: pin.Model, target: pin.Model, prefix: str = "") -> None:
-    """Copy limits, friction and rotors of joints, by name with a prefix in the target."""
-    at = [target.idx_vs[target.getJointId(prefix + name)] for name in list(source.names)[1:]]
+def copy_per_velocity(source: pin.Model, target: pin.Model) -> None:
+    """Copy limits, friction and rotors of joints, by name."""
+    at = [target.idx_vs[target.getJointId(name)] for name in list(source.names)[1:]]
     for key in PER_VELOCITY:
         values = np.array(getattr(target, key))
         values[at] = getattr(source, key)

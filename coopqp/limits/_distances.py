@@ -26,9 +26,10 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.base.errors import InvalidValueError
+from coopqp.base.reading import version
 from coopqp.base.spec import Array
 from coopqp.robot import Capsule, Shape
-from coopqp.robot_files.meshes import read_mesh, version
+from coopqp.robot_files.meshes import read_mesh
 
 #: How far from 1 a unit normal's square, and from 0 a length [m], may be.
 UNIT = 1e-6

@@ -6,7 +6,7 @@ thing at their nearest points and d their signed distance,
 
     n' J_body v <= gain (d - distance)
 
-A body that is too close by more than a millimetre may not come closer, but is not asked away
+A body that is too close by more than a millimetre may not come closer, but is not pushed back
 (:func:`coopqp.limit.damp`).
 """
 
@@ -20,7 +20,7 @@ from pydantic import Field
 from coopqp.base.errors import InvalidValueError, under
 from coopqp.base.qp import Row
 from coopqp.base.reading import FilePath
-from coopqp.base.spec import Array, Lengths3, Name, NonNegative, Pose, Positive, overshoot, spec
+from coopqp.base.spec import Array, Lengths3, Name, NonNegative, Pose, Positive, spec
 from coopqp.grasp import pose_matrix
 from coopqp.limit import Clearance, Limit, Tighten
 from coopqp.limits._bodies import bodies_of, named_bodies, unseen
@@ -114,8 +114,6 @@ class Obstacles(Limit):
 
     def bind(self, chain: ClosedChain, dt: float) -> Tighten:
         """One row for each body and thing, whether near or not, so that the count never changes."""
-        if wrong := overshoot(self.gain, dt):
-            raise InvalidValueError(f"{self.name}: {wrong}")
         return self._separation(chain).bind(dt)
 
     def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:

@@ -5,7 +5,7 @@ the velocity damper d_dot >= -gain d lets it approach no faster than it can stop
 
     -n' J_p v <= gain n'(p - c)
 
-A point that is deeper than a millimetre on the wrong side may not go farther, but is not asked
+A point that is deeper than a millimetre on the wrong side may not go farther, but is not pushed
 back (:func:`coopqp.limit.damp`), so that one that cannot recover does not stop the robot.
 """
 

@@ -62,14 +62,13 @@ class Reference:
     """A frame that the object is steered to; InvalidValueError: it moves in two ways at once.
 
     Args:
-        origin: where it is at t = 0, in the world, shape (3,) [m]; or a signal, or its course.
+        origin: where it is at t = 0, in the world, shape (3,) [m]; or a signal, or a trajectory.
         direction: of its third axis before it turns, in the world; any length; or a signal.
         velocity: of its origin, in the world, shape (3,) [m/s].
         turn: about an axis through its origin.
-        start: the instant from which it sets out. An input begins, at a state, where nothing would
-            have to move for it:
-        point: of the object, in the object frame [m]; it is where the origin begins.
-        axis: of the object, in the object frame; it is along it that the direction begins.
+        start: the instant from which it sets out.
+        point, axis: of the object, in the object frame [m]; there and along it inputs begin, so
+            that nothing has to move for them.
 
     Attributes:
         c, c_dot: its origin and that one's velocity, in the world, shape (3,) [m; m/s].

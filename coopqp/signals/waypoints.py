@@ -90,15 +90,11 @@ class Waypoints(Signal):
     @property
     def rest(self) -> float:
         """The last time; never where it repeats."""
-        if self.repeat != "once":
-            return float(np.inf)
-        return float(self._times[-1])
+        return float(self._times[-1] if self.repeat == "once" else np.inf)
 
     @property
     def _times(self) -> Array:
-        if self.file is not None:
-            return read_table(self.file).times()
-        return np.array(self.times, float)
+        return read_table(self.file).times() if self.file else np.array(self.times, float)
 
     def _table(self, kind: Kind) -> tuple[Array, Array]:
         """Times and values as they are kept, shapes (m,) and (m, values)."""
