@@ -6,11 +6,13 @@ import math
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Annotated, ClassVar, Literal, Protocol, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, field_validator
 
 from coopqp.base.errors import InvalidValueError, unknown_name
@@ -23,53 +25,6 @@ from coopqp.model.state import Memory, State
 from coopqp.solver import Budget, Solver, Status
 from coopqp.task import Task, TaskRows, evaluate_all, refuse_impedances
 from coopqp.trace import TickBatch
-
-
-def not_finite(
-    tasks: Sequence[Task], limits: Sequence[Limit], chain: ClosedChain, state: State, dt: float
-) -> str:
-    """Which tasks and limits, bound anew, give NaN or infinite values at a state; empty if none."""
-    return "; ".join((*_tasks(tasks, chain, state), *_limits(limits, chain, state, dt)))
-
-
-def _tasks(tasks: Sequence[Task], chain: ClosedChain, state: State) -> Iterator[str]:
-    for task in tasks:
-        start = State(chain)
-        start.inputs = state.inputs.now()
-        try:
-            k = len(task.rows(chain))
-            columns = 6 * chain.holding if task.of_forces else chain.n
-            J = np.eye(columns) if task.joint_space else np.zeros((k, columns))
-            rows = TaskRows(np.zeros(k), J, np.zeros(k))
-            evaluate_all([(task.bind(start), rows)], state)
-        except Exception:  # noqa: BLE001 - code of plug-ins may raise anything; not asked here
-            continue
-        numbers = {"e": rows.e, "J": rows.J, "rate": rows.rate}
-        bad = [name for name, values in numbers.items() if not np.isfinite(values).all()]
-        if bad:
-            yield f"task '{task.name}' gives NaN or infinite values in {', '.join(bad)}"
-
-
-def _limits(limits: Sequence[Limit], chain: ClosedChain, state: State, dt: float) -> Iterator[str]:
-    """Bounds and h may be infinite on the side that is free."""
-    for limit in limits:
-        try:
-            p, n = len(limit.rows(chain)), chain.n
-            free = np.full(n, -np.inf), np.full(n, np.inf)
-            rows = LimitRows(*free, np.zeros((p, n)), np.full(p, np.inf))
-            evaluate_all([(limit.bind(chain, dt), rows)], state)
-        except Exception:  # noqa: BLE001 - as above
-            continue
-        good = {
-            "lb": rows.lb < np.inf,
-            "ub": rows.ub > -np.inf,
-            "G": np.isfinite(rows.G),
-            "h": rows.h > -np.inf,
-        }
-        bad = [name for name, fine in good.items() if not fine.all()]
-        if bad:
-            name = type_name(type(limit))
-            yield f"limit '{name}' gives NaN or infinite values in {', '.join(bad)}"
 
 
 class InternalForceControl(Protocol):
@@ -148,6 +103,41 @@ class ControlProblem:
         if found:
             lines = (f"{dotted(place)}: {message}" for place, message in found)
             raise InvalidValueError("\n".join(lines))
+
+
+def not_finite(problem: ControlProblem, state: State) -> str:
+    """Which tasks and limits, bound anew, give NaN or infinite values at a state; empty if none."""
+    looks = [(f"task '{t.name}'", partial(_finite_rows, t)) for t in problem.all_tasks]
+    looks += [
+        (f"limit '{type_name(type(k))}'", partial(_usable_rows, k, problem.dt))
+        for k in problem.limits
+    ]
+    found = []
+    for name, look in looks:
+        with suppress(Exception):  # code of plug-ins may raise anything; not asked here
+            if bad := [key for key, good in look(state).items() if not good.all()]:
+                found.append(f"{name} gives NaN or infinite values in {', '.join(bad)}")
+    return "; ".join(found)
+
+
+def _finite_rows(task: Task, state: State) -> dict[str, NDArray[np.bool_]]:
+    chain, start = state.chain, State(state.chain)
+    start.inputs = state.inputs.now()
+    k, columns = len(task.rows(chain)), 6 * chain.holding if task.of_forces else chain.n
+    J = np.eye(columns) if task.joint_space else np.zeros((k, columns))
+    rows = TaskRows(np.zeros(k), J, np.zeros(k))
+    evaluate_all([(task.bind(start), rows)], state)
+    return {key: np.isfinite(getattr(rows, key)) for key in ("e", "J", "rate")}
+
+
+def _usable_rows(limit: Limit, dt: float, state: State) -> dict[str, NDArray[np.bool_]]:
+    """Bounds and h may be infinite on the side that is free."""
+    chain, p, n = state.chain, len(limit.rows(state.chain)), state.chain.n
+    free = np.full(n, -np.inf), np.full(n, np.inf)
+    rows = LimitRows(*free, np.zeros((p, n)), np.full(p, np.inf))
+    evaluate_all([(limit.bind(chain, dt), rows)], state)
+    h, G = rows.h > -np.inf, np.isfinite(rows.G)
+    return {"lb": rows.lb < np.inf, "ub": rows.ub > -np.inf, "G": G, "h": h}
 
 
 def problem_faults(
@@ -266,13 +256,10 @@ class Law(ABC):
         q_measured: ArrayLike | None = None,
         hand_wrench: Array | None = None,
     ) -> State:
-        """The first state, with room for the law's memory.
+        """The first state, at q (n,) or the chain's start, with room for the law's memory.
 
-        Args:
-            q: configuration, shape (n,); the chain's start when omitted.
-            q_measured: measured joint positions, instead of q; the loop error there is taken for
-                the model's bias (``State.gap``).
-            hand_wrench: ``State.hand_wrench`` there.
+        ``q_measured`` are measured joint positions, instead of q; the loop error there is taken for
+        the model's bias (``State.gap``). ``hand_wrench`` is that of the state.
         """
         state = State(self.problem.chain, q, memory=Memory(self.memory_sizes))
         state.hand_wrench = hand_wrench
@@ -301,8 +288,7 @@ class Law(ABC):
         if state.inputs.refused:
             wrong.append(Status.INPUT_REFUSED)
         if command.status in (Status.NOT_FINITE, Status.SOLVER_ERROR) and not command.note:
-            of = self.problem
-            command.note = not_finite(of.all_tasks, of.limits, of.chain, state, of.dt)
+            command.note = not_finite(self.problem, state)
         if wrong:
             pressed = self.squeezer.note if self.squeezer else ""
             notes = (command.note, pressed, *state.inputs.refused)

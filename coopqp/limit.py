@@ -20,7 +20,7 @@ from coopqp.model.state import State
 
 #: A joint that is beyond a limit of its place by less is inside but for rounding [rad, m].
 ROUNDING = 1e-9
-#: Depth up to which what crossed a limit in space is asked back [m].
+#: Depth up to which what crossed a limit in space recovers [m].
 SHALLOW = 1e-3
 
 
@@ -123,10 +123,9 @@ class Limit(ABC):
 
         q has shape (T + 1, n) [rad, m], row k + 1 after tick k, and v (T, n) [rad/s, m/s].
 
-        Returns:
-            By row, such as "limit.position[RElbowRoll].upper" or one of :meth:`rows`, in the row's
-            unit, shape (T,); negative where violated. Infinite sides are left out. For a limit with
-            :meth:`clearance`, that after each tick.
+        By row, such as "limit.position[RElbowRoll].upper" or one of :meth:`rows`, in the row's
+        unit, shape (T,); negative where violated. Infinite sides are left out. For a limit with
+        :meth:`clearance`, that after each tick.
         """
         left = self.clearance(chain)
         if left is None:
@@ -170,18 +169,11 @@ class Limit(ABC):
 def damp(
     room: Array, gain: Array, deep: NDArray[np.bool_], h: Array, shallow: float = SHALLOW
 ) -> None:
-    """Velocity damper, room_dot >= -gain room, as the right side of rows -room_dot <= h.
+    """Velocity damper, d_dot >= -gain d, written to the right side of rows -d_dot <= h [m/s].
 
-    What has sunk in a little, by the curvature of its path in a tick, is asked back. What is deeper
-    than ``shallow`` was there from the start; it may not go farther, but asking it back could leave
-    no motion at all, so there h = 0.
-
-    Args:
-        room: distance left, shape (p,) [m]; negative where there is none.
-        gain: shape (p,) [1/s].
-        deep: scratch, shape (p,).
-        h: written, shape (p,) [m/s].
-        shallow: how deep things are asked back [m].
+    A distance d [m] that is a little negative, by the curvature of the path in a tick, recovers.
+    Below -shallow [m] it was there from the start: it may not decrease, but recovery could leave no
+    motion at all, so there h = 0. All have shape (p,); ``deep`` is scratch, gain in 1/s.
     """
     np.multiply(room, gain, h)
     np.less(room, -shallow, deep)

@@ -7,10 +7,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-import numpy as np
-
 from coopqp.base.spec import spec
-from coopqp.base.wording import raised, written_in
+from coopqp.base.wording import plain, raised, written_in
 from coopqp.trace import Trace, read_only
 
 #: Columns that every study has of its own; no metric is called so.
@@ -37,19 +35,14 @@ class Metric(ABC):
 
 
 def measured(metrics: Mapping[str, Metric], trace: Trace) -> tuple[dict[str, Any], list[str]]:
-    """What metrics say of a trace, which they cannot write to, as JSON holds it.
+    """What metrics, by name, say of a trace, which they cannot write to, as JSON holds it.
 
-    Args:
-        metrics: by name.
-        trace: of a run.
-
-    Returns:
-        By name, None where one raises or gives what is no JSON; and what is wrong with these.
+    None where one raises or gives what is no JSON; and what is wrong with these.
     """
     found, faults, kept = dict.fromkeys(metrics), list[str](), read_only(trace)
     for name, metric in metrics.items():
         try:
-            text = json.dumps(metric.measure(kept), default=_plain)
+            text = json.dumps(metric.measure(kept), default=plain)
             found[name] = json.loads(text, parse_int=_whole)
         except KeyboardInterrupt:
             raise
@@ -57,13 +50,6 @@ def measured(metrics: Mapping[str, Metric], trace: Trace) -> tuple[dict[str, Any
             file = written_in(metric, "measure")
             faults.append(f"metric '{name}': {raised(error, file)}")
     return found, faults
-
-
-def _plain(value: Any) -> Any:
-    """Numbers of numpy as Python has them."""
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    raise TypeError(f"{type(value).__name__} is no number, text, list or dict")
 
 
 def _whole(digits: str) -> float:

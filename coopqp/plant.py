@@ -115,16 +115,13 @@ class PlantModel(ABC):
         lost: which hand has lost the object and why, where the plant cannot go on; else empty.
     """
 
-    def __init__(self) -> None:
-        self.lost = ""
-        self.signals = {}
-        self.measured = None
-
     ideal: bool = False
     """Whether a step is :meth:`State.advance` alone, so that many may be done at once."""
-    signals: dict[str, Array]
-    measured: Array | None
-    lost: str
+
+    def __init__(self) -> None:
+        self.lost = ""
+        self.signals: dict[str, Array] = {}
+        self.measured: Array | None = None
 
     @property
     def hand_wrench(self) -> Array | None:
@@ -161,13 +158,7 @@ class Plant(ABC):
 
     @abstractmethod
     def build(self, problem: ControlProblem, seed: int, disturbance: Disturbance) -> PlantModel:
-        """Make the plant, at rest at the chain's start.
+        """Make the plant of the controller's problem, at rest at the chain's start; or CoopqpError.
 
-        Args:
-            problem: what the controller was built for.
-            seed: of everything random.
-            disturbance: what the controller does not know.
-
-        Raises:
-            CoopqpError: the plant cannot be built for this problem.
+        ``seed`` is that of everything random, the disturbance is unknown to the controller.
         """

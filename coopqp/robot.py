@@ -101,18 +101,15 @@ class RobotModel:
                 "floating and continuous joints must be locked or made revolute"
             )
         _hold_both_ways(self.model)
-        for arm in self.arms:
-            if not self.model.existFrame(arm.tip):
-                frames = [frame.name for frame in self.model.frames]
-                raise UnknownNameError("frame", arm.tip, frames, f"arm {arm.name}: ")
-        for shape in (*self.shapes, *self.collision_shapes):
-            if not self.model.existFrame(shape.frame):
-                frames = [frame.name for frame in self.model.frames]
-                raise UnknownNameError("frame", shape.frame, frames, f"shape {shape.kind}: ")
+        shapes = (*self.shapes, *self.collision_shapes)
+        frames = [(arm.tip, f"arm {arm.name}: ") for arm in self.arms]
+        for name, where in (*frames, *((s.frame, f"shape {s.kind}: ") for s in shapes)):
+            if not self.model.existFrame(name):
+                raise UnknownNameError("frame", name, [f.name for f in self.model.frames], where)
         for capsule in self.capsules:
-            if capsule.joint is not None and capsule.joint not in self.joint_names:
+            if capsule.joint not in (None, *self.joint_names):
                 where = f"capsule {capsule.name}: "
-                raise UnknownNameError("joint", capsule.joint, self.joint_names, where)
+                raise UnknownNameError("joint", str(capsule.joint), self.joint_names, where)
 
     @cached_property
     def joint_names(self) -> tuple[str, ...]:
@@ -132,14 +129,9 @@ class RobotModel:
     def configuration(self, values: Mapping[str, float | Sequence[float]]) -> Array:
         """Configuration, shape (nq,), by arm or joint name; joints not named stay at neutral.
 
-        Args:
-            values: an arm's name with one number per joint, base first, or a joint's name with one
-                number [rad or m].
-
-        Raises:
-            UnknownNameError: a key is neither an arm nor a joint.
-            InvalidValueError: wrong number of values, a value that is not finite, or arms that give
-                a joint they share different values.
+        A value is a number per joint of an arm, base first, or one number [rad or m].
+        UnknownNameError: a key is neither an arm nor a joint. InvalidValueError: wrong number of
+        values, one that is not finite, or arms that give a joint they share different values.
         """
         q = np.array(pin.neutral(self.model))
         by_arm: dict[str, tuple[str, float]] = {}
@@ -200,9 +192,9 @@ def _hold_both_ways(model: pin.Model) -> None:
             setattr(model, f"lower{key}Limit", -np.array(getattr(model, f"upper{key}Limit")))
 
 
-def copy_per_velocity(source: pin.Model, target: pin.Model, prefix: str = "") -> None:
-    """Copy limits, friction and rotors of joints, by name with a prefix in the target."""
-    at = [target.idx_vs[target.getJointId(prefix + name)] for name in list(source.names)[1:]]
+def copy_per_velocity(source: pin.Model, target: pin.Model) -> None:
+    """Copy limits, friction and rotors of joints, by name."""
+    at = [target.idx_vs[target.getJointId(name)] for name in list(source.names)[1:]]
     for key in PER_VELOCITY:
         values = np.array(getattr(target, key))
         values[at] = getattr(source, key)

@@ -26,6 +26,7 @@ from pydantic_core import core_schema
 
 from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.spec import FARTHEST, Array, Direction, Pose, Vector3, cross, real, spec, unit
+from coopqp.grasp import pose_matrix
 
 #: How far from one the length of a quaternion may be, and how far from orthonormal a matrix.
 SLOPPY = 1e-3
@@ -83,12 +84,14 @@ class Kind:
     def read(self, given: Any) -> Array:
         """A value as it is kept; InvalidValueError says why it is none.
 
-        A direction is three numbers; a rotation four or a matrix, a pose also a matrix or a
-        :class:`pinocchio.SE3`.
+        A direction is three numbers; a rotation four or a matrix, a pose also a matrix, a
+        :class:`pinocchio.SE3` or a :class:`coopqp.base.spec.Pose`.
         """
+        if isinstance(given, Pose):
+            given = pose_matrix(given)
         found = self._array(given.homogeneous if isinstance(given, pin.SE3) else given)
         if self.axis and found.shape == (3,):
-            return _along(found)
+            return _kept_along(*found.tolist()).copy()
         if self.turns and found.ndim == 2:
             found = self._from_matrix(found)
         if found.shape != (self.values,):
@@ -228,15 +231,10 @@ class Signal(ABC):
 
     @abstractmethod
     def bind(self, kind: Kind, start: Instant, here: Array | None) -> Trajectory:
-        """Prepare what does not change.
+        """Prepare what does not change; InvalidValueError, with the key: it cannot be of this kind.
 
-        Args:
-            kind: what is asked for.
-            start: the instant from which the reference sets out.
-            here: the value with which nothing would have to move at the start, if there is one.
-
-        Raises:
-            InvalidValueError: it cannot be of this kind; a finding that names the key.
+        The reference sets out at ``start``, where with the value ``here``, if there is one, nothing
+        would have to move.
         """
 
     @property
@@ -246,7 +244,7 @@ class Signal(ABC):
 
 
 def trajectory_of(
-    given: Signal | Array | tuple[float, ...] | list[float],
+    given: Signal | Pose | Array | tuple[float, ...] | list[float],
     kind: Kind,
     start: Instant,
     here: Array | None = None,
@@ -298,11 +296,6 @@ def axes_along(direction: Vector3 | Array) -> Array:
     return np.array([first, cross(d, first), d])
 
 
-def _along(direction: Array) -> Array:
-    x, y, z = direction.tolist()
-    return _kept_along(x, y, z).copy()
-
-
 @lru_cache(maxsize=1024)
 def _kept_along(x: float, y: float, z: float) -> Array:
     """Every reference asks for some direction, mostly straight up."""
@@ -322,10 +315,8 @@ def _quaternion(R: Array) -> Array:
 class Reads:
     """Lets a field of a task be a constant, or a signal spelled as in a scenario file.
 
-    Args:
-        constant: type of the constant; None where only a signal will do.
-        kind: what it is; None where that depends on the robot.
-        mapping: whether a constant may be a mapping, so that one is not taken for a signal.
+    ``constant`` is the constant's type, None where only a signal will do; ``kind`` is None where it
+    depends on the robot. With ``mapping`` a mapping may be a constant, too.
     """
 
     def __init__(self, constant: Any, kind: Kind | None = None, *, mapping: bool = False) -> None:

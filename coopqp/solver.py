@@ -165,12 +165,10 @@ class Verifier:
     being the smallest eigenvalue that P can have (``curvature``, the damping): v - clip(v - g/mu,
     lb, ub) vanishes at the optimum alone, and where no bound is active its norm bounds |v - v*|.
 
-    Dividing by mu magnifies rounding as well. The gradient is a sum of terms that cancel, each
-    known to its last digit only; where limits and loop rows nearly clash, the multipliers reach 1e5
-    and their last digits alone make a step of 1e-5 rad/s, even at the optimum. So a step counts as
-    none up to eps | |P| |v| + |q| + |C'| |[z; y]| | / mu: within it v is the optimum of a problem
-    whose numbers differ from these in the last digit. ``ROUNDING`` caps this, so that no
-    multipliers, however large, excuse an answer that is off by more.
+    Dividing by mu magnifies rounding as well: where limits and loop rows nearly contradict each
+    other, multipliers reach 1e5 and their last digits make a step of 1e-5 rad/s at the optimum. So
+    a step counts as none up to eps | |P| |v| + |q| + |C'| |[z; y]| | / mu, at most ``ROUNDING``:
+    within it v is the optimum of a problem that differs in the last digits.
 
     Rows that nearly depend on each other, or on active limits, hold almost as well far from the
     optimum. Their residual therefore counts by the length of the step that removes it.

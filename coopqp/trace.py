@@ -25,8 +25,7 @@ from coopqp.task import Mode
 class TickBatch:
     """Many ticks at once, T of them; each field has a row a tick, q [rad, m] one more for the end.
 
-    ``scale`` is the least share of its rate at which a hard or scaled task ran, ``memory`` what the
-    law remembered before, ``notes`` remarks on ticks that stood still.
+    ``memory`` is the law's before the tick; ``notes`` are remarks on ticks that stood still.
     """
 
     q: Array
@@ -199,7 +198,7 @@ def _points(parts: list[dict[str, Array]], phases: Phases) -> dict[str, Array]:
 
 
 def _signals(parts: list[dict[str, Array]], phases: Phases) -> dict[str, Array]:
-    return {name: np.concatenate([of[name] for of in parts]) for name in parts[0]}
+    return {name: _ticks([of[name] for of in parts], phases) for name in parts[0]}
 
 
 def _failures(parts: list[tuple[Failure, ...]], phases: Phases) -> tuple[Failure, ...]:
@@ -386,9 +385,8 @@ def read_only(kept: Kept) -> Kept:
 def join(phases: Phases) -> Trace:
     """One trace of a controller's phases, in their order; the time of each begins at zero.
 
-    Every field says how it is joined; there is no default, so that none is forgotten. The instant
-    between two phases belongs to the first of them: a loop is as open as it was before a hand took
-    hold anew.
+    Every field says how it is joined. The instant between two phases belongs to the first of them:
+    a loop is as open as it was before a hand took hold anew.
     """
     joined = {
         of.name: of.metadata["join"]([getattr(part, of.name) for _, part in phases], phases)

@@ -22,11 +22,10 @@ from pydantic import BeforeValidator, Field
 
 from coopqp.base.spec import Array, NonNegative, Positive, spec
 from coopqp.model.closed_chain import AXES, ClosedChain
-from coopqp.model.geometry import pose_trajectory
 from coopqp.model.marker import Marker, PoseMarker, TrackedMarker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
-from coopqp.signal import Instant, MovingPose
+from coopqp.signal import POSE, Instant, MovingPose, trajectory_of
 from coopqp.task import Evaluate, Part, Task, TaskRows, pose_parts
 from coopqp.task import Impedance as OfRows
 from coopqp.tasks.pose import Pose
@@ -120,6 +119,6 @@ class Impedance(Task):
         return evaluate
 
     def marks(self, at: Instant) -> tuple[Marker, ...]:
-        goal = pose_trajectory(self.goal, at)
+        goal = trajectory_of(self.goal, POSE, at)
         goal.update(at)
         return PoseMarker(rotation=goal.R, position=goal.value[:3]), TrackedMarker()

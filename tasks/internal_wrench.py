@@ -14,7 +14,6 @@ forces, which differ by the object's weight along the line between the hands.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Annotated, ClassVar
 
@@ -77,22 +76,19 @@ class InternalWrench(Task):
         return self.components
 
     def parts(self, chain: ClosedChain) -> tuple[Part, ...]:
-        parts = tuple(part for part in self._parts() if part.rows)
-        return parts if len(parts) > 1 else (replace(parts[0], name=""),)
-
-    def _parts(self) -> Iterator[Part]:
         units = dict(zip(COMPONENTS, UNITS, strict=True))
         torques = sum(units[name] == "N m" for name in self.components)
-        yield Part("force", len(self.components) - torques, "N", self.tolerance)
-        yield Part("torque", torques, "N m", self.tolerance_torque)
+        force = Part("force", len(self.components) - torques, "N", self.tolerance)
+        torque = Part("torque", torques, "N m", self.tolerance_torque)
+        if force.rows and torque.rows:
+            return force, torque
+        return (replace(force if force.rows else torque, name=""),)
 
     def bind(self, start: State) -> Evaluate:
         """C and what is wanted, for the hands that hold the object now.
 
-        Raises:
-            UnknownNameError: an arm that does not hold the object.
-            GraspError: the pair is not given, three hands on one line, or a component that three
-                hands do not have.
+        UnknownNameError: an arm that does not hold it. GraspError: the pair is not given, three
+        hands are on one line, or a component that three hands do not have.
         """
         held = hands(start.chain)
         i, j = self._pair(held)

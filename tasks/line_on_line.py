@@ -68,7 +68,5 @@ class LineOnLine(Task):
         return LineMarker(direction=line.RT[2], through=line.c), TrackedMarker(point=self.point)
 
     def _line(self, start: Instant) -> Reference:
-        held = {"point": self.point, "axis": self.axis}
-        return Reference(
-            self.through, self.direction, self.velocity, self.turn, start=start, **held
-        )
+        place = self.through, self.direction, self.velocity, self.turn
+        return Reference(*place, start=start, point=self.point, axis=self.axis)

@@ -15,12 +15,12 @@ import numpy as np
 
 from coopqp.base.spec import Positive, spec
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.geometry import PlaceOf, Reference, pose_trajectory
+from coopqp.model.geometry import PlaceOf, Reference
 from coopqp.model.marker import Marker, PoseMarker, TrackedMarker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.program import Primitive, point, rotation
-from coopqp.signal import Instant, MovingPose, quaternion_of
+from coopqp.signal import POSE, Instant, MovingPose, quaternion_of, trajectory_of
 from coopqp.task import Part, Task, pose_parts
 
 
@@ -43,12 +43,12 @@ class Pose(Task):
 
     def program(self, start: State) -> tuple[Primitive, ...]:
         here = np.concatenate([start.p_WO, quaternion_of(start.R_WO)])
-        goal = pose_trajectory(self.goal, start, here)
+        goal = trajectory_of(self.goal, POSE, start, here)
         goal.update(start)
         place = point(start, Reference(PlaceOf(goal)), (0.0, 0.0, 0.0), self.profile, (0, 1, 2))
         return place, rotation(goal, self.profile, start.R_WO)
 
     def marks(self, at: Instant) -> tuple[Marker, ...]:
-        goal = pose_trajectory(self.goal, at)
+        goal = trajectory_of(self.goal, POSE, at)
         goal.update(at)
         return PoseMarker(rotation=goal.R, position=goal.value[:3]), TrackedMarker()

@@ -77,10 +77,8 @@ class Prismatic(Task):
         return (*slide, PoseMarker(rotation=line.RT.T @ RT_0 @ R_goal))
 
     def _line(self, start: Instant) -> Reference:
-        held = {"point": self.point}
-        return Reference(
-            self.through, self.direction, self.velocity, self.turn, start=start, **held
-        )
+        place = self.through, self.direction, self.velocity, self.turn
+        return Reference(*place, start=start, point=self.point)
 
     def _goal(self) -> Array | None:
         """How the object shall be turned before the line turns, shape (3, 3), if that is given."""

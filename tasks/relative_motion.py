@@ -24,12 +24,12 @@ import pinocchio as pin
 from coopqp.base.errors import UnknownNameError
 from coopqp.base.spec import Pose, Positive, spec
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.geometry import Approach, Reference, RotationError, pose_trajectory
+from coopqp.model.geometry import Approach, Reference, RotationError
 from coopqp.model.marker import Marker, RelativeMarker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.program import Kind, Primitive
-from coopqp.signal import Instant, MovingPose, quaternion_of
+from coopqp.signal import POSE, Instant, MovingPose, quaternion_of, trajectory_of
 from coopqp.task import Evaluate, Part, Task, TaskRows, pose_parts
 
 
@@ -60,7 +60,8 @@ class RelativeMotion(Task):
         first = np.linalg.inv(chain.mixing)[3:6]  # J_0 = J_task - sum alpha_i J_rel,i
         J_gap, J_omega_0 = np.zeros((3, chain.n)), np.zeros((3, chain.n))
         seen.update(start)
-        goal = pose_trajectory(self.goal, start, np.concatenate([R_0.T @ gap, quaternion_of(Q)]))
+        here = np.concatenate([R_0.T @ gap, quaternion_of(Q)])
+        goal = trajectory_of(self.goal, POSE, start, here)
         goal.update(start)
         p_goal, p_goal_dot = goal.value[:3], goal.rate[:3]
         rotation = RotationError(goal, self.profile, Q)
@@ -84,7 +85,7 @@ class RelativeMotion(Task):
 
     def program(self, start: State) -> tuple[Primitive, ...] | None:
         """As a primitive; None where a signal is the goal."""
-        goal, loop = pose_trajectory(self.goal, start), self._loop(start.chain)
+        goal, loop = trajectory_of(self.goal, POSE, start), self._loop(start.chain)
         if goal.moves:
             return None
         seen = _Seen(start.chain, loop)
@@ -100,7 +101,7 @@ class RelativeMotion(Task):
         )  # fmt: skip
 
     def marks(self, at: Instant) -> tuple[Marker, ...]:
-        goal = pose_trajectory(self.goal, at)
+        goal = trajectory_of(self.goal, POSE, at)
         goal.update(at)
         return (RelativeMarker(rotation=goal.R, position=goal.value[:3]),)
 
@@ -114,13 +115,7 @@ class RelativeMotion(Task):
 
 
 class _Seen:
-    """Where an arm carries the object, seen from where the first arm does.
-
-    Attributes:
-        R_0: orientation of the object as the first arm carries it, shape (3, 3).
-        Q: of the other's in its axes, R_0' R_i, shape (3, 3).
-        gap: from the first's origin to the other's, in the world, shape (3,) [m].
-    """
+    """R_0, Q = R_0' R_i, shapes (3, 3), and gap = p_i - p_0 in the world, shape (3,) [m]."""
 
     def __init__(self, chain: ClosedChain, loop: int) -> None:
         self.at, self._alpha = 6 * loop, chain.alpha[1:]

@@ -66,7 +66,5 @@ class Revolute(Task):
         )
 
     def _hinge(self, start: Instant) -> Reference:
-        held = {"point": self.point, "axis": self.axis}
-        return Reference(
-            self.through, self.direction, self.velocity, self.turn, start=start, **held
-        )
+        place = self.through, self.direction, self.velocity, self.turn
+        return Reference(*place, start=start, point=self.point, axis=self.axis)

@@ -77,6 +77,15 @@ def read_text(path: Path, most: int) -> str:
         raise UnreadableFileError(f"{path}:{line}", words) from None
 
 
+def version(path: Path) -> tuple[Path, int, int]:
+    """The file with modification time [ns] and size, for caches; zeros where it cannot be read."""
+    try:
+        found = path.stat()
+    except (OSError, ValueError):
+        return path, 0, 0
+    return path, found.st_mtime_ns, found.st_size
+
+
 def line_in_json(text: str, location: Sequence[str | int]) -> int:
     """The line of a value in readable JSON, or of what is nearest to it on the way there."""
     at = _skip(text, 0)

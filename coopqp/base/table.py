@@ -6,7 +6,6 @@ import csv
 import functools
 import io
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from coopqp.base.errors import InvalidValueError, MissingDependencyError
-from coopqp.base.reading import read_bytes, read_text
+from coopqp.base.reading import read_bytes, read_text, version
 from coopqp.base.spec import Array
 
 #: Bytes that a table may have: an hour at 500 Hz with ten columns.
@@ -60,17 +59,11 @@ class Table:
 
 def read_table(path: str | Path) -> Table:
     """Numbers from a ``.parquet`` file, or CSV with names in its first line; or a CoopqpError."""
-    path = Path(path)
-    try:
-        found = os.stat(path)
-        version = found.st_mtime_ns, found.st_size
-    except (OSError, ValueError):
-        version = 0, 0
-    return _read(path, version)
+    return _read(*version(Path(path)))
 
 
 @functools.lru_cache(maxsize=16)
-def _read(path: Path, version: tuple[int, int]) -> Table:
+def _read(path: Path, changed: int, size: int) -> Table:
     return _parquet(path) if path.suffix == ".parquet" else _csv(path)
 
 

@@ -55,13 +55,10 @@ def counted(count: int, noun: str) -> str:
 def faults(
     error: ValidationError, data: Any, model: type, instead: Mapping[type, Any] | None = None
 ) -> list[tuple[Location, str]]:
-    """All that is wrong, as places in the data and what to do about them.
+    """All that pydantic finds wrong, as places in the data and what to do about them.
 
-    Args:
-        error: what pydantic found.
-        data: what it was given: mappings, lists and values.
-        model: what the data was checked against, a model or a dataclass.
-        instead: of a class met on the way, the type whose keys count.
+    ``model`` is the model or dataclass that the data was checked against; ``instead`` gives, of a
+    class met on the way, the type whose keys count.
     """
     details = error.errors(include_url=False, include_context=False)
     found = [(detail["type"], *_fault(detail, data, model, instead or {})) for detail in details]
@@ -181,16 +178,17 @@ def shown(found: Any) -> str:
     if isinstance(found, ArgsKwargs):
         found = found.kwargs or {}
     try:
-        text = json.dumps(found, default=_plain)
+        text = json.dumps(found, default=plain)
     except (TypeError, ValueError):
         text = repr(found)
     return short(text)
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """Numbers of numpy as JSON has them; TypeError for what is none."""
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
-    raise TypeError  # no JSON
+    raise TypeError(f"{type(value).__name__} is no number, text, list or dict")
 
 
 def _inside(data: Any, location: tuple[str | int, ...], *, missing: bool) -> tuple[str | int, ...]:

@@ -11,8 +11,15 @@ from numpy.typing import ArrayLike
 from pydantic import Field
 
 from coopqp.base.spec import Array, Direction, NonNegative, Positive, Vector3, spec
-from coopqp.grasp import NO_CONTACT, Contact, Grasp, PassiveJoint
-from coopqp.grasps._placed import ball, check_range, placed
+from coopqp.grasp import (
+    NO_CONTACT,
+    Contact,
+    Grasp,
+    PassiveJoint,
+    ball,
+    check_range,
+    contact_frame,
+)
 
 #: The ball's hinges are singular where the second has turned by a quarter [rad].
 CONE = 1.4
@@ -62,16 +69,15 @@ class PointContact(Grasp):
 
     def __post_init__(self) -> None:
         check_range(self.least, self.most)
-        placed(self.position, self.normal, self.along)
+        contact_frame(self.position, self.normal, self.along)
 
     def passive_joints(self, R_WT: Array) -> tuple[PassiveJoint, ...]:
         return ball(self.position, CONE)
 
     @property
     def contact(self) -> Contact:
-        placement = placed(self.position, self.normal, self.along)
         return Fingertip(
-            placement=placement,
+            placement=contact_frame(self.position, self.normal, self.along),
             friction=self.friction,
             least=self.least,
             most=math.inf if self.most is None else self.most,

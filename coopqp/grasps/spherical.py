@@ -9,8 +9,7 @@ from __future__ import annotations
 import math
 
 from coopqp.base.spec import Array, Positive, Vector3, spec
-from coopqp.grasp import Grasp, PassiveJoint
-from coopqp.grasps._placed import ball
+from coopqp.grasp import Grasp, PassiveJoint, ball
 
 
 @spec

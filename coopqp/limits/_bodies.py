@@ -20,8 +20,16 @@ import pinocchio as pin
 
 from coopqp.base.errors import InvalidValueError, UnknownNameError
 from coopqp.base.spec import Array
-from coopqp.limits._convex import Convex, of_capsule, of_meshes, of_shape, outermost
-from coopqp.limits._distances import Body, Distances, Pair
+from coopqp.limits._distances import (
+    Body,
+    Convex,
+    Distances,
+    Pair,
+    of_capsule,
+    of_meshes,
+    of_shape,
+    outermost,
+)
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.robot import RobotModel, Shape
 

@@ -1,9 +1,9 @@
 """What self_collision and obstacles have in common: rows that keep pairs of bodies apart.
 
 With d a distance, or that of a corner from a plane (:class:`Corners`), each row is
--d_dot <= gain (d - distance). What is too close is asked back, but no faster than joints at
+-d_dot <= gain (d - distance). What is too close recovers, but no faster than joints at
 ``BACK`` can do: where d hardly changes with the joints, no speed could. What is in each other may
-not go deeper and is not asked apart.
+not go deeper and is not pushed apart.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.qp import Row
-from coopqp.base.spec import Array
+from coopqp.base.spec import Array, overshoot
 from coopqp.limit import (
     SHALLOW,
     Clearance,
@@ -31,7 +31,7 @@ from coopqp.limits._distances import Body, Distances, Pair
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 
-#: Speed of the joints that suffices for what is asked back [rad/s, m/s].
+#: Speed of the joints that suffices for the recovery of pairs [rad/s, m/s].
 BACK = 0.1
 
 #: Pairs that one limit watches at most: a tick with so many takes some milliseconds.
@@ -96,7 +96,10 @@ class Separation:
 
         Of what a pair is farther apart than ``within`` all may be used up in a tick. It has a row
         there if it could come closer than ``distance`` before the next (:class:`StepVerification`).
+        InvalidValueError: the gain overshoots in a tick dt [s].
         """
+        if wrong := overshoot(self.gain, dt):
+            raise InvalidValueError(f"{self.name}: {wrong}")
         chain, pairs, distance, gain = self.chain, self.pairs, self.distance, self.gain
         found, count = Distances(pairs), len(pairs)
         corners = Corners(pairs, found, distance)
@@ -211,9 +214,9 @@ class Corners:
     """More points of pairs that lie along each other, in a fixed number of rows.
 
     Where an edge or a face of one body lies along another body, the nearest points jump from end to
-    end: a row at one of them lets the other turn in, and a tick later the first one. So the ends of
-    what is close get rows too. With n the pair's normal and p a corner of the body that reaches
-    less far along the other, its distance from the plane that bounds the other is s, and
+    end, so the ends of what is close get rows too. With n the pair's normal and p a corner of the
+    body that reaches less far along the other, at a distance s from the plane that bounds the
+    other,
 
         n' (J_first - J_second) v <= gain (s - distance)
 

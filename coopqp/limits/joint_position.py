@@ -26,7 +26,7 @@ class JointPosition(Limit):
     margin: NonNegative = 0.0
     """Kept free at both ends [rad or m]."""
     recovery_speed: Positive = 0.5
-    """Fastest way back for a joint that starts outside [rad/s or m/s]."""
+    """Fastest recovery of a joint that starts outside [rad/s or m/s]."""
 
     def bind(self, chain: ClosedChain, dt: float) -> Tighten:
         """Bounds with which no step of length dt leaves the range."""

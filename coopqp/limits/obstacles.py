@@ -6,26 +6,25 @@ thing at their nearest points and d their signed distance,
 
     n' J_body v <= gain (d - distance)
 
-A body that is too close by more than a millimetre may not come closer, but is not asked away
+A body that is too close by more than a millimetre may not come closer, but is not pushed back
 (:func:`coopqp.limit.damp`).
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
 from coopqp.base.errors import InvalidValueError, under
 from coopqp.base.qp import Row
 from coopqp.base.reading import FilePath
-from coopqp.base.spec import Array, Lengths3, Name, NonNegative, Pose, Positive, overshoot, spec
+from coopqp.base.spec import Array, Lengths3, Name, NonNegative, Pose, Positive, spec
 from coopqp.grasp import pose_matrix
 from coopqp.limit import Clearance, Limit, Tighten
 from coopqp.limits._bodies import bodies_of, named_bodies, unseen
-from coopqp.limits._convex import of_shape
-from coopqp.limits._distances import Body, Pair
+from coopqp.limits._distances import Body, Pair, of_shape
 from coopqp.limits._keep_apart import SHOWN, Separation, check_count
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.marker import Marker, SolidMarker
@@ -74,18 +73,18 @@ class Obstacle(Pose):
     @property
     def shape(self) -> Shape:
         """As robots have it, in the world."""
-        placement, world = pose_matrix(self), "universe"
         if self.mesh is not None:
-            return Shape(
-                frame=world, placement=placement, kind="mesh", size=self.scale, mesh=self.mesh
-            )
+            return self._shape("mesh", *self.scale)
         if self.box is not None:
-            return Shape(frame=world, placement=placement, kind="box", size=self.box)
+            return self._shape("box", *self.box)
         if self.sphere is not None:
-            return Shape(frame=world, placement=placement, kind="sphere", size=(self.sphere,))
+            return self._shape("sphere", self.sphere)
         assert self.cylinder is not None
-        size = (self.cylinder.radius, self.cylinder.length)
-        return Shape(frame=world, placement=placement, kind="cylinder", size=size)
+        return self._shape("cylinder", self.cylinder.radius, self.cylinder.length)
+
+    def _shape(self, kind: Literal["mesh", "box", "sphere", "cylinder"], *size: float) -> Shape:
+        placement = pose_matrix(self)
+        return Shape(frame="universe", placement=placement, kind=kind, size=size, mesh=self.mesh)
 
 
 @spec
@@ -115,8 +114,6 @@ class Obstacles(Limit):
 
     def bind(self, chain: ClosedChain, dt: float) -> Tighten:
         """One row for each body and thing, whether near or not, so that the count never changes."""
-        if wrong := overshoot(self.gain, dt):
-            raise InvalidValueError(f"{self.name}: {wrong}")
         return self._separation(chain).bind(dt)
 
     def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:

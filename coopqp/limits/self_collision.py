@@ -7,7 +7,7 @@ at their nearest points and d their signed distance,
     n' (J_first - J_second) v <= gain (d - distance)
 
 (:mod:`coopqp.limits._distances`; which pairs are watched: :mod:`coopqp.limits._bodies`). A pair
-that is too close by more than a millimetre may not come closer, but is not asked apart
+that is too close by more than a millimetre may not come closer, but is not pushed back
 (:func:`coopqp.limit.damp`), so that one that cannot part does not stop the robot.
 """
 
@@ -19,7 +19,7 @@ from dataclasses import replace
 
 from coopqp.base.errors import InvalidValueError, under
 from coopqp.base.qp import Row
-from coopqp.base.spec import Array, Name, NonNegative, Positive, overshoot, spec
+from coopqp.base.spec import Array, Name, NonNegative, Positive, spec
 from coopqp.base.wording import counted
 from coopqp.limit import Clearance, Limit, Tighten
 from coopqp.limits._bodies import (
@@ -72,8 +72,6 @@ class SelfCollision(Limit):
 
     def bind(self, chain: ClosedChain, dt: float) -> Tighten:
         """One row a pair, whether near or not, so that the count never changes."""
-        if wrong := overshoot(self.gain, dt):
-            raise InvalidValueError(f"{self.name}: {wrong}")
         return self._separation(chain).bind(dt)
 
     def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:

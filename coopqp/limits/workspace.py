@@ -5,17 +5,17 @@ the velocity damper d_dot >= -gain d lets it approach no faster than it can stop
 
     -n' J_p v <= gain n'(p - c)
 
-A point that is deeper than a millimetre on the wrong side may not go farther, but is not asked
+A point that is deeper than a millimetre on the wrong side may not go farther, but is not pushed
 back (:func:`coopqp.limit.damp`), so that one that cannot recover does not stop the robot.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 
 from coopqp.base.errors import InvalidValueError, UnknownNameError
 from coopqp.base.qp import Row
@@ -66,17 +66,17 @@ class Workspace(Limit):
         if wrong := overshoot(self.gain, dt):
             raise InvalidValueError(f"{self.name}: {wrong}")
         points = _Points(chain, self._points(chain), self.frames)
-        n, distances, offset = self._plane()
+        n, offset = self._plane()
         gain, k = np.full(len(points.p), self.gain), points.of_object
-        d, turning, S = np.zeros(len(points.p)), np.zeros((len(points.p), 3)), _cross(-n)
+        d, turning, S = np.zeros(len(points.p)), np.zeros((len(points.p), 3)), pin.skew(-n)
         deep = np.zeros(len(points.p), bool)
         G, any_frames = np.zeros((len(points.p), chain.n)), bool(self.frames)
 
         def tighten(state: State, rows: LimitRows) -> None:
             points.update(state)
-            distances(points.p, d)
+            points.p.dot(n, d)
             damp(np.subtract(d, offset, d), gain, deep, rows.h)
-            # d_dot = n'(J_v + J_omega x arm); the object's points turn about its origin.
+            # d_dot = n'(J_v + J_omega x arm), arm x n = S' arm; the object turns about its origin.
             points.arms.dot(S, turning)
             turning[:k].dot(state.J_task[3:], G[:k])
             np.subtract(G[:k], n.dot(state.J_task[:3]), rows.G[:k])
@@ -91,14 +91,14 @@ class Workspace(Limit):
         """The same plane; none with frames, which move with some of the joints."""
         if self.frames:
             return None
-        n, _, offset = self._plane()
+        n, offset = self._plane()
         points = self._points(chain)
         return TwistBounds(points=points, normal=n, offset=offset, gain=self.gain)
 
     def clearance(self, chain: ClosedChain) -> Clearance:
         """Distance of each point from the plane [m]."""
         points = _Points(chain, self._points(chain), self.frames)
-        n, _, offset = self._plane()
+        n, offset = self._plane()
 
         def left(state: State) -> Array:
             points.update(state)
@@ -114,9 +114,9 @@ class Workspace(Limit):
     def marks(self, t: float) -> tuple[Marker, ...]:
         return (PlaneMarker(normal=np.array(self.normal), through=np.array(self.through)),)
 
-    def _plane(self) -> tuple[Array, Callable[[Array, Array], Array], float]:
+    def _plane(self) -> tuple[Array, float]:
         n = unit(self.normal)
-        return n, lambda p, out: p.dot(n, out), float(n @ np.array(self.through))
+        return n, float(n @ np.array(self.through))
 
     def _words(self, point: Array) -> str:
         if self.points is None:
@@ -151,9 +151,3 @@ class _Points:
         np.add(self.arms[:k], state.p_WO, self.p[:k])
         for i, (joint, p_J) in enumerate(self._fixed, k):
             self.p[i] = self.arms[i] = state.joint_pose(joint).act(p_J)
-
-
-def _cross(n: Array) -> Array:
-    """S with p S = p x n for rows p."""
-    x, y, z = n
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -190,10 +190,7 @@ class ClosedChain:
 
         An arm that holds on holds it as before. One that takes hold does so where its hand is, so
         that every loop closes. One that lets go keeps its object frame, fixed to its tip.
-
-        Raises:
-            UnknownNameError: an arm that the robot does not have.
-            GraspError: no arm is left that holds the object.
+        UnknownNameError: no such arm. GraspError: no arm is left that holds the object.
         """
         q = vector("q", q, self.n)
         X_WO, data = self.object_pose(q), self.model.createData()

@@ -22,11 +22,10 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from coopqp.base.errors import InvalidValueError
-from coopqp.base.spec import Array, Direction, Pose, Vector3, one_angle, spec, unit
-from coopqp.grasp import pose_matrix
+from coopqp.base.spec import Array, Direction, Vector3, one_angle, spec, unit
 from coopqp.model.profile import Profile
 from coopqp.model.state import PointOfObject, State
-from coopqp.signal import DIRECTION, POINT, POSE, Instant, Moment, Signal, Trajectory, trajectory_of
+from coopqp.signal import DIRECTION, POINT, Instant, Moment, Signal, Trajectory, trajectory_of
 
 #: Below this two directions count as parallel, or a point as on an axis, and any way is taken.
 TINY = 1e-12  # sine of an angle, or [m]
@@ -63,14 +62,13 @@ class Reference:
     """A frame that the object is steered to; InvalidValueError: it moves in two ways at once.
 
     Args:
-        origin: where it is at t = 0, in the world, shape (3,) [m]; or a signal, or its course.
+        origin: where it is at t = 0, in the world, shape (3,) [m]; or a signal, or a trajectory.
         direction: of its third axis before it turns, in the world; any length; or a signal.
         velocity: of its origin, in the world, shape (3,) [m/s].
         turn: about an axis through its origin.
-        start: the instant from which it sets out. An input begins, at a state, where nothing would
-            have to move for it:
-        point: of the object, in the object frame [m]; it is where the origin begins.
-        axis: of the object, in the object frame; it is along it that the direction begins.
+        start: the instant from which it sets out.
+        point, axis: of the object, in the object frame [m]; there and along it inputs begin, so
+            that nothing has to move for them.
 
     Attributes:
         c, c_dot: its origin and that one's velocity, in the world, shape (3,) [m; m/s].
@@ -93,7 +91,12 @@ class Reference:
         axis: Vector3 | None = None,
     ) -> None:
         start = start or Moment()
-        _one_motion(origin, direction, velocity, turn)
+        if isinstance(origin, Signal) and any(velocity):
+            words = "velocity: the place is a signal, which says how it moves; omit it"
+            raise InvalidValueError(words)
+        if isinstance(direction, Signal) and turn is not None:
+            words = "turn: the direction is a signal, which says how it turns; omit it"
+            raise InvalidValueError(words)
         here = along = None
         if isinstance(start, State):
             if isinstance(origin, Signal) and point is not None:
@@ -143,25 +146,6 @@ class PlaceOf(Trajectory):
     def __init__(self, pose: Trajectory) -> None:
         self.kind, self.moves = POINT, pose.moves
         self.value, self.rate = pose.value[:3], pose.rate[:3]
-
-
-def _one_motion(
-    origin: Vector3 | Signal | Trajectory,
-    direction: Vector3 | Signal,
-    velocity: Vector3,
-    turn: Turn | None,
-) -> None:
-    if isinstance(origin, Signal) and any(velocity):
-        raise InvalidValueError("velocity: the place is a signal, which says how it moves; omit it")
-    if isinstance(direction, Signal) and turn is not None:
-        raise InvalidValueError("turn: the direction is a signal, which says how it turns; omit it")
-
-
-def pose_trajectory(given: Pose | Signal, start: Instant, here: Array | None = None) -> Trajectory:
-    """A pose or a signal to follow; an input begins at ``here``, shape (7,)."""
-    if isinstance(given, Signal):
-        return given.bind(POSE, start, here)
-    return Trajectory(POSE, POSE.read(pose_matrix(given)))
 
 
 class PointInReference:

@@ -114,7 +114,7 @@ def attach(
     """The first grasp configuration of a robot's arms on an object.
 
     Args:
-        robot: the robot.
+        robot: with at least two arms.
         q_start: its configuration when it takes hold, shape (robot.model.nq,) [rad, m].
         grasps: one for all arms, or one for each by the arm's name.
         held: the object.
@@ -271,21 +271,14 @@ def object_at_end(model: pin.Model, end: int, tip: int, grasp: Grasp) -> pin.SE3
 def add_object_frame(model: pin.Model, arm: str, end: str, X_EO: pin.SE3) -> int:
     """Fix the frame of the object as carried by an arm; returns its id."""
     frame = model.frames[model.getFrameId(end)]
-    return int(
-        model.addFrame(
-            pin.Frame(
-                f"object[{arm}]", frame.parentJoint, frame.placement * X_EO, pin.FrameType.OP_FRAME
-            )
-        )
-    )
+    placement, kind = frame.placement * X_EO, pin.FrameType.OP_FRAME
+    return int(model.addFrame(pin.Frame(f"object[{arm}]", frame.parentJoint, placement, kind)))
 
 
 def arm_weights(robot: RobotModel, alpha: Mapping[str, float] | None) -> Array:
     """Weights of the arms in the absolute variables, in their order; alike when alpha is omitted.
 
-    Raises:
-        UnknownNameError: no such arm.
-        InvalidValueError: a weight is negative or not finite, or they do not sum to 1.
+    UnknownNameError: no such arm. InvalidValueError: negative, not finite, or a sum other than 1.
     """
     names = [arm.name for arm in robot.arms]
     if alpha is None:

@@ -31,10 +31,6 @@ def _finite(value: Any, shape: tuple[int, ...]) -> Array:
     return array
 
 
-def _point(value: Any) -> Array:
-    return _finite(value, (3,))
-
-
 def _direction(value: Any) -> Array:
     vector = _finite(value, (3,))
     length = np.linalg.norm(vector)
@@ -50,7 +46,7 @@ def _rotation(value: Any) -> Array:
     return R
 
 
-Point = Annotated[Array, PlainValidator(_point)]
+Point = Annotated[Array, PlainValidator(lambda value: _finite(value, (3,)))]
 """Shape (3,) [m]."""
 UnitVector = Annotated[Array, PlainValidator(_direction)]
 """Shape (3,); given with any length."""

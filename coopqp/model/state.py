@@ -52,15 +52,8 @@ def _memory(sizes: Mapping[str, int], numbers: Array) -> Memory:
 class State:
     """The state of a closed chain at one instant; its arrays are reused from tick to tick.
 
-    Args:
-        chain: the closed chain.
-        q: configuration, shape (n,) [rad, m]; the chain's start when omitted.
-        t: time [s].
-        memory: what the law must remember between ticks; the law makes its own where this does not
-            fit. Together with t, q and v it is all that is needed to replay a tick.
-
-    Raises:
-        InvalidValueError: q is no n numbers.
+    It begins at q, or the chain's start, and t [s]; InvalidValueError: q is no n numbers. The law
+    makes its own ``memory`` where this does not fit; with t, q and v it replays a tick.
 
     Attributes:
         q, v: configuration and velocity, shape (n,) [rad, m; rad/s, m/s]. Where velocities are
@@ -241,10 +234,9 @@ class State:
             self._update_loop_rows()
 
     def close_loops(self, iterations: int = 1) -> None:
-        """Move q to the nearest configuration with the loops closed, and v along the loops.
+        """Newton steps of least norm to closed loops, q -= J' (J J')^-1 e; then v along them.
 
-        Newton steps of least norm, q -= J' (J J')^-1 e, of which one does for an integration step's
-        drift; then v loses what would open the loops.
+        One does for an integration step's drift.
         """
         if not len(self.e_loop):
             return

@@ -15,18 +15,10 @@ from coopqp.task import evaluate_all
 
 
 class Bounds:
-    """lb <= v <= ub and G v <= h, as some limits have them at a state.
+    """lb <= v <= ub (n,) and G v <= h (p,), as limits have them at the last update; rows of G.
 
-    Args:
-        chain: what is limited.
-        limits: in the order in which they tighten; one that a later one supports comes first.
-        start: a state, for limits that are constant.
-        dt: control period [s].
-        position_time: time in which a position bound may be reached, when that is not dt [s].
-
-    Attributes:
-        lb, ub, G, h: as of the last update, shapes (n,), (n,), (p, n), (p,).
-        rows: of G.
+    Limits tighten in the order given; constant ones are evaluated at ``start``. ``position_time``
+    is the time in which a position bound may be reached, when that is not dt [s].
     """
 
     def __init__(

@@ -19,13 +19,13 @@ ALL_OF_IT = 1.0 - 1e-6
 LEAST_SPEED = 1e-4
 #: Damping that scaled tasks and decided rows may ask for; beyond it solvers see a wall.
 MOST_DAMPING = 1e4
-#: After two ticks on end in which one joint swings back damping is this many times what it was, up
-#: to the most,
+#: After two consecutive ticks in which one joint reverses damping is this many times what it was,
+#: up to the most,
 GROWS, MOST_GROWN = 1.5, 16.0
 #: and fades as the joints travel, to 1/e in this much [rad, m]: arms at rest keep it.
 FADES_IN = 0.1
-#: A joint swings back whose speed changes its sign, from more than this to more than this
-#: [rad/s, m/s], however fast others go on: a swing grows from little, and is damped while small.
+#: A joint reverses whose speed changes its sign, from more than this to more than this [rad/s,
+#: m/s], however fast others are: an oscillation grows from little, and is damped while small.
 SWINGS_AT = 2e-4
 #: What a later level pulls falls to no less than this share of what it was a tick before, while
 #: that is more than FIRM: a pull that passes through zero is no reason to let go [1/s].
@@ -36,20 +36,16 @@ LETS_GO, FIRM = 0.97, 100.0
 class Damping:
     """Cost d of |v|^2 with which a step does not overshoot where the arms are stretched.
 
-    A tick is a Gauss-Newton step. About the pose where it should rest, along a direction u that
-    the tasks hardly see, it goes a = dt (g s^2 + u'S u) / (s^2 + d) of the way, with s^2 = u'J'W J
-    u, and S what the tasks' second derivatives add, |S| <= bend
-    (:meth:`coopqp.task.TaskStack.bend`). Above a = 2 it swings farther each time until a bound
-    stops it; d = dt bend keeps a below 1, and half of that below 2.
+    A tick is a Gauss-Newton step. About the pose of rest, along a nearly singular direction u, it
+    goes a = dt (g s^2 + u'S u) / (s^2 + d) of the way, with s^2 = u'J'W J u, and S the part of the
+    tasks' second derivatives, |S| <= bend (:meth:`coopqp.task.TaskStack.bend`). Above a = 2 it
+    oscillates ever more until a bound stops it; d = dt bend keeps a below 1, half of it below 2.
 
-    That is so of each level alone. Two that pull at one nearly singular direction may go too far
-    together, which shows: joints swing back in tick after tick, and then all damping grows
-    (:func:`note_swing`).
+    That holds of each level alone. Two that share one nearly singular direction may overshoot
+    together: then joints reverse in tick after tick, and all damping grows (:func:`note_swing`).
 
-    Attributes:
-        least: what d is where nothing bends.
-        share: c, of the damping that rules out any overshoot.
-        dt: control period [s].
+    ``least`` is d without curvature, ``share`` c of the damping that rules out any overshoot, dt in
+    s.
     """
 
     least: float
@@ -57,24 +53,24 @@ class Damping:
     dt: float
 
     def of(self, bend: float, state: State) -> float:
-        """What a bend adds to d, share dt bend; more of it where joints have swung back."""
+        """What a curvature adds to d, share dt bend; more of it where joints have oscillated."""
         return self.share * (1.0 + float(state.memory["swing"][0])) * self.dt * bend
 
     def of_tasks(self, tasks: TaskStack, state: State) -> float:
         """What soft tasks add to d.
 
-        How joint objectives bend is not known beforehand, only that they do where joints swing:
-        these make them slower, as many times as other damping has grown.
+        The curvature of joint objectives is unknown: oscillation makes them slower, as many times
+        as other damping has grown.
         """
         grown = float(state.memory["swing"][0]) if self.share > 0.0 else 0.0
         return self.of(tasks.bend(state.v), state) + grown * tasks.joint_weight
 
     def of_drift(self, state: State, kappa: float) -> float:
-        """What a drift correction adds that is done in part; nothing where the last tick did all.
+        """What a reduced Baumgarte correction adds; nothing where the last tick did all.
 
-        Its share has the cost w (1 - s)^2. Near a singular pose what is left of a millimetre would
-        ask for full speed, and for full speed back in the next tick. As above, dt w L / |kappa e|
-        is enough for one arm of reach L, twice that for two.
+        Its share has the cost w (1 - s)^2. Near a singularity the rest of a millimetre would ask
+        for full speed, to and fro. As above, dt w L / |kappa e| is enough for one arm of reach L,
+        twice that for two.
         """
         if state.corrected >= ALL_OF_IT:
             return 0.0
@@ -83,10 +79,10 @@ class Damping:
 
 
 def note_swing(state: State, v: Array, dt: float) -> None:
-    """Remember whether joints swing back in v after state.v, for the damping of the next ticks.
+    """Remember whether joints reverse in v after state.v, for the damping of the next ticks.
 
-    Kept are how much more than its own the damping is, and which joints swung back in the last
-    tick: in one tick each does so where a reference turns.
+    Kept are how much the damping has grown, and which joints reversed in the last tick: once they
+    do so where a reference turns.
     """
     swing, now = state.memory["swing"], np.abs(v).max(initial=0.0)
     back = (v * state.v < 0.0) & (np.minimum(np.abs(v), np.abs(state.v)) > SWINGS_AT)

@@ -13,17 +13,15 @@ and what the levels before it have decided stays:
     of each priority    with d = damping + c dt sum_i w_i gain_i |e_i| L_i + by what it pulls
     secondary ones      likewise
 
-Hard and scaled tasks are one program where they can hold; where they cannot they are met as nearly
-as can be, each on a level of its own (:mod:`coopqp.qp_law.nearest`). The damping d keeps a step
-from overshooting where the arms are stretched (:class:`coopqp.qp_law.equations.Damping`); it fades
-as the tasks are met. Later levels move in the null space of what is decided
-(:mod:`coopqp.qp_law.priorities`).
+Hard and scaled tasks are one program where they are feasible, else a least-squares level each
+(:mod:`coopqp.qp_law.nearest`). The damping d keeps a step from overshooting near singularities
+(:class:`coopqp.qp_law.equations.Damping`); it fades as the tasks are met. Later levels move in the
+null space of what is decided (:mod:`coopqp.qp_law.priorities`).
 
-A tick, from top to bottom: assemble, decide level by level, shorten. Joints that start outside
-their limits come back first, before all tasks; where limits leave no motion that corrects all of
-the loops' drift, a part of it is corrected, then acceleration limits go
-(``limit_recovery``). Never the loop rows, never position and velocity limits. Standing
-still is feasible from any state inside the limits, so there is always an answer.
+A tick, from top to bottom: assemble, decide level by level, shorten. Joints outside their limits
+recover before all tasks; where limits leave no motion for the whole Baumgarte correction it is
+reduced, then acceleration limits are relaxed (``limit_recovery``); loop rows, position and velocity
+limits never are. v = 0 is feasible from any state inside the limits: there is always an answer.
 """
 
 from __future__ import annotations
@@ -50,11 +48,8 @@ ERROR_DAMPING = 0.5  # default share of the damping that rules out any overshoot
 class QPLaw(Law):
     """The QPs of one problem, with their arrays; c is error_damping.
 
-    Attributes:
-        exact: the hard tasks, then the scaled ones. stacks: the soft tasks of each level.
-        first: the level that holds the loops, the exact and the first soft tasks; qp and solution
-            are its program and answer in the last tick. levels: all of them.
-        limit_recovery: the limits, and of joints outside of them. probe: its look at the loops.
+    ``exact`` are the hard tasks, then the scaled ones, ``stacks`` the soft ones of each level. The
+    ``first`` level has the loops, the exact and the first soft tasks; qp and solution are its own.
     """
 
     engine = "python"
@@ -160,7 +155,7 @@ class QPLaw(Law):
         return min(self._damping.of(pull, state), MOST_DAMPING)
 
     def _decide_levels(self, state: State, kappa: float) -> tuple[Array, tuple[Status, ...]]:
-        """One after the other, each within what those before it leave free."""
+        """One after the other, each in the null space of those before it."""
         v, causes = self._decide_first(state, kappa)
         if causes[0].usable:
             pulls = state.memory["later pulls"].reshape(-1, 1)
@@ -261,12 +256,10 @@ def memory_sizes(
 ) -> dict[str, int]:
     """What the law remembers of the last tick, and in how many numbers.
 
-    "stopped" is 1 after a stop; "recovery" what the way back pulled at the loops; "missed" what the
+    "stopped" is 1 after a stop; "recovery" the loops' multipliers in limit recovery; "missed" what
     rows of hard tasks lacked, zero where that is rounding; "missing" what the share of each scaled
-    task lacked to 1; "scaled pull" and "later pulls" what the scaled tasks, where they left their
-    directions, and each later level pulled at the rows decided before (:meth:`LaterLevel.improve`);
-    "swing" how much more damping there is because joints swing back, and which do
-    (:func:`coopqp.qp_law.equations.note_swing`); the others are the squeezer's.
+    task lacked to 1; "scaled pull" and "later pulls" those of :meth:`LaterLevel.improve`; "swing"
+    as :func:`coopqp.qp_law.equations.note_swing` keeps it; others are the internal force control's.
     """
     scaled = sum(task.mode == "scaled" for task in problem.tasks)
     hard = sum(len(task.rows(problem.chain)) for task in problem.tasks if task.mode == "hard")

@@ -31,12 +31,7 @@ class Given:
 
 
 class Program:
-    """A QP with its arrays, its solver and the verification of its answers.
-
-    Attributes:
-        qp, solution: of the last tick.
-        curvature: smallest eigenvalue that P has at least, its damping in the last tick.
-    """
+    """A QP, its solver and verification; ``curvature`` is the damping, P's least eigenvalue."""
 
     def __init__(self, problem: ControlProblem, rows: Rows, damping: float) -> None:
         self.qp = QP(rows)
@@ -59,15 +54,9 @@ class Level(Program):
         minimise    sum_i w_i |J_i v - wanted_i|^2 + d |v|^2 + W |1 - s|^2
         subject to  J_c v = -kappa e,   more rows,   lb <= v <= ub,   G v <= h,   0 <= s <= 1
 
-    Args:
-        given: of all levels.
-        tasks: the soft ones; whoever owns the stack updates it.
-        equalities: the equality rows, of which the loops, eq. (14), are the first.
-        shares: names of what has one.
-        slows: whether the drift correction has one, J_c v = -s kappa e, and nothing else.
-
-    Attributes:
-        v, shares: of the answer.
+    The owner of the stack of soft ``tasks`` updates it. The loops, eq. (14), are the first of the
+    ``equalities``; ``shares`` names what has a share. With ``slows`` the Baumgarte correction has
+    the only one, J_c v = -s kappa e.
     """
 
     def __init__(
@@ -87,10 +76,7 @@ class Level(Program):
         self.qp.q[n:] = -SCALE_WEIGHT
 
     def assemble(self, state: State, kappa: float, damping: float = 0.0) -> None:
-        """Write objective, limits and loops; the caller writes other rows.
-
-        kappa is the gain of the drift correction [1/s], damping is added to the least one.
-        """
+        """Write objective, limits and loops; kappa in 1/s, damping is added to the least one."""
         qp, n, m, J = self.qp, len(self.v), len(state.e_loop), self.tasks.J
         self.curvature = self._least + damping
         JW = J.T * self.tasks.weights
@@ -116,10 +102,8 @@ class Step:
 
     z = 0 is feasible. A limit of which Z leaves next to nothing was decided with v.
 
-    Attributes:
-        curvature: d in the last tick.
-        v: where it ends, shape (n,).
-        slope: what is left there of the gradient, of tasks and of active limits, without damping.
+    It ends at v (n,), with the gradient ``slope`` of tasks and active limits, without damping;
+    ``curvature`` is d in the last tick.
     """
 
     def __init__(self, given: Given, tasks: TaskStack) -> None:

@@ -1,24 +1,22 @@
-"""Limits, and the QPs without tasks: the way back into them, and the drift correction in part.
+"""Limits, and the QPs without tasks: limit recovery, and the reduced Baumgarte correction.
 
-Joints that start outside come back before all tasks, by a QP with nothing else to want:
+Joints that start outside recover before all tasks, by a QP of their own:
 
     minimise    sum over joints outside of (v_j - wish_j)^2  +  least |v|^2
     subject to  J_c v = -s kappa e,  lb <= v <= ub,  G v <= h
 
-with s = 1, all of the drift correction. Where that leaves nothing, or costs more than W (1 - s)^2/2
-(at s = 1 less of it would save y'kappa e, with the loops' multipliers y), s is from 0 to 1 and the
-largest that is worth it.
+with s = 1, all of the Baumgarte correction. Where that is infeasible, or costs more than
+W (1 - s)^2/2 (at s = 1 less of it would save y'kappa e, with the loops' multipliers y), s is from 0
+to 1 and the largest that is worth it. The answer bounds the tasks, hard ones included: each joint
+outside recovers at least almost as fast.
 
-What it finds becomes a bound for the tasks, hard ones included: each joint that is outside comes
-back at least almost as fast.
-
-Where limits leave no motion that does all of the drift correction the largest share is found by
+Where limits leave no motion for all of the Baumgarte correction the largest share is found by
 
     minimise    W (1 - s)^2 + d |v|^2
     subject to  J_c v = -s kappa e,   lb <= v <= ub,   G v <= h,   0 <= s <= 1
 
-first with all limits; where that leaves nothing, without acceleration limits, and with limits in
-space that ask for no motion. The share takes the place of 1 in all levels of the tick.
+first with all limits; where that is infeasible, without acceleration limits, and with limits in
+space that ask for no motion. The share replaces 1 in all levels of the tick.
 """
 
 from __future__ import annotations
@@ -38,24 +36,22 @@ from coopqp.qp_law.safety import StepVerification, drift_gain
 from coopqp.solver import Status
 from coopqp.task import TaskStack
 
-#: Slowest wish to come back [rad/s, m/s]: one that goes to zero at the limit never gets there.
+#: Least speed of recovery [rad/s, m/s]: one that goes to zero at the limit never gets there.
 LEAST_RECOVERY = 0.02
-#: Cost of |v|^2, which only chooses among ways back that are as fast.
+#: Cost of |v|^2, which only chooses among recoveries that are as fast.
 LEAST_MOTION = 1e-4
-#: What of the fastest way back the tasks must leave; a little room, so that they stay feasible.
+#: Share of the fastest recovery that the tasks must keep; a little less, to stay feasible.
 KEPT = 0.995
 #: What of the largest share is done, so that the tick's levels have an answer to the last digit.
 INSIDE = 1.0 - 1e-4
 
 
 class LimitRecovery:
-    """What a tick may do at all: limits, and how joints outside of them come back.
+    """The limits of a tick, and how joints outside of them recover.
 
     Attributes:
-        bounds: the limits of the last tick, with the way back in them. probe: looks ahead at the
-            loops. active: whether a joint was outside.
-        share: of the drift correction that the way back leaves room for.
-        v: the way back, when there was one.
+        bounds: the limits of the last tick, recovery included. active: whether a joint was outside.
+        share: of the Baumgarte correction beside the recovery. v: of the recovery, if any.
     """
 
     def __init__(self, problem: ControlProblem, start: State, error_damping: float) -> None:
@@ -72,7 +68,7 @@ class LimitRecovery:
 
     @cached_property
     def levels(self) -> tuple[Level, Level]:
-        """With all of the drift correction, and with a share of it; built when asked for."""
+        """With all of the Baumgarte correction, and with a share; built when asked for."""
         return self.level(self._damping), self.level(self._damping, slows=True)
 
     def level(self, damping: Damping, *, slows: bool = False) -> Level:
@@ -81,7 +77,7 @@ class LimitRecovery:
         return Level(Given(self.problem, self.bounds, damping), self._nothing, rows, slows=slows)
 
     def limit(self, state: State) -> float:
-        """Evaluate limits and the way back of joints outside of them; the drift gain it leaves."""
+        """Evaluate limits and the recovery of joints outside; the drift gain it leaves."""
         chain = self.problem.chain
         below, above = chain.lower - state.q, state.q - chain.upper
         self._low, self._high = below > ROUNDING, above > ROUNDING
@@ -93,7 +89,7 @@ class LimitRecovery:
         return drift_gain(self.problem, state, self.share)
 
     def _find(self, state: State, back: Array) -> None:
-        """The fastest way back for what is outside, by how far."""
+        """The fastest recovery of the joints that are outside, by ``back``."""
         wish = np.sign(back) * np.maximum(np.abs(back) / self.problem.dt, LEAST_RECOVERY)
         wish, outside = np.clip(wish, self.bounds.lb, self.bounds.ub), self._low | self._high
         kappa, pull, n = drift_gain(self.problem, state), state.memory["recovery"], len(wish)
@@ -118,13 +114,13 @@ class LimitRecovery:
                 return
 
     def release(self, state: State) -> bool:
-        """Leave out acceleration limits, :meth:`Bounds.release`, but keep the way back."""
+        """Leave out acceleration limits, :meth:`Bounds.release`, but keep the recovery."""
         released = self.bounds.release(state)
         self._tighten()
         return released
 
     def _tighten(self) -> None:
-        """Let nobody take the way back away."""
+        """Bound v so that the recovery is kept."""
         if self.v is None:
             return
         keep, lb, ub = KEPT * self.v, self.bounds.lb, self.bounds.ub
@@ -132,7 +128,7 @@ class LimitRecovery:
         np.minimum(ub, np.minimum(keep, 0.0), out=ub, where=self._high)
 
     def rescue(self, v: Array, causes: tuple[Status, ...]) -> tuple[Array, tuple[Status, ...]]:
-        """The tick's answer, or the way back itself where nothing else has one."""
+        """The tick's answer, or the recovery itself where there is none."""
         if causes[0] in (Status.OPTIMAL, Status.INACCURATE):
             return v, (Status.RECOVERING, *(c for c in causes if c is not Status.OPTIMAL))
         if not causes[0].usable and self.v is not None:
@@ -141,7 +137,7 @@ class LimitRecovery:
 
 
 class DriftShare:
-    """The largest share of the drift correction, and a motion v that does it."""
+    """The largest feasible share of the Baumgarte correction, and a motion v that does it."""
 
     def __init__(self, limit_recovery: LimitRecovery, damping: Damping) -> None:
         self._way_back, self._damping = limit_recovery, damping

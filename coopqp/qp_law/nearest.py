@@ -1,4 +1,4 @@
-"""Hard and scaled tasks where limits and loops leave no motion that does all they ask.
+"""Hard and scaled tasks that limits and loops make infeasible.
 
 They are levels of a hierarchy of least-squares problems with inequalities (Kanoun, Lamiraux and
 Wieber 2011; Escande, Mansard and Wieber 2014), above all soft tasks: first the hard ones,
@@ -8,16 +8,14 @@ Wieber 2011; Escande, Mansard and Wieber 2014), above all soft tasks: first the 
 
 then, with J_i v of these fixed, the scaled ones: v_s has the largest shares s_k of what they want,
 and v_n is the nearest to the whole of it, a problem like that of the hard ones. A direction along
-which little can be had beside what v_n has of it, p_k, gives way:
+which little is reachable beside what v_n has of it, p_k, is relaxed:
 
     v = (1 - r) v_s + r v_n,   r = max_k (1 - s_k |wanted_k| / (LITTLE p_k))+ (1 - s_k / WHOLE)+
 
 which is inside the limits, as both are. Where hard tasks lack a speed r is at least that over SLOW,
-up to 1; it is 1 where no shares can be had at all. Later levels keep what was got. The damping of
-v_n is that of a soft task (:class:`coopqp.qp_law.equations.Damping`). That of the hard tasks is
-too, but by what their rows lacked in the last tick, m_i, instead of what they ask for: d = c dt
-sum_i w_i |m_i| L_i and a little. So it is nothing as long as they hold, and grows from there as
-they cease to.
+up to 1; it is 1 where no shares are feasible. Later levels keep the result. The damping of v_n is
+that of a soft task (:class:`coopqp.qp_law.equations.Damping`); that of the hard tasks grows from
+almost nothing with what their rows lacked in the last tick, m_i: d = c dt sum_i w_i |m_i| L_i.
 """
 
 from __future__ import annotations
@@ -63,10 +61,9 @@ class Nearest:
         self.v = self._refined.v
 
     def of_hard(self, state: State, kappa: float) -> Status:
-        """Solve the level of the hard tasks, then once more for what its answer lacks.
+        """Solve the level of the hard tasks, then refine the answer by a step from it.
 
-        With so little damping solvers lose digits in proportion to the answer, so the second is
-        asked for a step from the first.
+        With so little damping solvers lose digits in proportion to the answer.
         """
         tasks = self.hard.tasks
         tasks.update(state)

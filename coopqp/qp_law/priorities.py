@@ -1,23 +1,20 @@
-"""Strict priorities: a sequence of QPs, each within what the ones before leave free.
+"""Strict priorities: a sequence of QPs, each in the null space of those before.
 
 Level 0 decides v_0. What its tasks and the loops see of it is fixed for the levels after:
 
     v = v_0 + Z z,   Z an orthonormal basis of the null space of the rows decided so far,
 
 so that level 1 chooses z, a :class:`coopqp.qp_law.level.Step`, and so on. Z comes from singular
-value decompositions, which mind no redundant rows: of the loops, which no later level may ever
-open, then of what the tasks add to them. Where that is next to nothing, as at a singular pose, its
-direction is noise, which would freeze another motion in each tick. Such a direction is given up
-gradually: what a level moves of it costs MOST_DAMPING (sigma / NOISE)^6. With a threshold alone
-arms that lie stretched would turn back in each tick, pushed out by this level and pulled in by
-those before it. The power is high because rows may lack MET, which along the direction is
-MET / sigma: the smaller sigma is, the less the levels before have to say.
+value decompositions, which tolerate redundant rows: of the loops, then of what the tasks add to
+them. At a singular pose that has directions which are noise, and would freeze another motion in
+each tick. Such a direction is released gradually: motion along it costs MOST_DAMPING
+(sigma / NOISE)^6; a threshold alone would let stretched arms oscillate between this level and those
+before it. The power is high because rows may lack MET, which along the direction is MET / sigma.
 
-The rows turn with the arms, by L / sigma for a unit of joint motion where they come from singular
-values sigma: fast near a stretched pose. A level that pulls at them, with multipliers y, must
-therefore not step far: y L / sigma is part of what its damping is made of, like the second
-derivative of its own tasks (:class:`coopqp.qp_law.equations.Damping`). Where solvers cannot tell
-that from a wall, the level's step is shortened by what is missing.
+For a unit of joint motion the rows turn by L / sigma, fast near a singularity. A level with
+multipliers y on them must therefore take short steps: y L / sigma adds to its damping, like the
+second derivative of its own tasks (:class:`coopqp.qp_law.equations.Damping`), up to MOST_DAMPING;
+beyond it the level's step is shortened instead.
 """
 
 from __future__ import annotations
@@ -49,12 +46,9 @@ IDLE, NOISE = 1e-8, 1e-6
 class Order:
     """Which tasks of a problem decide when: exact ones, then soft ones level by level.
 
-    Attributes:
-        start: the state from which their references set out, which stays as it is.
-        programs: of tasks, from there.
-        hard, scaled: the tasks of these modes, which the first level has to do.
-        groups: soft tasks by priority, then the secondary objectives by theirs, as long as there is
-            anything left to decide. The first is empty where there are hard or scaled tasks.
+    All references and ``programs`` set out from the state ``start``. ``groups`` are soft tasks by
+    priority, then secondary objectives by theirs, as long as anything is left to decide; the first
+    is empty where there are hard or scaled tasks.
     """
 
     def __init__(self, problem: ControlProblem) -> None:
@@ -80,10 +74,7 @@ class Order:
         return [TaskStack(tasks, self.start) for tasks in self.groups]
 
     def _nothing_left(self, level: int) -> bool:
-        """Whether the loops and the tasks before a level decide all joints in general.
-
-        Only where the pose at the start is singular do others have to be looked at.
-        """
+        """Whether the loops and the tasks before a level decide all joints, generically."""
         chain, n = self.start.chain, self.start.chain.n
         tasks = [*self.hard, *self.scaled, *itertools.chain(*self.groups[:level])]
         if any(task.joint_space and task.all_joints for task in tasks):
@@ -121,11 +112,7 @@ def _places(start: State) -> Iterator[State]:
 
 
 class LaterLevel(Step):
-    """A level after the first: a step in what those before it, of the tasks `before`, leave free.
-
-    Attributes:
-        share: of the step, what was made of it in the last tick.
-    """
+    """A step in the null space of the tasks ``before``; ``share`` of it is made."""
 
     def __init__(self, given: Given, tasks: TaskStack, before: Sequence[TaskStack]) -> None:
         super().__init__(given, tasks)
@@ -133,11 +120,10 @@ class LaterLevel(Step):
         self._lever = max(float(stack.levers.max(initial=0.0)) for stack in before)
 
     def improve(self, state: State, loops: Array, v: Array, pull: Array) -> tuple[Array, Status]:
-        """Improve v where it is still free, at a state for which all is up to date.
+        """Improve v in the null space, at an up-to-date state.
 
-        loops is an orthonormal basis of the joint motions that the loops leave, one a row.
-        pull is the sum of |y| L / sigma over the decided rows, of the cost without its damping,
-        shape (1,): of the last tick, then of this one.
+        ``loops`` is an orthonormal basis of the joint motions along the loops, one a row; ``pull``
+        (1,) the sum of |y| L / sigma over the decided rows, without damping, updated.
         """
         damping = self._given.damping
         needed, own = damping.of(pull[0], state), damping.of_tasks(self.tasks, state)

@@ -1,4 +1,4 @@
-"""The look at the loops after the step: no step may open one farther than the budget."""
+"""Step verification: no step may open a loop farther than the budget."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ SHORTEST = 2.0**-10  # ... down to this share, and then not made
 
 
 class StepVerification:
-    """Looks ahead whether a step would leave the loops within their budget.
+    """Whether the loops stay within their budget after a step.
 
-    The equality rows take care of the first order: an error e becomes 2 |e| at most. The second is
+    To first order, by the equality rows, an error e becomes 2 |e| at most. The second order is
     bounded: for an arm of k revolute joints with reach rho, |p''| <= rho (sum |v_j|)^2 <= rho k
     sum v_j^2, and likewise for the angle with rho = 1, so that a step opens the loop of arms i and
-    0 by rho dt^2 / 2 (k_i sum_i v_j^2 + k_0 sum_0 v_j^2) at most. Only where that is not within the
-    budget are the kinematics after the step computed.
+    0 by rho dt^2 / 2 (k_i sum_i v_j^2 + k_0 sum_0 v_j^2) at most. Only beyond the budget are the
+    kinematics after the step computed.
     """
 
     def __init__(self, problem: ControlProblem) -> None:
@@ -58,10 +58,7 @@ class StepVerification:
 
 
 def drift_gain(problem: ControlProblem, state: State, share: float = 1.0) -> float:
-    """Gain of the drift correction: a share of the problem's, or more as the budget is used up.
-
-    With the paper's kappa = 0 nothing else would ever close a loop again.
-    """
+    """Baumgarte gain: a share of the problem's, or more as the budget is used up (if kappa = 0)."""
     slow, most, budget = share * problem.kappa, 1.0 / problem.dt, problem.budget
     if slow >= most:
         return slow

@@ -346,15 +346,6 @@ class Mesh:
     corners: Ints
 
 
-def version(path: Path) -> tuple[Path, int, int]:
-    """The file with modification time and size."""
-    try:
-        found = path.stat()
-    except (OSError, ValueError):
-        return path, 0, 0  # reading says why
-    return path, found.st_mtime_ns, found.st_size
-
-
 def read_mesh(path: Path, scale: tuple[float, ...]) -> Mesh:
     """Read an .stl, .obj or .dae file, with scale factors along its axes.
 

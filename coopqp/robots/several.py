@@ -60,16 +60,12 @@ class Several(Robot):
         for part in parts:  # appendModel forgets the armatures
             copy_per_velocity(part.model, model)
         model.name = "several"
-        return RobotModel(
-            name=self.name or " + ".join(part.name for part in parts),
-            model=model,
-            arms=tuple(arm for part in parts for arm in part.arms),
-            shapes=tuple(shape for part in parts for shape in part.shapes),
-            capsules=tuple(capsule for part in parts for capsule in part.capsules),
-            collision_shapes=tuple(shape for part in parts for shape in part.collision_shapes),
-            unseen=tuple(line for part in parts for line in part.unseen),
-            warnings=tuple(line for part in parts for line in part.warnings),
-        )
+        keys = ("arms", "shapes", "capsules", "collision_shapes", "unseen", "warnings")
+        joined: dict[str, Any] = {
+            key: tuple(item for part in parts for item in getattr(part, key)) for key in keys
+        }
+        name = self.name or " + ".join(part.name for part in parts)
+        return RobotModel(name=name, model=model, **joined)
 
 
 def _part(name: str, placed: Placed) -> RobotModel:

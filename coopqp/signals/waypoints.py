@@ -90,15 +90,11 @@ class Waypoints(Signal):
     @property
     def rest(self) -> float:
         """The last time; never where it repeats."""
-        if self.repeat != "once":
-            return float(np.inf)
-        return float(self._times[-1])
+        return float(self._times[-1] if self.repeat == "once" else np.inf)
 
     @property
     def _times(self) -> Array:
-        if self.file is not None:
-            return read_table(self.file).times()
-        return np.array(self.times, float)
+        return read_table(self.file).times() if self.file else np.array(self.times, float)
 
     def _table(self, kind: Kind) -> tuple[Array, Array]:
         """Times and values as they are kept, shapes (m,) and (m, values)."""
@@ -131,8 +127,7 @@ def _value(kind: Kind, row: object) -> Array:
         return kind.read(row)
     if not kind.turns or kind.axis:
         raise InvalidValueError(f"found a pose, needs {kind.values} numbers")
-    X = pose_matrix(row)
-    return kind.read(X if kind.numbers else X.rotation)
+    return kind.read(row if kind.numbers else pose_matrix(row).rotation)
 
 
 def _same(kind: Kind, values: Array) -> bool:

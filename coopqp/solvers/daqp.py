@@ -53,11 +53,10 @@ class Daqp(Solver):
     def open(self, qp: QP, solution: Solution) -> Solve:
         """Nothing is kept between ticks: starting cold is as fast at this size.
 
-        daqp fails on some feasible programs: where bounds and rows touch in one point the tight
-        tolerance finds nothing, and where the cost is steep along some joints and nearly flat along
-        others (recovering joints) rounding hides what there is. It is asked up to three times, at
-        last with proximal steps, which end less accurately and may cycle where there is nothing:
-        then the second answer stands. Violations are clipped and checked before use.
+        daqp fails on some feasible programs: where bounds and rows touch in one point, by the tight
+        tolerance, and where the cost is ill-conditioned (recovering joints), by rounding. It gets
+        up to three tries, the last with proximal steps, less accurate and prone to cycle: then the
+        second answer stands. Violations are clipped and checked before use.
         """
         clean = np.zeros(qp.n + qp.p + qp.m, dtype=np.intc)
         clean[qp.n + qp.p :] = EQUALITY

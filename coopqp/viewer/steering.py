@@ -19,7 +19,6 @@ from coopqp.base.errors import CoopqpError
 from coopqp.base.spec import Array, Pose, spec
 from coopqp.grasp import pose_matrix
 from coopqp.limits import ObjectSpeed
-from coopqp.model.geometry import pose_trajectory
 from coopqp.model.marker import RelativeMarker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
@@ -28,7 +27,6 @@ from coopqp.scenario.input import InputSettings
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import (
     DIRECTION,
-    POSE,
     ROTATION,
     Instant,
     Kind,
@@ -202,7 +200,7 @@ def _constant(task: Task, field: str, kind: Kind) -> tuple[float, ...] | None:
     if kind is DIRECTION:
         return tuple(value)
     now = Moment()
-    constant = pose_trajectory(value, now) if kind is POSE else trajectory_of(value, kind, now)
+    constant = trajectory_of(value, kind, now)
     return tuple(constant.value.tolist())
 
 

@@ -13,7 +13,7 @@ from coopqp.base.errors import GraspError
 from coopqp.base.spec import Array
 from coopqp.controllers import TorqueQp
 from coopqp.controllers.torque_qp import TorqueQpLaw
-from coopqp.grasps._pad import NEAR
+from coopqp.grasps.surface_contact import NEAR
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.profile import Profile
 from coopqp.solver import Status

@@ -13,7 +13,7 @@ from scipy.optimize import linprog, nnls
 from coopqp.base.spec import Array
 from coopqp.grasp import Contact
 from coopqp.grasps import PointContact, SurfaceContact
-from coopqp.grasps._pad import Pad, corners_hold, pad_rows
+from coopqp.grasps.surface_contact import Pad, corners_hold, pad_rows
 
 WRENCHES = 10_000
 #: Nearer to the edge of the cone, as a share of the normal force, both answers are right.

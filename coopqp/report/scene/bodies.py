@@ -24,10 +24,11 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from coopqp.base.errors import InvalidValueError
+from coopqp.base.reading import version
 from coopqp.base.spec import Array
 from coopqp.model.marker import SolidMarker
 from coopqp.robot import Capsule, RobotModel, Shape
-from coopqp.robot_files.meshes import read_mesh, version
+from coopqp.robot_files.meshes import read_mesh
 from coopqp.trace import Trace
 
 MAX_TRIANGLES = 2000  # of each arm, and of all that belongs to none
