@@ -121,7 +121,7 @@ class Task(ABC):
 
     of_forces: ClassVar[bool] = False
     """Whether it asks for wrenches h of the hands, J h = rate with J of shape (k, 6 N), e unused:
-    see :mod:`coopqp.closed_loop.wrench_stack`. Gain has no effect then."""
+    see :mod:`coopqp.closed_loop.hands`. Gain has no effect then."""
 
     name: Annotated[str, Field(validate_default=True)] = ""
     """Your name for it in tables and messages; its type's name if omitted."""

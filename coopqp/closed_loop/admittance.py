@@ -35,8 +35,7 @@ from pydantic import Field
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import NonNegative, Positive, spec
 from coopqp.base.wording import counted
-from coopqp.closed_loop.hands import WrenchReadings, hands, points, robot_indices
-from coopqp.closed_loop.wrench_stack import WrenchStack
+from coopqp.closed_loop.hands import WrenchReadings, WrenchStack, hands, points, robot_indices
 from coopqp.controller import ControlProblem
 from coopqp.model.state import State
 from coopqp.solver import Status

@@ -8,7 +8,7 @@
                 J_c a = -Jdot_c v - 2 kappa J_c v - kappa^2 e      loop acceleration      (hard)
                 |tau| <= effort limits                             motors                 (hard)
                 lb <= v + a dt <= ub,  G (v + a dt) <= h          the scenario's limits  (hard)
-                h_i in its cone, friction over safety, at both ends of the tick (``held_torques``)
+                h_i in its cone, friction over safety, at both ends of the tick (``program``)
 
 h are the wrenches of the hands on the object, and h_int their internal part that no task asks for
 (``hand_wrenches``). Hard tasks are equalities, and soft tasks of a later priority act in the null
@@ -35,16 +35,14 @@ from coopqp.base.errors import InvalidValueError
 from coopqp.base.qp import QP
 from coopqp.base.spec import Array, NonNegative, Positive, spec
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
-from coopqp.closed_loop.wrench_stack import WrenchStack
+from coopqp.closed_loop.hands import WrenchStack
 from coopqp.controller import Command, Controller, ControlProblem, Features, Law
 from coopqp.grasp import SAFETY
 from coopqp.model.state import State
 from coopqp.qp_law.bounds import Bounds
 from coopqp.solver import Solution, Status
 from coopqp.torque_law.external_wrench import HandSensors, MomentumObserver
-from coopqp.torque_law.force_checks import require_forces
-from coopqp.torque_law.hand_wrenches import HandWrenches
-from coopqp.torque_law.held_torques import HeldTorques
+from coopqp.torque_law.hand_wrenches import HandWrenches, require_forces
 from coopqp.torque_law.impedances import Impedances, require_impedances
 from coopqp.torque_law.margins import (
     ReferenceModel,
@@ -53,7 +51,7 @@ from coopqp.torque_law.margins import (
     require_damped_models,
     row_loop,
 )
-from coopqp.torque_law.program import Costs, Layout, hard_rows, programs
+from coopqp.torque_law.program import Costs, HeldTorques, Layout, hard_rows, programs
 from coopqp.torque_law.task_dynamics import TaskDynamics, require_motor_freedom
 
 #: Ticks in which a motion may die out, or a joint brake, at the fastest.
@@ -83,9 +81,9 @@ class TorqueQpLaw(Law):
             chain, safety=settings.safety, split=settings.split, shares=settings.shares
         )
         self.wrenches = WrenchStack(problem.wrenches, start)
-        self.layout = Layout(level, self.hands, self._bounds)
         costs = Costs(settings.damping, settings.damping_time, settings.effort, settings.grip)
-        self.programs = programs(problem, self.layout, level, self.hands, self.wrenches, costs)
+        self.layout = Layout(level, self.hands, self.wrenches, self._bounds, costs)
+        self.programs = programs(problem, self.layout)
         self._has_hard = bool(hard_rows(level).any() or self.wrenches.hard.any())
         self._wrench: Array | None = None
         self._effort = chain.model.effortLimit[dynamics.actuated]

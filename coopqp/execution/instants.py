@@ -15,8 +15,7 @@ import pinocchio as pin
 from coopqp.base.rank import null_space
 from coopqp.base.spec import Array
 from coopqp.base.wording import suppressed
-from coopqp.closed_loop.hands import robot_indices
-from coopqp.closed_loop.wrench_stack import WrenchStack
+from coopqp.closed_loop.hands import WrenchStack, robot_indices
 from coopqp.controller import ControlProblem
 from coopqp.kernel.trajectory_evaluation import TrajectoryEvaluation, joint_points, survey
 from coopqp.model.closed_chain import ClosedChain
