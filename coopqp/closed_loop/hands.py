@@ -78,19 +78,19 @@ def in_axes(wrench: Array, R: Array) -> Array:
 
 
 class WrenchReadings:
-    """Checks what force sensors in the hands send before it is used, for a robot of N arms.
+    """Checks what force sensors in the hands of a chain send before it is used.
 
     Attributes:
         fault: why the last reading cannot be used; empty if it can.
     """
 
-    def __init__(self, arms: int) -> None:
-        self._size, self.fault = 6 * arms, ""
+    def __init__(self, chain: ClosedChain) -> None:
+        self._size, self._at, self.fault = 6 * len(chain.robot.arms), robot_indices(chain), ""
 
     def read(self, reading: Any) -> Array | None:
-        """Wrenches by arm, shape (N, 6), of ``State.hand_wrench``; None where not usable."""
+        """Those of ``State.hand_wrench`` that hold, shape (N, 6); None where not usable."""
         self.fault = self._wrong(reading)
-        return None if self.fault else real(reading).reshape(-1, 6)
+        return None if self.fault else real(reading).reshape(-1, 6)[self._at]
 
     def _wrong(self, reading: Any) -> str:
         if reading is None:

@@ -139,8 +139,8 @@ class TorquePid(Law):
 
 #: In which motion dies out where a tick has no answer [s].
 BRAKE_TIME = 0.05
-#: kp [1/s], ki [1/s2], kd [-] of the kinematic level.
-KINEMATIC_GAINS = (5.0, 2.0, 0.0)
+#: kp [1/s], ki [1/s2], kd [-] of the kinematic level, translation and rotation.
+KINEMATIC_GAINS = ((5.0, 5.0), (2.0, 2.0), (0.0, 0.0))
 #: kp [N/m, N m/rad], ki [.../s], kd [... s] of the torque level, translation and rotation.
 TORQUE_GAINS = ((600.0, 4.0), (2400.0, 8.0), (40.0, 0.25))
 #: Control period up to which the torque level has these gains, translation and rotation [s]; at
@@ -191,7 +191,7 @@ class PassiveGraspPid(Controller):
         return law(problem, self)
 
     def gains(
-        self, problem: ControlProblem, defaults: Sequence[float | tuple[float, float]], rows: int
+        self, problem: ControlProblem, defaults: Sequence[tuple[float, float]], rows: int
     ) -> tuple[Array, Array, Array]:
         """kp, ki, kd by task row.
 
@@ -201,10 +201,9 @@ class PassiveGraspPid(Controller):
         parts = [part for task in problem.tasks for part in task.parts(problem.chain)]
         turning = np.repeat([part.unit == "rad" for part in parts], [p.rows for p in parts])
         found = []
-        for key, default in zip(("kp", "ki", "kd"), defaults, strict=True):
+        for key, (move, turn) in zip(("kp", "ki", "kd"), defaults, strict=True):
             given = getattr(self, key)
             if given is None:
-                move, turn = default if isinstance(default, tuple) else (default, default)
                 found.append(np.where(turning, turn, move))
             elif len(given) in (1, rows):
                 found.append(np.array(given) * np.ones(rows))

@@ -81,11 +81,7 @@ class Instants:
         self.position[k], self.rotation[k] = true.p_WO, true.R_WO
         self.loop[k] = true.loop_position_error, true.loop_orientation_error
         for stack, error in self._stacks:
-            try:
-                stack.update(true)
-            except KeyboardInterrupt:
-                raise
-            except BaseException:  # noqa: BLE001 - the tick, which met the same error, names it
+            if not _updated(stack, true):
                 error[k] = np.nan
                 continue
             motion = len(stack.e)
@@ -101,15 +97,8 @@ class Instants:
         stack, motion = self._wrenches, len(self._stacks[0][0].e)
         if not len(stack.wanted):
             return
-        try:
-            stack.update(true)
-            measured = self._hand_wrench if k else None
-        except KeyboardInterrupt:
-            raise
-        except BaseException:  # noqa: BLE001 - the tick, which met the same error, names it
-            measured = None
-        if measured is not None:
-            by_hand = measured.reshape(-1, 6)[robot_indices(self._problem.chain)]
+        if _updated(stack, true) and k and self._hand_wrench is not None:
+            by_hand = self._hand_wrench.reshape(-1, 6)[robot_indices(self._problem.chain)]
             self.e[k, motion:] = stack.error(by_hand)
         self.rate[k, motion:] = 0.0
         for i, (_, part) in enumerate(self.parts):
@@ -161,6 +150,14 @@ class Instants:
         with suppressed():  # a tick that met the same error names it
             return directional_manipulability(stack, parts, self._velocities, start, end)
         return np.ones(len(parts))
+
+
+def _updated(stack: TaskStack | WrenchStack, true: State) -> bool:
+    """Whether all tasks could be evaluated; the tick that met the same error names it."""
+    with suppressed():
+        stack.update(true)
+        return True
+    return False
 
 
 def _beginning(problem: ControlProblem, start: State) -> State:

@@ -192,19 +192,6 @@ def drive(
     state.update()
 
 
-class _Begun:
-    """The beginning of a run, to begin again."""
-
-    def __init__(self, state: State) -> None:
-        self.t, self._q, self._v = state.t, state.q.copy(), state.v.copy()
-        self._remembered, self._corrected = state.memory.numbers.copy(), state.corrected
-
-    def put_back(self, state: State) -> None:
-        state.t, state.q[:], state.v[:] = self.t, self._q, self._v
-        state.memory.numbers[:], state.corrected = self._remembered, self._corrected
-        state.update()
-
-
 class _Recorder:
     """Arrays for one run, filled tick by tick, or by many ticks at once."""
 
@@ -237,13 +224,16 @@ class _Recorder:
         """Compute and record all ticks at once; False where not possible, or joints run away."""
         if not self.instants.at_end:
             return False
-        law, begun = self._law, _Begun(state)
+        law, t, corrected = self._law, state.t, state.corrected
+        q, v, remembered = state.q.copy(), state.v.copy(), state.memory.numbers.copy()
         with np.errstate(all="ignore"):  # what overflows is found below
             found = law.run(state, self._ticks)
             if not settled(found.q[1:], found.v):
-                begun.put_back(state)
+                state.t, state.q[:], state.v[:] = t, q, v
+                state.memory.numbers[:], state.corrected = remembered, corrected
+                state.update()
                 return False
-        self.t[0], self.t[1:] = begun.t, law.problem.dt
+        self.t[0], self.t[1:] = t, law.problem.dt
         np.add.accumulate(self.t, out=self.t)  # as tick by tick, to the last digit
         self.q, self.v, self.commanded = found.q, found.v, found.q[:-1]
         self.gap[:, : len(self._gap)] = self._gap

@@ -29,7 +29,7 @@ from coopqp.base.rank import least_squares
 from coopqp.base.spec import Array
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.closed_loop.grasp_matrix import grasp_matrix
-from coopqp.closed_loop.hands import WrenchReadings, hands, points, robot_indices
+from coopqp.closed_loop.hands import WrenchReadings, hands, points
 from coopqp.model.state import Memory, State
 
 
@@ -108,8 +108,7 @@ class HandSensors:
         chain = dynamics.chain
         self._dynamics, self._dt, self._share = dynamics, dt, 1.0 - math.exp(-gain * dt)
         self._hands = hands(chain)
-        self._at = robot_indices(chain)
-        self._readings = WrenchReadings(len(chain.robot.arms))
+        self._readings = WrenchReadings(chain)
         self.wrench = np.zeros(6)
         self.memory_sizes = {"sensors.begun": 1, "sensors.twist": 6, "sensors.wrench": 6}
 
@@ -126,9 +125,8 @@ class HandSensors:
         if memory["sensors.begun"][0] and found is not None:
             M, b = dynamics.object_inertia()
             G = grasp_matrix(points(self._hands, state.p_WO, state.R_WO), state.p_WO)
-            h = found[self._at].ravel()
             a = (twist - memory["sensors.twist"]) / self._dt
-            kept += self._share * (M.dot(a) + b - G.dot(h) - kept)
+            kept += self._share * (M.dot(a) + b - G.dot(found.ravel()) - kept)
         memory["sensors.begun"][0], memory["sensors.twist"][:] = 1.0, twist
         self.wrench[:] = kept
         return self.wrench
