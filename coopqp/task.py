@@ -269,7 +269,7 @@ class TaskStack:
     @cached_property
     def rows(self) -> tuple[Row, ...]:
         """What each row is, such as "task[reach].z"."""
-        return tuple(row for task in self.tasks for row in _rows_of(task, self._chain))
+        return tuple(row for task in self.tasks for row in rows_of(task, self._chain))
 
     def update(self, state: State) -> None:
         """Fill all rows for a state."""
@@ -307,11 +307,12 @@ def refuse_impedances(tasks: Sequence[Task]) -> None:
             )
 
 
-def _rows_of(task: Task, chain: ClosedChain) -> tuple[Row, ...]:
-    """What each row of a task asks for, a velocity in the unit of its part."""
+def rows_of(task: Task, chain: ClosedChain) -> tuple[Row, ...]:
+    """What each row of a task asks for: a force, or a velocity in the unit of its part."""
+    per = "" if task.of_forces else "/s"
     units = [part.unit for part in task.parts(chain) for _ in range(part.rows)]
     return tuple(
-        Row(name=f"task[{task.name}].{name}", kind="task", owner=task.name, unit=f"{unit}/s")
+        Row(name=f"task[{task.name}].{name}", kind="task", owner=task.name, unit=f"{unit}{per}")
         for name, unit in zip(task.rows(chain), units, strict=True)
     )
 

@@ -15,14 +15,13 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from coopqp.base.qp import Row
 from coopqp.base.spec import Array, real
 from coopqp.base.wording import said
 from coopqp.closed_loop.screw import LENGTH
 from coopqp.grasp import Contact
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
-from coopqp.task import Task, TaskRows, evaluate_all
+from coopqp.task import Task, TaskRows, evaluate_all, rows_of
 
 #: Larger measured values are refused [N, N m].
 MAX_WRENCH = 1e6
@@ -114,7 +113,6 @@ class WrenchStack:
     Attributes:
         tasks: as given.
         rows: such as "task[internal_wrench].squeeze".
-        slices: of each task's rows. sizes: their numbers.
         C: shape (r, 6 N), on wrenches of the hands that hold, each at its point, in world axes.
         wanted: shape (r,) [N, N m].
         weights: of the rows; torques count as forces at LENGTH.
@@ -125,24 +123,20 @@ class WrenchStack:
     def __init__(self, tasks: Sequence[Task], start: State) -> None:
         chain = start.chain
         self.tasks = tuple(tasks)
-        self.rows = tuple(
-            Row(name=f"task[{task.name}].{name}", kind="task", owner=task.name, unit=unit)
-            for task in tasks
-            for name, unit in zip(task.rows(chain), _units(task, start), strict=True)
-        )
-        self.sizes = tuple(len(task.rows(chain)) for task in tasks)
-        ends = list(itertools.accumulate(self.sizes, initial=0))
-        self.slices = tuple(slice(a, b) for a, b in itertools.pairwise(ends))
+        self.rows = tuple(row for task in tasks for row in rows_of(task, chain))
+        sizes = [len(task.rows(chain)) for task in tasks]
+        ends = list(itertools.accumulate(sizes, initial=0))
+        parts = [slice(a, b) for a, b in itertools.pairwise(ends)]
         self.C, self.wanted = np.zeros((ends[-1], 6 * chain.holding)), np.zeros(ends[-1])
         turns = np.array([row.unit == "N m" for row in self.rows], bool)
-        self.weights = np.repeat([float(task.weight) for task in tasks], self.sizes)
+        self.weights = np.repeat([float(task.weight) for task in tasks], sizes)
         self.weights[turns] /= LENGTH**2
-        self.hard = np.repeat([task.mode == "hard" for task in tasks], self.sizes).astype(bool)
-        self.priorities = np.repeat([task.priority for task in tasks], self.sizes).astype(int)
+        self.hard = np.repeat([task.mode == "hard" for task in tasks], sizes).astype(bool)
+        self.priorities = np.repeat([task.priority for task in tasks], sizes).astype(int)
         e = np.zeros(ends[-1])
         self._evaluate = [
             (task.bind(start), TaskRows(e[part], self.C[part], self.wanted[part]))
-            for task, part in zip(tasks, self.slices, strict=True)
+            for task, part in zip(tasks, parts, strict=True)
         ]
 
     def update(self, state: State) -> None:
@@ -152,7 +146,3 @@ class WrenchStack:
     def error(self, h: Array) -> Array:
         """C h - wanted, shape (r,), for wrenches of the hands that hold, shape (N, 6) [N, N m]."""
         return np.asarray(self.C @ np.ravel(h) - self.wanted, float)
-
-
-def _units(task: Task, start: State) -> list[str]:
-    return [part.unit for part in task.parts(start.chain) for _ in range(part.rows)]

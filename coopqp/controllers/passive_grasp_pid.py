@@ -94,7 +94,7 @@ class TorquePid(Law):
         defaults = torque_gains(problem.dt)
         self._gains = kp, ki, kd = settings.gains(problem, defaults, len(level.tasks.e))
         self._inverse = settings.feed_forward == "inverse_dynamics"
-        require_damped_models(problem, settings.name or "passive_grasp_pid")
+        require_damped_models(problem, settings.name)
         level.update(State(problem.chain))
         J, forward = level.tasks.J, float(self._inverse)
         W = J @ level.inverse_inertia() @ J.T
@@ -186,7 +186,7 @@ class PassiveGraspPid(Controller):
 
     def build(self, problem: ControlProblem) -> Law:
         """Refuse tasks that the motors cannot decide, a wrong number of gains, oscillating ones."""
-        require_motor_freedom(problem, self.name or "passive_grasp_pid")
+        require_motor_freedom(problem, self.name)
         law = TorquePid if self.level == "torque" else KinematicPid
         return law(problem, self)
 

@@ -284,7 +284,7 @@ class TorqueQp(Controller):
 
     def build(self, problem: ControlProblem) -> Law:
         """Refuse tasks that the motors cannot decide, gains and integrals that oscillate."""
-        name = self.name or "torque_qp"
+        name = self.name
         for task in problem.tasks:
             if task.mode == "scaled":
                 raise InvalidValueError(

@@ -56,11 +56,13 @@ class HandSignals:
         """Take another chain of the same robot, in which other arms hold the object."""
         self.hands: tuple[Hand, ...] = hands(chain)
         self.at = robot_indices(chain)
+        places = zip(self.hands, self.at, strict=True)
+        self._pressing = [(k, h, h.contact, i) for k, (h, i) in enumerate(places) if h.contact]
 
     @property
     def pressing(self) -> bool:
         """Whether a hand holds by pressing."""
-        return any(hand.contact for hand in self.hands)
+        return bool(self._pressing)
 
     def write(
         self, wrenches: Array, points: Array, in_contacts: Array, borne: Array | None = None
@@ -80,31 +82,28 @@ class HandSignals:
         by_arm = self.signals["hand_wrench"].reshape(-1, 6)
         by_arm[self.at] = wrenches
         self.signals["hand_point"].reshape(-1, 3)[self.at] = points
-        for k, (hand, i, w) in enumerate(zip(self.hands, self.at, in_contacts, strict=True)):
-            if hand.contact:
-                self.signals["normal_force"][i] = w[2]
-                self.signals["tangential_force"][i] = np.hypot(w[0], w[1])
-                self.signals["edge_use"][i] = hand.contact.edge_use(w)
-                self.signals["friction_use"][i] = np.nan
-                if w[2] > NO_CONTACT:
-                    needed = hand.contact.friction_needed(w) if borne is None else borne[k] / w[2]
-                    use = needed / (self._friction * hand.contact.friction)
-                    self.signals["friction_use"][i] = min(use, MAX_USE)
+        for k, _, contact, i in self._pressing:
+            w = in_contacts[k]
+            self.signals["normal_force"][i] = w[2]
+            self.signals["tangential_force"][i] = np.hypot(w[0], w[1])
+            self.signals["edge_use"][i] = contact.edge_use(w)
+            self.signals["friction_use"][i] = np.nan
+            if w[2] > NO_CONTACT:
+                needed = contact.friction_needed(w) if borne is None else borne[k] / w[2]
+                use = needed / (self._friction * contact.friction)
+                self.signals["friction_use"][i] = min(use, MAX_USE)
 
     def touch(self, dt: float) -> None:
         """Count how long hands have not pressed, by dt [s]; the object is lost after some time."""
-        for hand, i in zip(self.hands, self.at, strict=True):
-            if hand.contact:
-                touches = self.signals["normal_force"][i] > 0.0
-                self._apart[i] = 0.0 if touches else self._apart[i] + dt
-                if self._apart[i] > LOST:
-                    self.lose(f"{hand.arm} no longer touches it")
+        for _, hand, _, i in self._pressing:
+            touches = self.signals["normal_force"][i] > 0.0
+            self._apart[i] = 0.0 if touches else self._apart[i] + dt
+            if self._apart[i] > LOST:
+                self.lose(f"{hand.arm} no longer touches it")
 
     def bear(self) -> None:
         """Declare the object lost where friction cannot bear the hands' wrenches."""
-        for hand, i in zip(self.hands, self.at, strict=True):
-            if not hand.contact:
-                continue
+        for _, hand, _, i in self._pressing:
             if np.isnan(self.signals["friction_use"][i]):
                 self.lose(f"{hand.arm} would have to pull it")
             elif self.signals["edge_use"][i] > 1.0 + BEYOND:
@@ -114,8 +113,7 @@ class HandSignals:
 
     def lose(self, why: str) -> None:
         """Declare the object lost from now on."""
-        if not self.lost:
-            self.lost = why
+        self.lost = self.lost or why
         self.signals["held"][0] = 0.0
 
 
