@@ -94,12 +94,8 @@ class TorqueQpLaw(Law):
         self._integral_gains = settings.integral * level.gains[self._followed]
         self._estimator = settings.observer(dynamics, problem.dt)
         self._held_torques = HeldTorques(self.hands, self.layout, dynamics)
-        observed = self._estimator.memory_sizes if self._estimator else {}
-        self.memory_sizes = {
-            **self._model.memory_sizes,
-            **self._held_torques.memory_sizes,
-            **observed,
-        }
+        sizes = self._model.memory_sizes | self._held_torques.memory_sizes
+        self.memory_sizes = sizes | (self._estimator.memory_sizes if self._estimator else {})
 
     @property
     def qp(self) -> QP:
@@ -134,7 +130,7 @@ class TorqueQpLaw(Law):
 
     def _say(self, causes: tuple[Status, ...]) -> None:
         """What became of the tick, and that the hands' wrenches were not measured."""
-        if isinstance(self._estimator, HandSensors) and self._estimator.fault:
+        if self._estimator and self._estimator.fault:
             self.command.note = self._estimator.fault
             others = (cause for cause in causes if cause is not Status.OPTIMAL)
             causes = (*others, Status.FORCE_NOT_MEASURED)
@@ -147,17 +143,10 @@ class TorqueQpLaw(Law):
         self.hands.update(state, self._level.dynamics)
         self.wrenches.update(state)
         self._bounds.update(state)
-        self._wrench = self._external_wrench(state)
+        known = self._estimator
+        self._wrench = known.update(state) if known else self._impedances.guess()
         self._fill(0, state, None)
         self._held_torques.foresee(state, self.qp)
-
-    def _external_wrench(self, state: State) -> Array | None:
-        """The external wrench on the object; None where unknown."""
-        if isinstance(self._estimator, HandSensors):
-            return self._estimator.update(state.memory, state)
-        if self._estimator:
-            return self._estimator.update(state.memory, state.q, state.v)
-        return self._impedances.guess()
 
     def _fill(self, number: int, state: State, before: Array | None, soften: bool = False) -> None:
         self.programs[number].assemble(

@@ -9,7 +9,7 @@ and then minimal.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -302,7 +302,7 @@ class HeldTorques:
         square = layout.common == layout.n + hands.size
         self._saddle = Saddle(layout.n, hands.size) if square else None
         sizes = {"answer": layout.h.stop, "back": layout.m}
-        self.memory_sizes: Mapping[str, int] = sizes if hands.pressing else {}
+        self.memory_sizes: dict[str, int] = sizes if hands.pressing else {}
 
     def foresee(self, state: State, qp: QP) -> None:
         """Tighten ``hands.most`` and the QP's cones, whose dynamics are those of this instant."""
