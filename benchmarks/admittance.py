@@ -18,7 +18,7 @@ from coopqp.closed_loop.admittance import Admittance, stability_limit
 from coopqp.closed_loop.grasp_matrix import section
 from coopqp.controllers import QPController
 from coopqp.plants import Mujoco
-from coopqp.plants._mjcf import SpringHand
+from coopqp.plants.mujoco import SpringHand
 from coopqp.scenario.scenario import Scenario
 from coopqp.task import Task
 from coopqp.tasks import InternalWrench

@@ -20,7 +20,7 @@ from coopqp.base.spec import Array, Pose
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.controllers import TorqueQp
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.state import Memory
+from coopqp.model.state import Memory, State
 from coopqp.plant import Disturbance, Plant, Push
 from coopqp.plants import Mujoco, RigidBody
 from coopqp.scenario.scenario import Scenario
@@ -70,15 +70,14 @@ def told(chain: ClosedChain, trace: Trace, gain: float, noise: float = 0.0) -> A
     rng = np.random.default_rng(0)
     dynamics = ClosedLoopDynamics(chain)
     observer = MomentumObserver(dynamics, gain=gain, dt=trace.dt)
-    memory = Memory(observer.memory_sizes)
-    found = []
+    state, found = State(chain, memory=Memory(observer.memory_sizes)), []
     seen = [(trace.q[0], np.zeros(chain.n), np.zeros(chain.n))]
     seen += list(zip(trace.q[1:], trace.v, trace.signals["tau"], strict=True))
     for q, v, tau in seen:
         measured = v + noise * rng.standard_normal(len(v))
         dynamics.update(q, measured)
-        memory["observer.tau"][:] = tau
-        found.append(observer.update(memory, q, measured)[:3].copy())
+        state.q[:], state.v[:], state.memory["observer.tau"][:] = q, measured, tau
+        found.append(observer.update(state)[:3].copy())
     return np.array(found[1:])
 
 

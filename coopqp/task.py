@@ -121,7 +121,7 @@ class Task(ABC):
 
     of_forces: ClassVar[bool] = False
     """Whether it asks for wrenches h of the hands, J h = rate with J of shape (k, 6 N), e unused:
-    see :mod:`coopqp.closed_loop.wrench_stack`. Gain has no effect then."""
+    see :mod:`coopqp.closed_loop.hands`. Gain has no effect then."""
 
     name: Annotated[str, Field(validate_default=True)] = ""
     """Your name for it in tables and messages; its type's name if omitted."""
@@ -269,7 +269,7 @@ class TaskStack:
     @cached_property
     def rows(self) -> tuple[Row, ...]:
         """What each row is, such as "task[reach].z"."""
-        return tuple(row for task in self.tasks for row in _rows_of(task, self._chain))
+        return tuple(row for task in self.tasks for row in rows_of(task, self._chain))
 
     def update(self, state: State) -> None:
         """Fill all rows for a state."""
@@ -307,11 +307,12 @@ def refuse_impedances(tasks: Sequence[Task]) -> None:
             )
 
 
-def _rows_of(task: Task, chain: ClosedChain) -> tuple[Row, ...]:
-    """What each row of a task asks for, a velocity in the unit of its part."""
+def rows_of(task: Task, chain: ClosedChain) -> tuple[Row, ...]:
+    """What each row of a task asks for: a force, or a velocity in the unit of its part."""
+    per = "" if task.of_forces else "/s"
     units = [part.unit for part in task.parts(chain) for _ in range(part.rows)]
     return tuple(
-        Row(name=f"task[{task.name}].{name}", kind="task", owner=task.name, unit=f"{unit}/s")
+        Row(name=f"task[{task.name}].{name}", kind="task", owner=task.name, unit=f"{unit}{per}")
         for name, unit in zip(task.rows(chain), units, strict=True)
     )
 

@@ -62,7 +62,7 @@ def step(state: State, v: Array, dt: float) -> None:
 
 def ticks(law: Law, state: State, count: int) -> Iterator[Command]:
     """Tick and step by turns; each command is given out before its step is made."""
-    plant = KinematicModel(law.problem.dt, law.problem.chain.n)
+    plant = KinematicModel(law.problem.dt)
     for command, _ in drive(law, plant, state, count):
         yield command
 

@@ -35,8 +35,7 @@ from pydantic import Field
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import NonNegative, Positive, spec
 from coopqp.base.wording import counted
-from coopqp.closed_loop.hands import WrenchReadings, hands, points, robot_indices
-from coopqp.closed_loop.wrench_stack import WrenchStack
+from coopqp.closed_loop.hands import WrenchReadings, WrenchStack, hands, points
 from coopqp.controller import ControlProblem
 from coopqp.model.state import State
 from coopqp.solver import Status
@@ -109,8 +108,7 @@ class InternalForceControl:
         if fault := _gain_fault(settings, self.gain, dt):
             raise InvalidValueError(fault)
         self._hands = hands(chain)
-        self._at = robot_indices(chain)
-        self._readings, self.note = WrenchReadings(len(chain.robot.arms)), ""
+        self._readings, self.note = WrenchReadings(chain), ""
         self._wrenches = WrenchStack(problem.wrenches, State(chain))
         self.along = np.zeros(6 * (len(chain.arms) - 1))
         self.memory_sizes: Mapping[str, int] = {ALONG: 3}
@@ -163,9 +161,7 @@ class InternalForceControl:
         """F_wanted - F [N]; NaN where the force is not known."""
         self._wrenches.update(state)
         measured = self._readings.read(state.hand_wrench)
-        if measured is None:
-            return math.nan
-        return -float(self._wrenches.error(measured[self._at])[0])
+        return math.nan if measured is None else -float(self._wrenches.error(measured)[0])
 
 
 def internal_force_control(

@@ -156,8 +156,6 @@ class ClosedLoopDynamics:
         self._direct, self._direct_rhs = Saddle(n, m), np.zeros(n + m)
         self.passive = np.setdiff1d(np.arange(n), self.actuated)
         self._scheme, self._scheme_rhs = Saddle(m, n - k), np.zeros(m + n - k)
-        self._J_a, self._J_p = np.zeros((m, k)), np.zeros((m, n - k))
-        self._Gamma = np.zeros(n)
         self._tau, self._a = np.zeros(n), np.zeros(n)
         self._wrench = np.zeros(rows)
 
@@ -226,17 +224,13 @@ class ClosedLoopDynamics:
         Gamma of the tree is A a + H; the cut wrench lambda makes the passive rows free of torque,
         J_p' lambda = Gamma_p, and minimises the remaining tau = Gamma_a - J_a' lambda.
         """
-        self.A.dot(a, self._Gamma)
-        np.add(self._Gamma, self.H, self._Gamma)
-        return self.distribute(self._Gamma)
+        return self.distribute(self.A.dot(a) + self.H)
 
     def distribute(self, Gamma: Array) -> InverseResult:
         """Motor torques equivalent to the tree's torques Gamma, shape (n,), eq. (23), (27)."""
         m, act, pas = len(self.drift), self.actuated, self.passive
-        J_a, J_p = self._J_a, self._J_p
         Gamma_a, Gamma_p = Gamma[act], Gamma[pas]
-        np.take(self.J, act, axis=1, out=J_a)
-        np.take(self.J, pas, axis=1, out=J_p)
+        J_a, J_p = np.take(self.J, act, axis=1), np.take(self.J, pas, axis=1)
         saddle, rhs = self._scheme, self._scheme_rhs
         saddle.top[:], saddle.right[:], saddle.left[:] = J_a.dot(J_a.T), J_p, J_p.T
         rhs[:m], rhs[m:] = J_a.dot(Gamma_a), Gamma_p

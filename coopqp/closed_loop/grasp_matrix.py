@@ -37,15 +37,13 @@ from coopqp.base.spec import Array
 #: Shares sum to one within this.
 SHARE_SUM = 1e-9
 
-_UNMOVED = np.eye(6)
-
 
 def grasp_matrix(points: ArrayLike, origin: ArrayLike) -> Array:
     """G with w = G h, shape (6, 6 N), from the hands' points (N, 3) and the object's origin [m]."""
     levers = np.asarray(points, float) - np.asarray(origin, float)
     G = np.empty((6, 6 * len(levers)))
     for i, lever in enumerate(levers):
-        G[:, 6 * i : 6 * i + 6] = _UNMOVED
+        G[:, 6 * i : 6 * i + 6] = np.eye(6)
         G[3:, 6 * i : 6 * i + 3] = pin.skew(lever)
     return G
 
@@ -55,12 +53,6 @@ def moved(wrench: Array, point: ArrayLike, to: ArrayLike) -> Array:
     found = np.array(wrench, float)
     found[3:] += pin.skew(np.asarray(point, float) - np.asarray(to, float)) @ found[:3]
     return found
-
-
-def _moved(lever: Array) -> Array:
-    matrix = _UNMOVED.copy()
-    matrix[3:, :3] = pin.skew(lever)
-    return matrix
 
 
 @dataclass(frozen=True)
@@ -102,7 +94,7 @@ def walker(points: ArrayLike, origin: ArrayLike, shares: ArrayLike) -> Split:
     a = _each("shares", shares, len(p))
     if not a.min() >= 0.0 or abs(a.sum() - 1.0) > SHARE_SUM:
         raise InvalidValueError(f"shares: found {a.tolist()}, needs shares that sum to 1")
-    X = np.vstack([share * _moved(o - place) for share, place in zip(a, p, strict=True)])
+    X = np.vstack([share * grasp_matrix([o], place) for share, place in zip(a, p, strict=True)])
     return Split(grasp_matrix(p, o), X)
 
 

@@ -1,4 +1,4 @@
-"""Hands that hold an object: contact points and normals, and checks of their measured wrenches.
+"""Hands that hold an object: contacts, measured wrenches, and rows of tasks on these.
 
 C is the contact frame of a hand, fixed to the object: a pad moves with it, and a fingertip stays at
 its place while the object turns. Where a hand is fastened, C is where its tip is at the start;
@@ -7,6 +7,7 @@ behind a hinge the tip moves on, and C stays.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -16,8 +17,11 @@ import pinocchio as pin
 
 from coopqp.base.spec import Array, real
 from coopqp.base.wording import said
+from coopqp.closed_loop.screw import LENGTH
 from coopqp.grasp import Contact
 from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
+from coopqp.task import Task, TaskRows, evaluate_all, rows_of
 
 #: Larger measured values are refused [N, N m].
 MAX_WRENCH = 1e6
@@ -73,19 +77,19 @@ def in_axes(wrench: Array, R: Array) -> Array:
 
 
 class WrenchReadings:
-    """Checks what force sensors in the hands send before it is used, for a robot of N arms.
+    """Checks what force sensors in the hands of a chain send before it is used.
 
     Attributes:
         fault: why the last reading cannot be used; empty if it can.
     """
 
-    def __init__(self, arms: int) -> None:
-        self._size, self.fault = 6 * arms, ""
+    def __init__(self, chain: ClosedChain) -> None:
+        self._size, self._at, self.fault = 6 * len(chain.robot.arms), robot_indices(chain), ""
 
     def read(self, reading: Any) -> Array | None:
-        """Wrenches by arm, shape (N, 6), of ``State.hand_wrench``; None where not usable."""
+        """Those of ``State.hand_wrench`` that hold, shape (N, 6); None where not usable."""
         self.fault = self._wrong(reading)
-        return None if self.fault else real(reading).reshape(-1, 6)
+        return None if self.fault else real(reading).reshape(-1, 6)[self._at]
 
     def _wrong(self, reading: Any) -> str:
         if reading is None:
@@ -101,3 +105,44 @@ class WrenchReadings:
             return f"hand_wrench: found no finite number at {', '.join(map(str, bad[:6]))}"
         largest = float(np.abs(given).max())
         return "" if largest < MAX_WRENCH else f"hand_wrench: found {largest:.3g}, beyond any hand"
+
+
+class WrenchStack:
+    """The rows of several tasks with ``of_forces``, whose references begin at a state.
+
+    Attributes:
+        tasks: as given.
+        rows: such as "task[internal_wrench].squeeze".
+        C: shape (r, 6 N), on wrenches of the hands that hold, each at its point, in world axes.
+        wanted: shape (r,) [N, N m].
+        weights: of the rows; torques count as forces at LENGTH.
+        hard: which of them must hold, shape (r,).
+        priorities: of the rows, shape (r,).
+    """
+
+    def __init__(self, tasks: Sequence[Task], start: State) -> None:
+        chain = start.chain
+        self.tasks = tuple(tasks)
+        self.rows = tuple(row for task in tasks for row in rows_of(task, chain))
+        sizes = [len(task.rows(chain)) for task in tasks]
+        ends = list(itertools.accumulate(sizes, initial=0))
+        parts = [slice(a, b) for a, b in itertools.pairwise(ends)]
+        self.C, self.wanted = np.zeros((ends[-1], 6 * chain.holding)), np.zeros(ends[-1])
+        turns = np.array([row.unit == "N m" for row in self.rows], bool)
+        self.weights = np.repeat([float(task.weight) for task in tasks], sizes)
+        self.weights[turns] /= LENGTH**2
+        self.hard = np.repeat([task.mode == "hard" for task in tasks], sizes).astype(bool)
+        self.priorities = np.repeat([task.priority for task in tasks], sizes).astype(int)
+        e = np.zeros(ends[-1])
+        self._evaluate = [
+            (task.bind(start), TaskRows(e[part], self.C[part], self.wanted[part]))
+            for task, part in zip(tasks, parts, strict=True)
+        ]
+
+    def update(self, state: State) -> None:
+        """Fill all rows for a state."""
+        evaluate_all(self._evaluate, state)
+
+    def error(self, h: Array) -> Array:
+        """C h - wanted, shape (r,), for wrenches of the hands that hold, shape (N, 6) [N, N m]."""
+        return np.asarray(self.C @ np.ravel(h) - self.wanted, float)

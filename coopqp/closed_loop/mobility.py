@@ -190,8 +190,8 @@ def mobility(
         object_freedom_start=rank_of(scaled(start.J_o @ start.N)),
         motor_freedom=max(_motor_rank(pose, active) for pose in regular),
         motor_freedom_start=_motor_rank(start, active),
-        impossible=_screws(_impossible(start.J_o @ start.N), chain),
-        uncontrolled=_screws(_uncontrolled(start, active), chain),
+        impossible=_screws(start.J_o @ start.N, chain, across=True),
+        uncontrolled=_screws(_free_motions(start, active), chain),
         tasks=tuple(tasks),
         tasks_rows=together.rows,
         tasks_rank=together.rank,
@@ -248,27 +248,13 @@ def _motor_rank(pose: _Pose, active: Sequence[int]) -> int:
     return rank_of(scaled(pose.J_o @ pose.N)) - rank_of(scaled(_free_motions(pose, active)))
 
 
-def _impossible(motions: Array) -> Array:
-    """Basis of the twists orthogonal to all possible ones, shape (6, .)."""
+def _screws(motions: Array, chain: ClosedChain, *, across: bool = False) -> tuple[Screw, ...]:
+    """A basis of object motions, shape (6, .), or of the twists that are orthogonal to them."""
     U, values, _ = np.linalg.svd(scaled(motions))
     rank = int(np.sum(values > MOTION_TOLERANCE))
-    basis = U[:, rank:].copy()
+    basis = U[:, rank:].copy() if across else U[:, :rank].copy()
     basis[3:] /= LENGTH
-    return basis
-
-
-def _uncontrolled(pose: _Pose, active: Sequence[int]) -> Array:
-    free = _free_motions(pose, active)
-    if not free.size:
-        return np.zeros((6, 0))
-    U, values, _ = np.linalg.svd(scaled(free), full_matrices=False)
-    basis = U[:, values > MOTION_TOLERANCE].copy()
-    basis[3:] /= LENGTH
-    return basis
-
-
-def _screws(twists: Array, chain: ClosedChain) -> tuple[Screw, ...]:
-    return tuple(screw_of(column, chain.start_position) for column in twists.T)
+    return tuple(screw_of(column, chain.start_position) for column in basis.T)
 
 
 def _schemes(

@@ -94,7 +94,7 @@ class TorquePid(Law):
         defaults = torque_gains(problem.dt)
         self._gains = kp, ki, kd = settings.gains(problem, defaults, len(level.tasks.e))
         self._inverse = settings.feed_forward == "inverse_dynamics"
-        require_damped_models(problem, settings.name or "passive_grasp_pid")
+        require_damped_models(problem, settings.name)
         level.update(State(problem.chain))
         J, forward = level.tasks.J, float(self._inverse)
         W = J @ level.inverse_inertia() @ J.T
@@ -139,8 +139,8 @@ class TorquePid(Law):
 
 #: In which motion dies out where a tick has no answer [s].
 BRAKE_TIME = 0.05
-#: kp [1/s], ki [1/s2], kd [-] of the kinematic level.
-KINEMATIC_GAINS = (5.0, 2.0, 0.0)
+#: kp [1/s], ki [1/s2], kd [-] of the kinematic level, translation and rotation.
+KINEMATIC_GAINS = ((5.0, 5.0), (2.0, 2.0), (0.0, 0.0))
 #: kp [N/m, N m/rad], ki [.../s], kd [... s] of the torque level, translation and rotation.
 TORQUE_GAINS = ((600.0, 4.0), (2400.0, 8.0), (40.0, 0.25))
 #: Control period up to which the torque level has these gains, translation and rotation [s]; at
@@ -186,12 +186,12 @@ class PassiveGraspPid(Controller):
 
     def build(self, problem: ControlProblem) -> Law:
         """Refuse tasks that the motors cannot decide, a wrong number of gains, oscillating ones."""
-        require_motor_freedom(problem, self.name or "passive_grasp_pid")
+        require_motor_freedom(problem, self.name)
         law = TorquePid if self.level == "torque" else KinematicPid
         return law(problem, self)
 
     def gains(
-        self, problem: ControlProblem, defaults: Sequence[float | tuple[float, float]], rows: int
+        self, problem: ControlProblem, defaults: Sequence[tuple[float, float]], rows: int
     ) -> tuple[Array, Array, Array]:
         """kp, ki, kd by task row.
 
@@ -201,10 +201,9 @@ class PassiveGraspPid(Controller):
         parts = [part for task in problem.tasks for part in task.parts(problem.chain)]
         turning = np.repeat([part.unit == "rad" for part in parts], [p.rows for p in parts])
         found = []
-        for key, default in zip(("kp", "ki", "kd"), defaults, strict=True):
+        for key, (move, turn) in zip(("kp", "ki", "kd"), defaults, strict=True):
             given = getattr(self, key)
             if given is None:
-                move, turn = default if isinstance(default, tuple) else (default, default)
                 found.append(np.where(turning, turn, move))
             elif len(given) in (1, rows):
                 found.append(np.array(given) * np.ones(rows))

@@ -8,7 +8,7 @@
                 J_c a = -Jdot_c v - 2 kappa J_c v - kappa^2 e      loop acceleration      (hard)
                 |tau| <= effort limits                             motors                 (hard)
                 lb <= v + a dt <= ub,  G (v + a dt) <= h          the scenario's limits  (hard)
-                h_i in its cone, friction over safety, at both ends of the tick (``held_torques``)
+                h_i in its cone, friction over safety, at both ends of the tick (``program``)
 
 h are the wrenches of the hands on the object, and h_int their internal part that no task asks for
 (``hand_wrenches``). Hard tasks are equalities, and soft tasks of a later priority act in the null
@@ -35,16 +35,14 @@ from coopqp.base.errors import InvalidValueError
 from coopqp.base.qp import QP
 from coopqp.base.spec import Array, NonNegative, Positive, spec
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
-from coopqp.closed_loop.wrench_stack import WrenchStack
+from coopqp.closed_loop.hands import WrenchStack
 from coopqp.controller import Command, Controller, ControlProblem, Features, Law
 from coopqp.grasp import SAFETY
 from coopqp.model.state import State
 from coopqp.qp_law.bounds import Bounds
 from coopqp.solver import Solution, Status
 from coopqp.torque_law.external_wrench import HandSensors, MomentumObserver
-from coopqp.torque_law.force_checks import require_forces
-from coopqp.torque_law.hand_wrenches import HandWrenches
-from coopqp.torque_law.held_torques import HeldTorques
+from coopqp.torque_law.hand_wrenches import HandWrenches, require_forces
 from coopqp.torque_law.impedances import Impedances, require_impedances
 from coopqp.torque_law.margins import (
     ReferenceModel,
@@ -53,7 +51,7 @@ from coopqp.torque_law.margins import (
     require_damped_models,
     row_loop,
 )
-from coopqp.torque_law.program import Costs, Layout, hard_rows, programs
+from coopqp.torque_law.program import Costs, HeldTorques, Layout, hard_rows, programs
 from coopqp.torque_law.task_dynamics import TaskDynamics, require_motor_freedom
 
 #: Ticks in which a motion may die out, or a joint brake, at the fastest.
@@ -83,9 +81,9 @@ class TorqueQpLaw(Law):
             chain, safety=settings.safety, split=settings.split, shares=settings.shares
         )
         self.wrenches = WrenchStack(problem.wrenches, start)
-        self.layout = Layout(level, self.hands, self._bounds)
         costs = Costs(settings.damping, settings.damping_time, settings.effort, settings.grip)
-        self.programs = programs(problem, self.layout, level, self.hands, self.wrenches, costs)
+        self.layout = Layout(level, self.hands, self.wrenches, self._bounds, costs)
+        self.programs = programs(problem, self.layout)
         self._has_hard = bool(hard_rows(level).any() or self.wrenches.hard.any())
         self._wrench: Array | None = None
         self._effort = chain.model.effortLimit[dynamics.actuated]
@@ -96,12 +94,8 @@ class TorqueQpLaw(Law):
         self._integral_gains = settings.integral * level.gains[self._followed]
         self._estimator = settings.observer(dynamics, problem.dt)
         self._held_torques = HeldTorques(self.hands, self.layout, dynamics)
-        observed = self._estimator.memory_sizes if self._estimator else {}
-        self.memory_sizes = {
-            **self._model.memory_sizes,
-            **self._held_torques.memory_sizes,
-            **observed,
-        }
+        sizes = self._model.memory_sizes | self._held_torques.memory_sizes
+        self.memory_sizes = sizes | (self._estimator.memory_sizes if self._estimator else {})
 
     @property
     def qp(self) -> QP:
@@ -136,7 +130,7 @@ class TorqueQpLaw(Law):
 
     def _say(self, causes: tuple[Status, ...]) -> None:
         """What became of the tick, and that the hands' wrenches were not measured."""
-        if isinstance(self._estimator, HandSensors) and self._estimator.fault:
+        if self._estimator and self._estimator.fault:
             self.command.note = self._estimator.fault
             others = (cause for cause in causes if cause is not Status.OPTIMAL)
             causes = (*others, Status.FORCE_NOT_MEASURED)
@@ -149,17 +143,10 @@ class TorqueQpLaw(Law):
         self.hands.update(state, self._level.dynamics)
         self.wrenches.update(state)
         self._bounds.update(state)
-        self._wrench = self._external_wrench(state)
+        known = self._estimator
+        self._wrench = known.update(state) if known else self._impedances.guess()
         self._fill(0, state, None)
         self._held_torques.foresee(state, self.qp)
-
-    def _external_wrench(self, state: State) -> Array | None:
-        """The external wrench on the object; None where unknown."""
-        if isinstance(self._estimator, HandSensors):
-            return self._estimator.update(state.memory, state)
-        if self._estimator:
-            return self._estimator.update(state.memory, state.q, state.v)
-        return self._impedances.guess()
 
     def _fill(self, number: int, state: State, before: Array | None, soften: bool = False) -> None:
         self.programs[number].assemble(
@@ -286,7 +273,7 @@ class TorqueQp(Controller):
 
     def build(self, problem: ControlProblem) -> Law:
         """Refuse tasks that the motors cannot decide, gains and integrals that oscillate."""
-        name = self.name or "torque_qp"
+        name = self.name
         for task in problem.tasks:
             if task.mode == "scaled":
                 raise InvalidValueError(

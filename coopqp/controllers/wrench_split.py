@@ -122,7 +122,7 @@ class WrenchSplit(Controller):
 
     def build(self, problem: ControlProblem) -> Law:
         """Refuse tasks that motors cannot decide, oscillating gains, squeezes of three hands."""
-        name = self.name or "wrench_split"
+        name = self.name
         require_motor_freedom(problem, name)
         require_damped_models(problem, name)
         if self.squeeze and problem.chain.holding != 2:

@@ -7,7 +7,7 @@ the whole run at its end (``TrajectoryEvaluation``). Else the plant's truth is r
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import pinocchio as pin
@@ -15,8 +15,7 @@ import pinocchio as pin
 from coopqp.base.rank import null_space
 from coopqp.base.spec import Array
 from coopqp.base.wording import suppressed
-from coopqp.closed_loop.hands import robot_indices
-from coopqp.closed_loop.wrench_stack import WrenchStack
+from coopqp.closed_loop.hands import WrenchStack, robot_indices
 from coopqp.controller import ControlProblem
 from coopqp.kernel.trajectory_evaluation import TrajectoryEvaluation, joint_points, survey
 from coopqp.model.closed_chain import ClosedChain
@@ -82,11 +81,7 @@ class Instants:
         self.position[k], self.rotation[k] = true.p_WO, true.R_WO
         self.loop[k] = true.loop_position_error, true.loop_orientation_error
         for stack, error in self._stacks:
-            try:
-                stack.update(true)
-            except KeyboardInterrupt:
-                raise
-            except BaseException:  # noqa: BLE001 - the tick, which met the same error, names it
+            if not _updated(stack, true):
                 error[k] = np.nan
                 continue
             motion = len(stack.e)
@@ -102,15 +97,8 @@ class Instants:
         stack, motion = self._wrenches, len(self._stacks[0][0].e)
         if not len(stack.wanted):
             return
-        try:
-            stack.update(true)
-            measured = self._hand_wrench if k else None
-        except KeyboardInterrupt:
-            raise
-        except BaseException:  # noqa: BLE001 - the tick, which met the same error, names it
-            measured = None
-        if measured is not None:
-            by_hand = measured.reshape(-1, 6)[robot_indices(self._problem.chain)]
+        if _updated(stack, true) and k and self._hand_wrench is not None:
+            by_hand = self._hand_wrench.reshape(-1, 6)[robot_indices(self._problem.chain)]
             self.e[k, motion:] = stack.error(by_hand)
         self.rate[k, motion:] = 0.0
         for i, (_, part) in enumerate(self.parts):
@@ -155,13 +143,41 @@ class Instants:
             at += len(points)
 
     def directional_manipulability(self, start: State, end: State) -> Array:
-        """As :func:`directional_manipulability`, of each part, shape (K,)."""
-        parts = [part for _, part in self.parts]
-        own = None if self.at_end else self._stacks[0][0]
-        stack = own or TaskStack(self._problem.tasks, self._begin)
+        """Directional manipulability of each part's error at the end over that at the start.
+
+        With N a basis of the joint motions that keep the loops closed, J the rows of a task and u
+        the direction of its error, a unit of joint motion moves at most |N' J' u| along it. Where
+        that has all but vanished, the pose is singular in that direction: the arms are stretched,
+        and no limit is to blame.
+
+        ``start`` of the run has the time of its end. The result, shape (K,), is 1 where nothing is
+        missed or nothing could be done at the start.
+        """
+        ratios = np.ones(len(self.parts))
+        if not (np.isfinite(start.q).all() and np.isfinite(end.q).all()):
+            return ratios
+        tasks = None if self.at_end else self._stacks[0][0]
+        tasks = tasks or TaskStack(self._problem.tasks, self._begin)
         with suppressed():  # a tick that met the same error names it
-            return directional_manipulability(stack, parts, self._velocities, start, end)
-        return np.ones(len(parts))
+            tasks.update(start)
+            J_before = tasks.J @ null_space(start.J_loop)
+            tasks.update(end)
+            J_now = tasks.J @ null_space(end.J_loop)
+            for i, (_, part) in enumerate(self.parts):
+                slow = i in self._velocities
+                missed = tasks.rate[part] - tasks.J[part] @ end.v if slow else tasks.e[part]
+                could = float(np.linalg.norm(missed @ J_before[part]))
+                if could > NOTHING:
+                    ratios[i] = float(np.linalg.norm(missed @ J_now[part])) / could
+        return ratios
+
+
+def _updated(stack: TaskStack | WrenchStack, true: State) -> bool:
+    """Whether all tasks could be evaluated; the tick that met the same error names it."""
+    with suppressed():
+        stack.update(true)
+        return True
+    return False
 
 
 def _beginning(problem: ControlProblem, start: State) -> State:
@@ -198,42 +214,6 @@ def _springs(task: Task) -> tuple[tuple[int, int, float], ...]:
     asked = task.impedance
     pairs = zip(asked.axes, asked.stiffness.tolist(), strict=True) if asked else ()
     return tuple((row, axis, stiffness) for row, (axis, stiffness) in enumerate(pairs))
-
-
-def directional_manipulability(
-    tasks: TaskStack, parts: Sequence[slice], velocities: Collection[int], start: State, end: State
-) -> Array:
-    """Directional manipulability of each part's error at the end over that at the start.
-
-    With N a basis of the joint motions that keep the loops closed, J the rows of a task and u the
-    direction of its error, a unit of joint motion moves at most |N' J' u| along it. Where that has
-    all but vanished, the pose is singular in that direction: the arms are stretched, and no limit
-    is to blame.
-
-    Args:
-        tasks: evaluated here; as of the end when it returns.
-        parts: rows of each part.
-        velocities: which of the parts ask for a velocity, so that its error counts.
-        start: of the run, but with the time of its end.
-        end: of the run.
-
-    Returns:
-        Shape (len(parts),); 1 where nothing is missed or nothing could be done at the start.
-    """
-    ratios = np.ones(len(parts))
-    if not (np.isfinite(start.q).all() and np.isfinite(end.q).all()):
-        return ratios
-    tasks.update(start)
-    J_before = tasks.J @ null_space(start.J_loop)
-    tasks.update(end)
-    J_now = tasks.J @ null_space(end.J_loop)
-    for i, part in enumerate(parts):
-        slow = i in velocities
-        missed = tasks.rate[part] - tasks.J[part] @ end.v if slow else tasks.e[part]
-        could = float(np.linalg.norm(missed @ J_before[part]))
-        if could > NOTHING:
-            ratios[i] = float(np.linalg.norm(missed @ J_now[part])) / could
-    return ratios
 
 
 def arm_points(chain: ClosedChain, q: Array) -> dict[str, Array]:

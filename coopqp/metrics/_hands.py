@@ -34,8 +34,3 @@ def end_of_hold(trace: Trace) -> int:
     if lost is None:
         return trace.ticks
     return max(lost, min(round(TAKEN / trace.dt), trace.ticks - 1) + 1)
-
-
-def holding(points: Array) -> Array:
-    """Which hands hold the object in each tick, shape (T, N): the others have no point."""
-    return np.asarray((points != 0.0).any(axis=2))

@@ -7,7 +7,7 @@ import numpy as np
 from coopqp.base.spec import spec
 from coopqp.closed_loop.forces import squeezes
 from coopqp.metric import Metric
-from coopqp.metrics._hands import by_hand, holding
+from coopqp.metrics._hands import by_hand
 from coopqp.trace import Trace
 
 
@@ -26,7 +26,7 @@ class Squeeze(Metric):
         wrenches = by_hand(trace, "hand_wrench", 6)
         if points is None or wrenches is None:
             return None
-        holds = holding(points)
+        holds = (points != 0.0).any(axis=2)  # hands that hold nothing have no point
         if normal is not None:
             found = normal[:, :, 0][holds & (wrenches != 0.0).any(axis=2)]
         else:

@@ -66,7 +66,7 @@ class ServoLaw:
         self._damping = np.zeros(chain.n)
         self._compensate = servo.gravity_compensation
         self._q_d, self._v_d = chain.q_start.copy(), np.zeros(chain.n)
-        self._forward, self._behind, self._slower = np.zeros((3, chain.n))
+        self._forward = np.zeros(chain.n)
         self.follows = True
         self.tau, self.asked = np.zeros(chain.n), np.zeros(chain.n)
         self._least = -self.effort
@@ -90,7 +90,9 @@ class ServoLaw:
             return
         self._v_d[:] = command.v
         self._model.update(q, self._rest)
-        self._update_damping()
+        A = self._model.A
+        inertia = np.minimum(inertia_seen(A, self._model.J), np.diag(A))
+        self._damping = 2.0 * self._ratio * np.sqrt(self.stiffness * inertia)
         if self._compensate:
             self._forward[:] = self.weight(q)
 
@@ -105,12 +107,6 @@ class ServoLaw:
             Gamma[passive] = 0.0
         return Gamma
 
-    def _update_damping(self) -> None:
-        A = self._model.A
-        inertia = np.minimum(inertia_seen(A, self._model.J), np.diag(A))
-        np.sqrt(self.stiffness * inertia, out=self._damping)
-        self._damping *= 2.0 * self._ratio
-
     def advance(self, h: float) -> None:
         """Move the desired angles by a time h [s]."""
         if self.follows:
@@ -124,15 +120,11 @@ class ServoLaw:
 
     def _following(self, q: Array, v: Array) -> Array:
         """Torques for errors of position and velocity."""
-        behind, slower = self._behind, self._slower
-        np.subtract(self._q_d, q, behind)
-        np.subtract(self._v_d, v, slower)
+        behind, slower = self._q_d - q, self._v_d - v
         if self._frequency is not None:
             w = self._frequency
             return np.asarray(self._model.A @ (w**2 * behind + 2.0 * self._ratio * w * slower))
-        np.multiply(self.stiffness, behind, behind)
-        np.multiply(self._damping, slower, slower)
-        return np.add(behind, slower, behind)
+        return self.stiffness * behind + self._damping * slower
 
     def _ask(self, asked: Array) -> None:
         """Torques within the motors' limits; those of a command stay for its period."""

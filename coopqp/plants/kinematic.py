@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-import numpy as np
-
 from coopqp.base.spec import spec
 from coopqp.controller import Command, ControlProblem
 from coopqp.model.state import State
@@ -14,21 +12,17 @@ from coopqp.plants._true_chain import slipped, true_chain
 
 
 class KinematicModel(PlantModel):
-    """Perfect joint velocity servos of n joints with a control period dt [s]."""
+    """Perfect joint velocity servos with a control period dt [s]."""
 
     ideal = True
 
-    def __init__(self, dt: float, n: int) -> None:
+    def __init__(self, dt: float) -> None:
         super().__init__()
-        self._dt = np.array(dt)
-        self._step = np.zeros(n)
+        self._dt = dt
 
     def step(self, state: State, command: Command) -> None:
         """One Euler step, which is exact for a velocity held constant."""
-        np.multiply(command.v, self._dt, self._step)
-        np.add(state.q, self._step, state.q)
-        state.v[:] = command.v
-        state.t += float(self._dt)
+        state.advance(command.v, self._dt)
 
     def resume(self, before: PlantModel) -> None:
         """Nothing: the state has all of it."""
@@ -82,5 +76,5 @@ class Kinematic(Plant):
     def build(self, problem: ControlProblem, seed: int, disturbance: Disturbance) -> PlantModel:
         """With errors of the model the arms begin where the real hands hold the object."""
         if disturbance.kinematic == Disturbance():
-            return KinematicModel(problem.dt, problem.chain.n)
+            return KinematicModel(problem.dt)
         return MisledModel(problem, seed, disturbance)

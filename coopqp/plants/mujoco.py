@@ -5,6 +5,11 @@ Each joint of the chain is a body, the object is a free body, and a weld holds i
 some tenths of a millimetre under load, as with a real grasp; spring hands yield further, which is
 not counted as an open loop. Where a hand presses there is no weld but a contact with friction, and
 nothing else holds the object.
+
+Contacts are as hard as the measurements of ``docs/forces.md`` ask: an elliptic cone, and friction a
+hundred times as stiff as the normal direction, so that what creeps is not taken for slip. Nothing
+but a hand's contact and the object touch. Behind a fingertip the object turns by itself, so that
+the passive joints that stand for that have no bodies here.
 """
 
 from __future__ import annotations
@@ -16,18 +21,238 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.base.errors import InvalidValueError, MissingDependencyError
-from coopqp.base.spec import Array, Positive, spec
+from coopqp.base.spec import Array, NonNegative, Positive, spec
 from coopqp.closed_loop.forces import OFF_FACE, overhang
 from coopqp.closed_loop.grasp_matrix import moved
 from coopqp.closed_loop.hands import in_axes, into_contacts
 from coopqp.closed_loop.hands import points as contact_points
 from coopqp.controller import ControlProblem
+from coopqp.grasp import Contact
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.plant import Disturbance, Plant, PlantModel
 from coopqp.plants._dynamic import DynamicModel
-from coopqp.plants._mjcf import OBJECT, Firmness, SpringHand, free_joints, hand_name, mjcf
 from coopqp.plants._servo import Servo
+
+#: A link without mass gets this much, because MuJoCo moves no massless body [kg], [kg m2].
+LEAST_MASS, LEAST_INERTIA = 2e-3, 2e-6
+#: How much of a weld's or a stop's acceleration MuJoCo's solver brings about.
+FIRM = "0.99 0.999 0.0001"
+#: The same of a contact.
+FIRM_CONTACT = f"{FIRM} 0.5 2"
+#: The stop of a joint that has none on one side [rad, m].
+NO_STOP = 1e3
+#: How thick a pad is, and the radius of a fingertip [m].
+PAD, FINGERTIP = 5e-3, 5e-3
+#: How deep contacts are pressed in at the start, as under some ten newtons [m].
+PRESSED = 2e-6
+#: What moves with the object in front of a hand's spring [kg], [m]; its weight is left out, because
+#: no servo knows of it. Much lighter, and the spring outruns the integration.
+HAND_MASS, HAND_RADIUS = 0.05, 0.03
+#: Damping of such a spring, over mass and step, with which MuJoCo has been seen to go well.
+MOST_DAMPING = 5.0
+#: Friction about the normal at each point of a pad and of a fingertip [m].
+POINT_TORSION = 5e-4
+
+OBJECT = "object"
+#: Of shapes without mass that touch nothing but in a pair.
+UNTOUCHED = 'mass="0" contype="0" conaffinity="0"'
+
+
+@spec
+class SpringHand:
+    """What yields between the arm and the object, such as rubber pads or bellows."""
+
+    stiffness: Positive
+    """Of each hand, along all three axes [N/m]; it does not turn."""
+    damping: NonNegative = 50.0
+    """[N s/m]"""
+
+    def fault(self, time_step: float) -> str:
+        """What of it an integration with this step [s] cannot follow; empty if nothing."""
+        most = {
+            "stiffness": HAND_MASS / time_step**2,
+            "damping": MOST_DAMPING * HAND_MASS / time_step,
+        }
+        for name, limit in most.items():
+            if getattr(self, name) > limit:
+                return (
+                    f"spring_hands.{name}: found {getattr(self, name):g}, and steps of "
+                    f"{time_step:g} s follow at most {limit:g}; make time_step shorter, or leave "
+                    "spring_hands out for hands that hardly yield"
+                )
+        return ""
+
+
+def mjcf(chain: ClosedChain, time_step: float, settings: Mujoco, disturbance: Disturbance) -> str:
+    """The true chain as MJCF text, for steps of an integration [s]."""
+    spring, weld = settings.spring_hands, f"{settings.stiffness_time} 1"
+    contact_time = max(settings.contact_time, MIN_STEPS * time_step)
+    model, data = chain.model, chain.model.createData()
+    pin.framesForwardKinematics(model, data, chain.q_start)
+    left_out = free_joints(chain)
+    children: dict[int, list[int]] = {}
+    for joint in range(1, model.njoints):
+        if model.names[joint] not in left_out:
+            children.setdefault(model.parents[joint], []).append(joint)
+    ends: dict[int, list[str]] = {}
+    welds, pairs = [], []
+    for arm, index in zip(chain.arms[: chain.holding], chain.frames, strict=False):
+        frame = model.frames[index]
+        if contact := chain.grasps[arm.name].contact:
+            tip = model.frames[model.getFrameId(arm.tip)]
+            mu = disturbance.friction * contact.friction
+            geom, pair = _contact(arm.name, contact, tip.placement, mu, contact_time)
+            ends.setdefault(tip.parentJoint, []).append(geom)
+            pairs.append(pair)
+            continue
+        body, X = model.names[frame.parentJoint], frame.placement
+        if spring:
+            body, X = hand_name(arm.name), pin.SE3.Identity()
+        else:
+            ends.setdefault(frame.parentJoint, []).append(_end(arm.name, X))
+        place = f"{_numbers(X.translation)} {_quaternion(X)}"
+        welds.append(
+            f'<weld body1="{body}" body2="{OBJECT}" relpose="{place}" solref="{weld}" '
+            f'solimp="{FIRM}"/>'
+        )
+    if spring:  # of all arms, so that the bodies are the same whoever holds the object
+        for arm, index in zip(chain.arms, chain.frames, strict=True):
+            frame = model.frames[index]
+            hand = _spring_hand(arm.name, frame.placement, spring)
+            ends.setdefault(frame.parentJoint, []).append(hand)
+    stops = _stops(chain, weld) if settings.end_stops else {}
+    arms = "".join(_body(model, joint, children, ends, stops) for joint in children.get(0, []))
+    held = chain.held.body()
+    mass = disturbance.object_mass
+    scaled = pin.Inertia(mass * held.mass, held.lever, mass * held.inertia)
+    flags = "" if pairs else ' contact="disable"'
+    gravity, half = _numbers(model.gravity.linear), _numbers(0.5 * np.array(chain.held.size))
+    box = f'<geom name="{OBJECT}" type="box" size="{half}" {UNTOUCHED}/>' if pairs else ""
+    return f"""<mujoco>
+<compiler angle="radian" autolimits="false" balanceinertia="false"/>
+<option timestep="{time_step!r}" gravity="{gravity}" integrator="implicitfast" iterations="200"
+ tolerance="1e-12" cone="elliptic" impratio="100"><flag energy="enable"{flags}/></option>
+<worldbody>{arms}
+<body name="{OBJECT}" {_pose(data.oMf[chain.frames[0]])}>
+<freejoint name="{OBJECT}"/>{_inertial(scaled)}{box}</body>
+</worldbody>
+<equality>{"".join(welds)}</equality>
+<contact>{"".join(pairs)}</contact>
+</mujoco>"""
+
+
+def free_joints(chain: ClosedChain) -> frozenset[str]:
+    """Passive joints that stand for a contact about which the object turns by itself."""
+    return frozenset(
+        f"{name}.{joint.name}"
+        for name, grasp in chain.grasps.items()
+        if grasp.contact
+        for joint in chain.hold.passive[name]
+    )
+
+
+def hand_name(arm: str) -> str:
+    """Of the body that a spring holds at an arm's end, where the object is."""
+    return f"hand[{arm}]"
+
+
+def _end(arm: str, X: pin.SE3) -> str:
+    return f'<site name="end[{arm}]" {_pose(X)}/>'
+
+
+def _spring_hand(arm: str, X_JO: pin.SE3, spring: SpringHand) -> str:
+    """A body that yields along the axes of the object, and the object's place in it."""
+    axes = "".join(
+        f'<joint type="slide" axis="{axis}" stiffness="{spring.stiffness!r}" '
+        f'damping="{spring.damping!r}"/>'
+        for axis in ("1 0 0", "0 1 0", "0 0 1")
+    )
+    ball = pin.Inertia.FromSphere(HAND_MASS, HAND_RADIUS)
+    body = f'<body name="{hand_name(arm)}" gravcomp="1" {_pose(X_JO)}>{axes}{_inertial(ball)}'
+    return f"{body}{_end(arm, pin.SE3.Identity())}</body>"
+
+
+def _contact(arm: str, contact: Contact, X_JT: pin.SE3, mu: float, time: float) -> tuple[str, str]:
+    """The body that presses, with a site at its face, and its friction on the object."""
+    X = X_JT * contact.placement
+    half, flat = contact.half_lengths, min(contact.half_lengths) > 0.0
+    back = pin.SE3(np.eye(3), np.array([0.0, 0.0, PRESSED - (PAD if flat else FINGERTIP)]))
+    shape = f'type="box" size="{half[0]!r} {half[1]!r} {PAD!r}"'
+    shape = shape if flat else f'type="sphere" size="{FINGERTIP!r}"'
+    geom = f'<geom name="pad[{arm}]" {shape} {_pose(X * back)} {UNTOUCHED}/>{_end(arm, X)}'
+    # MuJoCo takes the larger friction of two bodies; a pair says its own.
+    of_pair = _numbers([mu, mu, POINT_TORSION, 1e-4, 1e-4])
+    pair = (
+        f'<pair geom1="pad[{arm}]" geom2="{OBJECT}" condim="{4 if flat else 3}" '
+        f'friction="{of_pair}" solref="{time!r} 1" solimp="{FIRM_CONTACT}"/>'
+    )
+    return geom, pair
+
+
+def _body(
+    model: pin.Model,
+    joint: int,
+    children: dict[int, list[int]],
+    ends: dict[int, list[str]],
+    stops: dict[str, str],
+) -> str:
+    below = children.get(joint, [])
+    inside = "".join(_body(model, child, children, ends, stops) for child in below)
+    kind, axis = _axis(model, joint)
+    name = model.names[joint]
+    return (
+        f'<body name="{name}" {_pose(model.jointPlacements[joint])}>'
+        f'<joint name="{name}" type="{kind}" axis="{_numbers(axis)}"{stops.get(name, "")}/>'
+        f"{_inertial(model.inertias[joint])}{''.join(ends.get(joint, []))}{inside}</body>"
+    )
+
+
+def _stops(chain: ClosedChain, weld: str) -> dict[str, str]:
+    """Attributes of the joints that have a stop; one that starts beyond a limit has it there."""
+    lower = np.minimum(chain.lower, chain.q_start)
+    upper = np.maximum(chain.upper, chain.q_start)
+    return {
+        name: f' limited="true" range="{_numbers([max(low, -NO_STOP), min(high, NO_STOP)])}" '
+        f'solreflimit="{weld}" solimplimit="{FIRM}"'
+        for name, low, high in zip(chain.joint_names, lower, upper, strict=True)
+        if np.isfinite(low) or np.isfinite(high)
+    }
+
+
+def _axis(model: pin.Model, joint: int) -> tuple[str, Array]:
+    """MuJoCo's joint type and axis of a joint with one coordinate."""
+    data = model.createData()
+    pin.computeJointJacobians(model, data, pin.neutral(model))
+    column = pin.getJointJacobian(model, data, joint, pin.LOCAL)[:, model.idx_vs[joint]]
+    turning = np.linalg.norm(column[3:]) > 0.5
+    return ("hinge", column[3:]) if turning else ("slide", column[:3])
+
+
+def _inertial(body: pin.Inertia) -> str:
+    mass = max(float(body.mass), LEAST_MASS)
+    moments = np.array(body.inertia)
+    if np.linalg.eigvalsh(moments)[0] < LEAST_INERTIA:
+        moments = moments + LEAST_INERTIA * np.eye(3)
+    xx, yy, zz, xy, xz, yz = moments[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    return (
+        f'<inertial mass="{mass!r}" pos="{_numbers(body.lever)}" '
+        f'fullinertia="{_numbers([xx, yy, zz, xy, xz, yz])}"/>'
+    )
+
+
+def _pose(X: pin.SE3) -> str:
+    return f'pos="{_numbers(X.translation)}" quat="{_quaternion(X)}"'
+
+
+def _quaternion(X: pin.SE3) -> str:
+    x, y, z, w = pin.Quaternion(X.rotation).coeffs()
+    return _numbers([w, x, y, z])
+
+
+def _numbers(values: Any) -> str:
+    return " ".join(repr(float(value)) for value in values)
+
 
 #: A contact's time constant is at least so many steps, or MuJoCo makes it so.
 MIN_STEPS = 2.0
@@ -58,14 +283,7 @@ class MujocoModel(DynamicModel):
         except ImportError:
             raise MissingDependencyError("plant 'mujoco'", "mujoco") from None
         self._mujoco: Any = mujoco
-        self._firm = Firmness(
-            weld=settings.stiffness_time,
-            contact=max(settings.contact_time, MIN_STEPS * self.h),
-            end_stops=settings.end_stops,
-            mass=disturbance.object_mass,
-            friction=disturbance.friction,
-            spring=settings.spring_hands,
-        )
+        self._settings = settings
         if settings.spring_hands and (fault := settings.spring_hands.fault(self.h)):
             raise InvalidValueError(f"plant mujoco: {fault}")
         self._require_faces()
@@ -86,7 +304,7 @@ class MujocoModel(DynamicModel):
                     f"{1e3 * abs(overhang(hand, half)[0]):.1f} mm from the object's face; change "
                     "object.size, or the contact's position"
                 )
-            if hand.contact and self._firm.spring:
+            if hand.contact and self._settings.spring_hands:
                 raise InvalidValueError(
                     f"plant mujoco: {hand.arm} presses, and spring_hands are fastened to the "
                     "object; use another grasp, or leave spring_hands out"
@@ -123,7 +341,8 @@ class MujocoModel(DynamicModel):
     def _open(self) -> None:
         """Make MuJoCo's model of the true chain."""
         chain, mujoco = self.true.chain, self._mujoco
-        self._model = mujoco.MjModel.from_xml_string(mjcf(chain, self.h, self._firm))
+        text = mjcf(chain, self.h, self._settings, self.disturbance)
+        self._model = mujoco.MjModel.from_xml_string(text)
         self._data = mujoco.MjData(self._model)
         left_out = free_joints(chain)
         moved = [i for i, name in enumerate(chain.joint_names) if name not in left_out]
@@ -141,7 +360,7 @@ class MujocoModel(DynamicModel):
             if hand.contact
         }
         self._balls = list(_balls(chain))
-        yielding = held if self._firm.spring else ()
+        yielding = held if self._settings.spring_hands else ()
         self._yielding = [self._model.body(hand_name(hand.arm)).id for hand in yielding]
 
     def integrate(self) -> None:

@@ -10,11 +10,10 @@ import pinocchio as pin
 
 from coopqp.base.spec import Array
 from coopqp.base.table import read_table
-from coopqp.closed_loop.forces import contact_notes
+from coopqp.closed_loop.forces import StaticHold, contact_notes
+from coopqp.closed_loop.hands import WrenchStack
 from coopqp.closed_loop.hidden_freedom import hidden_freedom
-from coopqp.closed_loop.holding import StaticHold
 from coopqp.closed_loop.screw import LENGTH
-from coopqp.closed_loop.wrench_stack import WrenchStack
 from coopqp.controller import Controller
 from coopqp.controllers.qp import QPController
 from coopqp.controllers.torque_qp import TorqueQp
@@ -36,7 +35,7 @@ from coopqp.model.state import State
 from coopqp.scenario.input import InputSettings
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import POINT, POSE, Kind, Moment
-from coopqp.torque_law.force_checks import unreachable_wrenches
+from coopqp.torque_law.hand_wrenches import unreachable_wrenches
 from coopqp.torque_law.impedances import leaks
 
 #: A push along an axis without a spring that is felt by less than this share is not worth a word.

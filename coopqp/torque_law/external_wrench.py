@@ -29,8 +29,8 @@ from coopqp.base.rank import least_squares
 from coopqp.base.spec import Array
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.closed_loop.grasp_matrix import grasp_matrix
-from coopqp.closed_loop.hands import WrenchReadings, hands, points, robot_indices
-from coopqp.model.state import Memory, State
+from coopqp.closed_loop.hands import WrenchReadings, hands, points
+from coopqp.model.state import State
 
 
 class MomentumObserver:
@@ -43,6 +43,7 @@ class MomentumObserver:
         wrench: force and torque on the object at its origin, world axes, as of the last update,
             shape (6,) [N, N m].
         memory_sizes: what to remember; whoever commands torques writes "observer.tau".
+        fault: why a measurement cannot be used: none is needed.
 
     Raises:
         InvalidValueError: gain times dt is above one, where it would overshoot.
@@ -58,19 +59,20 @@ class MomentumObserver:
         self._dynamics, self._gain, self._dt = dynamics, gain, dt
         self._model, self._data = dynamics.model, dynamics.model.createData()
         n = dynamics.chain.n
-        self.wrench = np.zeros(6)
+        self.wrench, self.fault = np.zeros(6), ""
         self.memory_sizes = {
             "observer.begun": 1, "observer.integral": n, "observer.known": n,
             "observer.residual": n, "observer.tau": n, "observer.wrench": 6,
         }  # fmt: skip
 
-    def update(self, memory: Memory, q: Array, v: Array) -> Array:
-        """The wrench at the end of a period at q and v; zero at the first update.
+    def update(self, state: State) -> Array:
+        """The wrench at the end of a period; zero at the first update.
 
-        Memory is written; its "observer.tau" are the torques of all joints in the period [N m].
+        The state's memory is written; its "observer.tau" are the torques of all joints in the
+        period [N m].
         """
-        dt, dynamics = self._dt, self._dynamics
-        now, momentum = self._forces(q, v), dynamics.A.dot(v)
+        dt, dynamics, memory = self._dt, self._dynamics, state.memory
+        now, momentum = self._forces(state.q, state.v), dynamics.A.dot(state.v)
         integral, known = memory["observer.integral"], memory["observer.known"]
         r = memory["observer.residual"]
         if memory["observer.begun"][0]:
@@ -108,8 +110,7 @@ class HandSensors:
         chain = dynamics.chain
         self._dynamics, self._dt, self._share = dynamics, dt, 1.0 - math.exp(-gain * dt)
         self._hands = hands(chain)
-        self._at = robot_indices(chain)
-        self._readings = WrenchReadings(len(chain.robot.arms))
+        self._readings = WrenchReadings(chain)
         self.wrench = np.zeros(6)
         self.memory_sizes = {"sensors.begun": 1, "sensors.twist": 6, "sensors.wrench": 6}
 
@@ -118,17 +119,17 @@ class HandSensors:
         """Why the last measurement cannot be used; empty if it can."""
         return self._readings.fault
 
-    def update(self, memory: Memory, state: State) -> Array:
+    def update(self, state: State) -> Array:
         """The wrench at the end of a period; zero at first, the last where nothing is measured."""
         dynamics, twist = self._dynamics, self._dynamics.J_object.dot(state.v)
+        memory = state.memory
         kept = memory["sensors.wrench"]
         found = self._readings.read(state.hand_wrench)
         if memory["sensors.begun"][0] and found is not None:
             M, b = dynamics.object_inertia()
             G = grasp_matrix(points(self._hands, state.p_WO, state.R_WO), state.p_WO)
-            h = found[self._at].ravel()
             a = (twist - memory["sensors.twist"]) / self._dt
-            kept += self._share * (M.dot(a) + b - G.dot(h) - kept)
+            kept += self._share * (M.dot(a) + b - G.dot(found.ravel()) - kept)
         memory["sensors.begun"][0], memory["sensors.twist"][:] = 1.0, twist
         self.wrench[:] = kept
         return self.wrench

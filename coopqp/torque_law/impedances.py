@@ -18,7 +18,10 @@ push: it is subtracted.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
+from numpy.typing import ArrayLike
 
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.rank import least_squares
@@ -27,6 +30,7 @@ from coopqp.closed_loop.screw import LENGTH
 from coopqp.controller import ControlProblem
 from coopqp.model.closed_chain import AXES
 from coopqp.model.state import State
+from coopqp.task import Impedance
 from coopqp.torque_law.margins import DELAY, MIN_DAMPING, spring_damping
 from coopqp.torque_law.task_dynamics import TaskDynamics
 
@@ -44,34 +48,26 @@ class Impedances:
 
     def __init__(self, problem: ControlProblem, level: TaskDynamics) -> None:
         stack = level.tasks
-        found = [
-            (np.arange(part.start, part.stop), task.impedance)
+        given = [
+            (np.arange(part.start, part.stop), impedance)
             for task, part in zip(stack.tasks, stack.slices, strict=True)
-            if task.impedance is not None
+            if (impedance := task.impedance) is not None
         ]
-        given = [(rows, impedance) for rows, impedance in found if impedance is not None]
-        nothing = np.zeros(0)
-        self.rows = np.concatenate([nothing.astype(int), *(rows for rows, _ in given)])
+
+        def by_row(value: Callable[[Impedance], ArrayLike]) -> Array:
+            values = (np.broadcast_to(value(i), len(i.axes)) for _, i in given)
+            return np.concatenate([np.zeros(0), *values])
+
+        self.rows = np.concatenate([np.zeros(0, int), *(rows for rows, _ in given)])
         self.others = np.setdiff1d(np.arange(len(stack.e)), self.rows)
-        r = len(self.rows)
-        self._axes = np.array([axis for _, i in given for axis in i.axes], int)
-        self.K = np.concatenate([nothing, *(i.stiffness for _, i in given)])
-        self.stated = np.concatenate(
-            [nothing.astype(bool), *(np.full(len(i.axes), i.mass is not None) for _, i in given)]
-        )
-        self._M = np.concatenate(
-            [nothing, *(np.ones(len(i.axes)) if i.mass is None else i.mass for _, i in given)]
-        )
-        self._D, self._z = np.zeros(r), np.zeros(r)
-        at = 0
-        for _, i in given:
-            part = slice(at, at := at + len(i.axes))
-            if i.damping is None:
-                self._z[part] = i.damping_ratio
-            else:
-                self._D[part] = i.damping
+        self._axes = by_row(lambda i: i.axes).astype(int)
+        self.K = by_row(lambda i: i.stiffness)
+        self.stated = by_row(lambda i: i.mass is not None).astype(bool)
+        self._M = by_row(lambda i: 1.0 if i.mass is None else i.mass)
+        self._D = by_row(lambda i: 0.0 if i.damping is None else i.damping)
+        self._z = by_row(lambda i: i.damping_ratio if i.damping is None else 0.0)
         self._level = level
-        self.B, self.R = np.zeros((r, r)), np.zeros((r, r))
+        self.B, self.R = np.zeros((2, len(self.rows), len(self.rows)))
         self._X = np.zeros((len(stack.J.T), len(stack.J.T)))
         self._fill_stated()
 

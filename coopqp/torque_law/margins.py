@@ -26,6 +26,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -78,12 +79,26 @@ class ReferenceModel:
         model_rate += dt * self.e_ddot
 
 
-def damping_ratio(step: Callable[[Array], Array], size: int) -> float:
-    """Smallest damping ratio of the poles of a linear step of a state, shape (size,).
+def _damping(
+    decide: Callable[[Array, Array], Array], memory: Array, k: int, dt: float, delay: int,
+    *, torques: bool,
+) -> float:  # fmt: skip
+    """Smallest damping ratio of the poles of a law's loop, negative where it is unstable.
 
-    Negative where it is unstable.
+    The state of its linear step from tick to tick is e and e_dot of k rows, the law's memory, which
+    ``decide(e, e_dot)`` writes, and the commands that are late.
     """
-    matrix = np.column_stack([step(unit) for unit in np.eye(size)])
+    own = 2 * k + len(memory)
+
+    def step(x: Array) -> Array:
+        e, e_dot, memory[:] = x[:k], x[k : 2 * k], x[2 * k : own]
+        late = np.concatenate([x[own:], decide(e, e_dot)])
+        u = late[:k]
+        moved = e + dt * e_dot + 0.5 * dt**2 * u if torques else e + dt * u
+        rate = e_dot + dt * u if torques else u
+        return np.concatenate([moved, rate, memory, late[k:]])
+
+    matrix = np.column_stack([step(unit) for unit in np.eye(own + delay * k)])
     z = np.linalg.eigvals(matrix).astype(complex)
     s = np.log(z[np.abs(z) > STILL])  # what is gone in a tick does not oscillate
     s = s[np.abs(s) > STILL]
@@ -112,24 +127,17 @@ class TorqueLoop:
 
     def damping(self, delay: int = DELAY) -> float:
         """Smallest damping ratio with commands late by some ticks."""
-        k, dt = len(self.gains), self.dt
-        model = ReferenceModel(self.gains, dt)
+        model = ReferenceModel(self.gains, self.dt)
         memory = Memory(model.memory_sizes)
-        own = 2 * k + len(memory.numbers)
 
-        def step(x: Array) -> Array:
-            e, e_dot, late = x[:k], x[k : 2 * k], x[own:]
-            memory.numbers[:] = x[2 * k : own]
+        def decide(e: Array, e_dot: Array) -> Array:
             model.update(memory, e)
             u = self.kp * memory["deviation"] + self.ki * memory["integral"]
             u += self.kd * (e_dot - memory["model_rate"])
-            late = np.concatenate([late, self.forward * model.e_ddot - self.W @ u])
             model.advance(memory, e_dot, integrate=True)
-            a = late[:k]
-            moved = e + dt * e_dot + 0.5 * dt**2 * a
-            return np.concatenate([moved, e_dot + dt * a, memory.numbers, late[k:]])
+            return np.asarray(self.forward * model.e_ddot - self.W @ u, float)
 
-        return damping_ratio(step, own + delay * k)
+        return _damping(decide, memory.numbers, len(self.gains), self.dt, delay, torques=True)
 
 
 @dataclass(frozen=True)
@@ -158,16 +166,8 @@ class VelocityLoop:
         """Smallest damping ratio with commands late by some ticks."""
         k = len(self.kp)
         memory = Memory(memory_of(k))
-        own = 2 * k + len(memory.numbers)
-
-        def step(x: Array) -> Array:
-            e, e_dot = x[:k], x[k : 2 * k]
-            memory.numbers[:] = x[2 * k : own]
-            late = np.concatenate([x[own:], self.decide(memory, e, e_dot)])
-            u = late[:k]
-            return np.concatenate([e + self.dt * u, u, memory.numbers, late[k:]])
-
-        return damping_ratio(step, own + delay * k)
+        decide = partial(self.decide, memory)
+        return _damping(decide, memory.numbers, k, self.dt, delay, torques=False)
 
 
 def spring_damping(C: Array, R: Array, dt: float, delay: int | None) -> float:
@@ -180,14 +180,10 @@ def spring_damping(C: Array, R: Array, dt: float, delay: int | None) -> float:
         s = np.linalg.eigvals(np.block([[nothing, np.eye(k)], [-C, -R]])).astype(complex)
         return float((-s.real / np.maximum(np.abs(s), STILL)).min(initial=1.0))
 
-    def step(x: Array) -> Array:
-        e, e_dot = x[:k], x[k : 2 * k]
-        late = np.concatenate([x[2 * k :], -C @ e - R @ e_dot])
-        a = late[:k]
-        moved = e + dt * e_dot + 0.5 * dt**2 * a
-        return np.concatenate([moved, e_dot + dt * a, late[k:]])
+    def decide(e: Array, e_dot: Array) -> Array:
+        return np.asarray(-C @ e - R @ e_dot, float)
 
-    return damping_ratio(step, (2 + delay) * k)
+    return _damping(decide, np.zeros(0), k, dt, delay, torques=True)
 
 
 def row_loop(gain: float, integral: float, dt: float) -> TorqueLoop:

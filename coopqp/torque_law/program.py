@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coopqp.base.qp import QP, Row, Rows
-from coopqp.base.rank import independent_rows
+from coopqp.base.rank import independent_rows, least_squares
 from coopqp.base.spec import Array
+from coopqp.closed_loop.dynamics import ClosedLoopDynamics, Saddle
 from coopqp.closed_loop.grasp_matrix import UNITS
-from coopqp.closed_loop.wrench_stack import WrenchStack
+from coopqp.closed_loop.hands import WrenchStack
 from coopqp.controller import ControlProblem
 from coopqp.model.closed_chain import AXES
 from coopqp.model.state import State
@@ -52,9 +53,17 @@ class Costs:
 
 
 class Layout:
-    """Where the variables and rows of a torque QP are."""
+    """Where the variables and rows of a torque QP are, and what fills them at all levels."""
 
-    def __init__(self, level: TaskDynamics, hands: HandWrenches, bounds: Bounds) -> None:
+    def __init__(
+        self,
+        level: TaskDynamics,
+        hands: HandWrenches,
+        wrenches: WrenchStack,
+        bounds: Bounds,
+        costs: Costs,
+    ) -> None:
+        self.level, self.hands, self.wrenches, self.costs = level, hands, wrenches, costs
         chain, dynamics = level.dynamics.chain, level.dynamics
         self.n, self.k, self.m = chain.n, len(dynamics.actuated), len(dynamics.drift)
         ends = np.cumsum([0, self.n, self.k, hands.size, int(hands.pressing)]).tolist()
@@ -95,7 +104,7 @@ class Program:
     """One level.
 
     Args:
-        problem, layout, level, hands, wrenches, costs: shared by all levels.
+        problem, layout: shared by all levels.
         own: which motion rows and which wrench rows are its own.
         must: which must hold: hard ones, and the soft ones of the levels before.
 
@@ -108,22 +117,18 @@ class Program:
         self,
         problem: ControlProblem,
         layout: Layout,
-        level: TaskDynamics,
-        hands: HandWrenches,
-        wrenches: WrenchStack,
-        costs: Costs,
         own: tuple[Indices, Indices],
         must: tuple[Indices, Indices],
     ) -> None:
-        self._layout, self._level, self._hands = layout, level, hands
-        self._wrenches, self._costs, self._own, self._must = wrenches, costs, own, must
+        self._layout, self._own, self._must = layout, own, must
+        level, hands, wrenches, costs = layout.level, layout.hands, layout.wrenches, layout.costs
         exact = [level.tasks.rows[i] for i in must[0]] + [wrenches.rows[i] for i in must[1]]
         self.qp = QP(Rows(layout.variables, layout.inequalities, (*layout.equalities, *exact)))
         self.solution = Solution(self.qp)
         n, k = layout.n, layout.k
         dynamics = level.dynamics
         self._diagonal = np.repeat([costs.damping, costs.effort, WRENCH_COST], [n, k, hands.size])
-        effort = level.dynamics.chain.model.effortLimit[dynamics.actuated]
+        effort = dynamics.chain.model.effortLimit[dynamics.actuated]
         self.qp.lb[layout.tau], self.qp.ub[layout.tau] = -effort, effort
         self.qp.A[dynamics.actuated, n + np.arange(k)] = -1.0
         if hands.pressing:
@@ -144,11 +149,6 @@ class Program:
         sigma = self._layout.sigma
         self.qp.lb[sigma] = 0.0
         self.qp.ub[sigma] = 0.0 if keep else np.inf
-
-    @property
-    def left_cones(self) -> float:
-        """How far the last answer leaves the cones [N]."""
-        return float(self.solution.v[self._layout.sigma].sum())
 
     def assemble(
         self,
@@ -179,31 +179,32 @@ class Program:
         self.qp.seal()
 
     def _fill_cost(self, state: State, wanted: Array, soften: bool) -> None:
-        qp, layout, costs, tasks = self.qp, self._layout, self._costs, self._level.tasks
+        qp, layout, costs = self.qp, self._layout, self._layout.costs
+        tasks, hands, wrenches = layout.level.tasks, layout.hands, layout.wrenches
         motion, forces = self._own
-        weights = tasks.weights
         if soften and self._must[0].size + self._must[1].size:
             motion = np.concatenate([motion, self._must[0]])
             forces = np.concatenate([forces, self._must[1]])
-        J, w = tasks.J[motion], weights[motion].copy()
+        J, w = tasks.J[motion], tasks.weights[motion].copy()
         w[len(self._own[0]) :] *= SOFTENED
         qp.P[:], qp.q[:] = 0.0, 0.0
         weighted = J * w[:, None]
         qp.P[layout.a, layout.a] = weighted.T @ J
         qp.q[layout.a] = -wanted[motion] @ weighted
-        P, q = self._hands.cost(self._wrenches)
-        C, v = self._wrenches.C[forces], self._wrenches.weights[forces].copy()
+        P, q = hands.cost(wrenches)
+        C, v = wrenches.C[forces], wrenches.weights[forces].copy()
         v[len(self._own[1]) :] *= SOFTENED
         weighted = C * v[:, None]
         qp.P[layout.h, layout.h] = costs.grip * P + weighted.T @ C
-        qp.q[layout.h] = costs.grip * q - self._wrenches.wanted[forces] @ weighted
+        qp.q[layout.h] = costs.grip * q - wrenches.wanted[forces] @ weighted
         qp.P[: len(self._diagonal), : len(self._diagonal)] += np.diag(self._diagonal)
         qp.q[layout.a] += costs.damping / costs.damping_time * state.v
-        if self._hands.pressing:
+        if hands.pressing:
             qp.q[layout.sigma], qp.P[layout.sigma, layout.sigma] = LEAVING
 
     def _fill_dynamics(self, loops: Array, wrench: Array | None) -> None:
-        qp, layout, dynamics, hands = self.qp, self._layout, self._level.dynamics, self._hands
+        qp, layout = self.qp, self._layout
+        dynamics, hands = layout.level.dynamics, layout.hands
         n, m, J_0 = layout.n, layout.m, dynamics.J_object
         qp.A[:n, :n] = dynamics.A
         qp.A[:n, layout.h] = hands.feels
@@ -219,28 +220,28 @@ class Program:
         qp.b[n + 6 : n + 6 + m] = loops
 
     def _fill_bounds(self, bounds: tuple[Array, Array, Array, Array]) -> None:
-        qp, layout = self.qp, self._layout
+        qp, layout, hands = self.qp, self._layout, self._layout.hands
         lb, ub, G, h = bounds
         qp.lb[layout.a], qp.ub[layout.a] = lb, ub
         qp.G[: len(h), layout.a], qp.h[: len(h)] = G, h
-        if self._hands.pressing:
-            qp.G[layout.cones, layout.h], qp.h[layout.cones] = self._hands.cones, self._hands.most
+        if hands.pressing:
+            qp.G[layout.cones, layout.h], qp.h[layout.cones] = hands.cones, hands.most
 
     def _fill_exact(self, wanted: Array, before: Array | None, soften: bool) -> None:
         """Hard rows, and what was decided before, as far as they are independent."""
         qp, layout, (motion, forces) = self.qp, self._layout, self._must
-        first = layout.common
+        level, wrenches, first = layout.level, layout.wrenches, layout.common
         rows, right = qp.A[first:], qp.b[first:]
         rows[:], right[:] = 0.0, 0.0
         if not len(right):
             return
-        hard = np.concatenate([hard_rows(self._level)[motion], self._wrenches.hard[forces]])
+        hard = np.concatenate([hard_rows(level)[motion], wrenches.hard[forces]])
         if soften and not (~hard).any():
             return
-        rows[: len(motion), layout.a] = self._level.tasks.J[motion]
-        rows[len(motion) :, layout.h] = self._wrenches.C[forces]
+        rows[: len(motion), layout.a] = level.tasks.J[motion]
+        rows[len(motion) :, layout.h] = wrenches.C[forces]
         right[: len(motion)] = wanted[motion]
-        right[len(motion) :] = self._wrenches.wanted[forces]
+        right[len(motion) :] = wrenches.wanted[forces]
         if before is not None:
             right[~hard] = rows[~hard] @ before
         if soften:
@@ -260,28 +261,84 @@ def hard_rows(level: TaskDynamics) -> Mask:
     return np.repeat(modes, level.tasks.sizes).astype(bool)
 
 
-def programs(
-    problem: ControlProblem,
-    layout: Layout,
-    level: TaskDynamics,
-    hands: HandWrenches,
-    wrenches: WrenchStack,
-    costs: Costs,
-) -> Sequence[Program]:
+def programs(problem: ControlProblem, layout: Layout) -> Sequence[Program]:
     """The program of each level of priority, first to last; at least one."""
-    hard = hard_rows(level)
-    of_motion = np.repeat([task.priority for task in level.tasks.tasks], level.tasks.sizes)
+    tasks, wrenches, hard = layout.level.tasks, layout.wrenches, hard_rows(layout.level)
+    of_motion = np.repeat([task.priority for task in tasks.tasks], tasks.sizes)
     levels = sorted({*of_motion[~hard].tolist(), *wrenches.priorities[~wrenches.hard].tolist()})
-    found = []
-    for number in levels or [0]:
-        own, must = [], []
-        for mine, ranks in ((hard, of_motion), (wrenches.hard, wrenches.priorities)):
-            own.append(np.flatnonzero(~mine & (ranks == number)))
-            must.append(np.flatnonzero(mine | (ranks < number)))
-        found.append(
-            Program(
-                problem, layout, level, hands, wrenches, costs,
-                (own[0], own[1]), (must[0], must[1]),
-            )
-        )  # fmt: skip
-    return found
+    both = (hard, of_motion), (wrenches.hard, wrenches.priorities)
+
+    def program(number: int) -> Program:
+        motion, forces = (np.flatnonzero(~mine & (ranks == number)) for mine, ranks in both)
+        must = tuple(np.flatnonzero(mine | (ranks < number)) for mine, ranks in both)
+        return Program(problem, layout, (motion, forces), (must[0], must[1]))
+
+    return [program(number) for number in levels or [0]]
+
+
+#: Changes that cones keep: that of a tick, and as much again, because no two ticks are the same.
+AHEAD = 2.0
+
+
+class HeldTorques:
+    """Cones at a tick's end: torques are held over a tick, and wrenches change as the arms move on.
+
+    By the tick's end gravity and inertia are those of the next pose, and h has become h + d: little
+    compared with the arms' weight, but possibly much for a light object. Cones hold for both, with
+    twice the change:
+
+        C h <= most,   C (h + 2 d) <= most
+
+    d is observed on the last answer: in the dynamics of this instant, with the torques of the tick
+    before, the least change of its accelerations and wrenches. A steady motion repeats it.
+
+    Memory: the "answer", with wrenches in contact axes, zero for none, and "back", the acceleration
+    by which it closes open loops.
+    """
+
+    def __init__(self, hands: HandWrenches, layout: Layout, dynamics: ClosedLoopDynamics) -> None:
+        self._hands, self._layout, self._dynamics = hands, layout, dynamics
+        self._loops = slice(layout.common - layout.m, layout.common)
+        square = layout.common == layout.n + hands.size
+        self._saddle = Saddle(layout.n, hands.size) if square else None
+        sizes = {"answer": layout.h.stop, "back": layout.m}
+        self.memory_sizes: dict[str, int] = sizes if hands.pressing else {}
+
+    def foresee(self, state: State, qp: QP) -> None:
+        """Tighten ``hands.most`` and the QP's cones, whose dynamics are those of this instant."""
+        hands, layout = self._hands, self._layout
+        if not hands.pressing:
+            return
+        answer = state.memory["answer"].copy()
+        hands.most[:] = hands.stated
+        if answer.any():
+            answer[layout.h] = _turned(answer[layout.h], hands.turned.transpose(0, 2, 1))
+            A, b = qp.A[: layout.common, : layout.h.stop], qp.b[: layout.common].copy()
+            # What is seen of the loops since then is no part of what the arms' motion does.
+            b[self._loops] = -self._dynamics.drift - state.memory["back"]
+            change = self._least(A, b - A @ answer)
+            hands.most -= AHEAD * hands.in_cone * np.maximum(hands.cones @ change, 0.0)
+        qp.h[layout.cones] = hands.most
+
+    def _least(self, A: Array, right: Array) -> Array:
+        """The wrenches of the smallest change with that effect; normally it is unique."""
+        layout, n, saddle = self._layout, self._layout.n, self._saddle
+        if saddle is None:
+            return least_squares(np.hstack([A[:, layout.a], A[:, layout.h]]), right)[n:]
+        saddle.top[:], saddle.right[:] = A[:n, layout.a], A[:n, layout.h]
+        saddle.left[:], saddle.corner[:] = A[n:, layout.a], A[n:, layout.h]
+        return np.asarray(saddle.solve(right)[0][n:])
+
+    def remember(self, state: State, qp: QP, x: Array | None) -> None:
+        """Keep an answer for the next tick; None where other torques are commanded."""
+        if not self._hands.pressing:
+            return
+        answer, h = state.memory["answer"], self._layout.h
+        answer[:] = 0.0 if x is None else x[: h.stop]
+        answer[h] = _turned(answer[h], self._hands.turned)
+        state.memory["back"][:] = -self._dynamics.drift - qp.b[self._loops]
+
+
+def _turned(h: Array, R: Array) -> Array:
+    """Wrenches of hands in other axes, shape (6 N,)."""
+    return np.asarray(h.reshape(-1, 2, 3) @ R.transpose(0, 2, 1)).ravel()

@@ -43,16 +43,13 @@ class TaskDynamics:
     def update(self, state: State) -> None:
         """Update everything to a measured state."""
         ahead, tasks, v = self._ahead, self.tasks, state.v
-        np.multiply(v, STEP, ahead.q)
-        np.add(ahead.q, state.q, ahead.q)
-        ahead.t = state.t + STEP
+        ahead.q[:], ahead.t = state.q + STEP * v, state.t + STEP
         ahead.update()
         tasks.update(ahead)
-        np.subtract(tasks.J.dot(v), tasks.rate, self.drift)
+        e_dot_ahead = tasks.J.dot(v) - tasks.rate
         tasks.update(state)
-        np.subtract(tasks.J.dot(v), tasks.rate, self.e_dot)
-        np.subtract(self.drift, self.e_dot, self.drift)
-        self.drift /= STEP
+        self.e_dot = tasks.J.dot(v) - tasks.rate
+        self.drift = (e_dot_ahead - self.e_dot) / STEP
         self.dynamics.update(state.q, v)
 
     def holding(self, state: State, brake_time: float) -> Array:

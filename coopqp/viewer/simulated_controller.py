@@ -14,9 +14,8 @@ from coopqp.base.errors import CoopqpError
 from coopqp.base.spec import Array
 from coopqp.controller import Command
 from coopqp.execution.controller_run import controller_of
-from coopqp.execution.guarded_plant import GuardedPlant
 from coopqp.execution.phase_run import PhaseRun, begin_phase
-from coopqp.execution.rollout import drive
+from coopqp.execution.rollout import GuardedPlant, drive
 from coopqp.model.state import State
 from coopqp.online.arrivals import in_columns
 from coopqp.scenario.input import Arrival, Feed, Inputs, InputSettings

@@ -17,9 +17,15 @@ from scipy.optimize import linprog
 import coopqp
 from coopqp.base.errors import ScenarioError
 from coopqp.base.spec import Array
-from coopqp.closed_loop.forces import Squeeze, contact_faults, contact_notes, forces
+from coopqp.closed_loop.forces import (
+    Bound,
+    Squeeze,
+    StaticHold,
+    contact_faults,
+    contact_notes,
+    forces,
+)
 from coopqp.closed_loop.grasp_matrix import grasp_matrix, section, walker
-from coopqp.closed_loop.holding import Bound, StaticHold
 from coopqp.grasp import Contact
 from coopqp.grasps import PointContact
 from coopqp.model.closed_chain import ClosedChain

@@ -13,7 +13,7 @@ from coopqp.base.spec import Array
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.model.held_object import HeldObject
 from coopqp.model.profile import Profile
-from coopqp.model.state import Memory
+from coopqp.model.state import Memory, State
 from coopqp.plant import Disturbance, Push
 from coopqp.torque_law.external_wrench import MomentumObserver
 from coopqp.trace import Trace
@@ -37,7 +37,7 @@ def observed(trace: Trace, held: HeldObject | None = None) -> Array:
     chain = replace(scenario, held=held or scenario.held).chain
     dynamics = ClosedLoopDynamics(chain)
     observer = MomentumObserver(dynamics, gain=GAIN, dt=trace.dt)
-    memory, found = Memory(observer.memory_sizes), []
+    state, found = State(chain, memory=Memory(observer.memory_sizes)), []
     at_rest, before = np.zeros((1, chain.n)), np.zeros((1, chain.n))
     for q, v, tau in zip(
         trace.q,
@@ -46,8 +46,8 @@ def observed(trace: Trace, held: HeldObject | None = None) -> Array:
         strict=True,
     ):
         dynamics.update(q, v)
-        memory["observer.tau"][:] = tau
-        found.append(observer.update(memory, q, v).copy())
+        state.q[:], state.v[:], state.memory["observer.tau"][:] = q, v, tau
+        found.append(observer.update(state).copy())
     return np.array(found[1:])
 
 

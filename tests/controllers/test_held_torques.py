@@ -18,7 +18,7 @@ from coopqp.plant import Disturbance
 from coopqp.plants import RigidBody
 from coopqp.solver import Status
 from coopqp.tasks import PointOnPoint
-from coopqp.torque_law.held_torques import AHEAD
+from coopqp.torque_law.program import AHEAD
 
 TICKS = 40
 

@@ -24,8 +24,8 @@ from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.plant import Disturbance
 from coopqp.plants import Mujoco, RigidBody
-from coopqp.plants._mjcf import SpringHand
 from coopqp.plants._servo import Servo
+from coopqp.plants.mujoco import SpringHand
 from coopqp.robot import RobotModel
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status

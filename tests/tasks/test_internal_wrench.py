@@ -11,8 +11,7 @@ from chains import planar_pair, ring, three_arms
 from coopqp.base.errors import CoopqpError
 from coopqp.base.spec import Array
 from coopqp.closed_loop.grasp_matrix import virtual_linkage
-from coopqp.closed_loop.hands import hands, points
-from coopqp.closed_loop.wrench_stack import WrenchStack
+from coopqp.closed_loop.hands import WrenchStack, hands, points
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.signals import Waypoints
