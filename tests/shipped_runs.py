@@ -1,8 +1,10 @@
-"""Shipped scenarios compared as their files have it, each once a process."""
+"""Shipped scenarios compared as their files have it, or their first ticks, each once a process."""
 
 from __future__ import annotations
 
 from functools import cache
+
+from scenario_files import cut
 
 import coopqp
 from coopqp.execution.comparison import Comparison
@@ -13,3 +15,9 @@ from coopqp.scenario.loader import load
 def comparison(name: str) -> Comparison:
     """All laws of a scenario; to be read only."""
     return coopqp.compare(load(name))
+
+
+@cache
+def beginning(name: str) -> Comparison:
+    """Ten ticks of every phase under all laws of a scenario; to be read only."""
+    return coopqp.compare(cut(load(name), 10))

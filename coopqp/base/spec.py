@@ -47,14 +47,19 @@ def _explain(schema: dict[str, Any], cls: type) -> None:
 
 def field_docs(cls: type) -> dict[str, str]:
     """The docstring under each field of a class or its bases; empty where there is no source."""
+    return {key: text for base in reversed(cls.__mro__) for key, text in _own_docs(base).items()}
+
+
+@functools.cache
+def _own_docs(cls: type) -> dict[str, str]:
+    """The same of one class without its bases; every source is read once."""
     found: dict[str, str] = {}
-    for base in reversed(cls.__mro__):
-        with suppress(OSError, TypeError):
-            (node,) = ast.parse(textwrap.dedent(inspect.getsource(base))).body
-            for field, words in itertools.pairwise(getattr(node, "body", [])):
-                match field, words:
-                    case ast.AnnAssign(ast.Name(key)), ast.Expr(ast.Constant(str(text))):
-                        found[key] = inspect.cleandoc(text)
+    with suppress(OSError, TypeError):
+        (node,) = ast.parse(textwrap.dedent(inspect.getsource(cls))).body
+        for field, words in itertools.pairwise(getattr(node, "body", [])):
+            match field, words:
+                case ast.AnnAssign(ast.Name(key)), ast.Expr(ast.Constant(str(text))):
+                    found[key] = inspect.cleandoc(text)
     return found
 
 

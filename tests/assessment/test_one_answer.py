@@ -38,7 +38,7 @@ from coopqp.trace import Failure, Trace
 from .contract import disagreements, of_stress
 
 PAGE = Path(__file__).parents[2] / "docs" / "assessment.md"
-SEEDS = (*range(18), 337, 414)  # the last two stand still where they have arrived
+SEEDS = (*range(10), 337, 414)  # the last two stand still where they have arrived
 
 
 def short(**changes: Any) -> Scenario:

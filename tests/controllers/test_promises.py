@@ -19,6 +19,7 @@ from coopqp.limits import JointAcceleration, JointPosition, JointVelocity, Objec
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
+from coopqp.plants import RigidBody
 from coopqp.report import audit
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.notes import notes
@@ -38,13 +39,14 @@ HELD = {"joint_velocity": 2e-5, "object_speed": 2e-5, "workspace": 2e-5, "joint_
 
 
 def carried(*limits: Limit) -> Trace:
-    """The torque QP on rigid bodies, on a way of a second."""
+    """The torque QP on rigid bodies, on a way of 0.8 s."""
     scenario = coopqp.load("passive_grasp_pose")
-    tasks = tuple(replace(task, profile=Profile(duration=1.0)) for task in scenario.tasks)
+    tasks = tuple(replace(task, profile=Profile(duration=0.8)) for task in scenario.tasks)
     own = (JointPosition(), *limits)
-    return coopqp.run(
-        replace(scenario, tasks=tasks, duration=1.4, limits=own), controller="torque_qp"
+    given = replace(
+        scenario, tasks=tasks, plant=RigidBody(time_step=0.002), duration=1.0, limits=own
     )
+    return coopqp.run(given, controller="torque_qp")
 
 
 @cache

@@ -26,7 +26,7 @@ def test_shipped_scenarios_move_alike(name: str) -> None:
         pytest.skip("no controller solves a QP in velocities")
     problem = scenario.problem()
     assert why_not(problem) == ""
-    ticks = min(scenario.schedule[0].ticks(scenario.dt), 400)
+    ticks = min(scenario.schedule[0].ticks(scenario.dt), 250)
     seen = drive(problem, ticks)
     assert seen.decided == ticks, dict(seen.left)
     assert seen.v < SAME

@@ -18,7 +18,7 @@ def test_the_check_catches_every_fault(tmp_path: Path) -> None:
     assert COMPILER
     program, flags = tmp_path / "core", ["-std=c++17", "-O0", "-ffp-contract=off", "-Wno-psabi"]
     subprocess.run([COMPILER, *flags, "-DCOOPQP_FAULTS", str(CORE), "-o", str(program)], check=True)
-    done = subprocess.run([str(program), "0", "200"], capture_output=True, text=True, check=False)
+    done = subprocess.run([str(program), "0", "100"], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     assert " 0 wrong," in done.stdout
     assert " 0 missed" in done.stdout

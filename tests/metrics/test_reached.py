@@ -14,8 +14,10 @@ from coopqp.assessment import assess
 from coopqp.base.spec import Array
 from coopqp.execution.comparison import Comparison, summarize
 from coopqp.plant import Disturbance, Push
+from coopqp.plants import RigidBody
 from coopqp.report import files
 from coopqp.scenario.scenario import Scenario
+from coopqp.study.explanation import explain_run
 from coopqp.study.trace_file import trace_from_file
 from coopqp.trace import Trace
 
@@ -101,7 +103,8 @@ def test_an_impedance_that_is_pushed_to_the_end_has_to_be_where_its_springs_are(
     tmp_path: Path,
 ) -> None:
     """F/K is 6/3000 and 8/400 m; after 0.1 s of the push it is not there yet."""
-    given = replace(coopqp.load("impedance"), dt=0.002)
+    plant = RigidBody(time_step=0.002)
+    given = replace(coopqp.load("impedance"), dt=0.002, plant=plant)
     push = Push(force=(6.0, 8.0, 0.0), start=0.1, duration=9.0)
     for seconds, there in ((2.2, True), (0.2, False)):
         pushed = replace(given, duration=seconds, disturbance=Disturbance(push=push))
@@ -115,3 +118,6 @@ def test_an_impedance_that_is_pushed_to_the_end_has_to_be_where_its_springs_are(
         files.write_one(tmp_path / "trace.csv", files.trace_csv(found))
         read = trace_from_file(tmp_path / "trace.csv", pushed, "torque_qp")
         np.testing.assert_array_equal(assess(read).errors, assess(trace).errors)
+        told = explain_run(pushed, read)
+        assert told.kind == ("reached" if there else "short")
+        assert "gain" not in told.sentence

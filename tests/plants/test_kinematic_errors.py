@@ -27,7 +27,7 @@ from coopqp.solvers import Daqp
 from coopqp.trace import Trace
 
 DT = 0.01  # s
-WITH_MASSES: dict[str, Plant] = {"rigid_body": RigidBody(), "mujoco": Mujoco()}
+WITH_MASSES: dict[str, Plant] = {"rigid_body": RigidBody(time_step=0.002), "mujoco": Mujoco()}
 PLANTS: dict[str, Plant] = {"kinematic": Kinematic(), **WITH_MASSES}
 GRASP = Disturbance(grasp_offset=2e-3, grasp_offset_angle=5e-3)
 LINKS = Disturbance(link_length=1e-3)
@@ -36,8 +36,8 @@ ERRORS = {"links": LINKS, "encoders": ENCODERS, "grasp": GRASP}
 ALL = replace(GRASP, link_length=5e-4, encoder_offset=5e-3, noise_position=1e-4, delay=2)
 #: A goal away from the stops.
 NEAR = (0.15, 0.03, 0.035)  # m
-#: The way takes two; the last half of one, in which the squeeze is looked at, is rest.
-SECONDS = 2.6
+#: On the way, and until the end; the last half second, where the squeeze is looked at, is rest.
+WAY, SECONDS = 1.5, 2.1
 
 
 @cache
@@ -46,7 +46,7 @@ def carried(plant: str, disturbance: Disturbance) -> Trace:
         pytest.importorskip("mujoco")
     scenario = coopqp.load("point_on_point")
     (task,) = scenario.tasks
-    near = replace(task, goal=NEAR)
+    near = replace(task, goal=NEAR, profile=replace(task.profile, duration=WAY))
     scenario = replace(
         scenario, tasks=(near,), plant=PLANTS[plant], disturbance=disturbance, duration=SECONDS
     )

@@ -54,7 +54,7 @@ def ran(
     plant: Plant,
     disturbance: Disturbance | None = None,
     *wrenches: Task,
-    seconds: float = 0.5,
+    seconds: float = 0.3,
     chain: ClosedChain | None = None,
     controller: Controller | None = None,
 ) -> Trace:
@@ -156,7 +156,7 @@ def test_with_enough_friction_left_it_is_held() -> None:
 def test_a_pad_that_tips_is_no_lack_of_friction(name: str) -> None:
     """Walker's torques on pads ask for m g a / (2 X) = 5.1 N, friction for m g / (2 mu N) of it."""
     newtons = 4.4
-    trace = ran(PLANTS[name], seconds=0.3, controller=WrenchSplit(split="walker", squeeze=newtons))
+    trace = ran(PLANTS[name], controller=WrenchSplit(split="walker", squeeze=newtons))
     found = Held().measure(trace)
     assert found
     assert not found["held"]
@@ -180,7 +180,7 @@ def test_of_friction_without_end_next_to_none_is_used(name: str) -> None:
 def test_a_push_uses_friction_and_a_large_one_loses_the_box() -> None:
     for newtons, held in ((0.5, True), (15.0, False)):
         push = Push(force=(0, 0, -newtons), start=0.2, duration=0.4)
-        found = Held().measure(ran(Mujoco(), Disturbance(push=push)))
+        found = Held().measure(ran(Mujoco(), Disturbance(push=push), seconds=0.5))
         assert found
         assert found["held"] is held
 
@@ -227,7 +227,7 @@ def test_fingertips_hold_a_box_that_turns_between_them() -> None:
         for name, g in firm.grasps.items()
     }
     chain = ClosedChain.attach(firm.robot, firm.q_start, tips, firm.held)
-    trace = ran(Mujoco(), chain=chain, seconds=0.3)
+    trace = ran(Mujoco(), chain=chain)
     assert Held().measure(trace) == {"held": True, "lost_at": None}
     h = trace.signals["hand_wrench"][-1].reshape(2, 6)
     # Forces alone: the contact is some micrometres deep.
@@ -258,6 +258,6 @@ def test_formulas_hold_with_a_squeeze_that_somebody_found_for_them(
     Without any squeeze nothing holds, whatever the split.
     """
     settings = WrenchSplit(split=split, squeeze=squeeze)
-    found = Held().measure(ran(Mujoco(), seconds=0.5, controller=settings))
+    found = Held().measure(ran(Mujoco(), seconds=0.4, controller=settings))
     assert found
     assert found["held"] is held

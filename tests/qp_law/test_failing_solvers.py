@@ -73,9 +73,9 @@ def test_run_goes_on_with_a_solver_that_fails_now_and_then(
     goal = chain.start_position + np.array([0.01, -0.01, 0.02])
     reach = PointOnPoint(name="reach", goal=(goal[0], goal[1], goal[2]))
     given = problem(chain, reach, secondary=secondary, solver=Faulty(fault=fault))
-    trace = run(PLAIN, given, 300)
+    trace = run(PLAIN, given, 200)
     counts = Counter(trace.status)
-    assert counts["OPTIMAL"] > 150
+    assert counts["OPTIMAL"] > 100
     assert counts["SOLVER_FAILED"] > 20  # the last attempt has an answer
     assert counts["DRIFT_SLOWED"] == 0  # nothing was in conflict
     failed = [k for k, status in enumerate(trace.status) if not causes_of(status)[0].usable]

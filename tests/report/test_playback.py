@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from scenario_files import LOADABLE, cut, needs_robots
+from shipped_runs import beginning
 
 import coopqp
 from coopqp.report.page import render
@@ -25,8 +26,8 @@ PAGE = 600_000  # most that a robot may add to a page, for each controller [char
 
 @pytest.mark.parametrize("name", LOADABLE)
 def test_every_scenario_can_be_drawn_within_the_budget(name: str) -> None:
-    scenario = cut(load(name), 5)
-    drawn = scene(coopqp.compare(scenario))
+    found = beginning(name)
+    scenario, drawn = found.scenario, scene(found)
     json.dumps(drawn, allow_nan=False)
     assert len(json.dumps(drawn["bodies"])) < PAGE
     assert drawn["bodies"]
@@ -45,8 +46,8 @@ def test_every_scenario_can_be_drawn_within_the_budget(name: str) -> None:
 @pytest.mark.parametrize("name", ["passive_grasp_pose", "rigid_vs_passive", "planar_pair"])
 def test_bodies_move_as_in_the_chain_that_the_controller_moves(name: str) -> None:
     """By the closed chain's own model, passive joints and all."""
-    scenario = cut(load(name), 5)
-    comparison = coopqp.compare(scenario)
+    comparison = beginning(name)
+    scenario = comparison.scenario
     drawn, robot = scene(comparison), scenario.chain.robot
     bodies, _ = robot_bodies(robot)
     names = [robot.model.names[body.joint] for body in bodies if body.joint]

@@ -13,11 +13,11 @@ import coopqp
 from coopqp.assessment import assess
 from coopqp.controllers import TorqueQp, WrenchSplit
 from coopqp.execution.comparison import summarize
-from coopqp.plant import Disturbance, Push
+from coopqp.plant import Disturbance
 from coopqp.plants import RigidBody
 from coopqp.report import files
 from coopqp.scenario.scenario import Scenario
-from coopqp.study.explanation import RunExplanation, explain_run
+from coopqp.study.explanation import explain_run
 from coopqp.study.trace_file import trace_from_file
 from coopqp.tasks import InternalWrench
 
@@ -54,31 +54,16 @@ def test_a_pad_whose_pressure_reaches_its_edge_is_named_and_a_squeeze_that_holds
     assert "equal: {squeeze: 37.5} it is held (tried)" in found.sentence
 
 
-def pushed(folder: Path, seconds: float, disturbance: Disturbance) -> RunExplanation:
-    """Of an impedance, from a file."""
-    scenario = replace(
-        coopqp.load("impedance"), plant=RigidBody(time_step=0.002), dt=0.002, duration=seconds,
-        disturbance=disturbance, phases=(),
-    )  # fmt: skip
-    trace = coopqp.run(scenario, controller="torque_qp")
-    path = folder / f"{seconds}.csv"
-    files.write_one(path, files.trace_csv(summarize(scenario, {"torque_qp": trace})))
-    return explain_run(scenario, trace_from_file(path, scenario, "torque_qp"))
-
-
-def test_springs_that_bear_the_scenarios_push_are_where_they_were_asked_to_be(
-    tmp_path: Path,
-) -> None:
-    push = Disturbance(push=Push(force=(8.0, 6.0, 0.0), start=0.0, duration=9.0))
-    assert pushed(tmp_path, 1.5, push).kind == "reached"
-    short = pushed(tmp_path, 0.1, push)
-    assert short.kind == "short"
-    assert "gain" not in short.sentence
-
-
 def test_springs_are_said_to_bear_what_nobody_knows_of(tmp_path: Path) -> None:
     """300 g more."""
-    found = pushed(tmp_path, 2.5, Disturbance(object_mass=1.3))
+    scenario = replace(
+        coopqp.load("impedance"), plant=RigidBody(time_step=0.002), dt=0.002, duration=2.5,
+        disturbance=Disturbance(object_mass=1.3),
+    )  # fmt: skip
+    trace = coopqp.run(scenario, controller="torque_qp")
+    path = tmp_path / "trace.csv"
+    files.write_one(path, files.trace_csv(summarize(scenario, {"torque_qp": trace})))
+    found = explain_run(scenario, trace_from_file(path, scenario, "torque_qp"))
     assert found.kind == "springs"
     assert "gain" not in found.sentence
     words = found.sentence.split()

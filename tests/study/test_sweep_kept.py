@@ -46,7 +46,7 @@ def test_wherever_a_batch_was_half_written_the_results_are_the_same(
 ) -> None:
     """Whole records up to somewhere, and a part of the next batch as a kill leaves it."""
     rng, out = random.Random(17), tmp_path / "out"
-    for _ in range(10):
+    for _ in range(5):
         shutil.copytree(undisturbed, out)
         os.waitpid(forked(lambda: half_written(out, rng.randrange(24))), 0)
         assert (out / "journal.sqlite3-journal").stat().st_size

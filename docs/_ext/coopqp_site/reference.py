@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import sys
 from collections.abc import Iterator, Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +61,7 @@ def _entry(entry: Entry, idea: type, used: Mapping[str, list[str]]) -> str:
     return text + "\n"
 
 
+@cache
 def _uses() -> dict[str, list[str]]:
     """Names of the shipped scenarios that write a name, by that name."""
     found: dict[str, list[str]] = {}
