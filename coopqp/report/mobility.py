@@ -18,8 +18,7 @@ from coopqp import __version__
 from coopqp.base.errors import CoopqpError, InvalidValueError, UnknownNameError
 from coopqp.base.spec import Array
 from coopqp.base.wording import counted
-from coopqp.closed_loop.forces import Forces, forces
-from coopqp.closed_loop.holding import Bound
+from coopqp.closed_loop.forces import Bound, Forces, forces
 from coopqp.closed_loop.mobility import WEAK, Mobility, manipulability, mobility
 from coopqp.closed_loop.transmission import force_words
 from coopqp.execution.controller_run import run
