@@ -90,13 +90,13 @@ def test_a_shipped_run_is_its_ticks(name: str, monkeypatch: pytest.MonkeyPatch) 
 def runs(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """How many ticks were asked for at once, whenever they were."""
     found: list[int] = []
-    kept = Law._room
+    kept = Law.run
 
-    def room(self: Law, state: State, ticks: int) -> TickBatch:
+    def counted(self: Law, state: State, ticks: int) -> TickBatch:
         found.append(ticks)
         return kept(self, state, ticks)
 
-    monkeypatch.setattr(Law, "_room", room)
+    monkeypatch.setattr(Law, "run", counted)
     return found
 
 
