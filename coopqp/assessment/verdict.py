@@ -68,9 +68,9 @@ def _arrival(found: Assessment) -> str:
         return f"loses {_called(task)}: its error is no number"
     far = _far(task.error, task.unit)
     if task.oscillates:
-        return f"swings to the end up to {far} off the goal of {_called(task)}{_after(found)}"
+        return f"swings to the end up to {far} off the goal of {_called(task)}{_others(found)}"
     where = _where(found, found.tasks.index(task))
-    return f"ends {far} off the goal of {_called(task)}{_after(found)}{where}"
+    return f"ends {far} off the goal of {_called(task)}{_others(found)}{where}"
 
 
 def _called(task: TaskEnd) -> str:
@@ -79,15 +79,24 @@ def _called(task: TaskEnd) -> str:
     return name if task.mode == "soft" else f"{task.mode} task {name}"
 
 
-def _after(found: Assessment) -> str:
-    """How far those are off that come after the first that is missed."""
-    others = found.gave_way
-    if not others:
-        return ""
-    said = [f"{_far(task.error, task.unit)} off that of {_called(task)}" for task in others]
-    more = [f"that of {len(others) - MOST_NAMES} more"] if len(others) > MOST_NAMES else []
-    verb = "comes" if len(others) == 1 else "come"
-    return f" and {_listed([*said[:MOST_NAMES], *more])}, which {verb} after it"
+def _others(found: Assessment) -> str:
+    """How far off other missed tasks are: those that come after the first, then the rest."""
+    later = found.gave_way
+    beside = [task for task in found.missed[1:] if task not in later]
+    verb = "comes" if len(later) == 1 else "come"
+    after = f" and {_off(later)}, which {verb} after it" if later else ""
+    return f"{after}{',' if later and beside else ''}{f' and {_off(beside)}' if beside else ''}"
+
+
+def _off(tasks: Sequence[TaskEnd]) -> str:
+    said = [
+        f"at no number of that of {_called(task)}"
+        if np.isnan(task.error)
+        else f"{_far(task.error, task.unit)} off that of {_called(task)}"
+        for task in tasks[:MOST_NAMES]
+    ]
+    more = [f"that of {len(tasks) - MOST_NAMES} more"] if len(tasks) > MOST_NAMES else []
+    return _listed([*said, *more])
 
 
 def _motion(found: Assessment) -> str:
@@ -225,7 +234,7 @@ def _speed(found: Assessment) -> str:
     limit = found.trace.velocity[found.trace.joints.index(worst.row.joint)]
     share = 1.0 + worst.by / limit
     if share < HARDLY:
-        return f"needs {100.0 * (share - 1.0):.1g} % more speed than {worst.row.joint} has"
+        return f"needs {_round(100.0 * (share - 1.0))} % more speed than {worst.row.joint} has"
     return f"needs {_round(share)} times the speed {worst.row.joint} has"
 
 
@@ -235,7 +244,9 @@ def _acceleration(found: Assessment) -> str:
         return ""
     share = worst.value / worst.allowed
     beyond = (
-        f"{_round(share)} times" if share >= HARDLY else f"{100.0 * (share - 1.0):.1g} % more than"
+        f"{_round(share)} times"
+        if share >= HARDLY
+        else f"{_round(100.0 * (share - 1.0))} % more than"
     )
     cure = ": add joint_acceleration to limits" if found.acceleration_free else ""
     return (

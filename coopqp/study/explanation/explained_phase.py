@@ -91,7 +91,8 @@ class ExplainedPhase:
         return f"it stands still in {count} of {len(self.causes)} ticks"
 
     def followed(self, k: int) -> InputValues:
-        return followed(self.inputs, self.first + k)
+        """In a tick; at its end as in its last, the next is another phase's."""
+        return followed(self.inputs, self.first + min(k, len(self.v) - 1))
 
     def goal(self) -> Goal:
         """Of its tasks with a place, at its end."""
