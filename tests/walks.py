@@ -6,7 +6,7 @@ import numpy as np
 
 from coopqp.base.rank import null_space
 from coopqp.base.spec import Array
-from coopqp.kernel.native import Slide, slide
+from coopqp.kernel.flat import Slide, slide
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 

@@ -8,8 +8,8 @@ from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import NonNegative, Positive, spec
 from coopqp.closed_loop.admittance import Admittance, internal_force_control
 from coopqp.controller import ALL_FEATURES, Controller, ControlProblem, Features, Law
+from coopqp.kernel.flat import why_not
 from coopqp.kernel.law import KernelLaw
-from coopqp.kernel.native import why_not
 from coopqp.qp_law.law import ERROR_DAMPING, QPLaw
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +11,8 @@ import pinocchio as pin
 
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
-from coopqp.limit import JointBounds, TwistBounds, opening
+from coopqp.kernel import native
+from coopqp.limit import JointBounds, TwistBounds, movers, opening
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.geometry import Reference
 from coopqp.model.state import State
@@ -242,3 +243,69 @@ class Levels:
             levers = levers[: at - len(rows)]
         if not joints:
             rows += [(gain, weight, lever, task.asks_velocity, twist, share) for lever in levers]
+
+
+#: What the compiled arrays hold: joints of two arms, joints that move several arms, loops.
+MOST_LANES, MOST_SHARED, MOST_LOOPS = 64, 6, 16
+
+
+def why_not(problem: ControlProblem) -> str:
+    """Why the kernel cannot do a problem; empty where it can."""
+    chain = problem.chain
+    if native.module() is None:
+        return native.MISSING
+    if not problem.solver.kernel_instead:
+        return "the scenario asks for another solver"
+    return unfit(chain)
+
+
+def unfit(chain: ClosedChain) -> str:
+    """What of a chain the kernel cannot do; empty where it can do all."""
+    if chain.loops.varying:
+        return "which loop rows depend on others changes with the pose"
+    return chain.once(_unfit)
+
+
+def _unfit(chain: ClosedChain) -> str:
+    if chain.once(flat_model) is None:
+        return "a joint is neither a hinge nor a slide"
+    if chain.n <= len(chain.loops.kept):
+        return "the loops leave no motion"
+    moved = movers(chain, [chain.model.frames[frame].parentJoint for frame in chain.frames])
+    shared = moved.sum(axis=0) > 1.0
+    first = np.count_nonzero(shared | (moved[0] > 0.0))
+    others = (moved[1 : chain.holding] * ~shared).sum(axis=1)
+    widest = max(first, 6 + np.count_nonzero(shared)) + others.max(initial=0.0)
+    if widest > MOST_LANES and chain.holding > 1:
+        return f"two arms have more than {MOST_LANES} joints together"
+    if np.count_nonzero(shared) > MOST_SHARED:
+        return f"more than {MOST_SHARED} joints move several arms"
+    carry, kept = int(first), kept_rows(chain).reshape(-1, 6).sum(axis=1)
+    for own, rows in zip(others, kept, strict=True):
+        left = int(carry + own - rows)
+        if left < 0:
+            return "a loop has fewer joints than rows"
+        carry = min(left, 6 + int(np.count_nonzero(shared)))
+    if chain.holding - 1 > MOST_LOOPS:
+        return f"there are more than {MOST_LOOPS} loops"
+    return ""
+
+
+#: slide(q, direction, length, steps) moves q in place along the projection of a direction on the
+#: motions that keep the loops closed, and closes them by Newton steps; returns the largest loop
+#: error [m, rad], below zero where rows that are independent in general are not so.
+Slide = Callable[[Array, Array, float, int], float]
+
+
+def slide(chain: ClosedChain) -> Slide | None:
+    """The function that moves a chain along its loops; None where the kernel cannot."""
+    return chain.once(_slide)
+
+
+def _slide(chain: ClosedChain) -> Slide | None:
+    engine: Any = native.module()
+    model = chain.once(flat_model)
+    if engine is None or model is None or unfit(chain):
+        return None
+    step: Slide = engine.Slide({"model": model, "kept": kept_rows(chain)}).step
+    return step

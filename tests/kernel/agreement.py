@@ -25,7 +25,7 @@ from scenario_files import LOADABLE
 from stress.draw import draw
 
 from coopqp.controllers.qp import QPController
-from coopqp.kernel.native import why_not
+from coopqp.kernel.flat import why_not
 from coopqp.scenario.loader import load
 
 

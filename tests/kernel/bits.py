@@ -22,7 +22,7 @@ from variants import apart, variants
 
 from coopqp.controller import ControlProblem
 from coopqp.controllers.qp import QPController
-from coopqp.kernel.native import why_not
+from coopqp.kernel.flat import why_not
 from coopqp.scenario.loader import load
 
 

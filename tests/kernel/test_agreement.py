@@ -10,7 +10,7 @@ from stress.draw import draw
 
 from coopqp.controllers.qp import QPController
 from coopqp.kernel import native
-from coopqp.kernel.native import why_not
+from coopqp.kernel.flat import why_not
 from coopqp.scenario.loader import load
 
 pytestmark = pytest.mark.skipif(native.module() is None, reason="the kernel is not built")

@@ -22,8 +22,8 @@ from coopqp.controllers import QPController
 from coopqp.execution.controller_run import run
 from coopqp.grasps import Rigid
 from coopqp.kernel import native
+from coopqp.kernel.flat import why_not
 from coopqp.kernel.law import KernelLaw
-from coopqp.kernel.native import why_not
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.held_object import HeldObject
 from coopqp.robot_files.mdh import MdhParameters as Parameters

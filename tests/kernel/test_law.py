@@ -14,8 +14,8 @@ from laws import LIMITS, NEAR, STEP, problem
 from coopqp.base.errors import InvalidValueError
 from coopqp.controllers import QPController
 from coopqp.kernel import native
+from coopqp.kernel.flat import why_not
 from coopqp.kernel.law import KernelLaw
-from coopqp.kernel.native import why_not
 from coopqp.limits import Workspace
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State

@@ -10,7 +10,7 @@ from stress import arrangements
 
 from coopqp.base.rank import null_space
 from coopqp.kernel import native
-from coopqp.kernel.native import slide
+from coopqp.kernel.flat import slide
 from coopqp.model.state import State
 
 pytestmark = pytest.mark.skipif(native.module() is None, reason="the kernel is not built")
