@@ -93,7 +93,7 @@ def _explained(
         return _kept(found, phases, replace(base, relaxed=given_up))
     answer = _blocked(leg, replace(stops, relaxed=given_up), report)
     clauses = [answer.sentence, *_gave_way(leg, answer), *(task.words for task in given_up)]
-    clauses.append(_at_limits(found, answer))
+    clauses += [_at_limits(found, answer), *_violated(found, phases)]
     return replace(answer, sentence="; ".join(filter(None, clauses)))
 
 
@@ -116,6 +116,11 @@ def _gave_way(leg: ExplainedPhase, answer: RunExplanation) -> Iterator[str]:
         yield words.gave_way(part, error, leg.missed[0][0], because=bool(free))
 
 
+def _violated(found: Assessment, phases: Sequence[ExplainedPhase]) -> list[str]:
+    """Loops that came open and limits that were exceeded."""
+    return [words.opened(found, phases[0].problem.kappa), words.broken(found)]
+
+
 def _kept(
     found: Assessment, phases: Sequence[ExplainedPhase], base: RunExplanation
 ) -> RunExplanation:
@@ -123,8 +128,7 @@ def _kept(
     clauses, kind = [], "reached"
     if not found.succeeds:
         kind = "broken" if found.loop_closed else "open"
-        kappa = phases[0].problem.kappa
-        clauses = [words.opened(found, kappa), words.broken(found)]
+        clauses = _violated(found, phases)
     clauses = [text for text in clauses if text] + [task.words for task in base.relaxed]
     count = sum(Status.TASKS_RELAXED in causes for leg in phases for causes in leg.causes)
     if base.relaxed:
