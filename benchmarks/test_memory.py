@@ -23,7 +23,7 @@ def resident_mb() -> float:
 
 
 def test_a_million_ticks_do_not_grow(benchmark: BenchmarkFixture, scenario: Scenario) -> None:
-    """TickBatch back and forth along the scenario's motion."""
+    """Ticks back and forth along the scenario's motion."""
     problem = scenario.problem()
     law = QPController().build(problem)
     plant = scenario.plant.build(problem, 0, scenario.disturbance)

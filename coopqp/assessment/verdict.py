@@ -164,7 +164,7 @@ def _limits(found: Assessment, unseen: Sequence[str]) -> str:
         far = _amount(worst.by, worst.row.unit)
         joints = f"drives {worst.name} {far} beyond its limit"
     else:
-        joints = _way_back(found, worst)
+        joints = _recovery(found, worst)
     return f"{joints}; {others}" if others else joints
 
 
@@ -215,7 +215,7 @@ def _too_near(violation: LimitViolation) -> str:
     return f"brings {what}{start}"
 
 
-def _way_back(found: Assessment, worst: LimitViolation) -> str:
+def _recovery(found: Assessment, worst: LimitViolation) -> str:
     """Of a run that starts outside, and goes no farther out."""
     trace = found.trace
     far = _amount(worst.at_start, worst.row.unit)

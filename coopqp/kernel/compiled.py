@@ -147,7 +147,7 @@ class Compiled:
         self.rows_in_python = (*levels.in_python, *limits.in_python)
         self.outcome = int(Outcome.BUSY)
         found = native.module()
-        assert found is not None  # whoever builds this has asked coopqp.kernel.law.why_not
+        assert found is not None  # whoever builds this has asked coopqp.kernel.flat.why_not
         self.engine = found.Engine({
             "model": chain.once(flat_model),
             "kept": kept_rows(chain),

@@ -95,7 +95,7 @@ class Separation:
         """Fill the rows, whether pairs are near or not.
 
         Of what a pair is farther apart than ``within`` all may be used up in a tick. It has a row
-        there if it could come closer than ``distance`` before the next (:class:`StepVerification`).
+        there if it could come closer than ``distance`` before the next (:class:`LookAhead`).
         InvalidValueError: the gain overshoots in a tick dt [s].
         """
         if wrong := overshoot(self.gain, dt):
@@ -107,7 +107,7 @@ class Separation:
         gains, free = np.full(count + ROWS, gain), np.array(distance)
         shallow = max(distance, SHALLOW)
         room, deep = np.zeros(count + ROWS), np.zeros(count + ROWS, bool)
-        ahead, beyond = StepVerification(chain, pairs, distance, self.within, dt), np.zeros(count)
+        ahead, beyond = LookAhead(chain, pairs, distance, self.within, dt), np.zeros(count)
 
         def tighten(state: State, rows: LimitRows) -> None:
             state.place(found.geometry, found.placed)
@@ -299,7 +299,7 @@ def _wrench(n: Array, p: Array) -> tuple[float, ...]:
     return a, b, c, y * c - z * b, z * a - x * c, x * b - y * a
 
 
-class StepVerification:
+class LookAhead:
     """Distances up to which pairs have a row, so that none can come too close within a tick.
 
     A joint that turns moves no point of a body faster than its speed times the longest way from its

@@ -6,7 +6,7 @@ from coopqp.trace import Trace
 
 
 @spec
-class TickBatch(Metric):
+class Ticks(Metric):
     """Number of control periods."""
 
     def measure(self, trace: Trace) -> int:

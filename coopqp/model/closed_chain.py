@@ -152,7 +152,7 @@ class ClosedChain:
         passive_start: Mapping[str, float] | None = None,
         released: Collection[str] = (),
     ) -> ClosedChain:
-        """Close the loops where the arms are; arguments and errors of :func:`hold.attach`."""
+        """Close the loops where the arms are; arguments and errors of the function ``attach``."""
         others = {"alpha": alpha, "passive_start": passive_start, "released": released}
         return cls(attach(robot, q_start, grasps, held, **others))  # type: ignore[arg-type]
 

@@ -45,7 +45,7 @@ _NUMBER = {status: i for i, status in enumerate(_STATUSES)}
 
 
 @dataclass(frozen=True)
-class TickBatch:
+class LoopTicks:
     """Some ticks, oldest first; T of them.
 
     Attributes:
@@ -92,9 +92,9 @@ class History:
         shapes = {"position": (3,), "rotation": (3, 3)}
         shapes |= dict.fromkeys(("q", "v", "measured"), (chain.n,))
         numbers = dict.fromkeys(("number", "causes"), np.int64)
-        self._all = TickBatch(*(
+        self._all = LoopTicks(*(
             np.zeros((capacity, *shapes.get(name, ())), numbers.get(name, float))
-            for name in TickBatch.__dataclass_fields__
+            for name in LoopTicks.__dataclass_fields__
         ))  # fmt: skip
 
     def add(self, clock: float, state: State, measured: Array, command: Command, us: float) -> None:
@@ -107,13 +107,13 @@ class History:
         kept.causes[i] = sum(1 << _NUMBER[cause] for cause in set(command.causes))
         self.count += 1
 
-    def last(self, ticks: int | None = None) -> TickBatch:
+    def last(self, ticks: int | None = None) -> LoopTicks:
         """A copy of the last ticks, all that are kept when omitted."""
         kept = min(self.count, self.capacity)
         count = kept if ticks is None else max(0, min(ticks, kept))
         rows = np.arange(self.count - count, self.count) % self.capacity
-        return TickBatch(
-            *(getattr(self._all, name)[rows] for name in TickBatch.__dataclass_fields__)
+        return LoopTicks(
+            *(getattr(self._all, name)[rows] for name in LoopTicks.__dataclass_fields__)
         )
 
 

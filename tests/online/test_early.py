@@ -1,4 +1,4 @@
-"""TickBatch before their time: nothing moves faster by the wall clock than the joints may."""
+"""Ticks before their time: nothing moves faster by the wall clock than the joints may."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""TickBatch kept in files, and solved again."""
+"""Ticks kept in files, and solved again."""
 
 from __future__ import annotations
 

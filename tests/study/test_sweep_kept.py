@@ -143,7 +143,7 @@ from coopqp import Metric, Trace, spec
 
 @spec
 class Twice(Metric):
-    """TickBatch, twice."""
+    """Ticks, twice."""
 
     def measure(self, trace: Trace) -> int:
         return 2 * trace.ticks

@@ -320,7 +320,7 @@ print("imported")
 
 @spec
 class Talks(Metric):
-    """TickBatch."""
+    """Ticks."""
 
     def measure(self, trace: Trace) -> int:
         print("measured")
@@ -358,7 +358,7 @@ Path(__file__).with_suffix(".mark").touch()
 
 @spec
 class Thrice(Metric):
-    """TickBatch, thrice."""
+    """Ticks, thrice."""
 
     def measure(self, trace: Trace) -> int:
         return 3 * trace.ticks

@@ -1,4 +1,4 @@
-// What a step needs that it does not overshoot, as coopqp.qp_law.equations.step_damping.
+// What a step needs that it does not overshoot, as coopqp.qp_law.equations.Damping.
 #pragma once
 #include <algorithm>
 #include <cmath>

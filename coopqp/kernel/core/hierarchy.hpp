@@ -49,7 +49,7 @@ class Hierarchy {
         held = 0;
     }
 
-    // GraspConfiguration directions of which rows see next to nothing, as coopqp.qp_law.priorities: each is a row
+    // Hold directions of which rows see next to nothing, as coopqp.qp_law.priorities: each is a row
     // of the next level's cost. After singular_values.
     void hold_noise() {
         for (int s = 0; s < decided; s++) {

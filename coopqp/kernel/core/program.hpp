@@ -1,6 +1,6 @@
 // Tasks as lists of primitives: rows over the object's twist, or over the joints.
 //
-// Formulas and letters are those of coopqp.geometry and of the tasks' own files.
+// Formulas and letters are those of coopqp.model.geometry and of the tasks' own files.
 #pragma once
 #include <algorithm>
 #include <cmath>

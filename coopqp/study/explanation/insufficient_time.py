@@ -29,7 +29,7 @@ from coopqp.study.explanation.diagnosis import contradicting as smallest_contrad
 from coopqp.study.explanation.explained_phase import ExplainedPhase, arrival, rerun
 from coopqp.study.explanation.goal import Goal, PartOfTask, Place, Room, Share
 from coopqp.study.explanation.suggested_relaxation import by_rerun, with_suggestion
-from coopqp.study.explanation.tick import TickBatch, held_up, speed_share
+from coopqp.study.explanation.tick import PhaseTicks, held_up, speed_share
 from coopqp.study.explanation.words import RunExplanation
 from coopqp.task import Task
 
@@ -230,7 +230,7 @@ EVALUATED = 50
 def explain_velocity(leg: ExplainedPhase, base: RunExplanation) -> RunExplanation:
     """Why a velocity was missed, at the last tick."""
     part = next(part for part, _ in leg.missed if part.task.asks_velocity)
-    look, k = TickBatch(leg), len(leg.v) - 1
+    look, k = PhaseTicks(leg), len(leg.v) - 1
     if tasks := contradicting(leg):
         names = tuple(task.name for task in tasks)
         sentence = f"{words.listed(names)} cannot hold together: they ask for different motions"
@@ -267,7 +267,7 @@ def _at_the_edge(
     return base.because("reach", sentence, tasks=(part.task.name,), way=unit)
 
 
-def _speed_needed(look: TickBatch, rows: slice) -> float:
+def _speed_needed(look: PhaseTicks, rows: slice) -> float:
     """Least share of the joints' speeds with which some rows could be followed in the last look.
 
     Infinite where the loops leave no such motion. A linear program: minimise the largest |v|/v_max
@@ -287,7 +287,7 @@ def _speed_needed(look: TickBatch, rows: slice) -> float:
     return float(found.fun) if found.success else np.inf
 
 
-def _freedom(look: TickBatch, part: PartOfTask, u: Array) -> float:
+def _freedom(look: PhaseTicks, part: PartOfTask, u: Array) -> float:
     """How much of the direction u the loops leave."""
     Z = null_space(look.state.J_loop)
     return float(np.linalg.norm(Z.T @ look.stack.J[part.rows].T @ (u / np.linalg.norm(u))))
@@ -295,7 +295,7 @@ def _freedom(look: TickBatch, part: PartOfTask, u: Array) -> float:
 
 def contradicting(leg: ExplainedPhase) -> tuple[Task, ...]:
     """Tasks whose velocities at the last tick rule each other out; none where they do not."""
-    look = TickBatch(leg)
+    look = PhaseTicks(leg)
     look.look(len(leg.v) - 1)
     Z, stack = null_space(look.state.J_loop), look.stack
     rows = dict(zip((task.name for task in stack.tasks), stack.slices, strict=True))

@@ -115,7 +115,7 @@ def asked_then(record: TickRecord) -> Asked:
     )  # fmt: skip
 
 
-class TickBatch:
+class PhaseTicks:
     """The ticks of a phase whose law commands velocities, evaluated again one by one.
 
     ``state`` and ``stack`` of tasks are those of the last one.
@@ -162,7 +162,7 @@ class TickBatch:
 
 def held_up(leg: ExplainedPhase, ticks: range | None = None) -> tuple[Share, ...]:
     """Which limits slowed a run in some ticks or all, the largest share first."""
-    look, ticks = TickBatch(leg), ticks or range(len(leg.v))
+    look, ticks = PhaseTicks(leg), ticks or range(len(leg.v))
     some = ticks[:: max(1, len(ticks) // TICKS)]
     return shares(force for k in some for force in look.forces(k))
 
@@ -212,7 +212,7 @@ def relaxed(explained_phases: Sequence[ExplainedPhase]) -> tuple[Relaxed, ...]:
 
 def _lacks(leg: ExplainedPhase) -> Iterator[tuple[int, dict[str, float]]]:
     """Relaxed ticks of a phase, with the share that each task lacks."""
-    look = TickBatch(leg)
+    look = PhaseTicks(leg)
     every = zip(leg.problem.tasks, look.stack.slices, strict=True)
     firm = [(task.name, rows) for task, rows in every if task.mode != "soft"]
     for k in (k for k, causes in enumerate(leg.causes) if Status.TASKS_RELAXED in causes):
