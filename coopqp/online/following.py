@@ -1,0 +1,223 @@
+"""Which joint does not do what it is commanded to, told apart from arms that pull at each other.
+
+Servos of stiffness K that hold one object let its internal wrench lambda move every joint a little,
+
+    r = q_m - q_c(t - lag) = K^-1 J_c' lambda + e_j delta
+
+and a faulty joint j adds a delta of its own: -2 dq_c where it moves the wrong way, -dq_c where it
+does not move. What K^-1 J_c' lambda cannot explain is the parity vector of fault detection: r
+projected on the complement of range(K^-1 J_c'). It vanishes for sag, squeeze and errors of the
+model, however large, so that |q_m - q_c|, which they change, is never compared with a threshold. A
+joint, or two that are swapped, is named where its delta explains nine tenths of the parity vector
+over a window. Joints whose signatures are parallel, such as two opposite shoulders, cannot be told
+apart where a motor is wrong; then both are named.
+
+Source: Chow and Willsky 1984, parity relations; the rest is the statics of a closed chain.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+
+from coopqp.base.rank import null_space
+from coopqp.base.spec import Array
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
+
+#: Time between samples, after which the parity space is computed anew, and of windows [s].
+SAMPLE, RENEWED, WINDOWS = 0.01, 0.1, (0.4, 2.0)
+#: Samples of a window that are looked at; those before the first look.
+LOOKS, FEWEST = 40, 4
+#: The latest that a servo may follow [s].
+LATEST = 0.14
+#: Standard deviations: of a reading at least [rad, m]; of a servo's lag [s]; of its stiffness, as
+#: a share of the sag.
+NOISE, LAG_NOISE, STIFFNESS_NOISE = 4e-4, 6e-3, 0.1
+#: Mean square of the parity vector over its variance from which a fault is looked for.
+SUSPICIOUS = 12.0
+#: Share of it that a fault must explain; the share that is left by others that count as equal.
+EXPLAINED, EXPLAINED_SWAPPED, AS_GOOD = 0.9, 0.95, 0.03
+#: delta over dq_c of a joint that does not follow, at least; of two that are swapped.
+LEAST_SLOPE, SWAPPED = 0.6, (0.7, 1.6)
+#: Slopes of joints that move the wrong way, and do not move, divide here.
+REVERSED = 1.5
+#: Commanded motion below which a joint says nothing [rad, m].
+LEAST_MOTION = 1.5e-3
+#: Share of the commanded motion that a joint which stands still may measure.
+STANDS = 0.1
+#: Singular values of K^-1 J_c' below this share of the largest are none.
+SINGULAR = 1e-3
+#: A joint is named at least so clearly, in the space that lambda leaves.
+LEAST_SIGNATURE = 1e-3
+#: A second joint is named too where it leaves at most this much more of r unexplained.
+AMBIGUOUS, PENALTY = 1.5, 1.5
+
+
+class Suspect(NamedTuple):
+    """Joints that do not follow: one, two that are swapped, or several that cannot be told apart.
+
+    Attributes:
+        joints: indices, the likeliest first.
+        slope: -delta over the commanded motion.
+        stands: whether its reading stands still.
+        swapped: whether two joints do what the other is commanded to.
+    """
+
+    joints: tuple[int, ...]
+    slope: float
+    stands: bool
+    swapped: bool
+
+
+class JointFollowing:
+    """Judges commanded and measured joints.
+
+    Args:
+        chain: whose joints are measured.
+        dt: control period [s].
+        stiffness: of the servos, shape (n,) [N m/rad]; their ratios count. Proportional to the
+            motors' largest torques when omitted.
+    """
+
+    def __init__(self, chain: ClosedChain, dt: float, stiffness: Array | None = None) -> None:
+        passive = chain.passive
+        own = np.setdiff1d(np.arange(chain.n), passive)
+        self._own, self._passive, n = own, passive, len(own)
+        K = chain.model.effortLimit[own] if stiffness is None else stiffness[own]
+        usable = np.isfinite(K).all() and (K > 0.0).all()
+        self._compliance = 1.0 / K if usable else np.ones(n)
+        self._every = max(1, round(SAMPLE / dt))
+        h = self._every * dt
+        self._lags, self._h = np.arange(round(LATEST / h) + 1), h
+        self._spans = [max(2, round(window / h)) for window in WINDOWS]
+        kept = self._spans[-1] + len(self._lags) + 1
+        self._c, self._m = np.zeros((2, kept, n))
+        self._pairs = list(combinations(range(n), 2))
+        unit = np.identity(n)
+        swaps = [unit[j] - unit[k] for j, k in self._pairs]
+        self._faults = np.vstack([unit, *swaps])
+        self._white = np.zeros((n, n))
+        self._renew = max(1, round(RENEWED / h))
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew, as after a rest in which somebody may have moved the joints."""
+        self._count = self._samples = self._lag = 0
+        self._before: Suspect | None = None
+
+    def update(self, state: State, q_c: Array, q_m: Array) -> Suspect | None:
+        """Who does not follow, once two looks in succession agree.
+
+        Args:
+            state: of which the Jacobians are taken.
+            q_c, q_m: commanded and measured configuration, shape (n,) [rad, m].
+        """
+        self._count += 1
+        if self._count % self._every:
+            return None
+        at = self._samples % len(self._c)
+        self._c[at], self._m[at] = q_c[self._own], q_m[self._own]
+        self._samples += 1
+        if self._samples < FEWEST:
+            return None
+        if self._samples % self._renew == 0 or self._samples == FEWEST:
+            self._white = self._whitening(state)
+        if not (found := self._look()):
+            self._before = None
+            return None
+        before, self._before = self._before, found
+        return found if before and set(before.joints) & set(found.joints) else None
+
+    def _whitening(self, state: State) -> Array:
+        """W with r W of unit variance without a fault, and zero for every internal wrench."""
+        J = state.J_loop
+        free = J.T @ null_space(J[:, self._passive].T) if len(self._passive) else J.T
+        U, values, _ = np.linalg.svd(
+            self._compliance[:, None] * free[self._own], full_matrices=False
+        )
+        U = U[:, values > SINGULAR * values.max(initial=1e-12)]
+        last = self._samples - 1
+        at = np.arange(max(0, last - self._spans[0]), last + 1)
+        m, c = self._of(self._m, at), self._of(self._c, at - self._lag)
+        r = (m - c) - (m[0] - c[0])
+        sag = np.sqrt(np.mean((r @ U @ U.T) ** 2, axis=0))
+        speed = np.abs(np.diff(c, axis=0)).mean(axis=0) / self._h
+        # Of second differences, sqrt(6) sigma, the median is 1.65 sigma; 1.2 for few samples.
+        noise = max(NOISE, 0.73 * float(np.median(np.abs(np.diff(m, 2, axis=0)))))
+        S = np.diag(1.0 / (noise**2 + (LAG_NOISE * speed) ** 2 + (STIFFNESS_NOISE * sag) ** 2))
+        SU = S @ U
+        S -= SU @ np.linalg.solve(U.T @ SU, SU.T)
+        values, V = np.linalg.eigh(S)
+        return np.asarray(V * np.sqrt(np.maximum(values, 0.0)))
+
+    def _look(self) -> Suspect | None:
+        """The suspect of the shortest window that has one."""
+        for span in self._spans:
+            last = self._samples - 1
+            first = max(0, last - span)
+            ends = self._of(self._m, last) - self._of(self._m, first)
+            ends -= self._of(self._c, last - self._lag) - self._of(self._c, first - self._lag)
+            z = ends.dot(self._white)
+            if z.dot(z) > SUSPICIOUS and (found := self._judge(first, last)):
+                return found
+        return None
+
+    def _of(self, ring: Array, at: object) -> Array:
+        """Samples of a ring by their numbers; the first one before the beginning."""
+        oldest = max(0, self._samples - len(ring))
+        return np.asarray(ring[np.maximum(at, oldest) % len(ring)])
+
+    def _judge(self, first: int, last: int) -> Suspect | None:
+        at = np.arange(first, last + 1, max(1, (last - first) // LOOKS))
+        m = self._of(self._m, at)
+        m = m - m[0]
+        c = self._of(self._c, at[None, :] - self._lags[:, None])
+        c = c - c[:, :1]  # (lags, T, n)
+        z = (m - c) @ self._white
+        sizes = np.einsum("ltn,ltn->l", z, z)
+        self._lag = int(sizes.argmin())
+        size = float(sizes[self._lag])
+        if size < SUSPICIOUS * len(at):
+            return None
+        return self._best(m, c, z, size)
+
+    def _best(self, m: Array, c: Array, z: Array, size: float) -> Suspect | None:
+        """The fault that leaves least of r, of those that explain the parity vector."""
+        n, pairs = len(self._own), self._pairs
+        signs = self._faults @ self._white
+        lengths = np.einsum("fn,fn->f", signs, signs)
+        lengths[lengths < LEAST_SIGNATURE / NOISE**2] = np.inf
+        along = z @ signs.T  # (lags, T, faults)
+        left = np.einsum("ltn,ltn->l", z, z)[:, None] - np.einsum("ltf,ltf->lf", along, along) / lengths
+        lags = left.argmin(axis=0)
+        left = left.min(axis=0)
+        faults = np.arange(len(signs))
+        delta = along[lags, :, faults].T / lengths  # (T, faults)
+        j, k = np.transpose(pairs)
+        motion = c[lags[:n], :, faults[:n]].T
+        change = c[lags[n:], :, j].T - c[lags[n:], :, k].T
+        motion = np.hstack([motion, change])
+        slope = -(delta * motion).sum(axis=0) / np.maximum((motion**2).sum(axis=0), 1e-12)
+        good = (left < (1.0 - EXPLAINED) * size) & (np.abs(motion).max(axis=0) > LEAST_MOTION)
+        good[:n] &= slope[:n] > LEAST_SLOPE
+        good[n:] &= (slope[n:] > SWAPPED[0]) & (slope[n:] < SWAPPED[1])
+        good[n:] &= left[n:] < (1.0 - EXPLAINED_SWAPPED) * size
+        if not good.any():
+            return None
+        good &= left <= max(3.0 * left[good].min(), AS_GOOD * size)
+        rest = np.full(len(faults), np.inf)
+        for f in np.flatnonzero(good):
+            r = m - c[lags[f]] - np.outer(delta[:, f], self._faults[f])
+            rest[f] = np.sum(r**2) * (1.0 if f < n else PENALTY)
+        best = int(rest.argmin())
+        if best >= n:
+            a, b = pairs[best - n]
+            joints = (int(self._own[a]), int(self._own[b]))
+            return Suspect(joints, float(slope[best]), stands=False, swapped=True)
+        others = [f for f in range(n) if f != best and rest[f] < AMBIGUOUS * rest[best]]
+        moved, told = np.ptp(m[:, best]), np.ptp(motion[:, best])
+        joints = tuple(int(self._own[f]) for f in (best, *others))
+        return Suspect(joints, float(slope[best]), bool(moved < STANDS * told), swapped=False)
