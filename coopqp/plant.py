@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from typing import Annotated, ClassVar
 
 import numpy as np
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
-from coopqp.base.spec import Array, NonNegative, Positive, Vector3, spec
+from coopqp.base.errors import unknown_name
+from coopqp.base.spec import Array, Name, NonNegative, Positive, Vector3, spec
 from coopqp.controller import Command, ControlProblem
 from coopqp.model.state import State
 
@@ -38,6 +40,9 @@ Length = Annotated[float, Field(ge=0.0, le=0.02)]
 Angle = Annotated[float, Field(ge=0.0, le=0.1)]
 """Of an error of the model [rad]."""
 
+#: Of a time that is counted in control periods [s].
+ROUNDING = 1e-9
+
 
 @spec
 class Slip:
@@ -54,6 +59,69 @@ class Slip:
     def distance(self, t: float) -> float:
         """How far it has slipped at time t [m]."""
         return self.by * min(max((t - self.at) / self.DURATION, 0.0), 1.0)
+
+
+#: The kinds of faults, and what each is told beside its times.
+FAULTS: Mapping[str, tuple[str, ...]] = {
+    "encoder_reversed": ("joint",), "encoder_stuck": ("joint",), "encoders_swapped": ("joints",),
+    "encoder_offset_jump": ("joint", "by"), "encoders_in_degrees": (), "readings_lost": (),
+    "motor_reversed": ("joint",), "motor_stuck": ("joint",), "motors_swapped": ("joints",),
+    "force_dead": ("arm",), "force_stuck": ("arm",), "force_reversed": ("arm",),
+    "force_scaled": ("arm", "by"),
+}  # fmt: skip
+
+
+def _known(kind: str) -> str:
+    if kind not in FAULTS:
+        raise ValueError(unknown_name("fault", kind, FAULTS))
+    return kind
+
+
+@spec
+class Fault:
+    """A sensor that says, or a motor that does, something else than it should.
+
+    Sensors are what the controller reads; the servos of the joints have sound ones of their own.
+    """
+
+    kind: Annotated[str, AfterValidator(_known), Field(json_schema_extra={"enum": list(FAULTS)})]
+    """What is wrong."""
+    joint: Name | None = None
+    """Whose encoder or motor it is."""
+    joints: tuple[Name, Name] | None = None
+    """Whose encoders or motors are swapped."""
+    arm: Name | None = None
+    """Whose hand has the force sensor."""
+    by: float | None = None
+    """How far an encoder's offset jumps [rad, m], or over what the force should be."""
+    start: NonNegative = 0.0
+    """When it begins [s]."""
+    duration: Positive | None = None
+    """How long it lasts [s]; to the end if omitted."""
+
+    def __post_init__(self) -> None:
+        needs = FAULTS[self.kind]
+        for key in ("joint", "joints", "arm", "by"):
+            given = getattr(self, key) is not None
+            if key in needs and not given:
+                raise ValueError(f"{self.kind} needs {key}")
+            if given and key not in needs:
+                takes = " and ".join(needs) or "no key but start and duration"
+                raise ValueError(f"{self.kind} has no key {key}; it takes {takes}")
+
+    def acts(self, t: float) -> bool:
+        """Whether it is there at time t [s]."""
+        since = t - self.start + ROUNDING
+        return since >= 0.0 and (self.duration is None or since < self.duration)
+
+    @property
+    def words(self) -> str:
+        """What is wrong from when on: "encoder_stuck of left.3 from 0.5 s"."""
+        where = " and ".join(self.joints or filter(None, (self.joint or self.arm,)))
+        size = "" if self.by is None else f" by {self.by:g}"
+        lasting = "" if self.duration is None else f" for {self.duration:g} s"
+        of = f" of {where}" if where else ""
+        return f"{self.kind}{of}{size} from {self.start:g} s{lasting}"
 
 
 @spec
@@ -84,6 +152,8 @@ class Disturbance:
     """And turned by this [rad]."""
     slip: Slip | None = None
     """Of the object in a hand."""
+    faults: tuple[Fault, ...] = ()
+    """Of sensors and motors, one after the other."""
 
     @property
     def kinematic(self) -> Disturbance:
@@ -94,6 +164,7 @@ class Disturbance:
             grasp_offset=self.grasp_offset,
             grasp_offset_angle=self.grasp_offset_angle,
             slip=self.slip,
+            faults=self.faults,
         )
 
     def slipped(self, t: float) -> float:

@@ -11,6 +11,7 @@ from coopqp.assessment.verdict import verdict
 from coopqp.base.errors import CoopqpError, InvalidValueError, UnknownNameError
 from coopqp.execution.controller_run import Progress, run
 from coopqp.metric import measured
+from coopqp.scenario.notes import of_faults
 from coopqp.scenario.scenario import Scenario
 from coopqp.trace import Trace
 
@@ -26,7 +27,7 @@ class Comparison:
         verdicts: one sentence each, by controller.
         refused: why a controller could not be run, by controller.
         faults: errors of metrics, one sentence each.
-        notes: what of the robot the limits do not bound, one sentence each.
+        notes: what of the robot the limits do not bound, and its faults, one sentence each.
     """
 
     scenario: Scenario
@@ -108,5 +109,5 @@ def summarize(scenario: Scenario, traces: Mapping[str, Trace]) -> Comparison:
         metrics,
         verdicts,
         faults=tuple(dict.fromkeys(fault for _, faults in told.values() for fault in faults)),
-        notes=tuple(line for limit in limits for line in limit.notes(chain)),
+        notes=(*(line for k in limits for line in k.notes(chain)), *of_faults(scenario)),
     )

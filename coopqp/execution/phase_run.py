@@ -155,7 +155,7 @@ def _plant(
     scenario: Scenario, controller: Controller, law: Law, before: PhaseRun | None
 ) -> PlantModel:
     """The scenario's plant, where the one before has ended."""
-    plant = scenario.plant.build(law.problem, scenario.seed, scenario.disturbance)
+    plant = scenario.simulated(law.problem)
     if law.squeezer and plant.hand_wrench is None:
         raise InvalidValueError(
             f"controller '{controller.name}' squeezes by measured forces, and this plant "

@@ -27,9 +27,10 @@ class SimulatedRobot:
         self._command = Command(loop.problem.chain.n)
 
     def read(self) -> Array:
-        """Measured joints, shape (n,) [rad, m]."""
-        measured = self.plant.measured
-        return self.state.q.copy() if measured is None else measured.copy()
+        """Measured joints, shape (n,) [rad, m]; NaN where readings are lost."""
+        state = self.state
+        measured = self.plant.measured if state.q_measured is None else state.q_measured
+        return state.q.copy() if measured is None else measured.copy()
 
     def write(self, q: Array, v: Array) -> None:
         """Simulate one period."""
@@ -39,8 +40,7 @@ class SimulatedRobot:
         self.plant.step(self.state, self._command)
 
     def _built(self) -> PlantModel:
-        scenario = self._loop.scenario
-        return scenario.plant.build(self._loop.problem, scenario.seed, scenario.disturbance)
+        return self._loop.scenario.simulated(self._loop.problem)
 
     def _hand_over(self) -> None:
         before, old, self._index = self.plant, self.state, len(self._loop.phases) - 1

@@ -41,7 +41,7 @@ def true_chain(chain: ClosedChain, seed: int, disturbance: Disturbance) -> Close
         held = chain.hold.held
         x, y, z = np.array(held.com) + disturbance.object_com
         chain = ClosedChain(replace(chain.hold, held=replace(held, com=(x, y, z))))
-    nothing = Disturbance(slip=disturbance.slip)
+    nothing = Disturbance(slip=disturbance.slip, faults=disturbance.faults)
     if disturbance.kinematic == nothing:
         return chain
     rng, hold = np.random.default_rng([seed, STREAM]), chain.hold

@@ -280,12 +280,13 @@ def _check_plant(scenario: Scenario) -> None:
     """Build what is controlled, unless a package for it is missing: running says so."""
     try:
         with blamed(scenario.plant, "build"):
-            scenario.plant.build(scenario.problem(), scenario.seed, scenario.disturbance)
+            scenario.simulated(scenario.problem())
     except MissingDependencyError:
         return
     except CoopqpError as error:
-        location = "disturbance" if "disturbance" in error.keys else "plant"
-        raise MisplacedError([Wrong([location], str(error), error.keys)]) from None
+        known = "disturbance" in error.keys
+        place = error.keys[error.keys.index("disturbance") :] if known else ["plant"]
+        raise MisplacedError([Wrong(place, str(error), error.keys)]) from None
 
 
 def _badly_held(data: Mapping[str, Any], places: Mapping[str, Places]) -> Iterator[Wrong]:

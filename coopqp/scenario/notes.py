@@ -83,6 +83,7 @@ def notes(
         *_of_forces(scenario, chosen),
         *_of_springs(scenario, chosen),
         *_of_friction(scenario),
+        *of_faults(scenario),
     ]
 
 
@@ -175,6 +176,12 @@ def _of_friction(scenario: Scenario) -> Iterator[str]:
     grasps = scenario.chain.grasps.values()
     if scenario.disturbance.friction != 1.0 and not any(grasp.contact for grasp in grasps):
         yield "disturbance.friction has no effect: no hand holds by pressing"
+
+
+def of_faults(scenario: Scenario) -> Iterator[str]:
+    """Faults that the run has, so that nobody takes them for the controller's."""
+    if faults := scenario.disturbance.faults:
+        yield f"injected: {', '.join(fault.words for fault in faults)}"
 
 
 def _coarse_steps(scenario: Scenario) -> Iterator[str]:

@@ -29,10 +29,11 @@ from coopqp.limits import JointPosition, JointVelocity
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.held_object import HeldObject
 from coopqp.model.state import State
-from coopqp.plant import Disturbance, Plant
+from coopqp.plant import Disturbance, Plant, PlantModel
 from coopqp.plants import Kinematic
 from coopqp.robot import Robot, RobotModel, unit_of
 from coopqp.scenario.catalog import Catalog
+from coopqp.scenario.faulty_plant import FaultyPlant, injected
 from coopqp.scenario.input import InputSettings, wanted
 from coopqp.scenario.yaml import parsed
 from coopqp.signal import Kind
@@ -277,6 +278,12 @@ class Scenario:
             budget=self.budget,
             on_infeasible=self.on_infeasible,
         )
+
+    def simulated(self, problem: ControlProblem) -> PlantModel:
+        """The plant of one of its problems, with the faults of sensors and motors."""
+        faults = injected(self.disturbance.faults, problem.chain)
+        plant = self.plant.build(problem, self.seed, self.disturbance)
+        return FaultyPlant(plant, problem, faults) if faults else plant
 
     def problems(self, where: Callable[[int], Array]) -> Iterator[ControlProblem]:
         """The problem of each phase; ``where`` gives the q in which a later one begins, if due."""

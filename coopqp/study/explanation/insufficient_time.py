@@ -150,6 +150,9 @@ def _misled_by_model(leg: ExplainedPhase) -> str:
     perfect = Disturbance()
     if leg.scenario.disturbance == perfect or rerun(leg, disturbance=perfect).missed:
         return ""
+    if faults := leg.scenario.disturbance.faults:
+        named = words.listed([fault.words for fault in faults])
+        return f"it has faults ({named}): without the disturbance the goal is reached (tried)"
     why = "this is what the model gets wrong: without the disturbance the goal is reached (tried)"
     return f"{why}; 'coopqp calibrate' may find out what"
 
