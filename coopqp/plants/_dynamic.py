@@ -16,7 +16,7 @@ from coopqp.grasp import BEYOND, NO_CONTACT
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.plant import Disturbance, PlantModel
-from coopqp.plants._servo import Servo, ServoLaw
+from coopqp.plants._servo import ServoLaw
 from coopqp.plants._true_chain import slipped, true_chain
 
 #: A hand that presses and has not touched the object for so long has lost it [s].
@@ -146,7 +146,7 @@ class DynamicModel(PlantModel):
     def __init__(
         self,
         problem: ControlProblem,
-        servo: Servo,
+        servo: ServoLaw,
         time_step: float,
         seed: int,
         disturbance: Disturbance,
@@ -162,7 +162,7 @@ class DynamicModel(PlantModel):
         firm = true_chain(problem.chain, seed, disturbance)
         self.true, self._truth = State(firm), State(firm)
         self.hand_signals = HandSignals(firm, disturbance.friction)
-        self.servo = ServoLaw(problem.chain, servo)
+        self.servo = servo
         self._steps = _whole_steps(problem.dt, time_step)
         self.h = problem.dt / self._steps
         self._rng = seeded(seed)

@@ -32,7 +32,7 @@ from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.plant import Disturbance, Plant, PlantModel
 from coopqp.plants._dynamic import DynamicModel
-from coopqp.plants._servo import Servo
+from coopqp.plants._servo import Servo, ServoLaw
 
 #: A link without mass gets this much, because MuJoCo moves no massless body [kg], [kg m2].
 LEAST_MASS, LEAST_INERTIA = 2e-3, 2e-6
@@ -277,7 +277,8 @@ class MujocoModel(DynamicModel):
     def __init__(
         self, problem: ControlProblem, settings: Mujoco, seed: int, disturbance: Disturbance
     ) -> None:
-        super().__init__(problem, settings.servo, settings.time_step, seed, disturbance)
+        servo = ServoLaw(problem.chain, settings.servo)
+        super().__init__(problem, servo, settings.time_step, seed, disturbance)
         try:
             import mujoco
         except ImportError:

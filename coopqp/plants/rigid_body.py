@@ -16,7 +16,14 @@ from coopqp.controller import ControlProblem
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.plant import Disturbance, Plant, PlantModel
 from coopqp.plants._dynamic import DynamicModel
-from coopqp.plants._servo import UNLIMITED_EFFORT, Servo, fair_shares, full_effort, inertia_seen
+from coopqp.plants._servo import (
+    UNLIMITED_EFFORT,
+    Servo,
+    ServoLaw,
+    fair_shares,
+    full_effort,
+    inertia_seen,
+)
 
 #: Newton steps on the loops after a small slip.
 SLIP_STEPS = 3
@@ -44,7 +51,8 @@ class RigidBodyModel(DynamicModel):
     def __init__(
         self, problem: ControlProblem, settings: RigidBody, seed: int, disturbance: Disturbance
     ) -> None:
-        super().__init__(problem, settings.servo, settings.time_step, seed, disturbance)
+        servo = ServoLaw(problem.chain, settings.servo)
+        super().__init__(problem, servo, settings.time_step, seed, disturbance)
         chain, self._settings = problem.chain, settings
         self._open()
         arms = len(chain.arms)

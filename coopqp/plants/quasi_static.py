@@ -1,0 +1,318 @@
+"""Arms whose servos sag and hands whose grips yield: statics, with the servos' lag and no masses.
+
+Joint servos are springs K with a first-order lag T, and hand i holds the rigid object by a spring
+at its point, k and k (0.03 m)^2, whose rest may creep or slip by s_i. With the spring's extension
+d_i and the wrench h_i of the hand on the object,
+
+    K (q_d - q - T q') + feed-forward - weight = sum_i J_i' h_i,    sum_i G_i h_i + w = 0
+    h_i = k (d_i - s_i),    s_i' = h_i / c (creep)  or  |f_i| <= limit (slip)
+
+is solved for the end of each control period, linearised at its beginning (implicit Euler). So it is
+stable at every period, and a tick costs some 0.3 ms. With e the loop error, S = J_c K^-1 J_c' and C
+the compliance of two grips, a pair of arms at rest has the internal force (e - s) / (S + C).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.base.errors import UnknownNameError
+from coopqp.base.spec import Array, NonNegative, Positive, spec
+from coopqp.closed_loop.grasp_matrix import grasp_matrix, moved
+from coopqp.closed_loop.hands import in_axes, into_contacts, points
+from coopqp.controller import Command, ControlProblem
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
+from coopqp.plant import Disturbance, Plant, PlantModel
+from coopqp.plants._dynamic import DynamicModel
+from coopqp.plants._servo import Servo, ServoLaw
+
+#: A grip's rotational stiffness and creep over those along its axes: (this)^2 [m].
+GRIP_SIZE = 0.03
+#: Damping of joints without a motor, such as hinges [N m s/rad].
+PASSIVE_DAMPING = 1e-3
+#: A joint that friction holds moves by at most this in a step [rad].
+STUCK = 1e-9
+#: Iterations of what depends on itself: friction of joints, slip of hands; and when they agree.
+ITERATIONS, AGREED = 30, 1e-6
+#: A hand that has slipped by more than this has lost the object [m].
+LOST = 0.05
+
+
+class SpringServo(ServoLaw):
+    """Servos of the given stiffness, that only take commands: the plant solves for the joints."""
+
+    def __init__(self, chain: ClosedChain, settings: QuasiStatic) -> None:
+        super().__init__(chain, Servo())
+        self.stiffness = stiffness_by_joint(chain, settings.stiffness, self.stiffness)
+
+    def begin(self, command: Command, q: Array) -> None:
+        self._v_d[:] = command.v
+
+    def setpoint(self, h: float) -> Array:
+        """The desired angles after a time h [s], shape (n,)."""
+        return np.asarray(self._q_d + h * self._v_d, float)
+
+
+def stiffness_by_joint(
+    chain: ClosedChain, given: float | Mapping[str, float] | None, default: Array
+) -> Array:
+    """K of each joint, zero at passive ones, shape (n,) [N m/rad]; InvalidValueError: no joint."""
+    moves = np.ones(chain.n)
+    moves[chain.passive] = 0.0
+    if isinstance(given, Mapping):
+        for name in given:
+            if name not in chain.joint_names:
+                raise UnknownNameError("joint", name, chain.joint_names).at("stiffness", name)
+        own = zip(chain.joint_names, default.tolist(), strict=True)
+        return np.asarray(moves * [given.get(name, K) for name, K in own], float)
+    return np.asarray(moves * (default if given is None else given), float)
+
+
+class QuasiStaticModel(DynamicModel):
+    """The springs.
+
+    Args:
+        problem, settings, seed, disturbance: as for :class:`DynamicModel`.
+
+    Attributes:
+        signals: ``tau``, the motors' torques with what holds the arms' own weight, without a limit;
+            ``internal_wrench`` (6 N,), the part of the hands' wrenches that cancels, arm by arm [N,
+            N m], world axes; ``slip`` (N,), how far each grip has crept or slipped [m]; those of
+            :class:`DynamicModel` and of :class:`HandSignals`.
+    """
+
+    def __init__(
+        self, problem: ControlProblem, settings: QuasiStatic, seed: int, disturbance: Disturbance
+    ) -> None:
+        servo = SpringServo(problem.chain, settings)
+        super().__init__(problem, servo, problem.dt, seed, disturbance)
+        self._settings = settings
+        robot = problem.chain.robot
+        self._order = [arm.name for arm in robot.arms]
+        self._crept = {arm: np.zeros(6) for arm in self._order}
+        self._integral = np.zeros(problem.chain.n)
+        self._X_WO = self.true.chain.object_pose(self.true.q)
+        self.signals["internal_wrench"] = np.zeros(6 * len(self._order))
+        self.signals["slip"] = np.zeros(len(self._order))
+        self.grip()
+        self.signals |= {k: v for k, v in self.hand_signals.signals.items() if k != "slip"}
+
+    def truth(self, state: State) -> State:
+        """Before noise; the object is where it is between hands that yield."""
+        truth = super().truth(state)
+        closed = len(truth.closed_error)
+        truth.gap[:closed] = truth.loop_error[:closed]
+        truth.update_drift()
+        truth.p_WO[:], truth.R_WO[:] = self._X_WO.translation, self._X_WO.rotation
+        return truth
+
+    def attach(self, before: PlantModel) -> None:
+        """Arms that take hold do so without a force."""
+        assert isinstance(before, QuasiStaticModel)
+        self._X_WO, self._integral = before._X_WO.copy(), before._integral
+        self._crept = before._crept
+        self.grip()
+        held = before.true.chain.hold.holders
+        self._place()
+        for hand, d in zip(self.hand_signals.hands, self._extensions(), strict=True):
+            if hand.arm not in held:
+                self._crept[hand.arm] = d.copy()
+
+    def grip(self) -> None:
+        """Follow the true chain: where its hands' points are on the object."""
+        chain = self.true.chain
+        self.hand_signals.follow(chain)
+        self._hands = self.hand_signals.hands
+        self._arms = chain.model.copy()
+        self._points = []
+        for hand, frame in zip(self._hands, chain.frames, strict=False):
+            own = chain.model.frames[frame]
+            at = pin.Frame(
+                f"{hand.arm} point", own.parentJoint, own.placement * hand.X_OC, own.type
+            )
+            self._points.append(self._arms.addFrame(at))
+        self._data = self._arms.createData()
+        self._moves = np.ones(chain.n, bool)
+        self._moves[chain.passive] = False
+
+    def integrate(self) -> None:
+        """One implicit step of the joints, the object and the grips."""
+        true, servo, h, settings = self.true, self.servo, self.h, self._settings
+        assert isinstance(servo, SpringServo)
+        self._place()
+        d = np.concatenate(self._extensions())
+        J, G = self._jacobian(), self._grasp()
+        behind = np.where(self._moves, servo.setpoint(h) - true.q, 0.0)
+        if settings.integral_time:
+            self._integral += h / settings.integral_time * behind
+        forward = self._feed_forward(J)
+        B_1 = np.where(self._moves, servo.stiffness * (1.0 + settings.lag / h), PASSIVE_DAMPING / h)
+        push = servo.stiffness * (behind + self._integral) + forward
+        rest = np.concatenate([self._crept[hand.arm] for hand in self._hands])
+        step, turn, wrench, slipped = self._solved(J, G, d - rest, B_1, push)
+        true.q += step
+        true.t += h
+        X = self._X_WO
+        self._X_WO = pin.SE3(pin.exp3(turn[3:]) @ X.rotation, X.translation + turn[:3])
+        for hand, s in zip(self._hands, slipped.reshape(-1, 6), strict=True):
+            self._crept[hand.arm] = self._crept[hand.arm] + s
+        self._wrench, self._at = wrench.reshape(-1, 6), self._on_object()
+        own = pin.computeGeneralizedGravity(self._arms, self._data, true.q)
+        servo.tau[:] = np.where(self._moves, own + J.T @ wrench, 0.0)
+        servo.asked[:] = servo.tau
+
+    def _solved(
+        self, J: Array, G: Array, strained: Array, B_1: Array, push: Array
+    ) -> tuple[Array, Array, Array, Array]:
+        """Joints' step, object's twist, hands' wrenches, and how far the grips give way."""
+        h, settings, n = self.h, self._settings, len(strained)
+        unit = np.tile(np.repeat([1.0, GRIP_SIZE**-2], 3), len(self._hands))
+        creeps = (h / settings.creep if settings.creep else 0.0) * unit
+        slips, sticks = np.zeros(n), np.zeros(len(B_1))
+        A, b = np.zeros((n + 6, n + 6)), np.zeros(n + 6)
+        A[n:, :n], A[:n, n:] = G, G.T
+        b[n:] = -self._load()
+        for _ in range(ITERATIONS):
+            B = 1.0 / (B_1 + sticks)
+            A[:n, :n] = (J * B) @ J.T
+            A[range(n), range(n)] += unit / settings.grip + creeps + slips
+            b[:n] = strained + J @ (B * push)
+            found = np.linalg.solve(A, b)
+            wrench = np.asarray(found[:n], float)
+            step = np.asarray(B * (push - J.T @ wrench), float)
+            others = self._slipping(wrench, slips), self._sticking(step)
+            change = max(_apart(slips, others[0]), _apart(sticks, others[1]))
+            slips, sticks = others
+            if change < AGREED:
+                break
+        return step, np.asarray(found[n:], float), wrench, (creeps + slips) * wrench
+
+    def _slipping(self, wrench: Array, slips: Array) -> Array:
+        """Compliance with which hands slip, so that their forces are at the limit [m/N]."""
+        most = self._settings.slip_force
+        if most is None:
+            return slips
+        found = slips.copy()
+        for i in range(len(self._hands)):
+            place = slice(6 * i, 6 * i + 3)
+            size = float(np.linalg.norm(wrench[place]))
+            soft = slips[6 * i] + 1.0 / self._settings.grip
+            found[place] = max(soft * size / most - 1.0 / self._settings.grip, 0.0)
+        return found
+
+    def _sticking(self, step: Array) -> Array:
+        """Stiffness that stands for the joints' friction."""
+        friction = self._settings.joint_friction
+        return np.where(self._moves, friction / np.maximum(np.abs(step), STUCK), 0.0)
+
+    def energy(self) -> tuple[float, float]:
+        """No kinetic energy, and the potential one of weight; updates the signals as well."""
+        self.true.update()
+        X, chain = self._X_WO, self.true.chain
+        by_arm = np.array([
+            moved(w, p, X.translation) for w, p in zip(self._wrench, self._at, strict=True)
+        ])  # fmt: skip
+        internal = self.signals["internal_wrench"].reshape(-1, 6)
+        internal[:] = 0.0
+        share = chain.alpha[: chain.holding]
+        internal[self.hand_signals.at] = by_arm - np.outer(share, by_arm.sum(axis=0))
+        turned = into_contacts(self._hands, X.rotation)
+        in_contacts = np.array(list(map(in_axes, self._wrench, turned)))
+        self.hand_signals.write(self._wrench, self._at, in_contacts)
+        slip = [float(np.linalg.norm(self._crept[arm][:3])) for arm in self._order]
+        self.signals["slip"][:] = slip
+        for arm, way in zip(self._order, slip, strict=True):
+            if way > LOST and arm in chain.hold.holders:
+                self.lost = self.lost or f"{arm} has slipped by {1e3 * way:.0f} mm"
+        held = -self._load()[:3] @ X.translation
+        return 0.0, float(pin.computePotentialEnergy(self._arms, self._data, self.true.q) + held)
+
+    def _place(self) -> None:
+        pin.computeJointJacobians(self._arms, self._data, self.true.q)
+        for frame in self._points:
+            pin.updateFramePlacement(self._arms, self._data, frame)
+
+    def _extensions(self) -> list[Array]:
+        """How far each hand's point is from where the object has it, world axes."""
+        found = []
+        for hand, frame in zip(self._hands, self._points, strict=True):
+            here, there = self._data.oMf[frame], self._X_WO * hand.X_OC
+            turn = pin.log3(here.rotation @ there.rotation.T)
+            found.append(np.concatenate([here.translation - there.translation, turn]))
+        return found
+
+    def _jacobian(self) -> Array:
+        axes = pin.LOCAL_WORLD_ALIGNED
+        each = [pin.getFrameJacobian(self._arms, self._data, frame, axes) for frame in self._points]
+        return np.concatenate(each)
+
+    def _grasp(self) -> Array:
+        return grasp_matrix(self._on_object(), self._X_WO.translation)
+
+    def _on_object(self) -> Array:
+        """The hands' points as the object has them, shape (N, 3)."""
+        return points(self._hands, self._X_WO.translation, self._X_WO.rotation)
+
+    def _load(self) -> Array:
+        """What weight and pushes do to the object at its origin, shape (6,)."""
+        chain, R = self.true.chain, self._X_WO.rotation
+        weight = self.disturbance.object_mass * chain.held.mass * chain.model.gravity.linear
+        load = np.concatenate([weight, pin.skew(R @ np.array(chain.held.com)) @ weight])
+        push = self.disturbance.wrench(self.true.t)
+        return load if push is None else load + push
+
+    def _feed_forward(self, J: Array) -> Array:
+        """Feed-forward less the arms' own weight, shape (n,) [N m]."""
+        settings, chain = self._settings, self.true.chain
+        torque = np.zeros(chain.n)
+        if settings.arms_compensated != 1.0:
+            own = pin.computeGeneralizedGravity(self._arms, self._data, self.true.q)
+            torque += (settings.arms_compensated - 1.0) * own
+        if settings.object_compensated:
+            X, held = self._X_WO, chain.held
+            carried = np.zeros(6)
+            carried[:3] = -settings.object_compensated * held.mass * chain.model.gravity.linear
+            mass_at = X.translation + X.rotation @ np.array(held.com)
+            wrenches = [moved(carried, mass_at, p) for p in self._on_object()]
+            share = chain.alpha[: chain.holding, None]
+            torque += J.T @ np.ravel(share * np.array(wrenches))
+        return np.where(self._moves, torque, 0.0)
+
+
+def _apart(a: Array, b: Array) -> float:
+    """Relative change of compliances or stiffnesses."""
+    return float((np.abs(b - a) / np.maximum(np.abs(b), 1e-12)).max(initial=0.0))
+
+
+@spec
+class QuasiStatic(Plant):
+    """Servos as springs that sag, grips that yield, creep or slip: statics, fast at any period."""
+
+    takes_torques: ClassVar[bool] = False
+
+    stiffness: Positive | Mapping[str, Positive] | None = None
+    """Of the servos, one for all or by joint [N m/rad]; full torque at 0.05 rad if omitted."""
+    lag: NonNegative = 0.03
+    """Time after which a joint has done 63 % of a step [s]."""
+    integral_time: Positive | None = None
+    """In which an integral part of the servos removes the sag [s]; none if omitted."""
+    joint_friction: NonNegative = 0.0
+    """Coulomb friction of every motor's joint [N m]."""
+    arms_compensated: NonNegative = 1.0
+    """Share of the arms' own weight in the servos' feed-forward."""
+    object_compensated: NonNegative = 1.0
+    """Share of the object's modelled weight there, split by the arms' weights in the pose."""
+    grip: Positive = 1e6
+    """Stiffness of each hand's grip [N/m], and (0.03 m)^2 of it about axes [N m/rad]."""
+    creep: Positive | None = None
+    """Force over speed with which a grip creeps [N s/m], and (0.03 m)^2 of it; none if omitted."""
+    slip_force: Positive | None = None
+    """Force beyond which a hand slips along the object [N]; none if omitted."""
+
+    def build(self, problem: ControlProblem, seed: int, disturbance: Disturbance) -> PlantModel:
+        return QuasiStaticModel(problem, self, seed, disturbance)
