@@ -24,7 +24,7 @@ import pinocchio as pin
 
 from coopqp.assessment.assessment import allowed_acceleration
 from coopqp.assessment.thresholds import ACCELERATION_UNLIMITED
-from coopqp.base.errors import CoopqpError, GraspError, InvalidValueError
+from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.spec import Array, Pose, finite, vector
 from coopqp.controller import Command, Controller, ControlProblem, InternalForceControl
 from coopqp.controllers import QPController
@@ -33,9 +33,9 @@ from coopqp.limit import Limit
 from coopqp.limits import JointAcceleration, JointPosition
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.grasp_configuration import grasp_of_each
-from coopqp.model.loop_observer import MOST_ORIENTATION, MOST_POSITION
 from coopqp.model.state import Memory, State
 from coopqp.online.arrivals import Arrivals
+from coopqp.online.beginning import check_hands, check_joints
 from coopqp.scenario.input import Arrival
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status
@@ -139,8 +139,14 @@ class Phases:
         self._enter(None, None)
 
     def begin(self, q: Array, *, held: bool) -> None:
-        if held and not np.array_equal(q, self._given.chain.q_start):
-            self.scenario = as_held(self._given, q)
+        given = self._given
+        if not np.array_equal(q, given.chain.q_start):
+            if not given.start_outside:
+                check_joints(given.chain, q)
+            if held:
+                self.scenario = as_held(given, q)
+            else:
+                check_hands(given.chain, q, placed=False)
         self._enter(None, q)
         self.done = (self.now,)
 
@@ -218,7 +224,7 @@ def as_held(scenario: Scenario, q: Array) -> Scenario:
     """The scenario with its start where the robot is, and the grasp as it is held there.
 
     Raises:
-        GraspError: the hands are farther from the scenario's grasp than a model's error.
+        GraspError: as of :func:`coopqp.online.beginning.check_hands`.
         InvalidValueError: q is no n finite numbers.
     """
     chain = scenario.chain
@@ -226,16 +232,10 @@ def as_held(scenario: Scenario, q: Array) -> Scenario:
     start = dict(zip(chain.joint_names, q.tolist(), strict=True))
     grasps = grasp_of_each(scenario.robot_model, scenario.grasps)
     holders = chain.hold.holders
-    if scenario.held.pose is None and not any(grasps[arm].object_in_hand for arm in holders):
+    placed = scenario.held.pose is not None or any(grasps[arm].object_in_hand for arm in holders)
+    check_hands(chain, q, placed=placed)
+    if not placed:
         return replace(scenario, start=start)
-    state = State(chain, q)
-    apart, turned = state.loop_position_error, state.loop_orientation_error
-    if apart > MOST_POSITION or turned > MOST_ORIENTATION:
-        raise GraspError(
-            f"the hands are {1e3 * apart:.0f} mm and {1e3 * turned:.0f} mrad from how the scenario "
-            "says they hold the object, more than a model's error; bring the robot near the "
-            "scenario's start, or leave out object_in_hand and object.pose to hold it as it is"
-        )
     X = chain.object_pose(q)
     place, angles = _without_tiny(X.translation), _without_tiny(pin.rpy.matrixToRpy(X.rotation))
     pose = Pose(position=tuple(place.tolist()), rpy=tuple(angles.tolist()))
