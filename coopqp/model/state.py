@@ -219,6 +219,11 @@ class State:
             return False
         return not np.array_equal(self.q, self._commanded)
 
+    @property
+    def overwritten_by(self) -> Array:
+        """By how much q differs from what :meth:`advance` has left, shape (n,) [rad, m]."""
+        return self.q - self._commanded
+
     def update_poses(self) -> None:
         """Compute the object's pose and the loop errors alone, without the Jacobians."""
         self._q_seen[:] = self.q

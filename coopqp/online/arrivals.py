@@ -172,6 +172,7 @@ class Readings:
             return self._fault
         self.note = ""
         if q is None:
+            self.note = "read() gave None"
             return Status.ROBOT_SILENT
         self._read_at, self._fault = now, self._judge(q, commanded, now)
         return self._fault

@@ -145,7 +145,7 @@ class OnlineLoop:
         record: makes a recording when the loop has begun.
 
     Attributes:
-        command, status, note: of the last tick; its most severe status, and what else is wrong.
+        command, status: of the last tick; its most severe status.
         setpoint: joints at the end of the period, shape (n,) [rad, m].
         history: the last ticks. watch: counts late and early ticks, and has the longest period.
         ticks, begun: number of ticks without early calls; whether the object is held.
@@ -250,6 +250,11 @@ class OnlineLoop:
     def now(self) -> float:
         """Time by the loop's clock [s]."""
         return self._clock() if self._clock else self.ticks * self._given.dt
+
+    @property
+    def note(self) -> str:
+        """What else is to be said of the last tick, see ``Command.note``; empty if OPTIMAL."""
+        return self.command.note
 
     @property
     def at_rest(self) -> bool:
@@ -407,6 +412,8 @@ class OnlineLoop:
         command = self._decide(inputs, now)
         if is_late:
             command.say(*(c for c in command.causes if c is not Status.OPTIMAL), Status.LATE)
+            late = f"{1e3 * self.watch.elapsed:.3g} ms after the last tick"
+            command.told = (*command.told, late)
         return command
 
     def _try_to_begin(self) -> Command | None:
@@ -466,7 +473,7 @@ class OnlineLoop:
         command.say(*dict.fromkeys(halts), *own)
         waits = f"before phase {run.index + 2}" if phases.over else ""
         notes = (self._readings.note, self._stops.why, waits, *run.state.inputs.refused)
-        command.note = "; ".join(note for note in notes if note)
+        command.told = (*filter(None, notes), *command.told)
         return command
 
     def _refuse(self, why: Status, note: str) -> Command:
@@ -486,5 +493,5 @@ class OnlineLoop:
         return self._say(held)
 
     def _say(self, command: Command) -> Command:
-        self.command, self.status, self.note = command, command.status, command.note
+        self.command, self.status = command, command.status
         return command
