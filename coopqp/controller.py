@@ -279,8 +279,9 @@ class Law(ABC):
             return self.refuse(Status.NOT_FINITE)
         if state.memory.sizes != self.memory_sizes:
             state.memory = Memory(self.memory_sizes)
-        state.update()
-        command, wrong = self._decided(state)
+        with np.errstate(all="ignore"):  # whatever the user has set: a tick warns nobody
+            state.update()
+            command, wrong = self._decided(state)
         if state.overwritten:
             wrong.append(Status.OVERWRITTEN)
         if state.inputs.stale:
@@ -288,7 +289,8 @@ class Law(ABC):
         if state.inputs.refused:
             wrong.append(Status.INPUT_REFUSED)
         if command.status in (Status.NOT_FINITE, Status.SOLVER_ERROR) and not command.note:
-            command.note = not_finite(self.problem, state)
+            with np.errstate(all="ignore"):
+                command.note = not_finite(self.problem, state)
         if wrong:
             pressed = self.squeezer.note if self.squeezer else ""
             notes = (command.note, pressed, *state.inputs.refused)

@@ -16,6 +16,7 @@ without acceleration limits is at once.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -184,10 +185,10 @@ class Phases:
         now.state.t, now.state.inputs = before.t, before.inputs
         self.rest_inputs()
 
-    def take(self, inputs: Any, now: float) -> list[Arrival]:
-        """Pass on what has come since the last tick."""
+    def take(self, inputs: Any, now: float, ahead: float) -> list[Arrival]:
+        """Pass on what has come since the last tick, as :meth:`Arrivals.read` takes it."""
         state = self.now.state
-        arrivals = self.arrivals.read(self._without_wrench(inputs), state.t, now)
+        arrivals = self.arrivals.read(self._without_wrench(inputs), state.t, now, ahead)
         self.now.inputs.step(state, arrivals)
         state.inputs.refused = (*self.arrivals.refused, *state.inputs.refused)
         return arrivals
@@ -197,7 +198,9 @@ class Phases:
         if not self.now.law.squeezer:
             return inputs
         self.now.state.hand_wrench = None
-        if not isinstance(inputs, Mapping) or HAND_WRENCH not in inputs:
+        with suppress(Exception):  # a mapping of a user's class may fail; who reads it says so
+            inputs = dict(inputs)
+        if type(inputs) is not dict or HAND_WRENCH not in inputs:
             return inputs
         self.now.state.hand_wrench = inputs[HAND_WRENCH]  # anything; the law looks at it
         return {name: given for name, given in inputs.items() if name != HAND_WRENCH}

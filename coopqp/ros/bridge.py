@@ -37,7 +37,7 @@ NS = 1_000_000_000
 #: Statuses of ticks in which the robot comes to rest, or its joints are not known.
 HALTS = frozenset({
     Status.ROBOT_SILENT, Status.NOT_MEASURED, Status.MEASURED_JUMPED, Status.STOPPED,
-    Status.NOT_BEGUN, Status.RAISED,
+    Status.NOT_BEGUN, Status.RAISED, Status.CLOCK_WRONG,
 })  # fmt: skip
 
 
