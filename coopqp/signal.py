@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Annotated, Any, Protocol
@@ -25,11 +26,24 @@ from pydantic import BeforeValidator, GetCoreSchemaHandler, GetJsonSchemaHandler
 from pydantic_core import core_schema
 
 from coopqp.base.errors import CoopqpError, InvalidValueError
-from coopqp.base.spec import FARTHEST, Array, Direction, Pose, Vector3, cross, real, spec, unit
+from coopqp.base.spec import (
+    FARTHEST,
+    Array,
+    Direction,
+    Pose,
+    Vector3,
+    cross,
+    read_only,
+    real,
+    spec,
+    unit,
+)
 from coopqp.grasp import pose_matrix
 
 #: How far from one the length of a quaternion may be, and how far from orthonormal a matrix.
 SLOPPY = 1e-3
+#: Numbers from here on are as good as infinite: their products could be.
+ENDLESS = 1e100
 #: Nothing that arms hold, and none of their joints, is faster [m/s, rad/s].
 FASTEST = 1e3
 
@@ -108,9 +122,12 @@ class Kind:
     def _array(self, given: Any) -> Array:
         try:
             found = real(given)
-        except (TypeError, ValueError):
-            raise InvalidValueError(f"found {given!r:.60}, needs {self._needs()}") from None
-        if not np.isfinite(found).all():
+        except ValueError as error:
+            words = str(error).removesuffix(", needs numbers")
+            with suppress(Exception):  # it may be an object that cannot say what it is
+                words = f"found {given!r:.60}"
+            raise InvalidValueError(f"{words}, needs {self._needs()}") from None
+        if not (np.abs(found) < ENDLESS).all():
             raise InvalidValueError("has NaN or infinite values")
         return found
 
@@ -199,6 +216,17 @@ class InputValues(dict[str, Trajectory]):
         if place is None:
             self.wanted[name] = kind, here
         return self.get(name)
+
+    def shown(self) -> InputValues:
+        """The same as it changes, for those who must not write to it."""
+        if not self:
+            return self
+        seen = InputValues()
+        seen.__dict__ = self.__dict__
+        for name, followed in self.items():
+            seen[name] = other = Trajectory(followed.kind, followed.value)
+            other.value, other.rate = read_only(followed.value), read_only(followed.rate)
+        return seen
 
     def now(self) -> InputValues:
         """The same, no more to be moved by whoever moves this."""

@@ -67,6 +67,7 @@ class Status(enum.Enum):
         True,
         True,
     )
+    CLOCK_WRONG = "comes to rest: the loop's clock does not say the time", True, True
     STOPPED = "comes to rest, and stays there until it is told to go on", True, True
     NOT_BEGUN = "stands still: the loop cannot begin where the robot is"
     LATE = "the tick came late; references have waited for it", True
@@ -74,7 +75,9 @@ class Status(enum.Enum):
     RECOVERING = "a joint outside its limits is recovering", True, True
 
 
-HALTS = frozenset({Status.ROBOT_SILENT, Status.MEASURED_JUMPED, Status.STOPPED})
+HALTS = frozenset({
+    Status.ROBOT_SILENT, Status.MEASURED_JUMPED, Status.CLOCK_WRONG, Status.STOPPED
+})  # fmt: skip
 """What the loop for robots says of a tick in which it brakes and asks its law for nothing; it does
 so for ``NOT_MEASURED``, too, with which others go on."""
 

@@ -14,6 +14,7 @@ import itertools
 import math
 import re
 import textwrap
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from typing import Annotated, Any, TypeVar, cast
@@ -134,25 +135,61 @@ def real(values: Any) -> Array:
     """What arrives while a loop runs, as a new array; ValueError says why it is not real numbers.
 
     numpy makes numbers of much that is none: of complex ones it drops a part, of masked values the
-    mask; True is 1, and None is NaN.
+    mask; True is 1, a text its number, and None is NaN. It warns nobody.
     """
+    if type(values) is np.ndarray and values.dtype == np.float64:
+        return values.copy()
+    try:
+        if type(values) in (list, tuple) and all(type(x) in (float, int) for x in values):
+            return np.array(values, float)
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")
+            return _real(values)
+    except (KeyboardInterrupt, ValueError):
+        raise
+    except OverflowError:
+        raise ValueError("found a whole number beyond 1e308, needs numbers") from None
+    except BaseException as error:  # noqa: BLE001 - an object of a user's may raise anything
+        raise ValueError(f"{_found(values)}: it raises {type(error).__name__}") from None
+
+
+def _real(values: Any) -> Array:
     if isinstance(values, np.ma.MaskedArray) and np.ma.is_masked(values):
         raise ValueError("has masked values")
+    if isinstance(values, list | tuple):
+        for x in np.array(values, object).flat:
+            if x is np.ma.masked:
+                raise ValueError("has masked values")
+            if isinstance(x, bool | np.bool_ | str | bytes):
+                raise ValueError(f"{_NO_NUMBERS[np.array(x).dtype.kind]}, needs numbers")
     try:
         found = np.array(values)
     except (TypeError, ValueError):
         raise ValueError("found lists of different lengths, needs numbers") from None
     kind = found.dtype.kind
-    if kind == "O" and not any(x is None for x in found.flat):
+    if kind == "O" and not any(x is None or isinstance(x, bool | str | bytes) for x in found.flat):
         with suppress(TypeError, ValueError):
             return found.astype(float)
     if kind not in "iuf":
-        words = _NO_NUMBERS.get(kind, f"found {type(values).__name__}")
-        raise ValueError(f"{words}, needs numbers")
+        raise ValueError(f"{_NO_NUMBERS.get(kind, _found(values))}, needs numbers")
     return found.astype(float)
 
 
-_NO_NUMBERS = {"c": "found complex numbers", "b": "found true or false", "U": "found a text"}
+def _found(value: Any) -> str:
+    return f"found {type(value).__name__}"
+
+
+def read_only(array: Array) -> Array:
+    """A view to which nobody can write, nor make it so that they can; of a writeable array."""
+    return np.asarray(memoryview(array).toreadonly())  # type: ignore[arg-type]
+
+
+_NO_NUMBERS = {
+    "c": "found complex numbers",
+    "b": "found true or false",
+    "U": "found a text",
+    "S": "found bytes",
+}
 
 
 def vector(name: str, values: ArrayLike, n: int) -> Array:

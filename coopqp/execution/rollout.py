@@ -276,7 +276,7 @@ class _Recorder:
             if name in state.inputs.arrived:
                 kept.sent[k], kept.arrived[k] = state.inputs.arrived[name]
         if command.causes != OPTIMAL:
-            self._note(k, command.causes, command.note)
+            self._note(k, command.causes, command.remark)
 
     def _note(self, k: int, causes: tuple[Status, ...], note: str) -> None:
         """Record why tick k is not optimal."""

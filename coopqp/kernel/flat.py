@@ -178,10 +178,13 @@ class Levels:
 
     def follow(self, state: State) -> None:
         """Move the references that follow signals; kinematics need not be up to date."""
+        if not self.followed:
+            return
         state.lock()
         try:
-            for _, reference in self.followed:
-                reference.update(state)
+            with np.errstate(all="ignore"):
+                for _, reference in self.followed:
+                    reference.update(state)
         finally:
             state.unlock()
 

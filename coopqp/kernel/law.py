@@ -110,7 +110,7 @@ class KernelLaw(Law):
             if self._decided_alone(state):
                 state.jacobians_due = True
                 state.corrected = 1.0
-                return self.command
+                return self.with_why(state, self.command) if self.whole.outcome else self.command
         return super().tick(state)
 
     def decide(self, state: State) -> Command:
@@ -178,10 +178,10 @@ class KernelLaw(Law):
                 state.corrected = 1.0
                 command, self.compiled = self.command, True
                 command.drift = command.scale = 1.0
-                command.causes, command.note = ALL_WELL[outcome], ""
+                command.causes, command.told = ALL_WELL[outcome], ()
                 if self._exact:
                     command.scale = self.whole.engine.scale()
-                return command
+                return self.with_why(state, command) if outcome else command
         return super().step(state)
 
     def _run_all(self, state: State, found: TickBatch) -> None:
@@ -220,7 +220,7 @@ class KernelLaw(Law):
     def _say(self, causes: tuple[Status, ...]) -> None:
         self.compiled = True
         self.command.drift = 1.0
-        self.command.causes, self.command.note = causes, ""
+        self.command.causes, self.command.told = causes, ()
 
     def _rests(self, outcome: int) -> bool:
         """Whether the engine's answer for an infeasible tick, at rest or recovering, is usable."""

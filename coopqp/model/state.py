@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import lapack
 
 from coopqp.base.rank import independent_rows, least_squares
-from coopqp.base.spec import Array, vector
+from coopqp.base.spec import Array, read_only, vector
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.signal import InputValues
 
@@ -41,6 +41,13 @@ class Memory:
     def __getitem__(self, name: str) -> Array:
         """The numbers of one name; a view, to be written to."""
         return self._of[name]
+
+    def shown(self) -> Memory:
+        """The same numbers, for those who must not write to them."""
+        other = Memory({})
+        other.sizes, other.numbers = self.sizes, read_only(self.numbers)
+        other._of = {name: read_only(part) for name, part in self._of.items()}
+        return other
 
 
 def _memory(sizes: Mapping[str, int], numbers: Array) -> Memory:
@@ -92,17 +99,18 @@ class State:
         self.memory = Memory({}) if memory is None else memory
         self.inputs = InputValues()
         self._J_ext = np.zeros((6 * arms, n))
-        self._J_task, self._J_rel = self._J_ext[:6], self._J_ext[6:]
+        self._J_shown = read_only(self._J_ext)
+        self._J_task, self._J_rel = self._J_shown[:6], self._J_shown[6:]
         self._q_seen, self.jacobians_due = self.q.copy(), False
         self.loop_error, self.gap, self.drift = np.zeros((3, 6 * (arms - 1)))
         self.q_measured: Array | None = None
         self.hand_wrench: Array | None = None
         self._commanded = np.zeros(n)  # no configuration yet
-        self._unlocked = self._locked = (np.zeros(0), np.zeros(0))  # of nobody yet
+        self._own: dict[str, Any] = dict.fromkeys(("q", *_SHOWN_ELSEHOW))  # of nobody yet
         self.corrected = 1.0
         self.p_WO, self.R_WO = np.zeros(3), np.eye(3)
         self._model, self._data = chain.model, chain.model.createData()
-        self._J_joints: Array = self._data.J
+        self._J_joints = read_only(self._data.J)
         frames = (self._data.oMf[frame] for frame in chain.frames)
         self._hands = [(X.translation, X.rotation) for X in frames]  # views, which stay valid
         self._prepare_loop_rows()
@@ -118,18 +126,45 @@ class State:
         return f"State(t={self.t:g}, q={self.q}, v={self.v})"
 
     def lock(self) -> None:
-        """Let nobody write to q and v, while code of tasks and limits looks at them."""
-        q, v = self._unlocked
-        if self.q is not q or self.v is not v:
-            self._unlocked = self.q, self.v
-            self._locked = self.q.view(), self.v.view()
-            for shown in self._locked:
-                shown.flags.writeable = False
-        self.q, self.v = self._locked
+        """Show arrays that nobody can write to, while code of plug-ins looks at the state.
+
+        Its attributes cannot be replaced either, see :class:`_Locked`.
+        """
+        own = self._own
+        if not (
+            self.q is own["q"]
+            and self.v is own["v"]
+            and self.gap is own["gap"]
+            and self.memory is own["memory"]
+            and self.inputs is own["inputs"]
+        ):
+            self._show()
+        if self.q_measured is not own["q_measured"]:
+            self._show_measured()
+        self.__dict__.update(self._shown)
+        self.__class__ = _Locked
 
     def unlock(self) -> None:
-        """Let them be written to again."""
-        self.q, self.v = self._unlocked
+        """Let it be written to again."""
+        object.__setattr__(self, "__class__", State)
+        self.__dict__.update(self._own)
+
+    def _show(self) -> None:
+        """Make read-only views, of all that the state has now."""
+        of = ("q", "v", "gap", "p_WO", "R_WO", "loop_error", "drift", "closed_error")
+        self._own = {name: getattr(self, name) for name in (*of, *_SHOWN_ELSEHOW)}
+        self._shown: dict[str, Any] = {name: read_only(self._own[name]) for name in of}
+        self._shown["memory"] = self.memory.shown()
+        self._shown["inputs"] = self.inputs.shown()
+        self._show_measured()
+
+    def _show_measured(self) -> None:
+        """The same of what was measured, or whatever a driver has given instead."""
+        given: Any = self.q_measured
+        self._own["q_measured"] = self._shown["q_measured"] = given
+        if isinstance(given, np.ndarray):
+            self._shown["q_measured"] = shown = given.view()
+            shown.flags.writeable = False
 
     def update(self) -> None:
         """Compute everything that follows from q; a law does it at the start of each tick."""
@@ -169,7 +204,7 @@ class State:
     def J_ext(self) -> Array:
         """[J_tsk; J_rel] of eq. (31), shape (6 N, n)."""
         self._refresh()
-        return self._J_ext
+        return self._J_shown
 
     @property
     def J_task(self) -> Array:
@@ -197,13 +232,13 @@ class State:
     def J_loop(self) -> Array:
         """The independent rows of J_rel, for the solvers."""
         self._refresh()
-        return self._J_loop
+        return self._J_loop_shown
 
     @property
     def e_loop(self) -> Array:
         """The drift in these rows."""
         self._refresh()
-        return self._e_loop
+        return self._e_loop_shown
 
     def advance(self, v: Array, dt: float) -> None:
         """Go on to the next tick with the commanded v, (n,): q + v dt, t + dt; q_measured stays."""
@@ -218,6 +253,11 @@ class State:
         if self.q_measured is None or not self._commanded.any():
             return False
         return not np.array_equal(self.q, self._commanded)
+
+    @property
+    def overwritten_by(self) -> Array:
+        """By how much q differs from what :meth:`advance` has left, shape (n,) [rad, m]."""
+        return self.q - self._commanded
 
     def update_poses(self) -> None:
         """Compute the object's pose and the loop errors alone, without the Jacobians."""
@@ -302,6 +342,7 @@ class State:
         self._rows_chosen = loops.varying or len(loops.kept) < loops.closed
         if self._rows_chosen:
             self._J_loop, self._e_loop = np.zeros((rank, self.chain.n)), np.zeros(rank)
+        self._J_loop_shown, self._e_loop_shown = read_only(self._J_loop), read_only(self._e_loop)
 
     def _update_loop_rows(self) -> None:
         rows = self._kept
@@ -311,6 +352,19 @@ class State:
             self._J_loop[:], self._e_loop[:] = 0.0, 0.0
         self._J_loop[: len(rows)] = self._J_rel[rows]
         self._e_loop[: len(rows)] = self.drift[rows]
+
+
+#: What of a state plug-ins see in another way than by a view of its array.
+_SHOWN_ELSEHOW = ("memory", "inputs", "q_measured")
+
+
+class _Locked(State):
+    """A state while code of plug-ins looks at it: what it has cannot be replaced."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if not (name.startswith("_") or name == "jacobians_due"):  # which it computes when asked
+            raise AttributeError(f"state.{name} cannot be replaced: plug-ins only read the state")
+        object.__setattr__(self, name, value)
 
 
 def _state(

@@ -15,10 +15,10 @@ import numpy as np
 
 from coopqp.base.errors import unknown_name
 from coopqp.base.spec import Array, real
-from coopqp.base.wording import said
+from coopqp.base.wording import raised, said
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.scenario.input import AHEAD, Arrival, Inputs
-from coopqp.signal import Kind, matrix
+from coopqp.signal import ENDLESS, Kind, matrix
 from coopqp.solver import Status
 
 #: Number of unknown names that are remembered, to report each only once.
@@ -44,35 +44,45 @@ class Arrivals:
         self._unknown: set[str] = set()
         self.refused: list[str] = []
 
-    def read(self, given: Any, t: float, now: float) -> list[Arrival]:
-        """The arrivals of a tick, at the loop's time t and ``now`` by its clock [s]."""
-        self.refused = []
+    def read(self, given: Any, t: float, now: float, ahead: float) -> list[Arrival]:
+        """The arrivals of a tick, at the loop's time t and ``now`` [s].
+
+        Time stamps are of a clock that ``now`` is ahead of, since it was set back [s].
+        """
+        self.refused, self._ahead = [], ahead
         if given is None:
             return []
         if not isinstance(given, Mapping):
             self.refused = [f"inputs: found a {type(given).__name__}, needs values by name"]
             return []
-        return list(self._read(given, t, now))
+        arrived: list[Arrival] = []
+        try:
+            for name, value in given.items():
+                arrived += self._read(name, value, t, now)
+        except Exception as error:  # noqa: BLE001 - a mapping or a key of a user's class
+            self.refused.append(f"inputs: {raised(error)}")
+        return arrived
 
-    def _read(self, given: Mapping[Any, Any], t: float, now: float) -> Iterator[Arrival]:
-        for name, value in given.items():
-            channel = self._inputs.channels.get(name)
-            if channel is None:
-                self._refuse_unknown(str(name))
-                continue
-            if not _is_stamped(value):
-                self._stamped[name] = now  # it is sent when it arrives
-                yield name, in_columns(channel.kind, value), self._shared(name, t)
-                continue
-            value, stamp = value
-            why = self._wrong_stamp(name, stamp, now)
-            if why:
-                self.refused.append(f"{name}: {why}")
-                continue
-            # A late tick must not make a later value the older one.
-            sent = max(t - (now - float(stamp)), self._sent.get(name, -math.inf))
-            self._stamped[name] = float(stamp)
-            yield name, in_columns(channel.kind, value), self._shared(name, min(sent, t))
+    def _read(self, name: Any, value: Any, t: float, now: float) -> Iterator[Arrival]:
+        channel = self._inputs.channels.get(name)
+        if channel is None:
+            self._refuse_unknown(str(name))
+            return
+        if not _is_stamped(value):
+            self._stamped[name] = now  # it is sent when it arrives
+            yield name, in_columns(channel.kind, value), self._shared(name, t)
+            return
+        value, given = value
+        stamp = as_time(given)
+        stamp = None if stamp is None else stamp + self._ahead
+        why = self._wrong_stamp(name, stamp, now)
+        if why or stamp is None:
+            self.refused.append(f"{name}: {why}")
+            return
+        # A late tick must not make a later value the older one.
+        sent = max(t - (now - stamp), self._sent.get(name, -math.inf))
+        self._stamped[name] = stamp
+        yield name, in_columns(channel.kind, value), self._shared(name, min(sent, t))
 
     def age(self, time: float) -> None:
         """Make what has arrived older by a time that the loop's own time does not count [s]."""
@@ -84,10 +94,9 @@ class Arrivals:
         self._sent[name] = (self._since + t) - self._since
         return self._sent[name]
 
-    def _wrong_stamp(self, name: str, stamp: Any, now: float) -> str:
-        if not isinstance(stamp, Real) or not math.isfinite(float(stamp)):
+    def _wrong_stamp(self, name: str, stamp: float | None, now: float) -> str:
+        if stamp is None:
             return "needs a value, or a value and when it was sent [s]"
-        stamp = float(stamp)
         if stamp > now + AHEAD:
             return f"is from the future, sent at {stamp:.3f} s and it is {now:.3f} s"
         last = self._stamped.get(name, -math.inf)
@@ -108,13 +117,24 @@ def in_columns(kind: Kind, value: Any) -> Any:
         found = real(value)
         if found.shape == (len(kind.columns),):
             return found
-    except (TypeError, ValueError):
+    except ValueError:
         pass
     try:
         read = kind.read(value)
     except Exception:  # noqa: BLE001 - anything can arrive
         return value
     return matrix(read)[:, 2] if kind.axis else read
+
+
+def as_time(given: Any) -> float | None:
+    """A finite time [s]; None where it is none."""
+    if isinstance(given, bool) or not isinstance(given, Real):
+        return None
+    try:
+        found = float(given)
+    except Exception:  # noqa: BLE001 - it may be of a user's class, or a huge integer
+        return None
+    return found if math.isfinite(found) else None
 
 
 def _is_stamped(value: Any) -> bool:
@@ -172,6 +192,7 @@ class Readings:
             return self._fault
         self.note = ""
         if q is None:
+            self.note = "read() gave None"
             return Status.ROBOT_SILENT
         self._read_at, self._fault = now, self._judge(q, commanded, now)
         return self._fault
@@ -204,8 +225,9 @@ class Readings:
         else:
             self.note = f"found shape {given.shape}, needs {reading.shape}"
             return False
-        if not np.isfinite(reading).all():
-            bad = [self._names[i] for i in np.flatnonzero(~np.isfinite(reading))]
+        good = np.abs(reading) < ENDLESS
+        if not good.all():
+            bad = [self._names[i] for i in np.flatnonzero(~good)]
             self.note = f"no finite number for {', '.join(bad)}"
             return False
         return True

@@ -1,59 +1,43 @@
-"""Faults of a robot that show while its loop runs: what each is called, and what is done.
+"""Faults of a robot that show while its loop runs: their names, and what is done about each.
 
-A joint is judged by how it follows its commands. With dq_c and dq_m the commanded and the measured
-motion of one sample, and forgetting sums over them, a joint that follows has a slope
-
-    sum dq_m dq_c(t - lag) / sum dq_c(t - lag)^2
-
-near one for the lag of its servo. Sag and model errors hardly change it, since they add no motion
-of their own; so |q_m - q_c|, which they do change, is not asked. A joint is named where no lag up to
-``LAGS`` explains what it does, once it was commanded to move by ``TRAVEL``.
-
-Force sensors are judged by one another: the hands' forces and the object's weight add up to zero.
+Joints are judged by :mod:`coopqp.online.following`. Force sensors are judged by one another, by the
+object's weight, and by how far the hands were told to close: forces f_i of all hands and the weight
+m g add up to m times the object's acceleration.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from collections.abc import Mapping
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
 from coopqp.base.errors import InvalidValueError, unknown_name
 from coopqp.base.spec import Array
-from coopqp.closed_loop.hands import WrenchReadings, into_contacts, hands
-from coopqp.controller import ControlProblem
+from coopqp.closed_loop.hands import WrenchReadings, hands, in_axes, into_contacts
+from coopqp.controller import Law
 from coopqp.model.state import State
+from coopqp.online.following import REVERSED, JointFollowing, Suspect
 
 Reaction = Literal["go_on", "slow_down", "rest"]
 
-#: What is done about each kind of fault; ``OnlineLoop(reactions=...)`` changes it.
+#: What is done about each kind of fault.
 REACTIONS: Mapping[str, Reaction] = {
     "joint_reversed": "rest",
     "joint_stands_still": "rest",
-    "joint_does_not_follow": "rest",
+    "joint_not_following": "rest",
     "joints_swapped": "rest",
     "loop_offset_at_bound": "go_on",
     "force_sensor_dead": "rest",
     "force_sensor_stuck": "rest",
     "force_sensor_reversed": "rest",
-    "forces_do_not_add_up": "go_on",
-    "load_differs": "go_on",
-    "hand_slips": "slow_down",
+    "forces_unbalanced": "slow_down",
+    "load_heavier": "go_on",
+    "slip_near": "slow_down",
 }
 
-#: Time between two samples of the joints' motion [s]; what the sums forget in, for fast motion and
-#: for slow [s]; how late a joint may follow [s].
-SAMPLE, MEMORY, LAGS = 0.02, (0.3, 2.0), (0.0, 0.04, 0.08, 0.12)
-#: Commanded motion after which a joint is judged [rad, m]; least slope of one that follows.
-TRAVEL, LEAST_SLOPE = 0.01, 0.25
-#: Motion of the measured joint below this share of the commanded one is standing still.
-STANDS = 0.05
 
-
-@dataclass(frozen=True)
-class Fault:
+class Fault(NamedTuple):
     """A fault that was found.
 
     Attributes:
@@ -69,14 +53,14 @@ class Fault:
     note: str
 
 
-def checked_reactions(chosen: Mapping[str, Any] | None) -> dict[str, Reaction]:
+def checked_reactions(chosen: Any) -> dict[str, Reaction]:
     """The reactions with those of the user.
 
     Raises:
         InvalidValueError: a kind or a reaction is none.
     """
     if chosen is not None and not isinstance(chosen, Mapping):
-        raise InvalidValueError(f"reactions: found {chosen!r}; needs a mapping of kinds")
+        raise InvalidValueError(f"reactions: found {chosen!r}; needs a reaction for each kind")
     for kind, reaction in (chosen or {}).items():
         if kind not in REACTIONS:
             raise InvalidValueError(f"reactions: {unknown_name('fault', str(kind), REACTIONS)}")
@@ -86,102 +70,183 @@ def checked_reactions(chosen: Mapping[str, Any] | None) -> dict[str, Reaction]:
     return {**REACTIONS, **(chosen or {})}
 
 
-class JointFollowing:
-    """Whether joints follow their commands.
+class FaultMonitor:
+    """The faults of one phase.
 
     Args:
-        n: number of joints. names: of them. own: indices of those that are measured.
-        dt: control period [s].
+        law: of the phase.
+        observed: whether commands differ from what is measured, so that joints can be judged.
+
+    Attributes:
+        found: the faults since :meth:`forget`, oldest first.
     """
 
-    def __init__(self, names: tuple[str, ...], own: Array, dt: float) -> None:
-        self._names, self._own, n = names, own, len(own)
-        self._every = max(1, round(SAMPLE / dt))
-        h = self._every * dt
-        self._lags = np.unique([round(lag / h) for lag in LAGS])
-        kept = max(int(self._lags[-1]) + 1, round(MEMORY[0] / h))
-        decays = [np.exp(-h / memory) for memory in MEMORY]
-        self._decay = np.array(decays)[:, None, None, None]
-        #: By memory: of dq_m dq_c, dq_c^2 and |dq_c|, for each lag and joint.
-        self._sums = np.zeros((len(MEMORY), 3, len(self._lags), n))
-        self._new = np.zeros((3, len(self._lags), n))
-        self._commanded, self._measured = np.zeros((2, kept, n))  # rings of motions
-        self._last = np.full((2, n), np.nan)
-        self._count = self._at = 0
+    def __init__(self, law: Law, *, observed: bool) -> None:
+        chain, dt = law.problem.chain, law.problem.dt
+        self._names, self._law = chain.joint_names, law
+        self._joints = JointFollowing(chain, dt) if observed else None
+        self._forces = ForceMonitor(law)
+        self.found: tuple[Fault, ...] = ()
 
     def forget(self) -> None:
-        """Begin anew, as after a rest in which somebody may have moved the joints."""
-        for kept in (self._sums, self._commanded, self._measured):
-            kept[:] = 0.0
-        self._last[:] = np.nan
-        self._count = 0
+        """Begin anew, as after a rest."""
+        self.found = ()
+        self._forces.forget()
+        if self._joints:
+            self._joints.forget()
 
-    def update(self, q_c: Array, q_m: Array) -> tuple[str, tuple[str, ...], str] | None:
-        """Judge a tick's commanded and measured joints, shape (n,): kind, joints, note of a fault."""
-        self._count += 1
-        if self._count % self._every:
+    def update(self, state: State, q_m: Array | None) -> Fault | None:
+        """The fault that is new in this tick, if any.
+
+        Args:
+            state: commanded joints, and the hands' wrenches if there are force sensors.
+            q_m: measured joints, shape (n,) [rad, m]; None without a reading.
+        """
+        new = self._forces.update(state)
+        if not new and self._joints and q_m is not None:
+            suspect = self._joints.update(state, state.q, q_m)
+            new = self._named(suspect) if suspect else None
+        if new and not any(new[:2] == fault[:2] for fault in self.found):
+            fault = Fault(*new[:2], state.t, new[2])
+            self.found = (*self.found, fault)
+            return fault
+        return None
+
+    def _named(self, suspect: Suspect) -> tuple[str, tuple[str, ...], str]:
+        names = tuple(self._names[j] for j in suspect.joints)
+        if suspect.swapped:
+            words = f"{' and '.join(names)} move as the other is commanded to: are they swapped?"
+            return "joints_swapped", names, words
+        who = " or ".join(names)
+        if suspect.stands:
+            words = f"{who} stands still against its commands: is its encoder or motor dead?"
+            return "joint_stands_still", names, words
+        if suspect.slope > REVERSED:
+            words = f"{who} moves against its commands: has its encoder or motor the wrong sign?"
+            return "joint_reversed", names, words
+        words = f"{who} does not follow its commands: is it blocked, or its motor off or too weak?"
+        return "joint_not_following", names, words
+
+
+#: Time for which a force must look wrong [s]; that of its low pass [s].
+LASTING, SMOOTH = 0.1, 0.05
+#: Forces below which nothing is said [N], as a share of the weight, and of the hands' forces.
+SMALL, OF_WEIGHT, OF_FORCES = 3.0, 0.3, 0.1
+#: How far hands are told to close while a dead sensor says nothing [m].
+CLOSED_IN = 1e-3
+#: Share of an imbalance that a wrong sensor, or a heavier load, may leave.
+UNEXPLAINED = 0.3
+#: Share of the friction that slip is near at.
+NEAR_SLIP = 0.95
+
+
+class ForceMonitor:
+    """Judges readings of force sensors.
+
+    Args:
+        law: of the phase, whose internal force control tells the hands to close.
+    """
+
+    def __init__(self, law: Law) -> None:
+        chain = law.problem.chain
+        self._hands, self._readings, self._squeezer = (
+            hands(chain),
+            WrenchReadings(chain),
+            law.squeezer,
+        )
+        self._dt, self._mass = law.problem.dt, chain.held.mass
+        self._gravity = -chain.model.gravity.linear
+        self._share = min(1.0, self._dt / SMOOTH)
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew."""
+        N = len(self._hands)
+        self._before, self._smooth = np.zeros((N, 6)), np.full((N, 3), np.nan)
+        self._zero, self._same, self._wrong = np.zeros(N), np.zeros(N), np.zeros(3)
+        self._way, self._changed = np.nan, np.zeros(N)
+
+    def update(self, state: State) -> tuple[str, tuple[str, ...], str] | None:
+        """Kind, hands and note of what is wrong with a state's wrenches, if anything is."""
+        if state.hand_wrench is None:
             return None
-        q = np.array((q_c[self._own], q_m[self._own]))
-        moved = q - self._last
-        self._last = q
-        if np.isnan(moved[0, 0]):
+        w = self._readings.read(state.hand_wrench)
+        if w is None:
             return None
-        self._at = (self._at + 1) % len(self._commanded)
-        self._commanded[self._at], self._measured[self._at] = moved
-        past = self._commanded[self._at - self._lags]
-        np.multiply(past, moved[1], out=self._new[0])
-        np.multiply(past, past, out=self._new[1])
-        np.abs(past, out=self._new[2])
-        self._sums *= self._decay
-        self._sums += self._new
-        together, squares, travel = self._sums[:, 0], self._sums[:, 1], self._sums[:, 2]
-        bad = (travel[:, 0] > TRAVEL) & (together < LEAST_SLOPE * squares).all(axis=1)
-        return self._name(bad) if bad.any() else None
+        if np.isnan(self._smooth[0, 0]):
+            self._smooth[:], self._before[:] = w[:, :3], w
+            self._way = self._closed_in(state)
+        step = np.abs(w - self._before).max(axis=1)
+        self._before[:] = w
+        self._smooth += self._share * (w[:, :3] - self._smooth)
+        return self._silent(w, step, state) or self._unbalanced() or self._near_slip(w, state)
 
-    def _name(self, bad: Any) -> tuple[str, tuple[str, ...], str] | None:
-        """The worst joint, once the slowest servo would have begun to follow."""
-        found = []
-        for window, j in np.argwhere(bad):
-            together, squares, travel = self._sums[window, :, :, j]
-            slopes = together / np.maximum(squares, 1e-300)
-            backwards = (slopes[travel > TRAVEL / 2] < -LEAST_SLOPE).all()
-            if backwards or travel[-1] > TRAVEL / 2:
-                found.append((float(slopes.max()), int(j), float(travel[0])))
-        if not found:
+    def _closed_in(self, state: State) -> float:
+        """How far the hands are told to be closer than the model says [m]."""
+        return -float(self._squeezer.along.dot(state.gap)) if self._squeezer else 0.0
+
+    def _silent(self, w: Array, step: Array, state: State) -> Any:
+        """A sensor that says zero, or always the same, where it cannot be so."""
+        self._zero = np.where(w.any(axis=1), 0.0, self._zero + self._dt)
+        same = step == 0.0
+        self._same = np.where(same, self._same + self._dt, 0.0)
+        others = step.sum() - step
+        self._changed = np.where(same, self._changed + others, 0.0)
+        closed_in = abs(self._closed_in(state) - self._way)
+        forces = np.linalg.norm(self._smooth, axis=1)
+        for i, hand in enumerate(self._hands):
+            carried = max((f for k, f in enumerate(forces) if k != i), default=0.0) > SMALL
+            if self._zero[i] > LASTING and (carried or closed_in > CLOSED_IN):
+                words = (
+                    f"the force sensor of {hand.arm} says zero while the hands press: is it dead?"
+                )
+                return "force_sensor_dead", (hand.arm,), words
+            stuck = self._same[i] > LASTING and self._zero[i] == 0.0
+            if stuck and (self._changed[i] > SMALL or closed_in > CLOSED_IN):
+                words = (
+                    f"the force sensor of {hand.arm} does not change while others do: is it stuck?"
+                )
+                return "force_sensor_stuck", (hand.arm,), words
+        return None
+
+    def _unbalanced(self) -> Any:
+        """Forces and weight that do not add up: a wrong sign, or another load."""
+        f, g = self._smooth, float(np.linalg.norm(self._gravity))
+        up, heavy = self._gravity / g, self._mass * g
+        off = f.sum(axis=0) - heavy * up
+        size, above = float(np.linalg.norm(off)), float(off.dot(up))
+        sideways = float(np.linalg.norm(off - above * up)) / max(size, SMALL)
+        allowed = max(SMALL, OF_WEIGHT * heavy, OF_FORCES * float(np.abs(f).sum()))
+        borne = above < 0.0 and sideways < UNEXPLAINED  # by a table, or somebody
+        self._wrong[0] = self._wrong[0] + self._dt if size > allowed and not borne else 0.0
+        if self._wrong[0] < LASTING:
             return None
-        slope, j, travel = min(found)
-        name = self._names[self._own[j]]
-        if other := self._swapped_with(j):
-            words = f"{name} moves as {other} is commanded to, and {other} as {name} is"
-            return "joints_swapped", (name, other), f"{words}: are the two swapped?"
-        if slope < -LEAST_SLOPE:
-            words = f"{name} moves against its commands: is the sign of its encoder or motor wrong?"
-            return "joint_reversed", (name,), words
-        measured = float(np.abs(self._measured[:, j]).sum())
-        if measured < STANDS * travel:
-            words = f"{name} stands still and is commanded to move: is its encoder or motor dead?"
-            return "joint_stands_still", (name,), words
-        words = f"{name} does not follow its commands: is it held, or its motor too weak?"
-        return "joint_does_not_follow", (name,), words
+        for i, hand in enumerate(self._hands):
+            if np.linalg.norm(off - 2.0 * f[i]) < UNEXPLAINED * size:
+                words = (
+                    f"the force sensor of {hand.arm} has the wrong sign, by the sum of all forces"
+                )
+                return "force_sensor_reversed", (hand.arm,), words
+        if sideways < UNEXPLAINED:
+            mass = self._mass + above / g
+            words = f"the hands bear {mass:.3g} kg, and object.mass says {self._mass:g} kg"
+            return "load_heavier", (), words
+        words = f"the hands' forces and the weight do not add up, by {size:.3g} N: does a sensor lie, or somebody push?"
+        return "forces_unbalanced", (), words
 
-    def _swapped_with(self, j: int) -> str:
-        """The joint whose commands this one follows, if that one follows this one's."""
-        order = np.arange(self._at + 1, self._at + 1 + len(self._commanded)) % len(self._commanded)
-        c, m = self._commanded[order], self._measured[order]
-        for k in range(c.shape[1]):
-            if k != j and _follows(c[:, k], m[:, j], self._lags):
-                if _follows(c[:, j], m[:, k], self._lags):
-                    return self._names[self._own[k]]
-        return ""
-
-
-#: Part of a motion that commands of another joint must leave unexplained at most.
-UNEXPLAINED = 0.25
-
-
-def _follows(c: Array, m: Array, lags: Array) -> bool:
-    """Whether a measured motion is a commanded one with some lag; both move."""
-    left = [np.sum((m[lag:] - c[: len(c) - lag]) ** 2) for lag in lags]
-    size = min(float(c.dot(c)), float(m.dot(m)))
-    moves = float(np.abs(c).sum()) > TRAVEL / 2
-    return bool(moves and min(left) < UNEXPLAINED * size)
+    def _near_slip(self, w: Array, state: State) -> Any:
+        """A hand that presses and needs nearly all its friction."""
+        turns = None
+        for i, hand in enumerate(self._hands):
+            if hand.contact is None:
+                continue
+            turns = into_contacts(self._hands, state.R_WO) if turns is None else turns
+            need = hand.contact.friction_needed(in_axes(w[i], turns[i]))
+            if need > NEAR_SLIP * hand.contact.friction:
+                self._wrong[1] += self._dt
+                if self._wrong[1] > LASTING:
+                    words = f"{hand.arm} needs {need:.2g} of its friction {hand.contact.friction:g}: it is about to slip"
+                    return "slip_near", (hand.arm,), words
+                return None
+        self._wrong[1] = 0.0
+        return None

@@ -191,7 +191,10 @@ class JointFollowing:
         lengths = np.einsum("fn,fn->f", signs, signs)
         lengths[lengths < LEAST_SIGNATURE / NOISE**2] = np.inf
         along = z @ signs.T  # (lags, T, faults)
-        left = np.einsum("ltn,ltn->l", z, z)[:, None] - np.einsum("ltf,ltf->lf", along, along) / lengths
+        left = (
+            np.einsum("ltn,ltn->l", z, z)[:, None]
+            - np.einsum("ltf,ltf->lf", along, along) / lengths
+        )
         lags = left.argmin(axis=0)
         left = left.min(axis=0)
         faults = np.arange(len(signs))

@@ -33,6 +33,8 @@ from coopqp.execution.phase_run import PhaseRun
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.online.arrivals import Readings
+from coopqp.online.clock import Clock as Clock
+from coopqp.online.clock import LoopTime
 from coopqp.online.options import HowHeld, PhasesEnd, Reference, check_options
 from coopqp.online.phases import Phases, with_acceleration
 from coopqp.online.session import Keeper, Record, scenario_text
@@ -117,10 +119,6 @@ class History:
         )
 
 
-Clock = Callable[[], float]
-"""Seconds, by a clock that never goes back."""
-
-
 class OnlineLoop:
     """One controller of a scenario, tick by tick, with measured joints from any robot.
 
@@ -145,7 +143,7 @@ class OnlineLoop:
         record: makes a recording when the loop has begun.
 
     Attributes:
-        command, status, note: of the last tick; its most severe status, and what else is wrong.
+        command, status: of the last tick; its most severe status.
         setpoint: joints at the end of the period, shape (n,) [rad, m].
         history: the last ticks. watch: counts late and early ticks, and has the longest period.
         ticks, begun: number of ticks without early calls; whether the object is held.
@@ -180,7 +178,8 @@ class OnlineLoop:
         limits = with_acceleration(own.limits, own.chain, speed_up)
         self._given = replace(own, limits=limits)
         self._observed, self._as_held = reference == "commanded", grasp == "as_held"
-        self._clock, self._by_time = clock, phases == "by_time"
+        self._time = LoopTime(clock or self._counted, own.dt)
+        self._by_time = phases == "by_time"
         self.patience, self.simulated = patience, clock is None
         chain, dt = self._given.chain, self._given.dt
         self.history = History(chain, max(1, round(keep / dt)))
@@ -202,6 +201,7 @@ class OnlineLoop:
         self._readings.forget()
         self._waiting.forget()
         self._stops.forget()
+        self._time.forget()
         self.watch = Watch(self._given.dt)
         self.ticks, self.begun, self._built = 0, False, False
         self._moved = False
@@ -248,8 +248,13 @@ class OnlineLoop:
 
     @property
     def now(self) -> float:
-        """Time by the loop's clock [s]."""
-        return self._clock() if self._clock else self.ticks * self._given.dt
+        """Time by the loop's clock [s]; what it would say where it fails."""
+        return self._time.read()
+
+    @property
+    def note(self) -> str:
+        """What else is to be said of the last tick, see ``Command.note``; empty if OPTIMAL."""
+        return self.command.note
 
     @property
     def at_rest(self) -> bool:
@@ -319,7 +324,7 @@ class OnlineLoop:
         Returns:
             The command for the next period, whose arrays are reused; it leads to :attr:`setpoint`.
         """
-        before, now = time.perf_counter_ns(), self.now
+        before, now = time.perf_counter_ns(), self._time.tick()
         if left := self.watch.left(now):
             self._waiting.keep(q, inputs)
             return self._hold(left)
@@ -385,6 +390,9 @@ class OnlineLoop:
         self._interrupts.give_back()
         self.close()
 
+    def _counted(self) -> float:
+        return self.ticks * self._given.dt
+
     def _begin(self) -> None:
         self._phases.begin(self._readings.q.copy(), held=self._as_held)
         self._keeper.begin(self._given)
@@ -396,6 +404,8 @@ class OnlineLoop:
             self._readings.forget()
         is_late = self.watch.tick(self.ticks, now)
         self._wrong = self._readings.take(q, self.state.q, now)
+        if self._time.wrong:
+            self._wrong = Status.CLOCK_WRONG
         self._stops.wait(self._wrong, now, self.watch.elapsed)
         if not self.begun:
             refused = self._try_to_begin()
@@ -407,11 +417,13 @@ class OnlineLoop:
         command = self._decide(inputs, now)
         if is_late:
             command.say(*(c for c in command.causes if c is not Status.OPTIMAL), Status.LATE)
+            late = f"{1e3 * self.watch.elapsed:.3g} ms after the last tick"
+            command.told = (*command.told, late)
         return command
 
     def _try_to_begin(self) -> Command | None:
         if self._wrong:
-            return self._refuse(self._wrong, self._readings.note)
+            return self._refuse(self._wrong, self._time.wrong or self._readings.note)
         if not self._stops.why:
             try:
                 self._begin()
@@ -451,7 +463,7 @@ class OnlineLoop:
 
     def _decide(self, inputs: Any, now: float) -> Command:
         phases, run = self._phases, self._phases.now
-        self._keeper.arrived(phases.take(inputs, now))
+        self._keeper.arrived(phases.take(inputs, now, self._time.ahead))
         halts = [self._wrong] if self._wrong else []
         if self._stops.why or phases.over:
             halts.append(Status.STOPPED)
@@ -465,8 +477,9 @@ class OnlineLoop:
         own = (c for c in command.causes if c not in (Status.OPTIMAL, Status.NOT_MEASURED, *halts))
         command.say(*dict.fromkeys(halts), *own)
         waits = f"before phase {run.index + 2}" if phases.over else ""
-        notes = (self._readings.note, self._stops.why, waits, *run.state.inputs.refused)
-        command.note = "; ".join(note for note in notes if note)
+        wrong = self._time.wrong, self._readings.note, self._stops.why
+        notes = (*wrong, waits, *run.state.inputs.refused)
+        command.told = (*filter(None, notes), *command.told)
         return command
 
     def _refuse(self, why: Status, note: str) -> Command:
@@ -480,11 +493,11 @@ class OnlineLoop:
     def _hold(self, left: float) -> Command:
         """Hold the last command: early calls must not move the robot faster."""
         held = self._holding
-        held.v[:] = 0.0 if self.watch.stands else self._last.v  # else it might never end
+        held.v[:] = self._last.v
         held.say(Status.EARLY)
         held.note = f"{1e3 * left:.3g} ms of the period are left; wait for its end"
         return self._say(held)
 
     def _say(self, command: Command) -> Command:
-        self.command, self.status, self.note = command, command.status, command.note
+        self.command, self.status = command, command.status
         return command

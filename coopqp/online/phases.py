@@ -16,6 +16,7 @@ without acceleration limits is at once.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -24,7 +25,7 @@ import pinocchio as pin
 
 from coopqp.assessment.assessment import allowed_acceleration
 from coopqp.assessment.thresholds import ACCELERATION_UNLIMITED
-from coopqp.base.errors import CoopqpError, GraspError, InvalidValueError
+from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.spec import Array, Pose, finite, vector
 from coopqp.controller import Command, Controller, ControlProblem, InternalForceControl
 from coopqp.controllers import QPController
@@ -33,9 +34,9 @@ from coopqp.limit import Limit
 from coopqp.limits import JointAcceleration, JointPosition
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.grasp_configuration import grasp_of_each
-from coopqp.model.loop_observer import MOST_ORIENTATION, MOST_POSITION
 from coopqp.model.state import Memory, State
 from coopqp.online.arrivals import Arrivals
+from coopqp.online.beginning import check_hands, check_joints
 from coopqp.scenario.input import Arrival
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status
@@ -139,8 +140,14 @@ class Phases:
         self._enter(None, None)
 
     def begin(self, q: Array, *, held: bool) -> None:
-        if held and not np.array_equal(q, self._given.chain.q_start):
-            self.scenario = as_held(self._given, q)
+        given = self._given
+        if not np.array_equal(q, given.chain.q_start):
+            if not given.start_outside:
+                check_joints(given.chain, q)
+            if held:
+                self.scenario = as_held(given, q)
+            else:
+                check_hands(given.chain, q, placed=False)
         self._enter(None, q)
         self.done = (self.now,)
 
@@ -184,10 +191,10 @@ class Phases:
         now.state.t, now.state.inputs = before.t, before.inputs
         self.rest_inputs()
 
-    def take(self, inputs: Any, now: float) -> list[Arrival]:
-        """Pass on what has come since the last tick."""
+    def take(self, inputs: Any, now: float, ahead: float) -> list[Arrival]:
+        """Pass on what has come since the last tick, as :meth:`Arrivals.read` takes it."""
         state = self.now.state
-        arrivals = self.arrivals.read(self._without_wrench(inputs), state.t, now)
+        arrivals = self.arrivals.read(self._without_wrench(inputs), state.t, now, ahead)
         self.now.inputs.step(state, arrivals)
         state.inputs.refused = (*self.arrivals.refused, *state.inputs.refused)
         return arrivals
@@ -197,7 +204,9 @@ class Phases:
         if not self.now.law.squeezer:
             return inputs
         self.now.state.hand_wrench = None
-        if not isinstance(inputs, Mapping) or HAND_WRENCH not in inputs:
+        with suppress(Exception):  # a mapping of a user's class may fail; who reads it says so
+            inputs = dict(inputs)
+        if type(inputs) is not dict or HAND_WRENCH not in inputs:
             return inputs
         self.now.state.hand_wrench = inputs[HAND_WRENCH]  # anything; the law looks at it
         return {name: given for name, given in inputs.items() if name != HAND_WRENCH}
@@ -218,7 +227,7 @@ def as_held(scenario: Scenario, q: Array) -> Scenario:
     """The scenario with its start where the robot is, and the grasp as it is held there.
 
     Raises:
-        GraspError: the hands are farther from the scenario's grasp than a model's error.
+        GraspError: as of :func:`coopqp.online.beginning.check_hands`.
         InvalidValueError: q is no n finite numbers.
     """
     chain = scenario.chain
@@ -226,16 +235,10 @@ def as_held(scenario: Scenario, q: Array) -> Scenario:
     start = dict(zip(chain.joint_names, q.tolist(), strict=True))
     grasps = grasp_of_each(scenario.robot_model, scenario.grasps)
     holders = chain.hold.holders
-    if scenario.held.pose is None and not any(grasps[arm].object_in_hand for arm in holders):
+    placed = scenario.held.pose is not None or any(grasps[arm].object_in_hand for arm in holders)
+    check_hands(chain, q, placed=placed)
+    if not placed:
         return replace(scenario, start=start)
-    state = State(chain, q)
-    apart, turned = state.loop_position_error, state.loop_orientation_error
-    if apart > MOST_POSITION or turned > MOST_ORIENTATION:
-        raise GraspError(
-            f"the hands are {1e3 * apart:.0f} mm and {1e3 * turned:.0f} mrad from how the scenario "
-            "says they hold the object, more than a model's error; bring the robot near the "
-            "scenario's start, or leave out object_in_hand and object.pose to hold it as it is"
-        )
     X = chain.object_pose(q)
     place, angles = _without_tiny(X.translation), _without_tiny(pin.rpy.matrixToRpy(X.rotation))
     pose = Pose(position=tuple(place.tolist()), rpy=tuple(angles.tolist()))

@@ -54,6 +54,8 @@ AWAKE = 1.5e-4
 EVERY, LEFT = 0.25, 0.4
 #: From a tick so late, as a share of a period, the next is a whole period away.
 BEHIND = 0.4
+#: A period by the loop's clock is waited for no longer than so many by the machine's.
+LONGEST = 2.0
 
 InputsNow = Callable[[], Mapping[str, Any] | None]
 """What has arrived since the last call, as :meth:`OnlineLoop.tick` takes it; never waits."""
@@ -195,10 +197,11 @@ class _Run:
             self._loop.flush()
 
     def _wait(self, due: float) -> None:
+        until = time.monotonic() + LONGEST * self._dt  # the loop's clock may stand, or go back
         asleep = due - self._loop.now - AWAKE
         if asleep > 0.0:
-            time.sleep(asleep)
-        while self._loop.now < due:
+            time.sleep(min(asleep, self._dt))
+        while self._loop.now < due and time.monotonic() < until:
             pass
 
 

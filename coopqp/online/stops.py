@@ -35,15 +35,14 @@ class Watch:
         longest_tick: the number of the tick after it; -1 before the second tick.
         elapsed: from the tick before to the last one [s]; NaN for a first one.
         began: start of the last tick that was not early [s].
-        stands: whether the clock has not advanced since it was last read.
     """
 
     def __init__(self, dt: float) -> None:
         self._dt = dt
         self.late, self.early, self.longest, self.longest_tick = 0, 0, 0.0, -1
         self.elapsed, self._last = math.nan, math.nan
-        self.began = self._since = self._seen = -math.inf
-        self.stands = self._held = False
+        self.began = self._since = -math.inf
+        self._held = False
 
     def __repr__(self) -> str:
         slow = f"longest={self.longest:.6f}, longest_tick={self.longest_tick}"
@@ -55,7 +54,6 @@ class Watch:
 
     def left(self, now: float) -> float:
         """The rest of the period [s]; zero if a tick may come."""
-        self.stands, self._seen = now <= self._seen, now
         if not now < self._since:
             return 0.0
         self.early += 1
@@ -175,6 +173,7 @@ _WORDS = {
     Status.ROBOT_SILENT: "the robot has not said where it is",
     Status.NOT_MEASURED: "the measured joints were no numbers",
     Status.MEASURED_JUMPED: "the measured joints were elsewhere",
+    Status.CLOCK_WRONG: "the clock did not say the time",
 }
 
 

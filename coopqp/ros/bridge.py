@@ -21,6 +21,7 @@ from coopqp.base.errors import InvalidValueError, UnknownNameError
 from coopqp.base.qp import Row
 from coopqp.base.spec import Array, NonNegative, Positive, spec
 from coopqp.base.wording import raised
+from coopqp.controller import Why, note_of
 from coopqp.model.closed_chain import AXES, ClosedChain
 from coopqp.online.loop import OnlineLoop
 from coopqp.recordings.messages import AT, BROKEN, Remark, level_of
@@ -37,7 +38,7 @@ NS = 1_000_000_000
 #: Statuses of ticks in which the robot comes to rest, or its joints are not known.
 HALTS = frozenset({
     Status.ROBOT_SILENT, Status.NOT_MEASURED, Status.MEASURED_JUMPED, Status.STOPPED,
-    Status.NOT_BEGUN, Status.RAISED,
+    Status.NOT_BEGUN, Status.RAISED, Status.CLOCK_WRONG,
 })  # fmt: skip
 
 
@@ -264,7 +265,7 @@ class Bridge:
         self._refused: dict[str, str] = {}
         self._distance, self._is_new = np.zeros(loop.problem.chain.n), False
         self._causes: dict[Status, None] = {}
-        self._note = ""
+        self._told: tuple[str | Why, ...] = ()
         self._reported_at = -np.inf
 
     def take(self, name: str, message: Any) -> None:
@@ -304,7 +305,7 @@ class Bridge:
             self._transport.command(name, velocity[indices].tolist())
         command = self._loop.command
         self._causes |= dict.fromkeys(command.causes)
-        self._note = command.note or self._note
+        self._told = command.told or self._told
         if self._loop.now - self._reported_at >= self._settings.diagnostics_every:
             self.say()
 
@@ -314,7 +315,7 @@ class Bridge:
         silence = self._states.silence(self._reported_at) or self._states.wrong
         silence = silence or self._refused.pop("", "")
         remarks = [self._loop_remark(why), *(_limits(loop) if loop.begun else ())]
-        self._causes, self._note = {}, ""
+        self._causes, self._told = {}, ()
         remarks.append(Remark("joint states", 2 if silence else 0, silence, {}))
         stale = loop.state.inputs.stale
         for name in self._kinds:
@@ -329,7 +330,7 @@ class Bridge:
             causes = [cause for cause in causes if cause is not Status.OPTIMAL]
         levels = [2 if cause in HALTS else level_of(cause) for cause in causes]
         stopped = why or loop.stopped
-        texts = [*(cause.value for cause in causes), self._note, stopped]
+        texts = [*(cause.value for cause in causes), note_of(self._told), stopped]
         texts = [x for i, x in enumerate(texts) if not any(x in other for other in texts[i + 1 :])]
         values = {
             "status": written(causes) if causes else "",

@@ -124,8 +124,6 @@ class FileKeys:
     omitted."""
     start_deg: Joints | None = None
     """The same with degrees for radians; joints that slide keep metres."""
-    start_outside: bool = False
-    """Whether joints may start outside their limits."""
 
 
 @functools.lru_cache(maxsize=8)

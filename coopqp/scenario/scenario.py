@@ -114,6 +114,8 @@ class Scenario:
     robot: Robot
     """Which robot."""
     start: Annotated[Start, NO_KEY]
+    start_outside: bool = False
+    """Whether joints may start outside their limits."""
     grasps: Annotated[Grasp | Mapping[str, Grasp], NO_KEY] = field(default_factory=Rigid)
     grasp_of: Mapping[str, Grasp] = field(default_factory=dict)
     """Grasp of controllers that hold it otherwise, by name."""
@@ -305,7 +307,8 @@ class Scenario:
 #: What Python may give where a field says so, and what it is called in messages.
 WIDER: dict[Any, tuple[Any, str]] = {
     float: (Real, "a number"), int: (Integral, "a whole number"), str: (str, "a text"),
-    Literal: (str, "a text"), tuple: (Sequence, "a Sequence"), Mapping: (Mapping, "a mapping"),
+    bool: (bool, "true or false"), Literal: (str, "a text"), tuple: (Sequence, "a Sequence"),
+    Mapping: (Mapping, "a mapping"),
 }  # fmt: skip
 
 
@@ -321,7 +324,8 @@ def _stranger(value: Any, hint: Any) -> str:
     for option in options:
         origin = typing.get_origin(option) or option
         kind, called = WIDER.get(origin, (origin, f"a {origin.__name__}"))
-        truth = isinstance(value, bool) or (isinstance(value, str) and kind is Sequence)
+        truth = isinstance(value, bool) and kind is not bool
+        truth = truth or (isinstance(value, str) and kind is Sequence)
         if isinstance(value, kind) and not truth:
             part = [p for p in typing.get_args(option) if isinstance(p, type) and p is not str]
             inside = value.values() if isinstance(value, Mapping) else value

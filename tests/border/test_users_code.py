@@ -236,13 +236,18 @@ def test_a_limit_that_writes_to_the_state_is_named(chain: ClosedChain) -> None:
 def test_a_state_that_a_task_puts_out_of_order_is_put_right(
     chain: ClosedChain, writes: str
 ) -> None:
-    """Another array in its place, or one that nobody can write to: the loop goes on."""
-    law = QPController().build(problem(chain, Meddling(writes=writes)))
+    """Another array in its place, or one that nobody can write to: the state is as it was."""
+    law = QPController().build(problem(chain, Meddling(name="mine", writes=writes)))
     state = law.start()
     q = state.q
-    for _ in range(6):
+    for k in range(6):
         command = law.tick(state)
-        assert command.status is Status.OPTIMAL
+        if writes == "flags" or k < 3:
+            assert command.status is Status.OPTIMAL
+        else:
+            assert command.causes == (Status.RAISED,)
+            assert command.note.startswith("task 'mine': ")
+            assert "state.q cannot be replaced" in command.note
         state.advance(command.v, 0.01)
     assert state.q is q
     assert q.flags.writeable

@@ -129,7 +129,7 @@ def test_a_robot_that_falls_silent_is_told_to_stand_still_and_so_it_is_said(
     assert not np.any([*world.sent.values()])
     assert world.words("joint states")[0] == 2
     assert "nothing has come for 0.2" in world.words("joint states")[1]
-    assert world.words("loop") == (2, Status.ROBOT_SILENT.value)
+    assert world.words("loop") == (2, f"{Status.ROBOT_SILENT.value}; read() gave None")
     world.silent = False
     world.go(20, world.near)
     assert world.loop.status is Status.OPTIMAL

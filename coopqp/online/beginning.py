@@ -1,0 +1,152 @@
+"""Whether a loop can begin where a robot says that it is; else what the robot may have wrong.
+
+Units, signs and the order of joints are what drivers get wrong, and all look like joints. Two
+things are known of them: their ranges, and how the hands lie to each other by the scenario's start.
+A joint is refused beyond its range by more than a servo is off. Hands that lie otherwise are looked
+at once more after each change that undoes one such mistake: a mistake is named where exactly this
+change puts the hands where they belong. Six numbers fit then that did not, so that chance is out.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+
+import numpy as np
+
+from coopqp.base.errors import GraspError, InvalidValueError
+from coopqp.base.spec import Array
+from coopqp.base.wording import counted
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.loop_observer import MOST_ORIENTATION, MOST_POSITION
+
+#: Beyond a limit by so much, joints still count as at it: servos sag by some mrad, and encoders are
+#: off by some 10 mrad. Limit recovery brings them back. What is in other units is off by far more.
+OFF, OFF_SLIDING = 0.05, 0.005  # [rad], [m]
+#: Hands that are so near to where they belong are there [m], [rad].
+FITS_POSITION, FITS_ORIENTATION = 5e-3, 20e-3
+#: Changes that fit are all named if there are so many, and none if there are more.
+MOST_NAMED = 2
+
+
+def check_joints(chain: ClosedChain, q: Array) -> None:
+    """Refuse joints, shape (n,), that are out of their range by more than a servo is off."""
+    beyond = _beyond(chain, q)
+    if not (beyond > 0.0).any():
+        return
+    i = int(np.argmax(beyond))
+    low, high, unit = chain.lower[i], chain.upper[i], chain.joint_units[i]
+    out, side = (low - q[i], "below") if q[i] < low else (q[i] - high, "above")
+    words = f"{chain.joint_names[i]} reads {q[i]:.3g} {unit}, {out:.2g} {unit} {side} its range"
+    hint, others = likely_mistake(chain, q), int((beyond > 0.0).sum()) - 1
+    more = f", and {counted(others, 'other joint')} outside theirs" if others else ""
+    raise InvalidValueError(
+        f"{words}{f': {hint}' if hint else '.'} Its range is {low:.3g} to {high:.3g} {unit}{more}; "
+        "if it is really there, say start_outside: true"
+    )
+
+
+def check_hands(chain: ClosedChain, q: Array, *, placed: bool) -> None:
+    """Refuse hands that lie to each other otherwise than at the chain's start.
+
+    With ``placed``, as where the scenario has the object's place, by more than a model's error;
+    else they may hold it otherwise, and are refused where a mistake of the driver explains it.
+    """
+    apart, turned = hands_off(chain, q)
+    if apart <= MOST_POSITION and turned <= MOST_ORIENTATION:
+        return
+    hint = likely_mistake(chain, q)
+    where = f"the hands are {1e3 * apart:.0f} mm and {1e3 * turned:.0f} mrad from how the scenario "
+    if placed:
+        raise GraspError(
+            f"{where}says they hold the object, more than a model's error"
+            + (f": {hint} Else bring" if hint else "; bring")
+            + " the robot near the scenario's start, or leave out object_in_hand and object.pose "
+            "to hold it as it is"
+        )
+    if hint:
+        raise GraspError(
+            f"{where}starts: {hint} With that they are as there; if the joints are right, give the "
+            "scenario this start"
+        )
+
+
+def hands_off(chain: ClosedChain, q: Array) -> tuple[float, float]:
+    """How far hands lie from where they do at the chain's start, at most [m], [rad]."""
+    if chain.holding < 2:
+        return 0.0, 0.0
+    loops = chain.loop_error(q).reshape(-1, 2, 3)
+    apart, turned = np.linalg.norm(loops, axis=2).max(axis=0, initial=0.0)
+    return float(apart), float(turned)
+
+
+def likely_mistake(chain: ClosedChain, q: Array) -> str:
+    """The one mistake of a driver that explains joints q, as a question; empty if none does.
+
+    Angles of more than a turn that are inside their ranges in degrees need no hands to tell.
+    """
+    found = []
+    for words, other in _changes(chain, q):
+        if (_beyond(chain, other) > 0.0).any():
+            continue
+        apart, turned = hands_off(chain, other)
+        if apart <= FITS_POSITION and turned <= FITS_ORIENTATION:
+            found.append(words)
+    outside, degrees = _beyond(chain, q) > 0.0, _in_radians(chain, q)
+    turns = np.abs(q[outside & (degrees != q)]) > 2.0 * np.pi
+    if not found and turns.any() and not (_beyond(chain, degrees) > 0.0).any():
+        found = ["degrees"]
+    return f"{' or '.join(found)}?" if 0 < len(found) <= MOST_NAMED else ""
+
+
+def _beyond(chain: ClosedChain, q: Array) -> Array:
+    """By how much joints are farther out than a servo is off, negative inside, shape (n,)."""
+    off = np.where([unit == "m" for unit in chain.joint_units], OFF_SLIDING, OFF)
+    return np.asarray(np.maximum(chain.lower - q, q - chain.upper) - off)
+
+
+def _in_radians(chain: ClosedChain, q: Array) -> Array:
+    turns = np.array([unit == "rad" for unit in chain.joint_units])
+    turns[chain.passive] = False
+    return np.where(turns, np.radians(q), q)
+
+
+def _changes(chain: ClosedChain, q: Array) -> Iterator[tuple[str, Array]]:
+    """Joints with one mistake undone, and what it was."""
+    yield "degrees", _in_radians(chain, q)
+    place = {name: i for i, name in enumerate(chain.joint_names)}
+    arms = [
+        (arm.name, [place[name] for name in chain.robot.arm_joints(arm)])
+        for arm in chain.robot.arms
+    ]
+    for (a, joints), (b, others) in itertools.combinations(arms, 2):
+        if len(joints) == len(others):
+            words = "arms swapped" if len(arms) == 2 else f"arms {a} and {b} swapped"
+            yield words, _exchanged(q, joints, others)
+    for _, joints in arms:
+        for i, j in itertools.combinations(joints, 2):
+            names = f"{chain.joint_names[i]} and {chain.joint_names[j]}"
+            yield f"{names} swapped", _exchanged(q, [i], [j])
+    for i in sorted({i for _, joints in arms for i in joints}):
+        yield from _changes_of_joint(chain, q, i)
+
+
+def _changes_of_joint(chain: ClosedChain, q: Array, i: int) -> Iterator[tuple[str, Array]]:
+    name = chain.joint_names[i]
+    yield f"sign of {name}", _with(q, i, -q[i])
+    if chain.joint_units[i] == "rad":
+        for by, words in ((np.pi / 2.0, "90 degrees"), (2.0 * np.pi, "a turn")):
+            for way in (by, -by):
+                yield f"{name} off by {words}", _with(q, i, q[i] + way)
+
+
+def _exchanged(q: Array, a: list[int], b: list[int]) -> Array:
+    other = q.copy()
+    other[a], other[b] = q[b], q[a]
+    return other
+
+
+def _with(q: Array, i: int, value: float) -> Array:
+    other = q.copy()
+    other[i] = value
+    return other
