@@ -72,6 +72,7 @@ class Status(enum.Enum):
     NOT_BEGUN = "stands still: the loop cannot begin where the robot is"
     LATE = "the tick came late; references have waited for it", True
     EARLY = "the tick came before its period was over; the last command holds until then", True
+    FAULT = "a sensor or a motor of the robot is wrong, as it seems; the note names it", True
     RECOVERING = "a joint outside its limits is recovering", True, True
 
 

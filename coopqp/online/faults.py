@@ -231,7 +231,7 @@ class ForceMonitor:
             mass = self._mass + above / g
             words = f"the hands bear {mass:.3g} kg, and object.mass says {self._mass:g} kg"
             return "load_heavier", (), words
-        words = f"the hands' forces and the weight do not add up, by {size:.3g} N: does a sensor lie, or somebody push?"
+        words = f"forces and weight do not add up, by {size:.3g} N: is a sensor wrong, or a push?"
         return "forces_unbalanced", (), words
 
     def _near_slip(self, w: Array, state: State) -> Any:
@@ -245,7 +245,8 @@ class ForceMonitor:
             if need > NEAR_SLIP * hand.contact.friction:
                 self._wrong[1] += self._dt
                 if self._wrong[1] > LASTING:
-                    words = f"{hand.arm} needs {need:.2g} of its friction {hand.contact.friction:g}: it is about to slip"
+                    most = hand.contact.friction
+                    words = f"{hand.arm} is about to slip: it needs {need:.2g} of {most:g} friction"
                     return "slip_near", (hand.arm,), words
                 return None
         self._wrong[1] = 0.0

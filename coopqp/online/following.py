@@ -113,7 +113,8 @@ class JointFollowing:
 
         Args:
             state: of which the Jacobians are taken.
-            q_c, q_m: commanded and measured configuration, shape (n,) [rad, m].
+            q_c: commanded configuration, shape (n,) [rad, m].
+            q_m: measured one.
         """
         self._count += 1
         if self._count % self._every:

@@ -35,12 +35,16 @@ from coopqp.model.state import State
 from coopqp.online.arrivals import Readings
 from coopqp.online.clock import Clock as Clock
 from coopqp.online.clock import LoopTime
+from coopqp.online.faults import Fault, Reaction, checked_reactions
 from coopqp.online.options import HowHeld, PhasesEnd, Reference, check_options
 from coopqp.online.phases import Phases, with_acceleration
 from coopqp.online.session import Keeper, Record, scenario_text
 from coopqp.online.stops import Interrupts, Stops, Waiting, Watch
 from coopqp.scenario.scenario import Phase, Scenario
 from coopqp.solver import Status
+
+#: Share of its speed at which a loop goes on that a fault slows down, and its ramp [s].
+SLOW, SLOWING = 0.25, 0.5
 
 _STATUSES = tuple(Status)
 _NUMBER = {status: i for i, status in enumerate(_STATUSES)}
@@ -141,6 +145,8 @@ class OnlineLoop:
         phases: "by_time": as in the scenario; "asked": at :meth:`next_phase`.
         out: folder for what is needed to play the session again (:mod:`coopqp.online.session`).
         record: makes a recording when the loop has begun.
+        reactions: what is done about a kind of fault, "go_on", "slow_down" or "rest", where it
+            shall not be that of :data:`coopqp.online.faults.REACTIONS`.
 
     Attributes:
         command, status: of the last tick; its most severe status.
@@ -168,8 +174,10 @@ class OnlineLoop:
         phases: PhasesEnd = "by_time",
         out: Path | str | None = None,
         record: Callable[[OnlineLoop], Record] | None = None,
+        reactions: Mapping[str, Reaction] | None = None,
     ) -> None:
         check_options(locals())
+        self._reactions = checked_reactions(reactions)
         self._chosen = controller_of(scenario, controller)
         if self._chosen.commands_torques:
             words = "commands torques; the loop for robots commands velocities and positions"
@@ -204,7 +212,8 @@ class OnlineLoop:
         self._time.forget()
         self.watch = Watch(self._given.dt)
         self.ticks, self.begun, self._built = 0, False, False
-        self._moved = False
+        self._moved, self._behind = False, 0.0
+        self._pace = self._pace_before = 1.0
         self.setpoint[:] = self._phases.now.problem.chain.q_start
         self._say(self._refuse(Status.OPTIMAL, ""))
 
@@ -255,6 +264,11 @@ class OnlineLoop:
     def note(self) -> str:
         """What else is to be said of the last tick, see ``Command.note``; empty if OPTIMAL."""
         return self.command.note
+
+    @property
+    def faults(self) -> tuple[Fault, ...]:
+        """Faults of the robot that were found since it began or went on, oldest first."""
+        return self._phases.monitor.found
 
     @property
     def at_rest(self) -> bool:
@@ -402,6 +416,7 @@ class OnlineLoop:
         self._advance()
         if self._stops.look():
             self._readings.forget()
+            self._phases.monitor.forget()
         is_late = self.watch.tick(self.ticks, now)
         self._wrong = self._readings.take(q, self.state.q, now)
         if self._time.wrong:
@@ -415,6 +430,9 @@ class OnlineLoop:
         if is_late:
             self._phases.arrivals.age(self.watch.elapsed - self.problem.dt)
         command = self._decide(inputs, now)
+        if faults := self.faults:
+            command.say(*(c for c in command.causes if c is not Status.OPTIMAL), Status.FAULT)
+            command.told = (*command.told, *(fault.note for fault in faults))
         if is_late:
             command.say(*(c for c in command.causes if c is not Status.OPTIMAL), Status.LATE)
             late = f"{1e3 * self.watch.elapsed:.3g} ms after the last tick"
@@ -438,8 +456,7 @@ class OnlineLoop:
         if self.begun:
             state, t = self.state, self.state.t
             state.advance(self._last.v, self.problem.dt)
-            if not self._moved:
-                state.t = t
+            state.t = t + self._pace * self.problem.dt if self._moved else t
 
     def _go_by_measurement(self) -> None:
         """Use the measurement; begin anew after a stop, or with a new phase."""
@@ -464,13 +481,13 @@ class OnlineLoop:
     def _decide(self, inputs: Any, now: float) -> Command:
         phases, run = self._phases, self._phases.now
         self._keeper.arrived(phases.take(inputs, now, self._time.ahead))
+        self._look_for_faults()
         halts = [self._wrong] if self._wrong else []
         if self._stops.why or phases.over:
             halts.append(Status.STOPPED)
         self._moved = not halts
         if not halts:
-            run.ticks += 1
-            return run.law.tick(run.state)
+            return self._at_pace(run)
         command = phases.braking.tick(run.state)
         if not command.v.any():
             phases.rest_inputs()
@@ -480,6 +497,32 @@ class OnlineLoop:
         wrong = self._time.wrong, self._readings.note, self._stops.why
         notes = (*wrong, waits, *run.state.inputs.refused)
         command.told = (*filter(None, notes), *command.told)
+        return command
+
+    def _look_for_faults(self) -> None:
+        """Come to rest, slow down or go on where a fault of the robot shows."""
+        monitor = self._phases.monitor
+        fault = monitor.update(self.state, None if self._wrong else self._readings.q)
+        if fault and self._reactions[fault.kind] == "rest":
+            self._stops.halt(fault.note)
+        slow = any(self._reactions[fault.kind] == "slow_down" for fault in monitor.found)
+        step = self.problem.dt / SLOWING
+        self._pace = max(SLOW, self._pace - step) if slow else min(1.0, self._pace + step)
+
+    def _at_pace(self, run: PhaseRun) -> Command:
+        """The law's command; slowed down, the same path in more time, references with it."""
+        pace, state = self._pace, run.state
+        self._behind += pace
+        if self._behind >= 1.0:
+            self._behind -= 1.0
+            run.ticks += 1
+        if pace == 1.0 and self._pace_before == 1.0:
+            return run.law.tick(state)
+        state.v /= self._pace_before  # as if at full speed, which limits of acceleration refer to
+        command = run.law.tick(state)
+        state.v *= self._pace_before
+        command.v *= pace
+        self._pace_before = pace
         return command
 
     def _refuse(self, why: Status, note: str) -> Command:

@@ -37,6 +37,7 @@ from coopqp.model.grasp_configuration import grasp_of_each
 from coopqp.model.state import Memory, State
 from coopqp.online.arrivals import Arrivals
 from coopqp.online.beginning import check_hands, check_joints
+from coopqp.online.faults import FaultMonitor
 from coopqp.scenario.input import Arrival
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status
@@ -126,7 +127,8 @@ class Phases:
     Attributes:
         scenario: as begun.
         done: the phases so far, the running one last; none before the beginning.
-        now: the running phase. arrivals: at its inputs. braking: brings it to rest.
+        now: the running phase. arrivals: at its inputs. braking: brings it to rest. monitor: of
+            the robot's faults.
         fault: why the next phase could not begin; empty if it could.
     """
 
@@ -154,9 +156,10 @@ class Phases:
     def _enter(self, before: PhaseRun | None, q: Array | None) -> None:
         robot = Measured(q, self._observed)
         self.now = now = begin_phase(self.scenario, self._controller, before, robot=robot)
-        names = {*self.scenario.inputs, *([HAND_WRENCH] if now.law.squeezer else [])}
+        names = {*self.scenario.inputs, HAND_WRENCH}
         self.arrivals = Arrivals(now.inputs, names, now.since)
         self.braking = Braking(now.problem, now.law.squeezer)
+        self.monitor = FaultMonitor(now.law, observed=self._observed)
 
     def ask(self) -> None:
         if self.now.is_last:
@@ -190,6 +193,7 @@ class Phases:
         now.state = Measured(q, self._observed).start(now.law)
         now.state.t, now.state.inputs = before.t, before.inputs
         self.rest_inputs()
+        self.monitor.forget()
 
     def take(self, inputs: Any, now: float, ahead: float) -> list[Arrival]:
         """Pass on what has come since the last tick, as :meth:`Arrivals.read` takes it."""
@@ -200,9 +204,7 @@ class Phases:
         return arrivals
 
     def _without_wrench(self, inputs: Any) -> Any:
-        """Move the readings of force sensors to the state, if internal forces are controlled."""
-        if not self.now.law.squeezer:
-            return inputs
+        """Move the readings of force sensors to the state."""
         self.now.state.hand_wrench = None
         with suppress(Exception):  # a mapping of a user's class may fail; who reads it says so
             inputs = dict(inputs)
