@@ -415,6 +415,7 @@ class Law(ABC):
         command: of the last tick.
         compiled: whether the kernel has decided the last tick.
         squeezer: internal force control by measured forces; None where there is none.
+        observer: of the loop-closure offset, from measured joints.
     """
 
     rows_in_python: tuple[str, ...] = ()
@@ -437,7 +438,7 @@ class Law(ABC):
         self.problem, self.squeezer = problem, squeezer
         self.compiled = False
         self.command = Command(problem.chain.n, torques=torques)
-        self._observer = LoopObserver(problem.chain, problem.dt)
+        self.observer = LoopObserver(problem.chain, problem.dt)
         self._lock = threading.Lock()
 
     def start(
@@ -458,7 +459,7 @@ class Law(ABC):
             n = self.problem.chain.n
             state.q[:] = finite("q_measured", vector("q_measured", q_measured, n))
             state.q_measured = state.q.copy()
-            self._observer.begin(state)
+            self.observer.begin(state)
         return state
 
     def tick(self, state: State) -> Command:
@@ -541,7 +542,7 @@ class Law(ABC):
         try:
             if pressed and (fault := pressed.update(state)):
                 wrong.append(fault)
-            if not self._observer.update(state, pressed.along if pressed else None):
+            if not self.observer.update(state, pressed.along if pressed else None):
                 wrong.append(Status.NOT_MEASURED)
             return self.decide(state), wrong
         except KeyboardInterrupt:

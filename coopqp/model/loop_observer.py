@@ -31,9 +31,14 @@ MOST_POSITION, MOST_ORIENTATION = 30e-3, 100e-3
 
 
 class LoopObserver:
-    """Estimates ``State.gap``."""
+    """Estimates ``State.gap``.
+
+    Attributes:
+        paused: whether what is measured now is not to be believed, so that the gap stays.
+    """
 
     def __init__(self, chain: ClosedChain, dt: float) -> None:
+        self.paused = False
         self._chain, self._share = chain, dt / max(TIME, TICKS * dt)
 
     @cached_property
@@ -56,7 +61,7 @@ class LoopObserver:
         measured, found = self._measured, np.asarray(state.q_measured)
         if found.shape != measured.q.shape or not np.isfinite(found).all():
             return False  # a sensor that says nothing teaches nothing
-        if state.corrected < 1.0:
+        if self.paused or state.corrected < 1.0:
             return True
         measured.q[:] = found
         measured.update_poses()

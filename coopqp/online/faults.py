@@ -92,6 +92,7 @@ class FaultMonitor:
         """Begin anew, as after a rest."""
         self.found = ()
         self._forces.forget()
+        self._law.observer.paused = False
         if self._joints:
             self._joints.forget()
 
@@ -106,6 +107,8 @@ class FaultMonitor:
         if not new and self._joints and q_m is not None:
             suspect = self._joints.update(state, state.q, q_m)
             new = self._named(suspect) if suspect else None
+            # What a wrong encoder says is no error of the model: the loop must not follow it.
+            self._law.observer.paused = self._joints.suspicious
         if new and not any(new[:2] == fault[:2] for fault in self.found):
             fault = Fault(*new[:2], state.t, new[2])
             self.found = (*self.found, fault)
@@ -121,7 +124,7 @@ class FaultMonitor:
         if suspect.stands:
             words = f"{who} stands still against its commands: is its encoder or motor dead?"
             return "joint_stands_still", names, words
-        if suspect.slope > REVERSED:
+        if REVERSED[0] < suspect.slope < REVERSED[1]:
             words = f"{who} moves against its commands: has its encoder or motor the wrong sign?"
             return "joint_reversed", names, words
         words = f"{who} does not follow its commands: is it blocked, or its motor off or too weak?"

@@ -42,8 +42,8 @@ SUSPICIOUS = 12.0
 EXPLAINED, EXPLAINED_SWAPPED, AS_GOOD = 0.9, 0.95, 0.03
 #: delta over dq_c of a joint that does not follow, at least; of two that are swapped.
 LEAST_SLOPE, SWAPPED = 0.6, (0.7, 1.6)
-#: Slopes of joints that move the wrong way, and do not move, divide here.
-REVERSED = 1.5
+#: Slopes of joints that move the wrong way are between these; else they do not follow.
+REVERSED = (1.5, 4.0)
 #: Commanded motion below which a joint says nothing [rad, m].
 LEAST_MOTION = 1.5e-3
 #: Share of the commanded motion that a joint which stands still may measure.
@@ -80,6 +80,9 @@ class JointFollowing:
         dt: control period [s].
         stiffness: of the servos, shape (n,) [N m/rad]; their ratios count. Proportional to the
             motors' largest torques when omitted.
+
+    Attributes:
+        suspicious: whether internal forces and lag do not explain the last samples.
     """
 
     def __init__(self, chain: ClosedChain, dt: float, stiffness: Array | None = None) -> None:
@@ -107,6 +110,7 @@ class JointFollowing:
         """Begin anew, as after a rest in which somebody may have moved the joints."""
         self._count = self._samples = self._lag = 0
         self._before: Suspect | None = None
+        self.suspicious = False
 
     def update(self, state: State, q_c: Array, q_m: Array) -> Suspect | None:
         """Who does not follow, once two looks in succession agree.
@@ -156,6 +160,7 @@ class JointFollowing:
 
     def _look(self) -> Suspect | None:
         """The suspect of the shortest window that has one."""
+        self.suspicious = False
         for span in self._spans:
             last = self._samples - 1
             first = max(0, last - span)
@@ -183,6 +188,7 @@ class JointFollowing:
         size = float(sizes[self._lag])
         if size < SUSPICIOUS * len(at):
             return None
+        self.suspicious = True
         return self._best(m, c, z, size)
 
     def _best(self, m: Array, c: Array, z: Array, size: float) -> Suspect | None:
