@@ -29,13 +29,19 @@ class Injected:
 
     Attributes:
         fault, at: what is wrong, and with which numbers of all joints, or of all hands' wrenches.
+        of: what passes through it, "encoder", "motor" or "force"; else "reading".
         place: its keys in a scenario.
+
+    Raises:
+        CoopqpError: there is no such joint, motor or arm.
     """
 
     def __init__(self, index: int, fault: Fault, chain: ClosedChain) -> None:
         self.fault, self.place = fault, ("disturbance", "faults", index)
+        of, _, kind = fault.kind.partition("_")
+        self.of = of.rstrip("s")
         self._before: Array | None = None
-        if fault.arm is not None:
+        if fault.arm:
             i = self._index("arm", "arm", fault.arm, [arm.name for arm in chain.robot.arms])
             self.at = np.arange(6 * i, 6 * i + 6)
         elif fault.kind == "encoders_in_degrees":
@@ -45,14 +51,14 @@ class Injected:
             names = fault.joints or ((fault.joint,) if fault.joint else ())
             found = [self._index(key, "joint", name, chain.joint_names) for name in names]
             self.at = np.array(found, int)
-        if self.commands and set(self.at) & set(chain.passive):
+        if self.of == "motor" and set(self.at) & set(chain.passive):
             raise InvalidValueError(f"{fault.kind}: a passive joint has no motor").at(*self.place)
         if len(set(self.at)) < len(self.at):
             raise InvalidValueError(f"{fault.kind} needs two joints").at(*self.place, "joints")
-        kind, by = fault.kind.partition("_")[2], fault.by or 0.0
+        by, about = fault.by or 0.0, 2.0 * (self.of == "encoder")
         slopes = {"reversed": -1.0, "stuck": 0.0, "dead": 0.0, "scaled": by}
-        self._slope = slopes.get(kind, np.rad2deg(1.0) if kind == "in_degrees" else 1.0)
-        self._memory = {"reversed": 2.0 * self.reads, "stuck": 1.0}.get(kind, 0.0)
+        self._slope = {**slopes, "in_degrees": np.rad2deg(1.0)}.get(kind, 1.0)
+        self._memory = {"reversed": about, "stuck": 1.0}.get(kind, 0.0)
         self._offset = by if kind == "offset_jump" else 0.0
         self._source = self.at[::-1] if kind == "swapped" else self.at
 
@@ -60,21 +66,6 @@ class Injected:
         if name not in known:
             raise UnknownNameError(kind, name, known).at(*self.place, key)
         return known.index(name)
-
-    @property
-    def reads(self) -> bool:
-        """Whether joints are read wrongly."""
-        return self.fault.kind.startswith("encoder")
-
-    @property
-    def commands(self) -> bool:
-        """Whether commands are carried out wrongly."""
-        return self.fault.kind.startswith("motor")
-
-    @property
-    def feels(self) -> bool:
-        """Whether a hand's force is."""
-        return self.fault.arm is not None
 
     def alter(self, x: Array, t: float, *, is_rate: bool = False) -> None:
         """Write what becomes of sound numbers at time t [s]; rates have no memory."""
@@ -87,15 +78,6 @@ class Injected:
                 self._before = x[self.at].copy()
             found += self._memory * self._before + self._offset
         x[self.at] = found
-
-
-def injected(faults: Sequence[Fault], chain: ClosedChain) -> list[Injected]:
-    """The faults of a chain's robot.
-
-    Raises:
-        CoopqpError: there is no such joint, motor or arm.
-    """
-    return [Injected(i, fault, chain) for i, fault in enumerate(faults)]
 
 
 class FaultyPlant(PlantModel):
@@ -118,7 +100,7 @@ class FaultyPlant(PlantModel):
         self._felt, self._lost = plant.hand_wrench, False
         if self._felt is None:
             for fault in faults:
-                if fault.feels:
+                if fault.of == "force":
                     words = "this plant has no force sensors; use plant: rigid_body or mujoco"
                     raise InvalidValueError(f"{fault.fault.kind}: {words}").at(*fault.place)
         self.measured: Array = self._own.q.copy()
@@ -145,7 +127,7 @@ class FaultyPlant(PlantModel):
         if not self._lost:
             state.q[:], state.v[:], state.q_measured = self.measured, own.v, None
             for fault in self._faults:
-                if fault.reads:
+                if fault.of == "encoder":
                     fault.alter(state.v, self._t, is_rate=True)
 
     def truth(self, state: State) -> State:
@@ -171,21 +153,19 @@ class FaultyPlant(PlantModel):
         """What the motors make of a command."""
         done = command.copy()
         for fault in self._faults:
-            if fault.commands and done.tau is not None:
-                fault.alter(done.tau, self._t)
-            elif fault.commands:
-                fault.alter(done.v, self._t, is_rate=True)
+            if fault.of == "motor":
+                x, is_rate = (done.v, True) if done.tau is None else (done.tau, False)
+                fault.alter(x, self._t, is_rate=is_rate)
         return done
 
     def _read(self, q: Array) -> None:
         """Write what the sensors say of joints that are at q and of the hands' forces."""
         read, self._felt = q.copy(), self._plant.hand_wrench
         for fault in self._faults:
-            if fault.reads:
+            if fault.of == "encoder":
                 fault.alter(read, self._t)
-            elif fault.feels and self._felt is not None:
+            elif fault.of == "force" and self._felt is not None:
                 fault.alter(self._felt, self._t)
-        kinds = {f.fault.kind for f in self._faults if f.fault.acts(self._t)}
-        self._lost = "readings_lost" in kinds
+        self._lost = any(f.of == "reading" and f.fault.acts(self._t) for f in self._faults)
         if not self._lost:
             self.measured = read

@@ -33,7 +33,7 @@ from coopqp.plant import Disturbance, Plant, PlantModel
 from coopqp.plants import Kinematic
 from coopqp.robot import Robot, RobotModel, unit_of
 from coopqp.scenario.catalog import Catalog
-from coopqp.scenario.faulty_plant import FaultyPlant, injected
+from coopqp.scenario.faulty_plant import FaultyPlant, Injected
 from coopqp.scenario.input import InputSettings, wanted
 from coopqp.scenario.yaml import parsed
 from coopqp.signal import Kind
@@ -283,7 +283,7 @@ class Scenario:
 
     def simulated(self, problem: ControlProblem) -> PlantModel:
         """The plant of one of its problems, with the faults of sensors and motors."""
-        faults = injected(self.disturbance.faults, problem.chain)
+        faults = [Injected(i, x, problem.chain) for i, x in enumerate(self.disturbance.faults)]
         plant = self.plant.build(problem, self.seed, self.disturbance)
         return FaultyPlant(plant, problem, faults) if faults else plant
 

@@ -17,10 +17,11 @@ from coopqp.base.spec import Array
 from coopqp.controller import Command
 from coopqp.controllers import TorqueQp
 from coopqp.execution.phase_run import begin_phase
+from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.plant import FAULTS, Disturbance, Fault, Plant
 from coopqp.plants import Kinematic, Mujoco, RigidBody
-from coopqp.scenario.faulty_plant import FaultyPlant
+from coopqp.scenario.faulty_plant import FaultyPlant, Injected
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status
 
@@ -355,6 +356,13 @@ disturbance:
     - {kind: encoders_in_degrees, start: 1.0}
     - FAULT
 """
+
+
+def test_a_passive_joint_has_a_reading_and_no_motor(hinged: ClosedChain) -> None:
+    name = hinged.joint_names[hinged.passive[0]]
+    assert Injected(0, Fault(kind="encoder_stuck", joint=name), hinged).at == hinged.passive[0]
+    with pytest.raises(InvalidValueError, match="motor_stuck: a passive joint has no motor"):
+        Injected(0, Fault(kind="motor_stuck", joint=name), hinged)
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ firmness      hard tasks that end farther off than as soft ones
 judgement     how one rollout went
 masses        plants with masses, without and with errors of the model
 contacts      hands that press, on rigid bodies
+faults        sensors and motors that fail, and what is promised then
 trial         the rollouts, on all cores
 summary       one line a kind
 """

@@ -20,7 +20,8 @@ from coopqp.report.table import console, progress_bars
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.loader import solver_by_name
 from stress.contacts import ContactRollout, contact_rollout
-from stress.summary import contact_table, summarize, table
+from stress.faults import faulty_rollout
+from stress.summary import contact_table, fault_table, summarize, table
 from stress.trial import one_rollout, stress
 
 
@@ -30,6 +31,7 @@ from stress.trial import one_rollout, stress
 @click.option("--solver", default="daqp", help="QP solver; daqp if omitted.")
 @click.option("--plant", default="kinematic", help="With masses: each with and without errors.")
 @click.option("--contacts", is_flag=True, help="Hands that press, torque_qp on rigid bodies.")
+@click.option("--faults", is_flag=True, help="Sensors and motors that fail.")
 @engined
 @JSON
 def main(
@@ -38,6 +40,7 @@ def main(
     solver: str,
     plant: str,
     contacts: bool,
+    faults: bool,
     engine: Any,
     as_json: bool,
 ) -> None:
@@ -47,6 +50,8 @@ def main(
         raise InvalidValueError(
             f"--contacts: found --plant {plant}, needs rigid_body; omit --plant"
         )
+    if contacts and faults:
+        raise InvalidValueError("--contacts: found --faults as well; omit one of them")
     plants = catalog.entries("plants")
     if plant not in plants:
         raise UnknownNameError("plant", plant, plants)
@@ -59,13 +64,18 @@ def main(
             one = partial(contact_rollout, solver=asked[0])
             done = stress(rollouts, one, kind=ContactRollout, **where)
         else:
-            done = stress(rollouts, partial(one_rollout, solver=asked[0], plant=asked[1]), **where)
+            one = partial(
+                faulty_rollout if faults else one_rollout, solver=asked[0], plant=asked[1]
+            )
+            done = stress(rollouts, one, **where)
     lines, broken = summarize(done), [r for r in done if r.broken]
     if as_json:
         data = {"lines": lines, "broken": [asdict(r) for r in broken]}
         click.echo(strict_json.text(data))
     else:
-        console().print(contact_table(lines) if contacts else table(lines, plant))
+        shown = contact_table(lines) if contacts else None
+        shown = fault_table(lines, plant) if faults else shown
+        console().print(shown or table(lines, plant))
         for r in broken[:20]:
             click.echo(f"seed {r.seed}: {'; '.join(r.broken)}", err=True)
     if broken:

@@ -121,6 +121,18 @@ def contact_table(lines: Sequence[Line]) -> Table:
     return _table(title, caption, headings, lines, rows)
 
 
+def fault_table(lines: Sequence[Line], plant: str) -> Table:
+    """The same of rollouts with faults; they are not "held" firmly, but have kinds."""
+    worst = lines[-1]
+    caption = (
+        f"worst overrun: {worst['position_excess']:.1e} rad, {worst['velocity_excess']:.1e} rad/s\n"
+        f"of {worst['ticks']} ticks {worst['fallbacks']} gave something up"
+    )
+    rows = ([*(x["outcomes"].get(o, 0) for o in ("silent", "spoken")), x["broken"]] for x in lines)
+    headings = ("runs", "all\nOPTIMAL", "others\ntoo", "broken")
+    return _table(f"random rollouts with faults on {plant}", caption, headings, lines, rows)
+
+
 def _table(
     title: str,
     caption: str,

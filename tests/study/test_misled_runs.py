@@ -8,7 +8,7 @@ from pathlib import Path
 import coopqp
 from coopqp.execution.comparison import summarize
 from coopqp.limits import FollowingError, JointPosition, JointVelocity
-from coopqp.plant import Disturbance
+from coopqp.plant import Disturbance, Fault
 from coopqp.plants import RigidBody
 from coopqp.report import files
 from coopqp.scenario.scenario import Scenario
@@ -46,6 +46,16 @@ def test_what_the_model_gets_wrong_is_not_blamed_on_the_law(tmp_path: Path) -> N
     found = explained(scenario, tmp_path)
     assert found.kind == "model", found.sentence
     assert "what the model gets wrong" in found.sentence
+
+
+def test_a_run_that_an_injected_fault_keeps_from_its_goal_is_told_of_it(tmp_path: Path) -> None:
+    fault = Fault(kind="motor_reversed", joint="LElbowRoll", start=0.5)
+    plant = RigidBody(time_step=0.002)
+    given = coopqp.load("point_on_point")
+    scenario = replace(given, duration=2.5, plant=plant, disturbance=Disturbance(faults=(fault,)))
+    sentence = explained(scenario, tmp_path).sentence
+    assert "it has faults (motor_reversed of LElbowRoll from 0.5 s)" in sentence
+    assert "without the disturbance the goal is reached (tried)" in sentence
 
 
 def test_a_law_that_knows_no_priorities_puts_nobody_first(tmp_path: Path) -> None:
