@@ -27,6 +27,7 @@ REACTIONS: Mapping[str, Reaction] = {
     "joint_stands_still": "rest",
     "joint_not_following": "rest",
     "joints_swapped": "rest",
+    "encoder_jumped": "rest",
     "loop_offset_at_bound": "go_on",
     "force_sensor_dead": "rest",
     "force_sensor_stuck": "rest",
@@ -108,7 +109,7 @@ class FaultMonitor:
             suspect = self._joints.update(state, state.q, q_m)
             new = self._named(suspect) if suspect else None
             # What a wrong encoder says is no error of the model: the loop must not follow it.
-            self._law.observer.paused = self._joints.suspicious
+            self._law.observer.paused = self._joints.suspicious or bool(self.found)
         if new and not any(new[:2] == fault[:2] for fault in self.found):
             fault = Fault(*new[:2], state.t, new[2])
             self.found = (*self.found, fault)
@@ -121,6 +122,12 @@ class FaultMonitor:
             words = f"{' and '.join(names)} move as the other is commanded to: are they swapped?"
             return "joints_swapped", names, words
         who = " or ".join(names)
+        if suspect.jumped:
+            return (
+                "encoder_jumped",
+                names,
+                f"the reading of {who} has jumped: has its encoder slipped?",
+            )
         if suspect.stands:
             words = f"{who} stands still against its commands: is its encoder or motor dead?"
             return "joint_stands_still", names, words

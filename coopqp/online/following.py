@@ -40,10 +40,14 @@ NOISE, LAG_NOISE, STIFFNESS_NOISE = 4e-4, 6e-3, 0.1
 SUSPICIOUS = 12.0
 #: Share of it that a fault must explain; the share that is left by others that count as equal.
 EXPLAINED, EXPLAINED_SWAPPED, AS_GOOD = 0.9, 0.95, 0.03
+#: Two swapped joints need less where all other faults leave so much more.
+ALONE = 0.5
 #: delta over dq_c of a joint that does not follow, at least; of two that are swapped.
 LEAST_SLOPE, SWAPPED = 0.6, (0.7, 1.6)
 #: Slopes of joints that move the wrong way are between these; else they do not follow.
 REVERSED = (1.5, 4.0)
+#: A reading has jumped by so much at least [rad, m], most of it between two samples.
+LEAST_JUMP, JUMP = 4e-3, 0.6
 #: Commanded motion below which a joint says nothing [rad, m].
 LEAST_MOTION = 1.5e-3
 #: Share of the commanded motion that a joint which stands still may measure.
@@ -63,12 +67,14 @@ class Suspect(NamedTuple):
         joints: indices, the likeliest first.
         slope: -delta over the commanded motion.
         stands: whether its reading stands still.
+        jumped: whether its reading has jumped, from one sample to the next.
         swapped: whether two joints do what the other is commanded to.
     """
 
     joints: tuple[int, ...]
     slope: float
     stands: bool
+    jumped: bool
     swapped: bool
 
 
@@ -211,10 +217,21 @@ class JointFollowing:
         change = c[lags[n:], :, j].T - c[lags[n:], :, k].T
         motion = np.hstack([motion, change])
         slope = -(delta * motion).sum(axis=0) / np.maximum((motion**2).sum(axis=0), 1e-12)
-        good = (left < (1.0 - EXPLAINED) * size) & (np.abs(motion).max(axis=0) > LEAST_MOTION)
-        good[:n] &= slope[:n] > LEAST_SLOPE
+        moves = np.abs(motion).max(axis=0) > LEAST_MOTION
+        steps, ranges = (
+            np.abs(np.diff(delta[:, :n], axis=0)).max(axis=0),
+            np.ptp(delta[:, :n], axis=0),
+        )
+        jumped = (steps > JUMP * ranges) & (ranges > LEAST_JUMP)
+        good = left < (1.0 - EXPLAINED) * size
+        good[:n] &= jumped | (moves[:n] & (slope[:n] > LEAST_SLOPE))
+        good[n:] &= moves[n:]
         good[n:] &= (slope[n:] > SWAPPED[0]) & (slope[n:] < SWAPPED[1])
         good[n:] &= left[n:] < (1.0 - EXPLAINED_SWAPPED) * size
+        first, second = np.argsort(left)[:2]
+        alone = left[first] < ALONE * min(size, left[second])
+        if first >= n and alone and SWAPPED[0] < slope[first] < SWAPPED[1]:
+            good[first] = moves[first]
         if not good.any():
             return None
         good &= left <= max(3.0 * left[good].min(), AS_GOOD * size)
@@ -226,8 +243,9 @@ class JointFollowing:
         if best >= n:
             a, b = pairs[best - n]
             joints = (int(self._own[a]), int(self._own[b]))
-            return Suspect(joints, float(slope[best]), stands=False, swapped=True)
+            return Suspect(joints, float(slope[best]), stands=False, jumped=False, swapped=True)
         others = [f for f in range(n) if f != best and rest[f] < AMBIGUOUS * rest[best]]
         moved, told = np.ptp(m[:, best]), np.ptp(motion[:, best])
         joints = tuple(int(self._own[f]) for f in (best, *others))
-        return Suspect(joints, float(slope[best]), bool(moved < STANDS * told), swapped=False)
+        stands = bool(moved < STANDS * told)
+        return Suspect(joints, float(slope[best]), stands, bool(jumped[best]), swapped=False)

@@ -27,7 +27,7 @@ from coopqp.assessment.assessment import allowed_acceleration
 from coopqp.assessment.thresholds import ACCELERATION_UNLIMITED
 from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.spec import Array, Pose, finite, vector
-from coopqp.controller import Command, Controller, ControlProblem, InternalForceControl
+from coopqp.controller import Command, Controller, InternalForceControl, Law
 from coopqp.controllers import QPController
 from coopqp.execution.phase_run import Measured, PhaseRun, begin_phase
 from coopqp.limit import Limit
@@ -74,14 +74,14 @@ class _Kept:
 
 
 class Braking:
-    """The law that brings a problem's joints to rest."""
+    """Brings the joints of a law's problem to rest."""
 
-    def __init__(
-        self, problem: ControlProblem, squeezer: InternalForceControl | None = None
-    ) -> None:
+    def __init__(self, own: Law) -> None:
+        problem, squeezer = own.problem, own.squeezer
         still = replace(problem, tasks=(), wrenches=(), secondary=())
         self._law = QPController().build(still)
         self._law.squeezer = _Kept(squeezer) if squeezer else None
+        self._law.observer = own.observer
         self._memory = Memory(self._law.memory_sizes)
         self._step = np.full(problem.chain.n, np.inf)  # of the velocity in one tick
         for limit in problem.limits:
@@ -158,7 +158,7 @@ class Phases:
         self.now = now = begin_phase(self.scenario, self._controller, before, robot=robot)
         names = {*self.scenario.inputs, HAND_WRENCH}
         self.arrivals = Arrivals(now.inputs, names, now.since)
-        self.braking = Braking(now.problem, now.law.squeezer)
+        self.braking = Braking(now.law)
         self.monitor = FaultMonitor(now.law, observed=self._observed)
 
     def ask(self) -> None:
