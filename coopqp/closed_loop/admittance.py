@@ -21,6 +21,9 @@ and oscillates already below that. The default gain, with the servos' lag T, is
 
 It does not overshoot at the stated stiffness nor below, where it is only slower; hands up to nine
 times as stiff are still stable.
+
+Where the measured forces need more than the share ``NEAR_SLIP`` of the hands' friction, F_wanted
+grows until they need ``ENOUGH``, up to the contacts' ``most``, and stays so.
 """
 
 from __future__ import annotations
@@ -33,9 +36,16 @@ import numpy as np
 from pydantic import Field
 
 from coopqp.base.errors import InvalidValueError
-from coopqp.base.spec import NonNegative, Positive, spec
+from coopqp.base.spec import Array, NonNegative, Positive, spec
 from coopqp.base.wording import counted
-from coopqp.closed_loop.hands import WrenchReadings, WrenchStack, hands, points
+from coopqp.closed_loop.hands import (
+    WrenchReadings,
+    WrenchStack,
+    hands,
+    in_axes,
+    into_contacts,
+    points,
+)
 from coopqp.controller import ControlProblem
 from coopqp.model.state import State
 from coopqp.solver import Status
@@ -43,8 +53,12 @@ from coopqp.task import Task
 
 #: Share c of the gain with which hands as stiff as stated close in on the wanted force in one lag.
 CAUTION = 0.2
-#: Name in the memory of a law: where e was in the last tick, shape (3,).
-ALONG = "squeezes along"
+#: Names in the memory of a law: where e was in the last tick, shape (3,); by how much the wanted
+#: force has grown, shape (1,) [N].
+ALONG, GROWN = "squeezes along", "squeezes more by"
+#: Share of the friction from which the wanted force grows, to which, and in which time [s]; at most
+#: so many times itself where the contacts have no ``most``.
+NEAR_SLIP, ENOUGH, GROWING, MOST_GROWN = 0.9, 0.8, 0.1, 3.0
 #: Hands that are this near to most_way, as a share of it, stand there.
 ROUNDING = 1e-6
 
@@ -111,7 +125,8 @@ class InternalForceControl:
         self._readings, self.note = WrenchReadings(chain), ""
         self._wrenches = WrenchStack(problem.wrenches, State(chain))
         self.along = np.zeros(6 * (len(chain.arms) - 1))
-        self.memory_sizes: Mapping[str, int] = {ALONG: 3}
+        self.memory_sizes: Mapping[str, int] = {ALONG: 3, GROWN: 1}
+        self._pressing = [(i, hand.contact) for i, hand in enumerate(self._hands) if hand.contact]
 
     def update(self, state: State) -> Status | None:
         """Move the gap by how far the hands are to approach each other in this tick.
@@ -161,7 +176,25 @@ class InternalForceControl:
         """F_wanted - F [N]; NaN where the force is not known."""
         self._wrenches.update(state)
         measured = self._readings.read(state.hand_wrench)
-        return math.nan if measured is None else -float(self._wrenches.error(measured)[0])
+        if measured is None:
+            return math.nan
+        missing, grown = -float(self._wrenches.error(measured)[0]), state.memory[GROWN]
+        if self._pressing:
+            wanted = float(self._wrenches.wanted[0])
+            grown[0] = self._growing(state, measured, wanted, wanted + grown[0]) - wanted
+        return missing + float(grown[0])
+
+    def _growing(self, state: State, measured: Array, wanted: float, now: float) -> float:
+        """The force that friction asks for [N], not less than the one ``now``."""
+        turns = into_contacts(self._hands, state.R_WO)
+        use, most = 0.0, math.inf
+        for i, contact in self._pressing:
+            need = contact.friction_needed(in_axes(measured[i], turns[i]))
+            use, most = max(use, need / contact.friction), min(most, contact.most)
+        if not NEAR_SLIP < use < math.inf:
+            return now
+        most = MOST_GROWN * wanted if most == math.inf else most
+        return max(now, min(now * (1.0 + (use / ENOUGH - 1.0) * self._dt / GROWING), most))
 
 
 def internal_force_control(

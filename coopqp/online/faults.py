@@ -20,6 +20,8 @@ from coopqp.model.state import State
 from coopqp.online.following import REVERSED, JointFollowing, Suspect
 
 Reaction = Literal["go_on", "slow_down", "rest"]
+Finding = tuple[str, tuple[str, ...], str]
+"""Kind of a fault, where it is, and a note."""
 
 #: What is done about each kind of fault.
 REACTIONS: Mapping[str, Reaction] = {
@@ -116,7 +118,7 @@ class FaultMonitor:
             return fault
         return None
 
-    def _named(self, suspect: Suspect) -> tuple[str, tuple[str, ...], str]:
+    def _named(self, suspect: Suspect) -> Finding:
         names = tuple(self._names[j] for j in suspect.joints)
         if suspect.swapped:
             words = f"{' and '.join(names)} move as the other is commanded to: are they swapped?"
@@ -176,7 +178,7 @@ class ForceMonitor:
         self._zero, self._same, self._wrong = np.zeros(N), np.zeros(N), np.zeros(3)
         self._way, self._changed = np.nan, np.zeros(N)
 
-    def update(self, state: State) -> tuple[str, tuple[str, ...], str] | None:
+    def update(self, state: State) -> Finding | None:
         """Kind, hands and note of what is wrong with a state's wrenches, if anything is."""
         if state.hand_wrench is None:
             return None
@@ -195,7 +197,7 @@ class ForceMonitor:
         """How far the hands are told to be closer than the model says [m]."""
         return -float(self._squeezer.along.dot(state.gap)) if self._squeezer else 0.0
 
-    def _silent(self, w: Array, step: Array, state: State) -> Any:
+    def _silent(self, w: Array, step: Array, state: State) -> Finding | None:
         """A sensor that says zero, or always the same, where it cannot be so."""
         self._zero = np.where(w.any(axis=1), 0.0, self._zero + self._dt)
         same = step == 0.0
@@ -219,7 +221,7 @@ class ForceMonitor:
                 return "force_sensor_stuck", (hand.arm,), words
         return None
 
-    def _unbalanced(self) -> Any:
+    def _unbalanced(self) -> Finding | None:
         """Forces and weight that do not add up: a wrong sign, or another load."""
         f, g = self._smooth, float(np.linalg.norm(self._gravity))
         up, heavy = self._gravity / g, self._mass * g
@@ -244,7 +246,7 @@ class ForceMonitor:
         words = f"forces and weight do not add up, by {size:.3g} N: is a sensor wrong, or a push?"
         return "forces_unbalanced", (), words
 
-    def _near_slip(self, w: Array, state: State) -> Any:
+    def _near_slip(self, w: Array, state: State) -> Finding | None:
         """A hand that presses and needs nearly all its friction."""
         turns = None
         for i, hand in enumerate(self._hands):

@@ -18,7 +18,7 @@ Source: Chow and Willsky 1984, parity relations; the rest is the statics of a cl
 from __future__ import annotations
 
 from itertools import combinations
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -177,7 +177,7 @@ class JointFollowing:
                 return found
         return None
 
-    def _of(self, ring: Array, at: object) -> Array:
+    def _of(self, ring: Array, at: Any) -> Array:
         """Samples of a ring by their numbers; the first one before the beginning."""
         oldest = max(0, self._samples - len(ring))
         return np.asarray(ring[np.maximum(at, oldest) % len(ring)])
@@ -242,8 +242,8 @@ class JointFollowing:
         best = int(rest.argmin())
         if best >= n:
             a, b = pairs[best - n]
-            joints = (int(self._own[a]), int(self._own[b]))
-            return Suspect(joints, float(slope[best]), stands=False, jumped=False, swapped=True)
+            two = (int(self._own[a]), int(self._own[b]))
+            return Suspect(two, float(slope[best]), stands=False, jumped=False, swapped=True)
         others = [f for f in range(n) if f != best and rest[f] < AMBIGUOUS * rest[best]]
         moved, told = np.ptp(m[:, best]), np.ptp(motion[:, best])
         joints = tuple(int(self._own[f]) for f in (best, *others))

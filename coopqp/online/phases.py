@@ -86,8 +86,8 @@ class Braking:
         self._step = np.full(problem.chain.n, np.inf)  # of the velocity in one tick
         for limit in problem.limits:
             if isinstance(limit, JointAcceleration):
-                own = [limit.joints.get(name, limit.max) for name in problem.chain.joint_names]
-                np.minimum(self._step, np.array(own) * problem.dt, out=self._step)
+                each = [limit.joints.get(name, limit.max) for name in problem.chain.joint_names]
+                np.minimum(self._step, np.array(each) * problem.dt, out=self._step)
         self._still = Command(problem.chain.n)
 
     def can_stop(self, state: State) -> bool:
