@@ -31,6 +31,7 @@ from coopqp.controller import Command, ControlProblem, Law
 from coopqp.execution.controller_run import controller_of
 from coopqp.execution.phase_run import PhaseRun
 from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.loop_observer import Observer
 from coopqp.model.state import State
 from coopqp.online.arrivals import Readings
 from coopqp.online.options import HowHeld, PhasesEnd, Reference, check_options
@@ -143,6 +144,7 @@ class OnlineLoop:
         phases: "by_time": as in the scenario; "asked": at :meth:`next_phase`.
         out: folder for what is needed to play the session again (:mod:`coopqp.online.session`).
         record: makes a recording when the loop has begun.
+        observer: of the loop-closure offset, instead of the scenario's.
 
     Attributes:
         command, status, note: of the last tick; its most severe status, and what else is wrong.
@@ -170,6 +172,7 @@ class OnlineLoop:
         phases: PhasesEnd = "by_time",
         out: Path | str | None = None,
         record: Callable[[OnlineLoop], Record] | None = None,
+        observer: Observer | None = None,
     ) -> None:
         check_options(locals())
         self._chosen = controller_of(scenario, controller)
@@ -178,7 +181,7 @@ class OnlineLoop:
             raise InvalidValueError(f"controller '{controller}' {words}")
         own, self.controller = scenario.held_by(controller), controller
         limits = with_acceleration(own.limits, own.chain, speed_up)
-        self._given = replace(own, limits=limits)
+        self._given = replace(own, limits=limits, observer=observer or own.observer)
         self._observed, self._as_held = reference == "commanded", grasp == "as_held"
         self._clock, self._by_time = clock, phases == "by_time"
         self.patience, self.simulated = patience, clock is None
