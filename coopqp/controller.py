@@ -20,7 +20,7 @@ from coopqp.base.spec import Array, finite, overshoot, spec, taken_names, type_n
 from coopqp.base.wording import Location, culprit, dotted, suppressed
 from coopqp.limit import Limit, LimitRows
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.loop_observer import LoopObserver
+from coopqp.model.loop_observer import LoopObserver, Observer
 from coopqp.model.state import Memory, State
 from coopqp.solver import Budget, Solver, Status
 from coopqp.task import Task, TaskRows, evaluate_all, refuse_impedances
@@ -74,6 +74,7 @@ class ControlProblem:
             scaled tasks as nearly as possible, and where loops and limits alone clash corrects
             drift in part, then relaxes acceleration limits; "hold" stands still for the tick, but
             for joints outside their limits, which recover; "stop" from the next on.
+        observer: of the loop-closure offset, where joints are measured.
     """
 
     chain: ClosedChain
@@ -86,6 +87,7 @@ class ControlProblem:
     kappa: float = math.inf
     budget: Budget = field(default_factory=Budget)
     on_infeasible: OnInfeasible = "scale"
+    observer: Observer = field(default_factory=Observer)
 
     @property
     def all_tasks(self) -> tuple[Task, ...]:
@@ -438,7 +440,7 @@ class Law(ABC):
         self.problem, self.squeezer = problem, squeezer
         self.compiled = False
         self.command = Command(problem.chain.n, torques=torques)
-        self.observer = LoopObserver(problem.chain, problem.dt)
+        self.observer = LoopObserver(problem.chain, problem.dt, problem.observer)
         self._lock = threading.Lock()
 
     def start(
@@ -484,8 +486,8 @@ class Law(ABC):
             with np.errstate(all="ignore"):
                 command.note = not_finite(self.problem, state)
         if wrong:
-            pressed = self.squeezer.note if self.squeezer else ""
-            command.told = tuple(filter(None, (command.note, pressed, *state.inputs.refused)))
+            own = self.squeezer.note if self.squeezer else "", self.observer.note
+            command.told = tuple(filter(None, (command.note, *own, *state.inputs.refused)))
             command.say(*(c for c in command.causes if c is not Status.OPTIMAL), *wrong)
         state.corrected = command.drift
         return command if command.causes == ALL_WELL else self.with_why(state, command)
@@ -544,6 +546,8 @@ class Law(ABC):
                 wrong.append(fault)
             if not self.observer.update(state, pressed.along if pressed else None):
                 wrong.append(Status.NOT_MEASURED)
+            if self.observer.at_bound:
+                wrong.append(Status.OFFSET_AT_BOUND)
             return self.decide(state), wrong
         except KeyboardInterrupt:
             raise

@@ -59,6 +59,7 @@ class Status(enum.Enum):
     NOT_MEASURED = "the measured joints are no finite numbers, or not one for each joint", True
     FORCE_NOT_MEASURED = "nobody says what the hands do to the object, in usable numbers", True
     SQUEEZE_GIVEN_UP = "the hands may come no closer for a squeeze that is not there", True, True
+    OFFSET_AT_BOUND = "the model's error has changed more than it may; the rest is pulled at", True
     INPUT_STALE = "nothing new has arrived at an input in time", True
     INPUT_REFUSED = "what arrived at an input cannot be used", True
     ROBOT_SILENT = "comes to rest: the robot does not say where it is", True, True

@@ -137,7 +137,7 @@ def begin_phase(
         plant = _plant(scenario, controller, law, before)
         state = law.start(q_measured=plant.measured, hand_wrench=plant.hand_wrench)
     if before:
-        state.v[:] = before.state.v
+        state.v[:], state.felt[0] = before.state.v, before.state.felt[0]
     return PhaseRun(
         scenario=scenario,
         controller=controller,

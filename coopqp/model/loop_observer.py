@@ -5,83 +5,184 @@ open by some b, a loop-closure offset that changes slowly. With e_c = e(q) at th
 configuration, e_m at the measured one, and compliance between them, the internal force is
 proportional to e_c - e_m: it vanishes where the *command* carries the model's error. Hence
 
-    J_c v = -kappa (e_c - gap),     gap' = (e_m - e_c) / time
+    J_c v = -kappa (e_c - gap),     gap' = (e(q_m - u) - e_c) / time
 
 Correcting e_m, or all of e_c, to zero would integrate b without end, until the motors saturate. The
 observer is stable for every delay while the compliance of the grasp is part of the whole (small
 gain); ``time`` exceeds the 0.1 s of the resonances of servos and grasps, and no more, since the
 internal force of a motion grows with it.
+
+u is the servos' sag under the object's weight (``model.weight_sag``). It opens the loop by some d
+without any squeeze: an observer of e_m alone would rest only where the hands pull by d over the
+servos' compliance, and never on grips that creep. The load is the object's weight where the servos'
+stiffness is known, else nothing, until it is felt: at rest, by least squares of q_m - q_c.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from functools import cached_property
 
 import numpy as np
 
-from coopqp.base.spec import Array
+from coopqp.base.errors import UnknownNameError
+from coopqp.base.spec import Array, Positive, spec
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
+from coopqp.model.weight_sag import WeightSag
 
 #: Time constant, at least so long and at least so many ticks [s].
 TIME, TICKS = 0.15, 10
-#: A gap beyond this is no model's error any more [m], [rad]. Encoders that are 5 mrad off put the
-#: hands of three UR arms 11 mm and 22 mrad apart; what is cut off here is pulled at.
+#: Hands that begin farther apart than this do not hold the object as written [m], [rad].
 MOST_POSITION, MOST_ORIENTATION = 30e-3, 100e-3
+#: Most rotation for each metre of ``Observer.most`` [rad/m].
+ROTATION = 10.0
+#: After so long at rest the load is felt, with this time constant [s].
+AFTER, FEELS = 0.2, 0.3
+
+
+@spec
+class Observer:
+    """How the model's error is observed, where joints are measured."""
+
+    enabled: bool = True
+    """Whether it is observed at all; else it stays as it is when the hands take hold."""
+    stiffness: Positive | Mapping[str, Positive] | None = None
+    """Of the joint servos that the object's weight makes sag, one for all or by joint, others do
+    not yield [N m/rad]; believed to be alike and felt at rest if omitted."""
+    most: Positive = 0.01
+    """How far the model's error may be from its first value [m]; in rotation 10 rad/m of that."""
 
 
 class LoopObserver:
     """Estimates ``State.gap``.
 
+    InvalidValueError: the settings name a joint that there is not.
+
     Attributes:
+        at_bound: arms whose loops with the first one are at their bound since the last update.
+        load: the weight that the servos feel [N]; NaN while it is not known.
+        note: what is wrong, where something is.
         paused: whether what is measured now is not to be believed, so that the gap stays.
     """
 
-    def __init__(self, chain: ClosedChain, dt: float) -> None:
-        self.paused = False
-        self._chain, self._share = chain, dt / max(TIME, TICKS * dt)
+    def __init__(self, chain: ClosedChain, dt: float, settings: Observer | None = None) -> None:
+        self._chain, self._dt, self._share = chain, dt, dt / max(TIME, TICKS * dt)
+        self.settings = settings or Observer()
+        self._compliance = _compliance(chain, self.settings.stiffness)
+        self._most = self.settings.most, ROTATION * self.settings.most
+        self.at_bound: tuple[str, ...] = ()
+        self.load, self.note, self.paused = math.nan, "", False
 
     @cached_property
     def _measured(self) -> State:
         """Where the sensors say that the joints are; most laws never ask."""
         return State(self._chain)
 
+    @cached_property
+    def _sag(self) -> WeightSag:
+        return WeightSag(self._chain, self._compliance)
+
     def begin(self, state: State) -> None:
         """Take the whole loop error at q for the model's, so that arms do not press at first."""
         self._measured.q[:] = state.q  # made now, not in a tick
         state.update()
+        self._first(state, state.loop_error)
         state.gap[:] = state.loop_error
-        _bound(state.gap)
         state.update()
 
     def update(self, state: State, along: Array | None = None) -> bool:
         """Follow the measured q, but along the unit vector ``along``; False where not finite."""
+        self.at_bound, self.note = (), ""
         if state.q_measured is None:
             return True
         measured, found = self._measured, np.asarray(state.q_measured)
         if found.shape != measured.q.shape or not np.isfinite(found).all():
             return False  # a sensor that says nothing teaches nothing
-        if self.paused or state.corrected < 1.0:
+        if self.paused or state.corrected < 1.0 or not self.settings.enabled:
             return True
         measured.q[:] = found
+        if math.isnan(state.felt[0]):
+            measured.update_poses()
+            self._first(state, measured.loop_error)
+        opened = self._unload(state)
         measured.update_poses()
         learnt = self._share * (measured.loop_error - state.loop_error)
+        about = state.felt[2:] - opened
+        learnt[len(state.closed_error) :] = 0.0  # what holds nothing has no offset
         if along is None:
-            state.gap += learnt
-            _bound(state.gap)
+            self._learn(state.gap, learnt, about)
         else:
             pressed = along.dot(state.gap) * along
-            state.gap += learnt - along.dot(learnt) * along - pressed
-            _bound(state.gap)
+            state.gap -= pressed
+            self._learn(state.gap, _without(learnt, along), _without(about, along))
             state.gap += pressed
         state.update_drift()
         return True
 
+    def _first(self, state: State, error: Array) -> None:
+        """Believe in the object's weight where the servos' stiffness says what it does."""
+        known = self.settings.stiffness is not None
+        g = float(np.linalg.norm(self._chain.model.gravity.linear))
+        state.felt[0] = g * self._chain.held.mass if known else 0.0
+        state.felt[1], state.felt[2:] = 0.0, error
+        self._sag  # noqa: B018 - made now, not in a tick
 
-def _bound(gap: Array) -> None:
-    """Cut each loop's position and rotation to the largest error that a model can have."""
-    for loop in gap.reshape(-1, 6):
-        for part, most in ((loop[:3], MOST_POSITION), (loop[3:], MOST_ORIENTATION)):
-            size = float(np.linalg.norm(part))
+    def _unload(self, state: State) -> Array:
+        """Take the sag out of the measured joints, and feel the load at rest.
+
+        Returns:
+            What the sag opens the loops by, shape (6 L,).
+        """
+        sag, felt, q = self._sag, state.felt, self._measured.q
+        sag.update(state)
+        load = sag.load(state, q - state.q)
+        felt[1] = felt[1] + self._dt if math.isfinite(load) else 0.0
+        if felt[1] > AFTER:
+            felt[0] += min(1.0, self._dt / FEELS) * (load - felt[0])
+        self.load = math.nan if self.settings.stiffness is None else float(felt[0])
+        q -= felt[0] * sag.sag
+        return np.asarray(felt[0] * sag.opened, float)
+
+    def _learn(self, gap: Array, learnt: Array, about: Array) -> None:
+        """Move the gap, at most as far ``about`` a value as a model's error changes."""
+        gap += learnt
+        away = (gap - about).tolist()
+        for i in range(0, 6 * (self._chain.holding - 1), 3):
+            most, size = self._most[i // 3 % 2], math.hypot(*away[i : i + 3])
             if size > most:
-                part *= most / size
+                part = slice(i, i + 3)
+                gap[part] = about[part] + most / size * (gap[part] - about[part])
+                self._say(i)
+
+    def _say(self, row: int) -> None:
+        first, *others = (arm.name for arm in self._chain.arms)
+        arm, turn = others[row // 6], row // 3 % 2
+        self.at_bound = tuple(dict.fromkeys((*self.at_bound, arm)))
+        size = f"{1e3 * self._most[turn]:g} {'mrad' if turn else 'mm'}"
+        self.note = (
+            f"the model's error between {arm} and {first} has changed by {size}, the most that "
+            "observer.most lets it; has the object slipped, or is a joint's reading wrong?"
+        )
+
+
+def _without(x: Array, along: Array) -> Array:
+    return np.asarray(x - along.dot(x) * along, float)
+
+
+def _compliance(chain: ClosedChain, stiffness: float | Mapping[str, float] | None) -> Array:
+    """1/K by joint, shape (n,) [rad/(N m)]; zero where a joint does not yield or has no motor."""
+    found = np.zeros(chain.n)
+    if isinstance(stiffness, Mapping):
+        for name, value in stiffness.items():
+            if name not in chain.joint_names:
+                unknown = UnknownNameError("joint", name, chain.joint_names)
+                raise unknown.at("observer", "stiffness", name)
+            found[chain.joint_names.index(name)] = 1.0 / value
+    elif stiffness is not None:
+        found[:] = 1.0 / stiffness
+    else:
+        found[:] = [unit == "rad" for unit in chain.joint_units]
+    found[chain.passive] = 0.0
+    return found

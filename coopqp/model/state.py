@@ -78,6 +78,9 @@ class State:
             exactly.
         hand_wrench: measured wrenches of the hands on the object, by the robot's arms, each at its
             hand's point, world axes, shape (6 N,) [N, N m]; None where there are none.
+        felt: what the observer of the gap knows: the object's weight that the servos carry [N], NaN
+            before the first measurement; how long the arms have been at rest [s]; and the loop
+            error where joints were first measured, shape (2 + 6 L,).
         corrected: share of the Baumgarte correction that the last tick did.
         jacobians_due: whether the poses alone are up to date, as the kernel leaves them; Jacobians
             are then computed when somebody asks for them.
@@ -103,6 +106,7 @@ class State:
         self._J_task, self._J_rel = self._J_shown[:6], self._J_shown[6:]
         self._q_seen, self.jacobians_due = self.q.copy(), False
         self.loop_error, self.gap, self.drift = np.zeros((3, 6 * (arms - 1)))
+        self.felt = np.full(2 + 6 * (arms - 1), np.nan)
         self.q_measured: Array | None = None
         self.hand_wrench: Array | None = None
         self._commanded = np.zeros(n)  # no configuration yet
@@ -119,7 +123,7 @@ class State:
     def __reduce__(self) -> tuple[Any, ...]:
         # Its arrays are views into each other and into pinocchio's data: a copy is made anew.
         sensed = self.q_measured, self.hand_wrench
-        own = (self.v, self.gap, sensed, self.corrected, self._commanded)
+        own = (self.v, self.gap, sensed, self.corrected, self._commanded, self.felt)
         return _state, (self.chain, self.q, self.t, self.memory, own, self.inputs.now())
 
     def __repr__(self) -> str:
@@ -372,12 +376,12 @@ def _state(
     q: Array,
     t: float,
     memory: Memory,
-    own: tuple[Array, Array, tuple[Array | None, Array | None], float, Array],
+    own: tuple[Array, Array, tuple[Array | None, Array | None], float, Array, Array],
     inputs: InputValues,
 ) -> State:
     state = State(chain, q, t, memory)
     state.inputs = inputs
-    state.v[:], state.gap[:], sensed, state.corrected, state._commanded[:] = own
+    state.v[:], state.gap[:], sensed, state.corrected, state._commanded[:], state.felt[:] = own
     state.q_measured, state.hand_wrench = sensed
     state.update()
     return state

@@ -31,6 +31,7 @@ from coopqp.controller import Command, ControlProblem, Law
 from coopqp.execution.controller_run import controller_of
 from coopqp.execution.phase_run import PhaseRun
 from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.loop_observer import Observer
 from coopqp.model.state import State
 from coopqp.online.arrivals import Readings
 from coopqp.online.clock import Clock as Clock
@@ -147,6 +148,7 @@ class OnlineLoop:
         record: makes a recording when the loop has begun.
         reactions: what is done about a kind of fault, "go_on", "slow_down" or "rest", where it
             shall not be that of :data:`coopqp.online.faults.REACTIONS`.
+        observer: of the loop-closure offset, instead of the scenario's.
 
     Attributes:
         command, status: of the last tick; its most severe status.
@@ -175,6 +177,7 @@ class OnlineLoop:
         out: Path | str | None = None,
         record: Callable[[OnlineLoop], Record] | None = None,
         reactions: Mapping[str, Reaction] | None = None,
+        observer: Observer | None = None,
     ) -> None:
         check_options(locals())
         self._reactions = checked_reactions(reactions)
@@ -184,7 +187,7 @@ class OnlineLoop:
             raise InvalidValueError(f"controller '{controller}' {words}")
         own, self.controller = scenario.held_by(controller), controller
         limits = with_acceleration(own.limits, own.chain, speed_up)
-        self._given = replace(own, limits=limits)
+        self._given = replace(own, limits=limits, observer=observer or own.observer)
         self._observed, self._as_held = reference == "commanded", grasp == "as_held"
         self._time = LoopTime(clock or self._counted, own.dt)
         self._by_time = phases == "by_time"

@@ -10,6 +10,7 @@ from typing import Any, Literal, get_args
 
 from coopqp.base.errors import InvalidValueError, unknown_name
 from coopqp.base.wording import raised
+from coopqp.model.loop_observer import Observer
 from coopqp.scenario.scenario import Scenario
 
 Reference = Literal["commanded", "measured"]
@@ -64,6 +65,8 @@ def _faults(options: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         yield "clock", fault
     if fault := _folder_fault(options["out"]):
         yield "out", fault
+    if not (options["observer"] is None or isinstance(options["observer"], Observer)):
+        yield "observer", f"found {options['observer']!r}; needs a coopqp.Observer"
     if not (options["record"] is None or callable(options["record"])):
         yield "record", f"found {options['record']!r}; needs a function that makes a recording"
 

@@ -192,6 +192,7 @@ class Phases:
         now, before = self.now, self.now.state
         now.state = Measured(q, self._observed).start(now.law)
         now.state.t, now.state.inputs = before.t, before.inputs
+        now.state.felt[0] = before.felt[0]
         self.rest_inputs()
         self.monitor.forget()
 

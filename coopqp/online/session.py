@@ -13,7 +13,7 @@ import json
 import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
@@ -24,6 +24,7 @@ from coopqp.base.spec import Array
 from coopqp.controller import Command
 from coopqp.execution.phase_run import PhaseRun
 from coopqp.limits import JointAcceleration
+from coopqp.model.loop_observer import Observer
 from coopqp.model.state import State
 from coopqp.recordings.sent import FOLDER, Sent, fed, file_name
 from coopqp.scenario.input import Arrival
@@ -155,6 +156,8 @@ def scenario_text(
         assert isinstance(limit, JointAcceleration)
         keys = {"max": limit.max, "joints": limit.joints, "margin": limit.margin}
         data["limits"] = [*written, {"joint_acceleration": keys}]
+    if scenario.observer != Observer() or "observer" in data:
+        data["observer"] = asdict(scenario.observer)
     if scenario.inputs:
         paths = {
             name: str(path.resolve() if scenario.folder else path.relative_to(folder))

@@ -28,6 +28,7 @@ from coopqp.limit import Limit
 from coopqp.limits import JointPosition, JointVelocity
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.held_object import HeldObject
+from coopqp.model.loop_observer import Observer
 from coopqp.model.state import State
 from coopqp.plant import Disturbance, Plant, PlantModel
 from coopqp.plants import Kinematic
@@ -162,6 +163,8 @@ class Scenario:
     """Baumgarte gain, J_c v = -kappa e [1/s]; at most 1/dt, the default; 0 is the paper's law."""
     on_infeasible: OnInfeasible = "scale"
     """scale, hold or stop when not all can hold."""
+    observer: Observer = field(default_factory=Observer)
+    """How the model's error is told from a squeeze, where joints are measured."""
     seed: Annotated[int, Field(ge=0)] = 0
     """Of everything random."""
     source: Annotated[str, NO_KEY] = ""
@@ -279,6 +282,7 @@ class Scenario:
             solver=self.solver,
             budget=self.budget,
             on_infeasible=self.on_infeasible,
+            observer=self.observer,
         )
 
     def simulated(self, problem: ControlProblem) -> PlantModel:

@@ -1,0 +1,141 @@
+"""The offset of loops where servos sag and grips yield: what is felt, learnt and bounded."""
+
+from __future__ import annotations
+
+import copy
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import coopqp
+from coopqp.base.errors import UnknownNameError
+from coopqp.closed_loop.hands import hands, points
+from coopqp.controller import Law
+from coopqp.model.loop_observer import LoopObserver, Observer
+from coopqp.model.state import State
+from coopqp.model.weight_sag import WeightSag
+from coopqp.plant import Disturbance, PlantModel, Slip
+from coopqp.plants import QuasiStatic
+from coopqp.scenario.scenario import Scenario
+from coopqp.solver import Status
+
+K, MASS, G = 60.0, 0.6, 9.81
+ERRORS = Disturbance(grasp_offset=1e-3, encoder_offset=3e-3)
+FIRM = QuasiStatic(stiffness=K, object_compensated=0.0)
+CREEPS = replace(FIRM, grip=5e3, creep=5e3)
+KNOWN = Observer(stiffness=K)
+
+
+def scenario(plant: QuasiStatic, observer: Observer, off: Disturbance = ERRORS) -> Scenario:
+    given = coopqp.load("point_on_point")
+    (task,) = given.tasks
+    near = replace(task, goal=(0.15, 0.03, 0.035), profile=replace(task.profile, duration=1.0))
+    held = replace(given.held, mass=MASS)
+    changed = replace(given, tasks=(near,), secondary=(), held=held, plant=plant)
+    return replace(changed, disturbance=off, observer=observer)
+
+
+def run(given: Scenario, seconds: float) -> tuple[Law, PlantModel, State, list[float]]:
+    """Until then, and how far the hands' forces differ in each tick."""
+    problem = given.problem()
+    law = given.controllers["qp"].build(problem)
+    plant = given.plant.build(problem, given.seed, given.disturbance)
+    state, force = law.start(q_measured=plant.measured), []
+    for _ in range(round(seconds / given.dt)):
+        plant.step(state, law.tick(state))
+        one, other = plant.signals["hand_wrench"].reshape(2, 6)[:, :3]
+        force.append(0.5 * float(np.linalg.norm(one - other)))
+    return law, plant, state, force
+
+
+def test_the_sag_is_that_of_springs_under_half_the_weight_each() -> None:
+    """By pinocchio's Jacobians at the hands' points; the loops open as finite differences say."""
+    chain = scenario(FIRM, KNOWN).chain
+    state, data = State(chain), chain.model.createData()
+    state.update()
+    sag = WeightSag(chain, np.full(chain.n, 1.0 / K))
+    sag.update(state)
+    pin.computeJointJacobians(chain.model, data, state.q)
+    pin.updateFramePlacements(chain.model, data)
+    torque = np.zeros(chain.n)
+    at = points(hands(chain), state.p_WO, state.R_WO)
+    for frame, p in zip(chain.frames, at, strict=True):
+        J = pin.getFrameJacobian(chain.model, data, frame, pin.LOCAL_WORLD_ALIGNED)
+        lever = p - data.oMf[frame].translation
+        torque += 0.5 * (J[:3] - pin.skew(lever) @ J[3:]).T @ np.array([0.0, 0.0, 1.0])
+    np.testing.assert_allclose(sag.sag, -torque / K, atol=0.02 * np.abs(torque / K).max())
+    opened = (chain.loop_error(state.q + 1e-4 * sag.sag) - chain.loop_error(state.q)) / 1e-4
+    np.testing.assert_allclose(sag.opened, opened, atol=1e-3 * np.abs(opened).max())
+
+
+@pytest.mark.parametrize("times", [1.0, 1.5])
+def test_the_load_is_felt_whatever_the_scenario_says(times: float) -> None:
+    law, *_ = run(scenario(FIRM, KNOWN, replace(ERRORS, object_mass=times)), 5.0)
+    assert law.observer.load == pytest.approx(times * MASS * G, rel=0.05)
+
+
+def test_unknown_servos_have_no_load_and_are_unloaded_all_the_same() -> None:
+    law, _, state, _ = run(scenario(FIRM, Observer()), 5.0)
+    assert math.isnan(law.observer.load)
+    assert K * state.felt[0] == pytest.approx(MASS * G, rel=0.05)  # K is believed to be 1
+
+
+@pytest.mark.parametrize("plant", [FIRM, CREEPS], ids=["firm", "creeps"])
+@pytest.mark.parametrize("observer", [KNOWN, Observer()], ids=["known", "felt"])
+def test_hands_do_not_pull_and_the_gap_comes_to_rest(
+    plant: QuasiStatic, observer: Observer
+) -> None:
+    state = run(scenario(plant, observer), 8.0)[2]
+    law, _, later, more = run(scenario(plant, observer), 10.0)
+    assert np.mean(more[-50:]) < 0.05 * MASS * G
+    assert np.linalg.norm(later.gap[:3] - state.gap[:3]) < 1e-4
+    assert law.observer.at_bound == ()
+
+
+def test_an_observer_of_the_sag_alone_pulls(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The law without the sag ends with d / S between the hands, and winds up where grips creep."""
+    _, _, _, force = run(scenario(FIRM, KNOWN), 6.0)
+    nothing = lambda observer, state: np.zeros(len(state.gap))  # noqa: E731
+    monkeypatch.setattr(LoopObserver, "_unload", nothing)
+    _, _, _, pulled = run(scenario(FIRM, KNOWN), 6.0)
+    assert np.mean(pulled[-50:]) > 5.0 * np.mean(force[-50:])
+
+
+def test_a_change_beyond_the_bound_is_named() -> None:
+    slips = replace(ERRORS, slip=Slip(at=0.5, by=0.015))
+    law = run(scenario(FIRM, replace(KNOWN, most=0.005), slips), 2.0)[0]
+    assert law.observer.at_bound == ("left",)
+    assert Status.OFFSET_AT_BOUND in law.command.causes
+    assert "between left and right has changed by 5 mm" in law.command.note
+
+
+def test_a_disabled_observer_keeps_what_it_began_with() -> None:
+    _, _, state, _ = run(scenario(FIRM, Observer(enabled=False)), 0.5)
+    begun = run(scenario(FIRM, Observer()), 0.01)[2].felt[2:]
+    np.testing.assert_allclose(state.gap, begun, atol=1e-12)
+
+
+def test_a_copied_state_feels_the_same() -> None:
+    _, _, state, _ = run(scenario(FIRM, KNOWN), 0.5)
+    np.testing.assert_array_equal(copy.deepcopy(state).felt, state.felt)
+
+
+def test_a_joint_that_there_is_not_is_refused() -> None:
+    given = scenario(FIRM, Observer(stiffness={"RElbowRol": 100.0}))
+    with pytest.raises(UnknownNameError, match="RElbowRoll") as caught:
+        given.controllers["qp"].build(given.problem())
+    assert caught.value.keys == ("observer", "stiffness", "RElbowRol")
+
+
+def test_a_file_says_it_and_a_loop_may_say_otherwise(tmp_path: Path) -> None:
+    file = tmp_path / "own.yaml"
+    file.write_text(coopqp.load("point_on_point").source + "observer: {stiffness: 80.0}\n")
+    loop = coopqp.OnlineLoop(coopqp.load(file), clock=None)
+    assert loop.law.observer.settings == Observer(stiffness=80.0)
+    off = coopqp.OnlineLoop(coopqp.load(file), clock=None, observer=Observer(enabled=False))
+    assert not off.law.observer.settings.enabled
+    assert '"enabled": false' in off.source
