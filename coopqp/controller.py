@@ -279,9 +279,8 @@ class Law(ABC):
             return self.refuse(Status.NOT_FINITE)
         if state.memory.sizes != self.memory_sizes:
             state.memory = Memory(self.memory_sizes)
-        with np.errstate(all="ignore"):  # whatever the user has set: a tick warns nobody
-            state.update()
-            command, wrong = self._decided(state)
+        state.update()
+        command, wrong = self._decided(state)
         if state.overwritten:
             wrong.append(Status.OVERWRITTEN)
         if state.inputs.stale:
@@ -348,13 +347,18 @@ class Law(ABC):
                 wrong.append(fault)
             if not self._observer.update(state, pressed.along if pressed else None):
                 wrong.append(Status.NOT_MEASURED)
-            return self.decide(state), wrong
+            return self._decide(state), wrong
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # noqa: BLE001 - code of plug-ins may raise anything
             command = self.refuse(Status.RAISED, culprit(error, self._plugins()))
             self.hold_still(state)
             return command, wrong
+
+    def _decide(self, state: State) -> Command:
+        """Whatever a user has set for numpy, a tick warns nobody."""
+        with np.errstate(all="ignore"):
+            return self.decide(state)
 
     def _fits(self, state: State) -> bool:
         n, gap = self.problem.chain.n, 6 * (len(self.problem.chain.arms) - 1)

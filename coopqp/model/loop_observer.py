@@ -19,9 +19,10 @@ from functools import cached_property
 
 import numpy as np
 
-from coopqp.base.spec import Array
+from coopqp.base.spec import Array, real
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
+from coopqp.signal import ENDLESS
 
 #: Time constant, at least so long and at least so many ticks [s].
 TIME, TICKS = 0.15, 10
@@ -53,8 +54,12 @@ class LoopObserver:
         """Follow the measured q, but along the unit vector ``along``; False where not finite."""
         if state.q_measured is None:
             return True
-        measured, found = self._measured, np.asarray(state.q_measured)
-        if found.shape != measured.q.shape or not np.isfinite(found).all():
+        measured = self._measured
+        try:
+            found = real(state.q_measured)
+        except ValueError:
+            return False
+        if found.shape != measured.q.shape or not (np.abs(found) < ENDLESS).all():
             return False  # a sensor that says nothing teaches nothing
         if state.corrected < 1.0:
             return True
