@@ -22,6 +22,7 @@ from coopqp.limit import Limit, LimitRows
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.loop_observer import LoopObserver
 from coopqp.model.state import Memory, State
+from coopqp.signal import Signal
 from coopqp.solver import Budget, Solver, Status
 from coopqp.task import Task, TaskRows, evaluate_all, refuse_impedances
 from coopqp.trace import TickBatch
@@ -388,10 +389,12 @@ class Law(ABC):
     def _plugins(self) -> list[tuple[str, object]]:
         """Whose code a tick runs, with words for each."""
         problem = self.problem
-        tasks = ((f"task '{task.name}'", task) for task in problem.all_tasks)
+        tasks = [(f"task '{task.name}'", task) for task in problem.all_tasks]
+        follows = ((words, value) for words, task in tasks for value in vars(task).values())
+        signals = (pair for pair in follows if isinstance(pair[1], Signal))
         limits = ((f"limit '{type_name(type(limit))}'", limit) for limit in problem.limits)
         solver = (f"solver '{type_name(type(problem.solver))}'", problem.solver)
-        return [*tasks, *limits, solver]
+        return [*tasks, *signals, *limits, solver]
 
     @abstractmethod
     def decide(self, state: State) -> Command:

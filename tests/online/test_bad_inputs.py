@@ -218,3 +218,33 @@ def test_numbers_of_any_other_class_are_numbers() -> None:
     for value in (*given, np.ma.array(x), [np.float64(0.1), 0, np.int8(0)], np.array(x, object)):
         go(loop, robot, 1, {"target": value})
         assert loop.status is Status.OPTIMAL, loop.note
+
+
+def test_a_session_of_all_that_is_wrong_raises_nothing_and_keeps_the_limits(
+    rng: np.random.Generator,
+) -> None:
+    said: list[Any] = [None, "x", np.nan, np.inf, 10**400, 1e300, True, -5.0, [1.0], NoFloat()]
+    k = [0]
+
+    def clock() -> Any:
+        return said[rng.integers(len(said))] if k[0] > 5 and rng.random() < 0.1 else 0.01 * k[0]
+
+    scenario = follows()
+    loop = OnlineLoop(scenario, clock=clock, patience=1e6)
+    robot, n = SimulatedRobot(loop), scenario.chain.n
+    most, statuses = scenario.chain.velocity + 1e-9, set[Status]()
+    for k[0] in range(600):
+        names = rng.choice(JUNK, 2)
+        q = junk(n)[names[0]] if rng.random() < 0.1 else robot.read()
+        inputs: Any = {"target": [0.15, 0.01 * np.sin(0.05 * k[0]), 0.06]}
+        if rng.random() < 0.2:
+            inputs = {"target": junk(3)[names[1]], str(names[0]): 1}
+        command = loop.tick(q, BadMapping() if rng.random() < 0.02 else inputs)
+        robot.write(loop.setpoint, command.v)
+        statuses.update(command.causes)
+        assert (np.abs(command.v) <= most).all()
+        assert (loop.setpoint >= scenario.chain.lower - 1e-9).all()
+        assert (loop.setpoint <= scenario.chain.upper + 1e-9).all()
+        assert Status.RAISED not in command.causes, loop.note
+    wrong = {Status.CLOCK_WRONG, Status.NOT_MEASURED, Status.INPUT_REFUSED, Status.ROBOT_SILENT}
+    assert wrong | {Status.OPTIMAL} <= statuses
