@@ -17,7 +17,7 @@ import ipaddress
 import logging
 import socket
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any
 from urllib.parse import urlsplit
@@ -39,26 +39,18 @@ REFUSED = "refused: this page is for its own address; see coopqp play --allow-or
 
 def checked_origins(origins: Sequence[str]) -> tuple[str, ...]:
     """As browsers say them; InvalidValueError: one is none."""
-    found = []
-    for each in origins:
-        given = each.rstrip("/")
-        scheme, host = _parts(given)
-        if scheme not in ("http", "https") or not host or _origin(given) != given.lower():
+    found = tuple(given.rstrip("/").lower() for given in origins)
+    for origin in found:
+        if not _host_of(origin):
             words = "needs scheme, host and port alone, such as https://lab.example:8443"
-            raise InvalidValueError(f"--allow-origin: found '{given}', {words}")
-        found.append(_origin(given))
-    return tuple(found)
+            raise InvalidValueError(f"--allow-origin: found '{origin}', {words}")
+    return found
 
 
-def _parts(url: str) -> tuple[str, str]:
-    with suppress(ValueError):
-        split = urlsplit(url)
-        return split.scheme.lower(), split.netloc.lower()
-    return "", ""
-
-
-def _origin(url: str) -> str:
-    return "://".join(_parts(url))
+def _host_of(origin: str) -> str:
+    """``lab.example:8443`` of an origin; empty where it is none."""
+    scheme, _, host = origin.lower().partition("://")
+    return host if scheme in ("http", "https") and not set(host) & set("/?#@") else ""
 
 
 def may_enter(
@@ -71,21 +63,15 @@ def may_enter(
     if len(hosts) != 1 or len(origins) > 1:
         return False
     host = hosts[0].lower()
-    if not (_is_here(host, own) or any(_parts(other)[1] == host for other in allowed)):
+    if not (_is_here(host, own) or host in map(_host_of, allowed)):
         return False
-    if not origins or origins[0].lower() in allowed:
-        return True
-    scheme, netloc = _parts(origins[0])
-    return scheme in ("http", "https") and netloc == host
+    return not origins or origins[0].lower() in allowed or _host_of(origins[0]) == host
 
 
 def _is_here(host: str, own: frozenset[str]) -> bool:
     with suppress(ValueError):
         name = urlsplit(f"//{host}").hostname or ""
-        if name in own:
-            return True
-        ipaddress.ip_address(name)
-        return True
+        return name in own or bool(ipaddress.ip_address(name))
     return False
 
 
@@ -140,23 +126,13 @@ def is_sound(message: Any) -> bool:
 
     said = dataclasses.asdict(message)
     msgspec.convert(said, type(message))  # raises where it does not fit
-    updates = said.get("updates", {})
-    if not set(updates) <= {"value"}:  # or a browser could change what others see
-        return False
-    return all(_is_plain(x) for x in _leaves(said))
-
-
-def _leaves(value: Any) -> Iterator[Any]:
-    if isinstance(value, dict):
-        value = value.values()
-    elif not isinstance(value, list | tuple):
-        yield value
-        return
-    for each in value:
-        yield from _leaves(each)
+    # Other updates would change what all browsers see.
+    return set(said.get("updates", ())) <= {"value"} and _is_plain(said)
 
 
 def _is_plain(x: Any) -> bool:
+    if isinstance(x, dict | list | tuple):
+        return all(map(_is_plain, x.values() if isinstance(x, dict) else x))
     if isinstance(x, int | float):
         return abs(x) < FARTHEST
     if not isinstance(x, str):

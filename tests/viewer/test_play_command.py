@@ -197,7 +197,7 @@ def test_malformed_messages_end_neither_the_page_nor_the_run(
     good, other = Browser(url), Browser(url)
     good.drag(0.15, 0.03, 0.04)
     other.until(lambda: other.gizmo == pytest.approx((0.15, 0.03, 0.04)))
-    other.until(lambda: "At the goal" in other.words)
+    other.until(lambda: "playing at" in other.words)
     os.killpg(process.pid, signal.SIGINT)
     out, err = process.communicate(timeout=PATIENCE)
     assert (process.returncode, err) == (0, "")
