@@ -22,6 +22,7 @@ from coopqp.limit import Limit, LimitRows
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.loop_observer import LoopObserver, Observer
 from coopqp.model.state import Memory, State
+from coopqp.signal import Signal
 from coopqp.solver import Budget, Solver, Status
 from coopqp.task import Task, TaskRows, evaluate_all, refuse_impedances
 from coopqp.trace import TickBatch
@@ -473,9 +474,8 @@ class Law(ABC):
             return self.with_why(state, self.refuse(Status.NOT_FINITE))
         if state.memory.sizes != self.memory_sizes:
             state.memory = Memory(self.memory_sizes)
-        with np.errstate(all="ignore"):  # whatever the user has set: a tick warns nobody
-            state.update()
-            command, wrong = self._decided(state)
+        state.update()
+        command, wrong = self._decided(state)
         if state.overwritten:
             wrong.append(Status.OVERWRITTEN)
         if state.inputs.stale:
@@ -548,13 +548,18 @@ class Law(ABC):
                 wrong.append(Status.NOT_MEASURED)
             if self.observer.at_bound:
                 wrong.append(Status.OFFSET_AT_BOUND)
-            return self.decide(state), wrong
+            return self._decide(state), wrong
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # noqa: BLE001 - code of plug-ins may raise anything
             command = self.refuse(Status.RAISED, culprit(error, self._plugins()))
             self.hold_still(state)
             return command, wrong
+
+    def _decide(self, state: State) -> Command:
+        """Whatever a user has set for numpy, a tick warns nobody."""
+        with np.errstate(all="ignore"):
+            return self.decide(state)
 
     def _fits(self, state: State) -> bool:
         n, gap = self.problem.chain.n, 6 * (len(self.problem.chain.arms) - 1)
@@ -584,10 +589,12 @@ class Law(ABC):
     def _plugins(self) -> list[tuple[str, object]]:
         """Whose code a tick runs, with words for each."""
         problem = self.problem
-        tasks = ((f"task '{task.name}'", task) for task in problem.all_tasks)
+        tasks = [(f"task '{task.name}'", task) for task in problem.all_tasks]
+        follows = ((words, value) for words, task in tasks for value in vars(task).values())
+        signals = (pair for pair in follows if isinstance(pair[1], Signal))
         limits = ((f"limit '{type_name(type(limit))}'", limit) for limit in problem.limits)
         solver = (f"solver '{type_name(type(problem.solver))}'", problem.solver)
-        return [*tasks, *limits, solver]
+        return [*tasks, *signals, *limits, solver]
 
     @abstractmethod
     def decide(self, state: State) -> Command:

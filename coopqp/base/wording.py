@@ -107,12 +107,18 @@ def by_user(error: BaseException) -> bool:
 
 
 def culprit(error: BaseException, plugins: Sequence[tuple[str, object]]) -> str:
-    """``task 'lift': FILE:LINE: raises ...``, of the outermost plug-in whose code has raised it."""
+    """``task 'lift': FILE:LINE: raises ...``, of the outermost plug-in whose code has raised it.
+
+    Where none has, of one in whose file it was raised: a signal's code lies beside its class.
+    """
     called = [frame.f_code for frame, _ in traceback.walk_tb(error.__traceback__)]
-    for code in called:
-        named = [words for words, plugin in plugins if code in _codes(type(plugin))]
+    codes = [(words, _codes(type(plugin))) for words, plugin in plugins]
+    files = [(words, {code.co_filename for code in own}) for words, own in codes]
+    tries = [(code, [words for words, own in codes if code in own]) for code in called]
+    tries += [(code, [words for words, own in files if code.co_filename in own]) for code in called]
+    for code, named in tries:
         if named:
-            return f"{' or '.join(named)}: {raised(error, code.co_filename)}"
+            return f"{' or '.join(dict.fromkeys(named))}: {raised(error, code.co_filename)}"
     return raised(error)
 
 

@@ -243,6 +243,10 @@ class _Speed(click.FloatRange):
 )  # fmt: skip
 @click.option("--port", type=int, default=8080, help="Of the page; any that is free if 0.")
 @click.option("--host", default="127.0.0.1", help="Address to listen on; this machine's alone.")
+@click.option(
+    "--allow-origin", "origins", multiple=True, metavar="URL",
+    help="A page that may use this one beside itself, as behind a proxy; more than once.",
+)  # fmt: skip
 @click.option("--speed", type=_Speed(0.05, 4.0), default=1.0, help="Times real time, at first.")
 @click.option(
     "--record", type=WRITTEN,
@@ -255,6 +259,7 @@ def play(
     controllers: tuple[str, ...],
     port: int,
     host: str,
+    origins: tuple[str, ...],
     speed: float,
     record: Path | None,
     solver: str | None,
@@ -266,11 +271,13 @@ def play(
     """
     from coopqp.base.errors import CoopqpError
     from coopqp.viewer import play as viewer
+    from coopqp.viewer.gate import checked_origins
     from coopqp.viewer.player import Player
     from coopqp.viewer.recording import check_folder
 
     viewer.check_viewer()
     viewer.check_address(host, port)
+    checked_origins(origins)
     if record:
         check_folder(record)
     loaded = read_scenario(scenario, catalog, solver)
@@ -282,7 +289,8 @@ def play(
     for line in (*left_out, *player.faults):
         say(f"warning: {line}")
     try:
-        viewer.play(player, host, port, lambda page: click.echo(f"{page}  (Ctrl-C ends it)"))
+        opened = lambda page: click.echo(f"{page}  (Ctrl-C ends it)")  # noqa: E731
+        viewer.play(player, host, port, opened, origins=origins)
     except CoopqpError:
         player.save()  # the recording survives the page
         raise

@@ -124,11 +124,16 @@ class KernelLaw(Law):
             self._limits.update(state)
             if self._decides(state):
                 return self.command
-        other, command = self.plain.decide(state), self.command
+        with np.errstate(all="ignore"):
+            other, command = self.plain.decide(state), self.command
         command.v[:] = other.v
         command.scale, command.drift = other.scale, other.drift
         command.say(*other.causes)
         return command
+
+    def _decide(self, state: State) -> Command:
+        """Without Python's rows there is nothing that numpy could warn of."""
+        return self.decide(state) if self._alone_at_all else super()._decide(state)
 
     def _decided_alone(self, state: State) -> bool:
         """The same where a signal may raise; :meth:`decide` then handles the exception."""

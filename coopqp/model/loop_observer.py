@@ -27,10 +27,11 @@ from functools import cached_property
 import numpy as np
 
 from coopqp.base.errors import UnknownNameError
-from coopqp.base.spec import Array, Positive, spec
+from coopqp.base.spec import Array, Positive, real, spec
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.model.weight_sag import WeightSag
+from coopqp.signal import ENDLESS
 
 #: Time constant, at least so long and at least so many ticks [s].
 TIME, TICKS = 0.15, 10
@@ -97,8 +98,12 @@ class LoopObserver:
         self.at_bound, self.note = (), ""
         if state.q_measured is None:
             return True
-        measured, found = self._measured, np.asarray(state.q_measured)
-        if found.shape != measured.q.shape or not np.isfinite(found).all():
+        measured = self._measured
+        try:
+            found = real(state.q_measured)
+        except ValueError:
+            return False
+        if found.shape != measured.q.shape or not (np.abs(found) < ENDLESS).all():
             return False  # a sensor that says nothing teaches nothing
         if self.paused or state.corrected < 1.0 or not self.settings.enabled:
             return True

@@ -12,13 +12,14 @@ from typing import Any
 
 from coopqp.base.wording import raised
 from coopqp.online.arrivals import as_time
+from coopqp.solver import EPSILON
 
 Clock = Callable[[], float]
 """Seconds, by a clock that never goes back."""
 
 #: In so many calls of a tick a clock may say the same time: an early call comes at any time.
 STANDS = 2
-#: A clock must tell this share of a period from none.
+#: A clock's last digit must be less than this share of a period.
 FINE = 0.01
 
 
@@ -37,6 +38,7 @@ class LoopTime:
 
     def __init__(self, clock: Clock, dt: float) -> None:
         self._clock, self._dt = clock, dt
+        self._most = FINE * dt / EPSILON
         self.forget()
 
     def forget(self) -> None:
@@ -46,30 +48,34 @@ class LoopTime:
 
     def read(self) -> float:
         """What the clock says [s], or would if it was right."""
-        said = self._ask()
-        return said if said == said else self._begun(self.now) - self.ahead
+        said = self._usable(self._ask())
+        return self._begun(self.now) - self.ahead if said is None else said
 
     def tick(self) -> float:
         """The time at a call of the loop's tick [s]."""
-        said, before, self.wrong = self._ask(), self.now, ""
-        if said > self._seen:
+        said = self._ask()
+        if type(said) is float and self._seen < said < self._most and said + self.ahead > self.now:
+            self._stood, self._seen, self.now, self.wrong = 0, said, said + self.ahead, ""
+            return self.now
+        return self._judge(self._usable(said))
+
+    def _judge(self, said: float | None) -> float:
+        before, self.wrong = self.now, self._fault if said is None else ""
+        if said is None:
+            self.now = self._begun(before) + self._dt
+        elif said > self._seen:
             self._stood, self._seen, self.now = 0, said, said + self.ahead
             if self.now <= before:  # more periods were counted than have gone by
                 self._set_back(said, before)
-            return self.now
-        if said == self._seen:
-            self._stood += 1
-            if self._stood < STANDS:
-                return before
-            self.wrong = f"the clock stands at {said:.6g} s"
         elif said < self._seen:
             self.wrong = f"the clock went back by {self._seen - said:.3g} s"
             self._stood, self._seen = 0, said
             self._set_back(said, before)
-            return self.now
         else:
-            self.wrong = self._fault
-        self.now = self._begun(before) + self._dt
+            self._stood += 1
+            if self._stood >= STANDS:
+                self.wrong = f"the clock stands at {said:.6g} s"
+                self.now = before + self._dt
         return self.now
 
     def _set_back(self, said: float, before: float) -> None:
@@ -79,20 +85,23 @@ class LoopTime:
 
     @staticmethod
     def _begun(now: float) -> float:
-        return max(now, 0.0) if now == -math.inf else now
+        return 0.0 if now == -math.inf else now
 
-    def _ask(self) -> float:
-        """A usable time; NaN where there is none, with the reason."""
+    def _ask(self) -> Any:
+        self._fault = ""
         try:
-            said: Any = self._clock()
+            return self._clock()
         except Exception as error:  # noqa: BLE001 - it is a user's
             self._fault = f"the clock {raised(error)}"
-            return math.nan
-        found = said if type(said) is float else as_time(said)
-        if found is not None and found + FINE * self._dt > found:
-            return float(found)
-        self._fault = f"the clock says {_shown(said)}, needs seconds"
-        return math.nan
+            return None
+
+    def _usable(self, said: Any) -> float | None:
+        """A time that tells a period from none; None where there is none, with the reason."""
+        found = as_time(said)
+        if found is not None and abs(found) < self._most:
+            return found
+        self._fault = self._fault or f"the clock says {_shown(said)}, needs seconds"
+        return None
 
 
 def _shown(said: Any) -> str:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from coopqp.base.errors import InvalidValueError, UnknownNameError
+from coopqp.base.errors import InvalidValueError, UnknownNameError, short
 from coopqp.base.qp import Row
 from coopqp.base.spec import Array, NonNegative, Positive, spec
 from coopqp.base.wording import raised
@@ -131,8 +131,8 @@ def value_of(kind: Kind, message: Any, frame: str) -> list[float]:
         InvalidValueError: it is in another frame than ``frame`` or none, or lacks a joint.
     """
     if kind.each:
-        names = list(message.name)
-        values = dict(zip(names, message.position, strict=False))
+        names = _names(message)
+        values = dict(zip(names, message.position, strict=True))
         if missing := [name for name in map(ros_name, kind.columns) if name not in values]:
             has = ", ".join(names) or "none"
             raise InvalidValueError(f"has no position of {', '.join(missing)}; has {has}")
@@ -147,6 +147,17 @@ def value_of(kind: Kind, message: Any, frame: str) -> list[float]:
     p, q = message.pose.position, message.pose.orientation
     place, turned = [p.x, p.y, p.z], [q.x, q.y, q.z, q.w]
     return [float(x) for x in (place if kind.numbers else []) + (turned if kind.turns else [])]
+
+
+def _names(message: Any) -> list[str]:
+    """Joints of a sensor_msgs/JointState, each once, with a position each."""
+    names, positions = list(message.name), len(message.position)
+    if len(names) != positions:
+        raise InvalidValueError(f"{len(names)} names and {positions} positions in a message")
+    if len(set(names)) < len(names):
+        twice = next(name for i, name in enumerate(names) if name in names[:i])
+        raise InvalidValueError(f"'{short(str(twice))}' is twice in a message")
+    return names
 
 
 class Clocks:
@@ -189,13 +200,14 @@ class JointStates:
         self.wrong = ""
 
     def take(self, message: Any, sent: float | None, now: float) -> None:
-        """Read a sensor_msgs/JointState that came now [s]; stamped later, it was sent now."""
+        """Read a sensor_msgs/JointState that came now [s]; stamped later, it was sent now.
+
+        Raises:
+            InvalidValueError: it has not one position for each name, or a name twice.
+        """
         sent = now if sent is None else min(sent, now)
-        names, positions = list(message.name), np.asarray(message.position, float)
+        names, positions = _names(message), np.asarray(message.position, float)
         self.wrong = ""
-        if len(names) != len(positions):
-            self.wrong = f"{len(names)} names and {len(positions)} positions in a message"
-            return
         if now - sent > self._silent_after:
             clocks = "are the clocks of both machines in step?"
             self.wrong = f"stamped {now - sent:.3g} s before they came; {clocks}"
@@ -276,7 +288,7 @@ class Bridge:
         """Measured joint positions, if all of them have come since the last call."""
         if self._queue:
             self._clocks.compare()
-        while self._queue:
+        for _ in range(len(self._queue)):  # what comes meanwhile waits: a flood stops no tick
             name, message, came = self._queue.popleft()
             try:
                 sent = self._clocks.own(message.header.stamp)
@@ -313,10 +325,14 @@ class Bridge:
         """Send diagnostics now; ``why`` the loop has ended or could not begin, else empty."""
         loop, self._reported_at = self._loop, self._loop.now
         silence = self._states.silence(self._reported_at) or self._states.wrong
-        silence = silence or self._refused.pop("", "")
+        refused = self._refused.pop("", "")
         remarks = [self._loop_remark(why), *(_limits(loop) if loop.begun else ())]
         self._causes, self._told = {}, ()
-        remarks.append(Remark("joint states", 2 if silence else 0, silence, {}))
+        level, words = (
+            2 if silence else int(bool(refused)),
+            "; ".join(filter(None, (silence, refused))),
+        )
+        remarks.append(Remark("joint states", level, words, {}))
         stale = loop.state.inputs.stale
         for name in self._kinds:
             words = self._refused.pop(name, "") or ("is stale" if name in stale else "")

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import osqp
 import scipy.sparse
 
 from coopqp.base.qp import QP
 from coopqp.base.spec import Positive, spec
-from coopqp.solver import Solution, Solve, Solver, Status
+from coopqp.solver import Solution, Solve, Solver, Status, norm
 
 STATUS = {
     osqp.SolverStatus.OSQP_SOLVED: Status.OPTIMAL,
@@ -65,6 +67,9 @@ class Osqp(Solver):
         def solve() -> None:
             if (qp.lower > qp.upper).any():  # osqp would print, and solve the last problem again
                 solution.status = Status.INFEASIBLE
+                return
+            if not math.isfinite(norm(qp.P.ravel()) + norm(qp.q) + norm(qp.C.ravel())):
+                solution.status = Status.SOLVER_ERROR  # likewise
                 return
             values[:, 1:] = qp.C.T
             backend.update(

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from html import escape
 from typing import Any
 
+from coopqp.viewer.gate import guard
 from coopqp.viewer.messages import Action, Dial, Frame, PageSetup
 from coopqp.viewer.scene import AT, BEYOND, FORCE, GOAL, LINK, NEAR, TONES, WEIGHT, Scene, css
 from coopqp.viewer.worker import Peer
@@ -24,12 +25,16 @@ MAX_LIMITS = 4  # that are listed by name
 FAREWELL = 0.2  # for the last messages to go out [s]
 
 
-def serve(peer: Peer, setup: PageSetup, host: str, port: int) -> None:
-    """Serve the page until the player ends."""
+def serve(peer: Peer, setup: PageSetup, host: str, port: int, allowed: Sequence[str]) -> None:
+    """Serve the page until the player ends; to pages of ``allowed`` origins, too."""
     import viser
 
+    asked = guard(host, allowed)
     server = viser.ViserServer(host=host, port=port, label="coopqp play", verbose=False)
     used = server.get_port()
+    if not asked:
+        peer.send(f"viser {viser.__version__} cannot be kept from foreign pages; install 1.1")
+        return
     if port and used != port:  # somebody was faster
         peer.send(f"port {port} is taken; take another with --port")
         return

@@ -6,11 +6,12 @@ import errno
 import importlib.util
 import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from coopqp.base.errors import CoopqpError, InternalError, InvalidValueError, MissingDependencyError
 from coopqp.viewer import explainer, page
+from coopqp.viewer.gate import checked_origins
 from coopqp.viewer.messages import Explanation
 from coopqp.viewer.player import Player
 from coopqp.viewer.worker import Worker
@@ -55,13 +56,17 @@ def play(
     opened: Callable[[str], None],
     *,
     goes_on: Callable[[], bool] = lambda: True,
+    origins: Sequence[str] = (),
 ) -> None:
     """Play until Ctrl-C, or until ``goes_on`` is false; ``opened`` is called with the address.
 
+    Pages of ``origins`` may use it beside its own, such as https://lab.example.
+
     Raises:
-        CoopqpError: the page cannot be opened, or breaks down.
+        CoopqpError: an origin is none, the page cannot be opened, or breaks down.
     """
-    server = Worker(page.serve, player.show(), host, port)
+    allowed = checked_origins(origins)
+    server = Worker(page.serve, player.show(), host, port, allowed)
     # A copy leaves behind what was built of it: not every model can be sent.
     thinker = Worker(explainer.serve, replace(player.scenario))
     try:

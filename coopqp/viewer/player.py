@@ -17,6 +17,7 @@ from coopqp.base.spec import Array
 from coopqp.execution.controller_run import check_plant, controller_of
 from coopqp.report.scene.markers import Place
 from coopqp.report.style import chosen_styles
+from coopqp.scenario.input import FARTHEST
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import Kind
 from coopqp.viewer import picture
@@ -101,7 +102,7 @@ class Player:
     def do(self, action: Action) -> None:
         """Carry out an action of the page; one that makes no sense is ignored."""
         what, value = action.what, action.value
-        if not np.isfinite(np.array(value, float)).all():
+        if not (np.abs(np.array(value, float)) < FARTHEST).all():
             return
         if what in ("play", "pause"):
             self.playing = what == "play"

@@ -193,6 +193,10 @@ BAD_STATES: dict[str, tuple[Callable[[World], Any], str]] = {
         lambda w: joint_state(w.now(), w.names, w.q[:3]),
         "10 names and 3 positions in a message",
     ),
+    "a joint twice": (
+        lambda w: joint_state(w.now(), [*w.names, w.names[0]], [*w.q, 9.0]),
+        "'RShoulderPitch' is twice in a message",
+    ),
     "old": (
         lambda w: joint_state(w.now() - 2 * 10**9, w.names, w.q),
         "stamped 2 s before they came; are the clocks of both machines in step?",
@@ -218,6 +222,42 @@ def test_joint_states_that_are_none_bring_the_robot_to_rest(scenario: Scenario, 
     assert world.words("joint states")[0] == 2
     said = [r.words for told in world.said for r in told if r.about == "joint states"]
     assert any(words in line for line in said)
+
+
+class Anything:
+    """A message with any fields."""
+
+    def __init__(self, **fields: Any) -> None:
+        self.__dict__.update(fields)
+
+
+def _malformed(world: World, rng: np.random.Generator) -> Any:
+    """A message that is none, or one of a sound one's fields replaced."""
+    junk = [None, "x", b"x", -1, 10**400, np.nan, np.inf, [], [[1.0]], {}, object(), True, 1j]
+    sound = [joint_state(world.now(), world.names, world.q), world.near()][rng.integers(2)]
+    fields = {**vars(sound)}
+    stamp = Anything(sec=junk[rng.integers(len(junk))], nanosec=junk[rng.integers(len(junk))])
+    replaced = [*junk, list(world.names), [0.0] * 3, Anything(stamp=stamp, frame_id="world")]
+    for name in rng.choice(list(fields), rng.integers(1, 3)):
+        fields[name] = replaced[rng.integers(len(replaced))]
+    fields.pop("velocity", None)
+    return Anything(**fields) if rng.random() < 0.9 else replaced[rng.integers(len(replaced))]
+
+
+def test_malformed_messages_among_sound_ones_change_nothing(
+    scenario: Scenario, rng: np.random.Generator
+) -> None:
+    world = World(scenario)
+    world.go(20, world.near)
+    for _ in range(300):
+        for name in ("", "target"):
+            bad = _malformed(world, rng)
+            if name or not hasattr(bad, "pose"):
+                world.bridge.take(name, bad)
+        world.go(1, world.near)
+        assert world.loop.status in (Status.OPTIMAL, Status.INPUT_REFUSED), world.loop.note
+        assert np.isfinite([*world.sent.values()]).all()
+    assert {r.level for told in world.said for r in told if r.about == "joint states"} == {0, 1}
 
 
 def test_joints_that_are_no_numbers_are_said_by_the_loop(scenario: Scenario) -> None:

@@ -135,6 +135,95 @@ def test_two_browsers_one_goes_and_comes_back_and_the_end_is_one_line(
     assert trace.ticks >= len(sent)
 
 
+def _malformed(rng: np.random.Generator) -> Iterator[bytes | str | list[bytes]]:
+    """What no page of ours sends: of nobody's format, types, lengths, sizes or keys."""
+    import msgspec
+
+    encode, gizmo = msgspec.msgpack.encode, {"type": "TransformControlsUpdateMessage"}
+    turn, place = (1.0, 0.0, 0.0, 0.0), (0.1, 0.0, 0.1)
+    wrong = (1.0,), (1.0, 2.0), (), (1e400, 0.0, 0.0), (float("nan"),) * 3, "abc", None, 5, {}
+    for value in (*wrong, (1e308, 0.0, 0.0), ("1", "2", "3"), ((1.0,),) * 3, (0.0,) * 10_000):
+        yield encode({**gizmo, "name": "/gizmo/0", "wxyz": turn, "position": value})
+        yield encode({**gizmo, "name": "/gizmo/0", "wxyz": value, "position": place})
+    for name in (5, None, "", "/gizmo/99", "/law0/object", [], "x" * 10_000):
+        yield encode({**gizmo, "name": name, "wxyz": turn, "position": place})
+    yield encode({**gizmo, "name": "/gizmo/0", "wxyz": turn, "position": place, "own": 1})
+    for kind in ("ShareUrlRequest", "FileTransferStartUpload", "RunJavascriptMessage", "None", 7):
+        yield encode({"type": kind})
+    nested: list[Any] = []
+    for _ in range(5000):
+        nested = [nested]
+    yield b"\x91" * 100_000 + b"\xc0"
+    yield encode({"a": 1}), encode([1, 2]), encode("x" * 900_000)  # type: ignore[misc]
+    for size in rng.integers(0, 3000, 40):
+        yield rng.bytes(int(size))
+    sound = encode({**gizmo, "name": "/gizmo/0", "wxyz": turn, "position": place})
+    for _ in range(60):  # a byte of a message changed
+        data = bytearray(sound)
+        data[rng.integers(len(data))] = rng.integers(256)
+        yield bytes(data)
+    yield [rng.bytes(100) for _ in range(20)]  # in fragments
+    yield "text, and not bytes"
+    yield bytes(3 << 20)
+
+
+def _connection(url: str, **headers: str) -> Any:
+    from websockets.sync.client import connect
+
+    viser = pytest.importorskip("viser", reason="needs coopqp[viewer]")
+    protocol: Any = [f"viser-v{viser.__version__}"]
+    return connect(
+        url.replace("http", "ws"), subprotocols=protocol, max_size=None,
+        additional_headers=headers, ping_interval=None, close_timeout=1,
+    )  # fmt: skip
+
+
+def test_malformed_messages_end_neither_the_page_nor_the_run(
+    started: tuple[subprocess.Popen[str], str], rng: np.random.Generator
+) -> None:
+    import msgspec
+    from websockets.exceptions import ConnectionClosed
+
+    process, url = started
+    for batch in _malformed(rng):
+        with _connection(url) as bad:
+            camera = _camera()
+            try:
+                bad.send(msgspec.msgpack.encode(camera.as_serializable_dict()))
+                for message in batch if isinstance(batch, tuple) else (batch,):
+                    bad.send(message)
+            except ConnectionClosed:  # which is an answer, too
+                pass
+    good, other = Browser(url), Browser(url)
+    good.drag(0.15, 0.03, 0.04)
+    other.until(lambda: other.gizmo == pytest.approx((0.15, 0.03, 0.04)))
+    other.until(lambda: "playing at" in other.words)
+    os.killpg(process.pid, signal.SIGINT)
+    out, err = process.communicate(timeout=PATIENCE)
+    assert (process.returncode, err) == (0, "")
+    assert "wrote out/scenario.yaml" in out
+
+
+def test_pages_of_other_sites_are_refused(started: tuple[subprocess.Popen[str], str]) -> None:
+    import urllib.error
+    import urllib.request
+
+    from websockets.exceptions import InvalidStatus
+
+    _, url = started
+    for origin in ("http://evil.example", "http://127.0.0.1:1", "null", "file://"):
+        with pytest.raises(InvalidStatus, match="403"):
+            _connection(url, Origin=origin)
+        with pytest.raises(urllib.error.HTTPError, match="403"):
+            urllib.request.urlopen(urllib.request.Request(url, headers={"Origin": origin}))
+    with pytest.raises(urllib.error.HTTPError, match="403"):  # a name that was made to lead here
+        urllib.request.urlopen(urllib.request.Request(url, headers={"Host": "evil.example"}))
+    with pytest.raises((urllib.error.HTTPError, ConnectionError)):
+        urllib.request.urlopen(url, data=b"x")
+    assert urllib.request.urlopen(url).status == 200
+    _connection(url, Origin=url).close()
+
+
 def test_a_port_that_is_taken_is_one_line() -> None:
     pytest.importorskip("viser", reason="needs coopqp[viewer]")
     with socket.socket() as other:
@@ -154,6 +243,8 @@ def test_a_port_that_is_taken_is_one_line() -> None:
         (["--host", "no such host"], "--host: found 'no such host': "),
         (["--host", "nonsense.invalid"], "needs an address of this machine: 127.0.0.1"),
         (["--host", "192.0.2.1"], "needs an address of this machine: 127.0.0.1"),
+        (["--allow-origin", "lab.example"], "--allow-origin: found 'lab.example', needs scheme"),
+        (["--allow-origin", "http://a/b"], "--allow-origin: found 'http://a/b', needs scheme"),
         (["--port", "0", "--record", "/proc/x"], "--record: cannot write to '/proc/x': No such"),
         (["--port", "0", "--record", __file__], "--record: cannot write to"),
         (["--port", "0", "--controller", "qpp"], "unknown controller 'qpp'; did you mean 'qp'"),
