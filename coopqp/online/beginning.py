@@ -29,7 +29,7 @@ FITS_POSITION, FITS_ORIENTATION = 5e-3, 20e-3
 MOST_NAMED = 2
 
 
-def check_joints(chain: ClosedChain, q: Array) -> None:
+def check_range(chain: ClosedChain, q: Array) -> None:
     """Refuse joints, shape (n,), that are out of their range by more than a servo is off."""
     beyond = _beyond(chain, q)
     if not (beyond > 0.0).any():
