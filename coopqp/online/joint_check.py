@@ -1,6 +1,6 @@
 """A check before the grasp: each joint moves a little, and what it measures must be that.
 
-One joint after the other goes forth by 20 mrad (5 mm where it slides) towards the middle of its
+One joint after the other goes forth by 20 mrad (10 mm where it slides) towards the middle of its
 range, rests, and comes back. At rest neither lag nor delay of the servos count, and sag is the same
 before and after, so that
 
@@ -28,10 +28,10 @@ from coopqp.online.real_time import Robot, check_driver
 from coopqp.online.stops import Interrupts
 
 #: How far joints go [rad], [m]; less where half of the range is less.
-WAY, WAY_SLIDING = 0.02, 0.005
+WAY, WAY_SLIDING = 0.02, 0.01
 #: A joint with less of a range is locked.
 LOCKED = 1e-4
-#: How fast at most [rad/s; 0.25 as much in metres], and as shares of the limits.
+#: How fast at most [rad/s; half as much in metres], and as shares of the limits.
 SPEED, ACCELERATION, SHARE = 0.1, 1.0, 0.5
 #: Time for lag and delay to pass, and for a mean, of so many readings at least [s].
 SETTLE, MEAN, READINGS = 0.3, 0.15, 10
@@ -77,8 +77,8 @@ def check_joints(loop: OnlineLoop, robot: Robot) -> JointCheck:
 
     The hands must hold nothing, and nothing be within a few centimetres: only joints have limits
     here. It takes some 1.5 s a joint, keeps the loop's period, velocity and acceleration limits,
-    and always leaves the robot commanded to stand still, after Ctrl-C, SIGTERM, a silence longer than
-    the loop's patience and errors of the driver, too, which are raised.
+    and always leaves the robot commanded to stand still: after Ctrl-C, SIGTERM, a silence longer
+    than the loop's patience, and errors of the driver, which are raised.
 
     Args:
         loop: not begun; nothing of it changes.
