@@ -253,10 +253,9 @@ class Why:
         self._causes, self._tells_itself = command.causes, bool(command.told)
         self._scale, self._drift, self._t = command.scale, command.drift, state.t
         self._stale, self._words = state.inputs.stale, ""
-        memory = state.memory.numbers
-        numbers = np.concatenate((state.q, state.v, command.v, state.drift, memory), axis=None)
-        self._numbers = numbers
-        self._split = [np.size(state.q), np.size(state.v), len(command.v), np.size(state.drift)]
+        parts = (state.q, state.v, command.v, state.drift, state.memory.numbers)
+        self._kept = np.concatenate(parts, axis=None)
+        self._parts = [np.size(part) for part in parts[:-1]]
         if Status.OVERWRITTEN in command.causes:
             self._moved_by = state.overwritten_by
         elif Status.NOT_MEASURED in command.causes:
@@ -270,8 +269,8 @@ class Why:
         return self._words
 
     def _unpack(self) -> None:
-        ends = np.cumsum([*self._split, *self._sizes.values()])
-        parts = np.split(self._numbers, ends[:-1])
+        ends = np.cumsum([*self._parts, *self._sizes.values()])
+        parts = np.split(self._kept, ends[:-1])
         self._q, self._before, self._v, self._open = parts[:4]
         kept = dict(zip(self._sizes, parts[4:], strict=False))
         self._lacks = [kept[key] for key in ("missed", "missing") if key in kept]
