@@ -43,6 +43,8 @@ from .model.marker import SphereMarker as SphereMarker
 from .model.marker import TrackedMarker as TrackedMarker
 from .model.profile import Profile as Profile
 from .model.state import State as State
+from .online.joint_check import JointCheck as JointCheck
+from .online.joint_check import check_joints as check_joints
 from .online.loop import OnlineLoop as OnlineLoop
 from .online.real_time import real_time as real_time
 from .plant import Disturbance as Disturbance

@@ -252,24 +252,32 @@ class Why:
     """
 
     def __init__(self, law: Law, state: State, command: Command) -> None:
-        self._problem, self._solves = law.problem, law.engine or hasattr(law, "solution")
+        self._law, self._chain, self._sizes = law, state.chain, state.memory.sizes
         self._causes, self._tells_itself = command.causes, bool(command.told)
-        self._scale, self._drift = command.scale, command.drift
-        self._q, self._before, self._v = state.q.copy(), state.v.copy(), command.v.copy()
-        self._t, self._open, self._seen = state.t, state.drift.copy(), state.q_measured
-        self._arms, self._names = len(state.chain.arms), state.chain.joint_names
-        self._stale = state.inputs.stale
+        self._scale, self._drift, self._t = command.scale, command.drift, state.t
+        self._stale, self._words = state.inputs.stale, ""
+        parts = (state.q, state.v, command.v, state.drift, state.memory.numbers)
+        self._kept = np.concatenate(parts, axis=None)
+        self._parts = [np.size(part) for part in parts[:-1]]
         if Status.OVERWRITTEN in command.causes:
             self._moved_by = state.overwritten_by
-        sizes = state.memory.sizes
-        self._lacks = [state.memory[key].copy() for key in ("missed", "missing") if key in sizes]
-        self._words: str | None = None
+        elif Status.NOT_MEASURED in command.causes:
+            self._seen = np.array(state.q_measured)
 
     def __str__(self) -> str:
-        if self._words is None:
+        if not self._words:
             with np.errstate(all="ignore"):
+                self._unpack()
                 self._words = "; ".join(filter(None, map(self._of, self._causes)))
         return self._words
+
+    def _unpack(self) -> None:
+        ends = np.cumsum([*self._parts, *self._sizes.values()])
+        parts = np.split(self._kept, ends[:-1])
+        self._q, self._before, self._v, self._open = parts[:4]
+        kept = dict(zip(self._sizes, parts[4:], strict=False))
+        self._lacks = [kept[key] for key in ("missed", "missing") if key in kept]
+        self._problem, self._names = self._law.problem, self._chain.joint_names
 
     def _of(self, cause: Status) -> str:
         told = _TOLD.get(cause)
@@ -298,7 +306,7 @@ class Why:
 
     def _loops(self) -> str:
         """The loop that is farthest open."""
-        chain, loops = self._problem.chain, self._open.reshape(-1, 2, 3)[: self._arms - 1]
+        chain, loops = self._chain, self._open.reshape(-1, 2, 3)
         apart, turned = np.linalg.norm(loops, axis=2).T
         i = int(np.argmax(apart + turned))
         far = f"{1e3 * apart[i]:.1f} mm, {1e3 * turned[i]:.1f} mrad"
@@ -359,7 +367,7 @@ class Why:
         return f"{self._loops()}, {100.0 * self._drift:.0f} % is corrected{self._back()}"
 
     def _solver(self) -> str:
-        if self._solves:
+        if self._law.engine or hasattr(self._law, "solution"):
             return f"solver '{type_name(type(self._problem.solver))}': try another; {self._loops()}"
         return f"the matrices of loops and tasks cannot be decomposed here; {self._loops()}"
 
@@ -376,7 +384,7 @@ class Why:
     def _strange(self) -> str:
         chain = self._problem.chain
         needs = f"needs {chain.n} of {len(chain.arms)} arms, {', '.join(chain.joint_names[:2])} ..."
-        return f"found {len(self._q)} joints of {self._arms} arms, {needs}"
+        return f"found {len(self._q)} joints of {len(self._chain.arms)} arms, {needs}"
 
     def _overwritten(self) -> str:
         return self._joints(
@@ -387,7 +395,7 @@ class Why:
         return f"nothing new at {', '.join(self._stale)}; see its sender"
 
     def _unmeasured(self) -> str:
-        seen = np.asarray(self._seen)
+        seen = self._seen
         if seen.shape != self._q.shape:
             return f"q_measured: found shape {seen.shape}, needs {self._q.shape}"
         return f"no finite number for {', '.join(np.array(self._names)[~np.isfinite(seen)])}"

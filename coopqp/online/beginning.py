@@ -23,13 +23,13 @@ from coopqp.model.loop_observer import MOST_ORIENTATION, MOST_POSITION
 #: Beyond a limit by so much, joints still count as at it: servos sag by some mrad, and encoders are
 #: off by some 10 mrad. Limit recovery brings them back. What is in other units is off by far more.
 OFF, OFF_SLIDING = 0.05, 0.005  # [rad], [m]
-#: Hands that are so near to where they belong are there [m], [rad].
-FITS_POSITION, FITS_ORIENTATION = 5e-3, 20e-3
+#: Hands that are so near to where they belong are there, with encoders 2 mrad off [m], [rad].
+FITS_POSITION, FITS_ORIENTATION = 10e-3, 30e-3
 #: Changes that fit are all named if there are so many, and none if there are more.
 MOST_NAMED = 2
 
 
-def check_joints(chain: ClosedChain, q: Array) -> None:
+def check_range(chain: ClosedChain, q: Array) -> None:
     """Refuse joints, shape (n,), that are out of their range by more than a servo is off."""
     beyond = _beyond(chain, q)
     if not (beyond > 0.0).any():

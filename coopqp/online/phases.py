@@ -36,7 +36,7 @@ from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.grasp_configuration import grasp_of_each
 from coopqp.model.state import Memory, State
 from coopqp.online.arrivals import Arrivals
-from coopqp.online.beginning import check_hands, check_joints
+from coopqp.online.beginning import check_hands, check_range
 from coopqp.online.faults import FaultMonitor
 from coopqp.scenario.input import Arrival
 from coopqp.scenario.scenario import Scenario
@@ -58,6 +58,16 @@ def with_acceleration(
     margin = max((x.margin for x in limits if isinstance(x, JointPosition)), default=0.0)
     others = float(ACCELERATION_UNLIMITED)
     return *limits, JointAcceleration(max=others, joints=joints, margin=margin)
+
+
+def acceleration_limits(problem: ControlProblem) -> Array:
+    """Largest acceleration of each joint, infinite where there is none, (n,) [rad/s2, m/s2]."""
+    most = np.full(problem.chain.n, np.inf)
+    for limit in problem.limits:
+        if isinstance(limit, JointAcceleration):
+            own = [limit.joints.get(name, limit.max) for name in problem.chain.joint_names]
+            np.minimum(most, own, out=most)
+    return most
 
 
 class _Kept:
@@ -83,11 +93,7 @@ class Braking:
         self._law.squeezer = _Kept(squeezer) if squeezer else None
         self._law.observer = own.observer
         self._memory = Memory(self._law.memory_sizes)
-        self._step = np.full(problem.chain.n, np.inf)  # of the velocity in one tick
-        for limit in problem.limits:
-            if isinstance(limit, JointAcceleration):
-                each = [limit.joints.get(name, limit.max) for name in problem.chain.joint_names]
-                np.minimum(self._step, np.array(each) * problem.dt, out=self._step)
+        self._step = acceleration_limits(problem) * problem.dt  # of the velocity in one tick
         self._still = Command(problem.chain.n)
 
     def can_stop(self, state: State) -> bool:
@@ -145,7 +151,7 @@ class Phases:
         given = self._given
         if not np.array_equal(q, given.chain.q_start):
             if not given.start_outside:
-                check_joints(given.chain, q)
+                check_range(given.chain, q)
             if held:
                 self.scenario = as_held(given, q)
             else:

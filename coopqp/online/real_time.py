@@ -119,12 +119,17 @@ def real_time(
     return Ended(loop.stopped, loop.ticks, watch.late, watch.longest, watch.longest_tick)
 
 
-def _check(loop: Any, robot: Any, inputs: Any, duration: Any) -> None:
-    if not isinstance(loop, OnlineLoop):
-        raise InvalidValueError(f"loop: found a {type(loop).__name__}, needs an OnlineLoop")
+def check_driver(robot: Any) -> None:
+    """InvalidValueError where it lacks a method."""
     for name in ("read", "write"):
         if not callable(getattr(robot, name, None)):
             raise InvalidValueError(f"robot: a {type(robot).__name__} has no method {name}")
+
+
+def _check(loop: Any, robot: Any, inputs: Any, duration: Any) -> None:
+    if not isinstance(loop, OnlineLoop):
+        raise InvalidValueError(f"loop: found a {type(loop).__name__}, needs an OnlineLoop")
+    check_driver(robot)
     if not (inputs is None or callable(inputs)):
         words = "needs a function that says what has arrived"
         raise InvalidValueError(f"inputs: found a {type(inputs).__name__}, {words}")
