@@ -276,7 +276,7 @@ class Law(ABC):
         self.command.note = ""
         if not self._fits(state):
             return self.refuse(Status.WRONG_STATE)
-        if not math.isfinite(state.q.dot(state.q) + state.v.dot(state.v) + state.t):
+        if not math.isfinite(math.hypot(*state.q.tolist(), *state.v.tolist(), state.t)):
             return self.refuse(Status.NOT_FINITE)
         if state.memory.sizes != self.memory_sizes:
             state.memory = Memory(self.memory_sizes)
