@@ -9,15 +9,15 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Annotated, ClassVar, Literal, Protocol, get_args
+from typing import Annotated, Any, ClassVar, Literal, Protocol, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, field_validator
 
 from coopqp.base.errors import InvalidValueError, unknown_name
-from coopqp.base.spec import Array, finite, overshoot, spec, taken_names, type_name, vector
-from coopqp.base.wording import Location, culprit, dotted, suppressed
+from coopqp.base.spec import Array, finite, overshoot, real, spec, taken_names, type_name, vector
+from coopqp.base.wording import Location, culprit, dotted, said, suppressed
 from coopqp.limit import Limit, LimitRows
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.loop_observer import LoopObserver, Observer
@@ -262,7 +262,7 @@ class Why:
         if Status.OVERWRITTEN in command.causes:
             self._moved_by = state.overwritten_by
         elif Status.NOT_MEASURED in command.causes:
-            self._seen = np.array(state.q_measured)
+            self._seen = _numbers(state.q_measured)
 
     def __str__(self) -> str:
         if not self._words:
@@ -396,9 +396,19 @@ class Why:
 
     def _unmeasured(self) -> str:
         seen = self._seen
+        if isinstance(seen, str):
+            return f"q_measured: {seen}"
         if seen.shape != self._q.shape:
             return f"q_measured: found shape {seen.shape}, needs {self._q.shape}"
         return f"no finite number for {', '.join(np.array(self._names)[~np.isfinite(seen)])}"
+
+
+def _numbers(found: Any) -> Array | str:
+    """A copy of numbers; what is wrong with what is none."""
+    try:
+        return real(found).copy()
+    except ValueError as error:
+        return said(error) or "needs numbers"
 
 
 #: What Why has words for; the others are the loop's and the plants', which have their own.
@@ -478,7 +488,7 @@ class Law(ABC):
         self.command.told = ()
         if not self._fits(state):
             return self.with_why(state, self.refuse(Status.WRONG_STATE))
-        if not math.isfinite(state.q.dot(state.q) + state.v.dot(state.v) + state.t):
+        if not math.isfinite(math.hypot(*state.q.tolist(), *state.v.tolist(), state.t)):
             return self.with_why(state, self.refuse(Status.NOT_FINITE))
         if state.memory.sizes != self.memory_sizes:
             state.memory = Memory(self.memory_sizes)

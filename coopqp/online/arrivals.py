@@ -225,8 +225,8 @@ class Readings:
         else:
             self.note = f"found shape {given.shape}, needs {reading.shape}"
             return False
-        good = np.abs(reading) < ENDLESS
-        if not good.all():
+        if not math.hypot(*reading.tolist()) < ENDLESS:  # NaN is not, either
+            good = np.abs(reading) < ENDLESS / len(reading)
             bad = [self._names[i] for i in np.flatnonzero(~good)]
             self.note = f"no finite number for {', '.join(bad)}"
             return False

@@ -27,7 +27,7 @@ from coopqp.assessment.assessment import allowed_acceleration
 from coopqp.assessment.thresholds import ACCELERATION_UNLIMITED
 from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.spec import Array, Pose, finite, vector
-from coopqp.controller import Command, Controller, InternalForceControl, Law
+from coopqp.controller import Command, Controller, ControlProblem, InternalForceControl, Law
 from coopqp.controllers import QPController
 from coopqp.execution.phase_run import Measured, PhaseRun, begin_phase
 from coopqp.limit import Limit

@@ -24,7 +24,7 @@ from coopqp.tasks import PointOnPoint
 OTHERS = {Status.OPTIMAL, Status.RAISED, Status.PLANT_FAILED, Status.OBJECT_LOST}
 OTHERS |= {Status.FORCE_NOT_MEASURED, Status.SQUEEZE_GIVEN_UP, Status.INPUT_REFUSED}
 OTHERS |= {Status.ROBOT_SILENT, Status.MEASURED_JUMPED, Status.STOPPED, Status.NOT_BEGUN}
-OTHERS |= {Status.LATE, Status.EARLY}
+OTHERS |= {Status.LATE, Status.EARLY, Status.CLOCK_WRONG, Status.FAULT, Status.OFFSET_AT_BOUND}
 
 NAMES = {
     "solver 'daqp'": {
