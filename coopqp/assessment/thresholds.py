@@ -57,7 +57,7 @@ TORN = Threshold(
 )
 TORN_ANGLE = Threshold(Budget().loop_orientation, "rad", "The same: `budget.loop_orientation`.")
 SETTLED = Threshold(
-    0.2, "s", "A force stays within its tolerance for so long: one sample of a swing says nothing."
+    0.2, "s", "A force stays within its tolerance for so long: an oscillation only passes it."
 )
 SINGULAR = Threshold(
     0.02, "share", "With less of its leverage at the start a task is at a singular pose."

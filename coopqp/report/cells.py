@@ -34,9 +34,9 @@ class Column:
 COLUMNS = {
     "reached": Column("Goal reached", "", "Every error ends within tolerance, forces for 0.2 s."),
     "task_error": Column("Task error", "at the end", "What is left of each task's error."),
-    "limit": Column("Limit overrun", "", "How far the worst joint went beyond its limit; "
+    "limit": Column("Limit violation", "", "How far the worst joint went beyond its limit; "
                     "then other limits that were broken, each in its own unit."),
-    "speed": Column("Speed overrun", "", "How far the worst speed went beyond its limit."),
+    "speed": Column("Speed violation", "", "How far the worst speed went beyond its limit."),
     "acceleration": Column("Acceleration", "at most", "Beside what the loop for robots allows: "
                            "from rest to full speed in 0.2 s, else 10 rad/s2. A joint_acceleration "
                            "in limits keeps it down."),
@@ -164,7 +164,7 @@ def facts(comparison: Comparison) -> list[tuple[str, str]]:
         ("control period", f"{1e3 * scenario.dt:g} ms"),
         ("duration", f"{scenario.ticks * scenario.dt:g} s"),
         *([("phases", _phases(scenario))] if scenario.phases else []),
-        ("drift correction κ", f"{scenario.drift_gain:g} 1/s ({_worst_gap(comparison)})"),
+        ("Baumgarte gain κ", f"{scenario.drift_gain:g} 1/s ({_worst_gap(comparison)})"),
         ("QP solver", _solvers(comparison)),
         ("limits of the QP", limits),
         ("plant", type_name(type(scenario.plant))),

@@ -78,7 +78,7 @@ def test_a_run_that_ends_in_motion_is_told_so() -> None:
     assert "still moves" not in summarize(scenario, {"qp": still}).verdicts["qp"]
 
 
-def test_what_is_out_of_reach_is_told_apart_from_what_time_would_bring() -> None:
+def test_what_is_unreachable_is_told_apart_from_what_time_would_bring() -> None:
     scenario, trace = hurried()
     found = explain_run(scenario, trace)
     assert found.kind == "reach"

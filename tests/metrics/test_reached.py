@@ -1,4 +1,4 @@
-"""Whether forces that swing, or have come to rest, reach what was asked of them."""
+"""Whether forces that oscillate, or have come to rest, reach what was asked of them."""
 
 from __future__ import annotations
 
@@ -50,20 +50,22 @@ def judged(scenario: Scenario, trace: Trace, off: Array, unit: str) -> Compariso
     return summarize(scenario, {"qp": asked})
 
 
-def test_a_force_that_swings_has_not_reached_what_one_sample_says(
+def test_a_force_that_oscillates_has_not_reached_what_one_sample_says(
     scenario: Scenario, trace: Trace
 ) -> None:
     """3.9 sin(2 pi t / 0.05 s), shifted so that the last sample is 0.87 off."""
     phase = 2.0 * np.pi * (trace.t - trace.t[-1]) / 0.05
-    swing = 3.9 * np.sin(phase + np.arcsin(0.87 / 3.9))
-    assert abs(swing[-1]) < TOLERANCE
-    found = judged(scenario, trace, swing, "N")
+    wave = 3.9 * np.sin(phase + np.arcsin(0.87 / 3.9))
+    assert abs(wave[-1]) < TOLERANCE
+    found = judged(scenario, trace, wave, "N")
     assert not found.metrics["qp"]["reached"]
     said = found.metrics["qp"]["task_error"]["press"]
     assert said == pytest.approx(3.9, rel=0.1)  # samples are some ticks from the peak
-    assert f"Swings to the end up to {said:.3g} N off the goal of 'press'" in found.verdicts["qp"]
+    assert (
+        f"Oscillates to the end, up to {said:.3g} N off the goal of 'press'" in found.verdicts["qp"]
+    )
     # Places are where they are in the end.
-    assert judged(scenario, trace, swing, "m").metrics["qp"]["reached"]
+    assert judged(scenario, trace, wave, "m").metrics["qp"]["reached"]
 
 
 def test_a_force_that_has_come_to_rest_for_a_fifth_of_a_second_has_reached_it(
@@ -75,13 +77,13 @@ def test_a_force_that_has_come_to_rest_for_a_fifth_of_a_second_has_reached_it(
         assert found["reached"] is reached
 
 
-def test_a_force_that_jumps_from_one_side_to_the_other_swings(
+def test_a_force_that_jumps_from_one_side_to_the_other_oscillates(
     scenario: Scenario, trace: Trace
 ) -> None:
     """It is never near to what was asked."""
     jumps = 43.0 * (-1.0) ** np.arange(len(trace.t))
     found = judged(scenario, trace, jumps, "N")
-    assert "Swings to the end up to 43 N off the goal of 'press'" in found.verdicts["qp"]
+    assert "Oscillates to the end, up to 43 N off the goal of 'press'" in found.verdicts["qp"]
 
 
 def test_a_force_that_stays_off_ends_so(scenario: Scenario, trace: Trace) -> None:

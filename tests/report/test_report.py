@@ -32,14 +32,14 @@ from coopqp.report.style import styles
 from coopqp.report.table import summary
 
 EVIL = "A <b>bold</b> </script><script>alert('x')</script> & $title [red]box[/red]"
-OUT_OF_REACH = (0.30, 0.10, 0.0)  # m
+UNREACHABLE = (0.30, 0.10, 0.0)  # m
 
 
 @pytest.fixture(scope="module")
 def comparison() -> Comparison:
-    """A goal out of reach, so that pseudoinverse laws blow up, and names that try to break out."""
+    """An unreachable goal, so that pseudoinverse laws blow up, and names that try to break out."""
     scenario = coopqp.load("point_on_point")
-    task = replace(scenario.tasks[0], name=EVIL, goal=OUT_OF_REACH)
+    task = replace(scenario.tasks[0], name=EVIL, goal=UNREACHABLE)
     return coopqp.compare(replace(scenario, description=EVIL, tasks=(task,)))
 
 
@@ -181,7 +181,7 @@ def test_playback_marks_joints_beyond_their_limits(comparison: Comparison) -> No
     drawn = scene(comparison)
     (goal,) = drawn["goals"]
     assert goal["name"] == EVIL
-    assert goal["at"] == len(drawn["t"]) * [list(OUT_OF_REACH)]
+    assert goal["at"] == len(drawn["t"]) * [list(UNREACHABLE)]
     assert (goal["first"], goal["last"]) == (0, len(drawn["t"]) - 1)
     assert len(drawn["t"]) <= MAX_FRAMES
     worst = {

@@ -76,7 +76,7 @@ def test_an_object_that_is_held_is_explained_as_ever() -> None:
 
 
 def test_a_written_run_ends_where_the_run_itself_does(tmp_path: Path) -> None:
-    """A force that swings by 3.9 N, and passes what was asked for in the last sample."""
+    """A force that oscillates by 3.9 N, and passes what was asked for in the last sample."""
     pressing = InternalWrench(name="press", squeeze=120.0)
     scenario = lifted(tasks=(*lifted().tasks, pressing))
     trace = coopqp.run(scenario, controller="torque_qp")
