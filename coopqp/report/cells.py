@@ -19,6 +19,7 @@ from coopqp.trace import Trace
 
 NBSP = "\N{NO-BREAK SPACE}"
 MOST_LINES = 4  # task errors in one cell
+SYMBOLS = {None: "", True: "✗ ", False: "✓ "}  # say without colour whether a cell is bad
 LANGUAGES = ("C++", f"C++ +{NBSP}Python rows", "Python")  # that ticks run in
 
 
@@ -52,15 +53,14 @@ COLUMNS = {
 
 @dataclass(frozen=True)
 class Cell:
-    """One entry; bad where it speaks against the controller, None if neither good nor bad."""
+    """One entry; bad where it speaks against the controller, None if neither good nor bad.
+
+    ``each`` says it of every line, where these are judged one by one.
+    """
 
     lines: tuple[str, ...]
     bad: bool | None = None
-
-    @property
-    def symbol(self) -> str:
-        """Says bad or good without colour."""
-        return "" if self.bad is None else ("✗" if self.bad else "✓")
+    each: tuple[bool, ...] = ()
 
 
 def cells(trace: Trace, metrics: Mapping[str, Any]) -> dict[str, Cell]:
@@ -215,7 +215,8 @@ def _task_error(found: Assessment) -> Cell:
         value, unit = length(task.error, task.unit)
         name = f"{task.name}: " if len(found.tasks) > 1 else ""
         lines.append(f"{name}{number(value)}{NBSP}{unit}")
-    return Cell(tuple(lines), bool(found.missed))
+    each = tuple(not task.arrives for task in ends) if len(lines) == len(ends) > 1 else ()
+    return Cell(tuple(lines), bool(found.missed), each)
 
 
 def _failed(metrics: Mapping[str, Any]) -> Cell:

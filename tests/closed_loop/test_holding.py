@@ -333,3 +333,8 @@ def test_two_fingertips_are_told_what_they_do_not_hold() -> None:
 def test_words_of_a_squeeze(least: float, most: float, words: str) -> None:
     ends = Bound(least, ("friction of left",), np.zeros(0)), Bound(most, ("motor a",), np.zeros(0))
     assert Squeeze(("right", "left"), *ends).words == words
+
+
+def test_motors_that_bound_a_squeeze_from_both_sides_are_named_once() -> None:
+    ends = (Bound(end, by, np.zeros(0)) for end, by in ((-9.0, ("a", "b")), (9.0, ("b", "a"))))
+    assert Squeeze(("right", "left"), *ends).words == "-9 to 9 N (both by a and b)"

@@ -17,6 +17,7 @@ from plotly.offline import get_plotlyjs
 from rich.console import Console
 
 import coopqp
+from coopqp.assessment import assess
 from coopqp.base.errors import CoopqpError
 from coopqp.controllers import QPController
 from coopqp.execution.comparison import Comparison, summarize
@@ -30,6 +31,7 @@ from coopqp.report.page import render
 from coopqp.report.scene.playback import MAX_FRAMES, scene
 from coopqp.report.style import styles
 from coopqp.report.table import summary
+from coopqp.tasks import PointOnPlane
 
 EVIL = "A <b>bold</b> </script><script>alert('x')</script> & $title [red]box[/red]"
 UNREACHABLE = (0.30, 0.10, 0.0)  # m
@@ -56,6 +58,28 @@ def data_of(page: str, name: str) -> Any:
     found = re.search(rf'<script type="application/json" id="{name}">(.*?)</script>', page, re.S)
     assert found
     return json.loads(found[1])
+
+
+def test_each_task_of_a_cell_says_whether_it_is_reached(comparison: Comparison) -> None:
+    scenario = comparison.scenario
+    plane = PointOnPlane(name="here", normal=(0, 0, 1), through=(0, 0, 0.04))
+    two = coopqp.compare(replace(scenario, tasks=(*scenario.tasks, plane)), controllers=["qp"])
+    cell = cells(two.traces["qp"], two.metrics["qp"])["task_error"]
+    missed = [task.name for task in assess(two.traces["qp"]).missed]
+    assert 0 < len(missed) <= 2 == len(cell.each)
+    assert list(cell.each) == [task.name in missed for task in two.traces["qp"].tasks]
+    shown = [f'<span class="{"bad" if bad else "good"}">' for bad in cell.each]
+    assert all(span in render(two) for span in shown)
+
+
+def test_a_missed_goal_leads_to_the_command_that_explains_it(
+    comparison: Comparison, tmp_path: Path
+) -> None:
+    page = render(comparison, tmp_path / "my out")
+    said = f"<code>coopqp explain '{tmp_path / 'my out'}' --controller qp</code>"
+    assert comparison.scenario.source
+    assert html.unescape(page).count(said) == 1
+    assert "coopqp explain" not in render(coopqp.compare(coopqp.load("point_on_point")), tmp_path)
 
 
 def test_page_loads_nothing(page: str) -> None:

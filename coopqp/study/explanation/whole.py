@@ -8,12 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from coopqp.assessment import Assessment, assess
-from coopqp.assessment.verdict import (
-    listed_limits,
-    loop_words,
-    not_followed,
-    saturation_words,
-)
+from coopqp.assessment.verdict import listed_limits, loop_words, not_followed, saturation_words
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.scenario.scenario import Scenario

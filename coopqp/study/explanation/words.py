@@ -86,11 +86,7 @@ def holding(shares: Sequence[Share]) -> str:
 
 
 def geometry(
-    found: Unreachable,
-    missed: Sequence[Missed],
-    chain: ClosedChain,
-    *,
-    ordered: bool,
+    found: Unreachable, missed: Sequence[Missed], chain: ClosedChain, *, ordered: bool
 ) -> str:
     """What keeps a chain from its goal, if not limits alone; ordered: as the law has levels."""
     if isinstance(found, Contradiction):
