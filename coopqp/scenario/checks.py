@@ -284,7 +284,7 @@ def _check_plant(scenario: Scenario) -> None:
     except MissingDependencyError:
         return
     except CoopqpError as error:
-        location = "disturbance" if "disturbance" in error.keys else "plant"
+        location = next((k for k in ("disturbance", "object") if k in error.keys), "plant")
         raise MisplacedError([Wrong([location], str(error), error.keys)]) from None
 
 
