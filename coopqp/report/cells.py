@@ -53,10 +53,7 @@ COLUMNS = {
 
 @dataclass(frozen=True)
 class Cell:
-    """One entry; bad where it speaks against the controller, None if neither good nor bad.
-
-    ``each`` says it of every line, where these are judged one by one.
-    """
+    """One entry, or ``each`` of its lines: bad if against the controller, None if neither."""
 
     lines: tuple[str, ...]
     bad: bool | None = None
