@@ -53,7 +53,7 @@ def test_a_folder_in_the_way_is_said_before_the_run(tmp_path: Path) -> None:
 def test_a_page_that_cannot_be_drawn_takes_nothing_else_along(
     comparison: Comparison, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def broken(_: Comparison) -> str:
+    def broken(_: Comparison, folder: Path) -> str:
         raise ValueError("math domain error")
 
     files.write(comparison, tmp_path)
