@@ -51,6 +51,7 @@ LONGEST = (
 #: Files that go to one process, because they share what takes long to make.
 TOGETHER = {
     "a report": ("recordings/test_every_format.py", "recordings/test_standard_messages.py"),
+    "the site": ("pages/test_api.py", "pages/test_links.py", "pages/test_reference.py"),
     "workers": ("stress/test_wide.py", "study/test_sweep_kept.py", "study/test_engine.py"),
     "shipped scenarios": (
         "report/test_playback.py",

@@ -24,7 +24,7 @@ needs_robots = pytest.mark.skipif(len(arrangements.names()) < 8, reason="other r
 
 @pytest.fixture(scope="module")
 def few() -> list[ContactRollout]:
-    return [contact_rollout(seed) for seed in range(4)]
+    return [contact_rollout(seed) for seed in range(3)]
 
 
 @needs_robots

@@ -24,7 +24,11 @@ WRONG = Disturbance(
 SCALED = (HEAD + PHASES + TAIL).replace("{name: up,", "{name: up, mode: scaled,")
 
 
-@pytest.mark.parametrize("plant", [Kinematic(), RigidBody(), Mujoco()], ids=repr)
+@pytest.mark.parametrize(
+    "plant",
+    [Kinematic(), RigidBody(time_step=0.002), Mujoco(time_step=0.001)],
+    ids=lambda plant: type(plant).__name__,
+)
 def test_every_tick_can_be_repeated(plant: Plant, tmp_path: Path) -> None:
     if isinstance(plant, Mujoco):
         pytest.importorskip("mujoco")
@@ -42,7 +46,7 @@ def test_every_tick_can_be_repeated(plant: Plant, tmp_path: Path) -> None:
 def test_ticks_on_a_leash_can_be_repeated(tmp_path: Path) -> None:
     scenario = replace(
         coopqp.load("two_pandas"),
-        plant=RigidBody(),
+        plant=RigidBody(time_step=0.002),
         disturbance=WRONG,
         limits=(JointPosition(), JointVelocity(), FollowingError(max=0.001)),
         duration=0.5,
