@@ -43,7 +43,7 @@ def lifted(duration: float, *controllers: str) -> Scenario:
 @cache
 def hurried(controller: str = "qp") -> tuple[Scenario, Trace]:
     """The same with too little time."""
-    scenario = lifted(5.0, controller)
+    scenario = lifted(5.0 if controller == "qp" else 3.0, controller)
     return scenario, run(scenario, controller=controller)
 
 
