@@ -7,14 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scenario_files import HAS_ROBOTS
+from explained import hurried_reruns, traced  # noqa: F401 - a fixture
+from scenario_files import needs_robots
 
 import coopqp
 from coopqp.assessment import assess
 from coopqp.base.spec import Array
 from coopqp.execution.comparison import Comparison, summarize
 from coopqp.plant import Disturbance, Push
-from coopqp.report import files
+from coopqp.plants import RigidBody
 from coopqp.scenario.scenario import Scenario
 from coopqp.study.explanation import explain_run
 from coopqp.study.trace_file import trace_from_file
@@ -99,14 +100,15 @@ def test_a_force_that_is_no_number_is_lost(scenario: Scenario, trace: Trace) -> 
     assert "its error is no number" in found.verdicts["qp"]
 
 
-@pytest.mark.skipif(not HAS_ROBOTS, reason="needs coopqp[robots]")
+@needs_robots
+@pytest.mark.usefixtures("hurried_reruns")
 def test_an_impedance_that_is_pushed_to_the_end_has_to_be_where_its_springs_are(
     tmp_path: Path,
 ) -> None:
     """F/K is 6/3000 and 8/400 m; after 0.1 s of the push it is not there yet."""
-    given = replace(coopqp.load("impedance"), dt=0.002)
+    given = replace(coopqp.load("impedance"), dt=0.002, plant=RigidBody(time_step=0.002))
     push = Push(force=(6.0, 8.0, 0.0), start=0.1, duration=9.0)
-    for seconds, there in ((2.2, True), (0.2, False)):
+    for seconds, there in ((2.0, True), (0.2, False)):
         pushed = replace(given, duration=seconds, disturbance=Disturbance(push=push))
         found = coopqp.compare(pushed, controllers=["torque_qp"])
         assert found.metrics["torque_qp"]["reached"] is there
@@ -115,8 +117,7 @@ def test_an_impedance_that_is_pushed_to_the_end_has_to_be_where_its_springs_are(
         (trace,) = found.traces.values()
         off = np.linalg.norm(trace.e[-1, :3] - [6.0 / 3000.0, 8.0 / 400.0, 0.0])
         assert assess(trace).errors[0] == pytest.approx(off)
-        files.write_one(tmp_path / "trace.csv", files.trace_csv(found))
-        read = trace_from_file(tmp_path / "trace.csv", pushed, "torque_qp")
+        read = trace_from_file(traced(found, tmp_path), pushed, "torque_qp")
         np.testing.assert_array_equal(assess(read).errors, assess(trace).errors)
         told = explain_run(pushed, read)
         assert told.kind == ("reached" if there else "short")

@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 from plotly.offline import get_plotlyjs
 from rich.console import Console
+from side_by_side import needs_kernel
 
 import coopqp
 from coopqp.assessment import assess
 from coopqp.base.errors import CoopqpError
 from coopqp.controllers import QPController
 from coopqp.execution.comparison import Comparison, summarize
-from coopqp.kernel import native
 from coopqp.report import curves, files
 from coopqp.report.cells import cells, facts
 from coopqp.report.figures.chart import Chart
@@ -165,7 +165,7 @@ def test_times_of_ticks_stand_beside_those_of_the_same_language_alone() -> None:
     assert [lines[1:] for lines in tick.values()] == [("C++",), ("Python",), ("C++", "2 in Python")]
 
 
-@pytest.mark.skipif(native.module() is None, reason="the kernel is not built")
+@needs_kernel
 def test_the_solver_has_one_name(comparison: Comparison) -> None:
     assert ("QP solver", "kernel") in facts(comparison)
     both = coopqp.compare(
@@ -309,7 +309,7 @@ def test_table_fits_the_terminal_and_shows_names_as_they_are(comparison: Compari
     assert "✗ no" in " ".join(lines)
 
 
-@pytest.mark.skipif(native.module() is None, reason="the kernel is not built")
+@needs_kernel
 def test_runs_that_nobody_timed_have_a_page_without_times() -> None:
     scenario = coopqp.load("planar_pair")
     laws = "qp", "pseudoinverse"

@@ -20,6 +20,7 @@ import pytest
 from click.testing import CliRunner, Result
 from numpy.typing import NDArray
 from rich.console import Console
+from scenario_files import needs_robots
 
 from coopqp.controller import Law
 from coopqp.model.state import State
@@ -110,7 +111,7 @@ CHATTERED = (
 )  # fmt: skip
 
 
-@pytest.mark.skipif(len(arrangements.names()) < 8, reason="other robots, other draws")
+@needs_robots
 @pytest.mark.parametrize("seed", CHATTERED)
 def test_rollouts_that_chattered_do_not_any_more(seed: int) -> None:
     assert not one_rollout(seed).oscillating
@@ -122,7 +123,7 @@ FARTHER_OFF = (161, 197, 688, 828, 834, 967)
 
 
 @pytest.mark.skip(reason="the law does not keep this yet")
-@pytest.mark.skipif(len(arrangements.names()) < 8, reason="other robots, other draws")
+@needs_robots
 @pytest.mark.parametrize("seed", OSCILLATED + FARTHER_OFF)
 def test_rollouts_that_oscillated_or_rested_farther_off_do_not_any_more(seed: int) -> None:
     assert not one_rollout(seed).broken
