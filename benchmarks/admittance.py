@@ -105,15 +105,15 @@ def main() -> None:
             )
     k = 1e4
     hand = 2.0 / (1.0 / k - 1.0 / servos)
-    print("\n| c | g k dt | limit without lag | overshoot [%] | swing at the end [N] |")
+    print("\n| c | g k dt | limit without lag | overshoot [%] | oscillation at the end [N] |")
     print("|---|---|---|---|---|")
     for c in CAUTIONS:
         run = ran(scenario, hand, k, c / 0.2, 4.0)
         gain = c / (k * (LAG + (DELAY + 1) * scenario.dt))
-        swing = np.ptp(run.squeeze[-END:])
+        oscillation = np.ptp(run.squeeze[-END:])
         print(
             f"| {c:g} | {gain * k * scenario.dt:.3f} | {stability_limit(DELAY):g} | "
-            f"{run.overshoot:.1f} | {swing:.2f} |"
+            f"{run.overshoot:.1f} | {oscillation:.2f} |"
         )
 
 

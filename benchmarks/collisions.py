@@ -8,7 +8,7 @@ default 500 goals and 1,000 poses a robot:
 - distances at random poses, against pinocchio's own reading of the files and coal alone;
 - the nearest that bodies came at any tick of any run, less what the limits keep free. "free" are
   arms that hold nothing, driven at full speed straight to random joint values; "holding" are runs
-  of the QP controller with random goals for the object, most of them out of reach. Of each run the
+  of the QP controller with random goals for the object, most of them unreachable. Of each run the
   deepest tick is measured again by coal alone;
 - what the limits cost a tick, as a ratio of the same runs with and without them, which take turns.
 """

@@ -121,7 +121,7 @@ def wall(chain: ClosedChain, goal: Array) -> Workspace:
     )
 
 
-# Goals out of reach
+# Unreachable goals
 
 
 def scipy_distance(

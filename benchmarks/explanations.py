@@ -1,4 +1,4 @@
-"""How often `coopqp explain` is right: blocked runs, goals out of reach, tasks that contradict.
+"""How often `coopqp explain` is right: blocked runs, unreachable goals, tasks that contradict.
 
     python benchmarks/explanations.py [--seed 0] [--blocked 100] [--far 100] [--pairs 50]
 
@@ -111,13 +111,13 @@ def count_blocked(count: int, seed: int) -> None:
 
 
 def count_far(count: int, seed: int) -> None:
-    """Goals out of reach: how many are blamed on what."""
+    """Unreachable goals: how many are blamed on what."""
     done = []
     for case in far(seed):
         done.append(explained(case))
         if len(done) == count:
             break
-    print(f"goals out of reach: {len(done)} {tally(o.found.kind for o in done)}")
+    print(f"unreachable goals: {len(done)} {tally(o.found.kind for o in done)}")
     rng, off, ended = np.random.default_rng(seed), [], []
     for o in done:
         if o.found.kind != "reach":

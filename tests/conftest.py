@@ -1,6 +1,6 @@
 """How the suite runs: what all tests have, which files begin, who shares what, how garbage goes.
 
-In the process that gives the work to others nothing of coopqp is imported.
+In the process that gives the work to others nothing of coopqp but the compiled kernel is imported.
 """
 
 from __future__ import annotations
@@ -14,6 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+
+from coopqp.kernel import native
 
 #: Files that take longest, in this order, so that no process is alone with one of them at the end.
 LONGEST = (
@@ -49,6 +51,7 @@ LONGEST = (
 #: Files that go to one process, because they share what takes long to make.
 TOGETHER = {
     "a report": ("recordings/test_every_format.py", "recordings/test_standard_messages.py"),
+    "the site": ("pages/test_api.py", "pages/test_links.py", "pages/test_reference.py"),
     "workers": ("stress/test_wide.py", "study/test_sweep_kept.py", "study/test_engine.py"),
     "shipped scenarios": (
         "report/test_playback.py",
@@ -76,6 +79,8 @@ def pytest_configure(config: pytest.Config) -> None:
     """
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    if os.environ.get("COOPQP_KERNEL") == "1" and native.module() is None:
+        raise pytest.UsageError(f"COOPQP_KERNEL=1 demands the kernel: {native.MISSING}")
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     sys.dont_write_bytecode = False
     if config.getoption("dist", "no") == "no":
@@ -101,6 +106,14 @@ def pytest_collection_finish() -> None:
     gc.freeze()
     gc.set_threshold(50_000)
     gc.enable()
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Say that the kernel was not tested, which the letters of single tests hide."""
+    skipped = terminalreporter.stats.get("skipped", [])
+    count = sum(native.MISSING in str(report.longrepr) for report in skipped)
+    if count:
+        terminalreporter.write_line(f"{count} tests of the kernel were skipped: {native.MISSING}")
 
 
 @pytest.hookimpl(optionalhook=True)

@@ -1,6 +1,6 @@
 """Goals that go slowly across the border of reach, and how continuous a law's command is there.
 
-A point of the object follows a circle of which one half is out of reach. The law drives; where its
+A point of the object follows a circle of which one half is unreachable. The law drives; where its
 command changes most from one tick to the next, the segment between the two states (q, v, t and
 memory) is halved towards the half with the larger change. A continuous command changes less and
 less; what is left of a change is a jump. Near the border a command may be steep, as damping begins

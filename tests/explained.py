@@ -9,14 +9,17 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
+import pytest
 from scipy.optimize import least_squares
 
 from coopqp.base.spec import Array
+from coopqp.execution.comparison import Comparison
 from coopqp.execution.controller_run import run
 from coopqp.model.closed_chain import ClosedChain
+from coopqp.report import files
 from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario
-from coopqp.study.explanation import RunExplanation, explain_run
+from coopqp.study.explanation import RunExplanation, explain_run, explained_phase
 from coopqp.task import Task
 from coopqp.tasks import PointOnPlane, PointOnPoint
 
@@ -28,6 +31,20 @@ REACH = PointOnPoint(name="reach", goal=(0.18, 0.01, 0.05))
 
 def explained(scenario: Scenario, controller: str = "qp") -> RunExplanation:
     return explain_run(scenario, run(scenario, controller=controller))
+
+
+def traced(comparison: Comparison, folder: Path) -> Path:
+    """The trace of a comparison as a file, without the rest of its report."""
+    path = folder / "trace.csv"
+    files.write_one(path, files.trace_csv(comparison))
+    return path
+
+
+@pytest.fixture
+def hurried_reruns(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An explanation tries more time: half a run more, where its default takes plants long."""
+    monkeypatch.setattr(explained_phase, "TIMES", 0.5)
+    monkeypatch.setattr(explained_phase, "MORE", 0.5)
 
 
 def advice(name: str) -> Scenario:

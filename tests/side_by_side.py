@@ -6,8 +6,10 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 import numpy as np
+import pytest
 
 from coopqp.controller import ControlProblem
+from coopqp.kernel import native
 from coopqp.kernel.compiled import Outcome
 from coopqp.kernel.law import KernelLaw
 from coopqp.model.state import Memory, State
@@ -15,6 +17,8 @@ from coopqp.qp_law.law import QPLaw
 from coopqp.solver import Status, written
 
 DAMPING, ERROR_DAMPING = 1e-6, 0.5
+#: How many were skipped stands at the end of a run: conftest.
+needs_kernel = pytest.mark.skipif(native.module() is None, reason=native.MISSING)
 
 
 @dataclass

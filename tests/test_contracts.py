@@ -115,7 +115,7 @@ def test_every_controller_moves_the_object_towards_the_goal(controller: str) -> 
 
 @cache
 def by_the_default() -> Trace:
-    return run(load("point_on_point"), controller="qp")
+    return run(replace(load("point_on_point"), duration=2.0), controller="qp")
 
 
 @pytest.mark.parametrize("solver", SOLVERS)
@@ -123,7 +123,8 @@ def test_every_solver_finds_the_velocity_of_the_default_or_says_it_is_inaccurate
     solver: str,
 ) -> None:
     exact = by_the_default()
-    other = run(with_solver(load("point_on_point"), solver), controller="qp")
+    asked = replace(load("point_on_point"), duration=2.0)
+    other = run(with_solver(asked, solver), controller="qp")
     assert other.usable.all()
     # Until the first inaccurate tick both runs are in the same state.
     same = int(np.argmax(other.inaccurate)) if other.inaccurate.any() else other.ticks

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from laws import LIMITS, NEAR, problem
+from side_by_side import needs_kernel
 
 from coopqp.assessment import assess
 from coopqp.base.errors import MissingDependencyError
@@ -17,7 +18,6 @@ from coopqp.controllers import QPController
 from coopqp.execution import instants
 from coopqp.execution.controller_run import run
 from coopqp.execution.rollout import rollout
-from coopqp.kernel import native
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.plant import Disturbance
@@ -28,7 +28,7 @@ from coopqp.solver import Status
 from coopqp.tasks import JointCentering, PointOnPoint, Twist
 from coopqp.trace import TickBatch, Trace
 
-pytestmark = pytest.mark.skipif(native.module() is None, reason="the kernel is not built")
+pytestmark = needs_kernel
 
 TICKS = 25  # of a scenario without phases
 #: What the law decides, and from what: the same bits, whoever looks at it.

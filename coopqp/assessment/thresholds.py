@@ -39,9 +39,7 @@ BEYOND_ACCELERATION = Threshold(
 TOO_FAST = Threshold(1e-3, "share", "A joint is too fast beyond (1 + this) times its speed limit.")
 OUTSIDE = Threshold(ROUNDING, "rad, m", "A joint is outside its limits beyond rounding.")
 AT_LIMIT = Threshold(
-    1e-4,
-    "row's unit",
-    "At a limit with less room; walls are approached ever more slowly.",
+    1e-4, "row's unit", "At a limit with less room; walls are approached ever more slowly."
 )
 HELD_UP = Threshold(0.25, "of ticks", "A limit of speed met in more of the ticks holds a run up.")
 AT_REST = Threshold(1e-3, "rad/s, m/s", "Slower joints are at rest: 0.06 degrees in a second.")
@@ -57,7 +55,7 @@ TORN = Threshold(
 )
 TORN_ANGLE = Threshold(Budget().loop_orientation, "rad", "The same: `budget.loop_orientation`.")
 SETTLED = Threshold(
-    0.2, "s", "A force stays within its tolerance for so long: one sample of a swing says nothing."
+    0.2, "s", "A force stays within its tolerance for so long: an oscillation only passes it."
 )
 SINGULAR = Threshold(
     0.02, "share", "With less of its leverage at the start a task is at a singular pose."

@@ -68,7 +68,7 @@ def _arrival(found: Assessment) -> str:
         return f"loses {_called(task)}: its error is no number"
     far = _far(task.error, task.unit)
     if task.oscillates:
-        return f"swings to the end up to {far} off the goal of {_called(task)}{_others(found)}"
+        return f"oscillates to the end, up to {far} off the goal of {_called(task)}{_others(found)}"
     where = _where(found, found.tasks.index(task))
     return f"ends {far} off the goal of {_called(task)}{_others(found)}{where}"
 
@@ -297,12 +297,12 @@ def saturation_words(found: Assessment) -> str:
 
 
 def _oscillation(found: Assessment) -> str:
-    swings = found.oscillation
-    if swings is None:
+    oscillation = found.oscillation
+    if oscillation is None:
         return ""
-    size = _amount(swings.size, found.trace.units[swings.joint])
-    joint = found.trace.joints[swings.joint]
-    return f"{joint} oscillates to the end by {size} at {swings.frequency:.2g} Hz"
+    size = _amount(oscillation.size, found.trace.units[oscillation.joint])
+    joint = found.trace.joints[oscillation.joint]
+    return f"{joint} oscillates to the end by {size} at {oscillation.frequency:.2g} Hz"
 
 
 def _broken(trace: Trace) -> list[str]:

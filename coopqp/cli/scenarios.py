@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from coopqp.base.errors import CoopqpError, Fault, ScenarioError
 from coopqp.cli.options import (
     JSON,
     SCENARIO,
@@ -122,8 +123,6 @@ def solve_start(scenario: str, seed: int | None, catalog: Any, as_json: bool) ->
 @catalogued
 def validate(scenarios: tuple[str, ...], catalog: Any) -> None:
     """Check scenarios, and studies, files or shipped; every fault is listed with its line."""
-    from coopqp.base.errors import CoopqpError, Fault, ScenarioError
-
     faults: list[Fault] = []
     for name in scenarios:
         try:
@@ -134,8 +133,9 @@ def validate(scenarios: tuple[str, ...], catalog: Any) -> None:
                     say(f"note: {note}")
             else:
                 loaded = read_scenario(name, catalog)
-                print_notes(loaded)
-                _build_all(loaded, name)
+                refused = _refused(loaded, list(loaded.controllers), f"{name}: ")
+                if len(refused) == len(loaded.controllers) > 0:
+                    raise next(iter(refused.values()))
         except ScenarioError as error:
             faults.extend(error.faults)
         except CoopqpError as error:
@@ -157,21 +157,22 @@ def _is_study(name: str) -> bool:
     return "robot" not in data and bool({"vary", "samples"} & set(data))
 
 
-def _build_all(scenario: Any, name: str) -> None:
-    """Build all controllers; warn of those that are refused, raise where all of them are."""
-    from coopqp.base.errors import CoopqpError
-    from coopqp.execution.controller_run import built
+def _refused(scenario: Any, names: list[str], place: str = "") -> dict[str, CoopqpError]:
+    """Why controllers cannot be built: told, unless it is all of them, with notes on the others."""
+    from coopqp.execution.controller_run import built, controller_of
 
     refused: dict[str, CoopqpError] = {}
-    for controller in scenario.controllers:
+    for name in names:
+        controller_of(scenario, name)
         try:
-            built(scenario, controller)
+            built(scenario, name)
         except CoopqpError as error:
-            refused[controller] = error
-    if refused and len(refused) == len(scenario.controllers):
-        raise next(iter(refused.values()))
-    for controller, why in refused.items():
-        say(f"warning: {name}: {controller} is left out: {why}")
+            refused[name] = error
+    if len(refused) < len(names):
+        for name, why in refused.items():
+            say(f"warning: {place}{name} is left out: {why}")
+    print_notes(scenario, [name for name in names if name not in refused])
+    return refused
 
 
 @click.command(name="list")
@@ -207,12 +208,13 @@ def compare_on(scenario: Any, controllers: list[str], out: Path | None, *, as_js
     from coopqp.report import files, table
     from coopqp.report.table import console, progress_bars
 
-    print_notes(scenario, controllers)
+    told = _refused(scenario, controllers)
     if out:
         files.check_folder(out)
     with progress_bars(controllers, scenario.ticks) as progress:
         comparison = run_all(scenario, controllers=controllers, progress=progress)
-    left_out = (f"{name} is left out: {why}" for name, why in comparison.refused.items())
+    later = {name: why for name, why in comparison.refused.items() if name not in told}
+    left_out = (f"{name} is left out: {why}" for name, why in later.items())
     for line in (*left_out, *comparison.faults):
         say(f"warning: {line}")
     if as_json:
@@ -269,7 +271,6 @@ def play(
 
     SCENARIO is a YAML file or the name of a shipped scenario (coopqp list scenarios).
     """
-    from coopqp.base.errors import CoopqpError
     from coopqp.viewer import play as viewer
     from coopqp.viewer.gate import checked_origins
     from coopqp.viewer.player import Player
@@ -281,13 +282,12 @@ def play(
     if record:
         check_folder(record)
     loaded = read_scenario(scenario, catalog, solver)
-    print_notes(loaded, controllers, steered=True)
-
     player = Player(loaded, controllers, record)
     player.speed = speed
     left_out = (f"{name} is left out: {why}" for name, why in player.refused.items())
     for line in (*left_out, *player.faults):
         say(f"warning: {line}")
+    print_notes(loaded, [run.name for run in player.controllers], steered=True)
     try:
         opened = lambda page: click.echo(f"{page}  (Ctrl-C ends it)")  # noqa: E731
         viewer.play(player, host, port, opened, origins=origins)

@@ -60,12 +60,7 @@ class ConstraintEquations:
 
 
 def constraint_equations(
-    chain: ClosedChain,
-    q: Array,
-    v: Array,
-    *,
-    actuated: Sequence[str],
-    cut: Sequence[str] = (),
+    chain: ClosedChain, q: Array, v: Array, *, actuated: Sequence[str], cut: Sequence[str] = ()
 ) -> ConstraintEquations:
     """Equations (8)-(13) and (17)-(19) at a state with closed loops, q and v of shape (n,).
 

@@ -310,6 +310,8 @@ class Squeeze:
         match bool(np.isfinite(least.value)), bool(np.isfinite(most.value)):
             case True, True:
                 ends = f"{least.value:.3g} to {most.value:.3g} N"
+                if sorted(least.by) == sorted(most.by):
+                    return f"{ends} (both by {least.words})"
                 return f"{ends} (least by {least.words}; most by {most.words})"
             case True, False:
                 return f"from {least.value:.3g} N (by {least.words}), unlimited above"
@@ -421,10 +423,7 @@ def contact_faults(chain: ClosedChain) -> Iterator[tuple[str, str]]:
     hold = StaticHold(chain)
     load = hold.load()
     if load.value < 1.0:
-        yield (
-            "",
-            f"cannot hold the object at rest: {cannot_carry(chain, hold, load)}",
-        )
+        yield ("", f"cannot hold the object at rest: {cannot_carry(chain, hold, load)}")
 
 
 def contact_notes(chain: ClosedChain) -> Iterator[str]:

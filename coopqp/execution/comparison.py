@@ -55,10 +55,7 @@ class Comparison:
 
 
 def compare(
-    scenario: Scenario,
-    *,
-    controllers: Sequence[str] = (),
-    progress: Progress | None = None,
+    scenario: Scenario, *, controllers: Sequence[str] = (), progress: Progress | None = None
 ) -> Comparison:
     """Run several controllers on one scenario.
 

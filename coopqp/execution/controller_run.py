@@ -22,11 +22,7 @@ Progress = Callable[[str, int], None]
 
 
 def run(
-    scenario: Scenario,
-    *,
-    controller: str,
-    progress: Progress | None = None,
-    timed: bool = True,
+    scenario: Scenario, *, controller: str, progress: Progress | None = None, timed: bool = True
 ) -> Trace:
     """Run one controller of a scenario.
 

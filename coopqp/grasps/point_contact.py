@@ -11,15 +11,7 @@ from numpy.typing import ArrayLike
 from pydantic import Field
 
 from coopqp.base.spec import Array, Direction, NonNegative, Positive, Vector3, spec
-from coopqp.grasp import (
-    NO_CONTACT,
-    Contact,
-    Grasp,
-    PassiveJoint,
-    ball,
-    check_range,
-    contact_frame,
-)
+from coopqp.grasp import NO_CONTACT, Contact, Grasp, PassiveJoint, ball, check_range, contact_frame
 
 #: The ball's hinges are singular where the second has turned by a quarter [rad].
 CONE = 1.4

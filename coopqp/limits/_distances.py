@@ -34,6 +34,8 @@ from coopqp.robot_files.meshes import read_mesh
 #: How far from 1 a unit normal's square, and from 0 a length [m], may be.
 UNIT = 1e-6
 
+MAX_CORNERS, MAX_EDGES = 20_000, 255  # of a convex hull; coal counts a corner's edges in a byte
+SIMPLER = "simplify the mesh, or give a box, sphere, cylinder or capsule round it"
 #: Points of a cylinder's rim.
 RIM = 12
 
@@ -144,9 +146,13 @@ def _read(path: Path, changed: int, size: int, scale: tuple[float, ...]) -> Arra
 
     vertices = read_mesh(path, scale).vertices
     try:
-        return np.asarray(vertices[ConvexHull(vertices).vertices])
+        outer = np.asarray(vertices[ConvexHull(vertices).vertices])
     except (QhullError, ValueError):
         return vertices  # flat: it may be part of a link that is not
+    if len(outer) > MAX_CORNERS:
+        found = f"its convex hull has {len(outer):,} corners, at most {MAX_CORNERS:,} are allowed"
+        raise InvalidValueError(f"{path}: {found}; {SIMPLER}")
+    return outer
 
 
 @lru_cache(maxsize=512)
@@ -160,6 +166,8 @@ def _hull_of(points: bytes) -> tuple[coal.CollisionGeometry, Array, Array, Array
         hull = ConvexHull(vertices - middle)
     except (QhullError, ValueError):
         return None
+    if np.bincount(hull.simplices.ravel()).max() > MAX_EDGES:
+        raise InvalidValueError(f"mesh: over {MAX_EDGES} edges meet in a corner; {SIMPLER}")
     number = {old: new for new, old in enumerate(hull.vertices.tolist())}
     corners = hull.points[hull.vertices]
     corner_list, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()

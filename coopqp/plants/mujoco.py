@@ -304,7 +304,7 @@ class MujocoModel(DynamicModel):
                     f"plant mujoco: the contact of {hand.arm} is "
                     f"{1e3 * abs(overhang(hand, half)[0]):.1f} mm from the object's face; change "
                     "object.size, or the contact's position"
-                )
+                ).at("object")
             if hand.contact and self._settings.spring_hands:
                 raise InvalidValueError(
                     f"plant mujoco: {hand.arm} presses, and spring_hands are fastened to the "

@@ -140,7 +140,7 @@ class DriftShare:
     """The largest feasible share of the Baumgarte correction, and a motion v that does it."""
 
     def __init__(self, limit_recovery: LimitRecovery, damping: Damping) -> None:
-        self._way_back, self._damping = limit_recovery, damping
+        self._limit_recovery, self._damping = limit_recovery, damping
         self._level = limit_recovery.level(damping, slows=True)
         self.share, self.v = 1.0, self._level.v
 
@@ -152,7 +152,7 @@ class DriftShare:
         causes = []
         status = self._solve(state)
         if not status.usable:
-            if self._way_back.release(state):
+            if self._limit_recovery.release(state):
                 causes.append(Status.ACCELERATION_GIVEN_UP)
             status = self._solve(state)
         if not status.usable:
@@ -164,6 +164,6 @@ class DriftShare:
         return tuple(causes) or (Status.SOLVER_FAILED,)
 
     def _solve(self, state: State) -> Status:
-        kappa = drift_gain(self._way_back.problem, state)
+        kappa = drift_gain(self._limit_recovery.problem, state)
         self._level.assemble(state, kappa, self._damping.of_drift(state, kappa))
         return self._level.solve()

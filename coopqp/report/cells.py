@@ -19,6 +19,7 @@ from coopqp.trace import Trace
 
 NBSP = "\N{NO-BREAK SPACE}"
 MOST_LINES = 4  # task errors in one cell
+SYMBOLS = {None: "", True: "✗ ", False: "✓ "}  # say without colour whether a cell is bad
 LANGUAGES = ("C++", f"C++ +{NBSP}Python rows", "Python")  # that ticks run in
 
 
@@ -34,9 +35,9 @@ class Column:
 COLUMNS = {
     "reached": Column("Goal reached", "", "Every error ends within tolerance, forces for 0.2 s."),
     "task_error": Column("Task error", "at the end", "What is left of each task's error."),
-    "limit": Column("Limit overrun", "", "How far the worst joint went beyond its limit; "
+    "limit": Column("Limit violation", "", "How far the worst joint went beyond its limit; "
                     "then other limits that were broken, each in its own unit."),
-    "speed": Column("Speed overrun", "", "How far the worst speed went beyond its limit."),
+    "speed": Column("Speed violation", "", "How far the worst speed went beyond its limit."),
     "acceleration": Column("Acceleration", "at most", "Beside what the loop for robots allows: "
                            "from rest to full speed in 0.2 s, else 10 rad/s2. A joint_acceleration "
                            "in limits keeps it down."),
@@ -52,15 +53,11 @@ COLUMNS = {
 
 @dataclass(frozen=True)
 class Cell:
-    """One entry; bad where it speaks against the controller, None if neither good nor bad."""
+    """One entry, or ``each`` of its lines: bad if against the controller, None if neither."""
 
     lines: tuple[str, ...]
     bad: bool | None = None
-
-    @property
-    def symbol(self) -> str:
-        """Says bad or good without colour."""
-        return "" if self.bad is None else ("✗" if self.bad else "✓")
+    each: tuple[bool, ...] = ()
 
 
 def cells(trace: Trace, metrics: Mapping[str, Any]) -> dict[str, Cell]:
@@ -164,7 +161,7 @@ def facts(comparison: Comparison) -> list[tuple[str, str]]:
         ("control period", f"{1e3 * scenario.dt:g} ms"),
         ("duration", f"{scenario.ticks * scenario.dt:g} s"),
         *([("phases", _phases(scenario))] if scenario.phases else []),
-        ("drift correction κ", f"{scenario.drift_gain:g} 1/s ({_worst_gap(comparison)})"),
+        ("Baumgarte gain κ", f"{scenario.drift_gain:g} 1/s ({_worst_gap(comparison)})"),
         ("QP solver", _solvers(comparison)),
         ("limits of the QP", limits),
         ("plant", type_name(type(scenario.plant))),
@@ -215,7 +212,8 @@ def _task_error(found: Assessment) -> Cell:
         value, unit = length(task.error, task.unit)
         name = f"{task.name}: " if len(found.tasks) > 1 else ""
         lines.append(f"{name}{number(value)}{NBSP}{unit}")
-    return Cell(tuple(lines), bool(found.missed))
+    each = tuple(not task.arrives for task in ends) if len(lines) == len(ends) > 1 else ()
+    return Cell(tuple(lines), bool(found.missed), each)
 
 
 def _failed(metrics: Mapping[str, Any]) -> Cell:

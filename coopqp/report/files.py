@@ -45,7 +45,7 @@ def write(comparison: Comparison, folder: Path) -> list[Path]:
         contents["scenario.yaml"] = comparison.scenario.portable  # for explain and replay
     fault: BaseException | None = None
     try:
-        contents["report.html"] = render(comparison)
+        contents["report.html"] = render(comparison, folder)
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # noqa: BLE001 - a finished run is not lost for its pictures

@@ -206,7 +206,8 @@ def _force_rows(internal: Forces) -> list[tuple[str, str, str]]:
         lines.append((f"wrenches of {arm.arm} alone, 6", "", f"{arm.counts.words}{borne}"))
     if len(ranks.pairs) > 1:
         lines += [(f"between {' and '.join(p.arms)}, 6", "", p.counts.words) for p in ranks.pairs]
-    lines += [(f"squeeze of {' and '.join(s.arms)}", "", s.words) for s in internal.squeezes]
+    ends = ((s.arms, s.words.partition(" (")[0]) for s in internal.squeezes)  # motors: verdict
+    lines += [(f"squeeze of {' and '.join(arms)}", "", words) for arms, words in ends]
     return lines
 
 

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import html
 import json
+import os
+import shlex
 from collections.abc import Iterator
+from itertools import zip_longest
 from pathlib import Path
 from string import Template
 from typing import Any
@@ -18,20 +21,21 @@ from coopqp.base.spec import type_name
 from coopqp.execution.comparison import Comparison
 from coopqp.limits import JointAcceleration
 from coopqp.report import audit
-from coopqp.report.cells import COLUMNS, Cell, Column, cells, facts
+from coopqp.report.cells import COLUMNS, SYMBOLS, Cell, Column, cells, facts
 from coopqp.report.curves import Figure
 from coopqp.report.figures.groups import Group, groups
 from coopqp.report.scene.playback import scene
 from coopqp.report.style import Style, styles
 
 HERE = Path(__file__).parent
+KINDS = {None: "", True: "bad", False: "good"}  # of cells, by whether they are bad
 PANES_A_ROW = {1: 1, 2: 2, 4: 2}  # by the number of controllers; three for the others
 #: Columns that may get narrow, so that the verdict does not.
 WRAPPING = ("task_error", "limit", "speed", "acceleration", "margin", "loop", "motors", "tick")
 
 
-def render(comparison: Comparison) -> str:
-    """The report as one page."""
+def render(comparison: Comparison, folder: Path | None = None) -> str:
+    """The report as one page; in a folder it says how to have a missed goal explained."""
     looks, parts = styles(comparison.traces), groups(comparison)
     plots = [
         {"data": figure.data, "layout": figure.layout, "overTime": figure.over_time}
@@ -43,7 +47,7 @@ def render(comparison: Comparison) -> str:
         description=text(comparison.scenario.description),
         version=text(__version__),
         facts=" · ".join(f"{text(name)} <b>{text(value)}</b>" for name, value in facts(comparison)),
-        summary=_summary(comparison, looks),
+        summary=_summary(comparison, looks, folder),
         notes="".join(f'<p class="notes">{text(note)}</p>' for note in comparison.notes),
         how="".join(f"<p>{text(paragraph)}</p>" for paragraph in how_to_read(comparison)),
         legend=_legend(looks),
@@ -82,13 +86,13 @@ def asset(name: str) -> str:
     return (HERE / name).read_text(encoding="utf-8")
 
 
-def _summary(comparison: Comparison, looks: dict[str, Style]) -> str:
+def _summary(comparison: Comparison, looks: dict[str, Style], folder: Path | None) -> str:
     heads = "".join(
         f'<th scope="col" title="{html.escape(column.help)}">{column.heading}'
         f"<small>{column.unit}</small></th>"
         for column in COLUMNS.values()
     )
-    rows = "".join(_row(comparison, name, style) for name, style in looks.items())
+    rows = "".join(_row(comparison, name, style, folder) for name, style in looks.items())
     return (
         '<table class="summary result"><thead><tr><th scope="col" class="name">Controller</th>'
         f'<th scope="col" class="verdict">Verdict</th>{heads}</tr></thead>'
@@ -96,22 +100,34 @@ def _summary(comparison: Comparison, looks: dict[str, Style]) -> str:
     )
 
 
-def _row(comparison: Comparison, name: str, style: Style) -> str:
+def _row(comparison: Comparison, name: str, style: Style, folder: Path | None) -> str:
     row = cells(comparison.traces[name], comparison.metrics[name])
     entries = "".join(_entry(row[k], column, wraps=k in WRAPPING) for k, column in COLUMNS.items())
+    told = folder if comparison.scenario.source and row["reached"].bad else None
+    why = _explained_by(comparison, name, told) if told else ""
     return (
         f'<tr><th scope="row" class="name">{breakable(name)}{style.swatch()}</th>'
-        f'<td class="verdict">{text(comparison.verdicts[name])}</td>{entries}</tr>'
+        f'<td class="verdict">{text(comparison.verdicts[name])}{why}</td>{entries}</tr>'
     )
+
+
+def _explained_by(comparison: Comparison, name: str, folder: Path) -> str:
+    """The command that says why a run has missed its goal."""
+    words = ["coopqp", "explain", str(folder), "--controller", name]
+    own = zip(("--tasks", "--plugins"), comparison.scenario.catalog.folders, strict=True)
+    words += [word for key, paths in own for path in paths for word in (key, os.path.relpath(path))]
+    return f'<small class="why">Why? <code>{text(shlex.join(words))}</code></small>'
 
 
 def _entry(cell: Cell, column: Column, *, wraps: bool) -> str:
     """With its heading, for narrow pages without columns."""
-    first, *more = map(text, cell.lines)
-    lines = [f"{cell.symbol}&nbsp;{first}" if cell.symbol else first, *more]
-    kind = {None: "", True: "bad", False: "good"}[cell.bad] + (" wraps" if wraps else "")
+    of_line = {bad: f' class="{kind}"' if cell.each else "" for bad, kind in KINDS.items()}
+    shown = "".join(
+        f"<span{of_line[bad]}>{SYMBOLS[bad].replace(' ', '&nbsp;')}{text(line)}</span>"
+        for bad, line in zip_longest(cell.each or (cell.bad,), cell.lines)
+    )
+    kind = ("" if cell.each else KINDS[cell.bad]) + (" wraps" if wraps else "")
     heading = f"{column.heading}, {column.unit}" if column.unit else column.heading
-    shown = "".join(f"<span>{line}</span>" for line in lines)
     return f'<td class="{kind}" data-heading="{heading}">{shown}</td>'
 
 

@@ -16,7 +16,7 @@ from rich.text import Text
 from coopqp.base.errors import one_line
 from coopqp.execution.comparison import Comparison
 from coopqp.report import strict_json
-from coopqp.report.cells import Cell, cells
+from coopqp.report.cells import SYMBOLS, Cell, cells
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.loader import FILES, shipped
 from coopqp.scenario.yaml import read_yaml
@@ -99,8 +99,7 @@ def summary(comparison: Comparison) -> Table:
 
 
 def _entry(cell: Cell) -> Text:
-    first, *more = cell.lines
-    return Text("\n".join([f"{cell.symbol} {first}".strip(), *more]), COLORS[cell.bad])
+    return Text(SYMBOLS[cell.bad] + "\n".join(cell.lines), COLORS[cell.bad])
 
 
 def replay(record: TickRecord, answers: Mapping[str, Replay]) -> Table:

@@ -284,8 +284,8 @@ def _check_plant(scenario: Scenario) -> None:
     except MissingDependencyError:
         return
     except CoopqpError as error:
-        known = "disturbance" in error.keys
-        place = error.keys[error.keys.index("disturbance") :] if known else ["plant"]
+        starts = [i for i, k in enumerate(error.keys) if k in ("disturbance", "object")]
+        place = error.keys[starts[0] :] if starts else ["plant"]
         raise MisplacedError([Wrong(place, str(error), error.keys)]) from None
 
 

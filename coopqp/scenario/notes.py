@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from functools import partial
 
 import numpy as np
@@ -20,21 +21,13 @@ from coopqp.controllers.torque_qp import TorqueQp
 from coopqp.kernel import native
 from coopqp.limit import SHALLOW
 from coopqp.limits import JointPosition, JointVelocity, Obstacles, SelfCollision
+from coopqp.model import marker
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.marker import (
-    CircleMarker,
-    LineMarker,
-    Marker,
-    PlaneMarker,
-    PointMarker,
-    PoseMarker,
-    SphereMarker,
-    asked,
-)
 from coopqp.model.state import State
 from coopqp.scenario.input import InputSettings
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import POINT, POSE, Kind, Moment
+from coopqp.task import TaskStack
 from coopqp.torque_law.hand_wrenches import unreachable_wrenches
 from coopqp.torque_law.impedances import leaks
 
@@ -44,8 +37,10 @@ LEAKS = 0.05
 FAR = 3.0
 #: A hand that is fastened to the object, this far from it, is worth a word [m].
 FAR_HAND = 0.1
-#: How many instants of a signal are looked at.
+#: How many instants of a signal, or configurations, are looked at.
 LOOKS = 9
+#: Singular values of Jacobians below this are 0 [m/rad].
+UNMOVED = 1e-9
 #: The limits of every scenario that names none; that baselines ignore them is their point.
 USUAL_LIMITS = (JointPosition(), JointVelocity())
 
@@ -58,7 +53,7 @@ def notes(
 ) -> list[str]:
     """One sentence for parts of the scenario that the same controllers do not support.
 
-    Before it come goals that are far, which make all else worthless; after it priorities without
+    Before it come goals that are far or out of every motion's way; after it priorities without
     effect, that the kernel is not built, what limits cannot bound, pads that reach beyond the
     object, hands that are far from it, a freedom that rounded values hide, and what a tick is too
     long for.
@@ -71,6 +66,7 @@ def notes(
     of_limits = (line for k in scenario.limits for line in k.notes(scenario.chain))
     return [
         *_far(scenario),
+        *_unmovable(scenario),
         *_unsupported(scenario, chosen),
         *_idle_priorities(scenario),
         *_without_kernel(chosen),
@@ -242,7 +238,7 @@ def _far(scenario: Scenario) -> Iterator[str]:
     chain, distances = scenario.chain, list[tuple[str, float]]()
     for phase in scenario.schedule:
         for task in phase.tasks:
-            marks = asked(task.name, partial(task.marks, Moment(phase.duration)), [])
+            marks = marker.asked(task.name, partial(task.marks, Moment(phase.duration)), [])
             far = max((_distance(mark, chain.start_position) for mark in marks), default=0.0)
             distances.append((f"the goal of '{task.name}' is", far))
     for name, kind in scenario.followed().items():
@@ -257,6 +253,38 @@ def _far(scenario: Scenario) -> Iterator[str]:
             yield f"{what} {far:.3g} m from where the object starts, {reach}"
 
 
+def _unmovable(scenario: Scenario) -> Iterator[str]:
+    """A sentence on each goal that differs in something which no joint moves.
+
+    Jacobians are analytic: combinations of rows that are 0 at random configurations always are.
+    """
+    chain, state = scenario.chain, State(scenario.chain)
+    ways = np.random.default_rng(0).uniform(-1.0, 1.0, (LOOKS, chain.n))
+    for phase in scenario.schedule:
+        for task in () if phase.released else phase.tasks:
+            if task.joint_space or task.of_forces or task.asks_velocity or task.impedance:
+                continue
+            seen, at, names = list[Array](), 0, task.rows(chain)
+            with suppress(Exception):  # of a user's own code, of which the run tells
+                stack = TaskStack([task], State(chain))
+                for state.t, state.q[:] in ((phase.duration, chain.q_start + way) for way in ways):
+                    state.update()
+                    stack.update(state)
+                    seen.append(stack.J.copy())
+            for part in task.parts(chain) if len(seen) == LOOKS else ():
+                rows = slice(at, at := at + part.rows)
+                U, values, _ = np.linalg.svd(np.hstack(seen)[rows], full_matrices=False)
+                still = U[:, values < UNMOVED]
+                off = float(np.linalg.norm(still.T @ stack.e[rows]))
+                if off > part.tolerance:
+                    own = (name for name, u in zip(names[rows], still, strict=True) if u @ u > 0.5)
+                    yield (
+                        f"the goal of '{task.name}' is unreachable, whatever the limits: no motion "
+                        f"of the joints changes its error in {' and '.join(own) or 'part'}, "
+                        f"{off:.3g} {part.unit}"
+                    )
+
+
 def _sent(settings: InputSettings, kind: Kind, duration: float) -> Iterator[Array]:
     """Places that are sent in a comparison, some of a signal's and all of a file's."""
     if settings.feed_file is not None:
@@ -268,17 +296,17 @@ def _sent(settings: InputSettings, kind: Kind, duration: float) -> Iterator[Arra
             yield course.value[:3].copy()
 
 
-def _distance(mark: Marker, p: Array) -> float:
+def _distance(mark: marker.Marker, p: Array) -> float:
     """How far a point is from what a mark shows [m]; 0 where that has no place."""
     match mark:
-        case PointMarker():
+        case marker.PointMarker():
             return float(np.linalg.norm(mark.at - p))
-        case PoseMarker() if mark.position is not None:
+        case marker.PoseMarker() if mark.position is not None:
             return float(np.linalg.norm(mark.position - p))
-        case PlaneMarker():
+        case marker.PlaneMarker():
             return abs(float(mark.normal @ (mark.through - p)))
-        case LineMarker() if mark.through is not None:
+        case marker.LineMarker() if mark.through is not None:
             return float(np.linalg.norm(np.cross(mark.direction, mark.through - p)))
-        case SphereMarker() | CircleMarker():
+        case marker.SphereMarker() | marker.CircleMarker():
             return abs(float(np.linalg.norm(mark.center - p)) - mark.radius)
     return 0.0

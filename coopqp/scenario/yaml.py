@@ -17,19 +17,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ruamel.yaml import YAML
+from ruamel.yaml import YAML, events
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
-from ruamel.yaml.events import (
-    AliasEvent,
-    DocumentEndEvent,
-    DocumentStartEvent,
-    MappingEndEvent,
-    MappingStartEvent,
-    ScalarEvent,
-    SequenceEndEvent,
-    StreamEndEvent,
-    StreamStartEvent,
-)
 
 from coopqp.base.errors import Fault, ScenarioError, UnreadableFileError
 from coopqp.base.reading import read_text
@@ -180,16 +169,18 @@ class _Builder:
     def document(self) -> _Node | None:
         root = None
         for event in self._events:
-            if isinstance(event, StreamStartEvent | StreamEndEvent | DocumentEndEvent):
+            if isinstance(
+                event, events.StreamStartEvent | events.StreamEndEvent | events.DocumentEndEvent
+            ):
                 continue
             if root is not None:
                 raise self._fault(event, "not YAML: a second document begins; needs one alone")
-            if not isinstance(event, DocumentStartEvent):
+            if not isinstance(event, events.DocumentStartEvent):
                 root = self._node(event, DEEPEST)
         return root
 
-    def _numbered(self, events: Iterator[Any]) -> Iterator[Any]:
-        for event in events:
+    def _numbered(self, found: Iterator[Any]) -> Iterator[Any]:
+        for event in found:
             self.line = self.line_at(event.start_mark.index)
             yield event
 
@@ -197,7 +188,7 @@ class _Builder:
         return _refused(f"{self._path}:{self.line_at(event.start_mark.index)}", message)
 
     def _node(self, event: Any, deeper: int) -> _Node:
-        if isinstance(event, AliasEvent):
+        if isinstance(event, events.AliasEvent):
             if event.anchor not in self._anchors:
                 raise self._fault(event, f"alias '*{event.anchor}' has no anchor before it")
             known = self._anchors[event.anchor]
@@ -206,11 +197,11 @@ class _Builder:
         if deeper == 0:
             raise self._fault(event, f"values inside values are more than {DEEPEST} deep")
         self._count(event, 1)
-        if isinstance(event, ScalarEvent):
+        if isinstance(event, events.ScalarEvent):
             node = _Node(self._scalar(event))
         else:
             self._check_tag(event)
-            inside = self._mapping if isinstance(event, MappingStartEvent) else self._list
+            inside = self._mapping if isinstance(event, events.MappingStartEvent) else self._list
             node = inside(deeper - 1)
         if event.anchor is not None:
             self._anchors[event.anchor] = node
@@ -225,7 +216,7 @@ class _Builder:
     def _list(self, deeper: int) -> _Node:
         inside: dict[str | int, tuple[int, _Node]] = {}
         for event in self._events:
-            if isinstance(event, SequenceEndEvent):
+            if isinstance(event, events.SequenceEndEvent):
                 break
             inside[len(inside)] = (self.line_at(event.start_mark.index), self._node(event, deeper))
         return _node_of([node.value for _, node in inside.values()], inside)
@@ -234,7 +225,7 @@ class _Builder:
         inside: dict[str | int, tuple[int, _Node]] = {}
         merged: dict[str | int, tuple[int, _Node]] = {}
         for event in self._events:
-            if isinstance(event, MappingEndEvent):
+            if isinstance(event, events.MappingEndEvent):
                 break
             key, line = self._key(event), self.line_at(event.start_mark.index)
             if key in inside:
@@ -261,7 +252,7 @@ class _Builder:
         return found
 
     def _key(self, event: Any) -> str:
-        if not isinstance(event, ScalarEvent):
+        if not isinstance(event, events.ScalarEvent):
             raise self._fault(event, "needs a plain word as a key, found something else")
         return self._text(event)
 
@@ -273,7 +264,7 @@ class _Builder:
 
     def _check_tag(self, event: Any) -> None:
         """Refuse what is not to be read as the mapping or list that it looks like."""
-        kind = "map" if isinstance(event, MappingStartEvent) else "seq"
+        kind = "map" if isinstance(event, events.MappingStartEvent) else "seq"
         if event.tag not in (None, "!", _STANDARD + kind):
             raise self._fault(event, f"tag '{_short(event.tag)}' is not read here; leave it out")
 

@@ -20,17 +20,7 @@ from coopqp.report.style import chosen_styles
 from coopqp.scenario.input import FARTHEST
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import Kind
-from coopqp.viewer import picture
-from coopqp.viewer.messages import (
-    Action,
-    ControllerFrame,
-    Dial,
-    Explanation,
-    Frame,
-    PageSetup,
-    Snapshot,
-    Tone,
-)
+from coopqp.viewer import messages, picture
 from coopqp.viewer.recording import Recording
 from coopqp.viewer.simulated_controller import SimulatedController
 from coopqp.viewer.steering import Handle, dials_of, handles, with_dials, with_inputs
@@ -79,7 +69,7 @@ class Player:
         self._hands |= {field.name: list(field.start) for field in self._steered if field.start}
         self.controllers = [SimulatedController(scenario, n, self._hands) for n in self._names]
         self.recording = Recording(self._read, self._steered, self._names, self._values)
-        self.explanation, self._changed, self.note = Explanation(), False, ""
+        self.explanation, self._changed, self.note = messages.Explanation(), False, ""
         self.tick()
 
     @property
@@ -99,7 +89,7 @@ class Player:
         kinds = {name: channel.kind for name, channel in feed.inputs.channels.items()}
         self.recording.add(run.index, run.since, run.state.t, feed.arrived, kinds)
 
-    def do(self, action: Action) -> None:
+    def do(self, action: messages.Action) -> None:
         """Carry out an action of the page; one that makes no sense is ignored."""
         what, value = action.what, action.value
         if not (np.abs(np.array(value, float)) < FARTHEST).all():
@@ -115,7 +105,7 @@ class Player:
             self.speed = float(np.clip(value[0], SLOWEST, FASTEST))
         elif what == "main":
             self._main = int(action.which) % len(self.controllers)
-            self.explanation = Explanation()
+            self.explanation = messages.Explanation()
         elif what == "save":
             self.save()
         else:
@@ -133,11 +123,11 @@ class Player:
         self.note = f"wrote {path}"
         return path
 
-    def show(self) -> PageSetup:
+    def show(self) -> messages.PageSetup:
         """All that does not change."""
         low, high = picture.space(self.scenario, self._bodies)
         keeps = {c.name: "limits" in c.run.controller.supports for c in self.controllers}
-        return PageSetup(
+        return messages.PageSetup(
             title=self.scenario.name,
             description=self.scenario.description,
             laws={name: style.color for name, style in chosen_styles(keeps).items()},
@@ -153,7 +143,7 @@ class Player:
             folder="" if self._folder is None else str(self._folder),
         )
 
-    def frame(self, factor: float = 0.0, tick_us: float = 0.0) -> Frame:
+    def frame(self, factor: float = 0.0, tick_us: float = 0.0) -> messages.Frame:
         """Everything now; the measured speed of time and the longest tick [us] are given."""
         self._apply_dials()
         controller = self._controller
@@ -165,7 +155,7 @@ class Player:
             for handle in self._handles
         )
         recorded = f"the recording {self.recording.note}" if self.recording.note else ""
-        return Frame(
+        return messages.Frame(
             t=controller.t,
             phase=phase,
             playing=self.playing,
@@ -184,9 +174,9 @@ class Player:
             tick_us=tick_us,
         )
 
-    def snapshot(self) -> Snapshot:
+    def snapshot(self) -> messages.Snapshot:
         controller, state = self._controller, self._controller.state
-        return Snapshot(  # which is sent to another process, and so copied
+        return messages.Snapshot(  # which is sent to another process, and so copied
             law=controller.name,
             dials=dict(self._values),
             starts=tuple(controller.starts),
@@ -220,7 +210,7 @@ class Player:
             raise CoopqpError("; ".join(f"{name}: {why}" for name, why in self.refused.items()))
         return tuple(dict.fromkeys(names))
 
-    def _own_knobs(self) -> list[Dial]:
+    def _own_knobs(self) -> list[messages.Dial]:
         """Inputs of the scenario's own that no gizmo steers."""
         steered, knobs = {field.name for field in self._steered}, []
         inputs = SimulatedController(self.scenario, self._names[0], {}).feed.inputs
@@ -230,7 +220,7 @@ class Player:
                 low, high = self._range(name, channel.kind, i)
                 low, high = min(low, now), max(high, now)
                 knobs.append(
-                    Dial(f"{name}/{i}", name, column, low, high, (high - low) / 200.0, now)
+                    messages.Dial(f"{name}/{i}", name, column, low, high, (high - low) / 200.0, now)
                 )
         return knobs
 
@@ -249,7 +239,7 @@ class Player:
             high = min(high, settings.upper[i])
         return low, high
 
-    def _steer(self, action: Action) -> None:
+    def _steer(self, action: messages.Action) -> None:
         controller, which, value = self._controller, action.which, action.value
         targets = controller.targets()
         if action.what == "drag" and isinstance(which, int) and which < len(self._handles):
@@ -295,7 +285,9 @@ class Player:
         ]
         return np.concatenate([picture.outlines(controller, self._place), *ways])
 
-    def _verdict(self, controller: SimulatedController, drawn: ControllerFrame) -> tuple[Tone, str]:
+    def _verdict(
+        self, controller: SimulatedController, drawn: messages.ControllerFrame
+    ) -> tuple[messages.Tone, str]:
         if drawn.broken:
             return "broken", _sentence(drawn.broken, drawn.words)
         if stale := controller.state.inputs.stale:

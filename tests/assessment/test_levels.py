@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from explained import traced
 
 import coopqp
 from coopqp.assessment import assess
@@ -16,11 +17,10 @@ from coopqp.execution.controller_run import run
 from coopqp.limits import JointAcceleration
 from coopqp.model.profile import Profile
 from coopqp.recordings.known import read
-from coopqp.report import files
 from coopqp.report.cells import cells
 from coopqp.report.page import how_to_read
 from coopqp.scenario.scenario import Scenario
-from coopqp.study.explanation import explain_run
+from coopqp.study.explanation import RunExplanation, explain_run
 from coopqp.study.trace_file import trace_from_file, worth_explaining
 from coopqp.tasks import PointOnPlane
 from coopqp.trace import Trace
@@ -43,8 +43,14 @@ def lifted(duration: float, *controllers: str) -> Scenario:
 @cache
 def hurried(controller: str = "qp") -> tuple[Scenario, Trace]:
     """The same with too little time."""
-    scenario = lifted(5.0, controller)
+    scenario = lifted(5.0 if controller == "qp" else 3.0, controller)
     return scenario, run(scenario, controller=controller)
+
+
+@cache
+def told() -> RunExplanation:
+    """Why it falls short."""
+    return explain_run(*hurried())
 
 
 def test_the_verdict_tells_the_hard_task_first_and_then_who_gave_way() -> None:
@@ -78,9 +84,8 @@ def test_a_run_that_ends_in_motion_is_told_so() -> None:
     assert "still moves" not in summarize(scenario, {"qp": still}).verdicts["qp"]
 
 
-def test_what_is_out_of_reach_is_told_apart_from_what_time_would_bring() -> None:
-    scenario, trace = hurried()
-    found = explain_run(scenario, trace)
+def test_what_is_unreachable_is_told_apart_from_what_time_would_bring() -> None:
+    found = told()
     assert found.kind == "reach"
     assert found.distance == pytest.approx(0.00515, abs=1e-4)
     assert "up ends 6.82 mm off, still moving, 1.19 mm of it for lack of time" in found.sentence
@@ -90,8 +95,7 @@ def test_what_is_out_of_reach_is_told_apart_from_what_time_would_bring() -> None
 def test_levels_are_read_back_from_a_recorded_run(tmp_path: Path) -> None:
     scenario, trace = hurried()
     comparison = summarize(scenario, {"qp": trace})
-    files.write(comparison, tmp_path)
-    again = trace_from_file(tmp_path / "trace.csv", scenario, "qp")
+    again = trace_from_file(traced(comparison, tmp_path), scenario, "qp")
     assert [(t.mode, t.priority) for t in again.tasks] == [("hard", 0), ("soft", 0)]
     assert [task.name for task in assess(again).missed] == ["up", "fore"]
 
@@ -99,8 +103,7 @@ def test_levels_are_read_back_from_a_recorded_run(tmp_path: Path) -> None:
 def test_who_falls_short_is_explained(tmp_path: Path) -> None:
     scenario = coopqp.load("joint_limit_stress")
     goes = coopqp.compare(scenario, controllers=("pseudoinverse", "qp"))
-    files.write(goes, tmp_path)
-    assert worth_explaining(read(tmp_path / "trace.csv"), scenario).controller == "qp"
+    assert worth_explaining(read(traced(goes, tmp_path)), scenario).controller == "qp"
 
 
 def test_angles_below_their_thresholds_resolution_are_left_out() -> None:

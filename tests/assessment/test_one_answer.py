@@ -182,19 +182,19 @@ def test_motors_at_their_limit_are_told_by_all(tmp_path: Path) -> None:
     assert f"saturates {words}" in sentence
 
 
-def test_who_swings_for_ever_oscillates_to_the_end() -> None:
+def test_who_never_rests_oscillates_to_the_end() -> None:
     scenario = short()
     trace = run(scenario, controller="qp")
     assert assess(trace).motion != "oscillating"
     q = trace.q.copy()
     q[:, 0] += 0.01 * np.sin(2.0 * np.pi * 25.0 * trace.t)
-    swings = replace(trace, q=q)
-    found = assess(swings)
+    restless = replace(trace, q=q)
+    found = assess(restless)
     assert found.motion == "oscillating"
     assert found.oscillation
     assert found.oscillation.frequency == pytest.approx(25.0, rel=0.35)
-    assert not list(disagreements(scenario, swings))
-    assert f"{trace.joints[0]} oscillates to the end by" in said_of(scenario, swings)[0]
+    assert not list(disagreements(scenario, restless))
+    assert f"{trace.joints[0]} oscillates to the end by" in said_of(scenario, restless)[0]
 
 
 def test_a_phase_that_missed_is_missed_by_all(tmp_path: Path) -> None:

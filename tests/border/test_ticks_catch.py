@@ -165,6 +165,7 @@ def test_one_controller_that_cannot_be_built_leaves_the_others(tmp_path: Path) -
     assert (
         "warning: torque_qp is left out: controller 'torque_qp' commands torques" in result.stderr
     )
+    assert "no effect on torque_qp" not in result.stderr
     kept = json.loads((tmp_path / "out" / "metrics.json").read_text())
     assert list(kept["controllers"]) == ["qp"]
     assert "commands torques" in kept["refused"]["torque_qp"]

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from pads import pressing, scenario_pads
-from scenario_files import HEAD, LOADABLE, PHASES, TAIL, write
+from scenario_files import HEAD, LOADABLE, PHASES, TAIL, needs_robots, write
 from scipy.linalg import block_diag
 from scipy.optimize import linprog
 
@@ -284,7 +284,7 @@ def refusal(**contact: object) -> str:
     return " ".join(words for _, words in contact_faults(replace(scenario, grasps=grasps).chain))
 
 
-@pytest.mark.skipif("press_and_lift" not in LOADABLE, reason="needs coopqp[robots]")
+@needs_robots
 def test_a_least_force_that_no_motor_bears_is_blamed_itself() -> None:
     """219 N is the most that the motors do."""
     assert "the least force of left/arm and least force of right/arm is more" in refusal(
@@ -293,7 +293,7 @@ def test_a_least_force_that_no_motor_bears_is_blamed_itself() -> None:
     assert refusal(least=30.0) == ""
 
 
-@pytest.mark.skipif("press_and_lift" not in LOADABLE, reason="needs coopqp[robots]")
+@needs_robots
 def test_hands_that_carry_next_to_nothing_do_not_carry_less_than_that() -> None:
     assert "the hands carry 0 % of its weight; friction of" in refusal(friction=1e-9)
 
@@ -311,7 +311,7 @@ def fingertips(start: Scenario, turned: float) -> str:
     return " ".join(words for _, words in contact_faults(replace(start, grasps=tips).chain))
 
 
-@pytest.mark.skipif("press_and_lift" not in LOADABLE, reason="needs coopqp[robots]")
+@needs_robots
 def test_two_fingertips_are_told_what_they_do_not_hold() -> None:
     scenario = coopqp.load("press_and_lift")
     aside = replace(scenario, held=replace(scenario.held, com=(0.0, 0.02, 0.0)))
@@ -333,3 +333,8 @@ def test_two_fingertips_are_told_what_they_do_not_hold() -> None:
 def test_words_of_a_squeeze(least: float, most: float, words: str) -> None:
     ends = Bound(least, ("friction of left",), np.zeros(0)), Bound(most, ("motor a",), np.zeros(0))
     assert Squeeze(("right", "left"), *ends).words == words
+
+
+def test_motors_that_bound_a_squeeze_from_both_sides_are_named_once() -> None:
+    ends = (Bound(end, by, np.zeros(0)) for end, by in ((-9.0, ("a", "b")), (9.0, ("b", "a"))))
+    assert Squeeze(("right", "left"), *ends).words == "-9 to 9 N (both by a and b)"

@@ -28,7 +28,7 @@ def overrun(chain: ClosedChain, q: Array) -> float:
     return float(np.max([chain.lower - q, q - chain.upper]))
 
 
-def test_qp_stays_within_all_limits_on_the_way_to_a_goal_out_of_reach(
+def test_qp_stays_within_all_limits_on_the_way_to_an_unreachable_goal(
     reach_too_far: ControlProblem, chain: ClosedChain
 ) -> None:
     result = run(QPController(), reach_too_far, 200)

@@ -23,14 +23,14 @@ from coopqp.scenario.scenario import Scenario
 from coopqp.tasks import Pose
 from coopqp.trace import Trace
 
-PLANTS = {"rigid_body": RigidBody(), "mujoco": Mujoco()}
+PLANTS = {"rigid_body": RigidBody(time_step=0.002), "mujoco": Mujoco(time_step=0.001)}
 DISTURBANCES = {
     "undisturbed": Disturbance(),
     "twice as heavy": Disturbance(object_mass=2.0),
-    "pushed": Disturbance(push=Push(force=(0.0, 1.0, 0.0), start=0.4, duration=0.2)),
+    "pushed": Disturbance(push=Push(force=(0.0, 1.0, 0.0), start=0.2, duration=0.2)),
 }
 TORQUE = ("passive_grasp_pid", "torque_qp")
-WAY, SECONDS = 1.0, 1.3  # on the way, and until the end
+WAY, SECONDS = 0.7, 0.9  # on the way, and until the end
 
 
 def hurried(**settings: Any) -> Scenario:

@@ -39,12 +39,12 @@ HELD = {"joint_velocity": 2e-5, "object_speed": 2e-5, "workspace": 2e-5, "joint_
 
 
 def carried(*limits: Limit) -> Trace:
-    """The torque QP on rigid bodies, on a way of 0.8 s."""
+    """The torque QP on rigid bodies, on a way of 0.6 s."""
     scenario = coopqp.load("passive_grasp_pose")
-    tasks = tuple(replace(task, profile=Profile(duration=0.8)) for task in scenario.tasks)
+    tasks = tuple(replace(task, profile=Profile(duration=0.6)) for task in scenario.tasks)
     own = (JointPosition(), *limits)
     given = replace(
-        scenario, tasks=tasks, plant=RigidBody(time_step=0.002), duration=1.0, limits=own
+        scenario, tasks=tasks, plant=RigidBody(time_step=0.002), duration=0.8, limits=own
     )
     return coopqp.run(given, controller="torque_qp")
 

@@ -15,7 +15,7 @@ from coopqp.grasp import Contact
 from coopqp.grasps import PointContact, SurfaceContact
 from coopqp.grasps.surface_contact import Pad, corners_hold, pad_rows
 
-WRENCHES = 10_000
+WRENCHES = 4_000
 #: Nearer to the edge of the cone, as a share of the normal force, both answers are right.
 EDGE = 1e-9
 

@@ -368,8 +368,8 @@ int main(int count, char** given) {
             const double leaves = c.kernel->leaves();
             for (int kind = 1; kind <= 2 * int(Fault::FalseProof); kind++) {
                 const Fault wrongly = Fault((kind - 1) % int(Fault::FalseProof) + 1);
-                in_way_back_alone = kind > int(Fault::FalseProof);
-                if (in_way_back_alone && !c.kernel->comes_back()) break;
+                in_limit_recovery_alone = kind > int(Fault::FalseProof);
+                if (in_limit_recovery_alone && !c.kernel->comes_back()) break;
                 if (wrongly == Fault::StaleFactor) {  // leave the factor of another pose
                     for (double& x : c.owner.q) x += 0.02;
                     (void)c.tick(0.0);

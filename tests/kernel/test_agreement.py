@@ -5,15 +5,14 @@ from __future__ import annotations
 import pytest
 from judged import compare
 from scenario_files import LOADABLE
-from side_by_side import drive
+from side_by_side import drive, needs_kernel
 from stress.draw import draw
 
 from coopqp.controllers.qp import QPController
-from coopqp.kernel import native
 from coopqp.kernel.flat import why_not
 from coopqp.scenario.loader import load
 
-pytestmark = pytest.mark.skipif(native.module() is None, reason="the kernel is not built")
+pytestmark = needs_kernel
 
 SAME = 1e-10  # [rad/s, m/s]
 

@@ -15,6 +15,7 @@ import pytest
 from chains import ring, robot_of, serial
 from forking import program
 from laws import LIMITS, NEAR, problem
+from side_by_side import needs_kernel
 
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array
@@ -31,7 +32,7 @@ from coopqp.scenario.loader import load
 from coopqp.solver import Status
 from coopqp.tasks import JointCentering, PointOnPoint
 
-pytestmark = pytest.mark.skipif(native.module() is None, reason="the kernel is not built")
+pytestmark = needs_kernel
 
 CENTRE = JointCentering(gain=0.5)
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from laws import problem
-from side_by_side import laws
+from side_by_side import laws, needs_kernel
 from stress import arrangements
 from walks import walk
 
-from coopqp.kernel import native
 from coopqp.tasks import Manipulability
 
-pytestmark = pytest.mark.skipif(native.module() is None, reason="the kernel is not built")
+pytestmark = needs_kernel
 
 
 @pytest.mark.parametrize("name", arrangements.names())

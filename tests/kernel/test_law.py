@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from chains import ring, short_pair
 from laws import LIMITS, NEAR, STEP, problem
+from side_by_side import needs_kernel
 
 from coopqp.base.errors import InvalidValueError
 from coopqp.controllers import QPController
@@ -25,7 +26,7 @@ from coopqp.solvers import Osqp
 from coopqp.task import Task
 from coopqp.tasks import JointCentering, Manipulability, PointOnPoint
 
-pytestmark = pytest.mark.skipif(native.module() is None, reason="the kernel is not built")
+pytestmark = needs_kernel
 
 REACH = PointOnPoint(name="reach", goal=NEAR)
 CENTRE = JointCentering(gain=0.5)

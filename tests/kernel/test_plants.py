@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scenario_files import HEAD, PHASES, TAIL, phased
+from side_by_side import needs_kernel
 
 from coopqp.controllers import QPController
 from coopqp.execution.controller_run import run
-from coopqp.kernel import native
 from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario
 from coopqp.trace import Trace
 
-pytestmark = pytest.mark.skipif(native.module() is None, reason="the kernel is not built")
+pytestmark = needs_kernel
 
 
 def by_engine(scenario: Scenario) -> tuple[Trace, Trace]:

@@ -9,14 +9,13 @@ import pytest
 from chains import closed_states
 from example_tasks import EXAMPLES, TIMES, over
 from laws import problem
-from side_by_side import laws
+from side_by_side import laws, needs_kernel
 
-from coopqp.kernel import native
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.task import Task, TaskStack
 
-pytestmark = pytest.mark.skipif(native.module() is None, reason="the kernel is not built")
+pytestmark = needs_kernel
 
 #: What is left to Python, because it is no geometry, or for laws that command torques.
 PYTHONS = ("MinimumKineticEnergy", "Impedance")

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from chains import Walk
 from laws import LIMITS, NEAR, UNREACHABLE, problem
+from side_by_side import needs_kernel
 from stress.draw import LAW as STRESSED
 from stress.draw import draw
 
 from coopqp.base.spec import Array
 from coopqp.controllers import QPController
-from coopqp.kernel import native
 from coopqp.kernel.law import KernelLaw
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.tasks import JointCentering, PointOnPoint
 
-pytestmark = pytest.mark.skipif(native.module() is None, reason="the kernel is not built")
+pytestmark = needs_kernel
 
 TICKS = 300
 

@@ -10,12 +10,11 @@ import pytest
 from chains import ring
 from following import NAMES, following, one_of_each, way
 from laws import LIMITS, problem
-from side_by_side import drive
+from side_by_side import drive, needs_kernel
 
 from coopqp.base.spec import Array
 from coopqp.controllers import QPController
 from coopqp.execution.controller_run import run
-from coopqp.kernel import native
 from coopqp.kernel.law import KernelLaw
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
@@ -28,7 +27,7 @@ from coopqp.task import Task, TaskStack
 from coopqp.tasks import JointCentering, PointOnPoint
 from coopqp.trace import Trace
 
-pytestmark = pytest.mark.skipif(native.module() is None, reason="the kernel is not built")
+pytestmark = needs_kernel
 
 SAME = 1e-10  # [rad/s, m/s]
 #: Impedances are for laws that command torques.

@@ -6,14 +6,14 @@ import copy
 
 import numpy as np
 import pytest
+from side_by_side import needs_kernel
 from stress import arrangements
 
 from coopqp.base.rank import null_space
-from coopqp.kernel import native
 from coopqp.kernel.flat import slide
 from coopqp.model.state import State
 
-pytestmark = pytest.mark.skipif(native.module() is None, reason="the kernel is not built")
+pytestmark = needs_kernel
 
 STEP = 1e-3  # [rad]
 

@@ -7,14 +7,13 @@ import pytest
 from conflicts import OUTSIDE, TURN, started_outside
 from laws import DT, LIMITS, STEP, problem
 from scipy.optimize import LinearConstraint, minimize
-from side_by_side import drive
+from side_by_side import drive, needs_kernel
 from stress.draw import LAW as STRESSED
 from stress.draw import draw
 
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.controllers import QPController
-from coopqp.kernel import native
 from coopqp.kernel.law import KernelLaw
 from coopqp.limit import Limit
 from coopqp.limits import FollowingError, JointAcceleration, Workspace
@@ -26,7 +25,7 @@ from coopqp.solver import Status
 from coopqp.task import Task
 from coopqp.tasks import JointCentering, PointOnPoint, Posture
 
-pytestmark = pytest.mark.skipif(native.module() is None, reason="the kernel is not built")
+pytestmark = needs_kernel
 
 CAN_COME_BACK = ("elbow", "shoulder", "both elbows")
 SAME = 1e-10  # [rad/s]

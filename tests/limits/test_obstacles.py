@@ -183,6 +183,28 @@ def test_a_mesh_that_is_too_large_is_not_read(
         of(Obstacle(mesh=mesh)).rows(held_box)
 
 
+@pytest.mark.parametrize("sides", [250, 300])
+def test_a_corner_with_more_edges_than_coal_counts_is_told(
+    sides: int, held_box: ClosedChain, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The tip of a cone has as many edges as its rim has sides."""
+    turns = np.linspace(0.0, 2.0 * np.pi, sides, endpoint=False)
+    rim = [f"v {0.04 * np.cos(turn):.9f} {0.04 * np.sin(turn):.9f} 0" for turn in turns]
+    faces = [f"f 1 {2 + i} {2 + (i + 1) % sides}" for i in range(sides)]
+    mesh = tmp_path / "cone.obj"
+    mesh.write_text("\n".join(["v 0 0 0.05", *rim, *faces]))
+    cone = of(Obstacle(mesh=mesh, position=(1.0, 0.0, 0.0)))
+    if sides > 255:
+        with pytest.raises(InvalidValueError, match="over 255 edges meet in a corner; simplify"):
+            cone.rows(held_box)
+    else:
+        assert cone.rows(held_box)
+    monkeypatch.setattr("coopqp.limits._distances.MAX_CORNERS", sides)
+    mesh.write_text("\n".join(["v 0 0 0.06", *rim, *faces, ""]))  # another file, read anew
+    with pytest.raises(InvalidValueError, match=f"hull has {sides + 1} corners, at most {sides} "):
+        cone.rows(held_box)
+
+
 def test_bodies_are_chosen_by_name(held_box: ClosedChain) -> None:
     ball = {"ball": Obstacle(sphere=0.1, position=(1, 0, 0))}
     rows = names_of(Obstacles(shapes=ball, bodies=("R*", "object")).rows(held_box))

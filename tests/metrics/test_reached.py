@@ -1,4 +1,4 @@
-"""Whether forces that swing, or have come to rest, reach what was asked of them."""
+"""Whether forces that oscillate, or have come to rest, reach what was asked of them."""
 
 from __future__ import annotations
 
@@ -7,14 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scenario_files import HAS_ROBOTS
+from explained import hurried_reruns, traced  # noqa: F401 - a fixture
+from scenario_files import needs_robots
 
 import coopqp
 from coopqp.assessment import assess
 from coopqp.base.spec import Array
 from coopqp.execution.comparison import Comparison, summarize
 from coopqp.plant import Disturbance, Push
-from coopqp.report import files
+from coopqp.plants import RigidBody
 from coopqp.scenario.scenario import Scenario
 from coopqp.study.explanation import explain_run
 from coopqp.study.trace_file import trace_from_file
@@ -50,20 +51,22 @@ def judged(scenario: Scenario, trace: Trace, off: Array, unit: str) -> Compariso
     return summarize(scenario, {"qp": asked})
 
 
-def test_a_force_that_swings_has_not_reached_what_one_sample_says(
+def test_a_force_that_oscillates_has_not_reached_what_one_sample_says(
     scenario: Scenario, trace: Trace
 ) -> None:
     """3.9 sin(2 pi t / 0.05 s), shifted so that the last sample is 0.87 off."""
     phase = 2.0 * np.pi * (trace.t - trace.t[-1]) / 0.05
-    swing = 3.9 * np.sin(phase + np.arcsin(0.87 / 3.9))
-    assert abs(swing[-1]) < TOLERANCE
-    found = judged(scenario, trace, swing, "N")
+    wave = 3.9 * np.sin(phase + np.arcsin(0.87 / 3.9))
+    assert abs(wave[-1]) < TOLERANCE
+    found = judged(scenario, trace, wave, "N")
     assert not found.metrics["qp"]["reached"]
     said = found.metrics["qp"]["task_error"]["press"]
     assert said == pytest.approx(3.9, rel=0.1)  # samples are some ticks from the peak
-    assert f"Swings to the end up to {said:.3g} N off the goal of 'press'" in found.verdicts["qp"]
+    assert (
+        f"Oscillates to the end, up to {said:.3g} N off the goal of 'press'" in found.verdicts["qp"]
+    )
     # Places are where they are in the end.
-    assert judged(scenario, trace, swing, "m").metrics["qp"]["reached"]
+    assert judged(scenario, trace, wave, "m").metrics["qp"]["reached"]
 
 
 def test_a_force_that_has_come_to_rest_for_a_fifth_of_a_second_has_reached_it(
@@ -75,13 +78,13 @@ def test_a_force_that_has_come_to_rest_for_a_fifth_of_a_second_has_reached_it(
         assert found["reached"] is reached
 
 
-def test_a_force_that_jumps_from_one_side_to_the_other_swings(
+def test_a_force_that_jumps_from_one_side_to_the_other_oscillates(
     scenario: Scenario, trace: Trace
 ) -> None:
     """It is never near to what was asked."""
     jumps = 43.0 * (-1.0) ** np.arange(len(trace.t))
     found = judged(scenario, trace, jumps, "N")
-    assert "Swings to the end up to 43 N off the goal of 'press'" in found.verdicts["qp"]
+    assert "Oscillates to the end, up to 43 N off the goal of 'press'" in found.verdicts["qp"]
 
 
 def test_a_force_that_stays_off_ends_so(scenario: Scenario, trace: Trace) -> None:
@@ -97,14 +100,15 @@ def test_a_force_that_is_no_number_is_lost(scenario: Scenario, trace: Trace) -> 
     assert "its error is no number" in found.verdicts["qp"]
 
 
-@pytest.mark.skipif(not HAS_ROBOTS, reason="needs coopqp[robots]")
+@needs_robots
+@pytest.mark.usefixtures("hurried_reruns")
 def test_an_impedance_that_is_pushed_to_the_end_has_to_be_where_its_springs_are(
     tmp_path: Path,
 ) -> None:
     """F/K is 6/3000 and 8/400 m; after 0.1 s of the push it is not there yet."""
-    given = replace(coopqp.load("impedance"), dt=0.002)
+    given = replace(coopqp.load("impedance"), dt=0.002, plant=RigidBody(time_step=0.002))
     push = Push(force=(6.0, 8.0, 0.0), start=0.1, duration=9.0)
-    for seconds, there in ((2.2, True), (0.2, False)):
+    for seconds, there in ((2.0, True), (0.2, False)):
         pushed = replace(given, duration=seconds, disturbance=Disturbance(push=push))
         found = coopqp.compare(pushed, controllers=["torque_qp"])
         assert found.metrics["torque_qp"]["reached"] is there
@@ -113,8 +117,7 @@ def test_an_impedance_that_is_pushed_to_the_end_has_to_be_where_its_springs_are(
         (trace,) = found.traces.values()
         off = np.linalg.norm(trace.e[-1, :3] - [6.0 / 3000.0, 8.0 / 400.0, 0.0])
         assert assess(trace).errors[0] == pytest.approx(off)
-        files.write_one(tmp_path / "trace.csv", files.trace_csv(found))
-        read = trace_from_file(tmp_path / "trace.csv", pushed, "torque_qp")
+        read = trace_from_file(traced(found, tmp_path), pushed, "torque_qp")
         np.testing.assert_array_equal(assess(read).errors, assess(trace).errors)
         told = explain_run(pushed, read)
         assert told.kind == ("reached" if there else "short")

@@ -12,7 +12,6 @@ from coopqp_site.writing import ROOT
 
 import coopqp
 
-PAGE = written()["python.md"]
 STUB = ast.parse((ROOT / "coopqp" / "__init__.pyi").read_text(encoding="utf-8"))
 IMPORTS = [node for node in STUB.body if isinstance(node, ast.ImportFrom)]
 NAMES = [alias.name for node in IMPORTS for alias in node.names]
@@ -20,13 +19,13 @@ NAMES = [alias.name for node in IMPORTS for alias in node.names]
 
 def test_names_of_the_stub_are_those_of_the_package_and_of_the_page() -> None:
     assert sorted([*NAMES, "__version__"]) == sorted(coopqp.__all__)
-    assert re.findall(r"^\[`(\w+)`\]", PAGE, re.MULTILINE) == sorted(NAMES)
+    assert re.findall(r"^\[`(\w+)`\]", written()["python.md"], re.MULTILINE) == sorted(NAMES)
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_name_has_a_line_and_its_types(name: str) -> None:
     entry = rf"^\[`{name}`\]\(python/\w+\.md#\w+\): ([^\n]+)\n\n```python\n(.*?)\n```$"
-    found = re.search(entry, PAGE, re.MULTILINE | re.DOTALL)
+    found = re.search(entry, written()["python.md"], re.MULTILINE | re.DOTALL)
     assert found, f"{name} has no line, or no signature"
     value = getattr(coopqp, name)
     if inspect.isfunction(value):

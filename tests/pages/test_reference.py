@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from functools import cache
 
 import click
 import pytest
@@ -18,13 +17,10 @@ from coopqp.scenario.catalog import COLLECTIONS
 from coopqp.scenario.form import file_model
 from coopqp.scenario.loader import shipped
 
-#: Every page, made once.
-PAGES = cache(written)
-
 
 def section(page: str, title: str) -> str:
     """What stands below a heading."""
-    found = re.search(rf"^## {title}$(.*?)(?=^## |\Z)", PAGES()[page], re.MULTILINE | re.DOTALL)
+    found = re.search(rf"^## {title}$(.*?)(?=^## |\Z)", written()[page], re.MULTILINE | re.DOTALL)
     assert found, f"{page} has nothing on {title}"
     return found[1]
 
@@ -35,7 +31,7 @@ def test_every_file_of_a_collection_is_told_of_with_every_key(kind: str) -> None
     files = {path.stem for path in folder.glob("[!_]*.py")}
     entries = Catalog().entries(kind)
     assert files == set(entries)
-    head = PAGES()[f"{kind}.md"].split("\n## ")[0]
+    head = written()[f"{kind}.md"].split("\n## ")[0]
     for name in files:
         told = section(f"{kind}.md", name)
         assert entries[name].help in told
@@ -47,16 +43,18 @@ def test_every_file_of_a_collection_is_told_of_with_every_key(kind: str) -> None
 def test_the_meaning_of_every_key_is_told() -> None:
     pages = [f"{kind}.md" for kind in COLLECTIONS] + ["scenario_keys.md", "values.md"]
     for page in pages:
-        rows = re.findall(r"^\| \**`(\w+)`\** \|.*\| (.*) \|$", PAGES()[page], re.MULTILINE)
+        rows = re.findall(r"^\| \**`(\w+)`\** \|.*\| (.*) \|$", written()[page], re.MULTILINE)
         assert not [key for key, meaning in rows if not meaning.strip()], page
 
 
 def test_all_else_that_can_be_named_is_there() -> None:
-    assert all(f"`{status.name}` | {status.value} |" in PAGES()["statuses.md"] for status in Status)
+    assert all(
+        f"`{status.name}` | {status.value} |" in written()["statuses.md"] for status in Status
+    )
     for key in file_model(Catalog()).model_fields:
-        assert f"`{key}`" in PAGES()["scenario_keys.md"]
+        assert f"`{key}`" in written()["scenario_keys.md"]
     for name in shipped():
-        assert f"[{name}]" in PAGES()["scenarios.md"]
+        assert f"[{name}]" in written()["scenarios.md"]
     for name, command in cli.main.commands.items():
         if command.hidden:
             continue
@@ -64,13 +62,13 @@ def test_all_else_that_can_be_named_is_there() -> None:
         options = (option for option in command.params if isinstance(option, click.Option))
         assert all(option.opts[0] in told for option in options)
     for name in HOMES:
-        assert f"[`{name}`](python/" in PAGES()["python.md"]
+        assert f"[`{name}`](python/" in written()["python.md"]
 
 
 def test_every_link_between_pages_of_the_reference_leads_to_a_heading() -> None:
-    for name, text in PAGES().items():
+    for name, text in written().items():
         for target, anchor in re.findall(r"\]\((\w[\w/]*\.md)#(\w+)\)", text):
-            headings = re.findall(r"^#+ (.*)$", PAGES()[target], re.MULTILINE)
+            headings = re.findall(r"^#+ (.*)$", written()[target], re.MULTILINE)
             assert anchor in {heading.lower() for heading in headings}, (name, target, anchor)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
-from scenario_files import HAS_ROBOTS, needs_robots
+from scenario_files import needs_robots
 
 import coopqp
 from coopqp.controller import Command, ControlProblem
@@ -90,7 +90,7 @@ def test_servos_that_carry_their_share_do_not_squeeze(plant: Plant, box: ClosedC
     assert np.abs(at_rest(plant, box)[1]).max() < 1e-3
 
 
-@pytest.mark.skipif(not HAS_ROBOTS, reason="needs coopqp[robots]")
+@needs_robots
 def test_two_pandas_hold_a_box_without_squeezing_it() -> None:
     """The torques of least norm would squeeze it with 17 N and saturate a wrist's motor."""
     chain = coopqp.load("two_pandas").chain

@@ -27,7 +27,10 @@ from coopqp.solvers import Daqp
 from coopqp.trace import Trace
 
 DT = 0.01  # s
-WITH_MASSES: dict[str, Plant] = {"rigid_body": RigidBody(time_step=0.002), "mujoco": Mujoco()}
+WITH_MASSES: dict[str, Plant] = {
+    "rigid_body": RigidBody(time_step=0.002),
+    "mujoco": Mujoco(time_step=0.001),
+}
 PLANTS: dict[str, Plant] = {"kinematic": Kinematic(), **WITH_MASSES}
 GRASP = Disturbance(grasp_offset=2e-3, grasp_offset_angle=5e-3)
 LINKS = Disturbance(link_length=1e-3)

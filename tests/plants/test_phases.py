@@ -89,7 +89,7 @@ def taking_hold(before: ClosedChain, after: ClosedChain, v: Array) -> Array:
     plants: list[PlantModel] = []
     for chain in (before, after):
         problem = ControlProblem(chain=chain, tasks=(), solver=Daqp())
-        plants.append(RigidBody().build(problem, 0, Disturbance()))
+        plants.append(RigidBody(time_step=0.002).build(problem, 0, Disturbance()))
     old, new = plants
     old.true.v[:] = v  # type: ignore[attr-defined]
     old.true.update()  # type: ignore[attr-defined]

@@ -38,7 +38,7 @@ from coopqp.tasks import InternalWrench, PointOnPoint
 from coopqp.trace import Trace
 
 DT, G, MASS = 0.002, 9.81, 0.2  # [s], [m/s2], [kg]
-PLANTS = {"mujoco": Mujoco(), "rigid_body": RigidBody()}
+PLANTS = {"mujoco": Mujoco(time_step=0.001), "rigid_body": RigidBody(time_step=0.002)}
 
 
 @cache
@@ -180,7 +180,7 @@ def test_of_friction_without_end_next_to_none_is_used(name: str) -> None:
 def test_a_push_uses_friction_and_a_large_one_loses_the_box() -> None:
     for newtons, held in ((0.5, True), (15.0, False)):
         push = Push(force=(0, 0, -newtons), start=0.2, duration=0.4)
-        found = Held().measure(ran(Mujoco(), Disturbance(push=push), seconds=0.5))
+        found = Held().measure(ran(Mujoco(time_step=0.001), Disturbance(push=push), seconds=0.5))
         assert found
         assert found["held"] is held
 
@@ -189,14 +189,14 @@ def test_a_fragile_box_is_not_pressed_harder_than_it_stands() -> None:
     firm = nao()
     fragile = {name: replace(grasp, least=5.0, most=6.0) for name, grasp in firm.grasps.items()}
     chain = ClosedChain.attach(firm.robot, firm.q_start, fragile, firm.held)
-    trace = ran(Mujoco(), chain=chain)
+    trace = ran(Mujoco(time_step=0.001), chain=chain)
     assert np.allclose(trace.signals["normal_force"][-50:], 5.0, rtol=0.01)  # more than friction's
     with pytest.raises(InvalidValueError, match=r"can do 5 to 6 N; most force of (right|left)"):
-        ran(Mujoco(), None, InternalWrench(squeeze=12.0), chain=chain)
+        ran(Mujoco(time_step=0.001), None, InternalWrench(squeeze=12.0), chain=chain)
 
 
 def test_a_centre_of_mass_elsewhere_is_borne() -> None:
-    trace = ran(Mujoco(), Disturbance(object_com=(0.0, 0.02, 0.0), object_mass=1.2))
+    trace = ran(Mujoco(time_step=0.001), Disturbance(object_com=(0.0, 0.02, 0.0), object_mass=1.2))
     h = trace.signals["hand_wrench"][-1].reshape(2, 6)
     assert h[:, 2].sum() == pytest.approx(1.2 * MASS * G, rel=0.03)
     assert h[1, 2] > h[0, 2]  # it is nearer to the left hand
@@ -216,7 +216,7 @@ def test_mujoco_refuses_a_contact_that_does_not_touch_the_box() -> None:
     away = replace(firm.held, size=(0.08, 0.16, 0.08))
     chain = ClosedChain.attach(firm.robot, firm.q_start, firm.grasps, away)
     with pytest.raises(InvalidValueError, match=r"contact of right is 24\.3 mm from the object"):
-        ran(Mujoco(), chain=chain)
+        ran(Mujoco(time_step=0.001), chain=chain)
 
 
 def test_fingertips_hold_a_box_that_turns_between_them() -> None:
@@ -227,7 +227,7 @@ def test_fingertips_hold_a_box_that_turns_between_them() -> None:
         for name, g in firm.grasps.items()
     }
     chain = ClosedChain.attach(firm.robot, firm.q_start, tips, firm.held)
-    trace = ran(Mujoco(), chain=chain)
+    trace = ran(Mujoco(time_step=0.001), chain=chain)
     assert Held().measure(trace) == {"held": True, "lost_at": None}
     h = trace.signals["hand_wrench"][-1].reshape(2, 6)
     # Forces alone: the contact is some micrometres deep.
@@ -258,6 +258,6 @@ def test_formulas_hold_with_a_squeeze_that_somebody_found_for_them(
     Without any squeeze nothing holds, whatever the split.
     """
     settings = WrenchSplit(split=split, squeeze=squeeze)
-    found = Held().measure(ran(Mujoco(), seconds=0.4, controller=settings))
+    found = Held().measure(ran(Mujoco(time_step=0.001), seconds=0.4, controller=settings))
     assert found
     assert found["held"] is held

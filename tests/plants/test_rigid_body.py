@@ -17,6 +17,7 @@ from coopqp.closed_loop.dynamics import Friction
 from coopqp.controller import Command, ControlProblem
 from coopqp.grasps import Rigid
 from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.plant import Disturbance, PlantModel
 from coopqp.plants import RigidBody
@@ -87,15 +88,15 @@ FREE_STEP = {"firm": 0.002, "hinged": 0.001, "three arms": 0.002}
 
 
 @pytest.mark.parametrize("name", FREE)
-def test_free_chain_keeps_its_energy_and_its_loops_for_five_seconds(
+def test_free_chain_keeps_its_energy_and_its_loops_for_two_seconds(
     request: pytest.FixtureRequest, name: str
 ) -> None:
-    """Gravity and no torque: less than 1/2000 of the exchanged energy is lost or won."""
+    """Gravity and no torque: less than 1/5000 of the exchanged energy is lost or won."""
     chain = limp(FREE[name](request))
     plant, state, still = build(chain, RigidBody(time_step=FREE_STEP[name], end_stops=False))
     ledger = Ledger(chain)
     ledger.note(plant.truth(state))
-    for _ in range(500):
+    for _ in range(200):
         plant.step(state, still)
         ledger.note(plant.truth(state))
         np.testing.assert_allclose(plant.signals["energy"], ledger.energies[-1], atol=1e-9)
@@ -103,11 +104,11 @@ def test_free_chain_keeps_its_energy_and_its_loops_for_five_seconds(
     kinetic, potential = np.array(ledger.energies).T
     exchanged = np.ptp(potential)
     assert exchanged > 0.1
-    assert np.ptp(kinetic + potential) < 5e-4 * exchanged
+    assert np.ptp(kinetic + potential) < 2e-4 * exchanged
     assert ledger.gap < 1e-9
     fastest = float(np.abs(plant.truth(state).v).max())
     assert ledger.opening < 1e-9 * max(1.0, fastest)
-    assert state.t == pytest.approx(5.0)
+    assert state.t == pytest.approx(2.0)
 
 
 def test_friction_only_takes_energy(box_chain: ClosedChain) -> None:
@@ -163,26 +164,13 @@ RESTING: dict[str, Callable[[pytest.FixtureRequest], ClosedChain]] = {
 
 
 @pytest.mark.parametrize("name", RESTING)
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
 def test_nothing_moves_at_rest_with_gravity_compensation(
     request: pytest.FixtureRequest, name: str
 ) -> None:
-    stand_still(RESTING[name](request), FINE, 20)
-
-
-@pytest.mark.parametrize(
-    "name",
-    RESTING,
-)
-@pytest.mark.filterwarnings("ignore::RuntimeWarning")
-def test_nothing_moves_at_rest_at_the_default_time_step(
-    request: pytest.FixtureRequest, name: str
-) -> None:
-    stand_still(RESTING[name](request), RigidBody(), 100)
-
-
-def stand_still(chain: ClosedChain, settings: RigidBody, ticks: int) -> None:
-    plant, state, still = build(chain, settings)
-    for _ in range(ticks):
+    chain = RESTING[name](request)
+    plant, state, still = build(chain)
+    for _ in range(100):
         plant.step(state, still)
     true = plant.truth(state)
     np.testing.assert_allclose(true.q, chain.q_start, atol=1e-9)
@@ -292,6 +280,8 @@ def test_run_does_not_depend_on_the_time_step() -> None:
     Half the step leaves a sixteenth of the error, so that the difference is the error of the other.
     """
     scenario = coopqp.load("near_singular")
+    hurried = tuple(replace(task, profile=Profile(duration=1.0)) for task in scenario.tasks)
+    scenario = replace(scenario, tasks=hurried, duration=1.5)
     ends = []
     for time_step in (0.001, 0.0005):
         trace = coopqp.run(replace(scenario, plant=RigidBody(time_step=time_step)), controller="qp")

@@ -1,10 +1,10 @@
 """The law against an independent cascade: ``python -m tests.qp_law.cascade --ticks 2000``.
 
 Random ticks with hard, scaled and soft tasks that often cannot all hold: random robots and poses,
-goals in and out of reach, tight limits, joints near their limits. What the law commands is compared
-with the lexicographic optimum (tests/lexicographic.py). Where they differ by more than 1e-7 rad/s
-the optimum is asked again with all Jacobians moved by their last digits; where that moves it as far
-it is not determined. Exit code 1 where a command is off.
+reachable and unreachable goals, tight limits, joints near their limits. What the law commands is
+compared with the lexicographic optimum (tests/lexicographic.py). Where they differ by more than
+1e-7 rad/s the optimum is asked again with all Jacobians moved by their last digits; where that
+moves it as far it is not determined. Exit code 1 where a command is off.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # what tests share
 from laws import WIDE
 from lexicographic import Cascade, Optimum
 from oracle import UndeterminedError
-from out_of_reach import OTHERS, chain_of, robots
 from stress import arrangements, goals
 from stress.goals import pick
+from unreachable_goals import OTHERS, chain_of, robots
 from walks import walk
 
 from coopqp.controller import Command, ControlProblem, Law

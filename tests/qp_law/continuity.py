@@ -1,6 +1,6 @@
 """Jumps of the command at the border of reach: ``python -m tests.qp_law.continuity --seeds 20``.
 
-On every robot a point goes slowly round a circle of which one half is out of reach, as a soft, a
+On every robot a point goes slowly round a circle of which one half is unreachable, as a soft, a
 hard and a scaled task (tests/crossing.py), alone and before other levels. Told is what is left of
 the largest change of the command v between two neighbouring states after halving their distance 40
 times, and of the largest change that the task sees, J v. Exit code 1 where one of them is more
@@ -20,8 +20,8 @@ import click
 sys.path.insert(0, str(Path(__file__).parents[1]))  # what tests share
 
 from crossing import LEFT, Jump, Mode, jump, problem
-from out_of_reach import chain_of, robots
 from stress import arrangements
+from unreachable_goals import chain_of, robots
 
 from coopqp.controllers import QPController
 

@@ -1,13 +1,13 @@
-"""Hard and scaled tasks out of reach: ``python -m tests.qp_law.hard_draws --draws 1000``.
+"""Unreachable hard and scaled tasks: ``python -m tests.qp_law.hard_draws --draws 1000``.
 
-Each draw has one hard or scaled task 0 to 50 mm out of reach and one to three soft ones
-(tests/out_of_reach.py). It runs for 12 s, and again with the firm task as soft of priority 0. Told
-are draws that swing (in the last half the object's or a joint's path is more than five times its
-range) and draws whose firm task ends farther off than as soft by more than 0.2 mm and 1 %. Of the
-latter those are at fault that are still farther off after both have gone on for 12 s from where
-the firm run has come to; the others have come to another minimum, or not yet to rest. Exit code 1
-if there are swings or faults. ``--seed S --draws 1`` runs a draw again; ``--file scenario.yaml``
-runs the hard task of a scenario in the same way.
+Each draw has one hard or scaled task, unreachable by 0 to 50 mm, and one to three soft ones
+(tests/unreachable_goals.py). It runs for 12 s, and again with the firm task as soft of priority 0.
+Told are draws that oscillate (in the last half the object's or a joint's path is more than five
+times its range) and draws whose firm task ends farther off than as soft by more than 0.2 mm and
+1 %. Of the latter those are at fault that are still farther off after both have gone on for 12 s
+from where the firm run has come to; the others have come to another minimum, or not yet to rest.
+Exit code 1 if there are oscillations or faults. ``--seed S --draws 1`` runs a draw again;
+``--file scenario.yaml`` runs the hard task of a scenario in the same way.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ import click
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # what tests share
 
-from out_of_reach import FARTHER_OFF, Ended, draw, run, shortfall
 from stress.firmness import as_soft
+from unreachable_goals import FARTHER_OFF, Ended, draw, run, shortfall
 
 from coopqp.scenario.loader import load
 from coopqp.study.engine import Engine, Lost
@@ -53,18 +53,18 @@ class Outcome:
     raised: str = ""
 
     @property
-    def swings_as_soft(self) -> bool:
-        """Whether it swings with the firm task as soft too."""
-        return self.reference is not None and self.reference.swings
+    def oscillates_as_soft(self) -> bool:
+        """Whether it oscillates with the firm task as soft too."""
+        return self.reference is not None and self.reference.oscillates
 
     @property
     def faults(self) -> tuple[str, ...]:
         """What is wrong, in words."""
         if self.raised or self.found is None or self.reference is None:
             return (self.raised or "did not run",)
-        kind = "swings, as soft too" if self.swings_as_soft else "swings"
-        swings = (kind,) if self.found.swings else ()
-        return (*swings, *([self.short] if self.short == FARTHER_OFF else []))
+        kind = "oscillates, as soft too" if self.oscillates_as_soft else "oscillates"
+        oscillates = (kind,) if self.found.oscillates else ()
+        return (*oscillates, *([self.short] if self.short == FARTHER_OFF else []))
 
 
 def outcomes(seeds: Sequence[int]) -> list[Outcome]:
@@ -112,10 +112,10 @@ def tell(done: Sequence[Outcome], shown: int) -> None:
     for mode in ("hard", "scaled"):
         of_mode = [one for one in done if one.mode == mode]
         faults = Counter(fault for one in of_mode for fault in one.faults)
-        of_soft = sum(one.swings_as_soft for one in of_mode)
+        of_soft = sum(one.oscillates_as_soft for one in of_mode)
         click.echo(
-            f"{mode}: {len(of_mode)} draws, {faults['swings']} swing and "
-            f"{faults['swings, as soft too']} more that swing as soft too ({of_soft} do); "
+            f"{mode}: {len(of_mode)} draws, {faults['oscillates']} oscillate and "
+            f"{faults['oscillates, as soft too']} more that oscillate as soft too ({of_soft} do); "
             f"{faults[FARTHER_OFF]} farther off than as soft of priority 0"
         )
         for short in sorted({one.short for one in of_mode} - {"", FARTHER_OFF}):

@@ -6,8 +6,8 @@ from functools import cache
 
 import pytest
 from crossing import LEFT, Jump, Mode, jump, problem
-from out_of_reach import chain_of, robots
 from stress import arrangements
+from unreachable_goals import chain_of, robots
 
 from coopqp.controllers import QPController
 

@@ -81,7 +81,7 @@ def test_hard_task_that_cannot_hold_is_the_least_squares_nearest(chain: ClosedCh
 
 
 def test_objectives_give_way_before_anything_is_given_up(chain: ClosedChain) -> None:
-    """A soft goal out of reach is no emergency: the ticks stay optimal."""
+    """An unreachable soft goal is no emergency: the ticks stay optimal."""
     far = PointOnPoint(name="far", goal=(0.19, 0.1, 0.25), profile=Profile(duration=2.0))
     trace = run(PLAIN, problem(chain, far, secondary=[JointCentering(name="centre")]), 300)
     assert set(trace.status) == {"OPTIMAL"}

@@ -203,13 +203,13 @@ def run(baxter: Baxter, theirs: Pink, *, closed: bool) -> Run:
     return Run(apart, loop_error, speed, at_position.astype(bool), at_velocity.astype(bool))
 
 
-def out_of_reach() -> Baxter:
+def unreachable() -> Baxter:
     """Too fast for the joints, and beyond where the elbows stop."""
     return Baxter(goal=(0.5, 0.3, 0.5), dt=0.004, gain=5.0, lowest_elbow=0.9)
 
 
 def test_pink_and_coopqp_agree_with_limits_active() -> None:
-    baxter = out_of_reach()
+    baxter = unreachable()
     both = run(baxter, Pink(baxter, **TIGHT), closed=True)
     assert both.loop_error.max() < 1e-12
     assert both.at_velocity.sum() > 100

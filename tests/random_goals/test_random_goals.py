@@ -140,7 +140,7 @@ def test_starts_are_of_both_kinds_and_closed(small: list[GoalRun]) -> None:
 # Inverse kinematics.
 
 
-def test_a_goal_on_a_walk_inside_the_limits_is_found_and_one_out_of_reach_is_not() -> None:
+def test_a_goal_on_a_walk_inside_the_limits_is_found_and_an_unreachable_one_is_not() -> None:
     drawn = draw("nao_t14", 0, 3)
     problem = drawn.problem
     chain, at_once = problem.chain, Profile(kind="step")

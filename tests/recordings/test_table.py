@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from explained import traced
 from scenario_files import HEAD
 
 import coopqp
@@ -62,8 +63,7 @@ def test_a_new_field_is_a_line_and_where_it_is_measured(
     measured = 300.0 + np.arange(trace.v.size).reshape(trace.v.shape) / 3.0
     measured[:5, 1] = np.nan
     warm = replace(trace, signals={**trace.signals, "heat": measured})
-    files.write(replace(comparison, traces={"qp": warm}), tmp_path)
-    path, scenario = tmp_path / "trace.csv", comparison.scenario
+    path, scenario = traced(replace(comparison, traces={"qp": warm}), tmp_path), comparison.scenario
     if kind != "csv":
         run, path = read(path), tmp_path / f"qp.{kind}"
         export(run, scenario, kind, "qp", path)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import typed
-from scenario_files import HAS_ROBOTS, cut, write
+from scenario_files import cut, needs_robots, write
 
 import coopqp
 from coopqp.assessment import assess
@@ -130,7 +130,7 @@ def test_the_page_explains_forces_where_there_are_some_and_laws_where_they_are_c
     assert "friction" not in plain
 
 
-@pytest.mark.skipif(not HAS_ROBOTS, reason="needs coopqp[robots]")
+@needs_robots
 def test_fastened_hands_have_no_section_of_pressing_ones() -> None:
     yielding = compare(cut(coopqp.load("position_pair"), 5))
     titles = {group.title: group for group in groups(yielding)}

@@ -15,12 +15,13 @@ import numpy as np
 import pytest
 from plotly.offline import get_plotlyjs
 from rich.console import Console
+from side_by_side import needs_kernel
 
 import coopqp
+from coopqp.assessment import assess
 from coopqp.base.errors import CoopqpError
 from coopqp.controllers import QPController
 from coopqp.execution.comparison import Comparison, summarize
-from coopqp.kernel import native
 from coopqp.report import curves, files
 from coopqp.report.cells import cells, facts
 from coopqp.report.figures.chart import Chart
@@ -30,16 +31,17 @@ from coopqp.report.page import render
 from coopqp.report.scene.playback import MAX_FRAMES, scene
 from coopqp.report.style import styles
 from coopqp.report.table import summary
+from coopqp.tasks import PointOnPlane
 
 EVIL = "A <b>bold</b> </script><script>alert('x')</script> & $title [red]box[/red]"
-OUT_OF_REACH = (0.30, 0.10, 0.0)  # m
+UNREACHABLE = (0.30, 0.10, 0.0)  # m
 
 
 @pytest.fixture(scope="module")
 def comparison() -> Comparison:
-    """A goal out of reach, so that pseudoinverse laws blow up, and names that try to break out."""
+    """An unreachable goal, so that pseudoinverse laws blow up, and names that try to break out."""
     scenario = coopqp.load("point_on_point")
-    task = replace(scenario.tasks[0], name=EVIL, goal=OUT_OF_REACH)
+    task = replace(scenario.tasks[0], name=EVIL, goal=UNREACHABLE)
     return coopqp.compare(replace(scenario, description=EVIL, tasks=(task,)))
 
 
@@ -56,6 +58,28 @@ def data_of(page: str, name: str) -> Any:
     found = re.search(rf'<script type="application/json" id="{name}">(.*?)</script>', page, re.S)
     assert found
     return json.loads(found[1])
+
+
+def test_each_task_of_a_cell_says_whether_it_is_reached(comparison: Comparison) -> None:
+    scenario = comparison.scenario
+    plane = PointOnPlane(name="here", normal=(0, 0, 1), through=(0, 0, 0.04))
+    two = coopqp.compare(replace(scenario, tasks=(*scenario.tasks, plane)), controllers=["qp"])
+    cell = cells(two.traces["qp"], two.metrics["qp"])["task_error"]
+    missed = [task.name for task in assess(two.traces["qp"]).missed]
+    assert 0 < len(missed) <= 2 == len(cell.each)
+    assert list(cell.each) == [task.name in missed for task in two.traces["qp"].tasks]
+    shown = [f'<span class="{"bad" if bad else "good"}">' for bad in cell.each]
+    assert all(span in render(two) for span in shown)
+
+
+def test_a_missed_goal_leads_to_the_command_that_explains_it(
+    comparison: Comparison, tmp_path: Path
+) -> None:
+    page = render(comparison, tmp_path / "my out")
+    said = f"<code>coopqp explain '{tmp_path / 'my out'}' --controller qp</code>"
+    assert comparison.scenario.source
+    assert html.unescape(page).count(said) == 1
+    assert "coopqp explain" not in render(coopqp.compare(coopqp.load("point_on_point")), tmp_path)
 
 
 def test_page_loads_nothing(page: str) -> None:
@@ -141,7 +165,7 @@ def test_times_of_ticks_stand_beside_those_of_the_same_language_alone() -> None:
     assert [lines[1:] for lines in tick.values()] == [("C++",), ("Python",), ("C++", "2 in Python")]
 
 
-@pytest.mark.skipif(native.module() is None, reason="the kernel is not built")
+@needs_kernel
 def test_the_solver_has_one_name(comparison: Comparison) -> None:
     assert ("QP solver", "kernel") in facts(comparison)
     both = coopqp.compare(
@@ -181,7 +205,7 @@ def test_playback_marks_joints_beyond_their_limits(comparison: Comparison) -> No
     drawn = scene(comparison)
     (goal,) = drawn["goals"]
     assert goal["name"] == EVIL
-    assert goal["at"] == len(drawn["t"]) * [list(OUT_OF_REACH)]
+    assert goal["at"] == len(drawn["t"]) * [list(UNREACHABLE)]
     assert (goal["first"], goal["last"]) == (0, len(drawn["t"]) - 1)
     assert len(drawn["t"]) <= MAX_FRAMES
     worst = {
@@ -285,7 +309,7 @@ def test_table_fits_the_terminal_and_shows_names_as_they_are(comparison: Compari
     assert "✗ no" in " ".join(lines)
 
 
-@pytest.mark.skipif(native.module() is None, reason="the kernel is not built")
+@needs_kernel
 def test_runs_that_nobody_timed_have_a_page_without_times() -> None:
     scenario = coopqp.load("planar_pair")
     laws = "qp", "pseudoinverse"

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from explained import traced
 from scenario_files import cut
 
 import coopqp
@@ -63,8 +64,7 @@ def test_a_trace_without_these_columns_can_still_be_explained(
     comparison: Comparison, tmp_path: Path
 ) -> None:
     """As an earlier version wrote it."""
-    files.write(comparison, tmp_path)
-    new = tmp_path / "trace.csv"
+    new = traced(comparison, tmp_path)
     added = ("e[", "rate[", "margin[", "nearest[")
     with new.open(encoding="utf-8", newline="") as stream:
         rows = list(csv.DictReader(stream))

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rich.console import Console
-from scenario_files import HAS_ROBOTS
+from scenario_files import needs_robots
 
 import coopqp
 from coopqp.base.errors import ScenarioError
@@ -29,8 +29,6 @@ from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.form import file_model
 from coopqp.scenario.loader import find, load
 from coopqp.trace import Trace
-
-needs_robots = pytest.mark.skipif(not HAS_ROBOTS, reason="needs coopqp[robots]")
 
 RAIL = """
   <joint name="rail" type="prismatic"><parent link="world"/><child link="cart"/>

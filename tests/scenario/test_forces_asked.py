@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from command_line import typed
-from scenario_files import LOADABLE
+from scenario_files import needs_robots
 
 import coopqp
 from coopqp.base.errors import InvalidValueError
@@ -19,8 +19,6 @@ from coopqp.scenario.notes import notes
 from coopqp.scenario.scenario import Scenario
 from coopqp.signals import Input
 from coopqp.tasks import Impedance, InternalWrench
-
-needs_robots = pytest.mark.skipif("impedance" not in LOADABLE, reason="needs coopqp[robots]")
 
 
 def squeezing(**squeeze: object) -> Scenario:

@@ -117,3 +117,16 @@ def test_a_plant_that_cannot_be_built_is_a_fault_of_the_file(tmp_path: Path) -> 
         ScenarioError, match=rf"s\.yaml:{line}: plant: time_step: found 0.003 s.*such as"
     ):
         load(path)
+
+
+def test_a_contact_beside_the_face_of_an_object_without_a_size_is_told_at_the_object(
+    tmp_path: Path,
+) -> None:
+    pytest.importorskip("mujoco")
+    text = load("nao_presses").source
+    size = next(line for line in text.splitlines() if "size: [" in line)
+    path = tmp_path / "s.yaml"
+    path.write_text(text.replace(f"{size}\n", ""), encoding="utf-8")
+    line = 1 + text.splitlines().index("object:")
+    with pytest.raises(ScenarioError, match=rf"s.yaml:{line}: object: .* from the object's face"):
+        load(path)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,8 @@ from coopqp.base.errors import InvalidValueError, ScenarioError
 from coopqp.base.spec import Pose
 from coopqp.scenario.loader import load
 from coopqp.scenario.notes import notes
+from coopqp.task import Task
+from coopqp.tasks import PointOnPlane, PointOnPoint
 
 GOAL = "duration: 1.0\ntasks:\n  - point_on_point: {name: reach, goal: [0.17, 0.01, 0.06]}\n"
 TEXT = HEAD + GOAL + TAIL
@@ -104,6 +107,24 @@ def test_millimetres_for_metres_are_one_line(
     (fault,) = caught.value.faults
     assert place in str(fault)
     assert str(fault).endswith("; lengths are metres")
+
+
+@pytest.mark.parametrize(
+    ("task", "error"),
+    [
+        (PointOnPoint(name="up", goal=(0.5, 0.0, 0.1)), "z, 0.1 m"),
+        (PointOnPlane(name="up", normal=(0, 0, 1), through=(0, 0, 0.1)), "normal, 0.1 m"),
+        (PointOnPoint(name="up", goal=(0.5, 0.0, 0.0)), ""),
+        (PointOnPoint(name="up", goal=(9.0, 0.0, 0.0)), ""),  # far, but in the arms' plane
+        (PointOnPlane(name="up", normal=(1, 0, 1), through=(0, 0, 0.1)), ""),  # reached in x
+    ],
+)
+def test_what_no_joint_of_a_planar_pair_moves_is_a_note(task: Task, error: str) -> None:
+    told = [
+        line for line in notes(replace(load("planar_pair"), tasks=(task,))) if "no motion" in line
+    ]
+    words = "the goal of 'up' is unreachable, whatever the limits: no motion of the joints changes"
+    assert told == ([f"{words} its error in {error}"] if error else [])
 
 
 def test_a_far_goal_comes_before_all_other_notes(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from .ending import PartErrors
 from .signs import Record
 
 FEWEST, ROUND, MOST = 200, 100, 500  # ticks; after each round it is asked whether it has ended
-LONGEST = 24.0  # who may swing goes on for so long: a third is 1.6 periods of 0.2 Hz [s]
+LONGEST = 24.0  # who may oscillate goes on for so long: a third is 1.6 periods of 0.2 Hz [s]
 #: Targets with a velocity turn by at most 0.35 rad in this time, and move by a fifth of the reach:
 #: joints that follow them do not go to and fro [s].
 FOLLOWED = 2.0
@@ -84,7 +84,7 @@ def note_loops(record: Record, position: float, orientation: float) -> None:
 
 
 def _goes_on(state: State, record: Record, errors: PartErrors, *, patient: bool) -> bool:
-    """Whether the end is open: at first, on the way, and where joints may swing."""
+    """Whether the end is open: at first, on the way, and where joints may oscillate."""
     ticks = len(record.v)
     if ticks < max(FEWEST, record.rest):
         return True

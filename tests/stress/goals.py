@@ -41,7 +41,7 @@ Vector = tuple[float, float, float]
 T = TypeVar("T")
 
 FARTHEST = 0.4  # distance of a goal from the start, as a share of the arms' reach
-TURN = 1.0  # largest turn to a goal out of reach [rad]
+TURN = 1.0  # largest turn to an unreachable goal [rad]
 SPEED = 0.1  # of a twist, a share of the reach in a second [1/s], and [rad/s]
 
 

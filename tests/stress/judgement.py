@@ -23,7 +23,7 @@ class Rollout:
         goal, errors: as drawn on plants with masses; else empty.
         outcome, reason: how it ended, and why there; empty when it raised.
         broken: promises that were broken, in words.
-        frozen, swinging, worse, never_back: signs that were seen; each is a broken promise too.
+        frozen, oscillating, worse, never_back: signs that were seen; each is a broken promise too.
         saturated, squeezed: the same on plants with masses.
         compared: hard tasks that it rests short of, and that were tried as soft ones.
         position_excess: largest overrun of a position limit that held before [rad].
@@ -49,7 +49,7 @@ class Rollout:
     reason: str = ""
     broken: tuple[str, ...] = ()
     frozen: bool = False
-    swinging: bool = False
+    oscillating: bool = False
     worse: bool = False
     never_back: bool = False
     saturated: bool = False
@@ -79,7 +79,7 @@ def judged(
     """Judge a rollout whose time is up; the encoders' noise has this standard deviation [rad]."""
     end = ending(law, state, record, errors)
     resting, units = record.q[record.rest :], record.units
-    swings = oscillation(resting, units, record.dt, longest=record.longest, noise=noise)
+    oscillates = oscillation(resting, units, record.dt, longest=record.longest, noise=noise)
     return Rollout(
         seed=seed,
         robot=drawn.robot,
@@ -90,9 +90,9 @@ def judged(
         tasks=drawn.tasks,
         outcome=end.outcome,
         reason=end.reason,
-        broken=(*signs.overruns(record, drawn.problem.budget), *_seen(end, drawn, swings)),
+        broken=(*signs.overruns(record, drawn.problem.budget), *_seen(end, drawn, oscillates)),
         frozen=end.frozen,
-        swinging=swings is not None,
+        oscillating=oscillates is not None,
         never_back=end.never_back,
         ticks=len(record.v),
         position_excess=signs.position_excess(record),
@@ -105,13 +105,13 @@ def judged(
     )
 
 
-def _seen(end: Ending, drawn: Draw, swings: Oscillation | None) -> Iterator[str]:
+def _seen(end: Ending, drawn: Draw, oscillates: Oscillation | None) -> Iterator[str]:
     """The signs in words."""
     chain = drawn.problem.chain
     if end.frozen:
         yield f"froze: {end.reason}"
-    if swings:
-        name, unit = chain.joint_names[swings.joint], chain.joint_units[swings.joint]
-        yield f"swings: {name} by {swings.size:.2g} {unit} at {swings.frequency:.2g} Hz"
+    if oscillates:
+        name, unit = chain.joint_names[oscillates.joint], chain.joint_units[oscillates.joint]
+        yield f"oscillates: {name} by {oscillates.size:.2g} {unit} at {oscillates.frequency:.2g} Hz"
     if end.never_back:
         yield f"never came back: {end.reason}"

@@ -19,7 +19,7 @@ Line = dict[str, Any]
 
 #: What is added up of all rollouts, and of what the worst is told.
 ADDED = (
-    *("frozen", "swinging", "worse", "never_back", "saturated", "squeezed", "broken"),
+    *("frozen", "oscillating", "worse", "never_back", "saturated", "squeezed", "broken"),
     *("compared", "ticks", "fallbacks", "inaccurate", "plain"),
 )
 WORST = ("position_excess", "velocity_excess", "loop_position", "loop_orientation", "force")
@@ -35,7 +35,7 @@ OUTCOMES = {
 }
 SIGNS = {
     "froze": "frozen",
-    "swing": "swinging",
+    "oscil-\nlates": "oscillating",
     "worse": "worse",
     "never\nback": "never_back",
     "broken": "broken",

@@ -9,22 +9,20 @@ import pytest
 from laws import problem
 from pads import pressing
 from rich.console import Console
+from scenario_files import needs_robots
 
 from coopqp.controllers import TorqueQp
 from coopqp.controllers.torque_qp import TorqueQpLaw
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.solver import Status
 from coopqp.tasks import PointOnPoint
-from stress import arrangements
 from stress.contacts import ContactRollout, Seen, contact_rollout, draw_pressing, look
 from stress.summary import contact_table, summarize
-
-needs_robots = pytest.mark.skipif(len(arrangements.names()) < 8, reason="other robots, other draws")
 
 
 @pytest.fixture(scope="module")
 def few() -> list[ContactRollout]:
-    return [contact_rollout(seed) for seed in range(4)]
+    return [contact_rollout(seed) for seed in range(3)]
 
 
 @needs_robots

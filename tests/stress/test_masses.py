@@ -11,20 +11,18 @@ from functools import partial
 import numpy as np
 import pytest
 from rich.console import Console
+from scenario_files import needs_robots
 
 from coopqp.base.errors import MissingDependencyError
 from coopqp.plant import Disturbance
 from coopqp.plants import Mujoco, RigidBody
 from coopqp.solvers import Osqp, Proxqp
 from coopqp.study.engine import Engine
-from stress import arrangements
 from stress.draw import Draw, draw
 from stress.judgement import Rollout
 from stress.masses import MARGIN, Run, Squeeze, draw_with_masses, saturates, squeezes
 from stress.summary import summarize, table
 from stress.trial import one_rollout, stress
-
-needs_robots = pytest.mark.skipif(len(arrangements.names()) < 8, reason="other robots, other draws")
 
 #: They rest, without noise, in spite of errors of the model: TIAGo, after a slip, and three UR.
 AT_REST = (4, 13)

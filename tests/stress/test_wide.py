@@ -20,6 +20,7 @@ import pytest
 from click.testing import CliRunner, Result
 from numpy.typing import NDArray
 from rich.console import Console
+from scenario_files import needs_robots
 
 from coopqp.controller import Law
 from coopqp.model.state import State
@@ -65,7 +66,7 @@ def made_up(v: Array, causes: tuple[Status, ...] = OK, q_0: float = 0.0) -> Reco
 
 def test_a_small_share_breaks_no_promise(small: list[Rollout]) -> None:
     assert [(r.seed, r.broken) for r in small if r.broken] == []
-    assert not any(r.frozen or r.swinging or r.worse or r.never_back for r in small)
+    assert not any(r.frozen or r.oscillating or r.worse or r.never_back for r in small)
     assert {r.outcome for r in small} <= {"reached", "blocked", "at rest", "moving", "recovering"}
     assert all(r.reason for r in small if r.outcome != "reached")
     assert sum(r.outcome == "reached" for r in small) >= len(small) // 4
@@ -110,21 +111,21 @@ CHATTERED = (
 )  # fmt: skip
 
 
-@pytest.mark.skipif(len(arrangements.names()) < 8, reason="other robots, other draws")
+@needs_robots
 @pytest.mark.parametrize("seed", CHATTERED)
 def test_rollouts_that_chattered_do_not_any_more(seed: int) -> None:
-    assert not one_rollout(seed).swinging
+    assert not one_rollout(seed).oscillating
 
 
-#: Joints swing in these, or hard tasks rest farther off than as soft ones.
-SWUNG = (331, 495, 594, 644, 954, 1156, 1568, 1898, 9537)
+#: Joints oscillated in these, or hard tasks rest farther off than as soft ones.
+OSCILLATED = (331, 495, 594, 644, 954, 1156, 1568, 1898, 9537)
 FARTHER_OFF = (161, 197, 688, 828, 834, 967)
 
 
 @pytest.mark.skip(reason="the law does not keep this yet")
-@pytest.mark.skipif(len(arrangements.names()) < 8, reason="other robots, other draws")
-@pytest.mark.parametrize("seed", SWUNG + FARTHER_OFF)
-def test_rollouts_that_swung_or_rested_farther_off_do_not_any_more(seed: int) -> None:
+@needs_robots
+@pytest.mark.parametrize("seed", OSCILLATED + FARTHER_OFF)
+def test_rollouts_that_oscillated_or_rested_farther_off_do_not_any_more(seed: int) -> None:
     assert not one_rollout(seed).broken
 
 
@@ -240,7 +241,7 @@ def test_table_can_be_read_at_80_columns(small: list[Rollout]) -> None:
     text = console.export_text()
     assert "…" not in text
     assert all(len(line.rstrip()) <= 80 for line in text.splitlines())
-    signs_seen = ("froze", "swing", "worse", "never", "broken")
+    signs_seen = ("froze", "oscil", "worse", "never", "broken")
     for words in (*signs_seen, "still", "INACCURATE", "baxter", "all"):
         assert words in text or (words == "baxter" and words not in arrangements.names())
 

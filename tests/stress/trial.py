@@ -23,7 +23,7 @@ from .masses import draw_with_masses, run_pair
 
 JOINTS = Kinematic()
 HERE = Engine()
-PATIENT = 10  # one in so many rollouts waits for swings that begin late
+PATIENT = 10  # one in so many rollouts waits for oscillations that begin late
 COLLECTED = 50_000  # objects that are made before unused ones in cycles are looked for
 One = TypeVar("One")
 
@@ -96,7 +96,7 @@ def _run(seed: int, solver: Solver, plant: Plant) -> Rollout:
     record, errors = record_of(drawn.problem), PartErrors(drawn.problem, state)
     drive_on(law, state, record, errors, patient=seed % PATIENT == 0)
     rollout = judged(seed, drawn, law, state, record, errors)
-    missed = [] if rollout.swinging else missed_hard_tasks(drawn.problem, state, record)
+    missed = [] if rollout.oscillating else missed_hard_tasks(drawn.problem, state, record)
     worse = tuple(words for i in missed for words in worse_than_soft(law, state, i))
     return replace(
         rollout, broken=(*rollout.broken, *worse), worse=bool(worse), compared=len(missed)

@@ -167,9 +167,9 @@ FIRM, HINGE = Rigid(), Revolute(point=(0.0, 0.0, 0.02))
     [
         (Kinematic(), FIRM),
         (Kinematic(), HINGE),
-        (RigidBody(), FIRM),
-        (RigidBody(), HINGE),
-        (Mujoco(), FIRM),
+        (RigidBody(time_step=0.002), FIRM),
+        (RigidBody(time_step=0.002), HINGE),
+        (Mujoco(time_step=0.001), FIRM),
     ],
     ids=["kinematic", "kinematic, hinges", "rigid_body", "rigid_body, hinges", "mujoco"],
 )

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from explained import explained
+from explained import explained, traced
 
 import coopqp
 from coopqp.assessment import assess
@@ -15,7 +15,6 @@ from coopqp.controllers import TorqueQp, WrenchSplit
 from coopqp.execution.comparison import summarize
 from coopqp.plant import Disturbance
 from coopqp.plants import RigidBody
-from coopqp.report import files
 from coopqp.scenario.scenario import Scenario
 from coopqp.study.explanation import explain_run
 from coopqp.study.trace_file import trace_from_file
@@ -61,8 +60,7 @@ def test_springs_are_said_to_bear_what_nobody_knows_of(tmp_path: Path) -> None:
         disturbance=Disturbance(object_mass=1.3),
     )  # fmt: skip
     trace = coopqp.run(scenario, controller="torque_qp")
-    path = tmp_path / "trace.csv"
-    files.write_one(path, files.trace_csv(summarize(scenario, {"torque_qp": trace})))
+    path = traced(summarize(scenario, {"torque_qp": trace}), tmp_path)
     found = explain_run(scenario, trace_from_file(path, scenario, "torque_qp"))
     assert found.kind == "springs"
     assert "gain" not in found.sentence
@@ -76,7 +74,7 @@ def test_an_object_that_is_held_is_explained_as_ever() -> None:
 
 
 def test_a_written_run_ends_where_the_run_itself_does(tmp_path: Path) -> None:
-    """A force that swings by 3.9 N, and passes what was asked for in the last sample."""
+    """A force that oscillates by 3.9 N, and passes what was asked for in the last sample."""
     pressing = InternalWrench(name="press", squeeze=120.0)
     scenario = lifted(tasks=(*lifted().tasks, pressing))
     trace = coopqp.run(scenario, controller="torque_qp")
@@ -84,8 +82,7 @@ def test_a_written_run_ends_where_the_run_itself_does(tmp_path: Path) -> None:
     error = trace.task_error.copy()
     error[:, k] = np.abs(3.9 * np.sin(2.0 * np.pi * (trace.t - trace.t[-1]) / 0.05))
     trace = replace(trace, task_error=error)
-    path = tmp_path / "trace.csv"
-    files.write_one(path, files.trace_csv(summarize(scenario, {"torque_qp": trace})))
+    path = traced(summarize(scenario, {"torque_qp": trace}), tmp_path)
     ends = assess(trace_from_file(path, scenario, "torque_qp")).tasks
     read = {task.name: task.error for task in ends}
     own = dict(zip((task.name for task in trace.tasks), assess(trace).errors.tolist(), strict=True))

@@ -310,7 +310,7 @@ def test_relaxations_are_listed_from_the_largest(compared: Comparison, law: QPLa
 
 
 def blocked(chain: ClosedChain, mode: str) -> tuple[QPLaw, State]:
-    """Two seconds after a task out of reach, beside soft ones that pull elsewhere."""
+    """Two seconds after an unreachable task, beside soft ones that pull elsewhere."""
     far = PointOnPoint(name="far", goal=UNREACHABLE, mode=mode)  # type: ignore[arg-type]
     near = PointOnPoint(name="near", goal=NEAR)
     law = QPController().plain(

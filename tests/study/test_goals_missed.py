@@ -1,4 +1,4 @@
-"""Goals out of reach, tasks that contradict each other, and tasks with too many rows.
+"""Unreachable goals, tasks that contradict each other, and tasks with too many rows.
 
 Distances are those of scipy over pinocchio's kinematics.
 """
@@ -25,7 +25,7 @@ from coopqp.study.explanation.insufficient_time import _rests
 from coopqp.tasks import Orientation, PointOnPlane, PointOnPoint, Pose, Twist
 
 
-def test_the_table_case_is_told_apart_from_what_is_out_of_reach_anyway() -> None:
+def test_the_table_case_is_told_apart_from_what_is_unreachable_anyway() -> None:
     """Without the table 4.2 mm are missing, by scipy; with it the run ends much farther off."""
     scenario, found = advice("my4"), of_case("my4")
     way = nearest(scenario.chain, (0.19, 0.0, 0.0))
@@ -37,7 +37,7 @@ def test_the_table_case_is_told_apart_from_what_is_out_of_reach_anyway() -> None
 
 
 @pytest.mark.parametrize("goal", [(0.28, 0.0, 0.05), (0.19, 0.0, 0.35)])
-def test_goals_out_of_reach_are_told_by_distance_and_direction(
+def test_unreachable_goals_are_told_by_distance_and_direction(
     goal: tuple[float, float, float],
 ) -> None:
     scenario = nao(PointOnPoint(name="reach", goal=goal))
@@ -46,10 +46,10 @@ def test_goals_out_of_reach_are_told_by_distance_and_direction(
     assert found.distance == pytest.approx(float(np.linalg.norm(way)), abs=5e-4)
     np.testing.assert_allclose(found.way, way / np.linalg.norm(way), atol=5e-3)
     assert "rad/s" not in found.sentence
-    assert "out of reach by" in found.sentence
+    assert "unreachable by" in found.sentence
 
 
-def test_a_twist_that_stretches_the_arms_is_out_of_reach_along_its_axis() -> None:
+def test_a_twist_that_stretches_the_arms_is_unreachable_along_its_axis() -> None:
     """The loops' own Jacobian has all but lost that direction, whatever limits say."""
     scenario, found = advice("nod"), of_case("nod")
     assert found.kind == "reach"

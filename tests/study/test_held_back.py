@@ -14,13 +14,17 @@ from laws import LIMITS
 from scipy.optimize import minimize
 
 from coopqp.assessment import assess
-from coopqp.base.spec import Array
+from coopqp.base.qp import Row
+from coopqp.base.spec import Array, spec
 from coopqp.execution.controller_run import run
+from coopqp.limit import Clearance, Limit, LimitRows, Tighten
 from coopqp.limits import (
     JointAcceleration,
     SelfCollision,
     Workspace,
 )
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 from coopqp.robot import Robot, RobotModel
 from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario
@@ -49,6 +53,33 @@ def given_more(scenario: Scenario, found: RunExplanation, share: float = 1.0) ->
         ends[i] += share * need.amount * (1 if side == "upper" else -1)
     other = replace(scenario, robot=Wider(replace(robot, model=model)))
     return float(assess(run(other, controller="qp")).errors[0] / scenario.tasks[0].tolerance)
+
+
+@spec
+class Wall(Limit):
+    """The object's origin stays below a height; it cannot be relaxed."""
+
+    height: float
+
+    def rows(self, chain: ClosedChain) -> tuple[Row, ...]:
+        return (Row(name="limit.wall", kind="limit", owner="wall", unit="m", of_place=True),)
+
+    def bind(self, chain: ClosedChain, dt: float) -> Tighten:
+        def tighten(state: State, rows: LimitRows) -> None:
+            rows.G[0] = state.J_task[2]
+            rows.h[0] = 5.0 * (self.height - state.p_WO[2])
+
+        return tighten
+
+    def clearance(self, chain: ClosedChain) -> Clearance:
+        return lambda state: np.array([self.height - state.p_WO[2]])
+
+
+def test_a_limit_that_cannot_be_relaxed_says_which_method_it_lacks() -> None:
+    task = PointOnPoint(name="up", goal=(0.17, 0.0, 0.06))
+    found = explained(nao(task, limits=(*LIMITS, Wall(height=0.045))))
+    assert "limit 'wall' has no method relaxed(by)" in found.sentence
+    assert found.tried is None
 
 
 @pytest.fixture(scope="module")

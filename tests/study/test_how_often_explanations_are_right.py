@@ -32,7 +32,7 @@ def test_what_is_called_curable_is_cured_by_exactly_what_is_said(bench: Any) -> 
         assert bench.cured(outcome)
 
 
-def test_goals_out_of_reach_are_blamed_on_nothing_else(bench: Any) -> None:
+def test_unreachable_goals_are_blamed_on_nothing_else(bench: Any) -> None:
     kinds = [bench.explained(case).found.kind for case in islice(bench.far(7), 2)]
     assert kinds == ["reach"] * 2
 

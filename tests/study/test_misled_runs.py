@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import pytest
+from explained import hurried_reruns, traced  # noqa: F401 - a fixture
+
 import coopqp
 from coopqp.execution.comparison import summarize
 from coopqp.limits import FollowingError, JointPosition, JointVelocity
 from coopqp.plant import Disturbance, Fault
 from coopqp.plants import RigidBody
-from coopqp.report import files
 from coopqp.scenario.scenario import Scenario
 from coopqp.study.explanation import RunExplanation, explain_run
 from coopqp.study.trace_file import trace_from_file
@@ -18,8 +20,7 @@ from coopqp.study.trace_file import trace_from_file
 
 def explained(scenario: Scenario, folder: Path, controller: str = "qp") -> RunExplanation:
     trace = coopqp.run(scenario, controller=controller)
-    path = folder / f"{controller}.csv"
-    files.write_one(path, files.trace_csv(summarize(scenario, {controller: trace})))
+    path = traced(summarize(scenario, {controller: trace}), folder)
     return explain_run(scenario, trace_from_file(path, scenario, controller))
 
 
@@ -38,6 +39,7 @@ def test_a_leash_that_holds_the_commands_back_is_named(tmp_path: Path) -> None:
     assert explained(free, tmp_path).kind == "reached"
 
 
+@pytest.mark.usefixtures("hurried_reruns")
 def test_what_the_model_gets_wrong_is_not_blamed_on_the_law(tmp_path: Path) -> None:
     wrong = Disturbance(grasp_offset=3e-3, encoder_offset=5e-3)
     plant = RigidBody(time_step=0.002)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from explained import traced
 from scenario_files import HEAD, PHASES, TAIL, phased
 
 import coopqp
@@ -15,7 +16,6 @@ from coopqp.execution.comparison import summarize
 from coopqp.limits import FollowingError, JointPosition, JointVelocity
 from coopqp.plant import Disturbance, Plant, Slip
 from coopqp.plants import Kinematic, Mujoco, RigidBody
-from coopqp.report import files
 from coopqp.study.trace_file import recorded_tick
 
 WRONG = Disturbance(
@@ -24,17 +24,21 @@ WRONG = Disturbance(
 SCALED = (HEAD + PHASES + TAIL).replace("{name: up,", "{name: up, mode: scaled,")
 
 
-@pytest.mark.parametrize("plant", [Kinematic(), RigidBody(), Mujoco()], ids=repr)
+@pytest.mark.parametrize(
+    "plant",
+    [Kinematic(), RigidBody(time_step=0.002), Mujoco(time_step=0.001)],
+    ids=lambda plant: type(plant).__name__,
+)
 def test_every_tick_can_be_repeated(plant: Plant, tmp_path: Path) -> None:
     if isinstance(plant, Mujoco):
         pytest.importorskip("mujoco")
     wrong = WRONG.kinematic if isinstance(plant, Kinematic) else WRONG
     scenario = replace(phased(tmp_path, SCALED), plant=plant, disturbance=wrong)
     trace = coopqp.run(scenario, controller="qp")
-    files.write(summarize(scenario, {"qp": trace}), tmp_path / "out")
+    written = traced(summarize(scenario, {"qp": trace}), tmp_path)
     assert np.abs(trace.v).max() > 0.05
     for tick in (0, 1, 30, 55, 59, 60, 61, 119, 120, 121, 140, 169):
-        record = recorded_tick(tmp_path / "out" / "trace.csv", scenario, "qp", tick)
+        record = recorded_tick(written, scenario, "qp", tick)
         np.testing.assert_allclose(record.answer[: trace.v.shape[1]], trace.v[tick], atol=1e-12)
         np.testing.assert_array_equal(record.q, trace.commanded[tick])
 
@@ -42,7 +46,7 @@ def test_every_tick_can_be_repeated(plant: Plant, tmp_path: Path) -> None:
 def test_ticks_on_a_leash_can_be_repeated(tmp_path: Path) -> None:
     scenario = replace(
         coopqp.load("two_pandas"),
-        plant=RigidBody(),
+        plant=RigidBody(time_step=0.002),
         disturbance=WRONG,
         limits=(JointPosition(), JointVelocity(), FollowingError(max=0.001)),
         duration=0.5,
@@ -51,16 +55,15 @@ def test_ticks_on_a_leash_can_be_repeated(tmp_path: Path) -> None:
     trace = coopqp.run(scenario, controller="qp")
     assert np.abs(trace.commanded - trace.measured).max() < 1.6e-3  # with noise
     assert np.abs(free.v - trace.v).max() > 1e-3
-    files.write(summarize(scenario, {"qp": trace}), tmp_path / "out")
+    written = traced(summarize(scenario, {"qp": trace}), tmp_path)
     for tick in (0, 1, 20, 35, 49):
-        record = recorded_tick(tmp_path / "out" / "trace.csv", scenario, "qp", tick)
+        record = recorded_tick(written, scenario, "qp", tick)
         np.testing.assert_allclose(record.answer[: trace.v.shape[1]], trace.v[tick], atol=1e-12)
 
 
 def test_columns_are_empty_where_there_is_nothing_to_say(tmp_path: Path) -> None:
     comparison = coopqp.compare(coopqp.load("point_on_point"), controllers=["qp", "pseudoinverse"])
-    files.write(comparison, tmp_path)
-    with (tmp_path / "trace.csv").open(encoding="utf-8", newline="") as stream:
+    with traced(comparison, tmp_path).open(encoding="utf-8", newline="") as stream:
         rows = list(csv.DictReader(stream))
     joints = comparison.traces["qp"].joints
     for row in rows:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import typed
+from explained import traced
 from kept_ticks import at, record
 from laws import LIMITS
 from scenario_files import HEAD, NO_DRIFT, PHASES
@@ -19,7 +20,6 @@ from coopqp.execution.comparison import Comparison, compare
 from coopqp.limits import JointAcceleration
 from coopqp.qp_law.law import QPLaw
 from coopqp.recordings.known import read
-from coopqp.report import files
 from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario
 from coopqp.study.tick_record import TickRecord
@@ -46,20 +46,20 @@ def test_tick_of_a_written_trace_is_done_again_bit_for_bit(
     assert command.status.name == trace.status[tick]
 
 
-@pytest.mark.parametrize("tick", [0, 30, 80])
 def test_trace_with_acceleration_limits_and_shares_is_done_again(
-    tick: int, scenario: Scenario, tmp_path: Path
+    scenario: Scenario, tmp_path: Path
 ) -> None:
     """Acceleration limits look at the velocity of the tick before."""
     limits = (*LIMITS, JointAcceleration(max=20.0))
     tasks = (replace(scenario.tasks[0], mode="scaled"),)
     given = replace(scenario, limits=limits, tasks=tasks, duration=2.0, source="")
     done = compare(given, controllers=["qp"])
-    files.write(done, tmp_path)
-    law = given.controllers["qp"].build(given.problem())
-    command = law.tick(state_from_trace(read(tmp_path / "trace.csv"), "qp", tick, law))
-    np.testing.assert_array_equal(command.v, done.traces["qp"].v[tick])
-    assert command.scale == done.traces["qp"].scale[tick]
+    written, trace = read(traced(done, tmp_path)), done.traces["qp"]
+    for tick in (0, 30, 80):
+        law = given.controllers["qp"].build(given.problem())
+        command = law.tick(state_from_trace(written, "qp", tick, law))
+        np.testing.assert_array_equal(command.v, trace.v[tick])
+        assert command.scale == trace.scale[tick]
 
 
 def test_explanation_from_the_file_is_that_of_the_run(
@@ -80,10 +80,10 @@ def test_tick_worth_explaining_is_the_first_that_gave_something_up(
     assert blocked_tick(read(trace_csv), "qp") == 299
     slow = replace(scenario, limits=(*LIMITS, JointAcceleration(max=10.0)), source="")
     done = compare(slow, controllers=["qp"])
-    files.write(done, tmp_path)
+    written = read(traced(done, tmp_path))
     fine = ("OPTIMAL", "INACCURATE")
     first = next(k for k, s in enumerate(done.traces["qp"].status) if s not in fine)
-    assert blocked_tick(read(tmp_path / "trace.csv"), "qp") == first
+    assert blocked_tick(written, "qp") == first
 
 
 @pytest.mark.parametrize("tick", [-1, 300, 100_000])
@@ -179,7 +179,6 @@ def test_a_run_in_which_an_arm_lets_go_and_moves_is_read(tmp_path: Path) -> None
     """Its task is of one phase alone: there the arm moves by itself."""
     seed = Path(__file__).parents[1] / "fuzz" / "seeds" / "phases.yaml"
     scenario = load(seed)
-    path = tmp_path / "trace.csv"
-    path.write_text(files.trace_csv(compare(scenario)), encoding="utf-8")
+    path = traced(compare(scenario), tmp_path)
     held = scenario.held_by("qp")
     assert len(trace_from_file(path, scenario, "qp").v) == held.ticks

@@ -88,10 +88,10 @@ def test_while_it_moves_it_is_told_how_near_it_gets() -> None:
     assert near == pytest.approx(1e3 * off, rel=0.02)
 
 
-def test_out_of_reach_is_said_with_direction() -> None:
+def test_unreachable_is_said_with_direction() -> None:
     player = dragged((0.5, 0.1, 0.1), 20)
     player.explanation = told(player)
-    assert "out of reach by 301 mm along +x" in player.frame().sentence
+    assert "unreachable by 301 mm along +x" in player.frame().sentence
 
 
 def test_a_law_without_limits_is_stopped_by_none() -> None:

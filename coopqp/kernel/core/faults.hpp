@@ -21,15 +21,15 @@ enum class Fault {
 
 #ifdef COOPQP_FAULTS
 inline Fault injected = Fault::None;
-inline bool in_way_back = false, in_way_back_alone = false;  // where the tick is, and the fault
-inline bool fault(Fault kind) { return injected == kind && (in_way_back || !in_way_back_alone); }
-struct WithinWayBack {
-    WithinWayBack() { in_way_back = true; }
-    ~WithinWayBack() { in_way_back = false; }
+inline bool in_limit_recovery = false, in_limit_recovery_alone = false;  // where the tick is, and the fault
+inline bool fault(Fault kind) { return injected == kind && (in_limit_recovery || !in_limit_recovery_alone); }
+struct WithinLimitRecovery {
+    WithinLimitRecovery() { in_limit_recovery = true; }
+    ~WithinLimitRecovery() { in_limit_recovery = false; }
 };
 #else
 inline constexpr bool fault(Fault) { return false; }
-struct WithinWayBack {};
+struct WithinLimitRecovery {};
 #endif
 
 }  // namespace coopqp

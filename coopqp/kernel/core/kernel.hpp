@@ -35,7 +35,7 @@ class Kernel {
           limits(stride(), s_.inequalities, *arena_),
           tasks_(*m_, s_, rows_, *loops_, limits, kept_, levels, *arena_),
           nearest_(*m_, s_, rows_, *loops_, limits, kept_, levels[0], *arena_),
-          way_back_(*m_, s_, rows_, *loops_, limits, kept_, *arena_),
+          limit_recovery_(*m_, s_, rows_, *loops_, limits, kept_, *arena_),
           b_(std::size_t(6 * std::max(m_->loops(), 1))),
           wanted_(std::size_t(levels[0].hard)), missed_(wanted_.size()),
           missing_(std::size_t(levels[0].shares)),
@@ -78,7 +78,7 @@ class Kernel {
         if (fault(Fault::WrongSide)) set_out_[0] += 1e-4;
         comes_back_ = s_.outside(bound.q);
         if (comes_back_) {
-            const Status status = all_corrected ? find_way_back() : Status::Outside;
+            const Status status = all_corrected ? find_limit_recovery() : Status::Outside;
             if (status != Status::Optimal) return status;
         }
         Status status = decide_first();
@@ -98,7 +98,7 @@ class Kernel {
         }
         if (near_scaled_)
             bound.scaled_pull[0] = StepDamping::held_pull(nearest_.pull(), bound.scaled_pull[0]);
-        if (comes_back_) bound.recovery[0] = way_back_.pull();
+        if (comes_back_) bound.recovery[0] = limit_recovery_.pull();
         std::copy(missed_.begin(), missed_.end(), bound.missed);
         std::copy(missing_.begin(), missing_.end(), bound.missing);
         return status;
@@ -131,12 +131,12 @@ class Kernel {
     // Where tasks leave no answer to joints that are outside: the way back alone. Opens where that
     // is to stand still.
     Status come_back() {
-        const Status status = command(way_back_.v());
+        const Status status = command(limit_recovery_.v());
         if (status == Status::Opens) {
             clear(v_, m_->blocks);
             write();
         }
-        bound.recovery[0] = way_back_.pull();
+        bound.recovery[0] = limit_recovery_.pull();
         return status;
     }
 
@@ -304,10 +304,10 @@ class Kernel {
             missing_[std::size_t(k)] = leaves_ == 1.0 ? 1.0 : 1.0 - (1.0 - leaves_) * tasks_.shares().share(k);
     }
 
-    Status find_way_back() {
+    Status find_limit_recovery() {
         const double damping = damping_.of(s_.reach * bound.recovery[0]);
-        const Status status = way_back_.find(bound.q, damping, b_.data(), set_out_);
-        if (status == Status::Optimal) way_back_.keep(bound.q, limits);
+        const Status status = limit_recovery_.find(bound.q, damping, b_.data(), set_out_);
+        if (status == Status::Optimal) limit_recovery_.keep(bound.q, limits);
         return status;
     }
 
@@ -336,7 +336,7 @@ class Kernel {
   private:
     Cascade tasks_;
     Nearest nearest_;
-    LimitRecovery way_back_;
+    LimitRecovery limit_recovery_;
     std::vector<double> b_;
     std::vector<double> wanted_, missed_;  // of hard rows
     std::vector<double> missing_;          // of shares

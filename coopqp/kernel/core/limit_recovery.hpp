@@ -25,7 +25,7 @@ class LimitRecovery {
     //   turn quickly along it, so that its steps are the shorter.
     //   b, v: as in Cascade::begin.
     Status find(const double* q, double damping, const double* b, const double* v) {
-        [[maybe_unused]] const WithinWayBack here{};
+        [[maybe_unused]] const WithinLimitRecovery here{};
         Level& level = levels_[0];
         level.rows = 0;
         for (int j = 0; j < m_.n(); j++)

@@ -19,14 +19,8 @@ from coopqp.execution.comparison import Comparison
 from coopqp.report import audit, curves
 from coopqp.report.cells import LANGUAGES, length, tick_times_in
 from coopqp.report.curves import Figure, Json
+from coopqp.report.figures import forces
 from coopqp.report.figures.chart import ALWAYS, Chart, Lines
-from coopqp.report.figures.forces import (
-    hands,
-    internal_forces,
-    load_shares,
-    squeeze_of_fastened,
-    torques,
-)
 from coopqp.report.figures.freedom import freedom_figures
 from coopqp.report.figures.joints import PAPER_ROBOT, joint_figures, limit_figures
 from coopqp.report.figures.object import object_figures
@@ -150,7 +144,7 @@ def _freedom(chart: Chart) -> Group:
 
 
 def _hands(chart: Chart) -> Group:
-    figures = hands(chart)
+    figures = forces.hands(chart)
     return Group(
         title="Hands that press",
         hint="Hatched: beyond friction, where the object slips along the hand, and beyond a pad's "
@@ -161,13 +155,14 @@ def _hands(chart: Chart) -> Group:
             "Pressure": "where the normal force is on the pad: 0 in the middle, 1 at the edge.",
         },
         figures=figures,
-        folded=load_shares(chart) if figures else [],
+        folded=forces.load_shares(chart) if figures else [],
         more="Share of the load by arm",
     )
 
 
 def _torques(chart: Chart) -> Group:
-    shares, internal = [] if hands(chart) else load_shares(chart), internal_forces(chart)
+    shares = [] if forces.hands(chart) else forces.load_shares(chart)
+    internal = forces.internal_forces(chart)
     return Group(
         title="Torques and forces",
         hint="Hatched: beyond what the motor can do.",
@@ -178,8 +173,8 @@ def _torques(chart: Chart) -> Group:
         }
         if internal
         else {},
-        figures=[*squeeze_of_fastened(chart), *internal],
-        folded=[*torques(chart), *shares],
+        figures=[*forces.squeeze_of_fastened(chart), *internal],
+        folded=[*forces.torques(chart), *shares],
         more="Torque of each motor" + (", share of the load by arm" if shares else ""),
     )
 

@@ -167,7 +167,7 @@ class TooFewFreedoms:
 
 
 @dataclass(frozen=True)
-class OutOfReach:
+class TooFar:
     """One task cannot be met, whatever the limits.
 
     Attributes:
@@ -193,7 +193,7 @@ class OutOfReach:
         return float(np.linalg.norm(self.gap))
 
 
-Unreachable = Elsewhere | Contradiction | TooFewFreedoms | OutOfReach
+Unreachable = Elsewhere | Contradiction | TooFewFreedoms | TooFar
 Diagnosis = NotBlocked | BlockedByLimits | Unreachable
 
 
@@ -214,7 +214,7 @@ def diagnose(goal: Goal, room: Room, q: Array) -> Diagnosis:
     if len(tasks) > 1:
         return Contradiction(tasks, any_robot=False)
     alone = goal.only(tasks)
-    return _too_few(alone, at.q) or _out_of_reach(alone, room, q)
+    return _too_few(alone, at.q) or _unreachable(alone, room, q)
 
 
 def _blocked(
@@ -257,7 +257,7 @@ def _too_few(goal: Goal, q: Array) -> TooFewFreedoms | None:
     return TooFewFreedoms(goal, int(asked), left)
 
 
-def _out_of_reach(goal: Goal, room: Room, q: Array) -> OutOfReach:
+def _unreachable(goal: Goal, room: Room, q: Array) -> TooFar:
     inside, free = Search(goal, room), Search(goal)
     at = inside.from_(q)
     here, best = free.from_(at.q), free.best(at.q)
@@ -268,7 +268,7 @@ def _out_of_reach(goal: Goal, room: Room, q: Array) -> OutOfReach:
     distance, with_limits = part.size(here.e), part.size(at.e)
     cost = with_limits - distance if at.valid else 0.0
     worth_telling = cost > WORTH_TELLING * with_limits
-    return OutOfReach(
+    return TooFar(
         goal=goal,
         part=part,
         gap=-here.e[part.rows],

@@ -24,7 +24,7 @@ from coopqp.model.closed_chain import AXES
 from coopqp.plant import Disturbance
 from coopqp.solver import Status
 from coopqp.study.explanation import words
-from coopqp.study.explanation.diagnosis import OutOfReach
+from coopqp.study.explanation.diagnosis import TooFar
 from coopqp.study.explanation.diagnosis import contradicting as smallest_contradiction
 from coopqp.study.explanation.explained_phase import ExplainedPhase, arrival, rerun
 from coopqp.study.explanation.goal import Goal, PartOfTask, Place, Room, Share
@@ -94,8 +94,8 @@ def _too_short(
     return base.because(kind, f"{why}{gain}; {then}", held, tried=time is not None, time=time)
 
 
-def behind(leg: ExplainedPhase, found: OutOfReach) -> str:
-    """What lack of time adds to a goal out of reach, where a rerun comes to rest nearer to it."""
+def behind(leg: ExplainedPhase, found: TooFar) -> str:
+    """What lack of time adds to an unreachable goal, where a rerun comes to rest nearer to it."""
     part, unit = found.part, found.part.part.unit
     error = _error_of(leg, part.name)
     if error - found.distance - found.cost <= max(part.part.tolerance, FALLS * error):

@@ -22,6 +22,7 @@ import numpy as np
 
 from coopqp.base.qp import QP, Kind, Row, Rows
 from coopqp.base.spec import Array
+from coopqp.limit import Limit
 from coopqp.solver import Solution
 from coopqp.solvers import Daqp
 from coopqp.study.explanation import words
@@ -182,13 +183,15 @@ class SuggestedRelaxation:
 
     Attributes:
         needs: by limit, the largest first.
-        after: the rerun; None if untried, because a limit has no setting that gives so much.
+        after: the rerun; None if untried.
         time: that it takes, where that is more than the run has [s].
+        untried: name of a limit that has no method for it; else no setting gives so much.
     """
 
     needs: tuple[Violation, ...]
     after: ExplainedPhase | None
     time: float | None = None
+    untried: str = ""
 
     @property
     def reached(self) -> bool | None:
@@ -243,7 +246,8 @@ def _tried(
             limit = leg.room.limits[need.space]
             relaxed = limit.relaxed(need.amount)
             if relaxed is None:
-                return SuggestedRelaxation(needs, None)
+                own = type(limit).relaxed is not Limit.relaxed
+                return SuggestedRelaxation(needs, None, untried="" if own else need.row.owner)
             limits = tuple(relaxed if other is limit else other for other in limits)
     wider = {need.row: need.amount for need in needs if need.space is None}
     after = rerun(leg, wider=wider, limits=limits)
@@ -298,7 +302,11 @@ def _said(suggestion: SuggestedRelaxation | None, shares: Sequence[Share]) -> st
             f"{'; next' if first else ' next'} would come {needed(later, alone=False)}, idle now"
         )
     if suggestion.after is None:
-        return f"{text} (not tried: no setting gives so much)"
+        name = suggestion.untried
+        method = (
+            f"limit '{name}' has no method relaxed(by), which returns it `by` metres farther out"
+        )
+        return f"{text} (not tried: {method if name else 'no setting gives so much'})"
     if suggestion.after.missed:
         return f"{text}; tried, but then {words.stops(suggestion.after)}"
     time = "" if suggestion.time is None else f" and the run {suggestion.time:.3g} s"

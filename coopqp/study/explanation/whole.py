@@ -8,12 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from coopqp.assessment import Assessment, assess
-from coopqp.assessment.verdict import (
-    listed_limits,
-    loop_words,
-    not_followed,
-    saturation_words,
-)
+from coopqp.assessment.verdict import listed_limits, loop_words, not_followed, saturation_words
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.scenario.scenario import Scenario
@@ -25,7 +20,7 @@ from coopqp.study.explanation.diagnosis import (
     Diagnosis,
     Elsewhere,
     NotBlocked,
-    OutOfReach,
+    TooFar,
     Unreachable,
     diagnose,
 )
@@ -196,7 +191,7 @@ def _by_geometry(leg: ExplainedPhase, found: Unreachable, base: RunExplanation) 
     if isinstance(found, Contradiction):
         names = tuple(task.name for task in found.tasks)
         return base.because("contradiction", sentence, tasks=names, any_robot=found.any_robot)
-    if isinstance(found, OutOfReach):
+    if isinstance(found, TooFar):
         sentence += insufficient_time.behind(leg, found)
         way = tuple((found.gap / max(found.distance, 1e-300)).tolist()) if found.in_world else ()
         tasks = (found.part.task.name,)

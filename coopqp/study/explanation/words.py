@@ -13,7 +13,7 @@ from coopqp.assessment.verdict import loop_words
 from coopqp.base.qp import Row
 from coopqp.base.spec import Array
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.study.explanation.diagnosis import Contradiction, Elsewhere, OutOfReach, Unreachable
+from coopqp.study.explanation.diagnosis import Contradiction, Elsewhere, TooFar, Unreachable
 from coopqp.study.explanation.explained_phase import ExplainedPhase
 from coopqp.study.explanation.goal import Missed, PartOfTask, Place, Share
 from coopqp.task import Mode
@@ -86,16 +86,12 @@ def holding(shares: Sequence[Share]) -> str:
 
 
 def geometry(
-    found: Unreachable,
-    missed: Sequence[Missed],
-    chain: ClosedChain,
-    *,
-    ordered: bool,
+    found: Unreachable, missed: Sequence[Missed], chain: ClosedChain, *, ordered: bool
 ) -> str:
     """What keeps a chain from its goal, if not limits alone; ordered: as the law has levels."""
     if isinstance(found, Contradiction):
         return _contradiction(found, missed, ordered=ordered)
-    if isinstance(found, OutOfReach):
+    if isinstance(found, TooFar):
         return _reach(found)
     short = stops_short(*missed[0])
     if isinstance(found, Elsewhere):
@@ -117,7 +113,7 @@ def start(q: Array, chain: ClosedChain) -> str:
     return "; ".join(f"{name} [{', '.join(numbers)}]" for name, numbers in arms)
 
 
-def _reach(found: OutOfReach) -> str:
+def _reach(found: TooFar) -> str:
     part = found.part
     name, unit = part.task.name, part.part.unit
     several = len(found.shares) > 1
@@ -128,7 +124,7 @@ def _reach(found: OutOfReach) -> str:
         text = f"{held} {verb} {name} back by {size(found.cost, unit)}; beyond that it"
     else:
         text = name
-    text += f" is out of reach by {size(found.distance, unit)}"
+    text += f" is unreachable by {size(found.distance, unit)}"
     if found.in_world:
         text += f" along {_direction(found.gap)}"
     elif part.part.name:
@@ -143,7 +139,7 @@ def _reach(found: OutOfReach) -> str:
     return text
 
 
-def _reached_point(found: OutOfReach) -> Array:
+def _reached_point(found: TooFar) -> Array:
     """The point of the object that the task moves, at the nearest place."""
     found.goal.look(found.nearest.q)
     return found.goal.state.point(np.array(getattr(found.part.task, "point", (0.0, 0.0, 0.0))))
@@ -273,7 +269,7 @@ class RunExplanation:
         missed: what ended outside its tolerance, hard and scaled tasks first, then the worst.
         held_back, needed: limits by their share of the force; relaxations that would do.
         tried: whether a rerun with these, or with the time needed, reached the goal; None if none.
-        tasks: that contradict each other, or are out of reach.
+        tasks: that contradict each other, or are unreachable.
         any_robot: whether they would on any other robot.
         distance: to the nearest place [unit of what is missed most].
         way: unit vector from there to the goal, where the task is a point of the world.

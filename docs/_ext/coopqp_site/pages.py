@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 from coopqp_site import api, commands, reference
 
 INDEX = """# Everything by name
@@ -17,8 +19,9 @@ the command line itself. What is in them by letter: {{ref}}`genindex`.
 """
 
 
+@cache
 def written() -> dict[str, str]:
-    """Text of each page of the reference, by its name."""
+    """Text of each page of the reference, by its name; made once, to be read only."""
     pages = {**dict(reference.pages()), "command_line.md": commands.page(), **dict(api.pages())}
     listed = [name.removesuffix(".md") for name in pages if "/" not in name]
     listed.remove("python")  # docs/index.md has it

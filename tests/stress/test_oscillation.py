@@ -1,4 +1,4 @@
-"""What the stress test sees of joints that swing, and of hard tasks that do worse than soft ones.
+"""What the stress test sees of joints that oscillate, and of hard tasks worse than soft ones.
 
 Motions are made up, so that the detectors are tested and not the law. What the law does with the
 scenarios in ``firmness/`` is asked at the end.
@@ -49,7 +49,7 @@ def record(
     return Record(-far, far, far, units, DT, rest, longest, q, v, [(Status.OPTIMAL,)] * len(v))
 
 
-def swing(seen: Record, noise: float = 0.0) -> Oscillation | None:
+def oscillates(seen: Record, noise: float = 0.0) -> Oscillation | None:
     """As the stress test asks."""
     q = seen.q[seen.rest :]
     return oscillation(q, seen.units, seen.dt, longest=seen.longest, noise=noise)
@@ -72,9 +72,9 @@ def sine(frequency: float, size: float = 0.01) -> Array:
 @pytest.mark.parametrize("frequency", FREQUENCIES)
 @pytest.mark.parametrize("size", [2e-4, 0.01, 1.0])
 @pytest.mark.parametrize("phase", [0.0, 1.0, 2.0, 4.0])
-def test_a_lasting_swing_is_seen(frequency: float, size: float, phase: float) -> None:
+def test_a_lasting_oscillation_is_seen(frequency: float, size: float, phase: float) -> None:
     q: Array = size * np.sin(2.0 * np.pi * frequency * T + phase)
-    seen = swing(record(np.zeros(len(T)), q))
+    seen = oscillates(record(np.zeros(len(T)), q))
     assert seen is not None
     assert seen.joint == 1
     # Four ticks a period may miss the peaks by 30 %.
@@ -83,7 +83,7 @@ def test_a_lasting_swing_is_seen(frequency: float, size: float, phase: float) ->
 
 
 @pytest.mark.parametrize("frequency", FREQUENCIES)
-def test_who_may_swing_is_not_ended(frequency: float) -> None:
+def test_who_may_oscillate_is_not_ended(frequency: float) -> None:
     if frequency == 0.2:  # turns every 2.5 s; that is seen from 5 s on
         assert turning(record(sine(frequency)[:1001]))
     else:
@@ -94,36 +94,36 @@ def test_chatter_of_one_joint_on_its_way_is_seen() -> None:
     """From tick to tick by 1 mrad, on a ramp of 20 mrad/s."""
     chatter = np.where(np.arange(len(T)) % 2, 5e-4, -5e-4)
     way = 0.02 * T
-    seen = swing(record(way, way + chatter, sine(0.0)))
+    seen = oscillates(record(way, way + chatter, sine(0.0)))
     assert seen is not None
     assert seen.joint == 1
 
 
 def test_a_relaxation_is_seen() -> None:
     """Off in a tick, back in a second, every 2 s."""
-    assert swing(record(0.05 * np.exp(-np.mod(T, 2.0) / 0.3))) is not None
+    assert oscillates(record(0.05 * np.exp(-np.mod(T, 2.0) / 0.3))) is not None
 
 
 def test_bursts_are_seen() -> None:
     """10 Hz in one second of three."""
-    assert swing(record(sine(10.0) * (np.mod(T, 3.0) < 1.0))) is not None
+    assert oscillates(record(sine(10.0) * (np.mod(T, 3.0) < 1.0))) is not None
 
 
-def test_a_swing_after_a_long_way_is_seen() -> None:
-    assert swing(record(np.exp(-T) + sine(3.0, 1e-3))) is not None
+def test_an_oscillation_after_a_long_way_is_seen() -> None:
+    assert oscillates(record(np.exp(-T) + sine(3.0, 1e-3))) is not None
 
 
 def test_what_oscillates_slowly_growing_is_seen() -> None:
-    assert swing(record(sine(2.0) * np.exp(T / 20.0))) is not None
+    assert oscillates(record(sine(2.0) * np.exp(T / 20.0))) is not None
 
 
 # Not seen.
 
 
 @pytest.mark.parametrize("frequency", FREQUENCIES)
-def test_a_swing_that_fades_is_none(frequency: float) -> None:
+def test_an_oscillation_that_fades_is_none(frequency: float) -> None:
     """To a third in 7 s: the range in the last third is then 0.4 of that in the second."""
-    assert swing(record(sine(frequency) * np.exp(-T / 7.0))) is None
+    assert oscillates(record(sine(frequency) * np.exp(-T / 7.0))) is None
 
 
 @pytest.mark.parametrize(
@@ -140,35 +140,35 @@ def test_a_swing_that_fades_is_none(frequency: float) -> None:
     ],
     ids=["rest", "ramp", "approach", "slow approach", "stop", "spiral", "there and back", "creep"],
 )
-def test_what_arrives_is_no_swing(q: Array) -> None:
-    assert swing(record(q)) is None
+def test_what_arrives_is_no_oscillation(q: Array) -> None:
+    assert oscillates(record(q)) is None
 
 
 @pytest.mark.parametrize("unit", ["rad", "m"])
-def test_a_swing_too_small_to_see_is_none(unit: str) -> None:
+def test_an_oscillation_too_small_to_see_is_none(unit: str) -> None:
     half = 0.5 * LEAST[unit]
-    assert swing(record(sine(3.0, 0.9 * half), unit=unit)) is None
-    assert swing(record(sine(3.0, 1.1 * half), unit=unit)) is not None
-    assert swing(record(sine(3.0, 1.1 * half), unit=unit), noise=1e-4) is None
+    assert oscillates(record(sine(3.0, 0.9 * half), unit=unit)) is None
+    assert oscillates(record(sine(3.0, 1.1 * half), unit=unit)) is not None
+    assert oscillates(record(sine(3.0, 1.1 * half), unit=unit), noise=1e-4) is None
 
 
-def test_rounding_is_no_swing(rng: np.random.Generator) -> None:
-    assert swing(record(np.exp(-T) + 1e-9 * rng.normal(size=len(T)))) is None
+def test_rounding_is_no_oscillation(rng: np.random.Generator) -> None:
+    assert oscillates(record(np.exp(-T) + 1e-9 * rng.normal(size=len(T)))) is None
 
 
 def test_what_follows_a_moving_reference_is_none() -> None:
     """Before it rests anything goes; targets with a velocity never rest, but are slow."""
     followed = np.where(T < 12.0, sine(1.0), np.exp(12.0 - T))
-    assert swing(record(followed[:2400])) is not None
-    assert swing(record(followed, rest=round(12.0 / DT))) is None
+    assert oscillates(record(followed[:2400])) is not None
+    assert oscillates(record(followed, rest=round(12.0 / DT))) is None
     slow = sine(0.2)
-    assert swing(record(slow)) is not None
-    assert swing(record(slow, longest=2.0 / DT)) is None
-    assert swing(record(sine(2.0), longest=2.0 / DT)) is not None
+    assert oscillates(record(slow)) is not None
+    assert oscillates(record(slow, longest=2.0 / DT)) is None
+    assert oscillates(record(sine(2.0), longest=2.0 / DT)) is not None
 
 
 def test_few_ticks_say_nothing() -> None:
-    assert swing(record(sine(50.0)[:20])) is None
+    assert oscillates(record(sine(50.0)[:20])) is None
     assert not turning(record(sine(50.0)[:8]))
 
 
@@ -189,19 +189,19 @@ def driven(wanted: ControlProblem) -> tuple[Law, State, Record]:
     return law, state, seen
 
 
-@pytest.mark.parametrize("name", ["swing_hard", "hard_worse_than_soft"])
+@pytest.mark.parametrize("name", ["oscillates_hard", "hard_worse_than_soft"])
 def test_soft_tasks_of_priority_0_come_to_rest(name: str) -> None:
     wanted, i = asked(name)
     _, _, seen = driven(as_soft(wanted, wanted.tasks[i]))
-    assert swing(seen) is None
+    assert oscillates(seen) is None
 
 
 @pytest.mark.skip(reason="the law does not keep this yet")
-@pytest.mark.parametrize("name", ["swing_hard", "hard_worse_than_soft"])
-def test_hard_tasks_out_of_reach_rest_as_near_as_soft_ones(name: str) -> None:
+@pytest.mark.parametrize("name", ["oscillates_hard", "hard_worse_than_soft"])
+def test_unreachable_hard_tasks_rest_as_near_as_soft_ones(name: str) -> None:
     wanted, i = asked(name)
     law, state, seen = driven(wanted)
-    assert swing(seen) is None
+    assert oscillates(seen) is None
     assert list(worse_than_soft(law, state, i)) == []
 
 

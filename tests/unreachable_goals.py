@@ -33,15 +33,15 @@ from coopqp.tasks import JointCentering
 
 DURATION = 12.0  # [s]
 PERIODS = (0.005, 0.01, 0.02)  # [s]
-FARTHEST = 0.05  # that a task is out of reach [m]
+FARTHEST = 0.05  # by which a task is unreachable [m]
 ROUNDS, CLOSE = 8, 0.1  # to place a goal, and the share of the distance that it may be off
-#: Kinds of the task that is out of reach; the others are of any kind that comes to rest.
+#: Kinds of the task that is unreachable; the others are of any kind that comes to rest.
 FIRM = ("point_on_point", "point_on_plane", "point_on_line", "pose", "distance", "prismatic")
 MOVING = ("twist", "relative_motion")
 #: Robots of shipped scenarios that the stress test does not draw.
 OTHERS = ("pr2_circle", "two_so101")
-#: A path of one coordinate that is longer than this, and than so many times its range, swings.
-SWINGS, OBJECT_PATH, JOINT_PATH = 5.0, 1e-3, 1e-2  # [1, m, rad or m]
+#: A path of one coordinate that is longer than this, and than so many times its range, oscillates.
+OSCILLATES, OBJECT_PATH, JOINT_PATH = 5.0, 1e-3, 1e-2  # [1, m, rad or m]
 FARTHER, FARTHER_SHARE = 2e-4, 0.01  # what hard may be off more than soft [m], or as a share
 AT_REST = 1e-4  # an object that moves less rests [m]
 FARTHER_OFF = "farther off"
@@ -49,11 +49,11 @@ FARTHER_OFF = "farther off"
 
 @dataclass(frozen=True)
 class Draw:
-    """A problem with one task out of reach.
+    """A problem with one unreachable task.
 
     Attributes:
         robot, grasp: of the chain.
-        firm: the task that is out of reach, hard or scaled.
+        firm: the task that is unreachable, hard or scaled.
         problem: all of it; ``firm`` is its first task.
         reference: the same with the firm task as soft, before all others.
         ended: how the reference ends.
@@ -76,7 +76,7 @@ class Ended:
         object_path, object_range: of the object's coordinate with the longest path in the last
             half [m].
         joint_path, joint_range: likewise of a joint [rad, m].
-        swings: whether one of these is much longer than its range.
+        oscillates: whether one of these is much longer than its range.
         statuses: ticks by what they say.
         q: configuration at the end.
     """
@@ -86,7 +86,7 @@ class Ended:
     object_range: float
     joint_path: float
     joint_range: float
-    swings: bool
+    oscillates: bool
     statuses: Counter[str]
     q: Array
 
@@ -124,14 +124,14 @@ def run(
     half = made.q[ticks // 2 :]
     places = np.array([problem.chain.object_pose(at).translation for at in half])
     moves = [_path_and_range(places, OBJECT_PATH), _path_and_range(half, JOINT_PATH)]
-    (object_path, object_range, object_swings), (path, width, swings) = moves
+    (object_path, object_range, object_oscillates), (path, width, oscillates) = moves
     return Ended(
         error=float(np.linalg.norm(goal.e)),
         object_path=object_path,
         object_range=object_range,
         joint_path=path,
         joint_range=width,
-        swings=object_swings or swings,
+        oscillates=object_oscillates or oscillates,
         statuses=Counter(written(causes) for causes in made.causes),
         q=made.q[-1].copy(),
     )
@@ -162,11 +162,11 @@ def shortfall(found: Ended, reference: Ended, problem: ControlProblem, firm: Tas
 
 
 def _path_and_range(x: Array, least: float) -> tuple[float, float, bool]:
-    """The longest path of a coordinate, its range, and whether any of them swings."""
+    """The longest path of a coordinate, its range, and whether any of them oscillates."""
     path, width = np.abs(np.diff(x, axis=0)).sum(axis=0), np.ptp(x, axis=0)
     longest = int(np.argmax(path))
-    swings = (path > least) & (path > SWINGS * width)
-    return float(path[longest]), float(width[longest]), bool(swings.any())
+    oscillates = (path > least) & (path > OSCILLATES * width)
+    return float(path[longest]), float(width[longest]), bool(oscillates.any())
 
 
 def falls_short(found: Ended, reference: Ended) -> bool:
