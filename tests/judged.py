@@ -95,7 +95,7 @@ def _moved(plain: QPLaw, state: State, relaxed: bool, best: Array, seed: int) ->
     """How far the optimum moves where all Jacobians move by their last digit."""
     rng = np.random.default_rng(seed)
     first = plain.nearest.hard if relaxed else plain.first
-    blocks = [state._J_loop, plain.exact.J, *(s.J for s in plain.stacks), first.qp.A]
+    blocks = [state._J_ext, plain.exact.J, *(s.J for s in plain.stacks), first.qp.A]
     if relaxed:
         blocks.append(first.tasks.J)
     kept = [block.copy() for block in blocks]
