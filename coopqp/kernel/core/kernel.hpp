@@ -188,9 +188,10 @@ class Kernel {
         if (near != Status::Optimal) return s_.relaxes ? near : status;
         note_missed();
         // Where rows clash by less than they may give way, the nearest is as good as all.
-        if (status == Status::Optimal || (s_.relaxes && relaxed()) || (tried && clash && !lacks()))
+        if (status == Status::Optimal || (s_.relaxes && relaxed()) || (tried && clash && !relaxed()))
             return near;
-        if (tried) return lacks() ? Status::Infeasible : Status::Unproven;  // the nearest is the proof
+        const bool proof = lacks() || (clash && relaxed());  // the nearest is the proof
+        if (tried) return proof ? Status::Infeasible : Status::Unproven;
         leaves_ = 0.0;
         status = decide_exactly();  // hard tasks can hold again
         if (status == Status::Infeasible || status == Status::Clashing ||
