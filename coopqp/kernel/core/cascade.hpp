@@ -23,7 +23,8 @@ constexpr double SHORT_OF_DIGITS = 1e-10;
 // Rows that depend on others give way by no more than they must: what is left of their width is
 // spent on larger shares. First by this, then by so many times more, up to CONSISTENT [rad/s].
 constexpr double LEAST_WIDTH = 3e-10, WIDER = 10.0;
-constexpr double HOLD = 1e-12;  // by which rows that must hold may not, in an answer that is mended
+constexpr double HOLD = 1e-11;  // by which rows that must hold may not, in an answer that is mended
+constexpr double CLOSE = 1e-9;  // overrun of limits in a second try, as daqp's first [rad/s]
 
 class Cascade {
   public:
@@ -40,6 +41,7 @@ class Cascade {
           shares_(levels[0], hierarchy_, stride(), arena),
           constraints_(stride(), limits, loops.free, levels[0], shares_, arena),
           check_(model, rows, loops, hierarchy_, shares_, settings, levels, kept, arena),
+          accuracy_(settings.budget.accuracy),
           v_(arena.take(std::size_t(stride()))),
           before_(arena.take(std::size_t(stride()))),
           kept_v_(arena.take(std::size_t(stride()))),
@@ -82,26 +84,16 @@ class Cascade {
         const int decided = hierarchy_.decided;
         hierarchy_.append(level.rows + hierarchy_.held, level.exact);
         copy(before_, v_, m_.blocks);
-        miss(l, level);
-        const int first = decided + (level.exact ? take_exact(level, d) : 0);
-        take_soft(l, before, first, d);
-        if (fault(Fault::WrongAnswer)) add(v_, loops_.Z, 1e-4, m_.blocks);
-        const Status status = bring_inside(l, first, d + level.joint_weight);
-        if (status == Status::Infeasible || fault(Fault::FalseProof))
-            return l == 0 ? check_.excludes(first, constraints_) : Status::Unproven;
-        if (status != Status::Optimal) return status;
-        if (fault(Fault::WrongMultiplier)) constraints_.nearest.spoil();
-        if (fault(Fault::ActiveForgotten)) constraints_.nearest.active = 0;
-        copy(V_, check_.V, 2);
-        Outcome outcome = check_.judge(l, first, d, v_, before_, constraints_);
-        for (int pass = 0; pass < MOST_PASSES && is_short(outcome); pass++) {
-            const double off = outcome.off;
-            outcome = refined(l, first, d, outcome);
-            if (!(outcome.off < off)) break;
-        }
-        pulls_[std::size_t(l)] = outcome.pull;
-        // Where rows give way so far that the answer is another, they clash.
-        return outcome.status == Status::Inaccurate && clash_ ? Status::Clashing : outcome.status;
+        constraints_.nearest.overrun = OVERRUN;
+        const Status status = decide_rows(l, before, decided, d);
+        // At rest the certificate sees limits that are overrun. Where several nearly depend on each
+        // other a later level may seem to have no room, which cannot be: it may stay where it is.
+        const bool no_room = l > 0 && status == Status::Unproven;
+        if (status != Status::Inaccurate && !no_room) return status;
+        copy(v_, before_, m_.blocks);
+        copy(check_.V, V_, 2);
+        constraints_.nearest.overrun = no_room ? CLOSE : LAST_DIGITS;
+        return decide_rows(l, before, decided, d);
     }
 
     // Take the first level, of exact rows alone, as decided by a motion v, in lanes.
@@ -143,6 +135,36 @@ class Cascade {
     void see_object() {
         for (int z = 0; z < loops_.free; z++)
             rows_.twist(0, loops_.Z + std::size_t(z * stride()), W_ + TWIST * z);
+    }
+
+    // Decide the rows of a level, which the hierarchy has after `before` others of the levels before;
+    // these have decided so many coordinates.
+    Status decide_rows(int l, int before, int decided, double d) {
+        Level& level = levels_[std::size_t(l)];
+        miss(l, level);
+        copy(V_, check_.V, 2);
+        const int first = decided + (level.exact ? take_exact(level, d) : 0);
+        take_soft(l, before, first, d);
+        if (fault(Fault::WrongAnswer)) add(v_, loops_.Z, 1e-4, m_.blocks);
+        const Status status = bring_inside(l, first, d + level.joint_weight);
+        if (status == Status::Infeasible || fault(Fault::FalseProof))
+            return l == 0 ? check_.excludes(first, constraints_) : Status::Unproven;
+        if (status != Status::Optimal) return status;
+        if (fault(Fault::WrongMultiplier)) constraints_.nearest.spoil();
+        if (fault(Fault::ActiveForgotten)) constraints_.nearest.active = 0;
+        Outcome outcome = check_.judge(l, first, d, v_, before_, constraints_);
+        for (int pass = 0; pass < MOST_PASSES && is_short(outcome); pass++) {
+            const double off = outcome.off;
+            outcome = refined(l, first, d, outcome);
+            if (!(outcome.off < off)) break;
+        }
+        pulls_[std::size_t(l)] = outcome.pull;
+        if (outcome.status != Status::Inaccurate || l > 0) return outcome.status;
+        // Where rows give way so far that the answer is another, they clash.
+        if (clash_) return Status::Clashing;
+        const bool gives_way = level.exact > first && outcome.gap > HOLD;
+        const bool optimal = outcome.off - outcome.astray <= accuracy_;
+        return gives_way && optimal ? Status::Unproven : outcome.status;
     }
 
     // Whether nothing is wrong with an answer but its last digits. Where rows do not hold to the last
@@ -305,7 +327,7 @@ class Cascade {
         if (l == 0 && levels_[0].exact > first)
             for (double by = LEAST_WIDTH, wide = 0.0; status == Status::Infeasible && by <= CONSISTENT;
                  wide = by, by *= WIDER) {
-                clash_ = check_.excludes(first, constraints_, wide) != Status::Unproven;
+                clash_ |= check_.excludes(first, constraints_, wide) != Status::Unproven;
                 constraints_.widen(by - wide);
                 status = nearest.solve(shares + K);
             }
@@ -342,6 +364,7 @@ class Cascade {
     Shares shares_;
     Constraints constraints_;
     Check check_;
+    double accuracy_;
     double *v_, *before_, *kept_v_, *V_, *kept_V_, *t_, *W_, *w_, *x_, *z_;
     bool clash_ = false;  // whether rows, if they gave way by less, would leave no motion
     std::vector<double> residual_;

@@ -24,7 +24,8 @@ struct Outcome {
     Status status;
     double pull;  // LaterLevel.pull
     double off;   // estimate of |v - v*|
-    double gap;   // by how much rows that must hold do not
+    double gap;   // by how much rows that must hold do not, but for what levels before left
+    double astray = 0.0;  // the part of off that comes from these rows
 };
 
 class Check {
@@ -65,10 +66,16 @@ class Check {
         copy(V_before, V, 2);
         rows_.twists(v, of_arms_);
         rows_.mean(of_arms_, V);
-        const double gap = std::sqrt(loop_gap() + decided_gap(l, v, before, V_before));
+        const double gap2 = decided_gap(l, v, before, V_before);
+        const double gap = std::sqrt(gap2 + loop_gap(b_));
+        double own = gap;
+        if (l > 0 && gap > LAST_DIGITS) {  // what the loops lacked before is not this level's
+            rows_.twists(moved_, of_arms_);
+            own = std::sqrt(gap2 + loop_gap(nullptr));
+        }
         gradient(l, d, v, c.nearest, c.limits.G);
         double off = 0.0;
-        Outcome outcome{Status::Optimal, 0.0, 0.0, gap};
+        Outcome outcome{Status::Optimal, 0.0, 0.0, own};
         if (l > 0) outcome.pull = y_.pull(l, first, d, v);
         for (int pass = 0; pass < MOST_PASSES; pass++) {
             y_.balance(first);
@@ -77,7 +84,7 @@ class Check {
             if (off <= s_.budget.accuracy) break;
         }
         off += idle(mu);
-        const double astray = r_.distance(first, gap, v, c);
+        const double astray = r_.distance(first, outcome.gap, v, c);
         worst_primal = std::max(worst_primal, std::max(gap, std::max(overrun, above)));
         worst_dual = std::max(worst_dual, off);
         if (!(gap + off + astray + above + overrun < std::numeric_limits<double>::infinity()))
@@ -89,6 +96,7 @@ class Check {
         else if (!(astray <= s_.budget.accuracy && off <= s_.budget.accuracy))
             outcome.status = Status::Inaccurate;
         outcome.off = off + astray;
+        outcome.astray = astray;
         return outcome;
     }
 
@@ -150,12 +158,11 @@ class Check {
             given += width * std::fabs(y_.spare[std::size_t(s)]);
         }
         for (int s = 0; s < level.hard; s++) asked -= y_.of_exact(s) * level.wanted[std::size_t(s)];
-        double off = std::sqrt(dot(y_.g, y_.g, m_.blocks) * widest2);
+        const double off = std::sqrt(dot(y_.g, y_.g, m_.blocks) * widest2);
         for (int k = 0; k < shares_.count(); k++) {
-            const double z = y_.of_shares[std::size_t(k)];
-            all += std::fabs(z);
-            asked -= std::max(z, 0.0);
-            off += std::fabs(z - y_.at_share(k));
+            const double by = y_.at_share(k);  // what keeps it between 0 and 1 balances this
+            all += std::fabs(by);
+            asked -= std::max(by, 0.0);
         }
         if (asked - off > CLEARLY * all) return Status::Infeasible;
         return asked - off > given + CLOSELY * all ? Status::Clashing : Status::Unproven;
@@ -200,14 +207,14 @@ class Check {
         return sum(squares);
     }
 
-    // How far the arms' twists are from closing the loops as they should, squared.
-    double loop_gap() {
+    // How far the arms' twists are from moving the loops by b, or not at all, squared.
+    double loop_gap(const double* b) {
         double gap2 = 0.0;
         std::size_t at = 0;
         for (int i = 1; i < m_.holding; i++) {
             const double* V_i = of_arms_ + TWIST * i;
             for (int r : kept_[std::size_t(i - 1)]) {
-                const double off = V_i[r] - of_arms_[r] - b_[at];
+                const double off = V_i[r] - of_arms_[r] - (b ? b[at] : 0.0);
                 gap2 += off * off;
                 r_.of_loops[at++] = -off;
             }

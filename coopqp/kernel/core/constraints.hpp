@@ -11,8 +11,6 @@
 
 namespace coopqp {
 
-constexpr double INSIDE = 1e-12;  // overrun of a limit that is left as it is [rad/s]
-
 // lb <= v <= ub and G v <= h of a tick, for all levels.
 struct Limits {
     Limits(int lanes, int inequalities, Arena& arena)
@@ -119,12 +117,12 @@ class Constraints {
         v4 over = v4{};
         for (int b = 0; b < lanes_ / LANES; b++)
             over = larger(over, larger(lo[b] - x[b], x[b] - hi[b]));
-        for (int k = 0; k < LANES; k++) inside &= over[k] <= INSIDE;
+        for (int k = 0; k < LANES; k++) inside &= over[k] <= nearest.overrun;
         double* slack = nearest.upper + lanes_;
         for (int i = 0; i < inequalities_; i++) {
             slack[i] = limits.h[std::size_t(i)] -
                        dot(limits.G + std::size_t(i) * std::size_t(lanes_), v, lanes_ / LANES);
-            inside &= slack[i] >= -INSIDE;
+            inside &= slack[i] >= -nearest.overrun;
         }
         for (int k = 0; k < shares_.count(); k++)
             inside &= shares_.share(k) >= 0.0 && shares_.share(k) <= 1.0;
@@ -137,7 +135,7 @@ class Constraints {
         for (int s = 0; s < exact_; s++) {
             const double lacks = l == 0 ? shares_.lacks(s) : 0.0;
             nearest.lower[spare_row(s)] = nearest.upper[spare_row(s)] = -lacks;
-            agree &= std::fabs(lacks) <= INSIDE;
+            agree &= std::fabs(lacks) <= OVERRUN;
         }
         for (int k = 0; l > 0 && k < shares_.count(); k++)
             nearest.lower[share_row(k)] = nearest.upper[share_row(k)] = 0.0;

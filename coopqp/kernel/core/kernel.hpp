@@ -179,24 +179,25 @@ class Kernel {
         Status status = tried ? decide_exactly() : Status::Infeasible;
         const bool proved = !s_.relaxes && status != Status::Unproven && status != Status::Clashing;
         if (!level.exact || proved || (status == Status::Optimal && least_share() >= WHOLE)) {
-            if (status == Status::Optimal) note_missed();
+            if (status == Status::Optimal) note_missed(tasks_.v());
             return status;
         }
         const bool clash = status == Status::Clashing || status == Status::Infeasible;
         if (!clash && status != Status::Optimal && status != Status::Unproven) return status;
-        const Status near = come_near(status);
+        const Status near = come_near(status, tried);
         if (near != Status::Optimal) return s_.relaxes ? near : status;
-        note_missed();
+        note_missed(tasks_.v());
         // Where rows clash by less than they may give way, the nearest is as good as all.
-        if (status == Status::Optimal || (s_.relaxes && relaxed()) || (tried && clash && !lacks()))
+        if (status == Status::Optimal || (s_.relaxes && relaxed()) || (tried && clash && !relaxed()))
             return near;
-        if (tried) return lacks() ? Status::Infeasible : Status::Unproven;  // the nearest is the proof
+        const bool proof = lacks() || (clash && relaxed());  // the nearest is the proof
+        if (tried) return proof ? Status::Infeasible : Status::Unproven;
         leaves_ = 0.0;
         status = decide_exactly();  // hard tasks can hold again
         if (status == Status::Infeasible || status == Status::Clashing ||
             (status == Status::Optimal && least_share() < WHOLE))
-            status = come_near(status);
-        if (status == Status::Optimal) note_missed();
+            status = come_near(status, true);
+        if (status == Status::Optimal) note_missed(tasks_.v());
         return status;
     }
 
@@ -218,8 +219,10 @@ class Kernel {
 
     // The levels of hard and of scaled tasks where not all they ask can be done.
     //   whole: of the level with all they ask; Optimal where a share is small.
-    Status come_near(Status whole) {
-        const bool optimal = whole == Status::Optimal, scales = levels[0].shares > 0;
+    //   tried: whether that was asked for; else scaled tasks wait where hard ones can hold again.
+    Status come_near(Status whole, bool tried) {
+        const bool optimal = whole == Status::Optimal;
+        bool scales = levels[0].shares > 0;
         copy(near_, tasks_.v(), m_->blocks);
         if (optimal) {
             nearest_.accept_hard(b_.data(), near_);
@@ -227,6 +230,8 @@ class Kernel {
             Status status = nearest_.of_hard(damping_, bound.missed, b_.data(), set_out_);
             if (status != Status::Optimal) return status;
             copy(near_, nearest_.v(), m_->blocks);
+            note_missed(near_);
+            scales &= tried || lacks();
             if (scales) status = scale_beside(near_);
             if (status != Status::Optimal) return status;
         }
@@ -293,11 +298,11 @@ class Kernel {
     }
 
     // What rows of hard tasks lack of what they want, and shares to 1.
-    void note_missed() {
+    void note_missed(const double* v) {
         const Level& level = levels[0];
-        if (level.hard) rows_.object_twist(tasks_.v(), V_);
+        if (level.hard) rows_.object_twist(v, V_);
         for (int s = 0; s < level.hard; s++) {
-            const double lacks = rows_.times(level, s, tasks_.v(), V_) - level.wanted[std::size_t(s)];
+            const double lacks = rows_.times(level, s, v, V_) - level.wanted[std::size_t(s)];
             missed_[std::size_t(s)] = std::fabs(lacks) > MET ? lacks : 0.0;
         }
         for (int k = 0; k < level.shares; k++)

@@ -41,6 +41,7 @@ class LeastDistance {
   public:
     double *M, *lower, *upper;
     int active = 0;
+    double overrun = OVERRUN;
 
   private:
     double* values_;
@@ -133,11 +134,11 @@ class LeastDistance {
     // The constraint that is violated most by values_, or -1.
     int most_violated(double& side) {
         const v4 *lo = lanes(lower), *hi = lanes(upper), *x = lanes(values_);
-        v4 most = v4{} + OVERRUN;
+        v4 most = v4{} + overrun;
         for (int b = 0; b < row_blocks_; b++)
             most = larger(most, larger(x[b] - hi[b], lo[b] - x[b]));
         const double worst = largest(most);
-        if (!(worst > OVERRUN)) return -1;
+        if (!(worst > overrun)) return -1;
         for (int i = 0; i < stride(); i++) {
             const bool above = values_[i] - upper[i] >= worst;
             if (!above && !(lower[i] - values_[i] >= worst)) continue;
