@@ -43,7 +43,7 @@ Stiffness = float | Mapping[str, float]
 class Earlier(LoopObserver):
     """The law before the servos' sag was known of."""
 
-    def _unload(self, state: State) -> Array:
+    def _unload(self, state: State, along: Array | None) -> Array:
         self._sag  # noqa: B018 - as made for the other law
         return np.zeros(len(state.gap))
 
@@ -98,7 +98,7 @@ def cases(seed: int) -> list[Case]:
         Case("grip 2e4, slips above 30 N, 2000, 4.8", springs(2000.0, 2e4, slip_force=30.0), 4.8),
         Case(
             "grip 2e4, creeps, 1.2, weak wrists, K +-30 %",
-            springs(weak_wrists(seed), 2e4, creep=2e4), 1.2, told=weak_wrists(),
+            springs(weak_wrists(seed), 2e4, creep=2e4), 1.2,
         ),
     ]  # fmt: skip
 
@@ -119,7 +119,8 @@ def traps() -> list[Case]:
             found.append(Case(f"{name}, {trap}", replace(plant, **changed), 2.4, off=off))
         half = 0.5 * float(plant.stiffness)  # type: ignore[arg-type]
         found.append(Case(f"{name}, K believed x0.5", plant, 2.4, told=half))
-    return found
+    off = springs(weak_wrists(0), 2e4, creep=2e4)
+    return [*found, Case("creeps, weak wrists, K off by 30 %", off, 2.4, told=weak_wrists())]
 
 
 def laws(case: Case) -> dict[str, Observer]:
