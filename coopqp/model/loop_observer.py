@@ -135,15 +135,17 @@ class LoopObserver:
             What the sag opens the loops by, shape (6 L,).
         """
         sag, felt, q = self._sag, state.felt, self._measured.q
-        sag.update(state, along)
-        lag = q - state.q
-        if along is not None:
+        known = self.settings.stiffness is not None
+        sag.update(state, along if known else None)
+        lag, load = q - state.q, math.nan
+        if along is not None and known:
             sag.straighten(lag)
-        load = sag.load(state, lag)
+        if along is None or known:  # else a squeeze could not be told from a load
+            load = sag.load(state, lag)
         felt[1] = felt[1] + self._dt if math.isfinite(load) else 0.0
         if felt[1] > AFTER:
             felt[0] += min(1.0, self._dt / FEELS) * (load - felt[0])
-        self.load = math.nan if self.settings.stiffness is None else float(felt[0])
+        self.load = float(felt[0]) if known else math.nan
         q[:] = state.q + lag - felt[0] * sag.sag
         return np.asarray(felt[0] * sag.opened, float)
 
