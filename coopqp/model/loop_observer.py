@@ -140,13 +140,14 @@ class LoopObserver:
         lag, load = q - state.q, math.nan
         if along is not None and known:
             sag.straighten(lag)
+            np.add(state.q, lag, out=q)
         if along is None or known:  # else a squeeze could not be told from a load
             load = sag.load(state, lag)
         felt[1] = felt[1] + self._dt if math.isfinite(load) else 0.0
         if felt[1] > AFTER:
             felt[0] += min(1.0, self._dt / FEELS) * (load - felt[0])
         self.load = float(felt[0]) if known else math.nan
-        q[:] = state.q + lag - felt[0] * sag.sag
+        q -= felt[0] * sag.sag
         return np.asarray(felt[0] * sag.opened, float)
 
     def _learn(self, gap: Array, learnt: Array, about: Array) -> None:

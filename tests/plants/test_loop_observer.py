@@ -72,6 +72,18 @@ def test_the_sag_is_that_of_springs_under_half_the_weight_each() -> None:
     np.testing.assert_allclose(sag.opened, opened, atol=1e-3 * np.abs(opened).max())
 
 
+def test_what_a_squeeze_bends_is_no_sag() -> None:
+    chain = scenario(FIRM, KNOWN).chain
+    state, sag = State(chain), WeightSag(chain, np.full(chain.n, 1.0 / K))
+    state.update()
+    along = np.array([0.0, 1.0, 0.0, 0.0, 0.0, 0.0])
+    sag.update(state, along)
+    bent = -20.0 / K * (along @ state.J_rel)
+    sag.straighten(bent)
+    np.testing.assert_allclose(bent, 0.0, atol=1e-12)
+    assert sag.load(state, 5.0 * sag.sag) == pytest.approx(5.0)
+
+
 @pytest.mark.parametrize("times", [1.0, 1.5])
 def test_the_load_is_felt_whatever_the_scenario_says(times: float) -> None:
     law, *_ = run(scenario(FIRM, KNOWN, replace(ERRORS, object_mass=times)), 5.0)
