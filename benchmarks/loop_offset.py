@@ -2,6 +2,7 @@
 
 python benchmarks/loop_offset.py [seeds]        grips as springs, on quasi_static; 6 min a seed
 python benchmarks/loop_offset.py traps          what the observer does not know, one seed
+python benchmarks/loop_offset.py others         three arms, hinges, admittance, reference "measured"
 python benchmarks/loop_offset.py friction [s]   fingers that hold by friction alone, in MuJoCo
 
 Two Pandas lift a box by 15 cm in 1.5 s and hold it to 13 s. Their links are 1 mm, grasps 1 mm and
@@ -43,7 +44,7 @@ Stiffness = float | Mapping[str, float]
 class Earlier(LoopObserver):
     """The law before the servos' sag was known of."""
 
-    def _unload(self, state: State) -> Array:
+    def _unload(self, state: State, along: Array | None) -> Array:
         self._sag  # noqa: B018 - as made for the other law
         return np.zeros(len(state.gap))
 
@@ -98,7 +99,7 @@ def cases(seed: int) -> list[Case]:
         Case("grip 2e4, slips above 30 N, 2000, 4.8", springs(2000.0, 2e4, slip_force=30.0), 4.8),
         Case(
             "grip 2e4, creeps, 1.2, weak wrists, K +-30 %",
-            springs(weak_wrists(seed), 2e4, creep=2e4), 1.2, told=weak_wrists(),
+            springs(weak_wrists(seed), 2e4, creep=2e4), 1.2,
         ),
     ]  # fmt: skip
 
@@ -119,7 +120,8 @@ def traps() -> list[Case]:
             found.append(Case(f"{name}, {trap}", replace(plant, **changed), 2.4, off=off))
         half = 0.5 * float(plant.stiffness)  # type: ignore[arg-type]
         found.append(Case(f"{name}, K believed x0.5", plant, 2.4, told=half))
-    return found
+    off = springs(weak_wrists(0), 2e4, creep=2e4)
+    return [*found, Case("creeps, weak wrists, K off by 30 %", off, 2.4, told=weak_wrists())]
 
 
 def laws(case: Case) -> dict[str, Observer]:
@@ -137,7 +139,8 @@ def laws(case: Case) -> dict[str, Observer]:
 
 def built(scenario: Scenario, name: str) -> tuple[Law, PlantModel, State]:
     problem = scenario.problem()
-    law = QPController().build(problem)
+    chosen = next((x for x in scenario.controllers.values() if isinstance(x, QPController)), None)
+    law = (chosen or QPController()).build(problem)
     if name == "earlier":
         law.observer = Earlier(problem.chain, problem.dt, problem.observer)
     plant = scenario.plant.build(problem, scenario.seed, scenario.disturbance)
@@ -195,6 +198,54 @@ def table(of: Any, seeds: range) -> None:
                 found.append(lift(scenario, name))
             row.append(cell(found))
         print(f"| {of(0)[i].name} | {' | '.join(row)} |", flush=True)
+
+
+def others() -> None:
+    """Three arms, hinges, a squeeze by admittance; largest internal force across the squeeze."""
+    slight, slighter = (replace(ERRORS, encoder_offset=x) for x in (2e-3, 3e-3))
+    ur, pads = coopqp.load("three_ur"), coopqp.load("position_pair")
+    nao = coopqp.load("passive_grasp_pose")
+    slow = tuple(replace(task, gain=5.0) for task in nao.tasks)
+    nao = replace(nao, dt=0.01, kappa=100.0, tasks=slow, held=replace(nao.held, mass=0.6))
+    pads = replace(pads, held=replace(pads.held, mass=4.0))
+    for name, scenario, stiffness, grip, off in (
+        ("three UR arms", ur, 5000.0, 1e6, slight),
+        ("NAO, hinges", nao, 60.0, 1e6, slighter),
+        ("two UR5, admittance 60 N", pads, 8000.0, 2e4, replace(ERRORS, delay=1)),
+    ):
+        plant = springs(stiffness, grip)
+        told = replace(scenario, plant=plant, disturbance=off, duration=8.0)
+        for law, observer in laws(Case(name, plant, 0.0)).items():
+            print(
+                f"{name}, {law}: {across(replace(told, observer=observer), law):.2f} N", flush=True
+            )
+    for case in (cases(0)[0], cases(0)[6], cases(0)[8]):
+        print(f'{case.name}, reference="measured": {followed(case):.1f} N', flush=True)
+
+
+def across(scenario: Scenario, name: str) -> float:
+    """In the mean of the last half second [N]."""
+    law, plant, state = built(scenario, name)
+    state.hand_wrench, found = plant.hand_wrench, []
+    for _ in range(scenario.ticks):
+        plant.step(state, law.tick(state))
+        force = plant.signals["internal_wrench"].reshape(-1, 6)[:, :3]
+        if law.squeezer:
+            force = force - np.outer(force @ law.squeezer.along[:3], law.squeezer.along[:3])
+        found.append(float(np.linalg.norm(force, axis=1).max()))
+    return float(np.mean(found[-round(HALF_A_SECOND / scenario.dt) :]))
+
+
+def followed(case: Case) -> float:
+    """After 5 s of commands from measured joints [N]."""
+    scenario = scenario_of(case.plant, case.mass, case.goal, case.off)
+    law, plant, _ = built(scenario, "")
+    state = law.start(plant.measured)
+    for _ in range(500):
+        plant.step(state, law.tick(state))
+        state.q[:], state.q_measured = plant.measured, None
+    first, last = plant.signals["hand_wrench"].reshape(2, 6)[:, :3]
+    return 0.5 * float(np.linalg.norm(first - last))
 
 
 #: Handles of the box between fingers: half sizes [m], along the hands' line, grip and height.
@@ -314,6 +365,8 @@ if __name__ == "__main__":
     what = sys.argv[1] if len(sys.argv) > 1 else "1"
     if what == "friction":
         friction(float(sys.argv[2]) if len(sys.argv) > 2 else SECONDS)
+    elif what == "others":
+        others()
     elif what == "traps":
         table(lambda seed: traps(), range(1))
     else:

@@ -111,7 +111,7 @@ class LoopObserver:
         if math.isnan(state.felt[0]):
             measured.update_poses()
             self._first(state, measured.loop_error)
-        opened = self._unload(state)
+        opened = self._unload(state, along)
         measured.update_poses()
         learnt = self._share * (measured.loop_error - state.loop_error)
         about = state.felt[2:] - opened
@@ -134,19 +134,25 @@ class LoopObserver:
         state.felt[1], state.felt[2:] = 0.0, error
         self._sag  # noqa: B018 - made now, not in a tick
 
-    def _unload(self, state: State) -> Array:
-        """Take the sag out of the measured joints, and feel the load at rest.
+    def _unload(self, state: State, along: Array | None) -> Array:
+        """Take the sag and a squeeze's out of the measured joints, and feel the load at rest.
 
         Returns:
             What the sag opens the loops by, shape (6 L,).
         """
         sag, felt, q = self._sag, state.felt, self._measured.q
-        sag.update(state)
-        load = sag.load(state, q - state.q)
+        known = self.settings.stiffness is not None
+        sag.update(state, along if known else None)
+        lag, load = q - state.q, math.nan
+        if along is not None and known:
+            sag.straighten(lag)
+            np.add(state.q, lag, out=q)
+        if along is None or known:  # else a squeeze could not be told from a load
+            load = sag.load(state, lag)
         felt[1] = felt[1] + self._dt if math.isfinite(load) else 0.0
         if felt[1] > AFTER:
             felt[0] += min(1.0, self._dt / FEELS) * (load - felt[0])
-        self.load = math.nan if self.settings.stiffness is None else float(felt[0])
+        self.load = float(felt[0]) if known else math.nan
         q -= felt[0] * sag.sag
         return np.asarray(felt[0] * sag.opened, float)
 

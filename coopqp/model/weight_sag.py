@@ -25,6 +25,9 @@ GRIP_SIZE = 0.03
 #: [m/s]; a rotation counts by 0.1 m.
 REST, SPEEDS = 0.005, np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])
 
+#: Sags below this are rounding.
+TINY = 1e-15
+
 
 class WeightSag:
     """The sag for one newton of weight.
@@ -39,6 +42,7 @@ class WeightSag:
     def __init__(self, chain: ClosedChain, compliance: Array) -> None:
         self._compliance, self._torque = compliance, np.zeros(chain.n)
         self.sag, self.opened = np.zeros(chain.n), np.zeros(6 * (len(chain.arms) - 1))
+        self._squeeze = self._bent = np.zeros(chain.n)
         self._up = -chain.model.gravity.linear
         self._up = self._up / max(float(np.linalg.norm(self._up)), 1e-12)
         com = pin.skew(np.array(chain.held.com))
@@ -47,19 +51,28 @@ class WeightSag:
         # Of J_ext = M [J_0; J_1; ...], so that sum_i J_i' h_i = J_ext' M^-T h.
         self._to_rows = np.linalg.solve(chain.mixing.T, at_origin)
 
-    def update(self, state: State) -> None:
-        """Follow an up-to-date state."""
+    def update(self, state: State, along: Array | None = None) -> None:
+        """Follow an up-to-date state, in which the hands may squeeze ``along`` a loop direction."""
         R = state.R_WO
         rows = self._to_rows.dot(self._up.dot(R)).reshape(-1, 3).dot(R.T)
         rows.ravel().dot(state.J_ext, self._torque)
         np.multiply(self._compliance, self._torque, self.sag)
         np.negative(self.sag, self.sag)
+        if along is not None:
+            self._squeeze = along.dot(state.J_rel)
+            self._bent = self._compliance * self._squeeze
+            self._bent /= max(float(self._bent.dot(self._squeeze)), TINY)
+            self.straighten(self.sag)
         state.J_rel.dot(self.sag, self.opened)
+
+    def straighten(self, sag: Array) -> None:
+        """Take out of a sag, shape (n,) [rad], what a squeeze along that direction does to it."""
+        sag -= self._squeeze.dot(sag) * self._bent
 
     def load(self, state: State, sag: Array) -> float:
         """The load that a sag, shape (n,) [rad], tells of, by least squares [N]; NaN in motion."""
         twist, size = state.J_task.dot(state.v) * SPEEDS, -self._torque.dot(self.sag)
-        if not twist.dot(twist) < REST * REST or not size > 0.0:
+        if not twist.dot(twist) < REST * REST or not size > TINY:
             return math.nan
         return max(0.0, float(-self._torque.dot(sag) / size))
 

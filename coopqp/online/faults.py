@@ -106,7 +106,7 @@ class FaultMonitor:
             state: commanded joints, and the hands' wrenches if there are force sensors.
             q_m: measured joints, shape (n,) [rad, m]; None without a reading.
         """
-        new = self._forces.update(state)
+        new = self._forces.update(state) or self._observed()
         if not new and self._joints and q_m is not None:
             suspect = self._joints.update(state, state.q, q_m)
             new = self._named(suspect) if suspect else None
@@ -116,6 +116,17 @@ class FaultMonitor:
             fault = Fault(*new[:2], state.t, new[2])
             self.found = (*self.found, fault)
             return fault
+        return None
+
+    def _observed(self) -> Finding | None:
+        """What the observer of the loop-closure offset has found."""
+        observer = self._law.observer
+        if observer.at_bound:
+            return "loop_offset_at_bound", observer.at_bound, observer.note
+        held = self._law.problem.chain.held
+        g = float(np.linalg.norm(self._law.problem.chain.model.gravity.linear))
+        if observer.load > max(SMALL, (1.0 + OF_WEIGHT) * held.mass * g):
+            return "load_heavier", (), _heavier(observer.load / g, held.mass)
         return None
 
     def _named(self, suspect: Suspect) -> Finding:
@@ -150,6 +161,10 @@ CLOSED_IN = 1e-3
 UNEXPLAINED = 0.3
 #: Share of the friction that slip is near at.
 NEAR_SLIP = 0.95
+
+
+def _heavier(mass: float, told: float) -> str:
+    return f"the hands bear {mass:.3g} kg; write that as object.mass, which says {told:g} kg"
 
 
 class ForceMonitor:
@@ -240,9 +255,7 @@ class ForceMonitor:
                 )
                 return "force_sensor_reversed", (hand.arm,), words
         if sideways < UNEXPLAINED:
-            mass = self._mass + above / g
-            words = f"the hands bear {mass:.3g} kg, and object.mass says {self._mass:g} kg"
-            return "load_heavier", (), words
+            return "load_heavier", (), _heavier(self._mass + above / g, self._mass)
         words = f"forces and weight do not add up, by {size:.3g} N: is a sensor wrong, or a push?"
         return "forces_unbalanced", (), words
 

@@ -72,6 +72,18 @@ def test_the_sag_is_that_of_springs_under_half_the_weight_each() -> None:
     np.testing.assert_allclose(sag.opened, opened, atol=1e-3 * np.abs(opened).max())
 
 
+def test_what_a_squeeze_bends_is_no_sag() -> None:
+    chain = scenario(FIRM, KNOWN).chain
+    state, sag = State(chain), WeightSag(chain, np.full(chain.n, 1.0 / K))
+    state.update()
+    along = np.array([0.0, 1.0, 0.0, 0.0, 0.0, 0.0])
+    sag.update(state, along)
+    bent = -20.0 / K * (along @ state.J_rel)
+    sag.straighten(bent)
+    np.testing.assert_allclose(bent, 0.0, atol=1e-12)
+    assert sag.load(state, 5.0 * sag.sag) == pytest.approx(5.0)
+
+
 @pytest.mark.parametrize("times", [1.0, 1.5])
 def test_the_load_is_felt_whatever_the_scenario_says(times: float) -> None:
     law, *_ = run(scenario(FIRM, KNOWN, replace(ERRORS, object_mass=times)), 5.0)
@@ -99,7 +111,7 @@ def test_hands_do_not_pull_and_the_gap_comes_to_rest(
 def test_an_observer_of_the_sag_alone_pulls(monkeypatch: pytest.MonkeyPatch) -> None:
     """The law without the sag ends with d / S between the hands, and winds up where grips creep."""
     _, _, _, force = run(scenario(FIRM, KNOWN), 6.0)
-    nothing = lambda observer, state: np.zeros(len(state.gap))  # noqa: E731
+    nothing = lambda observer, state, along: np.zeros(len(state.gap))  # noqa: E731
     monkeypatch.setattr(LoopObserver, "_unload", nothing)
     _, _, _, pulled = run(scenario(FIRM, KNOWN), 6.0)
     assert np.mean(pulled[-50:]) > 5.0 * np.mean(force[-50:])
