@@ -90,12 +90,13 @@ class FaultMonitor:
         self._joints = JointFollowing(chain, dt) if observed else None
         self._forces = ForceMonitor(law)
         self.found: tuple[Fault, ...] = ()
+        self._misled = False
 
     def forget(self) -> None:
         """Begin anew, as after a rest."""
         self.found = ()
         self._forces.forget()
-        self._law.observer.paused = False
+        self._misled = self._law.observer.paused = False
         if self._joints:
             self._joints.forget()
 
@@ -106,16 +107,18 @@ class FaultMonitor:
             state: commanded joints, and the hands' wrenches if there are force sensors.
             q_m: measured joints, shape (n,) [rad, m]; None without a reading.
         """
-        new = self._forces.update(state) or self._observed()
-        if not new and self._joints and q_m is not None:
-            suspect = self._joints.update(state, state.q, q_m)
-            new = self._named(suspect) if suspect else None
+        findings = [self._forces.update(state), self._observed()]
+        if self._joints and q_m is not None and not self._misled:
+            if suspect := self._joints.update(state, state.q, q_m):
+                findings.append(self._named(suspect))
+                self._misled = True
             # What a wrong encoder says is no error of the model: the loop must not follow it.
-            self._law.observer.paused = self._joints.suspicious or bool(self.found)
-        if new and not any(new[:2] == fault[:2] for fault in self.found):
-            fault = Fault(*new[:2], state.t, new[2])
-            self.found = (*self.found, fault)
-            return fault
+            self._law.observer.paused = self._joints.suspicious or self._misled
+        for kind, where, note in filter(None, findings):
+            if not any((kind, where) == fault[:2] for fault in self.found):
+                fault = Fault(kind, where, state.t, note)
+                self.found = (*self.found, fault)
+                return fault
         return None
 
     def _observed(self) -> Finding | None:

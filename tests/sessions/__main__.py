@@ -21,6 +21,10 @@ from coopqp.cli.options import engined
 from coopqp.report.table import console, progress_bars
 from sessions.session import EFFECT, KINDS, OPENED, Session, run
 
+HEADS = (
+    "fault", "sessions", "with effect", "named", "soon", "right place", "latest [s]",
+    "force after over when named", "named without effect",
+)  # fmt: skip
 #: When a fault with an effect must be named after it [s]: nine in ten, and all.
 SOON, LATEST = 0.3, 0.8
 
@@ -56,8 +60,7 @@ def _one(seed: int, *, sound: bool) -> Session:
 
 
 def _table(sessions: Sequence[Session]) -> Table:
-    table = Table("fault", "sessions", "with effect", "named", f"in {SOON:g} s", "right joint or hand",
-                  "latest [s]", "most force after / when named", "also named without effect")  # fmt: skip
+    table = Table(*HEADS)
     for kind in (*KINDS, "all"):
         own = [s for s in sessions if kind in (s.fault, "all")]
         harmful = [s for s in own if s.effect == s.effect]

@@ -1,4 +1,4 @@
-"""A session that belongs to a seed: which robot, plant, motion, errors and fault, and what came of it."""
+"""A session that belongs to a seed: robot, plant, motion, errors and fault, and what came of it."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ from coopqp.online.simulated import SimulatedRobot
 from coopqp.plant import FAULTS, Disturbance, Fault
 from coopqp.plants import QuasiStatic, RigidBody
 from coopqp.scenario.scenario import Scenario
+from coopqp.solver import HALTS, Status
 from coopqp.task import Task
 from coopqp.tasks import InternalWrench, JointCentering, PointOnPoint, Pose
 
@@ -144,7 +145,9 @@ def run(seed: int, *, sound: bool) -> Session:
     robot, scenario, fault, kind = draw(seed, sound=sound)
     loop = OnlineLoop(scenario, clock=None)
     simulated = SimulatedRobot(loop)
-    watch = _Watch(loop, simulated, SQUEEZE if len(scenario.tasks) > 1 else 0.0)
+    watch = _Watch(
+        loop, simulated, SQUEEZE if len(scenario.tasks) > 1 else 0.0, fault.start if fault else 0.0
+    )
     for _ in range(round(DURATION / scenario.dt)):
         inputs = {"hand_wrench": simulated.plant.hand_wrench}
         command = loop.tick(simulated.read(), inputs)
@@ -161,7 +164,10 @@ def run(seed: int, *, sound: bool) -> Session:
 class _Watch:
     """What is promised of every tick, and what is measured."""
 
-    def __init__(self, loop: OnlineLoop, robot: SimulatedRobot, squeeze: float) -> None:
+    def __init__(
+        self, loop: OnlineLoop, robot: SimulatedRobot, squeeze: float, since: float
+    ) -> None:
+        self._since = since
         self._loop, self._robot, self._squeeze = loop, robot, squeeze
         self._forces: list[float] = []
         self._opened, self._start, self._broken = 0.0, None, []
@@ -174,7 +180,8 @@ class _Watch:
         wrenches = self._robot.plant.signals["internal_wrench"].reshape(-1, 6)
         force = float(np.linalg.norm(wrenches[:, :3], axis=1).max())
         self._forces.append(max(0.0, force - self._squeeze))
-        if self._named < 0 and (loop.faults or loop.stopped):
+        told = loop.faults or loop.stopped or HALTS & set(command.causes)
+        if self._named < 0 and (told or Status.NOT_MEASURED in command.causes):
             self._named = k
         if not loop.begun:
             return
@@ -198,7 +205,7 @@ class _Watch:
     ) -> Session:
         loop, dt = self._loop, self._loop.problem.dt
         F = np.array(self._forces)
-        at = np.flatnonzero(F > EFFECT)
+        at = np.flatnonzero((F > EFFECT) & (np.arange(len(F)) * dt >= self._since))
         named = self._named
         first = loop.faults[0] if loop.faults else None
         right = bool(first and (not where or set(first.where) & set(where)))
