@@ -47,8 +47,12 @@ def main(sessions: int, sound: int, seed: int, engine: Any) -> None:
     faulty, fine = done
     console().print(_table(faulty))
     broken = [*_broken(faulty), *_broken_sound(fine)]
-    named = sum(not np.isnan(s.named) for s in fine)
-    click.echo(f"{named} false alarms in {len(fine)} sound sessions")
+    able = [s for s in fine if not s.overloaded]
+    named = sum(s.named == s.named for s in able)
+    click.echo(f"{named} false alarms in {len(able)} sound sessions")
+    weak = [s for s in fine if s.overloaded]
+    told = sum(s.named == s.named for s in weak)
+    click.echo(f"{told} of {len(weak)} in which a motor was at its limit are named")
     for words in broken[:40]:
         click.echo(words, err=True)
     if broken:
@@ -94,7 +98,7 @@ def _broken_sound(sessions: Sequence[Session]) -> Iterator[str]:
         who = f"sound seed {s.seed}: {s.robot}, {s.plant}"
         for words in s.broken:
             yield f"{who}: {words}"
-        if s.named == s.named:
+        if s.named == s.named and not s.overloaded:
             yield f"{who}: named {s.kind} of {' and '.join(s.found)} at {s.named:.2f} s"
 
 

@@ -53,6 +53,7 @@ class Session:
         named: when a fault was found; NaN if none was [s]. kind, found: which, and where.
         right: whether what was found is where the fault is.
         force_named: internal force when it could first be named; most: largest later [N].
+        overloaded: whether a motor was at its limit for a tenth of a second before.
         opened: how far the loop itself told the hands to part or close [m].
         broken: promises that were not kept.
     """
@@ -69,6 +70,7 @@ class Session:
     right: bool = False
     force_named: float = 0.0
     most: float = 0.0
+    overloaded: bool = False
     opened: float = 0.0
     stopped: str = ""
     broken: tuple[str, ...] = ()
@@ -167,7 +169,7 @@ class _Watch:
     def __init__(
         self, loop: OnlineLoop, robot: SimulatedRobot, squeeze: float, since: float
     ) -> None:
-        self._since = since
+        self._since, self._loaded = since, np.zeros(1)
         self._loop, self._robot, self._squeeze = loop, robot, squeeze
         self._forces: list[float] = []
         self._opened, self._start, self._broken = 0.0, None, []
@@ -180,6 +182,9 @@ class _Watch:
         wrenches = self._robot.plant.signals["internal_wrench"].reshape(-1, 6)
         force = float(np.linalg.norm(wrenches[:, :3], axis=1).max())
         self._forces.append(max(0.0, force - self._squeeze))
+        if self._named < 0 and "saturated" in self._robot.plant.signals:
+            share = self._robot.plant.signals["saturated"]
+            self._loaded = self._loaded + share * loop.problem.dt
         told = loop.faults or loop.stopped or HALTS & set(command.causes)
         if self._named < 0 and (told or Status.NOT_MEASURED in command.causes):
             self._named = k
@@ -215,7 +220,7 @@ class _Watch:
             named=named * dt if named >= 0 else np.nan,
             kind=first.kind if first else loop.status.name if named >= 0 else "",
             found=first.where if first else (),
-            right=right, stopped=loop.stopped,
+            right=right, stopped=loop.stopped, overloaded=bool(self._loaded.max() > 0.1),
             force_named=float(F[named]) if named >= 0 else 0.0,
             most=float(F.max(initial=0.0)), opened=self._opened,
             broken=tuple(dict.fromkeys(self._broken)),
