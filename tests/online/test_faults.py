@@ -1,0 +1,207 @@
+"""Faults of a robot are named while its loop runs; the arms go on, slow down or come to rest."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from online_loops import follows, go, simulated
+from scenario_files import needs_robots
+from sessions.session import EFFECT, run
+
+import coopqp
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.spec import Array
+from coopqp.model.state import State
+from coopqp.online import faults as found
+from coopqp.online.faults import REACTIONS, checked_reactions
+from coopqp.online.following import JointFollowing, Suspect
+from coopqp.online.loop import OnlineLoop
+from coopqp.online.simulated import SimulatedRobot
+from coopqp.plant import Disturbance, Fault
+from coopqp.scenario.scenario import Scenario
+from coopqp.solver import Status
+
+DT, TICKS, LAG = 0.01, 120, 4
+#: Two joints on parallel axes in both arms: a motor of one cannot be told from one of the other.
+SHOULDERS = {"LShoulderRoll", "RShoulderRoll"}
+
+
+def motion(n: int) -> Array:
+    """Commands of all joints, each its own way, from rest, shape (TICKS, n) [rad]."""
+    t = DT * np.arange(TICKS)[:, None]
+    turns = 1.0 + np.arange(n) / n
+    return np.asarray(0.15 * (1.0 - np.cos(turns * t)) * np.where(np.arange(n) % 2, 1.0, -1.0))
+
+
+def judged(state: State, c: Array, r: Array, noise: float = 0.0) -> Suspect | None:
+    """What is said of joints that follow ``c`` some ticks late, but for ``r``."""
+    following = JointFollowing(state.chain, DT)
+    shaken = np.random.default_rng(0).normal(0.0, 1.0, r.shape) * noise
+    for k in range(TICKS):
+        measured = c[max(0, k - LAG)] + r[k] + shaken[k]
+        if found := following.update(state, state.q + c[k], state.q + measured):
+            return found
+    return None
+
+
+def stiffness(state: State) -> Array:
+    """Of servos that give their full torque at 50 mrad, shape (n,) [N m/rad]."""
+    return np.asarray(state.chain.model.effortLimit / 0.05, float)
+
+
+@pytest.fixture
+def nao() -> State:
+    return State(follows().problem().chain)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+def test_internal_forces_of_any_size_are_no_fault(nao: State, noise: float) -> None:
+    """K r = J_c' lambda is what servos of that stiffness do under a wrench between the hands."""
+    K, rng = stiffness(nao), np.random.default_rng(1)
+    for newtons in (1.0, 10.0, 100.0):
+        forces = newtons * rng.normal(size=(3, 6))
+        t = np.linspace(0.0, 1.0, TICKS)[:, None]
+        wrench = forces[0] * t + forces[1] * t**2 + forces[2] * np.sin(6.0 * t)
+        sag = wrench @ nao.J_loop / K
+        assert np.abs(sag).max() > 5e-3 * newtons
+        assert judged(nao, motion(nao.chain.n), sag, noise) is None
+
+
+@pytest.mark.parametrize("noise", [0.0, 3e-4])
+@pytest.mark.parametrize("slope", [-2.0, -1.0])
+def test_the_joint_that_does_not_follow_is_told_from_internal_forces(
+    nao: State, slope: float, noise: float
+) -> None:
+    n, c = nao.chain.n, motion(nao.chain.n)
+    wrench = 20.0 * np.sin(np.linspace(0.0, 3.0, TICKS))[:, None] * np.ones(6)
+    sag = wrench @ nao.J_loop / stiffness(nao)
+    late = np.vstack([np.zeros((LAG, n)), c[:-LAG]])
+    for j, name in enumerate(nao.chain.joint_names):
+        r = sag.copy()
+        r[:, j] += slope * late[:, j]
+        found = judged(nao, c, r, noise)
+        assert found is not None, name
+        alike = {nao.chain.joint_names.index(x) for x in SHOULDERS} if name in SHOULDERS else {j}
+        assert j in found.joints
+        assert set(found.joints) <= alike
+        assert found.slope == pytest.approx(-slope, rel=0.25)
+
+
+def test_two_swapped_joints_are_named(nao: State) -> None:
+    c, names = motion(nao.chain.n), nao.chain.joint_names
+    late = np.vstack([np.zeros((LAG, nao.chain.n)), c[:-LAG]])
+    j, k = names.index("RElbowYaw"), names.index("RElbowRoll")
+    r = np.zeros_like(c)
+    r[:, j], r[:, k] = late[:, k] - late[:, j], late[:, j] - late[:, k]
+    found = judged(nao, c, r)
+    assert found is not None
+    assert found.swapped
+    assert set(found.joints) == {j, k}
+
+
+@needs_robots
+@pytest.mark.parametrize("seed", [6, 7, 36, 37, 41])
+def test_a_session_with_a_fault_names_it_before_it_hurts(seed: int) -> None:
+    """``python -m tests.sessions`` runs a thousand."""
+    session = run(seed, sound=False)
+    assert not session.broken
+    assert session.right
+    assert session.stopped
+    assert session.named < 0.3 + (session.effect if session.effect == session.effect else 9.0)
+    assert session.most < 2.0 * max(session.force_named, EFFECT)
+
+
+@needs_robots
+@pytest.mark.parametrize("seed", range(5))
+def test_a_sound_session_names_nothing(seed: int) -> None:
+    session = run(seed, sound=True)
+    assert session.overloaded == (seed == 3)  # Baxter's shoulder is too weak for this one
+    assert not session.broken
+    if not session.overloaded:
+        assert not session.kind
+
+
+def pressed(fault: Fault | None, mass: float = 1.0) -> Scenario:
+    """The two UR5 squeeze by 60 N, with a fault of the left one's force sensor."""
+    disturbance = Disturbance(faults=(fault,) if fault else (), object_mass=mass)
+    return replace(coopqp.load("position_pair"), disturbance=disturbance)
+
+
+def felt(robot: SimulatedRobot) -> float:
+    """The true squeeze [N]."""
+    true = robot.plant.signals["hand_wrench"].reshape(-1, 6)
+    return float(np.abs(true[:, 0]).max())
+
+
+def session(scenario: Scenario, seconds: float, **settings: Any) -> tuple[OnlineLoop, float]:
+    """The loop after some time, and the largest force on the way [N]."""
+    loop, robot = simulated(scenario, reference="commanded", **settings)
+    most = 0.0
+    for _ in range(round(seconds / scenario.dt)):
+        command = loop.tick(robot.read(), {"hand_wrench": robot.plant.hand_wrench})
+        robot.write(loop.setpoint, command.v)
+        most = max(most, felt(robot))
+    return loop, most
+
+
+@needs_robots
+@pytest.mark.parametrize(
+    ("kind", "named"),
+    [
+        ("force_dead", "force_sensor_dead"),
+        ("force_stuck", "force_sensor_stuck"),
+        ("force_reversed", "force_sensor_reversed"),
+    ],
+)
+def test_a_force_sensor_that_lies_is_named_before_the_hands_crush(kind: str, named: str) -> None:
+    loop, most = session(pressed(Fault(kind=kind, arm="left/arm", start=0.5)), 1.5)
+    assert loop.faults[0][:2] == (named, ("left/arm",))
+    assert "left/arm" in loop.note
+    assert Status.FAULT in loop.command.causes
+    assert loop.at_rest
+    assert most < 120.0  # without the monitor a dead one makes 446 N of it in two seconds
+
+
+@needs_robots
+def test_a_load_heavier_than_told_is_weighed() -> None:
+    loop, _ = session(pressed(None, mass=2.5), 1.5)
+    (fault,) = loop.faults
+    assert fault.kind == "load_heavier"
+    mass = float(fault.note.split("bear ")[1].split(" kg")[0])
+    assert mass == pytest.approx(5.0, rel=0.1)
+    assert not loop.stopped
+
+
+@needs_robots
+def test_sound_hands_that_squeeze_have_no_fault() -> None:
+    loop, _ = session(pressed(None), 3.0)
+    assert not loop.faults
+
+
+def test_what_slows_down_takes_the_same_path_in_more_time() -> None:
+    scenario = coopqp.load("point_on_point")
+    fast, robot = simulated(scenario, reference="commanded")
+    go(fast, robot, 300)
+    slow, robot = simulated(scenario, reference="commanded", reactions={"slip_near": "slow_down"})
+    go(slow, robot, 1)
+    slow._phases.monitor.found = (found.Fault("slip_near", (), 0.0, "wet hands"),)
+    go(slow, robot, 1200)
+    path, slowly = fast.history.last().position, slow.history.last().position
+    apart = np.linalg.norm(slowly[:, None] - path[None], axis=2).min(axis=1)
+    assert apart.max() < 1e-3
+    assert np.linalg.norm(slowly[-1] - path[-1]) < 1e-3
+    assert slow.state.t == pytest.approx(0.25 * slow.now, rel=0.1)
+    assert Status.FAULT in slow.command.causes
+    assert "wet hands" in slow.note
+
+
+def test_reactions_are_checked() -> None:
+    assert checked_reactions({"slip_near": "rest"})["slip_near"] == "rest"
+    assert checked_reactions(None) == REACTIONS
+    with pytest.raises(InvalidValueError, match="did you mean 'slip_near'"):
+        OnlineLoop(follows(), reactions={"slip_neer": "rest"})
+    with pytest.raises(InvalidValueError, match="slip_near: unknown reaction 'stop'"):
+        OnlineLoop(follows(), reactions={"slip_near": "stop"})  # type: ignore[dict-item]
