@@ -41,7 +41,7 @@ ROTATION = 10.0
 #: After so long at rest the load is felt, with this time constant [s].
 AFTER, FEELS = 0.2, 0.3
 #: Smaller sags of unknown servos may as well be errors of their feed-forward [rad].
-SLIGHT = 3e-4
+SLIGHT = 2e-4
 
 
 @spec
