@@ -41,6 +41,8 @@ MOST_POSITION, MOST_ORIENTATION = 30e-3, 100e-3
 ROTATION = 10.0
 #: After so long at rest the load is felt, with this time constant [s].
 AFTER, FEELS = 0.2, 0.3
+#: Smaller sags of unknown servos may as well be errors of their feed-forward [rad].
+SLIGHT = 2e-4
 
 
 @spec
@@ -153,8 +155,11 @@ class LoopObserver:
         if felt[1] > AFTER:
             felt[0] += min(1.0, self._dt / FEELS) * (load - felt[0])
         self.load = float(felt[0]) if known else math.nan
-        q -= felt[0] * sag.sag
-        return np.asarray(felt[0] * sag.opened, float)
+        load = float(felt[0])
+        if not known and load * np.abs(sag.sag).max() < SLIGHT:
+            load = 0.0
+        q -= load * sag.sag
+        return np.asarray(load * sag.opened, float)
 
     def _learn(self, gap: Array, learnt: Array, about: Array) -> None:
         """Move the gap, at most as far ``about`` a value as a model's error changes."""
