@@ -76,7 +76,7 @@ def test_the_joint_that_does_not_follow_is_told_from_internal_forces(
     nao: State, slope: float, noise: float
 ) -> None:
     n, c = nao.chain.n, motion(nao.chain.n)
-    wrench = 5.0 * np.sin(np.linspace(0.0, 3.0, TICKS))[:, None] * np.ones(6)
+    wrench = 2.0 * np.sin(np.linspace(0.0, 3.0, TICKS))[:, None] * np.ones(6)
     sag = wrench @ nao.J_loop / stiffness(nao)
     late = np.vstack([np.zeros((LAG, n)), c[:-LAG]])
     for j, name in enumerate(nao.chain.joint_names):
