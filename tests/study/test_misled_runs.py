@@ -69,3 +69,14 @@ def test_a_law_that_knows_no_priorities_puts_nobody_first(tmp_path: Path) -> Non
     other = explained(scenario, tmp_path, "pseudoinverse")
     assert "cannot hold together" in other.sentence
     assert "first" not in other.sentence
+
+
+def test_a_load_heavier_than_told_asks_for_its_mass(tmp_path: Path) -> None:
+    scenario = replace(
+        coopqp.load("two_pandas"),
+        plant=RigidBody(time_step=0.002),
+        disturbance=Disturbance(object_mass=6.0),
+    )
+    sentence = explained(scenario, tmp_path).sentence
+    assert "the object is heavier than told: with object.mass 6 the goal is reached" in sentence
+    assert "calibrate" not in sentence

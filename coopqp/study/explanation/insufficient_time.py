@@ -153,8 +153,22 @@ def _misled_by_model(leg: ExplainedPhase) -> str:
     if faults := leg.scenario.disturbance.faults:
         named = words.listed([fault.words for fault in faults])
         return f"it has faults ({named}): without the disturbance the goal is reached (tried)"
+    if mass := _true_mass(leg):
+        told = f"the object is heavier than told: with object.mass {mass:.3g}"
+        return f"{told} the goal is reached (tried)"
     why = "this is what the model gets wrong: without the disturbance the goal is reached (tried)"
     return f"{why}; 'coopqp calibrate' may find out what"
+
+
+def _true_mass(leg: ExplainedPhase) -> float:
+    """The object's mass [kg], where the goal is reached once the model knows it; else zero."""
+    known, held = leg.scenario.disturbance, leg.scenario.held
+    mass = known.object_mass * held.mass
+    if known.object_mass <= 1.0:
+        return 0.0
+    told = replace(held, mass=mass)
+    light = replace(known, object_mass=1.0)
+    return 0.0 if rerun(leg, disturbance=light, held=told).missed else mass
 
 
 def _out_of_budget(leg: ExplainedPhase) -> bool:
