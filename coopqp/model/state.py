@@ -232,6 +232,10 @@ class State:
         self._refresh()
         return self._J_joints
 
+    def place_object(self, p: Array, R: Array, J: Array) -> None:
+        """Show the object at a pose that no joint has brought it to, with J_task = J, (6, n)."""
+        self.p_WO[:], self.R_WO[:], self._J_ext[:6] = p, R, J
+
     @property
     def J_loop(self) -> Array:
         """The independent rows of J_rel, for the solvers."""

@@ -28,9 +28,9 @@ from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 
 #: Time between samples, after which the parity space is computed anew, and of windows [s].
-SAMPLE, RENEWED, WINDOWS = 0.01, 0.1, (0.4, 2.0)
-#: Samples of a window that are looked at; those before the first look.
-LOOKS, FEWEST = 40, 4
+SAMPLE, RENEWED, WINDOWS = 0.02, 0.2, (0.4, 2.0)
+#: Samples of a window that are looked at; those before the first look; every so many the long one.
+LOOKS, FEWEST, LONG = 40, 4, 4
 #: The latest that a servo may follow [s].
 LATEST = 0.14
 #: Standard deviations: of a reading at least [rad, m]; of a servo's lag [s]; of its stiffness, as
@@ -100,9 +100,10 @@ class JointFollowing:
         self._compliance = 1.0 / K if usable else np.ones(n)
         self._every = max(1, round(SAMPLE / dt))
         h = self._every * dt
-        self._lags, self._h = np.arange(round(LATEST / h) + 1), h
+        #: In half samples, of which odd ones lie between two samples.
+        self._lags, self._h = np.arange(2 * round(LATEST / h) + 1), h
         self._spans = [max(2, round(window / h)) for window in WINDOWS]
-        kept = self._spans[-1] + len(self._lags) + 1
+        kept = self._spans[-1] + len(self._lags) // 2 + 2
         self._c, self._m = np.zeros((2, kept, n))
         self._pairs = list(combinations(range(n), 2))
         unit = np.identity(n)
@@ -146,50 +147,53 @@ class JointFollowing:
         """W with r W of unit variance without a fault, and zero for every internal wrench."""
         J = state.J_loop
         free = J.T @ null_space(J[:, self._passive].T) if len(self._passive) else J.T
-        U, values, _ = np.linalg.svd(
-            self._compliance[:, None] * free[self._own], full_matrices=False
-        )
-        U = U[:, values > SINGULAR * values.max(initial=1e-12)]
+        U, values, _ = np.linalg.svd(self._compliance[:, None] * free[self._own])
+        rank = int(np.sum(values > SINGULAR * values.max(initial=1e-12)))
+        U, parity = U[:, :rank], U[:, rank:]
         last = self._samples - 1
         at = np.arange(max(0, last - self._spans[0]), last + 1)
-        m, c = self._of(self._m, at), self._of(self._c, at - self._lag)
+        m, c = self._of(self._m, at), self._told(at, self._lag)
         r = (m - c) - (m[0] - c[0])
-        sag = np.sqrt(np.mean((r @ U @ U.T) ** 2, axis=0))
+        sag = np.mean((r @ U @ U.T) ** 2, axis=0)
         speed = np.abs(np.diff(c, axis=0)).mean(axis=0) / self._h
         # Of second differences, sqrt(6) sigma, the median is 1.65 sigma; 1.2 for few samples.
         noise = max(NOISE, 0.73 * float(np.median(np.abs(np.diff(m, 2, axis=0)))))
-        S = np.diag(1.0 / (noise**2 + (LAG_NOISE * speed) ** 2 + (STIFFNESS_NOISE * sag) ** 2))
-        SU = S @ U
-        S -= SU @ np.linalg.solve(U.T @ SU, SU.T)
-        values, V = np.linalg.eigh(S)
-        return np.asarray(V * np.sqrt(np.maximum(values, 0.0)))
+        variance = noise**2 + (LAG_NOISE * speed) ** 2 + STIFFNESS_NOISE**2 * sag
+        L = np.linalg.cholesky(parity.T @ (variance[:, None] * parity))
+        return np.asarray(np.linalg.solve(L, parity.T).T)
 
     def _look(self) -> Suspect | None:
         """The suspect of the shortest window that has one."""
         self.suspicious = False
-        for span in self._spans:
+        for span in self._spans if self._samples % LONG == 0 else self._spans[:1]:
             last = self._samples - 1
             first = max(0, last - span)
-            ends = self._of(self._m, last) - self._of(self._m, first)
-            ends -= self._of(self._c, last - self._lag) - self._of(self._c, first - self._lag)
-            z = ends.dot(self._white)
+            r = self._of(self._m, last) - self._of(self._m, first)
+            r += self._told(first, self._lag) - self._told(last, self._lag)
+            z = r.dot(self._white)
             if z.dot(z) > SUSPICIOUS and (found := self._judge(first, last)):
                 return found
         return None
 
+    def _told(self, at: Any, lag: Any) -> Array:
+        """Commands some half samples before."""
+        c = self._c
+        return 0.5 * (self._of(c, at - lag // 2) + self._of(c, at - (lag + 1) // 2))
+
     def _of(self, ring: Array, at: Any) -> Array:
         """Samples of a ring by their numbers; the first one before the beginning."""
         oldest = max(0, self._samples - len(ring))
-        return np.asarray(ring[np.maximum(at, oldest) % len(ring)])
+        at = max(at, oldest) if isinstance(at, int) else np.maximum(at, oldest)
+        return np.asarray(ring[at % len(ring)])
 
     def _judge(self, first: int, last: int) -> Suspect | None:
         at = np.arange(first, last + 1, max(1, (last - first) // LOOKS))
         m = self._of(self._m, at)
         m = m - m[0]
-        c = self._of(self._c, at[None, :] - self._lags[:, None])
+        c = self._told(at[None, :], self._lags[:, None])
         c = c - c[:, :1]  # (lags, T, n)
         z = (m - c) @ self._white
-        sizes = np.einsum("ltn,ltn->l", z, z)
+        sizes = np.einsum("ltd,ltd->l", z, z)
         self._lag = int(sizes.argmin())
         size = float(sizes[self._lag])
         if size < SUSPICIOUS * len(at):
@@ -200,12 +204,12 @@ class JointFollowing:
     def _best(self, m: Array, c: Array, z: Array, size: float) -> Suspect | None:
         """The fault that leaves least of r, of those that explain the parity vector."""
         n, pairs = len(self._own), self._pairs
-        signs = self._faults @ self._white
-        lengths = np.einsum("fn,fn->f", signs, signs)
+        signs = self._faults @ self._white  # (faults, d)
+        lengths = np.einsum("fd,fd->f", signs, signs)
         lengths[lengths < LEAST_SIGNATURE / NOISE**2] = np.inf
         along = z @ signs.T  # (lags, T, faults)
         left = (
-            np.einsum("ltn,ltn->l", z, z)[:, None]
+            np.einsum("ltd,ltd->l", z, z)[:, None]
             - np.einsum("ltf,ltf->lf", along, along) / lengths
         )
         lags = left.argmin(axis=0)

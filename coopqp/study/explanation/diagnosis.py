@@ -100,11 +100,9 @@ def _free_fails(goal: Goal) -> bool:
     p, R = state.p_WO.copy(), state.R_WO.copy()
 
     def residual(x: Array) -> tuple[Array, Array]:
-        state.p_WO[:] = p + x[:3]
-        state.R_WO[:] = pin.exp3(x[3:]) @ R
-        state.J_task[:] = 0.0
-        state.J_task[:3, :3] = np.eye(3)
-        state.J_task[3:, 3:6] = pin.Jexp3(-x[3:])  # the left Jacobian
+        J = np.zeros((6, goal.chain.n))
+        J[:3, :3], J[3:, 3:6] = np.eye(3), pin.Jexp3(-x[3:])  # the left Jacobian
+        state.place_object(p + x[:3], pin.exp3(x[3:]) @ R, J)
         goal.stack.update(state)
         return root * goal.stack.e, root[:, None] * goal.stack.J[:, :6]
 
