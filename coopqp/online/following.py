@@ -40,6 +40,9 @@ NOISE, LAG_NOISE, STIFFNESS_NOISE = 4e-4, 6e-3, 0.1
 SUSPICIOUS = 12.0
 #: Share of it that a fault must explain; the share that is left by others that count as equal.
 EXPLAINED, EXPLAINED_SWAPPED, AS_GOOD = 0.9, 0.95, 0.03
+#: Where noise is large, its share of a reading's variance is taken out, the rest must be so large,
+#: and the slope near that of a joint that stands still, 1, or moves backwards, 2.
+NOISE_LEFT, CLEAR, STANDING, BACKWARDS = 0.7, 300.0, 0.25, 0.4
 #: Two swapped joints need less where all other faults leave so much more.
 ALONE = 0.5
 #: delta over dq_c of a joint that does not follow, at least; of two that are swapped.
@@ -175,6 +178,14 @@ class JointFollowing:
                 return found
         return None
 
+    def _clear(self, left: Array, size: float, slope: Array, T: int) -> Any:
+        """Whether a joint stands still, or moves backwards, but for what noise leaves."""
+        noise, d = NOISE_LEFT * T, self._white.shape[1]
+        above = size - noise * d
+        textbook = (np.abs(slope - 1.0) < STANDING) | (np.abs(slope - 2.0) < BACKWARDS)
+        explained = left - noise * (d - 1) < (1.0 - EXPLAINED) * above
+        return explained & textbook & (above > CLEAR)
+
     def _told(self, at: Any, lag: Any) -> Array:
         """Commands some half samples before."""
         c = self._c
@@ -228,6 +239,7 @@ class JointFollowing:
         )
         jumped = (steps > JUMP * ranges) & (ranges > LEAST_JUMP)
         good = left < (1.0 - EXPLAINED) * size
+        good[:n] |= self._clear(left[:n], size, slope[:n], len(m))
         good[:n] &= jumped | (moves[:n] & (slope[:n] > LEAST_SLOPE))
         good[n:] &= moves[n:]
         good[n:] &= (slope[n:] > SWAPPED[0]) & (slope[n:] < SWAPPED[1])
