@@ -92,6 +92,11 @@ class FaultMonitor:
         self.found: tuple[Fault, ...] = ()
         self._misled = False
 
+    def take_over(self, before: FaultMonitor) -> None:
+        """Keep the faults of the phase before."""
+        self.found, self._misled = before.found, before._misled
+        self._law.observer.paused = self._misled
+
     def forget(self) -> None:
         """Begin anew, as after a rest."""
         self.found = ()
@@ -194,7 +199,7 @@ class ForceMonitor:
         N = len(self._hands)
         self._before, self._smooth = np.zeros((N, 6)), np.full((N, 3), np.nan)
         self._zero, self._same, self._wrong = np.zeros(N), np.zeros(N), np.zeros(3)
-        self._way, self._changed = np.nan, np.zeros(N)
+        self._ways, self._stood, self._began = np.zeros(N), np.zeros((N, N, 3)), 0.0
 
     def update(self, state: State) -> Finding | None:
         """Kind, hands and note of what is wrong with a state's wrenches, if anything is."""
@@ -205,11 +210,33 @@ class ForceMonitor:
             return None
         if np.isnan(self._smooth[0, 0]):
             self._smooth[:], self._before[:] = w[:, :3], w
-            self._way = self._closed_in(state)
+            self._ways[:] = self._began = self._closed_in(state)
         step = np.abs(w - self._before).max(axis=1)
         self._before[:] = w
         self._smooth += self._share * (w[:, :3] - self._smooth)
-        return self._silent(w, step, state) or self._unbalanced() or self._near_slip(w, state)
+        return (
+            self._silent(w, step, state)
+            or self._unbalanced()
+            or self._contrary(state)
+            or self._near_slip(w, state)
+        )
+
+    def _contrary(self, state: State) -> Finding | None:
+        """Hands that close and say that they pull, or part and say that they press."""
+        if not self._squeezer:
+            return None
+        squeeze = 0.5 * float(self._squeezer.along[:3].dot(self._smooth[0] - self._smooth[1]))
+        way = self._closed_in(state) - self._began
+        contrary = abs(way) > CLOSED_IN and abs(squeeze) > SMALL and way * squeeze < 0.0
+        self._wrong[2] = self._wrong[2] + self._dt if contrary else 0.0
+        if self._wrong[2] < LASTING:
+            return None
+        told, pull = ("close", "pull") if way > 0.0 else ("part", "press")
+        words = (
+            f"the hands are told to {told}, and {pull} by what their forces say: are the sensors "
+            "of the arms swapped, or of the wrong sign?"
+        )
+        return "force_sensor_reversed", tuple(hand.arm for hand in self._hands), words
 
     def _closed_in(self, state: State) -> float:
         """How far the hands are told to be closer than the model says [m]."""
@@ -220,19 +247,22 @@ class ForceMonitor:
         self._zero = np.where(w.any(axis=1), 0.0, self._zero + self._dt)
         same = step == 0.0
         self._same = np.where(same, self._same + self._dt, 0.0)
-        others = step.sum() - step
-        self._changed = np.where(same, self._changed + others, 0.0)
-        closed_in = abs(self._closed_in(state) - self._way)
+        # Forces since each stands: steps of a coarse sensor to and fro are no change.
+        way = self._closed_in(state)
+        self._stood[~same], self._ways[~same] = self._smooth, way
+        changes = np.linalg.norm(self._smooth - self._stood, axis=2)
+        changed = changes.max(axis=1) - np.diag(changes)
+        closed_in = np.abs(way - self._ways)
         forces = np.linalg.norm(self._smooth, axis=1)
         for i, hand in enumerate(self._hands):
             carried = max((f for k, f in enumerate(forces) if k != i), default=0.0) > SMALL
-            if self._zero[i] > LASTING and (carried or closed_in > CLOSED_IN):
+            if self._zero[i] > LASTING and (carried or closed_in[i] > CLOSED_IN):
                 words = (
                     f"the force sensor of {hand.arm} says zero while the hands press: is it dead?"
                 )
                 return "force_sensor_dead", (hand.arm,), words
             stuck = self._same[i] > LASTING and self._zero[i] == 0.0
-            if stuck and (self._changed[i] > SMALL or closed_in > CLOSED_IN):
+            if stuck and (changed[i] > SMALL or closed_in[i] > CLOSED_IN):
                 words = (
                     f"the force sensor of {hand.arm} does not change while others do: is it stuck?"
                 )
@@ -247,7 +277,8 @@ class ForceMonitor:
         size, above = float(np.linalg.norm(off)), float(off.dot(up))
         sideways = float(np.linalg.norm(off - above * up)) / max(size, SMALL)
         allowed = max(SMALL, OF_WEIGHT * heavy, OF_FORCES * float(np.abs(f).sum()))
-        borne = above < 0.0 and sideways < UNEXPLAINED  # by a table, or somebody
+        # By a table, or somebody, but not more than the weight.
+        borne = -(1.0 + OF_WEIGHT) * heavy < above < 0.0 and sideways < UNEXPLAINED
         self._wrong[0] = self._wrong[0] + self._dt if size > allowed and not borne else 0.0
         if self._wrong[0] < LASTING:
             return None
@@ -257,6 +288,9 @@ class ForceMonitor:
                     f"the force sensor of {hand.arm} has the wrong sign, by the sum of all forces"
                 )
                 return "force_sensor_reversed", (hand.arm,), words
+        if np.linalg.norm(off - 2.0 * f.sum(axis=0)) < UNEXPLAINED * size:
+            words = "all forces have the wrong sign: needed are those of the hands on the object"
+            return "force_sensor_reversed", tuple(hand.arm for hand in self._hands), words
         if sideways < UNEXPLAINED:
             return "load_heavier", (), _heavier(self._mass + above / g, self._mass)
         words = f"forces and weight do not add up, by {size:.3g} N: is a sensor wrong, or a push?"
