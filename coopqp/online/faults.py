@@ -282,6 +282,8 @@ class ForceMonitor:
         self._wrong[0] = self._wrong[0] + self._dt if size > allowed and not borne else 0.0
         if self._wrong[0] < LASTING:
             return None
+        if sideways < UNEXPLAINED and above > 0.0:
+            return "load_heavier", (), _heavier(self._mass + above / g, self._mass)
         for i, hand in enumerate(self._hands):
             if np.linalg.norm(off - 2.0 * f[i]) < UNEXPLAINED * size:
                 words = (
@@ -291,8 +293,6 @@ class ForceMonitor:
         if np.linalg.norm(off - 2.0 * f.sum(axis=0)) < UNEXPLAINED * size:
             words = "all forces have the wrong sign: needed are those of the hands on the object"
             return "force_sensor_reversed", tuple(hand.arm for hand in self._hands), words
-        if sideways < UNEXPLAINED:
-            return "load_heavier", (), _heavier(self._mass + above / g, self._mass)
         words = f"forces and weight do not add up, by {size:.3g} N: is a sensor wrong, or a push?"
         return "forces_unbalanced", (), words
 

@@ -15,6 +15,7 @@ from sessions.session import EFFECT, run
 import coopqp
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array
+from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.online import faults as found
 from coopqp.online.faults import REACTIONS, checked_reactions
@@ -90,6 +91,20 @@ def test_the_joint_that_does_not_follow_is_told_from_internal_forces(
         assert j in found.joints
         assert set(found.joints) <= alike
         assert found.slope == pytest.approx(-slope, rel=0.25)
+
+
+@pytest.mark.parametrize("seconds", [0.03, 0.1, 0.14])
+@pytest.mark.parametrize("kind", ["quintic", "step"])
+def test_servos_that_are_slow_have_no_fault(seconds: float, kind: str) -> None:
+    """Of a first order: what they do is no pure delay, and differs most in the fastest joint."""
+    scenario = coopqp.load("point_on_point")
+    tasks = tuple(replace(task, profile=Profile(kind=kind)) for task in scenario.tasks)
+    loop = OnlineLoop(replace(scenario, tasks=tasks), clock=None)
+    q = loop.problem.chain.q_start.copy()
+    for _ in range(300):
+        loop.tick(q)
+        q += (1.0 - np.exp(-scenario.dt / seconds)) * (loop.setpoint - q)
+    assert not loop.faults
 
 
 def test_two_swapped_joints_are_named(nao: State) -> None:
