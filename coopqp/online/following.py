@@ -218,7 +218,7 @@ class JointFollowing:
         self.suspicious = True
         return self._best(m, c, z, size, at)
 
-    def _late(self, m: Array, at: Array) -> float:
+    def _late(self, m: Array, at: Any) -> float:
         """What servos of a first order, all alike, leave of the parity vector."""
         before = np.arange(len(self._kernels))
         late = np.array([at[:, None] - before - lag // 2 for lag in self._lags[::2]])
@@ -226,7 +226,7 @@ class JointFollowing:
         z = (m - (c - c[:, :, :1])) @ self._white
         return float(np.einsum("slti,slti->sl", z, z).min())
 
-    def _best(self, m: Array, c: Array, z: Array, size: float, at: Array) -> Suspect | None:
+    def _best(self, m: Array, c: Array, z: Array, size: float, at: Any) -> Suspect | None:
         """The fault that leaves least of r, of those that explain the parity vector."""
         n, pairs = len(self._own), self._pairs
         signs = self._faults @ self._white  # (faults, d)
