@@ -17,7 +17,7 @@ from coopqp.task import evaluate_all
 class Bounds:
     """lb <= v <= ub (n,) and G v <= h (p,), as limits have them at the last update; rows of G.
 
-    Limits tighten in the order given; constant ones are evaluated at ``start``. ``position_time``
+    C = [I; G; -I] has all of them as C v <= [ub; h; -lb]. Limits tighten in the order given; constant ones are evaluated at ``start``. ``position_time``
     is the time in which a position bound may be reached, when that is not dt [s].
     """
 
@@ -31,8 +31,10 @@ class Bounds:
     ) -> None:
         by_limit = [limit.rows(chain) for limit in limits]
         self.rows: tuple[Row, ...] = tuple(itertools.chain.from_iterable(by_limit))
-        self.lb, self.ub = np.full(chain.n, -np.inf), np.full(chain.n, np.inf)
-        self.G, self.h = np.zeros((len(self.rows), chain.n)), np.full(len(self.rows), np.inf)
+        n, p = chain.n, len(self.rows)
+        self.lb, self.ub, self.h = np.full(n, -np.inf), np.full(n, np.inf), np.full(p, np.inf)
+        self.C = np.concatenate([np.eye(n), np.zeros((p, n)), -np.eye(n)])
+        self.G = self.C[n : n + p]
         self._each_tick: list[tuple[Tighten, LimitRows]] = []
         self._kept: list[tuple[Tighten, LimitRows]] = []
         ends = itertools.accumulate(map(len, by_limit), initial=0)

@@ -116,32 +116,25 @@ class Step:
         self.v[:], self.slope[:], self.curvature = v, 0.0, d
         if not len(Z):
             return Status.OPTIMAL
-        tasks, bounds, program, n = self.tasks, self._given.bounds, self._program(len(Z)), len(v)
-        qp, solution, program.curvature = program.qp, program.solution, d
+        tasks, bounds, program = self.tasks, self._given.bounds, self._program(len(Z))
+        qp, solution, C, program.curvature = program.qp, program.solution, bounds.C, d
         JW, seen = tasks.J.T * tasks.weights, Z.T
         np.dot(Z.dot(JW), tasks.J.dot(seen), out=qp.P)
-        qp.P.flat[:: len(Z) + 1] += d + held
+        qp.P.ravel()[:: len(Z) + 1] += d + held
         qp.q[:] = Z.dot(JW.dot(tasks.J.dot(v) - tasks.wanted) + d * v)
-        rows, whole, slack = seen, np.ones(n), bounds.ub - v
-        if len(bounds.G):
-            rows = np.concatenate([seen, bounds.G.dot(seen)])
-            whole = np.concatenate([whole, np.linalg.norm(bounds.G, axis=1)])
-            slack = np.concatenate([slack, bounds.h - bounds.G.dot(v)])
-        sizes = np.sqrt(np.einsum("ij,ij->i", rows, rows))
-        sizes[sizes <= DECIDED * whole] = np.inf  # their rows are zero, and ask for nothing
-        rows = rows / sizes[:, None]  # of length one, or solvers would take short ones for none
-        qp.G[: len(rows)], qp.G[len(rows) :] = rows, -rows[:n]
-        slack = np.maximum(np.concatenate([slack, v - bounds.lb]), 0.0)
-        wide = np.concatenate([sizes, sizes[:n]])
-        qp.h[:] = np.inf
-        np.divide(slack, wide, out=qp.h, where=wide < np.inf)
+        rows = C.dot(seen)
+        sizes = _lengths(rows)
+        decided = sizes <= DECIDED * _lengths(C)
+        rows[decided], sizes[decided] = 0.0, 1.0  # which ask for nothing
+        # Rows have length one, or solvers would take short ones for none.
+        np.divide(rows, sizes[:, None], out=qp.G)
+        slack = np.concatenate([bounds.ub, bounds.h, -bounds.lb]) - C.dot(v)
+        np.divide(np.maximum(slack, 0.0), sizes, out=qp.h)
         status = program.solve()
         if not status.usable:
             return Status.INACCURATE
-        z = solution.z / wide
         np.minimum(np.maximum(v + seen.dot(solution.v), bounds.lb), bounds.ub, out=self.v)
-        self.slope[:] = JW.dot(tasks.J.dot(self.v) - tasks.wanted)
-        self.slope += z[:n] - z[len(rows) :] + z[n : len(rows)].dot(bounds.G)
+        self.slope[:] = JW.dot(tasks.J.dot(self.v) - tasks.wanted) + (solution.z / sizes).dot(C)
         return status
 
     def _program(self, size: int) -> Program:
@@ -157,3 +150,7 @@ class Step:
             rows = Rows(free, (*above, *given.bounds.rows, *below))
             self._programs[size] = Program(given.problem, rows, given.damping.least)
         return self._programs[size]
+
+
+def _lengths(rows: Array) -> Array:
+    return np.sqrt(np.einsum("ij,ij->i", rows, rows))

@@ -134,8 +134,9 @@ class LaterLevel(Step):
             return v, Status.INACCURATE
         sizes, ways = directions(decided.dot(loops.T))
         rank, ways = int(np.count_nonzero(sizes > NOISE)), ways.dot(loops)
-        held = MOST_DAMPING * (np.maximum(sizes[rank:] - IDLE, 0.0) / NOISE) ** 6
-        found = self.step(v, ways[rank:], d, held)
-        y = np.append(ways[:rank].dot(self.slope), held * ways[rank:].dot(self.v - v))
+        free, held = ways[rank:], MOST_DAMPING * (np.maximum(sizes[rank:] - IDLE, 0.0) / NOISE) ** 6
+        found = self.step(v, free, d, held)
+        made = self.v - v
+        y = np.concatenate([ways[:rank].dot(self.slope), held * free.dot(made)])
         pull[0] = held_pull(float(np.abs(y).dot(self._lever / np.maximum(sizes, IDLE))), pull[0])
-        return v + self.share * (self.v - v), found
+        return v + self.share * made, found
