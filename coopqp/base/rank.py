@@ -27,15 +27,18 @@ def matrix_rank(matrix: Array) -> int:
 
 
 def null_space(matrix: Array) -> Array:
-    """Orthonormal basis of the null space of a matrix (m, n), shape (n, n - rank), by pivoted QR."""
+    """Orthonormal basis of the null space of a matrix (m, n), shape (n, n - rank).
+
+    By pivoted QR of the transpose, several times as fast as a singular value decomposition.
+    """
     if not len(matrix):
         return np.identity(matrix.shape[1])
     if not np.isfinite(matrix).all():
         raise np.linalg.LinAlgError("null_space: the matrix has NaN or infinite values")
-    reflectors, _, tau, _, _ = lapack.dgeqp3(matrix.T)
-    rank, n = _rank(reflectors.diagonal()), matrix.shape[1]
+    n, (reflectors, _, tau, _, _) = matrix.shape[1], lapack.dgeqp3(matrix.T)
+    rank = _rank(reflectors.diagonal())
     last = np.eye(n, n - rank, -rank, order="F")
-    basis, _, _ = lapack.dormqr("L", "N", reflectors[:, :rank], tau[:rank], last, 64 * n)
+    basis, _, _ = lapack.dormqr("L", "N", reflectors[:, : len(tau)], tau, last, 64 * n)
     return np.asarray(basis)
 
 

@@ -17,8 +17,9 @@ from coopqp.task import evaluate_all
 class Bounds:
     """lb <= v <= ub (n,) and G v <= h (p,), as limits have them at the last update; rows of G.
 
-    C = [I; G; -I] has all of them as C v <= [ub; h; -lb]. Limits tighten in the order given; constant ones are evaluated at ``start``. ``position_time``
-    is the time in which a position bound may be reached, when that is not dt [s].
+    C = [I; G; -I] has all of them as C v <= [ub; h; -lb]. Limits tighten in the order given;
+    constant ones are evaluated at ``start``. ``position_time`` is the time in which a position
+    bound may be reached, when that is not dt [s].
     """
 
     def __init__(

@@ -72,6 +72,7 @@ class QPLaw(Law):
         self._hard, self._scaled = exact.slices[: len(order.hard)], exact.slices[len(order.hard) :]
         self._relaxes = bool(exact.tasks) and problem.on_infeasible == "scale"
         self.stacks = stacks = order.stacks
+        self._asked = [stack for stack in (*stacks, exact) if stack.tasks]
         rows = [*problem.chain.loops.solver_rows, *exact.rows]
         names = [task.name for task in order.scaled]
         self.first = Level(given, stacks[0], rows, names)
@@ -127,7 +128,7 @@ class QPLaw(Law):
     def assemble(self, state: State) -> float:
         """Evaluate limits and tasks, and fill the first level's QP; returns the drift gain."""
         kappa = self.limit_recovery.limit(state)
-        for stack in (*self.stacks, self.exact):
+        for stack in self._asked:
             stack.update(state)
         self._assemble_first(state, kappa, self.exact.wanted)
         return kappa
@@ -171,6 +172,8 @@ class QPLaw(Law):
         Where hard tasks lacked something in the last tick they are asked for the nearest first.
         """
         missed, first = state.memory["missed"], self.first
+        if not self.exact.tasks:
+            return first.v, (first.solve(),)
         was, v = missed.copy(), first.v
         whole = status = Status.INFEASIBLE if was.any() else first.solve()
         if not whole.usable and self._relaxes:
