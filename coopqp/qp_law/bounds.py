@@ -51,16 +51,13 @@ class Bounds:
                     self._kept.append((tighten, block))
         self._constant = self.lb.copy(), self.ub.copy(), self.G.copy(), self.h.copy()
 
-    def update(self, state: State) -> None:
-        """Ask the limits that change."""
-        self._evaluate(self._each_tick, state)
+    def update(self, state: State, *, accelerations: bool = True) -> None:
+        """Ask the limits that change, those of accelerations among them or not."""
+        self.lb[:], self.ub[:], self.G[:], self.h[:] = self._constant
+        evaluate_all(self._each_tick if accelerations else self._kept, state)
 
     def release(self, state: State) -> bool:
         """Leave out acceleration limits, and ask for no motion; whether there are such limits."""
-        self._evaluate(self._kept, state)
+        self.update(state, accelerations=False)
         np.maximum(self.h, 0.0, out=self.h)
         return len(self._kept) < len(self._each_tick)
-
-    def _evaluate(self, limits: Sequence[tuple[Tighten, LimitRows]], state: State) -> None:
-        self.lb[:], self.ub[:], self.G[:], self.h[:] = self._constant
-        evaluate_all(limits, state)

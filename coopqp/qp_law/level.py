@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from coopqp.base.qp import QP, Row, Rows, Side, joint_rows
+from coopqp.base.qp import QP, Row, Rows, joint_rows
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.model.state import State
@@ -18,7 +18,6 @@ from coopqp.task import TaskStack
 
 #: Share of a limit's row that directions see up to which they see nothing of it.
 DECIDED = 1e-7
-SIDES: tuple[Side, Side] = "upper", "lower"
 
 
 @dataclass(frozen=True)
@@ -140,15 +139,11 @@ class Step:
     def _program(self, size: int) -> Program:
         """For so many directions; at singular poses there are more."""
         if size not in self._programs:
-            given = self._given
-            names = given.problem.chain.joint_names
-            above, below = (
-                [Row(name=f"{joint}.{side}", kind="limit", side=side) for joint in names]
-                for side in SIDES
-            )
             free = tuple(Row(name=f"free[{i}]", kind="free") for i in range(size))
-            rows = Rows(free, (*above, *given.bounds.rows, *below))
-            self._programs[size] = Program(given.problem, rows, given.damping.least)
+            limits = tuple(
+                Row(name=f"limit[{i}]", kind="limit") for i in range(len(self._given.bounds.C))
+            )
+            self._programs[size] = Program(self._given.problem, Rows(free, limits), self.curvature)
         return self._programs[size]
 
 
