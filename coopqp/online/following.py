@@ -99,7 +99,7 @@ class JointFollowing:
         own = np.setdiff1d(np.arange(chain.n), passive)
         self._own, self._passive, n = own, passive, len(own)
         K = chain.model.effortLimit[own] if stiffness is None else stiffness[own]
-        usable = np.isfinite(K).all() and (K > 0.0).all()
+        usable = (K > 0.0).all() and np.isfinite(K).any()
         self._compliance = 1.0 / K if usable else np.ones(n)
         self._every = max(1, round(SAMPLE / dt))
         h = self._every * dt
