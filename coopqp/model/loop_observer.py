@@ -187,18 +187,24 @@ def _without(x: Array, along: Array) -> Array:
     return np.asarray(x - along.dot(x) * along, float)
 
 
-def _compliance(chain: ClosedChain, stiffness: float | Mapping[str, float] | None) -> Array:
+def stiffness_by_joint(
+    chain: ClosedChain, given: float | Mapping[str, float] | None, default: Array, *place: str
+) -> Array:
+    """K of each joint as given, else by default, shape (n,) [N m/rad]; UnknownNameError: none."""
+    names = chain.joint_names
+    if not isinstance(given, Mapping):
+        return default.copy() if given is None else np.full(chain.n, float(given))
+    for name in given:
+        if name not in names:
+            raise UnknownNameError("joint", name, names).at(*place, "stiffness", name)
+    return np.array([given.get(name, K) for name, K in zip(names, default, strict=True)], float)
+
+
+def _compliance(chain: ClosedChain, given: float | Mapping[str, float] | None) -> Array:
     """1/K by joint, shape (n,) [rad/(N m)]; zero where a joint does not yield or has no motor."""
-    found = np.zeros(chain.n)
-    if isinstance(stiffness, Mapping):
-        for name, value in stiffness.items():
-            if name not in chain.joint_names:
-                unknown = UnknownNameError("joint", name, chain.joint_names)
-                raise unknown.at("observer", "stiffness", name)
-            found[chain.joint_names.index(name)] = 1.0 / value
-    elif stiffness is not None:
-        found[:] = 1.0 / stiffness
-    else:
-        found[:] = [unit == "rad" for unit in chain.joint_units]
+    yields = given is None and np.array(chain.joint_units) == "rad"
+    found = 1.0 / stiffness_by_joint(
+        chain, given, np.where(yields, np.ones(chain.n), np.inf), "observer"
+    )
     found[chain.passive] = 0.0
     return found
