@@ -8,7 +8,7 @@ behind a hinge the tip moves on, and C stays.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -74,6 +74,16 @@ def into_contacts(hands: Sequence[Hand], R_WO: Array) -> Array:
 def in_axes(wrench: Array, R: Array) -> Array:
     """A wrench, shape (6,), in other axes at the same point, R from its axes into these."""
     return np.concatenate([R @ wrench[:3], R @ wrench[3:]])
+
+
+def friction_needed(
+    hands: Sequence[Hand], wrenches: Array, R_WO: Array
+) -> Iterator[tuple[str, Contact, float]]:
+    """Arms that press, and the friction that their wrenches need: world axes, shape (N, 6)."""
+    for hand, w in zip(hands, wrenches, strict=True):
+        if hand.contact:
+            w_C = in_axes(w, (R_WO @ hand.X_OC.rotation).T)
+            yield hand.arm, hand.contact, hand.contact.friction_needed(w_C)
 
 
 class WrenchReadings:

@@ -67,18 +67,14 @@ class Suspect(NamedTuple):
     """Joints that do not follow: one, two that are swapped, or several that cannot be told apart.
 
     Attributes:
+        kind: one of :data:`coopqp.online.faults.REACTIONS`.
         joints: indices, the likeliest first.
         slope: -delta over the commanded motion.
-        stands: whether its reading stands still.
-        jumped: whether its reading has jumped, from one sample to the next.
-        swapped: whether two joints do what the other is commanded to.
     """
 
+    kind: str
     joints: tuple[int, ...]
     slope: float
-    stands: bool
-    jumped: bool
-    swapped: bool
 
 
 class JointFollowing:
@@ -87,18 +83,16 @@ class JointFollowing:
     Args:
         chain: whose joints are measured.
         dt: control period [s].
-        stiffness: of the servos, shape (n,) [N m/rad]; their ratios count. Proportional to the
-            motors' largest torques when omitted.
 
     Attributes:
         suspicious: whether internal forces and lag do not explain the last samples.
     """
 
-    def __init__(self, chain: ClosedChain, dt: float, stiffness: Array | None = None) -> None:
+    def __init__(self, chain: ClosedChain, dt: float) -> None:
         passive = chain.passive
         own = np.setdiff1d(np.arange(chain.n), passive)
         self._own, self._passive, n = own, passive, len(own)
-        K = chain.model.effortLimit[own] if stiffness is None else stiffness[own]
+        K = chain.model.effortLimit[own]
         usable = np.isfinite(K).all() and (K > 0.0).all()
         self._compliance = 1.0 / K if usable else np.ones(n)
         self._every = max(1, round(SAMPLE / dt))
@@ -257,11 +251,15 @@ class JointFollowing:
             rest[f] = np.sum(r**2) * (1.0 if f < n else PENALTY)
         best = int(rest.argmin())
         if best >= n:
-            a, b = pairs[best - n]
-            two = (int(self._own[a]), int(self._own[b]))
-            return Suspect(two, float(slope[best]), stands=False, jumped=False, swapped=True)
+            j, k = (int(self._own[i]) for i in pairs[best - n])
+            return Suspect("joints_swapped", (j, k), float(slope[best]))
         others = [f for f in range(n) if f != best and rest[f] < AMBIGUOUS * rest[best]]
-        moved, told = np.ptp(m[:, best]), np.ptp(motion[:, best])
         joints = tuple(int(self._own[f]) for f in (best, *others))
-        stands = bool(moved < STANDS * told)
-        return Suspect(joints, float(slope[best]), stands, bool(jumped[best]), swapped=False)
+        if jumped[best]:
+            kind = "encoder_jumped"
+        elif np.ptp(m[:, best]) < STANDS * np.ptp(motion[:, best]):
+            kind = "joint_stands_still"
+        else:
+            turned = REVERSED[0] < slope[best] < REVERSED[1]
+            kind = "joint_reversed" if turned else "joint_not_following"
+        return Suspect(kind, joints, float(slope[best]))
