@@ -45,14 +45,9 @@ class Hand:
 
 def hands(chain: ClosedChain) -> tuple[Hand, ...]:
     """The hands that hold the object, in the order of ``chain.arms``."""
-    model, data = chain.model, chain.model.createData()
-    pin.framesForwardKinematics(model, data, chain.q_start)
-    found = []
-    for arm, frame in zip(chain.arms[: chain.holding], chain.frames, strict=False):
-        contact = chain.grasps[arm.name].contact
-        X_OC = data.oMf[frame].actInv(data.oMf[model.getFrameId(arm.tip)])
-        found.append(Hand(arm.name, X_OC * contact.placement if contact else X_OC, contact))
-    return tuple(found)
+    grasps = [chain.grasps[arm.name] for arm in chain.arms]
+    found = zip(chain.arms, chain.hand_poses(), grasps, strict=False)
+    return tuple(Hand(arm.name, X_OC, grasp.contact) for arm, X_OC, grasp in found)
 
 
 def robot_indices(chain: ClosedChain) -> list[int]:

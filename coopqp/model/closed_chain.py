@@ -213,6 +213,17 @@ class ClosedChain:
                 turn += weight * pin.log3(X.rotation @ X_0.rotation.T)
             return pin.SE3(pin.exp3(turn) @ X_0.rotation, p)
 
+    def hand_poses(self) -> list[pin.SE3]:
+        """X_OC, the contact frame in the object, of each hand that holds it."""
+        found = []
+        with self._data() as data:
+            pin.framesForwardKinematics(self.model, data, self.q_start)
+            for arm, frame in zip(self.arms[: self.holding], self.frames, strict=False):
+                X_OC = data.oMf[frame].actInv(data.oMf[self.model.getFrameId(arm.tip)])
+                contact = self.grasps[arm.name].contact
+                found.append(X_OC * contact.placement if contact else X_OC)
+        return found
+
     def _carried(self, q: Array, data: pin.Data) -> list[pin.SE3]:
         """Where each arm carries the object; no other of a robot's hundreds of frames is placed."""
         pin.forwardKinematics(self.model, data, q)

@@ -25,14 +25,12 @@ from coopqp.closed_loop.grasp_matrix import grasp_matrix, moved
 from coopqp.closed_loop.hands import in_axes, into_contacts, points
 from coopqp.controller import Command, ControlProblem
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.loop_observer import stiffness_by_joint
+from coopqp.model.loop_observer import GRIP_SIZE, stiffness_by_joint
 from coopqp.model.state import State
 from coopqp.plant import Disturbance, Plant, PlantModel
 from coopqp.plants._dynamic import DynamicModel
 from coopqp.plants._servo import Servo, ServoLaw
 
-#: A grip's rotational stiffness and creep over those along its axes: (this)^2 [m].
-GRIP_SIZE = 0.03
 #: Damping of joints without a motor, such as hinges [N m s/rad].
 PASSIVE_DAMPING = 1e-3
 #: A joint that friction holds moves by at most this in a step [rad].
