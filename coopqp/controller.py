@@ -252,13 +252,14 @@ class Why:
     """
 
     def __init__(self, law: Law, state: State, command: Command) -> None:
-        self._law, self._chain, self._sizes = law, state.chain, state.memory.sizes
+        self._law, self._problem, self._chain = law, law.problem, state.chain
+        self._names, self._words, self._stale = state.chain.joint_names, "", state.inputs.stale
         self._causes, self._tells_itself = command.causes, bool(command.told)
         self._scale, self._drift, self._t = command.scale, command.drift, state.t
-        self._stale, self._words = state.inputs.stale, ""
-        parts = (state.q, state.v, command.v, state.drift, state.memory.numbers)
-        self._kept = np.concatenate(parts, axis=None)
-        self._parts = [np.size(part) for part in parts[:-1]]
+        arrays = map(np.array, (state.q, state.v, command.v, state.drift))
+        self._q, self._before, self._v, self._open = arrays
+        memory = state.memory
+        self._lacks = [memory[key].copy() for key in ("missed", "missing") if key in memory.sizes]
         if Status.OVERWRITTEN in command.causes:
             self._moved_by = state.overwritten_by
         elif Status.NOT_MEASURED in command.causes:
@@ -267,17 +268,8 @@ class Why:
     def __str__(self) -> str:
         if not self._words:
             with np.errstate(all="ignore"):
-                self._unpack()
                 self._words = "; ".join(filter(None, map(self._of, self._causes)))
         return self._words
-
-    def _unpack(self) -> None:
-        ends = np.cumsum([*self._parts, *self._sizes.values()])
-        parts = np.split(self._kept, ends[:-1])
-        self._q, self._before, self._v, self._open = parts[:4]
-        kept = dict(zip(self._sizes, parts[4:], strict=False))
-        self._lacks = [kept[key] for key in ("missed", "missing") if key in kept]
-        self._problem, self._names = self._law.problem, self._chain.joint_names
 
     def _of(self, cause: Status) -> str:
         told = _TOLD.get(cause)
@@ -312,7 +304,7 @@ class Why:
         far = f"{1e3 * apart[i]:.1f} mm, {1e3 * turned[i]:.1f} mrad"
         return f"loop of {chain.arms[i + 1].name} is {far} open"
 
-    def _limits(self, first: bool = False) -> str:
+    def _limits(self, words: str = "", first: bool = False) -> str:
         """The limits that are reached after this tick; with ``first`` broken ones that may be."""
         problem, dt = self._problem, self._problem.dt
         v = np.array([self._before, self._v])
@@ -323,18 +315,14 @@ class Why:
                 with suppressed():
                     margins = limit.margins(problem.chain, q, v, dt)
                     found |= {row.words: float(left[-1]) for row, left in margins.items()}
-        least = sorted((left, words) for words, left in found.items() if left <= REACHED)
-        return ", ".join(words for _, words in least[:MOST_NAMED])
-
-    def _back(self) -> str:
-        held = self._limits()
-        return f", held back by {held}" if held else ""
+        least = sorted((left, name) for name, left in found.items() if left <= REACHED)
+        return words * bool(least) + ", ".join(name for _, name in least[:MOST_NAMED])
 
     def _infeasible(self) -> str:
         kept = "on_infeasible: scale would relax tasks, loop correction and accelerations"
         hard = [f" and hard '{task.name}'" for task in self._problem.tasks if task.mode == "hard"]
         clash = f"loops, limits{''.join(hard[:MOST_NAMED])} leave no motion"
-        return f"{clash}: {self._loops()}{self._back()}; {kept}"
+        return f"{clash}: {self._loops()}{self._limits(', held back by ')}; {kept}"
 
     def _tasks(self) -> str:
         tasks, chain = self._problem.tasks, self._problem.chain
@@ -347,7 +335,7 @@ class Why:
             short = [task for task, is_short in zip(short, lack, strict=True) if is_short] or short
         names = ", ".join(f"'{task.name}'" for task in short[:MOST_NAMED])
         how = f"at {100.0 * self._scale:.0f} % of the rate" if self._lacks else "made soft"
-        return f"{names} {how}{self._back()}"
+        return f"{names} {how}{self._limits(', held back by ')}"
 
     def _accelerated(self) -> str:
         i = int(np.argmax(np.abs(self._v - self._before)))
@@ -364,7 +352,8 @@ class Why:
         return f"{self._loops()}, of {most} of the budget: slow the references, or a smaller dt"
 
     def _slowed(self) -> str:
-        return f"{self._loops()}, {100.0 * self._drift:.0f} % is corrected{self._back()}"
+        corrected = f"{100.0 * self._drift:.0f} % is corrected"
+        return f"{self._loops()}, {corrected}{self._limits(', held back by ')}"
 
     def _solver(self) -> str:
         if self._law.engine or hasattr(self._law, "solution"):
@@ -406,7 +395,7 @@ class Why:
 def _numbers(found: Any) -> Array | str:
     """A copy of numbers; what is wrong with what is none."""
     try:
-        return real(found).copy()
+        return real(found)
     except ValueError as error:
         return said(error) or "needs numbers"
 

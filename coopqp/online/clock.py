@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
+from contextlib import suppress
 
 from coopqp.base.wording import raised
 from coopqp.online.arrivals import as_time
@@ -48,64 +48,46 @@ class LoopTime:
 
     def read(self) -> float:
         """What the clock says [s], or would if it was right."""
-        said = self._usable(self._ask())
-        return self._begun(self.now) - self.ahead if said is None else said
+        said = self._ask()
+        return self._begun - self.ahead if said is None else said
 
     def tick(self) -> float:
         """The time at a call of the loop's tick [s]."""
-        said = self._ask()
-        if type(said) is float and self._seen < said < self._most and said + self.ahead > self.now:
-            self._stood, self._seen, self.now, self.wrong = 0, said, said + self.ahead, ""
-            return self.now
-        return self._judge(self._usable(said))
-
-    def _judge(self, said: float | None) -> float:
-        before, self.wrong = self.now, self._fault if said is None else ""
+        before, seen, said = self.now, self._seen, self._ask()
+        self.wrong = self._fault
         if said is None:
-            self.now = self._begun(before) + self._dt
-        elif said > self._seen:
-            self._stood, self._seen, self.now = 0, said, said + self.ahead
-            if self.now <= before:  # more periods were counted than have gone by
-                self._set_back(said, before)
-        elif said < self._seen:
-            self.wrong = f"the clock went back by {self._seen - said:.3g} s"
-            self._stood, self._seen = 0, said
-            self._set_back(said, before)
-        else:
-            self._stood += 1
-            if self._stood >= STANDS:
-                self.wrong = f"the clock stands at {said:.6g} s"
-                self.now = before + self._dt
+            self.now = self._begun + self._dt
+            return self.now
+        self._seen, self._stood = said, self._stood + 1 if said == seen else 0
+        if self._stood >= STANDS:
+            self.wrong, self.now = f"the clock stands at {said:.6g} s", before + self._dt
+        if self._stood:
+            return self.now
+        self.now = said + self.ahead
+        if said < seen:
+            self.wrong = f"the clock went back by {seen - said:.3g} s"
+        if said < seen or self.now <= before:  # or more periods were counted than have gone by
+            self.now = before + self._dt
+            self.ahead = self.now - said
         return self.now
 
-    def _set_back(self, said: float, before: float) -> None:
-        """Go on from where the time was: a period has gone by, for all that is known."""
-        self.now = before + self._dt
-        self.ahead = self.now - said
+    @property
+    def _begun(self) -> float:
+        return 0.0 if self.now == -math.inf else self.now
 
-    @staticmethod
-    def _begun(now: float) -> float:
-        return 0.0 if now == -math.inf else now
-
-    def _ask(self) -> Any:
+    def _ask(self) -> float | None:
+        """A time that tells a period from none; None where there is none, with the reason."""
         self._fault = ""
         try:
-            return self._clock()
+            said = self._clock()
         except Exception as error:  # noqa: BLE001 - it is a user's
             self._fault = f"the clock {raised(error)}"
             return None
-
-    def _usable(self, said: Any) -> float | None:
-        """A time that tells a period from none; None where there is none, with the reason."""
         found = as_time(said)
         if found is not None and abs(found) < self._most:
             return found
-        self._fault = self._fault or f"the clock says {_shown(said)}, needs seconds"
+        words = f"a {type(said).__name__}"
+        with suppress(Exception):  # an object may not say what it is
+            words = f"{said!r:.60}"
+        self._fault = f"the clock says {words}, needs seconds"
         return None
-
-
-def _shown(said: Any) -> str:
-    try:
-        return f"{said!r:.60}"
-    except Exception:  # noqa: BLE001 - an object may not say what it is
-        return f"a {type(said).__name__}"
