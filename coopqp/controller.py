@@ -389,7 +389,7 @@ class Why:
             return f"q_measured: {seen}"
         if seen.shape != self._q.shape:
             return f"q_measured: found shape {seen.shape}, needs {self._q.shape}"
-        return f"no finite number for {', '.join(np.array(self._names)[~np.isfinite(seen)])}"
+        return self._chain.unusable(seen)
 
 
 def _numbers(found: Any) -> Array | str:

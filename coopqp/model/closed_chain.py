@@ -18,6 +18,7 @@ zero, but it still has an object frame, where the object would be if it held it.
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -34,6 +35,7 @@ from coopqp.grasp import Grasp
 from coopqp.model.grasp_configuration import GraspConfiguration, attach
 from coopqp.model.held_object import HeldObject
 from coopqp.robot import RobotModel, joint_units
+from coopqp.signal import ENDLESS
 
 AXES = ("x", "y", "z", "rot_x", "rot_y", "rot_z")
 AXIS_UNITS = ("m", "m", "m", "rad", "rad", "rad")
@@ -264,6 +266,13 @@ class ClosedChain:
     def joint_names(self) -> tuple[str, ...]:
         """Names of the n joints in the order of q."""
         return tuple(self.model.names[1:])
+
+    def unusable(self, q: Array) -> str:
+        """Which of the n numbers are not finite, or as good as infinite; empty if all are fine."""
+        if math.hypot(*q.tolist()) < ENDLESS:  # NaN is not
+            return ""
+        good = np.abs(q) < ENDLESS / len(q)
+        return f"no finite number for {', '.join(np.array(self.joint_names)[~good])}"
 
     def object_jacobians(self, q: Array) -> Array:
         """Jacobian of the object as carried by each arm, shape (N, 6, n), world axes.

@@ -37,7 +37,6 @@ from coopqp.base.errors import UnknownNameError
 from coopqp.base.spec import Array, Positive, real, spec
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
-from coopqp.signal import ENDLESS
 
 #: Time constant, at least so long and at least so many ticks [s].
 TIME, TICKS = 0.15, 10
@@ -119,7 +118,7 @@ class LoopObserver:
             found = real(state.q_measured)
         except ValueError:
             return False
-        if found.shape != measured.q.shape or not math.hypot(*found.tolist()) < ENDLESS:
+        if found.shape != measured.q.shape or self._chain.unusable(found):
             return False  # a sensor that says nothing teaches nothing
         if self.paused or state.corrected < 1.0 or not self.settings.enabled:
             return True
