@@ -18,7 +18,7 @@ from coopqp.base.spec import Array, real
 from coopqp.base.wording import raised, said
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.scenario.input import AHEAD, Arrival, Inputs
-from coopqp.signal import ENDLESS, Kind, matrix
+from coopqp.signal import Kind, matrix
 from coopqp.solver import Status
 
 #: Number of unknown names that are remembered, to report each only once.
@@ -163,11 +163,10 @@ class Readings:
     """
 
     def __init__(self, chain: ClosedChain, silent_after: float = 0.0) -> None:
-        n, self._silent_after = chain.n, silent_after
+        self._chain, n, self._silent_after = chain, chain.n, silent_after
         self.q, self.note = np.full(n, np.nan), ""
         self._reading, self._step = np.zeros((2, n))
         self._own = np.setdiff1d(np.arange(n), chain.passive)
-        self._names, self._units = chain.joint_names, chain.joint_units
         self._max_speed = FASTER * np.nan_to_num(np.abs(chain.velocity), posinf=UNLIMITED)
         self._since = 0.0
         self._read_at = -np.inf
@@ -225,14 +224,10 @@ class Readings:
         else:
             self.note = f"found shape {given.shape}, needs {reading.shape}"
             return False
-        if not math.hypot(*reading.tolist()) < ENDLESS:  # NaN is not, either
-            good = np.abs(reading) < ENDLESS / len(reading)
-            bad = [self._names[i] for i in np.flatnonzero(~good)]
-            self.note = f"no finite number for {', '.join(bad)}"
-            return False
-        return True
+        self.note = self._chain.unusable(reading)
+        return not self.note
 
     def _say_jump(self, now: float) -> None:
         i = int(np.argmax(np.where(np.isnan(self._step), -np.inf, self._step)))
-        way, unit = self._reading[i] - self.q[i], self._units[i]
-        self.note = f"{self._names[i]} by {way:+.3g} {unit} in {now - self._since:.3g} s"
+        way = f"{self._reading[i] - self.q[i]:+.3g} {self._chain.joint_units[i]}"
+        self.note = f"{self._chain.joint_names[i]} by {way} in {now - self._since:.3g} s"

@@ -14,10 +14,10 @@ import numpy as np
 
 from coopqp.base.errors import InvalidValueError, unknown_name
 from coopqp.base.spec import Array
-from coopqp.closed_loop.hands import WrenchReadings, hands, in_axes, into_contacts
+from coopqp.closed_loop.hands import WrenchReadings, friction_needed, hands
 from coopqp.controller import Law
 from coopqp.model.state import State
-from coopqp.online.following import REVERSED, JointFollowing, Suspect
+from coopqp.online.following import JointFollowing, Suspect
 
 Reaction = Literal["go_on", "slow_down", "rest"]
 Finding = tuple[str, tuple[str, ...], str]
@@ -41,14 +41,7 @@ REACTIONS: Mapping[str, Reaction] = {
 
 
 class Fault(NamedTuple):
-    """A fault that was found.
-
-    Attributes:
-        kind: one of :data:`REACTIONS`.
-        where: names of joints or arms.
-        t: time of the references [s].
-        note: what was seen, and what it may be.
-    """
+    """A fault that was found: one of :data:`REACTIONS`, in joints or arms, at t [s]."""
 
     kind: str
     where: tuple[str, ...]
@@ -135,26 +128,19 @@ class FaultMonitor:
 
     def _named(self, suspect: Suspect) -> Finding:
         names = tuple(self._names[j] for j in suspect.joints)
-        if suspect.swapped:
-            words = f"{' and '.join(names)} move as the other is commanded to: are they swapped?"
-            return "joints_swapped", names, words
-        who = " or ".join(names)
-        if suspect.jumped:
-            return (
-                "encoder_jumped",
-                names,
-                f"the reading of {who} has jumped: has its encoder slipped?",
-            )
-        if suspect.stands:
-            words = f"{who} stands still against its commands: is its encoder or motor dead?"
-            return "joint_stands_still", names, words
-        if REVERSED[0] < suspect.slope < REVERSED[1]:
-            words = f"{who} moves against its commands: has its encoder or motor the wrong sign?"
-            return "joint_reversed", names, words
-        words = f"{who} does not follow its commands: is it blocked, or its motor off or too weak?"
-        return "joint_not_following", names, words
+        who = (" and " if suspect.kind == "joints_swapped" else " or ").join(names)
+        return suspect.kind, names, JOINTS[suspect.kind].format(who)
 
 
+#: What is said of joints that do not follow.
+JOINTS = {
+    "joints_swapped": "{} move as the other is commanded to: are they swapped?",
+    "encoder_jumped": "the reading of {} has jumped: has its encoder slipped?",
+    "joint_stands_still": "{} stands still against its commands: is its encoder or motor dead?",
+    "joint_reversed": "{} moves against its commands: has its encoder or motor the wrong sign?",
+    "joint_not_following": "{} does not follow its commands: is it blocked, or its motor off or "
+    "too weak?",
+}
 #: Time for which a force must look wrong [s]; that of its low pass [s].
 LASTING, SMOOTH = 0.1, 0.05
 #: Forces below which nothing is said [N], as a share of the weight, and of the hands' forces.
@@ -172,19 +158,11 @@ def _heavier(mass: float, told: float) -> str:
 
 
 class ForceMonitor:
-    """Judges readings of force sensors.
-
-    Args:
-        law: of the phase, whose internal force control tells the hands to close.
-    """
+    """Judges readings of force sensors; the law's internal force control tells hands to close."""
 
     def __init__(self, law: Law) -> None:
-        chain = law.problem.chain
-        self._hands, self._readings, self._squeezer = (
-            hands(chain),
-            WrenchReadings(chain),
-            law.squeezer,
-        )
+        chain, self._squeezer = law.problem.chain, law.squeezer
+        self._hands, self._readings = hands(chain), WrenchReadings(chain)
         self._dt, self._mass = law.problem.dt, chain.held.mass
         self._gravity = -chain.model.gravity.linear
         self._share = min(1.0, self._dt / SMOOTH)
@@ -194,13 +172,11 @@ class ForceMonitor:
         """Begin anew."""
         N = len(self._hands)
         self._before, self._smooth = np.zeros((N, 6)), np.full((N, 3), np.nan)
-        self._zero, self._same, self._wrong = np.zeros(N), np.zeros(N), np.zeros(3)
-        self._way, self._changed = np.nan, np.zeros(N)
+        self._zero, self._same, self._changed = np.zeros((3, N))
+        self._wrong, self._way = np.zeros(2), np.nan
 
     def update(self, state: State) -> Finding | None:
         """Kind, hands and note of what is wrong with a state's wrenches, if anything is."""
-        if state.hand_wrench is None:
-            return None
         w = self._readings.read(state.hand_wrench)
         if w is None:
             return None
@@ -219,24 +195,19 @@ class ForceMonitor:
     def _silent(self, w: Array, step: Array, state: State) -> Finding | None:
         """A sensor that says zero, or always the same, where it cannot be so."""
         self._zero = np.where(w.any(axis=1), 0.0, self._zero + self._dt)
-        same = step == 0.0
-        self._same = np.where(same, self._same + self._dt, 0.0)
-        others = step.sum() - step
-        self._changed = np.where(same, self._changed + others, 0.0)
-        closed_in = abs(self._closed_in(state) - self._way)
+        self._same = np.where(step == 0.0, self._same + self._dt, 0.0)
+        self._changed = np.where(step == 0.0, self._changed + step.sum() - step, 0.0)
+        press = abs(self._closed_in(state) - self._way) > CLOSED_IN
         forces = np.linalg.norm(self._smooth, axis=1)
         for i, hand in enumerate(self._hands):
-            carried = max((f for k, f in enumerate(forces) if k != i), default=0.0) > SMALL
-            if self._zero[i] > LASTING and (carried or closed_in > CLOSED_IN):
-                words = (
-                    f"the force sensor of {hand.arm} says zero while the hands press: is it dead?"
-                )
+            sensor = f"the force sensor of {hand.arm}"
+            carried = np.delete(forces, i).max(initial=0.0) > SMALL
+            if self._zero[i] > LASTING and (carried or press):
+                words = f"{sensor} says zero while the hands press: is it dead?"
                 return "force_sensor_dead", (hand.arm,), words
             stuck = self._same[i] > LASTING and self._zero[i] == 0.0
-            if stuck and (self._changed[i] > SMALL or closed_in > CLOSED_IN):
-                words = (
-                    f"the force sensor of {hand.arm} does not change while others do: is it stuck?"
-                )
+            if stuck and (self._changed[i] > SMALL or press):
+                words = f"{sensor} does not change while others do: is it stuck?"
                 return "force_sensor_stuck", (hand.arm,), words
         return None
 
@@ -254,9 +225,8 @@ class ForceMonitor:
             return None
         for i, hand in enumerate(self._hands):
             if np.linalg.norm(off - 2.0 * f[i]) < UNEXPLAINED * size:
-                words = (
-                    f"the force sensor of {hand.arm} has the wrong sign, by the sum of all forces"
-                )
+                sensor = f"the force sensor of {hand.arm}"
+                words = f"{sensor} has the wrong sign, by the sum of all forces"
                 return "force_sensor_reversed", (hand.arm,), words
         if sideways < UNEXPLAINED:
             return "load_heavier", (), _heavier(self._mass + above / g, self._mass)
@@ -265,18 +235,11 @@ class ForceMonitor:
 
     def _near_slip(self, w: Array, state: State) -> Finding | None:
         """A hand that presses and needs nearly all its friction."""
-        turns = None
-        for i, hand in enumerate(self._hands):
-            if hand.contact is None:
-                continue
-            turns = into_contacts(self._hands, state.R_WO) if turns is None else turns
-            need = hand.contact.friction_needed(in_axes(w[i], turns[i]))
-            if need > NEAR_SLIP * hand.contact.friction:
+        for arm, contact, need in friction_needed(self._hands, w, state.R_WO):
+            if need > NEAR_SLIP * contact.friction:
                 self._wrong[1] += self._dt
-                if self._wrong[1] > LASTING:
-                    most = hand.contact.friction
-                    words = f"{hand.arm} is about to slip: it needs {need:.2g} of {most:g} friction"
-                    return "slip_near", (hand.arm,), words
-                return None
+                words = f"{arm} is about to slip: it needs {need:.2g} of {contact.friction:g}"
+                lasts = self._wrong[1] > LASTING
+                return ("slip_near", (arm,), f"{words} friction") if lasts else None
         self._wrong[1] = 0.0
         return None

@@ -67,37 +67,26 @@ class Suspect(NamedTuple):
     """Joints that do not follow: one, two that are swapped, or several that cannot be told apart.
 
     Attributes:
+        kind: one of :data:`coopqp.online.faults.REACTIONS`.
         joints: indices, the likeliest first.
         slope: -delta over the commanded motion.
-        stands: whether its reading stands still.
-        jumped: whether its reading has jumped, from one sample to the next.
-        swapped: whether two joints do what the other is commanded to.
     """
 
+    kind: str
     joints: tuple[int, ...]
     slope: float
-    stands: bool
-    jumped: bool
-    swapped: bool
 
 
 class JointFollowing:
-    """Judges commanded and measured joints.
-
-    Args:
-        chain: whose joints are measured.
-        dt: control period [s].
-        stiffness: of the servos, shape (n,) [N m/rad]; their ratios count. Proportional to the
-            motors' largest torques when omitted.
+    """Judges commanded and measured joints, by servos as stiff as their motors are strong.
 
     Attributes:
         suspicious: whether internal forces and lag do not explain the last samples.
     """
 
     def __init__(self, chain: ClosedChain, dt: float, stiffness: Array | None = None) -> None:
-        passive = chain.passive
-        own = np.setdiff1d(np.arange(chain.n), passive)
-        self._own, self._passive, n = own, passive, len(own)
+        self._own = own = np.setdiff1d(np.arange(chain.n), chain.passive)
+        self._passive, n = chain.passive, len(own)
         K = chain.model.effortLimit[own] if stiffness is None else stiffness[own]
         usable = (K > 0.0).all() and np.isfinite(K).any()
         self._compliance = 1.0 / K if usable else np.ones(n)
@@ -110,8 +99,7 @@ class JointFollowing:
         self._c, self._m = np.zeros((2, kept, n))
         self._pairs = list(combinations(range(n), 2))
         unit = np.identity(n)
-        swaps = [unit[j] - unit[k] for j, k in self._pairs]
-        self._faults = np.vstack([unit, *swaps])
+        self._faults = np.vstack([unit, *(unit[j] - unit[k] for j, k in self._pairs)])
         self._white = np.zeros((n, n))
         self._renew = max(1, round(RENEWED / h))
         self.forget()
@@ -123,13 +111,7 @@ class JointFollowing:
         self.suspicious = False
 
     def update(self, state: State, q_c: Array, q_m: Array) -> Suspect | None:
-        """Who does not follow, once two looks in succession agree.
-
-        Args:
-            state: of which the Jacobians are taken.
-            q_c: commanded configuration, shape (n,) [rad, m].
-            q_m: measured one.
-        """
+        """Who does not follow, once two looks in succession agree; c is commanded, m measured."""
         self._count += 1
         if self._count % self._every:
             return None
@@ -206,48 +188,35 @@ class JointFollowing:
         z = (m - c) @ self._white
         sizes = np.einsum("ltd,ltd->l", z, z)
         self._lag = int(sizes.argmin())
-        size = float(sizes[self._lag])
-        if size < SUSPICIOUS * len(at):
+        if sizes[self._lag] < SUSPICIOUS * len(at):
             return None
         self.suspicious = True
-        return self._best(m, c, z, size)
+        return self._best(m, c, z, sizes)
 
-    def _best(self, m: Array, c: Array, z: Array, size: float) -> Suspect | None:
+    def _best(self, m: Array, c: Array, z: Array, sizes: Array) -> Suspect | None:
         """The fault that leaves least of r, of those that explain the parity vector."""
-        n, pairs = len(self._own), self._pairs
+        n, pairs, size = len(self._own), self._pairs, sizes[self._lag]
         signs = self._faults @ self._white  # (faults, d)
         lengths = np.einsum("fd,fd->f", signs, signs)
         lengths[lengths < LEAST_SIGNATURE / NOISE**2] = np.inf
         along = z @ signs.T  # (lags, T, faults)
-        left = (
-            np.einsum("ltd,ltd->l", z, z)[:, None]
-            - np.einsum("ltf,ltf->lf", along, along) / lengths
-        )
-        lags = left.argmin(axis=0)
-        left = left.min(axis=0)
-        faults = np.arange(len(signs))
+        left = sizes[:, None] - np.einsum("ltf,ltf->lf", along, along) / lengths
+        lags, left, faults = left.argmin(axis=0), left.min(axis=0), np.arange(len(signs))
         delta = along[lags, :, faults].T / lengths  # (T, faults)
-        j, k = np.transpose(pairs)
-        motion = c[lags[:n], :, faults[:n]].T
-        change = c[lags[n:], :, j].T - c[lags[n:], :, k].T
-        motion = np.hstack([motion, change])
+        motion = np.einsum("ftn,fn->tf", c[lags], self._faults)
         slope = -(delta * motion).sum(axis=0) / np.maximum((motion**2).sum(axis=0), 1e-12)
         moves = np.abs(motion).max(axis=0) > LEAST_MOTION
-        steps, ranges = (
-            np.abs(np.diff(delta[:, :n], axis=0)).max(axis=0),
-            np.ptp(delta[:, :n], axis=0),
-        )
+        steps, ranges = np.abs(np.diff(delta, axis=0)).max(axis=0), np.ptp(delta, axis=0)
         jumped = (steps > JUMP * ranges) & (ranges > LEAST_JUMP)
-        good = left < (1.0 - EXPLAINED) * size
-        good[:n] |= self._clear(left[:n], size, slope[:n], len(m))
-        good[:n] &= jumped | (moves[:n] & (slope[:n] > LEAST_SLOPE))
-        good[n:] &= moves[n:]
-        good[n:] &= (slope[n:] > SWAPPED[0]) & (slope[n:] < SWAPPED[1])
-        good[n:] &= left[n:] < (1.0 - EXPLAINED_SWAPPED) * size
+        explained = left < (1.0 - EXPLAINED) * size
+        one = explained | self._clear(left, size, slope, len(m))
+        one &= jumped | (moves & (slope > LEAST_SLOPE))
+        exchanged = moves & (slope > SWAPPED[0]) & (slope < SWAPPED[1])
+        two = exchanged & (left < (1.0 - EXPLAINED_SWAPPED) * size)
+        good = np.where(faults < n, one, two)
         first, second = np.argsort(left)[:2]
-        alone = left[first] < ALONE * min(size, left[second])
-        if first >= n and alone and SWAPPED[0] < slope[first] < SWAPPED[1]:
-            good[first] = moves[first]
+        if first >= n and left[first] < ALONE * min(size, left[second]):
+            good[first] = exchanged[first]
         if not good.any():
             return None
         good &= left <= max(3.0 * left[good].min(), AS_GOOD * size)
@@ -257,11 +226,15 @@ class JointFollowing:
             rest[f] = np.sum(r**2) * (1.0 if f < n else PENALTY)
         best = int(rest.argmin())
         if best >= n:
-            a, b = pairs[best - n]
-            two = (int(self._own[a]), int(self._own[b]))
-            return Suspect(two, float(slope[best]), stands=False, jumped=False, swapped=True)
+            j, k = (int(self._own[i]) for i in pairs[best - n])
+            return Suspect("joints_swapped", (j, k), float(slope[best]))
         others = [f for f in range(n) if f != best and rest[f] < AMBIGUOUS * rest[best]]
-        moved, told = np.ptp(m[:, best]), np.ptp(motion[:, best])
         joints = tuple(int(self._own[f]) for f in (best, *others))
-        stands = bool(moved < STANDS * told)
-        return Suspect(joints, float(slope[best]), stands, bool(jumped[best]), swapped=False)
+        if jumped[best]:
+            kind = "encoder_jumped"
+        elif np.ptp(m[:, best]) < STANDS * np.ptp(motion[:, best]):
+            kind = "joint_stands_still"
+        else:
+            turned = REVERSED[0] < slope[best] < REVERSED[1]
+            kind = "joint_reversed" if turned else "joint_not_following"
+        return Suspect(kind, joints, float(slope[best]))
