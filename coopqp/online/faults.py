@@ -29,6 +29,7 @@ REACTIONS: Mapping[str, Reaction] = {
     "joint_stands_still": "rest",
     "joint_not_following": "rest",
     "joints_swapped": "rest",
+    "readings_stuck": "rest",
     "encoder_jumped": "rest",
     "loop_offset_at_bound": "go_on",
     "force_sensor_dead": "rest",
@@ -83,6 +84,8 @@ class FaultMonitor:
         stated = law.observer.stated_stiffness
         self._joints = JointFollowing(chain, dt, stated) if observed else None
         self._forces = ForceMonitor(law)
+        self._mass = chain.held.mass
+        self._g = max(float(np.linalg.norm(chain.model.gravity.linear)), 1e-12)
         self.found: tuple[Fault, ...] = ()
         self._misled = False
 
@@ -120,15 +123,15 @@ class FaultMonitor:
         observer = self._law.observer
         if observer.at_bound:
             return "loop_offset_at_bound", observer.at_bound, observer.note
-        held = self._law.problem.chain.held
-        g = float(np.linalg.norm(self._law.problem.chain.model.gravity.linear))
-        if observer.load > max(SMALL, (1.0 + OF_WEIGHT) * held.mass * g):
-            return "load_heavier", (), _heavier(observer.load / g, held.mass)
+        weight = self._mass * self._g
+        if observer.load > weight + max(SMALL, OF_WEIGHT * weight, observer.doubt):
+            return "load_heavier", (), _heavier(observer.load / self._g, self._mass)
         return None
 
     def _named(self, suspect: Suspect) -> Finding:
         names = tuple(self._names[j] for j in suspect.joints)
-        who = (" and " if suspect.kind == "joints_swapped" else " or ").join(names)
+        both = suspect.kind in ("joints_swapped", "readings_stuck")
+        who = (" and " if both else " or ").join(names)
         return suspect.kind, names, JOINTS[suspect.kind].format(who)
 
 
@@ -136,6 +139,7 @@ class FaultMonitor:
 JOINTS = {
     "joints_swapped": "{} move as the other is commanded to: are they swapped?",
     "encoder_jumped": "the reading of {} has jumped: has its encoder slipped?",
+    "readings_stuck": "no reading of {} changes, though they shall move: is the driver stuck?",
     "joint_stands_still": "{} stands still against its commands: is its encoder or motor dead?",
     "joint_reversed": "{} moves against its commands: has its encoder or motor the wrong sign?",
     "joint_not_following": "{} does not follow its commands: is it blocked, or its motor off or "

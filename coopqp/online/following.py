@@ -27,8 +27,9 @@ from coopqp.base.spec import Array
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 
-#: Time between samples, after which the parity space is computed anew, and of windows [s].
-SAMPLE, RENEWED, WINDOWS = 0.02, 0.2, (0.4, 2.0)
+#: Time between samples; after which the parity space is computed anew, and before a verdict; of
+#: windows [s].
+SAMPLE, RENEWED, FRESH, WINDOWS = 0.02, 0.5, 0.1, (0.4, 2.0)
 #: Samples of a window that are looked at; those before the first look; every so many the long one.
 LOOKS, FEWEST, LONG = 40, 4, 4
 #: The latest that a servo may follow [s].
@@ -57,6 +58,9 @@ LEAST_MOTION = 1.5e-3
 STANDS = 0.1
 #: Singular values of K^-1 J_c' below this share of the largest are none.
 SINGULAR = 1e-3
+#: Readings that do not change for so long [s] are stuck where commands move a joint by so much
+#: [rad, m].
+STUCK, MOVED = 0.2, 0.01
 #: A joint is named at least so clearly, in the space that lambda leaves.
 LEAST_SIGNATURE = 1e-3
 #: A second joint is named too where it leaves at most this much more of r unexplained.
@@ -101,12 +105,18 @@ class JointFollowing:
         unit = np.identity(n)
         self._faults = np.vstack([unit, *(unit[j] - unit[k] for j, k in self._pairs)])
         self._white = np.zeros((n, n))
-        self._renew = max(1, round(RENEWED / h))
+        self._renew, self._fresh = max(1, round(RENEWED / h)), max(1, round(FRESH / h))
+        arms = (set(chain.robot.arm_joints(arm)) for arm in chain.robot.arms)
+        self._arms = [
+            np.array([i for i, j in enumerate(own) if chain.joint_names[j] in arm], int)
+            for arm in arms
+        ]
         self.forget()
 
     def forget(self) -> None:
         """Begin anew, as after a rest in which somebody may have moved the joints."""
         self._count = self._samples = self._lag = 0
+        self._whitened = -self._renew
         self._before: Suspect | None = None
         self.suspicious = False
 
@@ -120,13 +130,32 @@ class JointFollowing:
         self._samples += 1
         if self._samples < FEWEST:
             return None
-        if self._samples % self._renew == 0 or self._samples == FEWEST:
-            self._white = self._whitening(state)
-        if not (found := self._look()):
+        if stuck := self._stuck():
+            return stuck
+        if self._samples - self._whitened >= self._renew:
+            self._white, self._whitened = self._whitening(state), self._samples
+        if not (found := self._look(state)):
             self._before = None
             return None
         before, self._before = self._before, found
         return found if before and set(before.joints) & set(found.joints) else None
+
+    def _stuck(self) -> Suspect | None:
+        """An arm of which no reading has changed by a bit while it was commanded to move."""
+        last, span = self._samples - 1, round(STUCK / self._h)
+        if last < span:
+            return None
+        for arm in self._arms:
+            if (
+                len(arm) > 1
+                and (self._of(self._m, last) == self._of(self._m, last - span))[arm].all()
+            ):
+                at = np.arange(last - span, last + 1)
+                same = (np.diff(self._of(self._m, at)[:, arm], axis=0) == 0.0).all()
+                c = np.abs(np.diff(self._of(self._c, at)[:, arm], axis=0))
+                if same and c.sum(axis=0).max() > MOVED and (c.max(axis=1) > 0.0).all():
+                    return Suspect("readings_stuck", tuple(int(j) for j in self._own[arm]), 0.0)
+        return None
 
     def _whitening(self, state: State) -> Array:
         """W with r W of unit variance without a fault, and zero for every internal wrench."""
@@ -147,7 +176,7 @@ class JointFollowing:
         L = np.linalg.cholesky(parity.T @ (variance[:, None] * parity))
         return np.asarray(np.linalg.solve(L, parity.T).T)
 
-    def _look(self) -> Suspect | None:
+    def _look(self, state: State) -> Suspect | None:
         """The suspect of the shortest window that has one."""
         self.suspicious = False
         for span in self._spans if self._samples % LONG == 0 else self._spans[:1]:
@@ -156,7 +185,11 @@ class JointFollowing:
             r = self._of(self._m, last) - self._of(self._m, first)
             r += self._told(first, self._lag) - self._told(last, self._lag)
             z = r.dot(self._white)
-            if z.dot(z) > SUSPICIOUS and (found := self._judge(first, last)):
+            if z.dot(z) < SUSPICIOUS:
+                continue
+            if self._samples > self._whitened + self._fresh:
+                self._white, self._whitened = self._whitening(state), self._samples
+            if found := self._judge(first, last):
                 return found
         return None
 
