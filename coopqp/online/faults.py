@@ -67,11 +67,7 @@ def checked_reactions(chosen: Any) -> dict[str, Reaction]:
 
 
 class FaultMonitor:
-    """The faults of one phase.
-
-    Args:
-        law: of the phase.
-        observed: whether commands differ from what is measured, so that joints can be judged.
+    """The faults of one phase; joints are judged where commands differ from what is ``observed``.
 
     Attributes:
         found: the faults since :meth:`forget`, oldest first.
@@ -94,12 +90,7 @@ class FaultMonitor:
             self._joints.forget()
 
     def update(self, state: State, q_m: Array | None) -> Fault | None:
-        """The fault that is new in this tick, if any.
-
-        Args:
-            state: commanded joints, and the hands' wrenches if there are force sensors.
-            q_m: measured joints, shape (n,) [rad, m]; None without a reading.
-        """
+        """The fault that is new in this tick, if any; q_m are measured joints, None without."""
         findings = [self._forces.update(state), self._observed()]
         if self._joints and q_m is not None and not self._misled:
             if suspect := self._joints.update(state, state.q, q_m):
@@ -119,10 +110,10 @@ class FaultMonitor:
         observer = self._law.observer
         if observer.at_bound:
             return "loop_offset_at_bound", observer.at_bound, observer.note
-        held = self._law.problem.chain.held
-        g = float(np.linalg.norm(self._law.problem.chain.model.gravity.linear))
-        if observer.load > max(SMALL, (1.0 + OF_WEIGHT) * held.mass * g):
-            return "load_heavier", (), _heavier(observer.load / g, held.mass)
+        chain = self._law.problem.chain
+        g, mass = float(np.linalg.norm(chain.model.gravity.linear)), chain.held.mass
+        if observer.load > max(SMALL, (1.0 + OF_WEIGHT) * mass * g):
+            return "load_heavier", (), _heavier(observer.load / g, mass)
         return None
 
     def _named(self, suspect: Suspect) -> Finding:
