@@ -100,6 +100,14 @@ class LoopObserver:
     def _sag(self) -> WeightSag:
         return WeightSag(self._chain, self._compliance)
 
+    @property
+    def stated_stiffness(self) -> Array | None:
+        """Of the servos, shape (n,) [N m/rad]; infinite where none is stated, None without any."""
+        if self.settings.stiffness is None:
+            return None
+        with np.errstate(divide="ignore"):
+            return 1.0 / self._compliance
+
     def begin(self, state: State) -> None:
         """Take the whole loop error at q for the model's, so that arms do not press at first."""
         self._measured.q[:] = state.q  # made now, not in a tick

@@ -76,7 +76,8 @@ class FaultMonitor:
     def __init__(self, law: Law, *, observed: bool) -> None:
         chain, dt = law.problem.chain, law.problem.dt
         self._names, self._law = chain.joint_names, law
-        self._joints = JointFollowing(chain, dt) if observed else None
+        stated = law.observer.stated_stiffness
+        self._joints = JointFollowing(chain, dt, stated) if observed else None
         self._forces = ForceMonitor(law)
         self.found: tuple[Fault, ...] = ()
         self._misled = False

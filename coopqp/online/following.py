@@ -84,11 +84,11 @@ class JointFollowing:
         suspicious: whether internal forces and lag do not explain the last samples.
     """
 
-    def __init__(self, chain: ClosedChain, dt: float) -> None:
+    def __init__(self, chain: ClosedChain, dt: float, stiffness: Array | None = None) -> None:
         self._own = own = np.setdiff1d(np.arange(chain.n), chain.passive)
         self._passive, n = chain.passive, len(own)
-        K = chain.model.effortLimit[own]
-        usable = np.isfinite(K).all() and (K > 0.0).all()
+        K = chain.model.effortLimit[own] if stiffness is None else stiffness[own]
+        usable = (K > 0.0).all() and np.isfinite(K).any()
         self._compliance = 1.0 / K if usable else np.ones(n)
         self._every = max(1, round(SAMPLE / dt))
         h = self._every * dt
