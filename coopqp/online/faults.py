@@ -68,11 +68,7 @@ def checked_reactions(chosen: Any) -> dict[str, Reaction]:
 
 
 class FaultMonitor:
-    """The faults of one phase.
-
-    Args:
-        law: of the phase.
-        observed: whether commands differ from what is measured, so that joints can be judged.
+    """The faults of one phase; joints are judged where commands differ from what is ``observed``.
 
     Attributes:
         found: the faults since :meth:`forget`, oldest first.
@@ -98,12 +94,7 @@ class FaultMonitor:
             self._joints.forget()
 
     def update(self, state: State, q_m: Array | None) -> Fault | None:
-        """The fault that is new in this tick, if any.
-
-        Args:
-            state: commanded joints, and the hands' wrenches if there are force sensors.
-            q_m: measured joints, shape (n,) [rad, m]; None without a reading.
-        """
+        """The fault that is new in this tick, if any; q_m are measured joints, None without."""
         findings = [self._forces.update(state), self._observed()]
         if self._joints and q_m is not None and not self._misled:
             if suspect := self._joints.update(state, state.q, q_m):

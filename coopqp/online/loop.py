@@ -188,7 +188,7 @@ class OnlineLoop:
         limits = with_acceleration(own.limits, own.chain, speed_up)
         self._given = replace(own, limits=limits, observer=observer or own.observer)
         self._observed, self._as_held = reference == "commanded", grasp == "as_held"
-        self._time = LoopTime(clock or self._counted, own.dt)
+        self._time = LoopTime(clock or (lambda: self.ticks * own.dt), own.dt)
         self._by_time = phases == "by_time"
         self.patience, self.simulated = patience, clock is None
         chain, dt = self._given.chain, self._given.dt
@@ -405,9 +405,6 @@ class OnlineLoop:
     ) -> None:
         self._interrupts.give_back()
         self.close()
-
-    def _counted(self) -> float:
-        return self.ticks * self._given.dt
 
     def _begin(self) -> None:
         self._phases.begin(self._readings.q.copy(), held=self._as_held)

@@ -40,10 +40,6 @@ FINE = 0.01
 class LoopTime:
     """Time that goes on, by a clock that may not.
 
-    Args:
-        clock: of a user's.
-        dt: period [s].
-
     Attributes:
         now: of this tick; what the clock says until it has gone back [s].
         ahead: by how much that is ahead of the clock [s].

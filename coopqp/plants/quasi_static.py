@@ -60,9 +60,6 @@ class SpringServo(ServoLaw):
 class QuasiStaticModel(DynamicModel):
     """The springs.
 
-    Args:
-        problem, settings, seed, disturbance: as for :class:`DynamicModel`.
-
     Attributes:
         signals: ``tau``, the motors' torques with what holds the arms' own weight, without a limit;
             ``internal_wrench`` (6 N,), the part of the hands' wrenches that cancels, arm by arm [N,
