@@ -5,22 +5,23 @@ from __future__ import annotations
 import math
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Annotated, Any, ClassVar, Literal, Protocol, get_args
+from typing import Annotated, ClassVar, Literal, Protocol, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, field_validator
 
 from coopqp.base.errors import InvalidValueError, unknown_name
-from coopqp.base.spec import Array, finite, overshoot, real, spec, taken_names, type_name, vector
-from coopqp.base.wording import Location, culprit, dotted, said, suppressed
+from coopqp.base.spec import Array, finite, overshoot, spec, taken_names, type_name, vector
+from coopqp.base.wording import Location, culprit, dotted
 from coopqp.limit import Limit, LimitRows
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.loop_observer import LoopObserver, Observer
+from coopqp.model.notes import Why, note_of
 from coopqp.model.state import Memory, State
 from coopqp.signal import Signal
 from coopqp.solver import Budget, Solver, Status
@@ -234,199 +235,7 @@ class Command:
         return other
 
 
-def note_of(told: tuple[str | Why, ...]) -> str:
-    """The note of what a tick has told; it may be asked for later than the tick."""
-    return "; ".join(dict.fromkeys(filter(None, map(str, told))))
-
-
 ALL_WELL = (Status.OPTIMAL,)
-#: Most joints, loops, limits or tasks that a note names; a limit is reached if so much is left
-#: of it, in its unit.
-MOST_NAMED, REACHED = 3, 1e-6
-
-
-class Why:
-    """Who is behind the causes of a tick, in words that are made when somebody reads them.
-
-    It keeps what it needs of the tick, and raises nothing.
-    """
-
-    def __init__(self, law: Law, state: State, command: Command) -> None:
-        self._law, self._chain, self._sizes = law, state.chain, state.memory.sizes
-        self._causes, self._tells_itself = command.causes, bool(command.told)
-        self._scale, self._drift, self._t = command.scale, command.drift, state.t
-        self._stale, self._words = state.inputs.stale, ""
-        parts = (state.q, state.v, command.v, state.drift, state.memory.numbers)
-        self._kept = np.concatenate(parts, axis=None)
-        self._parts = [np.size(part) for part in parts[:-1]]
-        if Status.OVERWRITTEN in command.causes:
-            self._moved_by = state.overwritten_by
-        elif Status.NOT_MEASURED in command.causes:
-            self._seen = _numbers(state.q_measured)
-
-    def __str__(self) -> str:
-        if not self._words:
-            with np.errstate(all="ignore"):
-                self._unpack()
-                self._words = "; ".join(filter(None, map(self._of, self._causes)))
-        return self._words
-
-    def _unpack(self) -> None:
-        ends = np.cumsum([*self._parts, *self._sizes.values()])
-        parts = np.split(self._kept, ends[:-1])
-        self._q, self._before, self._v, self._open = parts[:4]
-        kept = dict(zip(self._sizes, parts[4:], strict=False))
-        self._lacks = [kept[key] for key in ("missed", "missing") if key in kept]
-        self._problem, self._names = self._law.problem, self._chain.joint_names
-
-    def _of(self, cause: Status) -> str:
-        told = _TOLD.get(cause)
-        if told is None or (self._tells_itself and cause in TELL_THEMSELVES):
-            return ""
-        words = ""
-        with suppressed():  # margins of a user's limit may raise anything
-            words = told(self)
-        return words or cause.value
-
-    def _joints(self, sizes: Array, words: Callable[[int], str]) -> str:
-        """Words on the joints of which something is more than zero, the worst first."""
-        worst = [int(i) for i in np.argsort(-sizes)[:MOST_NAMED]]
-        return ", ".join(words(i) for i in worst if sizes[i] > 0.0 or i == worst[0])
-
-    def _outside(self) -> str:
-        chain, q = self._problem.chain, self._q
-        below, above = chain.lower - q, q - chain.upper
-
-        def words(i: int) -> str:
-            side, out = ("below", below[i]) if below[i] > above[i] else ("above", above[i])
-            far = f"{out:.2g} {chain.joint_units[i]} {side}" if out > 0.0 else "at the end of"
-            return f"{self._names[i]} is {far} its range"
-
-        return self._joints(np.maximum(below, above), words)
-
-    def _loops(self) -> str:
-        """The loop that is farthest open."""
-        chain, loops = self._chain, self._open.reshape(-1, 2, 3)
-        apart, turned = np.linalg.norm(loops, axis=2).T
-        i = int(np.argmax(apart + turned))
-        far = f"{1e3 * apart[i]:.1f} mm, {1e3 * turned[i]:.1f} mrad"
-        return f"loop of {chain.arms[i + 1].name} is {far} open"
-
-    def _limits(self, first: bool = False) -> str:
-        """The limits that are reached after this tick; with ``first`` broken ones that may be."""
-        problem, dt = self._problem, self._problem.dt
-        v = np.array([self._before, self._v])
-        q = self._q + dt * np.array([-self._before, 0.0 * self._v, self._v])
-        found = dict[str, float]()
-        for limit in problem.limits:
-            if first <= limit.sacrificed_first:
-                with suppressed():
-                    margins = limit.margins(problem.chain, q, v, dt)
-                    found |= {row.words: float(left[-1]) for row, left in margins.items()}
-        least = sorted((left, words) for words, left in found.items() if left <= REACHED)
-        return ", ".join(words for _, words in least[:MOST_NAMED])
-
-    def _back(self) -> str:
-        held = self._limits()
-        return f", held back by {held}" if held else ""
-
-    def _infeasible(self) -> str:
-        kept = "on_infeasible: scale would relax tasks, loop correction and accelerations"
-        hard = [f" and hard '{task.name}'" for task in self._problem.tasks if task.mode == "hard"]
-        clash = f"loops, limits{''.join(hard[:MOST_NAMED])} leave no motion"
-        return f"{clash}: {self._loops()}{self._back()}; {kept}"
-
-    def _tasks(self) -> str:
-        tasks, chain = self._problem.tasks, self._problem.chain
-        hard = [task for task in tasks if task.mode == "hard"]
-        short = hard + [task for task in tasks if task.mode == "scaled"]
-        if self._lacks:
-            ends = np.cumsum([len(task.rows(chain)) for task in hard])
-            rows = [part.any() for part in np.split(self._lacks[0], ends)[: len(hard)]]
-            lack = [*rows, *(self._lacks[1] > 0.0)]
-            short = [task for task, is_short in zip(short, lack, strict=True) if is_short] or short
-        names = ", ".join(f"'{task.name}'" for task in short[:MOST_NAMED])
-        how = f"at {100.0 * self._scale:.0f} % of the rate" if self._lacks else "made soft"
-        return f"{names} {how}{self._back()}"
-
-    def _accelerated(self) -> str:
-        i = int(np.argmax(np.abs(self._v - self._before)))
-        way = f"{self._names[i]} changes by {self._v[i] - self._before[i]:+.2g} in a tick"
-        return f"{self._limits(first=True) or way}; slow the references, or raise the limit"
-
-    def _slipping(self) -> str:
-        hands = [name for name, grasp in self._problem.chain.grasps.items() if grasp.contact]
-        return f"hand of {', '.join(hands)}: more internal force, or slower"
-
-    def _opened(self) -> str:
-        budget = self._problem.budget
-        most = f"{1e3 * budget.loop_position:g} mm, {1e3 * budget.loop_orientation:g} mrad"
-        return f"{self._loops()}, of {most} of the budget: slow the references, or a smaller dt"
-
-    def _slowed(self) -> str:
-        return f"{self._loops()}, {100.0 * self._drift:.0f} % is corrected{self._back()}"
-
-    def _solver(self) -> str:
-        if self._law.engine or hasattr(self._law, "solution"):
-            return f"solver '{type_name(type(self._problem.solver))}': try another; {self._loops()}"
-        return f"the matrices of loops and tasks cannot be decomposed here; {self._loops()}"
-
-    def _numbers(self) -> str:
-        bad = ~(np.isfinite(self._q) & np.isfinite(self._before))
-        if bad.any():
-            joints = self._joints(bad.astype(float), lambda i: self._names[i])
-            return f"no finite q or v of {joints}"
-        if not math.isfinite(self._t):
-            return f"the state's time is {self._t}"
-        names = ", ".join(f"'{task.name}'" for task in self._problem.all_tasks[:MOST_NAMED])
-        return f"numbers too large at {names}"
-
-    def _strange(self) -> str:
-        chain = self._problem.chain
-        needs = f"needs {chain.n} of {len(chain.arms)} arms, {', '.join(chain.joint_names[:2])} ..."
-        return f"found {len(self._q)} joints of {len(self._chain.arms)} arms, {needs}"
-
-    def _overwritten(self) -> str:
-        return self._joints(
-            np.abs(self._moved_by), lambda i: f"{self._names[i]} by {self._moved_by[i]:+.2g}"
-        )
-
-    def _silent(self) -> str:
-        return f"nothing new at {', '.join(self._stale)}; see its sender"
-
-    def _unmeasured(self) -> str:
-        seen = self._seen
-        if isinstance(seen, str):
-            return f"q_measured: {seen}"
-        if seen.shape != self._q.shape:
-            return f"q_measured: found shape {seen.shape}, needs {self._q.shape}"
-        return f"no finite number for {', '.join(np.array(self._names)[~np.isfinite(seen)])}"
-
-
-def _numbers(found: Any) -> Array | str:
-    """A copy of numbers; what is wrong with what is none."""
-    try:
-        return real(found).copy()
-    except ValueError as error:
-        return said(error) or "needs numbers"
-
-
-#: What Why has words for; the others are the loop's and the plants', which have their own.
-_TOLD: dict[Status, Callable[[Why], str]] = {
-    **dict.fromkeys(
-        (Status.INACCURATE, Status.UNBOUNDED, Status.ITERATION_LIMIT, Status.SOLVER_ERROR,
-         Status.SOLVER_FAILED, Status.EQUALITY_RESIDUAL, Status.BOUND_RESIDUAL), Why._solver,
-    ),
-    Status.RECOVERING: Why._outside, Status.INFEASIBLE: Why._infeasible,
-    Status.TASKS_RELAXED: Why._tasks, Status.ACCELERATION_GIVEN_UP: Why._accelerated,
-    Status.CONTACT_GIVEN_UP: Why._slipping, Status.DRIFT_SLOWED: Why._slowed,
-    Status.STEP_SHORTENED: Why._opened, Status.LOOP_BUDGET: Why._opened,
-    Status.NOT_FINITE: Why._numbers, Status.WRONG_STATE: Why._strange,
-    Status.OVERWRITTEN: Why._overwritten, Status.NOT_MEASURED: Why._unmeasured,
-    Status.INPUT_STALE: Why._silent,
-}  # fmt: skip
-#: Of these the tick itself may have said more.
-TELL_THEMSELVES = {Status.NOT_FINITE, Status.SOLVER_ERROR}
 
 
 class Law(ABC):

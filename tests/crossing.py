@@ -17,10 +17,10 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+import scipy.linalg
 from stress import goals
 from walks import vector
 
-from coopqp.base.rank import null_space
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem, Law
 from coopqp.controllers import QPController
@@ -98,7 +98,7 @@ def problem(
 def directions(chain: ClosedChain, rng: np.random.Generator) -> tuple[Array, Array]:
     """Two directions at right angles in which the object can move at the start, if it can."""
     state = State(chain)
-    ways = state.J_task[:3] @ null_space(state.J_loop)
+    ways = state.J_task[:3] @ scipy.linalg.null_space(state.J_loop, rcond=1e-8)
     U, values, _ = np.linalg.svd(ways)
     free = U[:, : int((values > 1e-3).sum())]
     out = free @ rng.normal(size=free.shape[1])

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.linalg
+from scipy.linalg import lapack
 
 from coopqp.base.spec import Array
 
@@ -26,19 +27,32 @@ def matrix_rank(matrix: Array) -> int:
 
 
 def null_space(matrix: Array) -> Array:
-    """Orthonormal basis of the null space of a matrix (m, n), shape (n, n - rank)."""
+    """Orthonormal basis of the null space of a matrix (m, n), shape (n, n - rank).
+
+    By pivoted QR of the transpose, several times as fast as a singular value decomposition.
+    """
     if not len(matrix):
         return np.identity(matrix.shape[1])
-    _, values, Vt = np.linalg.svd(matrix)
-    rank = int(np.sum(values > RANK_TOLERANCE * max(values[0], _LEAST)))
-    basis: Array = np.ascontiguousarray(Vt[rank:].T)
-    return basis
+    if not np.isfinite(matrix).all():
+        raise np.linalg.LinAlgError("null_space: the matrix has NaN or infinite values")
+    n, (reflectors, _, tau, _, _) = matrix.shape[1], lapack.dgeqp3(matrix.T)
+    rank = _rank(reflectors.diagonal())
+    last = np.eye(n, n - rank, -rank, order="F")
+    basis, _, _ = lapack.dormqr("L", "N", reflectors[:, : len(tau)], tau, last, 64 * n)
+    return np.asarray(basis)
 
 
 def directions(rows: Array) -> tuple[Array, Array]:
-    """Singular values, those that are none as zeros, and orthonormal directions that have them."""
-    _, values, Vt = np.linalg.svd(rows)
-    return np.concatenate([values, np.zeros(len(Vt) - len(values))]), Vt
+    """Singular values, those that are none as zeros, and orthonormal directions that have them.
+
+    The rows are finite.
+    """
+    k, n = rows.shape
+    values = np.zeros(n)
+    if not rows.size:
+        return values, np.identity(n)
+    _, values[: min(k, n)], Vt, _ = lapack.dgesdd(rows)
+    return values, Vt
 
 
 def independent_rows(matrix: Array, most: int | None = None) -> list[int]:
@@ -46,9 +60,14 @@ def independent_rows(matrix: Array, most: int | None = None) -> list[int]:
     if not matrix.size:
         return []
     _, R, order = scipy.linalg.qr(matrix.T, mode="economic", pivoting=True)
-    diagonal = np.abs(np.diag(R))
-    rank = int(np.sum(diagonal > RANK_TOLERANCE * max(diagonal[0], _LEAST)))
+    rank = _rank(np.diag(R))
     return sorted(int(i) for i in order[: rank if most is None else min(rank, most)])
+
+
+def _rank(diagonal: Array) -> int:
+    """Of a pivoted QR, whose diagonal falls in size."""
+    sizes = np.abs(diagonal)
+    return int(np.count_nonzero(sizes > RANK_TOLERANCE * max(sizes[0], _LEAST)))
 
 
 def least_squares(matrix: Array, wanted: Array) -> Array:

@@ -41,9 +41,8 @@ from coopqp.base.wording import counted
 from coopqp.closed_loop.hands import (
     WrenchReadings,
     WrenchStack,
+    friction_needed,
     hands,
-    in_axes,
-    into_contacts,
     points,
 )
 from coopqp.controller import ControlProblem
@@ -126,7 +125,7 @@ class InternalForceControl:
         self._wrenches = WrenchStack(problem.wrenches, State(chain))
         self.along = np.zeros(6 * (len(chain.arms) - 1))
         self.memory_sizes: Mapping[str, int] = {ALONG: 3, GROWN: 1}
-        self._pressing = [(i, hand.contact) for i, hand in enumerate(self._hands) if hand.contact]
+        self._presses = any(hand.contact for hand in self._hands)
 
     def update(self, state: State) -> Status | None:
         """Move the gap by how far the hands are to approach each other in this tick.
@@ -179,17 +178,15 @@ class InternalForceControl:
         if measured is None:
             return math.nan
         missing, grown = -float(self._wrenches.error(measured)[0]), state.memory[GROWN]
-        if self._pressing:
+        if self._presses:
             wanted = float(self._wrenches.wanted[0])
             grown[0] = self._growing(state, measured, wanted, wanted + grown[0]) - wanted
         return missing + float(grown[0])
 
     def _growing(self, state: State, measured: Array, wanted: float, now: float) -> float:
         """The force that friction asks for [N], not less than the one ``now``."""
-        turns = into_contacts(self._hands, state.R_WO)
         use, most = 0.0, math.inf
-        for i, contact in self._pressing:
-            need = contact.friction_needed(in_axes(measured[i], turns[i]))
+        for _, contact, need in friction_needed(self._hands, measured, state.R_WO):
             use, most = max(use, need / contact.friction), min(most, contact.most)
         if not NEAR_SLIP < use < math.inf:
             return now

@@ -8,7 +8,7 @@ behind a hinge the tip moves on, and C stays.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -45,14 +45,9 @@ class Hand:
 
 def hands(chain: ClosedChain) -> tuple[Hand, ...]:
     """The hands that hold the object, in the order of ``chain.arms``."""
-    model, data = chain.model, chain.model.createData()
-    pin.framesForwardKinematics(model, data, chain.q_start)
-    found = []
-    for arm, frame in zip(chain.arms[: chain.holding], chain.frames, strict=False):
-        contact = chain.grasps[arm.name].contact
-        X_OC = data.oMf[frame].actInv(data.oMf[model.getFrameId(arm.tip)])
-        found.append(Hand(arm.name, X_OC * contact.placement if contact else X_OC, contact))
-    return tuple(found)
+    grasps = [chain.grasps[arm.name] for arm in chain.arms]
+    found = zip(chain.arms, chain.hand_poses(), grasps, strict=False)
+    return tuple(Hand(arm.name, X_OC, grasp.contact) for arm, X_OC, grasp in found)
 
 
 def robot_indices(chain: ClosedChain) -> list[int]:
@@ -74,6 +69,16 @@ def into_contacts(hands: Sequence[Hand], R_WO: Array) -> Array:
 def in_axes(wrench: Array, R: Array) -> Array:
     """A wrench, shape (6,), in other axes at the same point, R from its axes into these."""
     return np.concatenate([R @ wrench[:3], R @ wrench[3:]])
+
+
+def friction_needed(
+    hands: Sequence[Hand], wrenches: Array, R_WO: Array
+) -> Iterator[tuple[str, Contact, float]]:
+    """Arms that press, and the friction that their wrenches need: world axes, shape (N, 6)."""
+    for hand, w in zip(hands, wrenches, strict=True):
+        if hand.contact:
+            w_C = in_axes(w, (R_WO @ hand.X_OC.rotation).T)
+            yield hand.arm, hand.contact, hand.contact.friction_needed(w_C)
 
 
 class WrenchReadings:

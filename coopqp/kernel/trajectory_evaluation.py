@@ -41,10 +41,7 @@ class TrajectoryValues:
 class TrajectoryEvaluation:
     """Evaluates all instants of a motion at once; made by :func:`survey`.
 
-    Args:
-        chain: that moves.
-        levels: the tasks, in one level.
-        points: ids of joints, 0 for the world, and points in their frames [m].
+    The tasks are in one level; ``points`` are ids of joints, 0 for the world, and points there [m].
     """
 
     def __init__(

@@ -18,6 +18,7 @@ zero, but it still has an object frame, where the object would be if it held it.
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -34,6 +35,7 @@ from coopqp.grasp import Grasp
 from coopqp.model.grasp_configuration import GraspConfiguration, attach
 from coopqp.model.held_object import HeldObject
 from coopqp.robot import RobotModel, joint_units
+from coopqp.signal import ENDLESS
 
 AXES = ("x", "y", "z", "rot_x", "rot_y", "rot_z")
 AXIS_UNITS = ("m", "m", "m", "rad", "rad", "rad")
@@ -213,6 +215,17 @@ class ClosedChain:
                 turn += weight * pin.log3(X.rotation @ X_0.rotation.T)
             return pin.SE3(pin.exp3(turn) @ X_0.rotation, p)
 
+    def hand_poses(self) -> list[pin.SE3]:
+        """X_OC, the contact frame in the object, of each hand that holds it."""
+        found = []
+        with self._data() as data:
+            pin.framesForwardKinematics(self.model, data, self.q_start)
+            for arm, frame in zip(self.arms[: self.holding], self.frames, strict=False):
+                X_OC = data.oMf[frame].actInv(data.oMf[self.model.getFrameId(arm.tip)])
+                contact = self.grasps[arm.name].contact
+                found.append(X_OC * contact.placement if contact else X_OC)
+        return found
+
     def _carried(self, q: Array, data: pin.Data) -> list[pin.SE3]:
         """Where each arm carries the object; no other of a robot's hundreds of frames is placed."""
         pin.forwardKinematics(self.model, data, q)
@@ -253,6 +266,13 @@ class ClosedChain:
     def joint_names(self) -> tuple[str, ...]:
         """Names of the n joints in the order of q."""
         return tuple(self.model.names[1:])
+
+    def unusable(self, q: Array) -> str:
+        """Which of the n numbers are not finite, or as good as infinite; empty if all are fine."""
+        if math.hypot(*q.tolist()) < ENDLESS:  # NaN is not
+            return ""
+        good = np.abs(q) < ENDLESS / len(q)
+        return f"no finite number for {', '.join(np.array(self.joint_names)[~good])}"
 
     def object_jacobians(self, q: Array) -> Array:
         """Jacobian of the object as carried by each arm, shape (N, 6, n), world axes.

@@ -12,10 +12,16 @@ observer is stable for every delay while the compliance of the grasp is part of 
 gain); ``time`` exceeds the 0.1 s of the resonances of servos and grasps, and no more, since the
 internal force of a motion grows with it.
 
-u is the servos' sag under the object's weight (``model.weight_sag``). It opens the loop by some d
-without any squeeze: an observer of e_m alone would rest only where the hands pull by d over the
-servos' compliance, and never on grips that creep. The load is the object's weight where the servos'
-stiffness is known, else nothing, until it is felt: at rest, by least squares of q_m - q_c.
+u is the servos' sag under the object's weight. Springs of stiffness K hold the joints, and the
+hands' forces h_i on the object carry its weight,
+
+    u = -K^-1 sum_i J_i' h_i,     d = J_c u
+
+with the h_i as grips alike share them, forces at the hands' points and as little torque as can be:
+h = W G' (G W G')^-1 w, W = diag(1, (0.03 m)^2). Grips that yield transmit no more. It opens the
+loop by d without any squeeze: an observer of e_m alone would rest only where the hands pull by d
+over the servos' compliance, and never on grips that creep. The load is the object's weight where
+the stiffness is known, else nothing, until it is felt: at rest, by least squares of q_m - q_c.
 """
 
 from __future__ import annotations
@@ -25,13 +31,12 @@ from collections.abc import Mapping
 from functools import cached_property
 
 import numpy as np
+import pinocchio as pin
 
 from coopqp.base.errors import UnknownNameError
 from coopqp.base.spec import Array, Positive, real, spec
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
-from coopqp.model.weight_sag import WeightSag
-from coopqp.signal import ENDLESS
 
 #: Time constant, at least so long and at least so many ticks [s].
 TIME, TICKS = 0.15, 10
@@ -39,10 +44,19 @@ TIME, TICKS = 0.15, 10
 MOST_POSITION, MOST_ORIENTATION = 30e-3, 100e-3
 #: Most rotation for each metre of ``Observer.most`` [rad/m].
 ROTATION = 10.0
+#: The sag is computed anew after so long [s]; readings are trusted to so much [rad].
+RENEWED, DOUBT = 0.05, 5e-4
 #: After so long at rest the load is felt, with this time constant [s].
 AFTER, FEELS = 0.2, 0.3
 #: Smaller sags of unknown servos may as well be errors of their feed-forward [rad].
 SLIGHT = 2e-4
+#: Size of a grip: its rotational stiffness over the other is (this)^2 [m].
+GRIP_SIZE = 0.03
+#: An object that is commanded to move faster does not rest: the servos' lag would count as a sag
+#: [m/s]; a rotation counts by 0.1 m.
+MOVES, REST, SPEEDS = 0.05, 0.005, np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])
+#: Sags below this are rounding.
+TINY = 1e-15
 
 
 @spec
@@ -66,6 +80,7 @@ class LoopObserver:
     Attributes:
         at_bound: arms whose loops with the first one are at their bound since the last update.
         load: the weight that the servos feel [N]; NaN while it is not known.
+        doubt: what readings that are half a milliradian off add to it [N].
         note: what is wrong, where something is.
         paused: whether what is measured now is not to be believed, so that the gap stays.
     """
@@ -74,9 +89,11 @@ class LoopObserver:
         self._chain, self._dt, self._share = chain, dt, dt / max(TIME, TICKS * dt)
         self.settings = settings or Observer()
         self._compliance = _compliance(chain, self.settings.stiffness)
+        self._known = self.settings.stiffness is not None
         self._most = self.settings.most, ROTATION * self.settings.most
         self.at_bound: tuple[str, ...] = ()
         self.load, self.note, self.paused = math.nan, "", False
+        self.doubt, self._renewed = math.inf, 0
 
     @cached_property
     def _measured(self) -> State:
@@ -86,6 +103,14 @@ class LoopObserver:
     @cached_property
     def _sag(self) -> WeightSag:
         return WeightSag(self._chain, self._compliance)
+
+    @property
+    def stated_stiffness(self) -> Array | None:
+        """Of the servos, shape (n,) [N m/rad]; infinite where none is stated, None without any."""
+        if self.settings.stiffness is None:
+            return None
+        with np.errstate(divide="ignore"):
+            return 1.0 / self._compliance
 
     def begin(self, state: State) -> None:
         """Take the whole loop error at q for the model's, so that arms do not press at first."""
@@ -105,7 +130,7 @@ class LoopObserver:
             found = real(state.q_measured)
         except ValueError:
             return False
-        if found.shape != measured.q.shape or not math.hypot(*found.tolist()) < ENDLESS:
+        if found.shape != measured.q.shape or self._chain.unusable(found):
             return False  # a sensor that says nothing teaches nothing
         if self.paused or state.corrected < 1.0 or not self.settings.enabled:
             return True
@@ -118,33 +143,27 @@ class LoopObserver:
         learnt = self._share * (measured.loop_error - state.loop_error)
         about = state.felt[2:] - opened
         learnt[len(state.closed_error) :] = 0.0  # what holds nothing has no offset
-        if along is None:
-            self._learn(state.gap, learnt, about)
-        else:
-            pressed = along.dot(state.gap) * along
-            state.gap -= pressed
-            self._learn(state.gap, _without(learnt, along), _without(about, along))
-            state.gap += pressed
+        pressed = 0.0 if along is None else along.dot(state.gap) * along
+        state.gap -= pressed
+        self._learn(state.gap, _without(learnt, along), _without(about, along))
+        state.gap += pressed
         state.update_drift()
         return True
 
     def _first(self, state: State, error: Array) -> None:
         """Believe in the object's weight where the servos' stiffness says what it does."""
-        known = self.settings.stiffness is not None
         g = float(np.linalg.norm(self._chain.model.gravity.linear))
-        state.felt[0] = g * self._chain.held.mass if known else 0.0
+        state.felt[0] = g * self._chain.held.mass if self._known else 0.0
         state.felt[1], state.felt[2:] = 0.0, error
         self._sag  # noqa: B018 - made now, not in a tick
 
     def _unload(self, state: State, along: Array | None) -> Array:
-        """Take the sag and a squeeze's out of the measured joints, and feel the load at rest.
-
-        Returns:
-            What the sag opens the loops by, shape (6 L,).
-        """
-        sag, felt, q = self._sag, state.felt, self._measured.q
-        known = self.settings.stiffness is not None
-        sag.update(state, along if known else None)
+        """Take sag and squeeze out of the measured joints; what the sag opens the loops by."""
+        sag, felt, q, known = self._sag, state.felt, self._measured.q, self._known
+        if self._renewed % max(1, round(RENEWED / self._dt)) == 0:
+            sag.update(state, along if known else None)
+            self.doubt = DOUBT / max(float(np.abs(sag.sag).max()), TINY)
+        self._renewed += 1
         lag, load = q - state.q, math.nan
         if along is not None and known:
             sag.straighten(lag)
@@ -183,22 +202,90 @@ class LoopObserver:
         )
 
 
-def _without(x: Array, along: Array) -> Array:
-    return np.asarray(x - along.dot(x) * along, float)
+class WeightSag:
+    """The sag for one newton of weight.
+
+    ``compliance`` is 1/K by joint, shape (n,) [rad/(N m)].
+
+    Attributes:
+        sag: u, shape (n,) [rad/N].
+        opened: by which the loops open for one newton, shape (6 L,) [m/N, rad/N].
+    """
+
+    def __init__(self, chain: ClosedChain, compliance: Array) -> None:
+        self._compliance, self._torque = compliance, np.zeros(chain.n)
+        self.sag, self.opened = np.zeros(chain.n), np.zeros(6 * (len(chain.arms) - 1))
+        self._squeeze = self._bent = np.zeros(chain.n)
+        self._up = -chain.model.gravity.linear
+        self._up = self._up / max(float(np.linalg.norm(self._up)), 1e-12)
+        com = pin.skew(np.array(chain.held.com))
+        at_origin = np.zeros((6 * len(chain.arms), 3))  # of each arm, for a load along x, y, z
+        at_origin[: 6 * chain.holding] = _shares(
+            [X.translation for X in chain.hand_poses()]
+        ) @ np.vstack([np.eye(3), com])
+        # Of J_ext = M [J_0; J_1; ...], so that sum_i J_i' h_i = J_ext' M^-T h.
+        self._to_rows = np.linalg.solve(chain.mixing.T, at_origin)
+
+    def update(self, state: State, along: Array | None = None) -> None:
+        """Follow an up-to-date state, in which the hands may squeeze ``along`` a loop direction."""
+        R = state.R_WO
+        rows = self._to_rows.dot(self._up.dot(R)).reshape(-1, 3).dot(R.T)
+        rows.ravel().dot(state.J_ext, self._torque)
+        np.multiply(self._compliance, self._torque, self.sag)
+        np.negative(self.sag, self.sag)
+        if along is not None:
+            self._squeeze = along.dot(state.J_rel)
+            self._bent = self._compliance * self._squeeze
+            self._bent /= max(float(self._bent.dot(self._squeeze)), TINY)
+            self.straighten(self.sag)
+        state.J_rel.dot(self.sag, self.opened)
+
+    def straighten(self, sag: Array) -> None:
+        """Take out of a sag, shape (n,) [rad], what a squeeze along that direction does to it."""
+        sag -= self._squeeze.dot(sag) * self._bent
+
+    def load(self, state: State, sag: Array) -> float:
+        """The load that a sag, shape (n,) [rad], tells of, by least squares [N]; NaN in motion."""
+        if state.v.dot(state.v) > MOVES * MOVES:  # before anybody asks for Jacobians
+            return math.nan
+        twist, size = state.J_task.dot(state.v) * SPEEDS, -self._torque.dot(self.sag)
+        if not twist.dot(twist) < REST * REST or not size > TINY:
+            return math.nan
+        return max(0.0, float(-self._torque.dot(sag) / size))
 
 
-def _compliance(chain: ClosedChain, stiffness: float | Mapping[str, float] | None) -> Array:
+def _shares(points: list[Array]) -> Array:
+    """Each hand's wrench at the object's origin for one there, shape (6 N, 6), object axes."""
+    each, grips = [], np.diag([1.0, 1.0, 1.0, *[GRIP_SIZE**2] * 3])
+    for p in points:
+        G = np.eye(6)
+        G[3:, :3] = pin.skew(p)
+        each.append(G @ grips @ G.T)
+    return np.asarray(np.vstack(each) @ np.linalg.inv(sum(each)), float)
+
+
+def _without(x: Array, along: Array | None) -> Array:
+    return x if along is None else np.asarray(x - along.dot(x) * along, float)
+
+
+def stiffness_by_joint(
+    chain: ClosedChain, given: float | Mapping[str, float] | None, default: Array, *place: str
+) -> Array:
+    """K of each joint as given, else by default, shape (n,) [N m/rad]; UnknownNameError: none."""
+    names = chain.joint_names
+    if not isinstance(given, Mapping):
+        return default.copy() if given is None else np.full(chain.n, float(given))
+    for name in given:
+        if name not in names:
+            raise UnknownNameError("joint", name, names).at(*place, "stiffness", name)
+    return np.array([given.get(name, K) for name, K in zip(names, default, strict=True)], float)
+
+
+def _compliance(chain: ClosedChain, given: float | Mapping[str, float] | None) -> Array:
     """1/K by joint, shape (n,) [rad/(N m)]; zero where a joint does not yield or has no motor."""
-    found = np.zeros(chain.n)
-    if isinstance(stiffness, Mapping):
-        for name, value in stiffness.items():
-            if name not in chain.joint_names:
-                unknown = UnknownNameError("joint", name, chain.joint_names)
-                raise unknown.at("observer", "stiffness", name)
-            found[chain.joint_names.index(name)] = 1.0 / value
-    elif stiffness is not None:
-        found[:] = 1.0 / stiffness
-    else:
-        found[:] = [unit == "rad" for unit in chain.joint_units]
+    yields = given is None and np.array(chain.joint_units) == "rad"
+    found = 1.0 / stiffness_by_joint(
+        chain, given, np.where(yields, np.ones(chain.n), np.inf), "observer"
+    )
     found[chain.passive] = 0.0
     return found

@@ -18,7 +18,7 @@ from coopqp.base.spec import Array, real
 from coopqp.base.wording import raised, said
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.scenario.input import AHEAD, Arrival, Inputs
-from coopqp.signal import ENDLESS, Kind, matrix
+from coopqp.signal import Kind, matrix
 from coopqp.solver import Status
 
 #: Number of unknown names that are remembered, to report each only once.
@@ -68,7 +68,8 @@ class Arrivals:
         if channel is None:
             self._refuse_unknown(str(name))
             return
-        if not _is_stamped(value):
+        stamped = isinstance(value, tuple) and len(value) == 2
+        if not stamped or isinstance(value[0], Real):  # two numbers are a value
             self._stamped[name] = now  # it is sent when it arrives
             yield name, in_columns(channel.kind, value), self._shared(name, t)
             return
@@ -137,11 +138,6 @@ def as_time(given: Any) -> float | None:
     return found if math.isfinite(found) else None
 
 
-def _is_stamped(value: Any) -> bool:
-    """Whether it is a pair of a value and its time stamp; two numbers are a value."""
-    return isinstance(value, tuple) and len(value) == 2 and not isinstance(value[0], Real)
-
-
 #: Joints have jumped if they moved since the last reading by more than their velocity limit allows
 #: times this factor, and this much for noise [rad, m].
 FASTER, NOISE = 1.5, 0.02
@@ -152,9 +148,7 @@ UNLIMITED = 1e6
 class Readings:
     """The last configuration that was accepted.
 
-    Args:
-        chain: whose joints are measured.
-        silent_after: how long the last reading counts where there is no new one [s].
+    Where there is no new one, the last counts for ``silent_after`` [s].
 
     Attributes:
         q: of all joints, shape (n,) [rad, m]; NaN before the first. Passive joints that are not
@@ -163,11 +157,10 @@ class Readings:
     """
 
     def __init__(self, chain: ClosedChain, silent_after: float = 0.0) -> None:
-        n, self._silent_after = chain.n, silent_after
+        self._chain, n, self._silent_after = chain, chain.n, silent_after
         self.q, self.note = np.full(n, np.nan), ""
         self._reading, self._step = np.zeros((2, n))
         self._own = np.setdiff1d(np.arange(n), chain.passive)
-        self._names, self._units = chain.joint_names, chain.joint_units
         self._max_speed = FASTER * np.nan_to_num(np.abs(chain.velocity), posinf=UNLIMITED)
         self._since = 0.0
         self._read_at = -np.inf
@@ -178,22 +171,16 @@ class Readings:
         self.q[:], self._read_at = np.nan, -np.inf
 
     def take(self, q: Any, commanded: Array, now: float) -> Status | None:
-        """Check a reading.
+        """What is wrong with a reading; None if nothing is, and then :attr:`q` is this reading.
 
-        Args:
-            q: shape (n,), or that of the robot's own joints; None where there is none.
-            commanded: joint positions, shape (n,).
-            now: [s].
-
-        Returns:
-            What is wrong with it; None if nothing is, and then :attr:`q` is this reading.
+        It is of all n joints, or of the robot's own; None where there is none.
         """
         if q is None and now - self._read_at < self._silent_after:
             return self._fault
-        self.note = ""
         if q is None:
             self.note = "read() gave None"
             return Status.ROBOT_SILENT
+        self.note = ""
         self._read_at, self._fault = now, self._judge(q, commanded, now)
         return self._fault
 
@@ -225,14 +212,10 @@ class Readings:
         else:
             self.note = f"found shape {given.shape}, needs {reading.shape}"
             return False
-        if not math.hypot(*reading.tolist()) < ENDLESS:  # NaN is not, either
-            good = np.abs(reading) < ENDLESS / len(reading)
-            bad = [self._names[i] for i in np.flatnonzero(~good)]
-            self.note = f"no finite number for {', '.join(bad)}"
-            return False
-        return True
+        self.note = self._chain.unusable(reading)
+        return not self.note
 
     def _say_jump(self, now: float) -> None:
         i = int(np.argmax(np.where(np.isnan(self._step), -np.inf, self._step)))
-        way, unit = self._reading[i] - self.q[i], self._units[i]
-        self.note = f"{self._names[i]} by {way:+.3g} {unit} in {now - self._since:.3g} s"
+        way = f"{self._reading[i] - self.q[i]:+.3g} {self._chain.joint_units[i]}"
+        self.note = f"{self._chain.joint_names[i]} by {way} in {now - self._since:.3g} s"

@@ -139,31 +139,21 @@ def _changes(chain: ClosedChain, q: Array) -> Iterator[tuple[str, Array]]:
     for (a, joints), (b, others) in itertools.combinations(arms, 2):
         if len(joints) == len(others):
             words = "arms swapped" if len(arms) == 2 else f"arms {a} and {b} swapped"
-            yield words, _exchanged(q, joints, others)
+            yield words, _with(q, [*joints, *others], q[[*others, *joints]])
     for _, joints in arms:
         for i, j in itertools.combinations(joints, 2):
             names = f"{chain.joint_names[i]} and {chain.joint_names[j]}"
-            yield f"{names} swapped", _exchanged(q, [i], [j])
+            yield f"{names} swapped", _with(q, [i, j], q[[j, i]])
     for i in sorted({i for _, joints in arms for i in joints}):
-        yield from _changes_of_joint(chain, q, i)
+        name = chain.joint_names[i]
+        yield f"sign of {name}", _with(q, [i], -q[i])
+        if chain.joint_units[i] == "rad":
+            for by, words in ((np.pi / 2.0, "90 degrees"), (2.0 * np.pi, "a turn")):
+                for way in (by, -by):
+                    yield f"{name} off by {words}", _with(q, [i], q[i] + way)
 
 
-def _changes_of_joint(chain: ClosedChain, q: Array, i: int) -> Iterator[tuple[str, Array]]:
-    name = chain.joint_names[i]
-    yield f"sign of {name}", _with(q, i, -q[i])
-    if chain.joint_units[i] == "rad":
-        for by, words in ((np.pi / 2.0, "90 degrees"), (2.0 * np.pi, "a turn")):
-            for way in (by, -by):
-                yield f"{name} off by {words}", _with(q, i, q[i] + way)
-
-
-def _exchanged(q: Array, a: list[int], b: list[int]) -> Array:
+def _with(q: Array, at: list[int], values: Array) -> Array:
     other = q.copy()
-    other[a], other[b] = q[b], q[a]
-    return other
-
-
-def _with(q: Array, i: int, value: float) -> Array:
-    other = q.copy()
-    other[i] = value
+    other[at] = values
     return other

@@ -14,10 +14,10 @@ import numpy as np
 
 from coopqp.base.errors import InvalidValueError, unknown_name
 from coopqp.base.spec import Array
-from coopqp.closed_loop.hands import WrenchReadings, hands, in_axes, into_contacts
+from coopqp.closed_loop.hands import WrenchReadings, friction_needed, hands
 from coopqp.controller import Law
 from coopqp.model.state import State
-from coopqp.online.following import REVERSED, JointFollowing, Suspect
+from coopqp.online.following import JointFollowing, Suspect
 
 Reaction = Literal["go_on", "slow_down", "rest"]
 Finding = tuple[str, tuple[str, ...], str]
@@ -29,6 +29,7 @@ REACTIONS: Mapping[str, Reaction] = {
     "joint_stands_still": "rest",
     "joint_not_following": "rest",
     "joints_swapped": "rest",
+    "readings_stuck": "rest",
     "encoder_jumped": "rest",
     "loop_offset_at_bound": "go_on",
     "force_sensor_dead": "rest",
@@ -41,14 +42,7 @@ REACTIONS: Mapping[str, Reaction] = {
 
 
 class Fault(NamedTuple):
-    """A fault that was found.
-
-    Attributes:
-        kind: one of :data:`REACTIONS`.
-        where: names of joints or arms.
-        t: time of the references [s].
-        note: what was seen, and what it may be.
-    """
+    """A fault that was found: one of :data:`REACTIONS`, in joints or arms, at t [s]."""
 
     kind: str
     where: tuple[str, ...]
@@ -74,11 +68,7 @@ def checked_reactions(chosen: Any) -> dict[str, Reaction]:
 
 
 class FaultMonitor:
-    """The faults of one phase.
-
-    Args:
-        law: of the phase.
-        observed: whether commands differ from what is measured, so that joints can be judged.
+    """The faults of one phase; joints are judged where commands differ from what is ``observed``.
 
     Attributes:
         found: the faults since :meth:`forget`, oldest first.
@@ -87,8 +77,11 @@ class FaultMonitor:
     def __init__(self, law: Law, *, observed: bool) -> None:
         chain, dt = law.problem.chain, law.problem.dt
         self._names, self._law = chain.joint_names, law
-        self._joints = JointFollowing(chain, dt) if observed else None
+        stated = law.observer.stated_stiffness
+        self._joints = JointFollowing(chain, dt, stated) if observed else None
         self._forces = ForceMonitor(law)
+        self._mass = chain.held.mass
+        self._g = max(float(np.linalg.norm(chain.model.gravity.linear)), 1e-12)
         self.found: tuple[Fault, ...] = ()
         self._misled = False
 
@@ -106,12 +99,7 @@ class FaultMonitor:
             self._joints.forget()
 
     def update(self, state: State, q_m: Array | None) -> Fault | None:
-        """The fault that is new in this tick, if any.
-
-        Args:
-            state: commanded joints, and the hands' wrenches if there are force sensors.
-            q_m: measured joints, shape (n,) [rad, m]; None without a reading.
-        """
+        """The fault that is new in this tick, if any; q_m are measured joints, None without."""
         findings = [self._forces.update(state), self._observed()]
         if self._joints and q_m is not None and not self._misled:
             if suspect := self._joints.update(state, state.q, q_m):
@@ -131,38 +119,34 @@ class FaultMonitor:
         observer = self._law.observer
         if observer.at_bound:
             return "loop_offset_at_bound", observer.at_bound, observer.note
-        held = self._law.problem.chain.held
-        g = float(np.linalg.norm(self._law.problem.chain.model.gravity.linear))
-        if observer.load > max(SMALL, (1.0 + OF_WEIGHT) * held.mass * g):
-            return "load_heavier", (), _heavier(observer.load / g, held.mass)
+        weight = self._mass * self._g
+        if observer.load > weight + max(SMALL, OF_WEIGHT * weight, observer.doubt):
+            return "load_heavier", (), _heavier(observer.load / self._g, self._mass)
         return None
 
     def _named(self, suspect: Suspect) -> Finding:
         names = tuple(self._names[j] for j in suspect.joints)
-        if suspect.swapped:
-            words = f"{' and '.join(names)} move as the other is commanded to: are they swapped?"
-            return "joints_swapped", names, words
-        who = " or ".join(names)
-        if suspect.jumped:
-            return (
-                "encoder_jumped",
-                names,
-                f"the reading of {who} has jumped: has its encoder slipped?",
-            )
-        if suspect.stands:
-            words = f"{who} stands still against its commands: is its encoder or motor dead?"
-            return "joint_stands_still", names, words
-        if REVERSED[0] < suspect.slope < REVERSED[1]:
-            words = f"{who} moves against its commands: has its encoder or motor the wrong sign?"
-            return "joint_reversed", names, words
-        words = f"{who} does not follow its commands: is it blocked, or its motor off or too weak?"
-        return "joint_not_following", names, words
+        both = suspect.kind in ("joints_swapped", "readings_stuck")
+        who = (" and " if both else " or ").join(names)
+        return suspect.kind, names, JOINTS[suspect.kind].format(who)
 
 
+#: What is said of joints that do not follow.
+JOINTS = {
+    "joints_swapped": "{} move as the other is commanded to: are they swapped?",
+    "encoder_jumped": "the reading of {} has jumped: has its encoder slipped?",
+    "readings_stuck": "no reading of {} changes, though they shall move: is the driver stuck?",
+    "joint_stands_still": "{} stands still against its commands: is its encoder or motor dead?",
+    "joint_reversed": "{} moves against its commands: has its encoder or motor the wrong sign?",
+    "joint_not_following": "{} does not follow its commands: is it blocked, or its motor off or "
+    "too weak?",
+}
 #: Time for which a force must look wrong [s]; that of its low pass [s].
 LASTING, SMOOTH = 0.1, 0.05
 #: Forces below which nothing is said [N], as a share of the weight, and of the hands' forces.
 SMALL, OF_WEIGHT, OF_FORCES = 3.0, 0.3, 0.1
+#: Least step of a sensor that is coarse [N].
+COARSE = 0.05
 #: How far hands are told to close while a dead sensor says nothing [m].
 CLOSED_IN = 1e-3
 #: Share of an imbalance that a wrong sensor, or a heavier load, may leave.
@@ -176,19 +160,11 @@ def _heavier(mass: float, told: float) -> str:
 
 
 class ForceMonitor:
-    """Judges readings of force sensors.
-
-    Args:
-        law: of the phase, whose internal force control tells the hands to close.
-    """
+    """Judges readings of force sensors; the law's internal force control tells hands to close."""
 
     def __init__(self, law: Law) -> None:
-        chain = law.problem.chain
-        self._hands, self._readings, self._squeezer = (
-            hands(chain),
-            WrenchReadings(chain),
-            law.squeezer,
-        )
+        chain, self._squeezer = law.problem.chain, law.squeezer
+        self._hands, self._readings = hands(chain), WrenchReadings(chain)
         self._dt, self._mass = law.problem.dt, chain.held.mass
         self._gravity = -chain.model.gravity.linear
         self._share = min(1.0, self._dt / SMOOTH)
@@ -198,20 +174,21 @@ class ForceMonitor:
         """Begin anew."""
         N = len(self._hands)
         self._before, self._smooth = np.zeros((N, 6)), np.full((N, 3), np.nan)
-        self._zero, self._same, self._wrong = np.zeros(N), np.zeros(N), np.zeros(3)
+        self._zero, self._same, self._changed = np.zeros((3, N))
         self._ways, self._stood, self._began = np.zeros(N), np.zeros((N, N, 3)), 0.0
+        self._wrong, self._finest = np.zeros(3), np.full(N, np.inf)
 
     def update(self, state: State) -> Finding | None:
         """Kind, hands and note of what is wrong with a state's wrenches, if anything is."""
-        if state.hand_wrench is None:
-            return None
         w = self._readings.read(state.hand_wrench)
         if w is None:
             return None
         if np.isnan(self._smooth[0, 0]):
             self._smooth[:], self._before[:] = w[:, :3], w
             self._ways[:] = self._began = self._closed_in(state)
-        step = np.abs(w - self._before).max(axis=1)
+        steps = np.abs(w - self._before)
+        step, forces = steps.max(axis=1), np.where(steps > 0.0, steps, np.inf)[:, :3]
+        self._finest = np.minimum(self._finest, forces.min(axis=1))
         self._before[:] = w
         self._smooth += self._share * (w[:, :3] - self._smooth)
         return (
@@ -247,25 +224,23 @@ class ForceMonitor:
         self._zero = np.where(w.any(axis=1), 0.0, self._zero + self._dt)
         same = step == 0.0
         self._same = np.where(same, self._same + self._dt, 0.0)
-        # Forces since each stands: steps of a coarse sensor to and fro are no change.
-        way = self._closed_in(state)
+        self._changed = np.where(same, self._changed + step.sum() - step, 0.0)
+        # A coarse sensor stands where others step to and fro: only changes since then count.
+        way, coarse = self._closed_in(state), self._finest > COARSE
         self._stood[~same], self._ways[~same] = self._smooth, way
         changes = np.linalg.norm(self._smooth - self._stood, axis=2)
-        changed = changes.max(axis=1) - np.diag(changes)
-        closed_in = np.abs(way - self._ways)
+        changed = np.where(coarse, changes.max(axis=1) - np.diag(changes), self._changed)
+        press = np.abs(way - np.where(coarse, self._ways, self._began)) > CLOSED_IN
         forces = np.linalg.norm(self._smooth, axis=1)
         for i, hand in enumerate(self._hands):
-            carried = max((f for k, f in enumerate(forces) if k != i), default=0.0) > SMALL
-            if self._zero[i] > LASTING and (carried or closed_in[i] > CLOSED_IN):
-                words = (
-                    f"the force sensor of {hand.arm} says zero while the hands press: is it dead?"
-                )
+            sensor = f"the force sensor of {hand.arm}"
+            carried = np.delete(forces, i).max(initial=0.0) > SMALL
+            if self._zero[i] > LASTING and (carried or press[i]):
+                words = f"{sensor} says zero while the hands press: is it dead?"
                 return "force_sensor_dead", (hand.arm,), words
             stuck = self._same[i] > LASTING and self._zero[i] == 0.0
-            if stuck and (changed[i] > SMALL or closed_in[i] > CLOSED_IN):
-                words = (
-                    f"the force sensor of {hand.arm} does not change while others do: is it stuck?"
-                )
+            if stuck and (changed[i] > SMALL or press[i]):
+                words = f"{sensor} does not change while others do: is it stuck?"
                 return "force_sensor_stuck", (hand.arm,), words
         return None
 
@@ -286,9 +261,8 @@ class ForceMonitor:
             return "load_heavier", (), _heavier(self._mass + above / g, self._mass)
         for i, hand in enumerate(self._hands):
             if np.linalg.norm(off - 2.0 * f[i]) < UNEXPLAINED * size:
-                words = (
-                    f"the force sensor of {hand.arm} has the wrong sign, by the sum of all forces"
-                )
+                sensor = f"the force sensor of {hand.arm}"
+                words = f"{sensor} has the wrong sign, by the sum of all forces"
                 return "force_sensor_reversed", (hand.arm,), words
         if np.linalg.norm(off - 2.0 * f.sum(axis=0)) < UNEXPLAINED * size:
             words = "all forces have the wrong sign: needed are those of the hands on the object"
@@ -298,18 +272,11 @@ class ForceMonitor:
 
     def _near_slip(self, w: Array, state: State) -> Finding | None:
         """A hand that presses and needs nearly all its friction."""
-        turns = None
-        for i, hand in enumerate(self._hands):
-            if hand.contact is None:
-                continue
-            turns = into_contacts(self._hands, state.R_WO) if turns is None else turns
-            need = hand.contact.friction_needed(in_axes(w[i], turns[i]))
-            if need > NEAR_SLIP * hand.contact.friction:
+        for arm, contact, need in friction_needed(self._hands, w, state.R_WO):
+            if need > NEAR_SLIP * contact.friction:
                 self._wrong[1] += self._dt
-                if self._wrong[1] > LASTING:
-                    most = hand.contact.friction
-                    words = f"{hand.arm} is about to slip: it needs {need:.2g} of {most:g} friction"
-                    return "slip_near", (hand.arm,), words
-                return None
+                words = f"{arm} is about to slip: it needs {need:.2g} of {contact.friction:g}"
+                lasts = self._wrong[1] > LASTING
+                return ("slip_near", (arm,), f"{words} friction") if lasts else None
         self._wrong[1] = 0.0
         return None

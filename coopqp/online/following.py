@@ -27,8 +27,9 @@ from coopqp.base.spec import Array
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 
-#: Time between samples, after which the parity space is computed anew, and of windows [s].
-SAMPLE, RENEWED, WINDOWS = 0.02, 0.2, (0.4, 2.0)
+#: Time between samples; after which the parity space is computed anew, and before a verdict; of
+#: windows [s].
+SAMPLE, RENEWED, FRESH, WINDOWS = 0.02, 0.5, 0.1, (0.4, 2.0)
 #: Samples of a window that are looked at; those before the first look; every so many the long one.
 LOOKS, FEWEST, LONG = 40, 4, 4
 #: The latest that a servo may follow [s].
@@ -60,6 +61,9 @@ LEAST_MOTION = 1.5e-3
 STANDS = 0.1
 #: Singular values of K^-1 J_c' below this share of the largest are none.
 SINGULAR = 1e-3
+#: Readings that do not change for so long [s] are stuck where commands move a joint by so much
+#: [rad, m].
+STUCK, MOVED = 0.2, 0.01
 #: A joint is named at least so clearly, in the space that lambda leaves.
 LEAST_SIGNATURE = 1e-3
 #: A second joint is named too where it leaves at most this much more of r unexplained.
@@ -70,39 +74,28 @@ class Suspect(NamedTuple):
     """Joints that do not follow: one, two that are swapped, or several that cannot be told apart.
 
     Attributes:
+        kind: one of :data:`coopqp.online.faults.REACTIONS`.
         joints: indices, the likeliest first.
         slope: -delta over the commanded motion.
-        stands: whether its reading stands still.
-        jumped: whether its reading has jumped, from one sample to the next.
-        swapped: whether two joints do what the other is commanded to.
     """
 
+    kind: str
     joints: tuple[int, ...]
     slope: float
-    stands: bool
-    jumped: bool
-    swapped: bool
 
 
 class JointFollowing:
-    """Judges commanded and measured joints.
-
-    Args:
-        chain: whose joints are measured.
-        dt: control period [s].
-        stiffness: of the servos, shape (n,) [N m/rad]; their ratios count. Proportional to the
-            motors' largest torques when omitted.
+    """Judges commanded and measured joints, by servos as stiff as their motors are strong.
 
     Attributes:
         suspicious: whether internal forces and lag do not explain the last samples.
     """
 
     def __init__(self, chain: ClosedChain, dt: float, stiffness: Array | None = None) -> None:
-        passive = chain.passive
-        own = np.setdiff1d(np.arange(chain.n), passive)
-        self._own, self._passive, n = own, passive, len(own)
+        self._own = own = np.setdiff1d(np.arange(chain.n), chain.passive)
+        self._passive, n = chain.passive, len(own)
         K = chain.model.effortLimit[own] if stiffness is None else stiffness[own]
-        usable = np.isfinite(K).all() and (K > 0.0).all()
+        usable = (K > 0.0).all() and np.isfinite(K).any()
         self._compliance = 1.0 / K if usable else np.ones(n)
         self._every = max(1, round(SAMPLE / dt))
         h = self._every * dt
@@ -113,10 +106,14 @@ class JointFollowing:
         self._c, self._m = np.zeros((2, kept, n))
         self._pairs = list(combinations(range(n), 2))
         unit = np.identity(n)
-        swaps = [unit[j] - unit[k] for j, k in self._pairs]
-        self._faults = np.vstack([unit, *swaps])
+        self._faults = np.vstack([unit, *(unit[j] - unit[k] for j, k in self._pairs)])
         self._white = np.zeros((n, n))
-        self._renew = max(1, round(RENEWED / h))
+        self._renew, self._fresh = max(1, round(RENEWED / h)), max(1, round(FRESH / h))
+        arms = (set(chain.robot.arm_joints(arm)) for arm in chain.robot.arms)
+        self._arms = [
+            np.array([i for i, j in enumerate(own) if chain.joint_names[j] in arm], int)
+            for arm in arms
+        ]
         decays = np.exp(-h / TIMES)
         kernels = decays ** np.arange(round(FADED * TIMES[-1] / h) + 1)[:, None]
         self._kernels = kernels / kernels.sum(axis=0)
@@ -125,17 +122,12 @@ class JointFollowing:
     def forget(self) -> None:
         """Begin anew, as after a rest in which somebody may have moved the joints."""
         self._count = self._samples = self._lag = 0
+        self._whitened = -self._renew
         self._before: Suspect | None = None
         self.suspicious = False
 
     def update(self, state: State, q_c: Array, q_m: Array) -> Suspect | None:
-        """Who does not follow, once two looks in succession agree.
-
-        Args:
-            state: of which the Jacobians are taken.
-            q_c: commanded configuration, shape (n,) [rad, m].
-            q_m: measured one.
-        """
+        """Who does not follow, once two looks in succession agree; c is commanded, m measured."""
         self._count += 1
         if self._count % self._every:
             return None
@@ -144,13 +136,32 @@ class JointFollowing:
         self._samples += 1
         if self._samples < FEWEST:
             return None
-        if self._samples % self._renew == 0 or self._samples == FEWEST:
-            self._white = self._whitening(state)
-        if not (found := self._look()):
+        if stuck := self._stuck():
+            return stuck
+        if self._samples - self._whitened >= self._renew:
+            self._white, self._whitened = self._whitening(state), self._samples
+        if not (found := self._look(state)):
             self._before = None
             return None
         before, self._before = self._before, found
         return found if before and set(before.joints) & set(found.joints) else None
+
+    def _stuck(self) -> Suspect | None:
+        """An arm of which no reading has changed by a bit while it was commanded to move."""
+        last, span = self._samples - 1, round(STUCK / self._h)
+        if last < span:
+            return None
+        for arm in self._arms:
+            if (
+                len(arm) > 1
+                and (self._of(self._m, last) == self._of(self._m, last - span))[arm].all()
+            ):
+                at = np.arange(last - span, last + 1)
+                same = (np.diff(self._of(self._m, at)[:, arm], axis=0) == 0.0).all()
+                c = np.abs(np.diff(self._of(self._c, at)[:, arm], axis=0))
+                if same and c.sum(axis=0).max() > MOVED and (c.max(axis=1) > 0.0).all():
+                    return Suspect("readings_stuck", tuple(int(j) for j in self._own[arm]), 0.0)
+        return None
 
     def _whitening(self, state: State) -> Array:
         """W with r W of unit variance without a fault, and zero for every internal wrench."""
@@ -171,7 +182,7 @@ class JointFollowing:
         L = np.linalg.cholesky(parity.T @ (variance[:, None] * parity))
         return np.asarray(np.linalg.solve(L, parity.T).T)
 
-    def _look(self) -> Suspect | None:
+    def _look(self, state: State) -> Suspect | None:
         """The suspect of the shortest window that has one."""
         self.suspicious = False
         for span in self._spans if self._samples % LONG == 0 else self._spans[:1]:
@@ -180,7 +191,11 @@ class JointFollowing:
             r = self._of(self._m, last) - self._of(self._m, first)
             r += self._told(first, self._lag) - self._told(last, self._lag)
             z = r.dot(self._white)
-            if z.dot(z) > SUSPICIOUS and (found := self._judge(first, last)):
+            if z.dot(z) < SUSPICIOUS:
+                continue
+            if self._samples > self._whitened + self._fresh:
+                self._white, self._whitened = self._whitening(state), self._samples
+            if found := self._judge(first, last):
                 return found
         return None
 
@@ -212,11 +227,10 @@ class JointFollowing:
         z = (m - c) @ self._white
         sizes = np.einsum("ltd,ltd->l", z, z)
         self._lag = int(sizes.argmin())
-        size = float(sizes[self._lag])
-        if size < SUSPICIOUS * len(at):
+        if sizes[self._lag] < SUSPICIOUS * len(at):
             return None
         self.suspicious = True
-        return self._best(m, c, z, size, at)
+        return self._best(m, c, z, sizes, at)
 
     def _late(self, m: Array, at: Any) -> float:
         """What servos of a first order, all alike, leave of the parity vector."""
@@ -226,42 +240,30 @@ class JointFollowing:
         z = (m - (c - c[:, :, :1])) @ self._white
         return float(np.einsum("slti,slti->sl", z, z).min())
 
-    def _best(self, m: Array, c: Array, z: Array, size: float, at: Any) -> Suspect | None:
+    def _best(self, m: Array, c: Array, z: Array, sizes: Array, at: Any) -> Suspect | None:
         """The fault that leaves least of r, of those that explain the parity vector."""
-        n, pairs = len(self._own), self._pairs
+        n, pairs, size = len(self._own), self._pairs, sizes[self._lag]
         signs = self._faults @ self._white  # (faults, d)
         lengths = np.einsum("fd,fd->f", signs, signs)
         lengths[lengths < LEAST_SIGNATURE / NOISE**2] = np.inf
         along = z @ signs.T  # (lags, T, faults)
-        left = (
-            np.einsum("ltd,ltd->l", z, z)[:, None]
-            - np.einsum("ltf,ltf->lf", along, along) / lengths
-        )
-        lags = left.argmin(axis=0)
-        left = left.min(axis=0)
-        faults = np.arange(len(signs))
+        left = sizes[:, None] - np.einsum("ltf,ltf->lf", along, along) / lengths
+        lags, left, faults = left.argmin(axis=0), left.min(axis=0), np.arange(len(signs))
         delta = along[lags, :, faults].T / lengths  # (T, faults)
-        j, k = np.transpose(pairs)
-        motion = c[lags[:n], :, faults[:n]].T
-        change = c[lags[n:], :, j].T - c[lags[n:], :, k].T
-        motion = np.hstack([motion, change])
+        motion = np.einsum("ftn,fn->tf", c[lags], self._faults)
         slope = -(delta * motion).sum(axis=0) / np.maximum((motion**2).sum(axis=0), 1e-12)
         moves = np.abs(motion).max(axis=0) > LEAST_MOTION
-        steps, ranges = (
-            np.abs(np.diff(delta[:, :n], axis=0)).max(axis=0),
-            np.ptp(delta[:, :n], axis=0),
-        )
+        steps, ranges = np.abs(np.diff(delta, axis=0)).max(axis=0), np.ptp(delta, axis=0)
         jumped = (steps > JUMP * ranges) & (ranges > LEAST_JUMP)
-        good = left < (1.0 - EXPLAINED) * size
-        good[:n] |= self._clear(left[:n], size, slope[:n], len(m))
-        good[:n] &= jumped | (moves[:n] & (slope[:n] > LEAST_SLOPE))
-        good[n:] &= moves[n:]
-        good[n:] &= (slope[n:] > SWAPPED[0]) & (slope[n:] < SWAPPED[1])
-        good[n:] &= left[n:] < (1.0 - EXPLAINED_SWAPPED) * size
+        explained = left < (1.0 - EXPLAINED) * size
+        one = explained | self._clear(left, size, slope, len(m))
+        one &= jumped | (moves & (slope > LEAST_SLOPE))
+        exchanged = moves & (slope > SWAPPED[0]) & (slope < SWAPPED[1])
+        two = exchanged & (left < (1.0 - EXPLAINED_SWAPPED) * size)
+        good = np.where(faults < n, one, two)
         first, second = np.argsort(left)[:2]
-        alone = left[first] < ALONE * min(size, left[second])
-        if first >= n and alone and SWAPPED[0] < slope[first] < SWAPPED[1]:
-            good[first] = moves[first]
+        if first >= n and left[first] < ALONE * min(size, left[second]):
+            good[first] = exchanged[first]
         if not good.any() or self._late(m, at) < max(LAGGING * size, SUSPICIOUS * len(m)):
             return None
         good &= left <= max(3.0 * left[good].min(), AS_GOOD * size)
@@ -271,11 +273,15 @@ class JointFollowing:
             rest[f] = np.sum(r**2) * (1.0 if f < n else PENALTY)
         best = int(rest.argmin())
         if best >= n:
-            a, b = pairs[best - n]
-            two = (int(self._own[a]), int(self._own[b]))
-            return Suspect(two, float(slope[best]), stands=False, jumped=False, swapped=True)
+            j, k = (int(self._own[i]) for i in pairs[best - n])
+            return Suspect("joints_swapped", (j, k), float(slope[best]))
         others = [f for f in range(n) if f != best and rest[f] < AMBIGUOUS * rest[best]]
-        moved, told = np.ptp(m[:, best]), np.ptp(motion[:, best])
         joints = tuple(int(self._own[f]) for f in (best, *others))
-        stands = bool(moved < STANDS * told)
-        return Suspect(joints, float(slope[best]), stands, bool(jumped[best]), swapped=False)
+        if jumped[best]:
+            kind = "encoder_jumped"
+        elif np.ptp(m[:, best]) < STANDS * np.ptp(motion[:, best]):
+            kind = "joint_stands_still"
+        else:
+            turned = REVERSED[0] < slope[best] < REVERSED[1]
+            kind = "joint_reversed" if turned else "joint_not_following"
+        return Suspect(kind, joints, float(slope[best]))

@@ -13,18 +13,17 @@ from __future__ import annotations
 
 import time
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array
-from coopqp.base.wording import raised
 from coopqp.online.arrivals import Readings
 from coopqp.online.beginning import check_range
 from coopqp.online.loop import OnlineLoop
 from coopqp.online.phases import acceleration_limits
-from coopqp.online.real_time import Robot, check_driver
+from coopqp.online.real_time import Robot, UserCode, check_driver
 from coopqp.online.stops import Interrupts
 
 #: How far joints go [rad], [m]; less where half of the range is less.
@@ -99,45 +98,26 @@ def check_joints(loop: OnlineLoop, robot: Robot) -> JointCheck:
         interrupts.give_back()
         with suppress(Exception):  # nobody is left to be told
             check.stand()
-    if check.fault:
-        raise check.fault
+    if check.user.fault:
+        raise check.user.fault
     return found
 
 
-@dataclass
-class _Rest:
-    """Readings at rest: mean and standard error of each joint."""
-
-    mean: Array
-    error: Array
-
-
-@dataclass
 class _Check:
-    loop: OnlineLoop
-    robot: Robot
-    stopped: str = ""
-    faults: dict[str, str] = field(default_factory=dict)
-    fault: Exception | None = None
-
-    def __post_init__(self) -> None:
-        loop, problem = self.loop, self.loop.problem
-        self._chain, self._dt = problem.chain, problem.dt
-        chain, slides = self._chain, np.array([unit == "m" for unit in self._chain.joint_units])
-        self._way = np.minimum(
-            np.where(slides, WAY_SLIDING, WAY), 0.5 * (chain.upper - chain.lower)
-        )
-        with np.errstate(invalid="ignore"):  # of a joint without limits
-            self._middle = 0.5 * (chain.lower + chain.upper)
+    def __init__(self, loop: OnlineLoop, robot: Robot) -> None:
+        self.loop, self.robot, self.stopped = loop, robot, ""
+        self.faults = dict[str, str]()
+        self.user = UserCode(self.end)
+        self._chain, self._dt = chain, dt = loop.problem.chain, loop.problem.dt
+        scale = np.where(np.array(chain.joint_units) == "m", WAY_SLIDING / WAY, 1.0)
+        self._way = np.minimum(WAY * scale, 0.5 * (chain.upper - chain.lower))
         self._own = np.setdiff1d(np.flatnonzero(self._way > LOCKED), chain.passive)
-        slower = np.where(slides, WAY_SLIDING / WAY, 1.0)
-        self._speed = np.minimum(SPEED * slower, SHARE * np.abs(chain.velocity))
-        most = acceleration_limits(problem)
-        self._step = np.minimum(ACCELERATION * slower, SHARE * most) * self._dt
-        self._readings = Readings(chain)
-        self._q, self._v = chain.q_start.copy(), np.zeros(chain.n)
-        self._gone = np.zeros(chain.n)  # farthest from rest
-        self._rest: Array | None = None
+        self._speed = np.minimum(SPEED * scale, SHARE * np.abs(chain.velocity))
+        self._step = (
+            np.minimum(ACCELERATION * scale, SHARE * acceleration_limits(loop.problem)) * dt
+        )
+        self._readings, self._rest = Readings(chain), chain.q_start
+        self._q, self._v, self._gone = chain.q_start.copy(), np.zeros(chain.n), np.zeros(chain.n)
         self._moves, self._silent, self._due = False, 0.0, loop.now
 
     def end(self, why: str) -> None:
@@ -150,47 +130,44 @@ class _Check:
 
     def run(self) -> JointCheck:
         names, own = self._chain.joint_names, self._own
-        joints, response = tuple(names[i] for i in own), np.full((len(own), len(own)), np.nan)
+        response = np.full((len(own), len(own)), np.nan)
         try:
-            before = self._look()
-            if not self.stopped:
-                self._begin(before)
-                before = self._look(SETTLE)
-                self._stays(before)
+            before, _ = self._look()
+            if not self.stopped:  # nothing is written before
+                if not self.loop.scenario.start_outside:
+                    check_range(self._chain, before)
+                self._q[:], self._rest, self._moves = before, before, True
+                rest = self._look(SETTLE)
+                self._stays(rest[0])
             for k, i in enumerate(own):
                 if self.stopped:
                     break
-                answer, before = self._ask(int(i), before)
+                answer, rest = self._ask(int(i), *rest)
                 if not self.stopped:
                     response[k] = answer
         finally:
             self._brake()
-        return JointCheck(joints, response, self.faults, self.stopped)
+        return JointCheck(tuple(names[i] for i in own), response, self.faults, self.stopped)
 
-    def _begin(self, first: _Rest) -> None:
-        """Hold the robot where it is; nothing is written before."""
-        if not self.loop.scenario.start_outside:
-            check_range(self._chain, first.mean)
-        self._q[:], self._rest, self._moves = first.mean, first.mean, True
-
-    def _ask(self, i: int, before: _Rest) -> tuple[Array, _Rest]:
+    def _ask(self, i: int, before: Array, error: Array) -> tuple[Array, tuple[Array, Array]]:
         """The answer r of the robot's joints to one that is moved, and the rest after it."""
-        way = -self._way[i] if self._q[i] > self._middle[i] else self._way[i]
-        home, self._rest, self._gone[:] = self._q[i], before.mean, 0.0
+        home, lower, upper = self._q[i], self._chain.lower[i], self._chain.upper[i]
+        way = -self._way[i] if home - lower > upper - home else self._way[i]
+        self._rest, self._gone[:] = before, 0.0
         farthest = self._go(i, home + way)
         there = None if self._astray() else self._look(SETTLE)
         self._go(i, home, back=True)
-        after = self._look(SETTLE)
+        after, error_after = rest = self._look(SETTLE)
         self._stays(after)
         if there is None:
-            gone = np.where(np.abs(self._gone) > self._way, self._gone, 0.0)
-            moved, error = gone / farthest, np.zeros_like(gone)
+            moved = np.where(np.abs(self._gone) > self._way, self._gone, 0.0) / farthest
+            error = np.zeros_like(moved)
         else:
-            moved = (there.mean - 0.5 * (before.mean + after.mean)) / way
-            error = np.sqrt(there.error**2 + 0.5 * (before.error**2 + after.error**2)) / abs(way)
+            moved = (there[0] - 0.5 * (before + after)) / way
+            error = np.sqrt(there[1] ** 2 + 0.5 * (error**2 + error_after**2)) / abs(way)
         if not self.stopped and (words := self._judge(i, moved, error)):
             self.faults[self._chain.joint_names[i]] = words
-        return moved[self._own], after
+        return moved[self._own], rest
 
     def _judge(self, i: int, moved: Array, error: Array) -> str:
         """What is wrong with a joint, by r of all joints and its standard error."""
@@ -216,10 +193,9 @@ class _Check:
             words.append(f"moves {', '.join(names[k] for k in others)}, too")
         return "; ".join(words)
 
-    def _stays(self, found: _Rest) -> None:
+    def _stays(self, mean: Array) -> None:
         """Stop where a joint is elsewhere than it was told to stay."""
-        assert self._rest is not None
-        off = found.mean - self._rest
+        off = mean - self._rest
         k = int(self._own[np.argmax(np.abs(off / self._way)[self._own])])
         if not self.stopped and abs(off[k]) > self._way[k]:
             name, unit = self._chain.joint_names[k], self._chain.joint_units[k]
@@ -253,16 +229,16 @@ class _Check:
     def _astray(self) -> bool:
         return bool((np.abs(self._gone) > ASTRAY * self._way)[self._own].any())
 
-    def _look(self, wait: float = 0.0) -> _Rest:
-        """Rest, and take the mean of what is measured after a while."""
+    def _look(self, wait: float = 0.0) -> tuple[Array, Array]:
+        """Rest; mean and standard error of what each joint measures after a while."""
         n, t, found = self._chain.n, 0.0, list[Array]()
         while not self.stopped and (t < wait + MEAN or len(found) < READINGS):
             reading, t = self._period(), t + self._dt
             if reading is not None and t > wait:
                 found.append(reading)
         if len(found) < 2:
-            return _Rest(self._q.copy(), np.full(n, np.inf))
-        return _Rest(np.mean(found, axis=0), np.std(found, axis=0, ddof=1) / len(found) ** 0.5)
+            return self._q.copy(), np.full(n, np.inf)
+        return np.mean(found, axis=0), np.std(found, axis=0, ddof=1) / len(found) ** 0.5
 
     def _period(self, i: int = 0, v: float = 0.0) -> Array | None:
         """Command one joint's velocity for a period; what is measured at its end, if anything."""
@@ -273,29 +249,17 @@ class _Check:
             self.robot.write(self._q.copy(), self._v.copy())
         self._wait()
         self._readings.forget()
-        wrong = self._readings.take(self._read(), self._q, self.loop.now)
+        wrong = self._readings.take(self.user.ask(self.robot.read), self._q, self.loop.now)
         self._silent = self._silent + self._dt if wrong else 0.0
         if self._silent > self.loop.patience:
-            words = self._readings.note
-            self.end(f"no usable measurement for {self.loop.patience:g} s: {words}")
+            seconds = f"{self.loop.patience:g} s"
+            self.end(f"no usable measurement for {seconds}: {self._readings.note}")
         if wrong:
             return None
         reading = self._readings.q.copy()
-        if self._rest is not None:
-            off = reading - self._rest
-            self._gone = np.where(np.abs(off) > np.abs(self._gone), off, self._gone)
+        off = reading - self._rest
+        self._gone = np.where(np.abs(off) > np.abs(self._gone), off, self._gone)
         return reading
-
-    def _read(self) -> object:
-        """What the driver says; None once it has raised."""
-        if self.fault:
-            return None
-        try:
-            return self.robot.read()
-        except Exception as error:  # noqa: BLE001 - the robot has to come to rest first
-            self.fault = error
-            self.end(raised(error))
-            return None
 
     def _wait(self) -> None:
         """Sleep until the period is over, by the loop's clock."""

@@ -34,13 +34,12 @@ from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.loop_observer import Observer
 from coopqp.model.state import State
 from coopqp.online.arrivals import Readings
-from coopqp.online.clock import Clock as Clock
-from coopqp.online.clock import LoopTime
 from coopqp.online.faults import Fault, Reaction, checked_reactions
 from coopqp.online.options import HowHeld, PhasesEnd, Reference, check_options
 from coopqp.online.phases import Phases, with_acceleration
 from coopqp.online.session import Keeper, Record, scenario_text
-from coopqp.online.stops import Interrupts, Stops, Waiting, Watch
+from coopqp.online.stops import Clock as Clock
+from coopqp.online.stops import Interrupts, LoopTime, Stops, Waiting, Watch
 from coopqp.scenario.scenario import Phase, Scenario
 from coopqp.solver import Status
 
@@ -189,7 +188,7 @@ class OnlineLoop:
         limits = with_acceleration(own.limits, own.chain, speed_up)
         self._given = replace(own, limits=limits, observer=observer or own.observer)
         self._observed, self._as_held = reference == "commanded", grasp == "as_held"
-        self._time = LoopTime(clock or self._counted, own.dt)
+        self._time = LoopTime(clock or (lambda: self.ticks * own.dt), own.dt)
         self._by_time = phases == "by_time"
         self.patience, self.simulated = patience, clock is None
         chain, dt = self._given.chain, self._given.dt
@@ -408,9 +407,6 @@ class OnlineLoop:
         self._interrupts.give_back()
         self.close()
 
-    def _counted(self) -> float:
-        return self.ticks * self._given.dt
-
     def _begin(self) -> None:
         self._phases.begin(self._readings.q.copy(), held=self._as_held)
         self._keeper.begin(self._given)
@@ -440,8 +436,8 @@ class OnlineLoop:
             command.say(*(c for c in command.causes if c is not Status.OPTIMAL), Status.FAULT)
             command.told = (*command.told, *(fault.note for fault in faults))
         if is_late:
-            command.say(*(c for c in command.causes if c is not Status.OPTIMAL), Status.LATE)
             late = f"{1e3 * self.watch.elapsed:.3g} ms after the last tick"
+            command.say(*(c for c in command.causes if c is not Status.OPTIMAL), Status.LATE)
             command.told = (*command.told, late)
         return command
 

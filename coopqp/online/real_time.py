@@ -113,8 +113,8 @@ def real_time(
         finally:
             with suppress(Exception):  # nobody is left to be told
                 robot.write(loop.setpoint, np.zeros_like(loop.setpoint))
-    if run.fault:
-        raise run.fault
+    if run.user.fault:
+        raise run.user.fault
     watch = loop.watch
     return Ended(loop.stopped, loop.ticks, watch.late, watch.longest, watch.longest_tick)
 
@@ -141,6 +141,28 @@ def _check(loop: Any, robot: Any, inputs: Any, duration: Any) -> None:
         raise InvalidValueError(f"the loop has ended ({loop.stopped}); reset it first")
 
 
+class UserCode:
+    """Calls a robot's driver and others; after the first error, ``fault``, none of them any more.
+
+    ``end`` brings the robot to rest first, and is told why.
+    """
+
+    def __init__(self, end: Callable[[str], None]) -> None:
+        self._end = end
+        self.fault: Exception | None = None
+
+    def ask(self, who: Callable[[], Any] | None) -> Any:
+        """The result of a call; None where there is none."""
+        if who is None or self.fault:
+            return None
+        try:
+            return who()
+        except Exception as error:  # noqa: BLE001 - the robot has to come to rest first
+            self.fault = error
+            self._end(raised(error))
+            return None
+
+
 class _Run:
     def __init__(
         self, loop: OnlineLoop, robot: Robot, inputs: InputsNow | None, duration: float
@@ -148,7 +170,7 @@ class _Run:
         self._loop, self._robot, self._inputs = loop, robot, inputs
         self._dt = loop.problem.dt
         self._duration = duration
-        self.fault: Exception | None = None
+        self.user = UserCode(loop.end)
         self._flushed = self._collected = 0.0
 
     def begin(self) -> None:
@@ -166,7 +188,7 @@ class _Run:
         loop, due = self._loop, self._loop.now
         until = due + self._duration
         while loop.running:
-            q, given = self._ask(self._robot.read), self._ask(self._inputs)
+            q, given = self.user.ask(self._robot.read), self.user.ask(self._inputs)
             command = loop.tick(q, given)
             self._robot.write(loop.setpoint, command.v)
             if loop.stopped_by_itself and loop.at_rest:
@@ -177,17 +199,6 @@ class _Run:
             due = max((began if began - due > BEHIND * self._dt else due) + self._dt, loop.now)
             self._use_what_is_left(due)
             self._wait(due)
-
-    def _ask(self, who: Callable[[], Any] | None) -> Any:
-        """The result of a call of the user's code; None once one of them has raised."""
-        if who is None or self.fault:
-            return None
-        try:
-            return who()
-        except Exception as error:  # noqa: BLE001 - the robot has to come to rest first
-            self.fault = error
-            self._loop.end(raised(error))
-            return None
 
     def _use_what_is_left(self, due: float) -> None:
         """Collect garbage, or write the session, if the period leaves time for one of them."""

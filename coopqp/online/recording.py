@@ -153,13 +153,9 @@ class LiveRecording:
     def tick(
         self, state: State, command: Command, us: float, also: Array | Sequence[float] = ()
     ) -> None:
-        """Record a tick; raises nothing and waits for nothing.
+        """Record a tick, before the state advances; raises nothing and waits for nothing.
 
-        Args:
-            state: as the law left it, before it advances.
-            command: the law's.
-            us: computing time of the law [us].
-            also: numbers of the further columns.
+        The law's computing time ``us`` [us], and ``also`` the numbers of the further columns.
         """
         tick, i = self._ticks, self._filled % self._capacity
         self._ticks = tick + 1

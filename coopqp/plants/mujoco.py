@@ -261,9 +261,6 @@ MIN_STEPS = 2.0
 class MujocoModel(DynamicModel):
     """A MuJoCo model made from a closed chain.
 
-    Args:
-        problem, settings, seed, disturbance: as for :class:`DynamicModel`.
-
     Attributes:
         signals: also ``gap`` (1,), the largest distance between the object and where a hand holds
             it [m], ``internal_wrench`` (6 N,), the part of the hands' wrenches that cancels, arm

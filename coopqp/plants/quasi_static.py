@@ -20,19 +20,17 @@ from typing import ClassVar
 import numpy as np
 import pinocchio as pin
 
-from coopqp.base.errors import UnknownNameError
 from coopqp.base.spec import Array, NonNegative, Positive, spec
 from coopqp.closed_loop.grasp_matrix import grasp_matrix, moved
 from coopqp.closed_loop.hands import in_axes, into_contacts, points
 from coopqp.controller import Command, ControlProblem
 from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.loop_observer import GRIP_SIZE, stiffness_by_joint
 from coopqp.model.state import State
 from coopqp.plant import Disturbance, Plant, PlantModel
 from coopqp.plants._dynamic import DynamicModel
 from coopqp.plants._servo import Servo, ServoLaw
 
-#: A grip's rotational stiffness and creep over those along its axes: (this)^2 [m].
-GRIP_SIZE = 0.03
 #: Damping of joints without a motor, such as hinges [N m s/rad].
 PASSIVE_DAMPING = 1e-3
 #: A joint that friction holds moves by at most this in a step [rad].
@@ -49,6 +47,7 @@ class SpringServo(ServoLaw):
     def __init__(self, chain: ClosedChain, settings: QuasiStatic) -> None:
         super().__init__(chain, Servo())
         self.stiffness = stiffness_by_joint(chain, settings.stiffness, self.stiffness)
+        self.stiffness[chain.passive] = 0.0
 
     def begin(self, command: Command, q: Array) -> None:
         self._v_d[:] = command.v
@@ -58,26 +57,8 @@ class SpringServo(ServoLaw):
         return np.asarray(self._q_d + h * self._v_d, float)
 
 
-def stiffness_by_joint(
-    chain: ClosedChain, given: float | Mapping[str, float] | None, default: Array
-) -> Array:
-    """K of each joint, zero at passive ones, shape (n,) [N m/rad]; InvalidValueError: no joint."""
-    moves = np.ones(chain.n)
-    moves[chain.passive] = 0.0
-    if isinstance(given, Mapping):
-        for name in given:
-            if name not in chain.joint_names:
-                raise UnknownNameError("joint", name, chain.joint_names).at("stiffness", name)
-        own = zip(chain.joint_names, default.tolist(), strict=True)
-        return np.asarray(moves * [given.get(name, K) for name, K in own], float)
-    return np.asarray(moves * (default if given is None else given), float)
-
-
 class QuasiStaticModel(DynamicModel):
     """The springs.
-
-    Args:
-        problem, settings, seed, disturbance: as for :class:`DynamicModel`.
 
     Attributes:
         signals: ``tau``, the motors' torques with what holds the arms' own weight, without a limit;
@@ -118,8 +99,7 @@ class QuasiStaticModel(DynamicModel):
         self._crept = before._crept
         self.grip()
         held = before.true.chain.hold.holders
-        self._place()
-        for hand, d in zip(self.hand_signals.hands, self._extensions(), strict=True):
+        for hand, d in zip(self._hands, self._placed()[0], strict=True):
             if hand.arm not in held:
                 self._crept[hand.arm] = d.copy()
 
@@ -127,16 +107,7 @@ class QuasiStaticModel(DynamicModel):
         """Follow the true chain: where its hands' points are on the object."""
         chain = self.true.chain
         self.hand_signals.follow(chain)
-        self._hands = self.hand_signals.hands
-        self._arms = chain.model.copy()
-        self._points = []
-        for hand, frame in zip(self._hands, chain.frames, strict=False):
-            own = chain.model.frames[frame]
-            at = pin.Frame(
-                f"{hand.arm} point", own.parentJoint, own.placement * hand.X_OC, own.type
-            )
-            self._points.append(self._arms.addFrame(at))
-        self._data = self._arms.createData()
+        self._hands, self._data = self.hand_signals.hands, chain.model.createData()
         self._moves = np.ones(chain.n, bool)
         self._moves[chain.passive] = False
 
@@ -144,17 +115,16 @@ class QuasiStaticModel(DynamicModel):
         """One implicit step of the joints, the object and the grips."""
         true, servo, h, settings = self.true, self.servo, self.h, self._settings
         assert isinstance(servo, SpringServo)
-        self._place()
-        d = np.concatenate(self._extensions())
-        J, G = self._jacobian(), self._grasp()
+        d, J = self._placed()
+        G = grasp_matrix(self._on_object(), self._X_WO.translation)
         behind = np.where(self._moves, servo.setpoint(h) - true.q, 0.0)
         if settings.integral_time:
             self._integral += h / settings.integral_time * behind
         forward = self._feed_forward(J)
         B_1 = np.where(self._moves, servo.stiffness * (1.0 + settings.lag / h), PASSIVE_DAMPING / h)
         push = servo.stiffness * (behind + self._integral) + forward
-        rest = np.concatenate([self._crept[hand.arm] for hand in self._hands])
-        step, turn, wrench, slipped = self._solved(J, G, d - rest, B_1, push)
+        rest = np.array([self._crept[hand.arm] for hand in self._hands])
+        step, turn, wrench, slipped = self._solved(J, G, (d - rest).ravel(), B_1, push)
         true.q += step
         true.t += h
         X = self._X_WO
@@ -162,7 +132,7 @@ class QuasiStaticModel(DynamicModel):
         for hand, s in zip(self._hands, slipped.reshape(-1, 6), strict=True):
             self._crept[hand.arm] = self._crept[hand.arm] + s
         self._wrench, self._at = wrench.reshape(-1, 6), self._on_object()
-        own = pin.computeGeneralizedGravity(self._arms, self._data, true.q)
+        own = pin.computeGeneralizedGravity(true.chain.model, self._data, true.q)
         servo.tau[:] = np.where(self._moves, own + J.T @ wrench, 0.0)
         servo.asked[:] = servo.tau
 
@@ -173,42 +143,35 @@ class QuasiStaticModel(DynamicModel):
         h, settings, n = self.h, self._settings, len(strained)
         unit = np.tile(np.repeat([1.0, GRIP_SIZE**-2], 3), len(self._hands))
         creeps = (h / settings.creep if settings.creep else 0.0) * unit
-        slips, sticks = np.zeros(n), np.zeros(len(B_1))
+        soft = np.zeros(n + len(B_1))  # compliances of slip, stiffnesses of friction
         A, b = np.zeros((n + 6, n + 6)), np.zeros(n + 6)
         A[n:, :n], A[:n, n:] = G, G.T
         b[n:] = -self._load()
         for _ in range(ITERATIONS):
-            B = 1.0 / (B_1 + sticks)
+            slips, B = soft[:n], 1.0 / (B_1 + soft[n:])
             A[:n, :n] = (J * B) @ J.T
             A[range(n), range(n)] += unit / settings.grip + creeps + slips
             b[:n] = strained + J @ (B * push)
-            found = np.linalg.solve(A, b)
-            wrench = np.asarray(found[:n], float)
-            step = np.asarray(B * (push - J.T @ wrench), float)
-            others = self._slipping(wrench, slips), self._sticking(step)
-            change = max(_apart(slips, others[0]), _apart(sticks, others[1]))
-            slips, sticks = others
-            if change < AGREED:
+            wrench, turn = np.split(np.linalg.solve(A, b), [n])
+            step = B * (push - J.T @ wrench)
+            sticks = settings.joint_friction / np.maximum(np.abs(step), STUCK)
+            before = soft
+            soft = np.append(self._slipping(wrench, slips), np.where(self._moves, sticks, 0.0))
+            if (np.abs(soft - before) <= AGREED * np.abs(soft)).all():
                 break
-        return step, np.asarray(found[n:], float), wrench, (creeps + slips) * wrench
+        return step, turn, wrench, (creeps + soft[:n]) * wrench
 
     def _slipping(self, wrench: Array, slips: Array) -> Array:
         """Compliance with which hands slip, so that their forces are at the limit [m/N]."""
-        most = self._settings.slip_force
+        most, firm = self._settings.slip_force, 1.0 / self._settings.grip
         if most is None:
             return slips
-        found = slips.copy()
-        for i in range(len(self._hands)):
-            place = slice(6 * i, 6 * i + 3)
-            size = float(np.linalg.norm(wrench[place]))
-            soft = slips[6 * i] + 1.0 / self._settings.grip
-            found[place] = max(soft * size / most - 1.0 / self._settings.grip, 0.0)
-        return found
-
-    def _sticking(self, step: Array) -> Array:
-        """Stiffness that stands for the joints' friction."""
-        friction = self._settings.joint_friction
-        return np.where(self._moves, friction / np.maximum(np.abs(step), STUCK), 0.0)
+        found, sizes = (
+            np.zeros((len(self._hands), 6)),
+            np.linalg.norm(wrench.reshape(-1, 6)[:, :3], axis=1),
+        )
+        found[:, :3] = np.maximum((slips[::6] + firm) * sizes / most - firm, 0.0)[:, None]
+        return found.ravel()
 
     def energy(self) -> tuple[float, float]:
         """No kinetic energy, and the potential one of weight; updates the signals as well."""
@@ -230,63 +193,48 @@ class QuasiStaticModel(DynamicModel):
             if way > LOST and arm in chain.hold.holders:
                 self.lost = self.lost or f"{arm} has slipped by {1e3 * way:.0f} mm"
         held = -self._load()[:3] @ X.translation
-        return 0.0, float(pin.computePotentialEnergy(self._arms, self._data, self.true.q) + held)
+        return 0.0, float(pin.computePotentialEnergy(chain.model, self._data, self.true.q) + held)
 
-    def _place(self) -> None:
-        pin.computeJointJacobians(self._arms, self._data, self.true.q)
-        for frame in self._points:
-            pin.updateFramePlacement(self._arms, self._data, frame)
-
-    def _extensions(self) -> list[Array]:
-        """How far each hand's point is from where the object has it, world axes."""
-        found = []
-        for hand, frame in zip(self._hands, self._points, strict=True):
-            here, there = self._data.oMf[frame], self._X_WO * hand.X_OC
+    def _placed(self) -> tuple[Array, Array]:
+        """How far hands' points are from where the object has them, (N, 6), and the Jacobian."""
+        chain, data, d, J = self.true.chain, self._data, list[Array](), list[Array]()
+        pin.computeJointJacobians(chain.model, data, self.true.q)
+        for hand, frame in zip(self._hands, chain.frames, strict=False):
+            X = pin.updateFramePlacement(chain.model, data, frame)
+            here, there = X * hand.X_OC, self._X_WO * hand.X_OC
             turn = pin.log3(here.rotation @ there.rotation.T)
-            found.append(np.concatenate([here.translation - there.translation, turn]))
-        return found
-
-    def _jacobian(self) -> Array:
-        axes = pin.LOCAL_WORLD_ALIGNED
-        each = [pin.getFrameJacobian(self._arms, self._data, frame, axes) for frame in self._points]
-        return np.concatenate(each)
-
-    def _grasp(self) -> Array:
-        return grasp_matrix(self._on_object(), self._X_WO.translation)
+            d.append(np.concatenate([here.translation - there.translation, turn]))
+            J_own = pin.getFrameJacobian(chain.model, data, frame, pin.LOCAL_WORLD_ALIGNED)
+            J.append(grasp_matrix([here.translation], X.translation).T @ J_own)
+        return np.array(d), np.concatenate(J)
 
     def _on_object(self) -> Array:
         """The hands' points as the object has them, shape (N, 3)."""
         return points(self._hands, self._X_WO.translation, self._X_WO.rotation)
 
+    def _weight(self, share: float) -> Array:
+        """What the weight of that share of the mass does to the object at its origin, (6,)."""
+        chain, com = self.true.chain, self._X_WO.rotation @ np.array(self.true.chain.held.com)
+        force = share * chain.held.mass * chain.model.gravity.linear
+        return moved(np.append(force, np.zeros(3)), com, np.zeros(3))
+
     def _load(self) -> Array:
         """What weight and pushes do to the object at its origin, shape (6,)."""
-        chain, R = self.true.chain, self._X_WO.rotation
-        weight = self.disturbance.object_mass * chain.held.mass * chain.model.gravity.linear
-        load = np.concatenate([weight, pin.skew(R @ np.array(chain.held.com)) @ weight])
-        push = self.disturbance.wrench(self.true.t)
+        load, push = (
+            self._weight(self.disturbance.object_mass),
+            self.disturbance.wrench(self.true.t),
+        )
         return load if push is None else load + push
 
     def _feed_forward(self, J: Array) -> Array:
         """Feed-forward less the arms' own weight, shape (n,) [N m]."""
         settings, chain = self._settings, self.true.chain
-        torque = np.zeros(chain.n)
-        if settings.arms_compensated != 1.0:
-            own = pin.computeGeneralizedGravity(self._arms, self._data, self.true.q)
-            torque += (settings.arms_compensated - 1.0) * own
-        if settings.object_compensated:
-            X, held = self._X_WO, chain.held
-            carried = np.zeros(6)
-            carried[:3] = -settings.object_compensated * held.mass * chain.model.gravity.linear
-            mass_at = X.translation + X.rotation @ np.array(held.com)
-            wrenches = [moved(carried, mass_at, p) for p in self._on_object()]
-            share = chain.alpha[: chain.holding, None]
-            torque += J.T @ np.ravel(share * np.array(wrenches))
+        own = pin.computeGeneralizedGravity(chain.model, self._data, self.true.q)
+        carried, origin = -self._weight(settings.object_compensated), self._X_WO.translation
+        at = zip(chain.alpha, self._on_object(), strict=False)
+        wrenches = np.concatenate([a * moved(carried, origin, p) for a, p in at])
+        torque = (settings.arms_compensated - 1.0) * own + J.T @ wrenches
         return np.where(self._moves, torque, 0.0)
-
-
-def _apart(a: Array, b: Array) -> float:
-    """Relative change of compliances or stiffnesses."""
-    return float((np.abs(b - a) / np.maximum(np.abs(b), 1e-12)).max(initial=0.0))
 
 
 @spec

@@ -36,9 +36,6 @@ STABLE = 0.5
 class RigidBodyModel(DynamicModel):
     """The rigid bodies.
 
-    Args:
-        problem, settings, seed, disturbance: as for :class:`DynamicModel`.
-
     Attributes:
         signals: also ``cut_wrench`` (6 L,), lambda where all arms but the first are cut off,
             ``internal_wrench`` (6 N,), the part of the hands' wrenches that cancels, arm by arm

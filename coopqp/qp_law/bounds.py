@@ -17,8 +17,9 @@ from coopqp.task import evaluate_all
 class Bounds:
     """lb <= v <= ub (n,) and G v <= h (p,), as limits have them at the last update; rows of G.
 
-    Limits tighten in the order given; constant ones are evaluated at ``start``. ``position_time``
-    is the time in which a position bound may be reached, when that is not dt [s].
+    C = [I; G; -I] has all of them as C v <= [ub; h; -lb]. Limits tighten in the order given;
+    constant ones are evaluated at ``start``. ``position_time`` is the time in which a position
+    bound may be reached, when that is not dt [s].
     """
 
     def __init__(
@@ -31,8 +32,10 @@ class Bounds:
     ) -> None:
         by_limit = [limit.rows(chain) for limit in limits]
         self.rows: tuple[Row, ...] = tuple(itertools.chain.from_iterable(by_limit))
-        self.lb, self.ub = np.full(chain.n, -np.inf), np.full(chain.n, np.inf)
-        self.G, self.h = np.zeros((len(self.rows), chain.n)), np.full(len(self.rows), np.inf)
+        n, p = chain.n, len(self.rows)
+        self.lb, self.ub, self.h = np.full(n, -np.inf), np.full(n, np.inf), np.full(p, np.inf)
+        self.C = np.concatenate([np.eye(n), np.zeros((p, n)), -np.eye(n)])
+        self.G = self.C[n : n + p]
         self._each_tick: list[tuple[Tighten, LimitRows]] = []
         self._kept: list[tuple[Tighten, LimitRows]] = []
         ends = itertools.accumulate(map(len, by_limit), initial=0)
@@ -48,16 +51,13 @@ class Bounds:
                     self._kept.append((tighten, block))
         self._constant = self.lb.copy(), self.ub.copy(), self.G.copy(), self.h.copy()
 
-    def update(self, state: State) -> None:
-        """Ask the limits that change."""
-        self._evaluate(self._each_tick, state)
+    def update(self, state: State, *, accelerations: bool = True) -> None:
+        """Ask the limits that change, those of accelerations among them or not."""
+        self.lb[:], self.ub[:], self.G[:], self.h[:] = self._constant
+        evaluate_all(self._each_tick if accelerations else self._kept, state)
 
     def release(self, state: State) -> bool:
         """Leave out acceleration limits, and ask for no motion; whether there are such limits."""
-        self._evaluate(self._kept, state)
+        self.update(state, accelerations=False)
         np.maximum(self.h, 0.0, out=self.h)
         return len(self._kept) < len(self._each_tick)
-
-    def _evaluate(self, limits: Sequence[tuple[Tighten, LimitRows]], state: State) -> None:
-        self.lb[:], self.ub[:], self.G[:], self.h[:] = self._constant
-        evaluate_all(limits, state)

@@ -39,7 +39,7 @@ from coopqp.qp_law.level import Given, Level
 from coopqp.qp_law.limit_recovery import DriftShare, LimitRecovery
 from coopqp.qp_law.nearest import MET, SLOW, WHOLE, Nearest, blocked
 from coopqp.qp_law.priorities import LaterLevel, Order
-from coopqp.qp_law.safety import drift_gain
+from coopqp.qp_law.safety import StepVerification, drift_gain
 from coopqp.solver import Status, norm
 
 ERROR_DAMPING = 0.5  # default share of the damping that rules out any overshoot
@@ -67,14 +67,14 @@ class QPLaw(Law):
         self._damping = Damping(damping, error_damping, problem.dt)
         self.limit_recovery = LimitRecovery(problem, order.start, error_damping)
         self._given = given = Given(problem, self.limit_recovery.bounds, self._damping)
-        self.probe = self.limit_recovery.probe
+        self.probe = StepVerification(problem)
         self.exact = exact = order.exact
         self._hard, self._scaled = exact.slices[: len(order.hard)], exact.slices[len(order.hard) :]
-        self._relaxes = bool(exact.tasks) and problem.on_infeasible == "scale"
+        self._relaxes = problem.on_infeasible == "scale"
         self.stacks = stacks = order.stacks
+        self._asked = [stack for stack in (*stacks, exact) if stack.tasks]
         rows = [*problem.chain.loops.solver_rows, *exact.rows]
-        names = [task.name for task in order.scaled]
-        self.first = Level(given, stacks[0], rows, names)
+        self.first = Level(given, stacks[0], rows, [task.name for task in order.scaled])
         self.qp, self.solution = self.first.qp, self.first.solution
         self._later = [
             LaterLevel(given, stacks[i], [*stacks[:i], exact]) for i in range(1, len(stacks))
@@ -102,7 +102,7 @@ class QPLaw(Law):
         command, limit_recovery = self.command, self.limit_recovery
         command.scale, command.drift = (0.0 if self.exact.tasks else 1.0), 1.0
         if state.memory["stopped"][0]:
-            return self._stand_still(Status.INFEASIBLE)
+            return self.refuse(Status.INFEASIBLE)
         kappa = self.assemble(state)
         v, causes = self._decide_levels(state, kappa)
         if not causes[0].usable:
@@ -110,24 +110,18 @@ class QPLaw(Law):
         if limit_recovery.active:
             v, causes = limit_recovery.rescue(v, causes)
             command.drift = min(command.drift, limit_recovery.share)
-        if not causes[0].usable:
-            return self._stand_still(*causes)
-        command.v[:] = v
-        relaxed = dict.fromkeys(cause for cause in causes if cause is not Status.OPTIMAL)
-        command.say(*(relaxed or (Status.OPTIMAL,)))
-        self.probe.shorten(state, command)
-        note_swing(state, command.v, self.problem.dt)
+        command.v[:] = v if causes[0].usable else 0.0
+        others = dict.fromkeys(cause for cause in causes if cause is not Status.OPTIMAL)
+        command.say(*(others or (Status.OPTIMAL,)))
+        if causes[0].usable:
+            self.probe.shorten(state, command)
+            note_swing(state, command.v, self.problem.dt)
         return command
-
-    def _stand_still(self, *causes: Status) -> Command:
-        self.command.v[:] = 0.0
-        self.command.say(*causes)
-        return self.command
 
     def assemble(self, state: State) -> float:
         """Evaluate limits and tasks, and fill the first level's QP; returns the drift gain."""
         kappa = self.limit_recovery.limit(state)
-        for stack in (*self.stacks, self.exact):
+        for stack in self._asked:
             stack.update(state)
         self._assemble_first(state, kappa, self.exact.wanted)
         return kappa
@@ -156,17 +150,19 @@ class QPLaw(Law):
 
     def _decide_levels(self, state: State, kappa: float) -> tuple[Array, tuple[Status, ...]]:
         """One after the other, each in the null space of those before it."""
-        v, causes = self._decide_first(state, kappa)
-        if causes[0].usable:
-            pulls = state.memory["later pulls"].reshape(-1, 1)
-            free = null_space(state.J_loop).T if self._later else state.J_loop
+        if self.exact.tasks:
+            v, causes = self._decide_exact(state, kappa)
+        else:
+            v, causes = self.first.v, (self.first.solve(),)
+        if self._later and causes[0].usable:
+            loops, pulls = null_space(state.J_loop).T, state.memory["later pulls"].reshape(-1, 1)
             for later, pull in zip(self._later, pulls, strict=True):
-                v, status = later.improve(state, free, v, pull)
+                v, status = later.improve(state, loops, v, pull)
                 causes = (*causes, status)
         return v, causes
 
-    def _decide_first(self, state: State, kappa: float) -> tuple[Array, tuple[Status, ...]]:
-        """Hard and scaled tasks as they are, or as nearly as can be; else the first soft ones.
+    def _decide_exact(self, state: State, kappa: float) -> tuple[Array, tuple[Status, ...]]:
+        """Hard and scaled tasks as they are, or as nearly as can be.
 
         Where hard tasks lacked something in the last tick they are asked for the nearest first.
         """

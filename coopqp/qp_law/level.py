@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from coopqp.base.qp import QP, Row, Rows, Side, joint_rows
+from coopqp.base.qp import QP, Row, Rows, joint_rows
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.model.state import State
@@ -18,7 +18,6 @@ from coopqp.task import TaskStack
 
 #: Share of a limit's row that directions see up to which they see nothing of it.
 DECIDED = 1e-7
-SIDES: tuple[Side, Side] = "upper", "lower"
 
 
 @dataclass(frozen=True)
@@ -116,44 +115,37 @@ class Step:
         self.v[:], self.slope[:], self.curvature = v, 0.0, d
         if not len(Z):
             return Status.OPTIMAL
-        tasks, bounds, program, n = self.tasks, self._given.bounds, self._program(len(Z)), len(v)
-        qp, solution, program.curvature = program.qp, program.solution, d
+        tasks, bounds, program = self.tasks, self._given.bounds, self._program(len(Z))
+        qp, solution, C, program.curvature = program.qp, program.solution, bounds.C, d
         JW, seen = tasks.J.T * tasks.weights, Z.T
         np.dot(Z.dot(JW), tasks.J.dot(seen), out=qp.P)
-        qp.P.flat[:: len(Z) + 1] += d + held
+        qp.P.ravel()[:: len(Z) + 1] += d + held
         qp.q[:] = Z.dot(JW.dot(tasks.J.dot(v) - tasks.wanted) + d * v)
-        rows, whole, slack = seen, np.ones(n), bounds.ub - v
-        if len(bounds.G):
-            rows = np.concatenate([seen, bounds.G.dot(seen)])
-            whole = np.concatenate([whole, np.linalg.norm(bounds.G, axis=1)])
-            slack = np.concatenate([slack, bounds.h - bounds.G.dot(v)])
-        sizes = np.sqrt(np.einsum("ij,ij->i", rows, rows))
-        sizes[sizes <= DECIDED * whole] = np.inf  # their rows are zero, and ask for nothing
-        rows = rows / sizes[:, None]  # of length one, or solvers would take short ones for none
-        qp.G[: len(rows)], qp.G[len(rows) :] = rows, -rows[:n]
-        slack = np.maximum(np.concatenate([slack, v - bounds.lb]), 0.0)
-        wide = np.concatenate([sizes, sizes[:n]])
-        qp.h[:] = np.inf
-        np.divide(slack, wide, out=qp.h, where=wide < np.inf)
+        rows = C.dot(seen)
+        sizes = _lengths(rows)
+        decided = sizes <= DECIDED * _lengths(C)
+        rows[decided], sizes[decided] = 0.0, 1.0  # which ask for nothing
+        # Rows have length one, or solvers would take short ones for none.
+        np.divide(rows, sizes[:, None], out=qp.G)
+        slack = np.concatenate([bounds.ub, bounds.h, -bounds.lb]) - C.dot(v)
+        np.divide(np.maximum(slack, 0.0), sizes, out=qp.h)
         status = program.solve()
         if not status.usable:
             return Status.INACCURATE
-        z = solution.z / wide
         np.minimum(np.maximum(v + seen.dot(solution.v), bounds.lb), bounds.ub, out=self.v)
-        self.slope[:] = JW.dot(tasks.J.dot(self.v) - tasks.wanted)
-        self.slope += z[:n] - z[len(rows) :] + z[n : len(rows)].dot(bounds.G)
+        self.slope[:] = JW.dot(tasks.J.dot(self.v) - tasks.wanted) + (solution.z / sizes).dot(C)
         return status
 
     def _program(self, size: int) -> Program:
         """For so many directions; at singular poses there are more."""
         if size not in self._programs:
-            given = self._given
-            names = given.problem.chain.joint_names
-            above, below = (
-                [Row(name=f"{joint}.{side}", kind="limit", side=side) for joint in names]
-                for side in SIDES
-            )
             free = tuple(Row(name=f"free[{i}]", kind="free") for i in range(size))
-            rows = Rows(free, (*above, *given.bounds.rows, *below))
-            self._programs[size] = Program(given.problem, rows, given.damping.least)
+            limits = tuple(
+                Row(name=f"limit[{i}]", kind="limit") for i in range(len(self._given.bounds.C))
+            )
+            self._programs[size] = Program(self._given.problem, Rows(free, limits), self.curvature)
         return self._programs[size]
+
+
+def _lengths(rows: Array) -> Array:
+    return np.asarray(np.sqrt(np.einsum("ij,ij->i", rows, rows)))

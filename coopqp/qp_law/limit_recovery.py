@@ -10,13 +10,10 @@ W (1 - s)^2/2 (at s = 1 less of it would save y'kappa e, with the loops' multipl
 to 1 and the largest that is worth it. The answer bounds the tasks, hard ones included: each joint
 outside recovers at least almost as fast.
 
-Where limits leave no motion for all of the Baumgarte correction the largest share is found by
-
-    minimise    W (1 - s)^2 + d |v|^2
-    subject to  J_c v = -s kappa e,   lb <= v <= ub,   G v <= h,   0 <= s <= 1
-
-first with all limits; where that is infeasible, without acceleration limits, and with limits in
-space that ask for no motion. The share replaces 1 in all levels of the tick.
+Where limits leave no motion for all of the Baumgarte correction, :class:`DriftShare` finds the
+largest share s, with W (1 - s)^2 + d |v|^2 as the cost: first with all limits; where that is
+infeasible, without acceleration limits, and with limits in space that ask for no motion. The share
+replaces 1 in all levels of the tick.
 """
 
 from __future__ import annotations
@@ -32,7 +29,7 @@ from coopqp.model.state import State
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.equations import ALL_OF_IT, SCALE_WEIGHT, Damping
 from coopqp.qp_law.level import Given, Level
-from coopqp.qp_law.safety import StepVerification, drift_gain
+from coopqp.qp_law.safety import drift_gain
 from coopqp.solver import Status
 from coopqp.task import TaskStack
 
@@ -56,11 +53,7 @@ class LimitRecovery:
 
     def __init__(self, problem: ControlProblem, start: State, error_damping: float) -> None:
         self.bounds = Bounds(problem.chain, problem.limits, start, problem.dt)
-        self.probe, self.problem, self._nothing = (
-            StepVerification(problem),
-            problem,
-            TaskStack((), start),
-        )
+        self.problem, self._nothing = problem, TaskStack((), start)
         self._damping = Damping(LEAST_MOTION, error_damping, problem.dt)
         self._low, self._high = np.zeros((2, problem.chain.n), bool)
         self.active, self.share = False, 1.0

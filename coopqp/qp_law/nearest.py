@@ -78,9 +78,8 @@ class Nearest:
         """What the level of the scaled tasks makes of v, in what its hard tasks leave free."""
         for stack in (self.hard.tasks, self.scaled.tasks):
             stack.update(state)
-        return self.scaled.improve(
-            state, null_space(state.J_loop).T, v, state.memory["scaled pull"]
-        )
+        loops, pull = null_space(state.J_loop).T, state.memory["scaled pull"]
+        return self.scaled.improve(state, loops, v, pull)
 
 
 def blocked(share: float, wanted: Array, near: Array) -> float:

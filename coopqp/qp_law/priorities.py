@@ -20,18 +20,17 @@ beyond it the level's step is shortened instead.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
 
-from coopqp.base.rank import directions, matrix_rank, null_space
+from coopqp.base.rank import directions, matrix_rank
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.limit import states_along
-from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
-from coopqp.program import Programs, sees_twist
+from coopqp.program import Programs
 from coopqp.qp_law.equations import MOST_DAMPING, held_pull
 from coopqp.qp_law.level import Given, Step
 from coopqp.solver import Status
@@ -75,20 +74,16 @@ class Order:
 
     def _nothing_left(self, level: int) -> bool:
         """Whether the loops and the tasks before a level decide all joints, generically."""
-        chain, n = self.start.chain, self.start.chain.n
         tasks = [*self.hard, *self.scaled, *itertools.chain(*self.groups[:level])]
         if any(task.joint_space and task.all_joints for task in tasks):
             return True
-        # Rows that see nothing but the object's twist add no more than what the loops leave of it.
-        sizes = {True: 0, False: len(chain.loops.solver_rows)}
-        for task in tasks:
-            sizes[sees_twist(self.programs.of(task))] += len(task.rows(chain))
-        if sizes[False] + min(sizes[True], chain.once(_freedom)) < n:
+        chain, stack = self.start.chain, TaskStack(tasks, self.start)
+        if len(chain.loops.solver_rows) + len(stack.J) < chain.n:
             return False
-        stack = TaskStack(tasks, self.start)
-        for state in _places(self.start):
+        anywhere = states_along(chain, chain.sample(np.random.default_rng(0), SAMPLES))
+        for state in itertools.chain([self.start], anywhere):
             stack.update(state)
-            if matrix_rank(np.vstack([state.J_loop, stack.J])) == n:
+            if matrix_rank(np.vstack([state.J_loop, stack.J])) == chain.n:
                 return True
         return False
 
@@ -96,19 +91,6 @@ class Order:
 def _by_priority(tasks: Sequence[Task]) -> list[list[Task]]:
     numbers = sorted({task.priority for task in tasks})
     return [[task for task in tasks if task.priority == number] for number in numbers]
-
-
-def _freedom(chain: ClosedChain) -> int:
-    """How many of the six directions of the object's twist the loops leave in general."""
-    return max(
-        matrix_rank(state.J_task @ null_space(state.J_loop)) for state in _places(State(chain))
-    )
-
-
-def _places(start: State) -> Iterator[State]:
-    """The start, and some configurations anywhere for those who need more."""
-    yield start
-    yield from states_along(start.chain, start.chain.sample(np.random.default_rng(0), SAMPLES))
 
 
 class LaterLevel(Step):
@@ -134,8 +116,9 @@ class LaterLevel(Step):
             return v, Status.INACCURATE
         sizes, ways = directions(decided.dot(loops.T))
         rank, ways = int(np.count_nonzero(sizes > NOISE)), ways.dot(loops)
-        held = MOST_DAMPING * (np.maximum(sizes[rank:] - IDLE, 0.0) / NOISE) ** 6
-        found = self.step(v, ways[rank:], d, held)
-        y = np.append(ways[:rank].dot(self.slope), held * ways[rank:].dot(self.v - v))
+        free, held = ways[rank:], MOST_DAMPING * (np.maximum(sizes[rank:] - IDLE, 0.0) / NOISE) ** 6
+        found = self.step(v, free, d, held)
+        made = self.v - v
+        y = np.concatenate([ways[:rank].dot(self.slope), held * free.dot(made)])
         pull[0] = held_pull(float(np.abs(y).dot(self._lever / np.maximum(sizes, IDLE))), pull[0])
-        return v + self.share * (self.v - v), found
+        return v + self.share * made, found

@@ -48,13 +48,12 @@ class StepVerification:
         error, (gap, turn) = 2.0 * norm(state.closed_error), self._most
         opened = float(self._second_order.dot(v * v).max(initial=0.0))
         fits = error + self._reach * opened <= gap and error + opened <= turn
-        return bool(fits) or self._look(state, v)
-
-    def _look(self, state: State, v: Array) -> bool:
-        closed = state.closed_error
-        opened = self._chain.loop_error(state.q + self._dt * v) - state.gap[: len(closed)]
+        if fits:
+            return True
+        now = state.closed_error
+        then = self._chain.loop_error(state.q + self._dt * v) - state.gap[: len(now)]
         # A loop that is open already may be closed by steps that leave it open for now.
-        return bool((_sizes(opened) <= np.maximum(_sizes(closed), self._most)).all())
+        return bool((_sizes(then) <= np.maximum(_sizes(now), self._most)).all())
 
 
 def drift_gain(problem: ControlProblem, state: State, share: float = 1.0) -> float:

@@ -30,13 +30,7 @@ class Sent:
         return ",".join(self._columns) + "\n"
 
     def add(self, t: float, sent: float, value: Iterable[float]) -> None:
-        """Keep a row; of several for one tick the last one counts.
-
-        Args:
-            t: of the tick for which it arrived [s].
-            sent: when it was sent [s].
-            value: in the kind's columns.
-        """
+        """Keep what arrived for the tick at t and when it was sent [s]; for one tick the last."""
         width = len(self._columns)
         if self._rows and self._rows[-width] == t:
             del self._rows[-width:]

@@ -40,13 +40,9 @@ def place_of(element: ET.Element) -> str:
 
 
 def read_xml(path: Path, roots: Sequence[str], kind: str, *, texts: bool = False) -> ET.Element:
-    """Read an XML file of a robot.
+    """Read an XML file of a robot; ``roots`` are names that its outermost element may have.
 
-    Args:
-        path: of the file.
-        roots: names that its outermost element may have.
-        kind: of file, for messages.
-        texts: whether to read the text between elements.
+    Messages call the file of this ``kind``; ``texts`` between elements are read if wanted.
 
     Raises:
         InvalidValueError: no such file, or no such kind of file.

@@ -21,8 +21,8 @@ from coopqp.base.errors import InvalidValueError, UnknownNameError, short
 from coopqp.base.qp import Row
 from coopqp.base.spec import Array, NonNegative, Positive, spec
 from coopqp.base.wording import raised
-from coopqp.controller import Why, note_of
 from coopqp.model.closed_chain import AXES, ClosedChain
+from coopqp.model.notes import Why, note_of
 from coopqp.online.loop import OnlineLoop
 from coopqp.recordings.messages import AT, BROKEN, Remark, level_of
 from coopqp.signal import Kind

@@ -14,8 +14,8 @@ from online_loops import Scripted, follows
 
 from coopqp import OnlineLoop, Status
 from coopqp.assessment.thresholds import SPEED_UP
-from coopqp.online.clock import LoopTime
 from coopqp.online.real_time import real_time
+from coopqp.online.stops import LoopTime
 
 DT = 0.01
 NEAR = {"target": [0.15, 0.01, 0.05]}

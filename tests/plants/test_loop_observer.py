@@ -15,9 +15,8 @@ import coopqp
 from coopqp.base.errors import UnknownNameError
 from coopqp.closed_loop.hands import hands, points
 from coopqp.controller import Law
-from coopqp.model.loop_observer import LoopObserver, Observer
+from coopqp.model.loop_observer import LoopObserver, Observer, WeightSag
 from coopqp.model.state import State
-from coopqp.model.weight_sag import WeightSag
 from coopqp.plant import Disturbance, PlantModel, Slip
 from coopqp.plants import QuasiStatic
 from coopqp.scenario.scenario import Scenario
