@@ -34,6 +34,9 @@ SAMPLE, RENEWED, FRESH, WINDOWS = 0.02, 0.5, 0.1, (0.4, 2.0)
 LOOKS, FEWEST, LONG = 40, 4, 4
 #: The latest that a servo may follow [s].
 LATEST = 0.14
+#: Servos of a first order that are sound: their times, after so many of which nothing is left [s],
+#: and the share of the parity vector, by squares, that they may leave.
+TIMES, FADED, LAGGING = np.arange(0.02, 0.155, 0.01), 3.0, 0.15
 #: Standard deviations: of a reading at least [rad, m]; of a servo's lag [s]; of its stiffness, as
 #: a share of the sag.
 NOISE, LAG_NOISE, STIFFNESS_NOISE = 4e-4, 6e-3, 0.1
@@ -99,7 +102,7 @@ class JointFollowing:
         #: In half samples, of which odd ones lie between two samples.
         self._lags, self._h = np.arange(2 * round(LATEST / h) + 1), h
         self._spans = [max(2, round(window / h)) for window in WINDOWS]
-        kept = self._spans[-1] + len(self._lags) // 2 + 2
+        kept = self._spans[-1] + len(self._lags) // 2 + round(FADED * TIMES[-1] / h) + 2
         self._c, self._m = np.zeros((2, kept, n))
         self._pairs = list(combinations(range(n), 2))
         unit = np.identity(n)
@@ -111,6 +114,9 @@ class JointFollowing:
             np.array([i for i, j in enumerate(own) if chain.joint_names[j] in arm], int)
             for arm in arms
         ]
+        decays = np.exp(-h / TIMES)
+        kernels = decays ** np.arange(round(FADED * TIMES[-1] / h) + 1)[:, None]
+        self._kernels = kernels / kernels.sum(axis=0)
         self.forget()
 
     def forget(self) -> None:
@@ -224,9 +230,17 @@ class JointFollowing:
         if sizes[self._lag] < SUSPICIOUS * len(at):
             return None
         self.suspicious = True
-        return self._best(m, c, z, sizes)
+        return self._best(m, c, z, sizes, at)
 
-    def _best(self, m: Array, c: Array, z: Array, sizes: Array) -> Suspect | None:
+    def _late(self, m: Array, at: Any) -> float:
+        """What servos of a first order, all alike, leave of the parity vector."""
+        before = np.arange(len(self._kernels))
+        late = np.array([at[:, None] - before - lag // 2 for lag in self._lags[::2]])
+        c = np.tensordot(self._kernels, self._of(self._c, late), (0, 2))  # (times, lags, T, n)
+        z = (m - (c - c[:, :, :1])) @ self._white
+        return float(np.einsum("slti,slti->sl", z, z).min())
+
+    def _best(self, m: Array, c: Array, z: Array, sizes: Array, at: Any) -> Suspect | None:
         """The fault that leaves least of r, of those that explain the parity vector."""
         n, pairs, size = len(self._own), self._pairs, sizes[self._lag]
         signs = self._faults @ self._white  # (faults, d)
@@ -250,7 +264,7 @@ class JointFollowing:
         first, second = np.argsort(left)[:2]
         if first >= n and left[first] < ALONE * min(size, left[second]):
             good[first] = exchanged[first]
-        if not good.any():
+        if not good.any() or self._late(m, at) < max(LAGGING * size, SUSPICIOUS * len(m)):
             return None
         good &= left <= max(3.0 * left[good].min(), AS_GOOD * size)
         rest = np.full(len(faults), np.inf)
