@@ -107,10 +107,8 @@ class LoopObserver:
     @property
     def stated_stiffness(self) -> Array | None:
         """Of the servos, shape (n,) [N m/rad]; infinite where none is stated, None without any."""
-        if self.settings.stiffness is None:
-            return None
         with np.errstate(divide="ignore"):
-            return 1.0 / self._compliance
+            return 1.0 / self._compliance if self._known else None
 
     def begin(self, state: State) -> None:
         """Take the whole loop error at q for the model's, so that arms do not press at first."""

@@ -85,7 +85,7 @@ class Suspect(NamedTuple):
 
 
 class JointFollowing:
-    """Judges commanded and measured joints, by servos as stiff as their motors are strong.
+    """Judges commanded and measured joints, of servos as stiff as stated, else as strong.
 
     Attributes:
         suspicious: whether internal forces and lag do not explain the last samples.

@@ -75,7 +75,7 @@ class QuasiStaticModel(DynamicModel):
         self._settings = settings
         robot = problem.chain.robot
         self._order = [arm.name for arm in robot.arms]
-        self._crept = {arm: np.zeros(6) for arm in self._order}
+        self._crept = np.zeros((len(self._order), 6))
         self._integral = np.zeros(problem.chain.n)
         self._X_WO = self.true.chain.object_pose(self.true.q)
         self.signals["internal_wrench"] = np.zeros(6 * len(self._order))
@@ -96,12 +96,12 @@ class QuasiStaticModel(DynamicModel):
         """Arms that take hold do so without a force."""
         assert isinstance(before, QuasiStaticModel)
         self._X_WO, self._integral = before._X_WO.copy(), before._integral
-        self._crept = before._crept
+        self._crept = before._crept.copy()
         self.grip()
         held = before.true.chain.hold.holders
-        for hand, d in zip(self._hands, self._placed()[0], strict=True):
-            if hand.arm not in held:
-                self._crept[hand.arm] = d.copy()
+        for i, d in zip(self.hand_signals.at, self._placed()[0], strict=True):
+            if self._order[i] not in held:
+                self._crept[i] = d
 
     def grip(self) -> None:
         """Follow the true chain: where its hands' points are on the object."""
@@ -123,14 +123,13 @@ class QuasiStaticModel(DynamicModel):
         forward = self._feed_forward(J)
         B_1 = np.where(self._moves, servo.stiffness * (1.0 + settings.lag / h), PASSIVE_DAMPING / h)
         push = servo.stiffness * (behind + self._integral) + forward
-        rest = np.array([self._crept[hand.arm] for hand in self._hands])
+        rest = self._crept[self.hand_signals.at]
         step, turn, wrench, slipped = self._solved(J, G, (d - rest).ravel(), B_1, push)
         true.q += step
         true.t += h
         X = self._X_WO
         self._X_WO = pin.SE3(pin.exp3(turn[3:]) @ X.rotation, X.translation + turn[:3])
-        for hand, s in zip(self._hands, slipped.reshape(-1, 6), strict=True):
-            self._crept[hand.arm] = self._crept[hand.arm] + s
+        self._crept[self.hand_signals.at] += slipped.reshape(-1, 6)
         self._wrench, self._at = wrench.reshape(-1, 6), self._on_object()
         own = pin.computeGeneralizedGravity(true.chain.model, self._data, true.q)
         servo.tau[:] = np.where(self._moves, own + J.T @ wrench, 0.0)
@@ -152,11 +151,11 @@ class QuasiStaticModel(DynamicModel):
             A[:n, :n] = (J * B) @ J.T
             A[range(n), range(n)] += unit / settings.grip + creeps + slips
             b[:n] = strained + J @ (B * push)
-            wrench, turn = np.split(np.linalg.solve(A, b), [n])
+            found = np.asarray(np.linalg.solve(A, b), float)
+            wrench, turn = found[:n], found[n:]
             step = B * (push - J.T @ wrench)
-            sticks = settings.joint_friction / np.maximum(np.abs(step), STUCK)
-            before = soft
-            soft = np.append(self._slipping(wrench, slips), np.where(self._moves, sticks, 0.0))
+            sticks = self._moves * settings.joint_friction / np.maximum(np.abs(step), STUCK)
+            before, soft = soft, np.concatenate([self._slipping(wrench, slips), sticks])
             if (np.abs(soft - before) <= AGREED * np.abs(soft)).all():
                 break
         return step, turn, wrench, (creeps + soft[:n]) * wrench
@@ -187,11 +186,11 @@ class QuasiStaticModel(DynamicModel):
         turned = into_contacts(self._hands, X.rotation)
         in_contacts = np.array(list(map(in_axes, self._wrench, turned)))
         self.hand_signals.write(self._wrench, self._at, in_contacts)
-        slip = [float(np.linalg.norm(self._crept[arm][:3])) for arm in self._order]
-        self.signals["slip"][:] = slip
-        for arm, way in zip(self._order, slip, strict=True):
-            if way > LOST and arm in chain.hold.holders:
-                self.lost = self.lost or f"{arm} has slipped by {1e3 * way:.0f} mm"
+        slip = self.signals["slip"]
+        slip[:] = np.linalg.norm(self._crept[:, :3], axis=1)
+        for i in self.hand_signals.at:
+            if slip[i] > LOST:
+                self.lost = self.lost or f"{self._order[i]} has slipped by {1e3 * slip[i]:.0f} mm"
         held = -self._load()[:3] @ X.translation
         return 0.0, float(pin.computePotentialEnergy(chain.model, self._data, self.true.q) + held)
 
@@ -205,7 +204,8 @@ class QuasiStaticModel(DynamicModel):
             turn = pin.log3(here.rotation @ there.rotation.T)
             d.append(np.concatenate([here.translation - there.translation, turn]))
             J_own = pin.getFrameJacobian(chain.model, data, frame, pin.LOCAL_WORLD_ALIGNED)
-            J.append(grasp_matrix([here.translation], X.translation).T @ J_own)
+            J_own[:3] -= pin.skew(here.translation - X.translation) @ J_own[3:]
+            J.append(J_own)
         return np.array(d), np.concatenate(J)
 
     def _on_object(self) -> Array:
