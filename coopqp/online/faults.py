@@ -246,7 +246,7 @@ class ForceMonitor:
 
     def _unbalanced(self) -> Finding | None:
         """Forces and weight that do not add up: a wrong sign, or another load."""
-        f, g = self._smooth, float(np.linalg.norm(self._gravity))
+        f, g = self._smooth, max(float(np.linalg.norm(self._gravity)), 1e-9)  # or in space
         up, heavy = self._gravity / g, self._mass * g
         off = f.sum(axis=0) - heavy * up
         size, above = float(np.linalg.norm(off)), float(off.dot(up))

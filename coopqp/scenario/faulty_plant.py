@@ -101,8 +101,10 @@ class FaultyPlant(PlantModel):
         if self._felt is None:
             for fault in faults:
                 if fault.of == "force":
-                    words = "this plant has no force sensors; use plant: rigid_body or mujoco"
-                    raise InvalidValueError(f"{fault.fault.kind}: {words}").at(*fault.place)
+                    words = "this plant has no force sensors; use plant: rigid_body, quasi_static"
+                    raise InvalidValueError(f"{fault.fault.kind}: {words} or mujoco").at(
+                        *fault.place
+                    )
         self.measured: Array = self._own.q.copy()
         self._read(self._own.q)
 

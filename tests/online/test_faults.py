@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -236,6 +237,17 @@ def test_a_loop_does_not_go_on_from_joints_that_cannot_be(fault: Fault, words: s
     go(loop, robot, 10)
     assert words in loop.stopped
     assert np.array_equal(loop.setpoint, before)  # else 3538 N
+
+
+@needs_robots
+def test_forces_without_gravity_are_weighed_without_a_warning() -> None:
+    loop, _ = simulated(pressed(None), reference="commanded")
+    loop.problem.chain.model.gravity.linear = np.zeros(3)
+    forces = found.ForceMonitor(loop.law)
+    loop.state.hand_wrench = np.array([9.0, *[0.0] * 5, -9.0, *[0.0] * 5])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert forces.update(loop.state) is None
 
 
 @needs_robots
