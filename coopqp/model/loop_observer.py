@@ -44,6 +44,8 @@ TIME, TICKS = 0.15, 10
 MOST_POSITION, MOST_ORIENTATION = 30e-3, 100e-3
 #: Most rotation for each metre of ``Observer.most`` [rad/m].
 ROTATION = 10.0
+#: The sag is computed anew after so long [s]; readings are trusted to so much [rad].
+RENEWED, DOUBT = 0.05, 5e-4
 #: After so long at rest the load is felt, with this time constant [s].
 AFTER, FEELS = 0.2, 0.3
 #: Smaller sags of unknown servos may as well be errors of their feed-forward [rad].
@@ -52,7 +54,7 @@ SLIGHT = 2e-4
 GRIP_SIZE = 0.03
 #: An object that is commanded to move faster does not rest: the servos' lag would count as a sag
 #: [m/s]; a rotation counts by 0.1 m.
-REST, SPEEDS = 0.005, np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])
+MOVES, REST, SPEEDS = 0.05, 0.005, np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])
 #: Sags below this are rounding.
 TINY = 1e-15
 
@@ -78,6 +80,7 @@ class LoopObserver:
     Attributes:
         at_bound: arms whose loops with the first one are at their bound since the last update.
         load: the weight that the servos feel [N]; NaN while it is not known.
+        doubt: what readings that are half a milliradian off add to it [N].
         note: what is wrong, where something is.
         paused: whether what is measured now is not to be believed, so that the gap stays.
     """
@@ -90,6 +93,7 @@ class LoopObserver:
         self._most = self.settings.most, ROTATION * self.settings.most
         self.at_bound: tuple[str, ...] = ()
         self.load, self.note, self.paused = math.nan, "", False
+        self.doubt, self._renewed = math.inf, 0
 
     @cached_property
     def _measured(self) -> State:
@@ -154,7 +158,10 @@ class LoopObserver:
     def _unload(self, state: State, along: Array | None) -> Array:
         """Take sag and squeeze out of the measured joints; what the sag opens the loops by."""
         sag, felt, q, known = self._sag, state.felt, self._measured.q, self._known
-        sag.update(state, along if known else None)
+        if self._renewed % max(1, round(RENEWED / self._dt)) == 0:
+            sag.update(state, along if known else None)
+            self.doubt = DOUBT / max(float(np.abs(sag.sag).max()), TINY)
+        self._renewed += 1
         lag, load = q - state.q, math.nan
         if along is not None and known:
             sag.straighten(lag)
@@ -237,6 +244,8 @@ class WeightSag:
 
     def load(self, state: State, sag: Array) -> float:
         """The load that a sag, shape (n,) [rad], tells of, by least squares [N]; NaN in motion."""
+        if state.v.dot(state.v) > MOVES * MOVES:  # before anybody asks for Jacobians
+            return math.nan
         twist, size = state.J_task.dot(state.v) * SPEEDS, -self._torque.dot(self.sag)
         if not twist.dot(twist) < REST * REST or not size > TINY:
             return math.nan

@@ -71,6 +71,23 @@ def check_hands(chain: ClosedChain, q: Array, *, placed: bool) -> None:
         )
 
 
+def check_resumed(chain: ClosedChain, q: Array, *, outside: bool) -> None:
+    """Refuse to go on where the object is not held as before the rest, or joints are no joints.
+
+    Commands begin anew at q: with a wrong encoder the arms would jump, and tear at the object.
+    """
+    if not outside:
+        check_range(chain, q)
+    apart, turned = hands_off(chain, q)
+    if apart > MOST_POSITION or turned > MOST_ORIENTATION:
+        hint = likely_mistake(chain, q)
+        where = (
+            f"the hands are {1e3 * apart:.0f} mm and {1e3 * turned:.0f} mrad from how they held "
+        )
+        asks = f"the object: {hint} Else bring" if hint else "the object; bring"
+        raise GraspError(f"{where}{asks} the arms back, or reset the loop")
+
+
 def hands_off(chain: ClosedChain, q: Array) -> tuple[float, float]:
     """How far hands lie from where they do at the chain's start, at most [m], [rad]."""
     if chain.holding < 2:

@@ -29,6 +29,7 @@ REACTIONS: Mapping[str, Reaction] = {
     "joint_stands_still": "rest",
     "joint_not_following": "rest",
     "joints_swapped": "rest",
+    "readings_stuck": "rest",
     "encoder_jumped": "rest",
     "loop_offset_at_bound": "go_on",
     "force_sensor_dead": "rest",
@@ -79,8 +80,15 @@ class FaultMonitor:
         stated = law.observer.stated_stiffness
         self._joints = JointFollowing(chain, dt, stated) if observed else None
         self._forces = ForceMonitor(law)
+        self._mass = chain.held.mass
+        self._g = max(float(np.linalg.norm(chain.model.gravity.linear)), 1e-12)
         self.found: tuple[Fault, ...] = ()
         self._misled = False
+
+    def take_over(self, before: FaultMonitor) -> None:
+        """Keep the faults of the phase before."""
+        self.found, self._misled = before.found, before._misled
+        self._law.observer.paused = self._misled
 
     def forget(self) -> None:
         """Begin anew, as after a rest."""
@@ -111,15 +119,15 @@ class FaultMonitor:
         observer = self._law.observer
         if observer.at_bound:
             return "loop_offset_at_bound", observer.at_bound, observer.note
-        chain = self._law.problem.chain
-        g, mass = float(np.linalg.norm(chain.model.gravity.linear)), chain.held.mass
-        if observer.load > max(SMALL, (1.0 + OF_WEIGHT) * mass * g):
-            return "load_heavier", (), _heavier(observer.load / g, mass)
+        weight = self._mass * self._g
+        if observer.load > weight + max(SMALL, OF_WEIGHT * weight, observer.doubt):
+            return "load_heavier", (), _heavier(observer.load / self._g, self._mass)
         return None
 
     def _named(self, suspect: Suspect) -> Finding:
         names = tuple(self._names[j] for j in suspect.joints)
-        who = (" and " if suspect.kind == "joints_swapped" else " or ").join(names)
+        both = suspect.kind in ("joints_swapped", "readings_stuck")
+        who = (" and " if both else " or ").join(names)
         return suspect.kind, names, JOINTS[suspect.kind].format(who)
 
 
@@ -127,6 +135,7 @@ class FaultMonitor:
 JOINTS = {
     "joints_swapped": "{} move as the other is commanded to: are they swapped?",
     "encoder_jumped": "the reading of {} has jumped: has its encoder slipped?",
+    "readings_stuck": "no reading of {} changes, though they shall move: is the driver stuck?",
     "joint_stands_still": "{} stands still against its commands: is its encoder or motor dead?",
     "joint_reversed": "{} moves against its commands: has its encoder or motor the wrong sign?",
     "joint_not_following": "{} does not follow its commands: is it blocked, or its motor off or "
@@ -163,8 +172,8 @@ class ForceMonitor:
         """Begin anew."""
         N = len(self._hands)
         self._before, self._smooth = np.zeros((N, 6)), np.full((N, 3), np.nan)
-        self._zero, self._same, self._changed = np.zeros((3, N))
-        self._wrong, self._way = np.zeros(2), np.nan
+        self._zero, self._same, self._ways = np.zeros((3, N))
+        self._wrong, self._stood, self._began = np.zeros(3), np.zeros((N, N, 3)), 0.0
 
     def update(self, state: State) -> Finding | None:
         """Kind, hands and note of what is wrong with a state's wrenches, if anything is."""
@@ -173,11 +182,33 @@ class ForceMonitor:
             return None
         if np.isnan(self._smooth[0, 0]):
             self._smooth[:], self._before[:] = w[:, :3], w
-            self._way = self._closed_in(state)
+            self._ways[:] = self._began = self._closed_in(state)
         step = np.abs(w - self._before).max(axis=1)
         self._before[:] = w
         self._smooth += self._share * (w[:, :3] - self._smooth)
-        return self._silent(w, step, state) or self._unbalanced() or self._near_slip(w, state)
+        return (
+            self._silent(w, step, state)
+            or self._unbalanced()
+            or self._contrary(state)
+            or self._near_slip(w, state)
+        )
+
+    def _contrary(self, state: State) -> Finding | None:
+        """Hands that close and say that they pull, or part and say that they press."""
+        if not self._squeezer:
+            return None
+        squeeze = 0.5 * float(self._squeezer.along[:3].dot(self._smooth[0] - self._smooth[1]))
+        way = self._closed_in(state) - self._began
+        contrary = abs(way) > CLOSED_IN and abs(squeeze) > SMALL and way * squeeze < 0.0
+        self._wrong[2] = self._wrong[2] + self._dt if contrary else 0.0
+        if self._wrong[2] < LASTING:
+            return None
+        told, pull = ("close", "pull") if way > 0.0 else ("part", "press")
+        words = (
+            f"the hands are told to {told}, and {pull} by what their forces say: are the sensors "
+            "of the arms swapped, or of the wrong sign?"
+        )
+        return "force_sensor_reversed", tuple(hand.arm for hand in self._hands), words
 
     def _closed_in(self, state: State) -> float:
         """How far the hands are told to be closer than the model says [m]."""
@@ -187,17 +218,20 @@ class ForceMonitor:
         """A sensor that says zero, or always the same, where it cannot be so."""
         self._zero = np.where(w.any(axis=1), 0.0, self._zero + self._dt)
         self._same = np.where(step == 0.0, self._same + self._dt, 0.0)
-        self._changed = np.where(step == 0.0, self._changed + step.sum() - step, 0.0)
-        press = abs(self._closed_in(state) - self._way) > CLOSED_IN
+        # Forces since each stands: steps of a coarse sensor to and fro are no change.
+        way, changed = self._closed_in(state), step > 0.0
+        self._stood[changed], self._ways[changed] = self._smooth, way
+        changes = np.linalg.norm(self._smooth - self._stood, axis=2)
+        others, press = changes.max(axis=1) - np.diag(changes), np.abs(way - self._ways) > CLOSED_IN
         forces = np.linalg.norm(self._smooth, axis=1)
         for i, hand in enumerate(self._hands):
             sensor = f"the force sensor of {hand.arm}"
             carried = np.delete(forces, i).max(initial=0.0) > SMALL
-            if self._zero[i] > LASTING and (carried or press):
+            if self._zero[i] > LASTING and (carried or press[i]):
                 words = f"{sensor} says zero while the hands press: is it dead?"
                 return "force_sensor_dead", (hand.arm,), words
             stuck = self._same[i] > LASTING and self._zero[i] == 0.0
-            if stuck and (self._changed[i] > SMALL or press):
+            if stuck and (others[i] > SMALL or press[i]):
                 words = f"{sensor} does not change while others do: is it stuck?"
                 return "force_sensor_stuck", (hand.arm,), words
         return None
@@ -210,17 +244,21 @@ class ForceMonitor:
         size, above = float(np.linalg.norm(off)), float(off.dot(up))
         sideways = float(np.linalg.norm(off - above * up)) / max(size, SMALL)
         allowed = max(SMALL, OF_WEIGHT * heavy, OF_FORCES * float(np.abs(f).sum()))
-        borne = above < 0.0 and sideways < UNEXPLAINED  # by a table, or somebody
+        # By a table, or somebody, but not more than the weight.
+        borne = -(1.0 + OF_WEIGHT) * heavy < above < 0.0 and sideways < UNEXPLAINED
         self._wrong[0] = self._wrong[0] + self._dt if size > allowed and not borne else 0.0
         if self._wrong[0] < LASTING:
             return None
+        if sideways < UNEXPLAINED and above > 0.0:
+            return "load_heavier", (), _heavier(self._mass + above / g, self._mass)
         for i, hand in enumerate(self._hands):
             if np.linalg.norm(off - 2.0 * f[i]) < UNEXPLAINED * size:
                 sensor = f"the force sensor of {hand.arm}"
                 words = f"{sensor} has the wrong sign, by the sum of all forces"
                 return "force_sensor_reversed", (hand.arm,), words
-        if sideways < UNEXPLAINED:
-            return "load_heavier", (), _heavier(self._mass + above / g, self._mass)
+        if np.linalg.norm(off - 2.0 * f.sum(axis=0)) < UNEXPLAINED * size:
+            words = "all forces have the wrong sign: needed are those of the hands on the object"
+            return "force_sensor_reversed", tuple(hand.arm for hand in self._hands), words
         words = f"forces and weight do not add up, by {size:.3g} N: is a sensor wrong, or a push?"
         return "forces_unbalanced", (), words
 

@@ -27,12 +27,16 @@ from coopqp.base.spec import Array
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 
-#: Time between samples, after which the parity space is computed anew, and of windows [s].
-SAMPLE, RENEWED, WINDOWS = 0.02, 0.2, (0.4, 2.0)
+#: Time between samples; after which the parity space is computed anew, and before a verdict; of
+#: windows [s].
+SAMPLE, RENEWED, FRESH, WINDOWS = 0.02, 0.5, 0.1, (0.4, 2.0)
 #: Samples of a window that are looked at; those before the first look; every so many the long one.
 LOOKS, FEWEST, LONG = 40, 4, 4
 #: The latest that a servo may follow [s].
 LATEST = 0.14
+#: Servos of a first order that are sound: their times, after so many of which nothing is left [s],
+#: and the share of the parity vector, by squares, that they may leave.
+TIMES, FADED, LAGGING = np.arange(0.02, 0.155, 0.01), 3.0, 0.15
 #: Standard deviations: of a reading at least [rad, m]; of a servo's lag [s]; of its stiffness, as
 #: a share of the sag.
 NOISE, LAG_NOISE, STIFFNESS_NOISE = 4e-4, 6e-3, 0.1
@@ -57,6 +61,9 @@ LEAST_MOTION = 1.5e-3
 STANDS = 0.1
 #: Singular values of K^-1 J_c' below this share of the largest are none.
 SINGULAR = 1e-3
+#: Readings that do not change for so long [s] are stuck where commands move a joint by so much
+#: [rad, m].
+STUCK, MOVED = 0.2, 0.01
 #: A joint is named at least so clearly, in the space that lambda leaves.
 LEAST_SIGNATURE = 1e-3
 #: A second joint is named too where it leaves at most this much more of r unexplained.
@@ -95,18 +102,27 @@ class JointFollowing:
         #: In half samples, of which odd ones lie between two samples.
         self._lags, self._h = np.arange(2 * round(LATEST / h) + 1), h
         self._spans = [max(2, round(window / h)) for window in WINDOWS]
-        kept = self._spans[-1] + len(self._lags) // 2 + 2
+        kept = self._spans[-1] + len(self._lags) // 2 + round(FADED * TIMES[-1] / h) + 2
         self._c, self._m = np.zeros((2, kept, n))
         self._pairs = list(combinations(range(n), 2))
         unit = np.identity(n)
         self._faults = np.vstack([unit, *(unit[j] - unit[k] for j, k in self._pairs)])
         self._white = np.zeros((n, n))
-        self._renew = max(1, round(RENEWED / h))
+        self._renew, self._fresh = max(1, round(RENEWED / h)), max(1, round(FRESH / h))
+        arms = (set(chain.robot.arm_joints(arm)) for arm in chain.robot.arms)
+        self._arms = [
+            np.array([i for i, j in enumerate(own) if chain.joint_names[j] in arm], int)
+            for arm in arms
+        ]
+        decays = np.exp(-h / TIMES)
+        kernels = decays ** np.arange(round(FADED * TIMES[-1] / h) + 1)[:, None]
+        self._kernels = kernels / kernels.sum(axis=0)
         self.forget()
 
     def forget(self) -> None:
         """Begin anew, as after a rest in which somebody may have moved the joints."""
         self._count = self._samples = self._lag = 0
+        self._whitened = -self._renew
         self._before: Suspect | None = None
         self.suspicious = False
 
@@ -120,13 +136,32 @@ class JointFollowing:
         self._samples += 1
         if self._samples < FEWEST:
             return None
-        if self._samples % self._renew == 0 or self._samples == FEWEST:
-            self._white = self._whitening(state)
-        if not (found := self._look()):
+        if stuck := self._stuck():
+            return stuck
+        if self._samples - self._whitened >= self._renew:
+            self._white, self._whitened = self._whitening(state), self._samples
+        if not (found := self._look(state)):
             self._before = None
             return None
         before, self._before = self._before, found
         return found if before and set(before.joints) & set(found.joints) else None
+
+    def _stuck(self) -> Suspect | None:
+        """An arm of which no reading has changed by a bit while it was commanded to move."""
+        last, span = self._samples - 1, round(STUCK / self._h)
+        if last < span:
+            return None
+        for arm in self._arms:
+            if (
+                len(arm) > 1
+                and (self._of(self._m, last) == self._of(self._m, last - span))[arm].all()
+            ):
+                at = np.arange(last - span, last + 1)
+                same = (np.diff(self._of(self._m, at)[:, arm], axis=0) == 0.0).all()
+                c = np.abs(np.diff(self._of(self._c, at)[:, arm], axis=0))
+                if same and c.sum(axis=0).max() > MOVED and (c.max(axis=1) > 0.0).all():
+                    return Suspect("readings_stuck", tuple(int(j) for j in self._own[arm]), 0.0)
+        return None
 
     def _whitening(self, state: State) -> Array:
         """W with r W of unit variance without a fault, and zero for every internal wrench."""
@@ -147,7 +182,7 @@ class JointFollowing:
         L = np.linalg.cholesky(parity.T @ (variance[:, None] * parity))
         return np.asarray(np.linalg.solve(L, parity.T).T)
 
-    def _look(self) -> Suspect | None:
+    def _look(self, state: State) -> Suspect | None:
         """The suspect of the shortest window that has one."""
         self.suspicious = False
         for span in self._spans if self._samples % LONG == 0 else self._spans[:1]:
@@ -156,7 +191,11 @@ class JointFollowing:
             r = self._of(self._m, last) - self._of(self._m, first)
             r += self._told(first, self._lag) - self._told(last, self._lag)
             z = r.dot(self._white)
-            if z.dot(z) > SUSPICIOUS and (found := self._judge(first, last)):
+            if z.dot(z) < SUSPICIOUS:
+                continue
+            if self._samples > self._whitened + self._fresh:
+                self._white, self._whitened = self._whitening(state), self._samples
+            if found := self._judge(first, last):
                 return found
         return None
 
@@ -191,9 +230,17 @@ class JointFollowing:
         if sizes[self._lag] < SUSPICIOUS * len(at):
             return None
         self.suspicious = True
-        return self._best(m, c, z, sizes)
+        return self._best(m, c, z, sizes, at)
 
-    def _best(self, m: Array, c: Array, z: Array, sizes: Array) -> Suspect | None:
+    def _late(self, m: Array, at: Any) -> float:
+        """What servos of a first order, all alike, leave of the parity vector."""
+        before = np.arange(len(self._kernels))
+        late = np.array([at[:, None] - before - lag // 2 for lag in self._lags[::2]])
+        c = np.tensordot(self._kernels, self._of(self._c, late), (0, 2))  # (times, lags, T, n)
+        z = (m - (c - c[:, :, :1])) @ self._white
+        return float(np.einsum("slti,slti->sl", z, z).min())
+
+    def _best(self, m: Array, c: Array, z: Array, sizes: Array, at: Any) -> Suspect | None:
         """The fault that leaves least of r, of those that explain the parity vector."""
         n, pairs, size = len(self._own), self._pairs, sizes[self._lag]
         signs = self._faults @ self._white  # (faults, d)
@@ -217,7 +264,7 @@ class JointFollowing:
         first, second = np.argsort(left)[:2]
         if first >= n and left[first] < ALONE * min(size, left[second]):
             good[first] = exchanged[first]
-        if not good.any():
+        if not good.any() or self._late(m, at) < max(LAGGING * size, SUSPICIOUS * len(m)):
             return None
         good &= left <= max(3.0 * left[good].min(), AS_GOOD * size)
         rest = np.full(len(faults), np.inf)

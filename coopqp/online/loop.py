@@ -214,7 +214,7 @@ class OnlineLoop:
         self._time.forget()
         self.watch = Watch(self._given.dt)
         self.ticks, self.begun, self._built = 0, False, False
-        self._moved, self._behind = False, 0.0
+        self._moved, self._behind, self._forgives = False, 0.0, False
         self._pace = self._pace_before = 1.0
         self.setpoint[:] = self._phases.now.problem.chain.q_start
         self._say(self._refuse(Status.OPTIMAL, ""))
@@ -301,8 +301,9 @@ class OnlineLoop:
         self._stops.end(why)
 
     def resume(self) -> None:
-        """Go on, after a rest from where the robot is then. Thread-safe."""
+        """Forget faults and go on, after a rest from where the robot is then. Thread-safe."""
         self._stops.resume()
+        self._forgives = True
 
     def next_phase(self) -> None:
         """Go on to the next phase, as soon as the joints are slow enough to stop in one tick.
@@ -415,6 +416,8 @@ class OnlineLoop:
         self._advance()
         if self._stops.look():
             self._readings.forget()
+        if self._forgives:  # it may have been slowed down, not stopped
+            self._forgives = False
             self._phases.monitor.forget()
         is_late = self.watch.tick(self.ticks, now)
         self._wrong = self._readings.take(q, self.state.q, now)
@@ -463,8 +466,7 @@ class OnlineLoop:
         if self._stops.goes_on_again and measured is not None and not self._stops.why:
             self._stops.goes_on_again = False
             if not self._last.v.any():
-                self._phases.take_up(measured.copy())
-                self._keeper.go_on()
+                self._take_up(measured.copy())
         if self._observed:
             self.state.q_measured = self._no_reading if measured is None else measured
         elif measured is not None:
@@ -476,6 +478,14 @@ class OnlineLoop:
             self._keeper.go_on()
         elif self._phases.fault:
             self._stops.halt(self._phases.fault)
+
+    def _take_up(self, q: Array) -> None:
+        try:
+            self._phases.take_up(q)
+            self._keeper.go_on()
+        except CoopqpError as error:
+            self._stops.halt(str(error))
+            self._readings.forget()
 
     def _decide(self, inputs: Any, now: float) -> Command:
         phases, run = self._phases, self._phases.now

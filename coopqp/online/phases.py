@@ -36,7 +36,7 @@ from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.grasp_configuration import grasp_of_each
 from coopqp.model.state import Memory, State
 from coopqp.online.arrivals import Arrivals
-from coopqp.online.beginning import check_hands, check_range
+from coopqp.online.beginning import check_hands, check_range, check_resumed
 from coopqp.online.faults import FaultMonitor
 from coopqp.scenario.input import Arrival
 from coopqp.scenario.scenario import Scenario
@@ -165,7 +165,10 @@ class Phases:
         names = {*self.scenario.inputs, HAND_WRENCH}
         self.arrivals = Arrivals(now.inputs, names, now.since)
         self.braking = Braking(now.law)
-        self.monitor = FaultMonitor(now.law, observed=self._observed)
+        monitor = FaultMonitor(now.law, observed=self._observed)
+        if before is not None:
+            monitor.take_over(self.monitor)
+        self.monitor: FaultMonitor = monitor
 
     def ask(self) -> None:
         if self.now.is_last:
@@ -194,8 +197,13 @@ class Phases:
         return True
 
     def take_up(self, q: Array) -> None:
-        """Go on from where the robot is, at rest, at the time when the phase stopped."""
+        """Go on from where the robot is, at rest, at the time when the phase stopped.
+
+        Raises:
+            CoopqpError: as of :func:`coopqp.online.beginning.check_resumed`.
+        """
         now, before = self.now, self.now.state
+        check_resumed(now.problem.chain, q, outside=self._given.start_outside)
         now.state = Measured(q, self._observed).start(now.law)
         now.state.t, now.state.inputs = before.t, before.inputs
         now.state.felt[0] = before.felt[0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -14,13 +15,15 @@ from sessions.session import EFFECT, run
 import coopqp
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array
+from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.online import faults as found
 from coopqp.online.faults import REACTIONS, checked_reactions
 from coopqp.online.following import JointFollowing, Suspect
 from coopqp.online.loop import OnlineLoop
 from coopqp.online.simulated import SimulatedRobot
-from coopqp.plant import Disturbance, Fault
+from coopqp.plant import Disturbance, Fault, Push
+from coopqp.plants import Kinematic, QuasiStatic
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status
 
@@ -90,6 +93,21 @@ def test_the_joint_that_does_not_follow_is_told_from_internal_forces(
         assert found.slope == pytest.approx(-slope, rel=0.25)
 
 
+@pytest.mark.parametrize(
+    ("kind", "seconds"), [("quintic", 0.03), ("quintic", 0.1), ("quintic", 0.14), ("step", 0.03)]
+)
+def test_servos_that_are_slow_have_no_fault(kind: str, seconds: float) -> None:
+    """Of a first order: what they do is no pure delay, and differs most in the fastest joint."""
+    scenario = coopqp.load("point_on_point")
+    tasks = tuple(replace(task, profile=Profile(kind=kind)) for task in scenario.tasks)
+    loop = OnlineLoop(replace(scenario, tasks=tasks), clock=None)
+    q = loop.problem.chain.q_start.copy()
+    for _ in range(300):
+        loop.tick(q)
+        q += (1.0 - np.exp(-scenario.dt / seconds)) * (loop.setpoint - q)
+    assert not loop.faults
+
+
 def test_two_swapped_joints_are_named(nao: State) -> None:
     c, names = motion(nao.chain.n), nao.chain.joint_names
     late = np.vstack([np.zeros((LAG, nao.chain.n)), c[:-LAG]])
@@ -136,12 +154,16 @@ def felt(robot: SimulatedRobot) -> float:
     return float(np.abs(true[:, 0]).max())
 
 
-def session(scenario: Scenario, seconds: float, **settings: Any) -> tuple[OnlineLoop, float]:
-    """The loop after some time, and the largest force on the way [N]."""
+def session(
+    scenario: Scenario, seconds: float, said: Callable[[Array], Array] = np.asarray, **settings: Any
+) -> tuple[OnlineLoop, float]:
+    """The loop after some time, and the largest force on the way [N]; what sensors say of it."""
     loop, robot = simulated(scenario, reference="commanded", **settings)
     most = 0.0
     for _ in range(round(seconds / scenario.dt)):
-        command = loop.tick(robot.read(), {"hand_wrench": robot.plant.hand_wrench})
+        forces = robot.plant.hand_wrench
+        assert forces is not None
+        command = loop.tick(robot.read(), {"hand_wrench": said(forces)})
         robot.write(loop.setpoint, command.v)
         most = max(most, felt(robot))
     return loop, most
@@ -163,6 +185,80 @@ def test_a_force_sensor_that_lies_is_named_before_the_hands_crush(kind: str, nam
     assert Status.FAULT in loop.command.causes
     assert loop.at_rest
     assert most < 120.0  # without the monitor a dead one makes 446 N of it in two seconds
+
+
+@needs_robots
+@pytest.mark.parametrize(
+    ("said", "words"),
+    [(lambda w: -w, "of the hands on the object"), (lambda w: np.roll(w, 6), "arms swapped")],
+)
+def test_what_all_sensors_have_wrong_is_named_before_the_hands_crush(
+    said: Callable[[Array], Array], words: str
+) -> None:
+    loop, most = session(pressed(None), 1.5, said)
+    assert loop.faults[0][:2] == ("force_sensor_reversed", ("left/arm", "right/arm"))
+    assert words in loop.note
+    assert loop.at_rest
+    assert most < 80.0  # 548 N without
+
+
+@needs_robots
+@pytest.mark.parametrize("newtons", [0.5, 2.0])
+def test_coarse_force_sensors_are_not_stuck(newtons: float) -> None:
+    loop, _ = session(pressed(None), 2.0, lambda w: newtons * np.round(w / newtons))
+    assert not loop.faults
+
+
+@needs_robots
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        (
+            Fault(kind="encoders_swapped", joints=("left/panda_joint2", "left/panda_joint4")),
+            "range",
+        ),
+        (
+            Fault(kind="encoders_swapped", joints=("left/panda_joint5", "left/panda_joint7")),
+            "mm and",
+        ),
+        (Fault(kind="encoders_in_degrees"), "degrees?"),
+    ],
+)
+def test_a_loop_does_not_go_on_from_joints_that_cannot_be(fault: Fault, words: str) -> None:
+    faults = (replace(fault, start=0.2),)
+    scenario = replace(coopqp.load("regrasp"), disturbance=Disturbance(faults=faults))
+    loop, robot = simulated(replace(scenario, plant=QuasiStatic()), reference="commanded")
+    go(loop, robot, 100)
+    assert loop.at_rest
+    assert loop.stopped
+    before = loop.setpoint.copy()
+    loop.resume()
+    go(loop, robot, 10)
+    assert words in loop.stopped
+    assert np.array_equal(loop.setpoint, before)  # else 3538 N
+
+
+@needs_robots
+def test_resume_forgets_what_slows_down() -> None:
+    hard = Push(force=(0.0, 40.0, 0.0), start=0.2, duration=0.2)
+    loop, _ = session(replace(pressed(None), disturbance=Disturbance(push=hard)), 1.0)
+    assert [fault.kind for fault in loop.faults] == ["forces_unbalanced"]
+    assert not loop.stopped
+    loop.resume()
+    loop.tick(loop.setpoint)
+    assert not loop.faults
+
+
+@needs_robots
+def test_the_next_phase_keeps_the_faults() -> None:
+    scenario = replace(coopqp.load("regrasp"), plant=Kinematic())
+    loop, robot = simulated(scenario, reference="commanded")
+    go(loop, robot, 10)
+    wet = found.Fault("slip_near", (), 0.0, "wet hands")
+    loop._phases.monitor.found = (wet,)
+    go(loop, robot, 700)
+    assert len(loop.phases) > 1
+    assert loop.faults == (wet,)
 
 
 @needs_robots
