@@ -150,7 +150,8 @@ def real(values: Any) -> Array:
     except OverflowError:
         raise ValueError("found a whole number beyond 1e308, needs numbers") from None
     except BaseException as error:  # noqa: BLE001 - an object of a user's may raise anything
-        raise ValueError(f"{_found(values)}: it raises {type(error).__name__}") from None
+        words = f"found {type(values).__name__}: it raises {type(error).__name__}"
+        raise ValueError(words) from None
 
 
 def _real(values: Any) -> Array:
@@ -171,12 +172,9 @@ def _real(values: Any) -> Array:
         with suppress(TypeError, ValueError):
             return found.astype(float)
     if kind not in "iuf":
-        raise ValueError(f"{_NO_NUMBERS.get(kind, _found(values))}, needs numbers")
+        words = _NO_NUMBERS.get(kind, f"found {type(values).__name__}")
+        raise ValueError(f"{words}, needs numbers")
     return found.astype(float)
-
-
-def _found(value: Any) -> str:
-    return f"found {type(value).__name__}"
 
 
 def read_only(array: Array) -> Array:

@@ -38,13 +38,7 @@ from pydantic import Field
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array, NonNegative, Positive, spec
 from coopqp.base.wording import counted
-from coopqp.closed_loop.hands import (
-    WrenchReadings,
-    WrenchStack,
-    friction_needed,
-    hands,
-    points,
-)
+from coopqp.closed_loop.hands import WrenchReadings, WrenchStack, friction_needed, hands, points
 from coopqp.controller import ControlProblem
 from coopqp.model.state import State
 from coopqp.solver import Status

@@ -52,23 +52,17 @@ def check_hands(chain: ClosedChain, q: Array, *, placed: bool) -> None:
     With ``placed``, as where the scenario has the object's place, by more than a model's error;
     else they may hold it otherwise, and are refused where a mistake of the driver explains it.
     """
-    apart, turned = hands_off(chain, q)
-    if apart <= MOST_POSITION and turned <= MOST_ORIENTATION:
-        return
-    hint = likely_mistake(chain, q)
-    where = f"the hands are {1e3 * apart:.0f} mm and {1e3 * turned:.0f} mrad from how the scenario "
-    if placed:
+    where, hint = _elsewhere(chain, q)
+    if where and placed:
+        asks = f": {hint} Else bring" if hint else "; bring"
         raise GraspError(
-            f"{where}says they hold the object, more than a model's error"
-            + (f": {hint} Else bring" if hint else "; bring")
-            + " the robot near the scenario's start, or leave out object_in_hand and object.pose "
-            "to hold it as it is"
+            f"{where} the scenario says they hold the object, more than a model's error{asks} the "
+            "robot near the scenario's start, or leave out object_in_hand and object.pose to hold "
+            "it as it is"
         )
     if hint:
-        raise GraspError(
-            f"{where}starts: {hint} With that they are as there; if the joints are right, give the "
-            "scenario this start"
-        )
+        words = "With that they are as there; if the joints are right, give the scenario this start"
+        raise GraspError(f"{where} the scenario starts: {hint} {words}")
 
 
 def check_resumed(chain: ClosedChain, q: Array, *, outside: bool) -> None:
@@ -78,14 +72,19 @@ def check_resumed(chain: ClosedChain, q: Array, *, outside: bool) -> None:
     """
     if not outside:
         check_range(chain, q)
+    where, hint = _elsewhere(chain, q)
+    if where:
+        asks = f": {hint} Else bring" if hint else "; bring"
+        raise GraspError(f"{where} they held the object{asks} the arms back, or reset the loop")
+
+
+def _elsewhere(chain: ClosedChain, q: Array) -> tuple[str, str]:
+    """Words on hands that are farther off than a model's error, and the likely mistake."""
     apart, turned = hands_off(chain, q)
-    if apart > MOST_POSITION or turned > MOST_ORIENTATION:
-        hint = likely_mistake(chain, q)
-        where = (
-            f"the hands are {1e3 * apart:.0f} mm and {1e3 * turned:.0f} mrad from how they held "
-        )
-        asks = f"the object: {hint} Else bring" if hint else "the object; bring"
-        raise GraspError(f"{where}{asks} the arms back, or reset the loop")
+    if apart <= MOST_POSITION and turned <= MOST_ORIENTATION:
+        return "", ""
+    where = f"the hands are {1e3 * apart:.0f} mm and {1e3 * turned:.0f} mrad from how"
+    return where, likely_mistake(chain, q)
 
 
 def hands_off(chain: ClosedChain, q: Array) -> tuple[float, float]:

@@ -113,9 +113,8 @@ class _Check:
         self._way = np.minimum(WAY * scale, 0.5 * (chain.upper - chain.lower))
         self._own = np.setdiff1d(np.flatnonzero(self._way > LOCKED), chain.passive)
         self._speed = np.minimum(SPEED * scale, SHARE * np.abs(chain.velocity))
-        self._step = (
-            np.minimum(ACCELERATION * scale, SHARE * acceleration_limits(loop.problem)) * dt
-        )
+        most = SHARE * acceleration_limits(loop.problem)
+        self._step = np.minimum(ACCELERATION * scale, most) * dt
         self._readings, self._rest = Readings(chain), chain.q_start
         self._q, self._v, self._gone = chain.q_start.copy(), np.zeros(chain.n), np.zeros(chain.n)
         self._moves, self._silent, self._due = False, 0.0, loop.now
@@ -146,7 +145,9 @@ class _Check:
                 if not self.stopped:
                     response[k] = answer
         finally:
-            self._brake()
+            while self._moves and self._v.any():
+                i = int(np.argmax(np.abs(self._v)))
+                self._period(i, self._toward(i, 0.0))
         return JointCheck(tuple(names[i] for i in own), response, self.faults, self.stopped)
 
     def _ask(self, i: int, before: Array, error: Array) -> tuple[Array, tuple[Array, Array]]:
@@ -221,11 +222,6 @@ class _Check:
         wish = np.copysign(min(stops, abs(left) / dt, self._speed[i]), left)
         return float(np.clip(wish, self._v[i] - step, self._v[i] + step))
 
-    def _brake(self) -> None:
-        while self._moves and self._v.any():
-            i = int(np.argmax(np.abs(self._v)))
-            self._period(i, self._v[i] - float(np.clip(self._v[i], -self._step[i], self._step[i])))
-
     def _astray(self) -> bool:
         return bool((np.abs(self._gone) > ASTRAY * self._way)[self._own].any())
 
@@ -247,7 +243,9 @@ class _Check:
         self._q += self._dt * self._v
         if self._moves:
             self.robot.write(self._q.copy(), self._v.copy())
-        self._wait()
+        if not self.loop.simulated:
+            self._due = max(self._due + self._dt, self.loop.now)
+            time.sleep(min(max(self._due - self.loop.now, 0.0), self._dt))
         self._readings.forget()
         wrong = self._readings.take(self.user.ask(self.robot.read), self._q, self.loop.now)
         self._silent = self._silent + self._dt if wrong else 0.0
@@ -260,10 +258,3 @@ class _Check:
         off = reading - self._rest
         self._gone = np.where(np.abs(off) > np.abs(self._gone), off, self._gone)
         return reading
-
-    def _wait(self) -> None:
-        """Sleep until the period is over, by the loop's clock."""
-        if self.loop.simulated:
-            return
-        self._due = max(self._due + self._dt, self.loop.now)
-        time.sleep(min(max(self._due - self.loop.now, 0.0), self._dt))

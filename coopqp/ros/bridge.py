@@ -328,10 +328,8 @@ class Bridge:
         refused = self._refused.pop("", "")
         remarks = [self._loop_remark(why), *(_limits(loop) if loop.begun else ())]
         self._causes, self._told = {}, ()
-        level, words = (
-            2 if silence else int(bool(refused)),
-            "; ".join(filter(None, (silence, refused))),
-        )
+        words = "; ".join(filter(None, (silence, refused)))
+        level = 2 if silence else int(bool(refused))
         remarks.append(Remark("joint states", level, words, {}))
         stale = loop.state.inputs.stale
         for name in self._kinds:
