@@ -54,7 +54,7 @@ LEAST_SLOPE, SWAPPED = 0.6, (0.7, 1.6)
 #: Slopes of joints that move the wrong way are between these; else they do not follow.
 REVERSED = (1.5, 4.0)
 #: A reading has jumped by so much at least [rad, m], most of it between two samples.
-LEAST_JUMP, JUMP = 4e-3, 0.6
+LEAST_JUMP, JUMP = 8e-3, 0.6
 #: Commanded motion below which a joint says nothing [rad, m].
 LEAST_MOTION = 1.5e-3
 #: Share of the commanded motion that a joint which stands still may measure.
