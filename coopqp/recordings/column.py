@@ -288,7 +288,8 @@ TABLE: tuple[Field, ...] = (
     Field("tangential_force", HAND, "N", "likewise"),
     Field("friction_use", HAND, "1", "likewise; empty while they press on nothing"),
     Field("edge_use", HAND, "1", "likewise; empty while they press on nothing"),
-    Field("slip", HAND, "m", "how far the object slipped along a hand that presses"),
+    Field("slip", HAND, "m", "how far the object slipped along a hand that presses, or the grip "
+          "gave way on `quasi_static`"),
     Field("held", PLAIN, "1", "whether hands that press hold the object: 1 or 0"),
     Field("status", PLAIN, "", "what became of the tick, [priorities](priorities.md)",
           of=lambda trace: np.array(trace.status, object), kind="text"),
