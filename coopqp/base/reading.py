@@ -61,7 +61,8 @@ def read_bytes(path: Path, most: int) -> bytes:
     with open_bytes(path) as stream:
         content = stream.read(most + 1)
     if len(content) > most:
-        words = f"is larger than {_size(most)}, the most that is read of such a file"
+        size = f"{most >> 20} MiB" if most >= 1 << 20 else f"{most >> 10} KiB"
+        words = f"is larger than {size}, the most that is read of such a file"
         raise UnreadableFileError(path, words)
     return content
 
@@ -118,10 +119,6 @@ def _skip(text: str, at: int) -> int:
     while text[at] in " \t\n\r,:":
         at += 1
     return at
-
-
-def _size(count: int) -> str:
-    return f"{count >> 20} MiB" if count >= 1 << 20 else f"{count >> 10} KiB"
 
 
 def _beside_the_scenario(path: Path, info: ValidationInfo) -> Path:

@@ -143,16 +143,12 @@ def require_impedances(
     C, R, dt = impedances.B * impedances.K, impedances.R, problem.dt
     asked, found = spring_damping(C, R, dt, None), spring_damping(C, R, dt, DELAY)
     if found < (needed := min(MIN_DAMPING, 0.5 * asked)):
+        at_least = f"{needed:.2f}" if needed >= 5e-3 else "more than 0"  # where none was asked for
         raise InvalidValueError(
             f"{which} oscillates at dt {1e3 * dt:g} ms when commands are a tick late (damping "
-            f"ratio {found:.2f}, needs {_at_least(needed)}); lower stiffness and damping, or dt, "
+            f"ratio {found:.2f}, needs {at_least}); lower stiffness and damping, or dt, "
             "or state more mass"
         )
-
-
-def _at_least(ratio: float) -> str:
-    """A required damping ratio in words, which is next to none where none was asked for."""
-    return f"{ratio:.2f}" if ratio >= 5e-3 else "more than 0"
 
 
 def leaks(problem: ControlProblem) -> tuple[str, str, float] | None:
