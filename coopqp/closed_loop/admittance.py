@@ -174,18 +174,19 @@ class InternalForceControl:
         missing, grown = -float(self._wrenches.error(measured)[0]), state.memory[GROWN]
         if self._presses:
             wanted = float(self._wrenches.wanted[0])
-            grown[0] = self._growing(state, measured, wanted, wanted + grown[0]) - wanted
+            needed = self._needed(state, measured, wanted, wanted - missing)
+            share = min(1.0, self._dt / GROWING)
+            grown[0] += share * max(0.0, needed - wanted - float(grown[0]))
         return missing + float(grown[0])
 
-    def _growing(self, state: State, measured: Array, wanted: float, now: float) -> float:
-        """The force that friction asks for [N], not less than the one ``now``."""
+    def _needed(self, state: State, measured: Array, wanted: float, pressed: float) -> float:
+        """The force with which friction suffices, at most the contacts' [N]; zero if it does."""
         use, most = 0.0, math.inf
         for _, contact, need in friction_needed(self._hands, measured, state.R_WO):
             use, most = max(use, need / contact.friction), min(most, contact.most)
         if not NEAR_SLIP < use < math.inf:
-            return now
-        most = MOST_GROWN * wanted if most == math.inf else most
-        return max(now, min(now * (1.0 + (use / ENOUGH - 1.0) * self._dt / GROWING), most))
+            return 0.0
+        return min(pressed * use / ENOUGH, MOST_GROWN * wanted if most == math.inf else most)
 
 
 def internal_force_control(

@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 from laws import DT, problem
+from pads import scenario_pads
 from scipy.optimize import brentq
 
 import coopqp
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array
-from coopqp.closed_loop.admittance import Admittance, stability_limit
+from coopqp.closed_loop.admittance import GROWN, Admittance, stability_limit
 from coopqp.closed_loop.hands import hands, points
 from coopqp.controller import Law
 from coopqp.controllers import QPController
@@ -238,3 +239,20 @@ def test_a_plant_that_tells_no_forces_is_refused(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(PlantModel, "hand_wrench", None)
     with pytest.raises(InvalidValueError, match="this plant tells none"):
         coopqp.run(scenario, controller="qp")
+
+
+@pytest.mark.parametrize(("most", "grows_to"), [(None, 12.0), (10.5, 10.5)])
+def test_hands_that_are_about_to_slip_press_more(most: float | None, grows_to: float) -> None:
+    """Coulomb: 4.8 N along pads of friction 0.5 need 9.6 N, of which 80 % are 12 N."""
+    chain = scenario_pads("point_on_point", 0.5, 0.02, friction=0.5, most=most)
+    law, along, asked = law_of(chain), 4.8, 0.0
+    state = law.start()
+    for _ in range(200):
+        told = squeezed(chain, WANTED + asked).reshape(-1, 6)
+        told[:, 2] += along
+        state.hand_wrench = told.ravel()
+        law.tick(state)
+        asked = float(state.memory[GROWN][0])
+    assert WANTED + asked == pytest.approx(grows_to, rel=0.12)
+    assert WANTED + asked <= (most or 12.0) + 1e-9
+    assert most or along / (0.5 * (WANTED + asked)) <= 0.9
