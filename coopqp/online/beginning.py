@@ -37,12 +37,14 @@ def check_range(chain: ClosedChain, q: Array) -> None:
     i = int(np.argmax(beyond))
     low, high, unit = chain.lower[i], chain.upper[i], chain.joint_units[i]
     out, side = (low - q[i], "below") if q[i] < low else (q[i] - high, "above")
-    words = f"{chain.joint_names[i]} reads {q[i]:.3g} {unit}, {out:.2g} {unit} {side} its range"
+    digits = 3 if out >= 100.0 else 2  # 151, not 1.5e+02
+    words = f"{chain.joint_names[i]} reads {q[i]:.3g} {unit}, {out:.{digits}g} {unit} {side} its range"
     hint, others = likely_mistake(chain, q), int((beyond > 0.0).sum()) - 1
     more = f", and {counted(others, 'other joint')} outside theirs" if others else ""
+    way_out = "" if hint else "; if it is really there, say start_outside: true"
     raise InvalidValueError(
-        f"{words}{f': {hint}' if hint else '.'} Its range is {low:.3g} to {high:.3g} {unit}{more}; "
-        "if it is really there, say start_outside: true"
+        f"{words}{f': {hint}' if hint else '.'} Its range is {low:.3g} to {high:.3g} {unit}{more}"
+        f"{way_out}"
     )
 
 
@@ -60,9 +62,12 @@ def check_hands(chain: ClosedChain, q: Array, *, placed: bool) -> None:
     if placed:
         raise GraspError(
             f"{where}says they hold the object, more than a model's error"
-            + (f": {hint} Else bring" if hint else "; bring")
-            + " the robot near the scenario's start, or leave out object_in_hand and object.pose "
-            "to hold it as it is"
+            + (
+                f": {hint} Else bring the robot near the scenario's start"
+                if hint
+                else "; bring the robot near the scenario's start, or leave out object_in_hand and "
+                "object.pose to hold it as it is"
+            )
         )
     if hint:
         raise GraspError(

@@ -185,7 +185,7 @@ class _Check:
             return f"does not move, and {names[k]} does instead{way}: are they swapped?"
         if abs(r) < STILL:
             asks = "is its motor on, its encoder alive, its command in other units, as degrees?"
-            return f"does not move: {100.0 * r:.0f} % of its way; {asks}"
+            return f"does not move: {round(100.0 * r)} % of its way; {asks}"
         words = []
         if r < 0.0:
             words.append("moves the other way: sign of its encoder or motor?")
