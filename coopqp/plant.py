@@ -225,7 +225,9 @@ class Plant(ABC):
     """A plug-in in ``plants/``: settings, and how to build the plant."""
 
     takes_torques: ClassVar[bool] = True
-    """Whether torques can be commanded, and disturbances have an effect."""
+    """Whether torques can be commanded, and all disturbances have an effect."""
+    feels: ClassVar[tuple[str, ...]] = ()
+    """Without torques: keys of a disturbance beyond errors of the model that have an effect, too."""
 
     @abstractmethod
     def build(self, problem: ControlProblem, seed: int, disturbance: Disturbance) -> PlantModel:
