@@ -73,6 +73,9 @@ FAULTS: Mapping[str, tuple[str, ...]] = {
 
 def _known(kind: str) -> str:
     if kind not in FAULTS:
+        stuck = kind.replace("dead", "stuck")
+        if stuck in FAULTS:  # what people call it
+            raise ValueError(f"unknown fault '{kind}'; did you mean '{stuck}'?")
         raise ValueError(unknown_name("fault", kind, FAULTS))
     return kind
 
@@ -227,7 +230,7 @@ class Plant(ABC):
     takes_torques: ClassVar[bool] = True
     """Whether torques can be commanded, and all disturbances have an effect."""
     feels: ClassVar[tuple[str, ...]] = ()
-    """Without torques: keys of a disturbance beyond errors of the model that have an effect, too."""
+    """Without torques: keys of a disturbance that have an effect beside errors of the model."""
 
     @abstractmethod
     def build(self, problem: ControlProblem, seed: int, disturbance: Disturbance) -> PlantModel:

@@ -37,8 +37,8 @@ def check_range(chain: ClosedChain, q: Array) -> None:
     i = int(np.argmax(beyond))
     low, high, unit = chain.lower[i], chain.upper[i], chain.joint_units[i]
     out, side = (low - q[i], "below") if q[i] < low else (q[i] - high, "above")
-    digits = 3 if out >= 100.0 else 2  # 151, not 1.5e+02
-    words = f"{chain.joint_names[i]} reads {q[i]:.3g} {unit}, {out:.{digits}g} {unit} {side} its range"
+    far = f"{out:.{3 if out >= 100.0 else 2}g}"  # 151, not 1.5e+02
+    words = f"{chain.joint_names[i]} reads {q[i]:.3g} {unit}, {far} {unit} {side} its range"
     hint, others = likely_mistake(chain, q), int((beyond > 0.0).sum()) - 1
     more = f", and {counted(others, 'other joint')} outside theirs" if others else ""
     way_out = "" if hint else "; if it is really there, say start_outside: true"

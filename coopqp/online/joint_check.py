@@ -202,8 +202,8 @@ class _Check:
         k = int(self._own[np.argmax(np.abs(off / self._way)[self._own])])
         if not self.stopped and abs(off[k]) > self._way[k]:
             name, unit = self._chain.joint_names[k], self._chain.joint_units[k]
-            words = f"moves by {off[k]:+.2g} {unit} although it is told to stay: its sign, units or "
-            self.faults[name] = f"{words}place in the order of joints are wrong"
+            words = f"moves by {off[k]:+.2g} {unit} although it is told to stay: its sign, units or"
+            self.faults[name] = f"{words} place in the order of joints are wrong"
             self.end(f"{name} does not stay; the arm may go on moving: switch its motors off")
 
     def _go(self, i: int, goal: float, *, back: bool = False) -> float:

@@ -123,7 +123,7 @@ def _of_joint(n: int, i: int, value: float) -> Array:
 
 
 #: What is eight times too far by the encoder multiplies what the arms sag, too, and is seen then.
-FAR = {"motor": "times as far as commanded: degrees?", "encoder": "told to stay: its sign, units or "}
+FAR = {"motor": "times as far as commanded: degrees?", "encoder": "to stay: its sign, units or "}
 
 
 @pytest.mark.parametrize("part", FAR)

@@ -281,7 +281,7 @@ def test_springs_take_noise_delay_mass_and_pushes_too(tmp_path: Path) -> None:
     loaded = load(tmp_path, f"plant: quasi_static\ndisturbance: {{{taken}}}\n")
     trace = coopqp.run(replace(loaded, duration=0.2), controller="qp")
     assert 8e-3 < (trace.measured - trace.q[: len(trace.measured)]).std() < 12e-3
-    with pytest.raises(ScenarioError, match="disturbance.object_com: has no effect on this plant"):
+    with pytest.raises(ScenarioError, match=r"disturbance.object_com: has no effect on this plant"):
         load(tmp_path, "plant: quasi_static\ndisturbance: {object_com: [0.0, 0.0, 0.01]}\n")
 
 
