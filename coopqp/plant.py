@@ -73,6 +73,9 @@ FAULTS: Mapping[str, tuple[str, ...]] = {
 
 def _known(kind: str) -> str:
     if kind not in FAULTS:
+        stuck = kind.replace("dead", "stuck")
+        if stuck in FAULTS:  # what people call it
+            raise ValueError(f"unknown fault '{kind}'; did you mean '{stuck}'?")
         raise ValueError(unknown_name("fault", kind, FAULTS))
     return kind
 
@@ -225,7 +228,9 @@ class Plant(ABC):
     """A plug-in in ``plants/``: settings, and how to build the plant."""
 
     takes_torques: ClassVar[bool] = True
-    """Whether torques can be commanded, and disturbances have an effect."""
+    """Whether torques can be commanded, and all disturbances have an effect."""
+    feels: ClassVar[tuple[str, ...]] = ()
+    """Without torques: keys of a disturbance that have an effect beside errors of the model."""
 
     @abstractmethod
     def build(self, problem: ControlProblem, seed: int, disturbance: Disturbance) -> PlantModel:

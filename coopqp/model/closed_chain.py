@@ -42,6 +42,9 @@ AXIS_UNITS = ("m", "m", "m", "rad", "rad", "rad")
 
 Made = TypeVar("Made")
 
+#: Most joints that a sentence names.
+MOST_NAMED = 3
+
 #: Reach of a joint without limits when configurations are sampled [rad or m].
 UNLIMITED_SAMPLE = 1.0
 
@@ -272,7 +275,9 @@ class ClosedChain:
         if math.hypot(*q.tolist()) < ENDLESS:  # NaN is not
             return ""
         good = np.abs(q) < ENDLESS / len(q)
-        return f"no finite number for {', '.join(np.array(self.joint_names)[~good])}"
+        bad = np.array(self.joint_names)[~good]
+        more = f" and {len(bad) - MOST_NAMED} more joints" if len(bad) > MOST_NAMED else ""
+        return f"no finite number for {', '.join(bad[:MOST_NAMED].tolist())}{more}"
 
     def object_jacobians(self, q: Array) -> Array:
         """Jacobian of the object as carried by each arm, shape (N, 6, n), world axes.

@@ -38,6 +38,10 @@ class Why:
         elif "NOT_MEASURED" in names:
             self._seen = _numbers(state.q_measured)
 
+    def leave_out(self, cause: Any) -> None:
+        """Say nothing of a cause that somebody else has told."""
+        self._causes = tuple(each for each in self._causes if each is not cause)
+
     def __str__(self) -> str:
         if not self._words:
             with np.errstate(all="ignore"):

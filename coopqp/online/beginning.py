@@ -37,12 +37,14 @@ def check_range(chain: ClosedChain, q: Array) -> None:
     i = int(np.argmax(beyond))
     low, high, unit = chain.lower[i], chain.upper[i], chain.joint_units[i]
     out, side = (low - q[i], "below") if q[i] < low else (q[i] - high, "above")
-    words = f"{chain.joint_names[i]} reads {q[i]:.3g} {unit}, {out:.2g} {unit} {side} its range"
+    far = f"{out:.{3 if out >= 100.0 else 2}g}"  # 151, not 1.5e+02
+    words = f"{chain.joint_names[i]} reads {q[i]:.3g} {unit}, {far} {unit} {side} its range"
     hint, others = likely_mistake(chain, q), int((beyond > 0.0).sum()) - 1
     more = f", and {counted(others, 'other joint')} outside theirs" if others else ""
+    way_out = "" if hint else "; if it is really there, say start_outside: true"
     raise InvalidValueError(
-        f"{words}{f': {hint}' if hint else '.'} Its range is {low:.3g} to {high:.3g} {unit}{more}; "
-        "if it is really there, say start_outside: true"
+        f"{words}{f': {hint}' if hint else '.'} Its range is {low:.3g} to {high:.3g} {unit}{more}"
+        f"{way_out}"
     )
 
 
@@ -55,10 +57,10 @@ def check_hands(chain: ClosedChain, q: Array, *, placed: bool) -> None:
     where, hint = _elsewhere(chain, q)
     if where and placed:
         asks = f": {hint} Else bring" if hint else "; bring"
+        around = "" if hint else ", or leave out object_in_hand and object.pose to hold it as it is"
         raise GraspError(
             f"{where} the scenario says they hold the object, more than a model's error{asks} the "
-            "robot near the scenario's start, or leave out object_in_hand and object.pose to hold "
-            "it as it is"
+            f"robot near the scenario's start{around}"
         )
     if hint:
         words = "With that they are as there; if the joints are right, give the scenario this start"
@@ -75,6 +77,7 @@ def check_resumed(chain: ClosedChain, q: Array, *, outside: bool) -> None:
     where, hint = _elsewhere(chain, q)
     if where:
         asks = f": {hint} Else bring" if hint else "; bring"
+        around = "" if hint else ", or leave out object_in_hand and object.pose to hold it as it is"
         raise GraspError(f"{where} they held the object{asks} the arms back, or reset the loop")
 
 

@@ -79,6 +79,9 @@ def check_joints(loop: OnlineLoop, robot: Robot) -> JointCheck:
     and always leaves the robot commanded to stand still: after Ctrl-C, SIGTERM, a silence longer
     than the loop's patience, and errors of the driver, which are raised.
 
+    The first command is to stay. A joint that runs away at it ends the check at the second reading,
+    and the command stands: with what is read wrong, another one could lead it farther.
+
     Args:
         loop: not begun; nothing of it changes.
         robot: its driver, as of :func:`coopqp.real_time`.
@@ -136,7 +139,7 @@ class _Check:
                 if not self.loop.scenario.start_outside:
                     check_range(self._chain, before)
                 self._q[:], self._rest, self._moves = before, before, True
-                rest = self._look(SETTLE)
+                rest = self._look(SETTLE, runs=True)
                 self._stays(rest[0])
             for k, i in enumerate(own):
                 if self.stopped:
@@ -183,7 +186,7 @@ class _Check:
             return f"does not move, and {names[k]} does instead{way}: are they swapped?"
         if abs(r) < STILL:
             asks = "is its motor on, its encoder alive, its command in other units, as degrees?"
-            return f"does not move: {100.0 * r:.0f} % of its way; {asks}"
+            return f"does not move: {round(100.0 * r)} % of its way; {asks}"
         words = []
         if r < 0.0:
             words.append("moves the other way: sign of its encoder or motor?")
@@ -200,9 +203,9 @@ class _Check:
         k = int(self._own[np.argmax(np.abs(off / self._way)[self._own])])
         if not self.stopped and abs(off[k]) > self._way[k]:
             name, unit = self._chain.joint_names[k], self._chain.joint_units[k]
-            words = f"is {off[k]:+.2g} {unit} from where it was told to stay"
-            self.faults[name] = f"{words}: sign or units of its commands?"
-            self.end(f"{name} does not stay")
+            words = f"moves by {off[k]:+.2g} {unit} although it is told to stay: its sign, units or"
+            self.faults[name] = f"{words} place in the order of joints are wrong"
+            self.end(f"{name} does not stay; the arm may go on moving: switch its motors off")
 
     def _go(self, i: int, goal: float, *, back: bool = False) -> float:
         """Move a joint until it is there, astray or stopped; how far it was sent at most."""
@@ -225,11 +228,19 @@ class _Check:
     def _astray(self) -> bool:
         return bool((np.abs(self._gone) > ASTRAY * self._way)[self._own].any())
 
-    def _look(self, wait: float = 0.0) -> tuple[Array, Array]:
-        """Rest; mean and standard error of what each joint measures after a while."""
-        n, t, found = self._chain.n, 0.0, list[Array]()
+    def _look(self, wait: float = 0.0, *, runs: bool = False) -> tuple[Array, Array]:
+        """Rest; mean and standard error of what each joint measures after a while.
+
+        With ``runs`` a joint may run away, and two readings of it are enough to stop.
+        """
+        n, t, found, astray = self._chain.n, 0.0, list[Array](), 0
         while not self.stopped and (t < wait + MEAN or len(found) < READINGS):
+            self._gone[:] = 0.0 if runs else self._gone
             reading, t = self._period(), t + self._dt
+            if runs and reading is not None:
+                astray = astray + 1 if self._astray() else 0
+                if astray == 2:  # one may be noise
+                    self._stays(reading)
             if reading is not None and t > wait:
                 found.append(reading)
         if len(found) < 2:

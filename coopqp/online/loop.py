@@ -32,6 +32,7 @@ from coopqp.execution.controller_run import controller_of
 from coopqp.execution.phase_run import PhaseRun
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.loop_observer import Observer
+from coopqp.model.notes import Why
 from coopqp.model.state import State
 from coopqp.online.arrivals import Readings
 from coopqp.online.faults import Fault, Reaction, checked_reactions
@@ -502,6 +503,9 @@ class OnlineLoop:
             phases.rest_inputs()
         own = (c for c in command.causes if c not in (Status.OPTIMAL, Status.NOT_MEASURED, *halts))
         command.say(*dict.fromkeys(halts), *own)
+        for why in command.told:
+            if isinstance(why, Why):  # the reading's own note has it
+                why.leave_out(Status.NOT_MEASURED)
         waits = f"before phase {run.index + 2}" if phases.over else ""
         wrong = self._time.wrong, self._readings.note, self._stops.why
         notes = (*wrong, waits, *run.state.inputs.refused)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from inspect import signature
 from numbers import Real
 from typing import Any, Literal, get_args
 
@@ -76,6 +78,11 @@ def _clock_fault(clock: Any) -> str:
         return ""
     if not callable(clock):
         return f"found {clock!r}; needs a function that says the time, or None to count ticks"
+    with suppress(ValueError):  # some of C say nothing of their arguments
+        try:
+            signature(clock).bind()
+        except TypeError as error:
+            return f"{error}; needs a function without arguments"
     try:
         now = clock()
     except Exception as error:  # noqa: BLE001 - it is a user's

@@ -242,6 +242,7 @@ class QuasiStatic(Plant):
     """Servos as springs that sag, grips that yield, creep or slip: statics, fast at any period."""
 
     takes_torques: ClassVar[bool] = False
+    feels: ClassVar[tuple[str, ...]] = ("object_mass", "push", "noise_position", "delay")
 
     stiffness: Positive | Mapping[str, Positive] | None = None
     """Of the servos, one for all or by joint [N m/rad]; full torque at 0.05 rad if omitted."""

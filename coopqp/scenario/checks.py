@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import fields
 from functools import partial
 from typing import Any
 
@@ -25,6 +26,7 @@ from coopqp.limits import JointAcceleration, JointPosition
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.grasp_configuration import arm_weights, grasp_of_each
 from coopqp.model.state import State
+from coopqp.plant import Disturbance
 from coopqp.robot import RobotModel
 from coopqp.scenario.input import Feed, Inputs, wanted
 from coopqp.scenario.scenario import Phase, Scenario, Start, start_of
@@ -81,9 +83,11 @@ def contradictions(
         if name not in scenario.controllers:
             words = unknown_name("controller", name, scenario.controllers)
             yield Wrong(["grasp_of", name], words)
-    needs_masses = scenario.disturbance != scenario.disturbance.kinematic
-    if needs_masses and not scenario.plant.takes_torques:
-        yield Wrong(["disturbance"], "has no effect on this plant; use one with masses")
+    given_to, plant = scenario.disturbance, scenario.plant
+    for key in () if plant.takes_torques else (own.name for own in fields(Disturbance)):
+        ignored = getattr(given_to, key) != getattr(given_to.kinematic, key)
+        if ignored and key not in plant.feels:
+            yield Wrong(["disturbance", key], "has no effect on this plant; use one with masses")
 
 
 def _of_problems(scenario: Scenario) -> Iterator[Wrong]:
@@ -238,7 +242,7 @@ def check_start(data: Mapping[str, Any], scenario: Scenario, known: Known) -> No
         scenario.check_size()
     known.lend_chain(scenario)
     chain = _closed(data, scenario, key)
-    refuse(_too_large(chain))
+    refuse([*_too_large(chain), *_unknown_springs(scenario)])
     if not allowed:
         values = (chain.joint_units, chain.q_start, chain.lower, chain.upper)
         joints = dict(zip(chain.joint_names, zip(*values, strict=True), strict=True))
@@ -274,6 +278,14 @@ def _closed(data: Mapping[str, Any], scenario: Scenario, key: str) -> ClosedChai
         location = {"passive_start": key, "robot": "robot"}.get(str(argument), grasp)
         where = [location] if location == "grasp" else [location, *inside]
         raise MisplacedError([Wrong(where, str(error))]) from None
+
+
+def _unknown_springs(scenario: Scenario) -> Iterator[Wrong]:
+    """Joints of the observer's stiffness that there are not."""
+    given, names = scenario.observer.stiffness, scenario.chain.joint_names
+    for name in given if isinstance(given, Mapping) else ():
+        if name not in names:
+            yield Wrong(["observer", "stiffness", name], unknown_name("joint", name, names))
 
 
 def _check_plant(scenario: Scenario) -> None:

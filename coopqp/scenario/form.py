@@ -183,6 +183,8 @@ def _type(hint: Any, catalog: Catalog) -> Any:
     return hint
 
 
+#: Settings of the loop for robots that people look for in a file.
+OF_LOOP = {"reactions": "is an argument of OnlineLoop; a scenario has none"}
 #: Keys that each phase has for itself, where there are phases.
 WITHOUT_PHASES = ("tasks", "duration")
 
@@ -220,7 +222,8 @@ def check(file: YamlFile, catalog: Catalog) -> BaseModel:
         read = model.model_validate_json(json.dumps(file.data), context=context)
     except ValidationError as error:
         slots: dict[type, Any] = {Robot: _slot(model, "robot"), Signal: one_of(catalog, "signals")}
-        found += [Wrong(*wrong) for wrong in wording.faults(error, file.data, model, slots)]
+        wrong = wording.faults(error, file.data, model, slots)
+        found += [Wrong(place, OF_LOOP.get(wording.dotted(place), words)) for place, words in wrong]
     except (CoopqpError, KeyboardInterrupt):
         raise
     except BaseException as error:  # noqa: BLE001 - from the __post_init__ of a plug-in

@@ -11,6 +11,7 @@ import pinocchio as pin
 
 from coopqp.base.spec import Array
 from coopqp.base.table import read_table
+from coopqp.base.wording import counted
 from coopqp.closed_loop.forces import StaticHold, contact_notes
 from coopqp.closed_loop.hands import WrenchStack
 from coopqp.closed_loop.hidden_freedom import hidden_freedom
@@ -79,6 +80,7 @@ def notes(
         *_of_forces(scenario, chosen),
         *_of_springs(scenario, chosen),
         *_of_friction(scenario),
+        *_of_sag(scenario),
         *of_faults(scenario),
     ]
 
@@ -165,6 +167,17 @@ def _along(axis: str) -> str:
 
 def _unit(axis: str) -> str:
     return "N m" if axis.startswith("rot_") else "N"
+
+
+def _of_sag(scenario: Scenario) -> Iterator[str]:
+    """Servos whose stiffness nobody has said, where that of others is known."""
+    given, chain = scenario.observer.stiffness, scenario.chain
+    if isinstance(given, Mapping):
+        names = np.delete(np.array(chain.joint_names), chain.passive).tolist()
+        left = [name for name in names if name not in given]
+        if left:
+            more = f" and {counted(len(left) - 1, 'other joint')}" if len(left) > 1 else ""
+            yield f"observer.stiffness: {left[0]}{more} without one count as rigid"
 
 
 def _of_friction(scenario: Scenario) -> Iterator[str]:

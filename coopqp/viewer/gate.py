@@ -15,6 +15,7 @@ import dataclasses
 import http
 import ipaddress
 import logging
+import re
 import socket
 import warnings
 from collections.abc import Sequence
@@ -40,11 +41,18 @@ REFUSED = "refused: this page is for its own address; see coopqp play --allow-or
 def checked_origins(origins: Sequence[str]) -> tuple[str, ...]:
     """As browsers say them; InvalidValueError: one is none."""
     found = tuple(given.rstrip("/").lower() for given in origins)
-    for origin in found:
-        if not _host_of(origin):
+    for given, origin in zip(origins, found, strict=True):
+        if not _is_host(_host_of(origin)):
             words = "needs scheme, host and port alone, such as https://lab.example:8443"
-            raise InvalidValueError(f"--allow-origin: found '{origin}', {words}")
+            raise InvalidValueError(f"--allow-origin: found '{given}', {words}")
     return found
+
+
+def _is_host(host: str) -> bool:
+    with suppress(ValueError):  # a port that is none
+        url = urlsplit(f"//{host}")
+        return url.port != 0 and bool(re.fullmatch(r"[\w.:-]+", url.hostname or ""))
+    return False
 
 
 def _host_of(origin: str) -> str:

@@ -38,7 +38,7 @@ def test_joints_in_degrees_are_named_with_reading_and_range(nao: Scenario) -> No
     said = _said(nao, np.degrees(nao.chain.q_start))
     assert said.startswith("RElbowYaw reads 68.8 rad, 67 rad above its range: degrees? ")
     assert "Its range is -2.09 to 2.09 rad, and 9 other joints outside theirs" in said
-    assert "say start_outside: true" in said
+    assert said.endswith("theirs")  # the mistake is known: it is not to be let pass
 
 
 def test_a_joint_may_be_off_by_what_servos_are_and_anywhere_if_one_says_so(nao: Scenario) -> None:

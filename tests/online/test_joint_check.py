@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 from collections import deque
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -122,7 +123,7 @@ def _of_joint(n: int, i: int, value: float) -> Array:
 
 
 #: What is eight times too far by the encoder multiplies what the arms sag, too, and is seen then.
-FAR = {"motor": "times as far as commanded: degrees?", "encoder": "to stay: sign or units of its"}
+FAR = {"motor": "times as far as commanded: degrees?", "encoder": "to stay: its sign, units or "}
 
 
 @pytest.mark.parametrize("part", FAR)
@@ -142,10 +143,8 @@ def test_other_faults_are_named(part: str) -> None:
         assert all(words in found.faults[name] for name, words in wanted.items())
     # What is fifty times too far is so from the first command, which only asks to stay.
     found, _ = _check(scenario, **{part: _of_joint(n, 3, 180.0 / np.pi)})
-    assert found.stopped == f"{names[3]} does not stay"
-    assert (
-        "from where it was told to stay: sign or units of its commands?" in found.faults[names[3]]
-    )
+    assert found.stopped.startswith(f"{names[3]} does not stay; the arm may go on moving: switch")
+    assert "although it is told to stay: its sign, units or place in" in found.faults[names[3]]
     matrix = _swapped(n, 2, 7)
     loop, robot = OnlineLoop(scenario, clock=None), FreeArms(scenario)
     setattr(robot, f"_{part}", matrix)
@@ -154,6 +153,21 @@ def test_other_faults_are_named(part: str) -> None:
         names[2]: f"does not move, and {names[7]} does instead: are they swapped?",
         names[7]: f"does not move, and {names[2]} does instead: are they swapped?",
     }
+
+
+def test_a_joint_that_runs_at_the_first_command_ends_it_at_the_second_reading() -> None:
+    scenario = replace(coopqp.load("point_on_point"), start_outside=True)
+    loop, robot = OnlineLoop(scenario, clock=None), FreeArms(scenario)
+    i, signs = int(np.argmax(np.abs(robot.q))), np.ones(scenario.chain.n)
+    signs[i] = -1.0
+    true = robot.read
+    robot.read = lambda: signs * true()  # type: ignore[method-assign]
+    robot._waiting = deque([robot._start.copy()])  # no delay
+    found = check_joints(loop, robot)
+    assert list(found.faults) == [scenario.chain.joint_names[i]]
+    written = np.array([q for q, _ in robot.written])
+    assert len(written) <= 5
+    np.testing.assert_array_equal(written, np.broadcast_to(written[0], written.shape))
 
 
 def test_what_noise_hides_is_not_judged() -> None:

@@ -81,6 +81,7 @@ def test_a_bad_measurement_brings_the_arms_to_rest(case: str, reference: Any) ->
         command = loop.tick(said, None)
         assert command.status is status
         assert words in command.note
+        assert command.note.count("no finite number") == (case == "a NaN")
         assert (np.abs(command.v - before) <= most * 0.01 + 1e-9).all()
         assert loop.state.loop_position_error < 1e-4
         before = command.v.copy()

@@ -37,6 +37,12 @@ def test_a_wrong_option_is_named(name: str, value: Any, tmp_path: Path) -> None:
     assert len(str(refused.value).splitlines()) == 1
 
 
+def test_a_clock_that_asks_for_something_is_blamed_itself() -> None:
+    words = r"^clock: missing a required argument: 'a'; needs a function without arguments$"
+    with pytest.raises(InvalidValueError, match=words):
+        OnlineLoop(follows(), clock=lambda a: a)  # type: ignore[arg-type,misc]
+
+
 @pytest.mark.parametrize("scenario", ["point_on_point", None])
 def test_what_is_no_scenario_is_refused(scenario: Any) -> None:
     with pytest.raises(InvalidValueError, match=r"scenario: found .*; (use coopqp.load|needs a)"):

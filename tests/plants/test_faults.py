@@ -334,6 +334,7 @@ def test_a_comparison_names_the_faults_that_were_injected() -> None:
     ("fault", "words"),
     [
         ({"kind": "encoder_reversd"}, "unknown fault 'encoder_reversd'; did you mean 'encoder_r"),
+        ({"kind": "motor_dead"}, r"unknown fault 'motor_dead'; did you mean 'motor_stuck'\?"),
         ({"kind": "encoder_stuck"}, "encoder_stuck needs joint"),
         ({"kind": "force_dead", "arm": "left", "by": 1.0}, "has no key by; it takes arm"),
         ({"kind": "readings_lost", "joint": "x"}, "no key joint; it takes no key but start and"),

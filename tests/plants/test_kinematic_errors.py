@@ -270,8 +270,19 @@ def test_senseless_errors_are_refused_with_their_line(tmp_path: Path, text: str)
 
 def test_perfect_joints_take_errors_of_the_model_and_nothing_with_mass(tmp_path: Path) -> None:
     load(tmp_path, "disturbance: {grasp_offset: 0.002, slip: {at: 1.0, by: 0.005}}\n")
-    with pytest.raises(ScenarioError, match="has no effect on this plant; use one with masses"):
+    words = "disturbance.delay: has no effect on this plant; use one with masses"
+    with pytest.raises(ScenarioError, match=words):
         load(tmp_path, "disturbance: {grasp_offset: 0.002, delay: 1}\n")
+
+
+def test_springs_take_noise_delay_mass_and_pushes_too(tmp_path: Path) -> None:
+    taken = "noise_position: 0.01, delay: 2, object_mass: 1.5, push: {PUSH}"
+    taken = taken.replace("PUSH", "force: [1.0, 0.0, 0.0], start: 0.0, duration: 0.1")
+    loaded = load(tmp_path, f"plant: quasi_static\ndisturbance: {{{taken}}}\n")
+    trace = coopqp.run(replace(loaded, duration=0.2), controller="qp")
+    assert 8e-3 < (trace.measured - trace.q[: len(trace.measured)]).std() < 12e-3
+    with pytest.raises(ScenarioError, match=r"disturbance.object_com: has no effect on this plant"):
+        load(tmp_path, "plant: quasi_static\ndisturbance: {object_com: [0.0, 0.0, 0.01]}\n")
 
 
 def load(folder: Path, more: str) -> coopqp.Scenario:

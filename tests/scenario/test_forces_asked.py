@@ -10,7 +10,7 @@ from command_line import typed
 from scenario_files import needs_robots
 
 import coopqp
-from coopqp.base.errors import InvalidValueError
+from coopqp.base.errors import InvalidValueError, ScenarioError
 from coopqp.controllers import TorqueQp
 from coopqp.plant import Disturbance
 from coopqp.scenario.input import InputSettings
@@ -88,3 +88,16 @@ def test_validate_refuses_what_every_run_would_be_refused_for(tmp_path: Path) ->
     assert "oscillates at dt 1 ms" in result.output
     path.write_text("\n".join(lines), encoding="utf-8")
     assert typed("validate", str(path)).exit_code == 0
+
+
+def test_springs_are_of_joints_that_there_are_and_the_rest_is_rigid(tmp_path: Path) -> None:
+    path, text = tmp_path / "s.yaml", coopqp.load("point_on_point").source.rstrip("\n")
+    more = "\nobserver:\n  stiffness: {RElbowYaw: 300, LElbowYaw: 300}\n"
+    path.write_text(text + more, encoding="utf-8")
+    (line,) = (line for line in notes(coopqp.load(path)) if "observer" in line)
+    words = "RShoulderPitch and 7 other joints without one count as rigid"
+    assert line == f"observer.stiffness: {words}"
+    path.write_text(text + more.replace("LElbowYaw", "LElbowYwa"), encoding="utf-8")
+    at = rf":{len(text.splitlines()) + 2}: observer.stiffness.LElbowYwa: unknown joint 'LElbowYwa'"
+    with pytest.raises(ScenarioError, match=at + "; did you mean 'LElbowYaw'"):
+        coopqp.load(path)

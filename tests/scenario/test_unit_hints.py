@@ -149,6 +149,7 @@ def test_an_orientation_of_many_turns_is_in_degrees() -> None:
         ("seed: 1.5", "needs a whole number"),
         ("start_outside: 3", "needs true or false"),
         ("description: 3", "needs a text"),
+        ("reactions: {load_heavier: rest}", "reactions: is an argument of OnlineLoop"),
         ("controllers: []", "needs at least 1 in it"),
         ("limits: [{self_collision: {ignore: [[a]]}}]", 'ignore[0]: found ["a"]; needs at least 2'),
         ("limits: [{obstacles: {shapes: {}}}]", "found {}; needs at least 1 in it"),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from coopqp.base.errors import InvalidValueError
@@ -46,7 +48,10 @@ def test_a_header_that_is_there_twice_is_refused() -> None:
     assert not may_enter(["localhost"], ["http://localhost"] * 2, OWN, ())
 
 
-@pytest.mark.parametrize("given", ["", "*", "lab.example", "ftp://a", "http://", "http://a/b"])
+@pytest.mark.parametrize(
+    "given",
+    ["", "*", "lab.example", "ftp://a", "https://", "http://a/b", "http://a b", "http://a:99999"],
+)
 def test_what_is_no_origin_is_refused(given: str) -> None:
-    with pytest.raises(InvalidValueError, match="--allow-origin: found"):
+    with pytest.raises(InvalidValueError, match=re.escape(f"--allow-origin: found '{given}', ")):
         checked_origins([given])
