@@ -55,6 +55,8 @@ GRIP_SIZE = 0.03
 #: An object that is commanded to move faster does not rest: the servos' lag would count as a sag
 #: [m/s]; a rotation counts by 0.1 m.
 MOVES, REST, SPEEDS = 0.05, 0.005, np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])
+#: Farther a joint is not believed to sag under a load that is felt [rad].
+FARTHEST = 0.02
 #: Sags below this are rounding.
 TINY = 1e-15
 
@@ -248,6 +250,8 @@ class WeightSag:
             return math.nan
         twist, size = state.J_task.dot(state.v) * SPEEDS, -self._torque.dot(self.sag)
         if not twist.dot(twist) < REST * REST or not size > TINY:
+            return math.nan
+        if np.abs(sag).max() > FARTHEST:  # a wall or a hand may hold the arms up
             return math.nan
         return max(0.0, float(-self._torque.dot(sag) / size))
 

@@ -77,7 +77,6 @@ def check_resumed(chain: ClosedChain, q: Array, *, outside: bool) -> None:
     where, hint = _elsewhere(chain, q)
     if where:
         asks = f": {hint} Else bring" if hint else "; bring"
-        around = "" if hint else ", or leave out object_in_hand and object.pose to hold it as it is"
         raise GraspError(f"{where} they held the object{asks} the arms back, or reset the loop")
 
 

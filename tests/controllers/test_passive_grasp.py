@@ -166,7 +166,7 @@ def test_torques_are_refused_by_ideal_joints() -> None:
     ("old", "new", "message"),
     [
         ("[passive_grasp_pid, ", "[passive_grasp_pid: {kp: [-1]}, ", "needs greater than or equal"),
-        ("plant: rigid_body", "disturbance: {delay: 2}", "disturbance: has no effect"),
+        ("plant: rigid_body", "disturbance: {delay: 2}", "disturbance.delay: has no effect"),
         ("plant: rigid_body", "grasp_of: {qq: rigid}", "unknown controller 'qq'"),
         ("plant: rigid_body", "plant: rigid_body\ngrasps: {right: rigid}", "not both"),
         ("    point:", "    pont:", "unknown key 'pont'; did you mean 'point'"),
