@@ -10,8 +10,10 @@ import pinocchio as pin
 
 import coopqp
 from coopqp.base.spec import Array
+from coopqp.closed_loop.hands import hands, points
 from coopqp.grasps import SurfaceContact
 from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
 
 
 def pressing(chain: ClosedChain, mass: float, half: float, **settings: Any) -> ClosedChain:
@@ -41,6 +43,22 @@ def pressing(chain: ClosedChain, mass: float, half: float, **settings: Any) -> C
 def scenario_pads(name: str, mass: float, half: float, **settings: Any) -> ClosedChain:
     """The same from a shipped scenario."""
     return pressing(coopqp.load(name).chain, mass, half, **settings)
+
+
+def line(state: State) -> Array:
+    """From the first hand to the second."""
+    p = points(hands(state.chain), state.p_WO, state.R_WO)
+    return np.asarray((p[1] - p[0]) / np.linalg.norm(p[1] - p[0]), float)
+
+
+def squeezed(chain: ClosedChain, newtons: float) -> Array:
+    """What force sensors say where the hands press so hard against each other."""
+    e = line(State(chain))
+    told = np.zeros((len(chain.robot.arms), 6))
+    robot = [arm.name for arm in chain.robot.arms]
+    for hand, sign in zip(hands(chain), (1.0, -1.0), strict=True):
+        told[robot.index(hand.arm), :3] = sign * newtons * e
+    return told.ravel()
 
 
 def _in(R: Array, direction: Array) -> tuple[float, float, float]:

@@ -112,6 +112,11 @@ class LoopObserver:
         with np.errstate(divide="ignore"):
             return 1.0 / self._compliance if self._known else None
 
+    def sag(self, state: State) -> Array:
+        """What the load that is felt makes each joint sag by, shape (n,) [rad]."""
+        load = float(state.felt[0])
+        return self._sag.sag * (load if math.isfinite(load) else 0.0)
+
     def begin(self, state: State) -> None:
         """Take the whole loop error at q for the model's, so that arms do not press at first."""
         self._measured.q[:] = state.q  # made now, not in a tick

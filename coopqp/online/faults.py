@@ -77,11 +77,8 @@ class FaultMonitor:
     def __init__(self, law: Law, *, observed: bool) -> None:
         chain, dt = law.problem.chain, law.problem.dt
         self._names, self._law = chain.joint_names, law
-        stated = law.observer.stated_stiffness
-        self._joints = JointFollowing(chain, dt, stated) if observed else None
+        self._joints = JointFollowing(chain, dt, law.observer) if observed else None
         self._forces = ForceMonitor(law)
-        self._mass = chain.held.mass
-        self._g = max(float(np.linalg.norm(chain.model.gravity.linear)), 1e-12)
         self.found: tuple[Fault, ...] = ()
         self._misled = False
 
@@ -119,9 +116,10 @@ class FaultMonitor:
         observer = self._law.observer
         if observer.at_bound:
             return "loop_offset_at_bound", observer.at_bound, observer.note
-        weight = self._mass * self._g
-        if observer.load > weight + max(SMALL, OF_WEIGHT * weight, observer.doubt):
-            return "load_heavier", (), _heavier(observer.load / self._g, self._mass)
+        forces = self._forces
+        if observer.load > forces.weight + max(SMALL, OF_WEIGHT * forces.weight, observer.doubt):
+            words = "the servos sag as under {} or more; weigh the object"  # felt within seconds
+            return forces.heavier(observer.load, words)
         return None
 
     def _named(self, suspect: Suspect) -> Finding:
@@ -155,18 +153,19 @@ UNEXPLAINED = 0.3
 NEAR_SLIP = 0.95
 
 
-def _heavier(mass: float, told: float) -> str:
-    return f"the hands bear {mass:.3g} kg; write that as object.mass, which says {told:g} kg"
-
-
 class ForceMonitor:
-    """Judges readings of force sensors; the law's internal force control tells hands to close."""
+    """Judges readings of force sensors; the law's internal force control tells hands to close.
+
+    Attributes:
+        weight: of the object as the scenario says [N].
+    """
 
     def __init__(self, law: Law) -> None:
         chain, self._squeezer = law.problem.chain, law.squeezer
         self._hands, self._readings = hands(chain), WrenchReadings(chain)
-        self._dt, self._mass = law.problem.dt, chain.held.mass
-        self._gravity = -chain.model.gravity.linear
+        self._dt, self._mass, up = law.problem.dt, chain.held.mass, -chain.model.gravity.linear
+        self._g = max(float(np.linalg.norm(up)), 1e-9)  # or in space
+        self._up, self.weight = up / self._g, self._mass * self._g
         self._share = min(1.0, self._dt / SMOOTH)
         self.forget()
 
@@ -197,6 +196,11 @@ class ForceMonitor:
             or self._contrary(state)
             or self._near_slip(w, state)
         )
+
+    def heavier(self, weight: float, words: str) -> Finding:
+        """What is said of an object of another weight [N], in words with a gap for its mass."""
+        found = words.format(f"{weight / self._g:.3g} kg")
+        return "load_heavier", (), f"{found}: object.mass says {self._mass:g} kg"
 
     def _contrary(self, state: State) -> Finding | None:
         """Hands that close and say that they pull, or part and say that they press."""
@@ -246,8 +250,7 @@ class ForceMonitor:
 
     def _unbalanced(self) -> Finding | None:
         """Forces and weight that do not add up: a wrong sign, or another load."""
-        f, g = self._smooth, max(float(np.linalg.norm(self._gravity)), 1e-9)  # or in space
-        up, heavy = self._gravity / g, self._mass * g
+        f, up, heavy = self._smooth, self._up, self.weight
         off = f.sum(axis=0) - heavy * up
         size, above = float(np.linalg.norm(off)), float(off.dot(up))
         sideways = float(np.linalg.norm(off - above * up)) / max(size, SMALL)
@@ -258,7 +261,7 @@ class ForceMonitor:
         if self._wrong[0] < LASTING:
             return None
         if sideways < UNEXPLAINED and above > 0.0:
-            return "load_heavier", (), _heavier(self._mass + above / g, self._mass)
+            return self.heavier(heavy + above, "the hands bear {}; write that as object.mass")
         for i, hand in enumerate(self._hands):
             if np.linalg.norm(off - 2.0 * f[i]) < UNEXPLAINED * size:
                 sensor = f"the force sensor of {hand.arm}"

@@ -25,6 +25,7 @@ import numpy as np
 from coopqp.base.rank import null_space
 from coopqp.base.spec import Array
 from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.loop_observer import LoopObserver
 from coopqp.model.state import State
 
 #: Time between samples; after which the parity space is computed anew, and before a verdict; of
@@ -91,7 +92,8 @@ class JointFollowing:
         suspicious: whether internal forces and lag do not explain the last samples.
     """
 
-    def __init__(self, chain: ClosedChain, dt: float, stiffness: Array | None = None) -> None:
+    def __init__(self, chain: ClosedChain, dt: float, observer: LoopObserver) -> None:
+        self._observer, stiffness = observer, observer.stated_stiffness
         self._own = own = np.setdiff1d(np.arange(chain.n), chain.passive)
         self._passive, n = chain.passive, len(own)
         K = chain.model.effortLimit[own] if stiffness is None else stiffness[own]
@@ -152,15 +154,13 @@ class JointFollowing:
         if last < span:
             return None
         for arm in self._arms:
-            if (
-                len(arm) > 1
-                and (self._of(self._m, last) == self._of(self._m, last - span))[arm].all()
-            ):
-                at = np.arange(last - span, last + 1)
-                same = (np.diff(self._of(self._m, at)[:, arm], axis=0) == 0.0).all()
-                c = np.abs(np.diff(self._of(self._c, at)[:, arm], axis=0))
-                if same and c.sum(axis=0).max() > MOVED and (c.max(axis=1) > 0.0).all():
-                    return Suspect("readings_stuck", tuple(int(j) for j in self._own[arm]), 0.0)
+            ends = self._of(self._m, last)[arm], self._of(self._m, last - span)[arm]
+            if len(arm) < 2 or not np.array_equal(*ends):
+                continue
+            at = np.arange(last - span, last + 1)
+            m, c = (np.diff(self._of(ring, at)[:, arm], axis=0) for ring in (self._m, self._c))
+            if not m.any() and c.any(axis=1).all() and np.abs(c).sum(axis=0).max() > MOVED:
+                return Suspect("readings_stuck", tuple(int(j) for j in self._own[arm]), 0.0)
         return None
 
     def _whitening(self, state: State) -> Array:
@@ -179,6 +179,8 @@ class JointFollowing:
         # Of second differences, sqrt(6) sigma, the median is 1.65 sigma; 1.2 for few samples.
         noise = max(NOISE, 0.73 * float(np.median(np.abs(np.diff(m, 2, axis=0)))))
         variance = noise**2 + (LAG_NOISE * speed) ** 2 + STIFFNESS_NOISE**2 * sag
+        # The object's weight is no internal wrench, changes with the pose, and may be told wrong.
+        variance += self._observer.sag(state)[self._own] ** 2
         L = np.linalg.cholesky(parity.T @ (variance[:, None] * parity))
         return np.asarray(np.linalg.solve(L, parity.T).T)
 
@@ -275,13 +277,16 @@ class JointFollowing:
         if best >= n:
             j, k = (int(self._own[i]) for i in pairs[best - n])
             return Suspect("joints_swapped", (j, k), float(slope[best]))
+        kind = _kind(slope[best], m[:, best], motion[:, best], jumped=bool(jumped[best]))
         others = [f for f in range(n) if f != best and rest[f] < AMBIGUOUS * rest[best]]
         joints = tuple(int(self._own[f]) for f in (best, *others))
-        if jumped[best]:
-            kind = "encoder_jumped"
-        elif np.ptp(m[:, best]) < STANDS * np.ptp(motion[:, best]):
-            kind = "joint_stands_still"
-        else:
-            turned = REVERSED[0] < slope[best] < REVERSED[1]
-            kind = "joint_reversed" if turned else "joint_not_following"
         return Suspect(kind, joints, float(slope[best]))
+
+
+def _kind(slope: float, m: Array, c: Array, *, jumped: bool) -> str:
+    """What a joint does that measures m and is commanded c, shape (T,) [rad, m]."""
+    if jumped:
+        return "encoder_jumped"
+    if np.ptp(m) < STANDS * np.ptp(c):
+        return "joint_stands_still"
+    return "joint_reversed" if REVERSED[0] < slope < REVERSED[1] else "joint_not_following"

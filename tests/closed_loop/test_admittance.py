@@ -8,14 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 from laws import DT, problem
-from pads import scenario_pads
+from pads import line, scenario_pads, squeezed
 from scipy.optimize import brentq
 
 import coopqp
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array
 from coopqp.closed_loop.admittance import GROWN, Admittance, stability_limit
-from coopqp.closed_loop.hands import hands, points
 from coopqp.controller import Law
 from coopqp.controllers import QPController
 from coopqp.model.closed_chain import ClosedChain
@@ -37,25 +36,9 @@ def law_of(chain: ClosedChain, engine: Any = "python", **settings: Any) -> Law:
     return QPController(engine=engine, admittance=pressed).build(asked)
 
 
-def line(state: State) -> Array:
-    """From the first hand to the second."""
-    p = points(hands(state.chain), state.p_WO, state.R_WO)
-    return np.asarray((p[1] - p[0]) / np.linalg.norm(p[1] - p[0]), float)
-
-
 def closing(law: Law, state: State) -> Array:
     """Velocity with which the last command brings the second hand to the first."""
     return -np.asarray(state.J_rel[:3] @ law.command.v, float)
-
-
-def squeezed(chain: ClosedChain, newtons: float) -> Array:
-    """What force sensors say where the hands press so hard against each other."""
-    e = line(State(chain))
-    told = np.zeros((len(chain.robot.arms), 6))
-    robot = [arm.name for arm in chain.robot.arms]
-    for hand, sign in zip(hands(chain), (1.0, -1.0), strict=True):
-        told[robot.index(hand.arm), :3] = sign * newtons * e
-    return told.ravel()
 
 
 def radius(reach: float, delay: int) -> float:

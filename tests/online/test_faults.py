@@ -9,13 +9,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from laws import problem
 from online_loops import follows, go, simulated
+from pads import scenario_pads, squeezed
 from scenario_files import needs_robots
 from sessions.session import EFFECT, run
 
 import coopqp
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array
+from coopqp.controllers import QPController
+from coopqp.model.loop_observer import LoopObserver, Observer
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.online import faults as found
@@ -42,7 +46,7 @@ def motion(n: int) -> Array:
 
 def judged(state: State, c: Array, r: Array, noise: float = 0.0) -> Suspect | None:
     """What is said of joints that follow ``c`` some ticks late, but for ``r``."""
-    following = JointFollowing(state.chain, DT)
+    following = JointFollowing(state.chain, DT, LoopObserver(state.chain, DT))
     shaken = np.random.default_rng(0).normal(0.0, 1.0, r.shape) * noise
     for k in range(TICKS):
         measured = c[max(0, k - LAG)] + r[k] + shaken[k]
@@ -313,3 +317,77 @@ def test_reactions_are_checked() -> None:
         OnlineLoop(follows(), reactions={"slip_neer": "rest"})
     with pytest.raises(InvalidValueError, match="slip_near: unknown reaction 'stop'"):
         OnlineLoop(follows(), reactions={"slip_near": "stop"})  # type: ignore[dict-item]
+
+
+def test_readings_that_all_stand_still_are_a_stuck_driver() -> None:
+    loop, robot = simulated(coopqp.load("point_on_point"), reference="commanded")
+    stuck = loop.problem.chain.q_start.copy()
+    for k in range(200):
+        reading = robot.read()
+        if k < 40:
+            stuck = reading
+        command = loop.tick(stuck)
+        robot.write(loop.setpoint, command.v)
+    (fault,) = loop.faults
+    assert fault.kind == "readings_stuck"
+    assert fault.t < 0.40 + 0.3
+    assert loop.at_rest
+
+
+def test_arms_that_do_as_they_are_told_have_no_fault() -> None:
+    """Without noise, through motion, a joint at its limit, and rest."""
+    loop, robot = simulated(coopqp.load("point_on_point"), reference="commanded")
+    go(loop, robot, 500)
+    assert not loop.faults
+
+
+def test_an_encoder_that_slips_by_a_degree_has_jumped() -> None:
+    slipped = Fault(kind="encoder_offset_jump", joint="LElbowRoll", by=0.017, start=0.8)
+    loop, robot = simulated(
+        replace(follows("rigid_body"), disturbance=Disturbance(faults=(slipped,))),
+        reference="commanded",
+    )
+    go(loop, robot, 200, {"target": (0.16, 0.02, 0.06)})
+    assert loop.faults[0][:2] == ("encoder_jumped", ("LElbowRoll",))
+    assert loop.faults[0].t < 0.8 + 0.3
+
+
+@needs_robots
+def test_a_sensor_of_another_scale_does_not_balance() -> None:
+    twice = Fault(kind="force_scaled", arm="left/arm", by=2.0, start=0.5)
+    loop, _ = session(pressed(twice), 1.5)
+    assert loop.faults[0].kind == "forces_unbalanced"
+    assert not loop.stopped
+
+
+@pytest.mark.parametrize(("share", "near"), [(0.97, True), (0.9, False)])
+def test_slip_is_near_where_friction_is_used_up(share: float, near: bool) -> None:
+    """Coulomb: each hand bears half the weight by friction, and presses so hard."""
+    chain = scenario_pads("point_on_point", 0.5, 0.02, friction=0.5)
+    law = QPController().build(problem(chain))
+    state, monitor = law.start(), found.ForceMonitor(law)
+    half = 0.5 * monitor.weight
+    told = squeezed(chain, half / (0.5 * share)).reshape(-1, 6)
+    told[:, 2] += half
+    state.hand_wrench = told.ravel()
+    kinds = {fault[0] for _ in range(30) if (fault := monitor.update(state))}
+    assert kinds == ({"slip_near"} if near else set())
+
+
+@needs_robots
+def test_a_load_that_the_servos_feel_is_weighed_within_seconds() -> None:
+    """Without force sensors; with the true mass written the loop finds nothing wrong."""
+    plant = QuasiStatic(stiffness=2000.0, object_compensated=0.0)
+    scenario = replace(coopqp.load("two_pandas"), plant=plant)
+    heavy = replace(scenario, disturbance=Disturbance(object_mass=3.0))
+    right = replace(scenario, held=replace(scenario.held, mass=3.0))
+    stiff = {"reference": "commanded", "observer": Observer(stiffness=2000.0)}
+    loop, robot = simulated(heavy, **stiff)
+    go(loop, robot, 1600)
+    (fault,) = loop.faults
+    assert fault.kind == "load_heavier"
+    assert 1.3 < float(fault.note.split("under ")[1].split(" kg or more")[0]) < 3.0
+    assert loop.law.observer.load / 9.81 == pytest.approx(3.0, rel=0.05)
+    loop, robot = simulated(right, **stiff)
+    go(loop, robot, 600)
+    assert not loop.faults
