@@ -7,6 +7,7 @@ m g add up to m times the object's acceleration.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -35,6 +36,7 @@ REACTIONS: Mapping[str, Reaction] = {
     "force_sensor_dead": "rest",
     "force_sensor_stuck": "rest",
     "force_sensor_reversed": "rest",
+    "force_sensor_scaled": "rest",
     "forces_unbalanced": "slow_down",
     "load_heavier": "go_on",
     "slip_near": "slow_down",
@@ -149,6 +151,10 @@ COARSE = 0.05
 CLOSED_IN = 1e-3
 #: Share of an imbalance that a wrong sensor, or a heavier load, may leave.
 UNEXPLAINED = 0.3
+#: Share by which a borne share is constant, or a unit's; change of height that no table bears [m].
+OF_SHARE, LIFTED = 0.1, 0.02
+#: Units that sensors are made with, in newtons by the one.
+UNITS = {"kilograms-force": 9.80665, "pounds-force": 4.44822}
 #: Share of the friction that slip is near at.
 NEAR_SLIP = 0.95
 
@@ -175,7 +181,8 @@ class ForceMonitor:
         self._before, self._smooth = np.zeros((N, 6)), np.full((N, 3), np.nan)
         self._zero, self._same, self._changed = np.zeros((3, N))
         self._ways, self._stood, self._began = np.zeros(N), np.zeros((N, N, 3)), 0.0
-        self._wrong, self._finest = np.zeros(3), np.full(N, np.inf)
+        self._wrong, self._finest = np.zeros(4), np.full(N, np.inf)
+        self._borne = math.inf, 0.0  # share of the weight, and height [m]
 
     def update(self, state: State) -> Finding | None:
         """Kind, hands and note of what is wrong with a state's wrenches, if anything is."""
@@ -192,7 +199,7 @@ class ForceMonitor:
         self._smooth += self._share * (w[:, :3] - self._smooth)
         return (
             self._silent(w, step, state)
-            or self._unbalanced()
+            or self._unbalanced(state)
             or self._contrary(state)
             or self._near_slip(w, state)
         )
@@ -248,8 +255,8 @@ class ForceMonitor:
                 return "force_sensor_stuck", (hand.arm,), words
         return None
 
-    def _unbalanced(self) -> Finding | None:
-        """Forces and weight that do not add up: a wrong sign, or another load."""
+    def _unbalanced(self, state: State) -> Finding | None:
+        """Forces and weight that do not add up: a wrong sign or unit, or another load."""
         f, up, heavy = self._smooth, self._up, self.weight
         off = f.sum(axis=0) - heavy * up
         size, above = float(np.linalg.norm(off)), float(off.dot(up))
@@ -258,6 +265,8 @@ class ForceMonitor:
         # By a table, or somebody, but not more than the weight.
         borne = -(1.0 + OF_WEIGHT) * heavy < above < 0.0 and sideways < UNEXPLAINED
         self._wrong[0] = self._wrong[0] + self._dt if size > allowed and not borne else 0.0
+        if size > allowed and borne and (scaled := self._scaled(1.0 + above / heavy, state)):
+            return scaled
         if self._wrong[0] < LASTING:
             return None
         if sideways < UNEXPLAINED and above > 0.0:
@@ -272,6 +281,24 @@ class ForceMonitor:
             return "force_sensor_reversed", tuple(hand.arm for hand in self._hands), words
         words = f"forces and weight do not add up, by {size:.3g} N: is a sensor wrong, or a push?"
         return "forces_unbalanced", (), words
+
+    def _scaled(self, share: float, state: State) -> Finding | None:
+        """Hands that bear a constant share of the weight up or down, which no table does.
+
+        Where they are told to press, a share that is a unit's is enough: each second counts.
+        """
+        height = float(state.p_WO.dot(self._up))
+        self._wrong[3] += self._dt
+        if abs(share - self._borne[0]) > OF_SHARE * abs(share):
+            self._borne, self._wrong[3] = (share, height), 0.0
+        unit = next((u for u, N in UNITS.items() if abs(share * N - 1.0) < OF_SHARE), "")
+        press = bool(unit) and abs(self._closed_in(state) - self._began) > CLOSED_IN
+        press &= self._wrong[3] > LASTING
+        if not press and abs(height - self._borne[1]) < LIFTED:
+            return None
+        cause = f"are forces in {unit}?" if unit else "is their scale wrong, or object.mass?"
+        words = f"the hands bear {share:.2g} of the object's weight by their sensors: {cause}"
+        return "force_sensor_scaled", tuple(hand.arm for hand in self._hands), words
 
     def _near_slip(self, w: Array, state: State) -> Finding | None:
         """A hand that presses and needs nearly all its friction."""

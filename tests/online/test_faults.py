@@ -208,6 +208,25 @@ def test_what_all_sensors_have_wrong_is_named_before_the_hands_crush(
 
 
 @needs_robots
+@pytest.mark.parametrize(
+    ("newtons", "most", "words"),
+    [
+        (9.80665, 120.0, "in kilograms-force?"),
+        (4.44822, 120.0, "in pounds-force?"),
+        (3.3, 220.0, "scale wrong, or object.mass?"),
+    ],
+)
+def test_sensors_in_another_unit_are_named(newtons: float, most: float, words: str) -> None:
+    """Without the monitor the hands press with 60 of those units."""
+    loop, force = session(pressed(None), 2.5, lambda w: w / newtons)
+    (fault,) = loop.faults
+    assert fault.kind == "force_sensor_scaled"
+    assert fault.note.endswith(words)
+    assert loop.at_rest
+    assert force < most
+
+
+@needs_robots
 @pytest.mark.parametrize("newtons", [0.5, 2.0])
 def test_coarse_force_sensors_are_not_stuck(newtons: float) -> None:
     loop, _ = session(pressed(None), 2.0, lambda w: newtons * np.round(w / newtons))
