@@ -54,7 +54,8 @@ class Session:
         right: whether what was found is where the fault is.
         force_named: internal force when it could first be named; most: largest later [N].
         overloaded: whether a motor was at its limit for a tenth of a second before.
-        opened: how far the loop itself told the hands to part or close [m].
+        opened: how far the loop itself told the hands to part or close, beyond what an encoder's
+            fault makes of it: a reading that is off by d moves its hand by J d unseen [m].
         broken: promises that were not kept.
     """
 
@@ -150,6 +151,10 @@ def run(seed: int, *, sound: bool) -> Session:
     watch = _Watch(
         loop, simulated, SQUEEZE if len(scenario.tasks) > 1 else 0.0, fault.start if fault else 0.0
     )
+    names = loop.problem.chain.joint_names
+    if fault and kind.startswith("encoder"):
+        wrong = fault.joints or ((fault.joint,) if fault.joint else names)
+        watch.wrong = [names.index(name) for name in wrong]
     for _ in range(round(DURATION / scenario.dt)):
         inputs = {"hand_wrench": simulated.plant.hand_wrench}
         command = loop.tick(simulated.read(), inputs)
@@ -174,7 +179,9 @@ class _Watch:
         self._forces: list[float] = []
         self._opened, self._start, self._broken = 0.0, None, []
         self._named = -1
+        self._misled = 0.0  # what the fault makes of the loop, at most so far [m]
         self.ticks_at_rest = 0
+        self.wrong: list[int] = []  # joints whose readings are wrong
 
     def look(self, command: Command) -> None:
         loop, k = self._loop, len(self._forces)
@@ -194,8 +201,9 @@ class _Watch:
         e = loop.state.loop_error
         if self._start is None:
             self._start = e.copy()
-        parts = (e - self._start).reshape(-1, 6)[: chain.holding - 1, :3]
-        self._opened = max(self._opened, float(np.linalg.norm(parts, axis=1).max()))
+        if self.wrong:
+            self._misled = max(self._misled, self._parted(self._unseen()))
+        self._opened = max(self._opened, self._parted(e - self._start) - self._misled)
         beyond = max((chain.lower - loop.setpoint).max(), (loop.setpoint - chain.upper).max())
         fast = (np.abs(command.v) - chain.velocity * (1.0 + 1e-3)).max()
         if not np.isfinite(loop.setpoint).all():
@@ -204,6 +212,18 @@ class _Watch:
             self._broken.append(f"a command is {beyond:.2g} beyond its joint's range")
         if fast > 0.0:
             self._broken.append("a command is faster than its joint may be")
+
+    def _unseen(self) -> Array:
+        """What wrong readings hide of the loop error, to first order."""
+        plant, state = self._robot.plant, self._loop.state
+        d = np.zeros(len(state.q))
+        d[self.wrong] = (plant.truth(state).q - plant.measured)[self.wrong]
+        return np.asarray(state.J_rel @ d)
+
+    def _parted(self, error: Array) -> float:
+        holding = self._loop.problem.chain.holding
+        parts = error.reshape(-1, 6)[: holding - 1, :3]
+        return float(np.linalg.norm(parts, axis=1).max())
 
     def session(
         self, seed: int, robot: str, plant: str, kind: str, where: tuple[str, ...]
