@@ -1,14 +1,15 @@
 """The peers that share an environment with coopqp, each as a motion of the same job.
 
-A motion returns the median of its ticks [us] and how far from the last target it ends [m]. A tick
-begins when the target is set and ends when the joints have moved.
+A motion sleeps for a time before each tick [s], so that caches and clocks are a loop's, and returns
+the median of its ticks [us] and how far from the last target it ends [m]. A tick begins when the
+target is set and ends when the joints have moved.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from statistics import median
-from time import perf_counter_ns
+from time import perf_counter_ns, sleep
 from typing import Literal
 
 import daqp
@@ -23,16 +24,18 @@ from coopqp.base.spec import Array
 from coopqp.controllers import QPController
 from coopqp.signal import POINT, InputValues, Trajectory
 
-Motion = Callable[[], tuple[float, float]]
+Motion = Callable[[float], tuple[float, float]]
 DAMPING = 1e-6
 #: daqp's word for a row that is an equality.
 EQUALITY = 5
 
 
-def median_us(step: Callable[[int], None]) -> float:
+def median_us(step: Callable[[int], None], pause: float) -> float:
     """Of the ticks of a motion."""
     times = []
     for k in range(TICKS):
+        if pause:
+            sleep(pause)
         before = perf_counter_ns()
         step(k)
         times.append(perf_counter_ns() - before)
@@ -53,7 +56,7 @@ def _coopqp(job: Job, engine: Literal["kernel", "python"]) -> Motion:
     problem = job.problem
     built = QPController(engine=engine).build(problem)
 
-    def motion() -> tuple[float, float]:
+    def motion(pause: float) -> tuple[float, float]:
         state = built.start()
         target = Trajectory(POINT, state.p_WO)
         state.inputs = InputValues()
@@ -64,7 +67,7 @@ def _coopqp(job: Job, engine: Literal["kernel", "python"]) -> Motion:
             value[:] = targets[k]
             built.step(state)
 
-        us = median_us(step)
+        us = median_us(step, pause)
         state.update()
         return us, float(np.linalg.norm(state.p_WO - targets[-1]))
 
@@ -77,7 +80,7 @@ def pinks(job: Job) -> Motion:
     limits = [ConfigurationLimit(chain.model, 1.0), VelocityLimit(chain.model)]
     first, *others = (chain.model.frames[frame].name for frame in chain.frames)
 
-    def motion() -> tuple[float, float]:
+    def motion(pause: float) -> tuple[float, float]:
         at = pink.Configuration(chain.model, chain.model.createData(), chain.q_start)
         reach = FrameTask(first, position_cost=1.0, orientation_cost=0.0, gain=job.gain * dt)
         loops = [
@@ -95,7 +98,7 @@ def pinks(job: Job) -> Motion:
             )
             at.integrate_inplace(v, dt)
 
-        us = median_us(step)
+        us = median_us(step, pause)
         end = at.get_transform_frame_to_world(first).translation
         return us, float(np.linalg.norm(end - job.targets[-1]))
 
@@ -119,7 +122,7 @@ def minks(job: Job) -> Motion | None:
     q = np.zeros(model.nq)
     q[at_q] = chain.q_start
 
-    def motion() -> tuple[float, float]:
+    def motion(pause: float) -> tuple[float, float]:
         at = mink.Configuration(model, q=q)
         reach = mink.FrameTask("object0", "body", 1.0, 0.0, gain=job.gain * dt)
         loops = [
@@ -137,7 +140,7 @@ def minks(job: Job) -> Motion | None:
             )
             at.integrate_inplace(v, dt)
 
-        us = median_us(step)
+        us = median_us(step, pause)
         end = at.get_transform_frame_to_world("object0", "body").translation()
         return us, float(np.linalg.norm(end - job.targets[-1]))
 
@@ -156,7 +159,7 @@ def by_hand(job: Job) -> Motion:
     clean[n:] = EQUALITY
     eye = DAMPING * np.eye(n)
 
-    def motion() -> tuple[float, float]:
+    def motion(pause: float) -> tuple[float, float]:
         data, q, sense = model.createData(), chain.q_start.copy(), clean.copy()
 
         def jacobian(frame: int) -> Array:
@@ -183,7 +186,7 @@ def by_hand(job: Job) -> Motion:
             v, _, _, _ = daqp.solve(H, f, A, upper, lower, sense)
             np.add(q, dt * v, q)
 
-        us = median_us(step)
+        us = median_us(step, pause)
         pin.framesForwardKinematics(model, data, q)
         return us, float(np.linalg.norm(data.oMf[frames[0]].translation - job.targets[-1]))
 

@@ -1,11 +1,12 @@
-"""One tick side by side with the peers, all in one run and in turns, quiet and beside a busy loop.
+"""One tick beside the peers, all in one run and in turns: quiet, beside a busy loop, and cold.
 
 sh benchmarks/placo_env.sh; pip install mink    # once; without them their columns are empty
-python benchmarks/peers.py                      # under three minutes
+python benchmarks/peers.py                      # under four minutes
 python benchmarks/peers.py --rounds 5 --only NAO
 
 The job is that of ``peer_jobs.py``. A round is a motion of 300 ticks of each system, one after the
-other; its number is the median of its ticks. Printed are the medians of the rounds, and the best.
+other; its number is the median of its ticks. Printed are the medians of the rounds, and the best. A
+cold tick comes after a millisecond of sleep, as in a loop of 1 kHz.
 """
 
 from __future__ import annotations
@@ -37,22 +38,24 @@ SYSTEMS = {
 PLACO = "PlaCo"
 LONGEST = 75.0  # of a table; fewer rounds where the machine is slow [s]
 NEAR = 5e-3  # all end this close to the last target [m]
+PAUSE = 1e-3  # before a cold tick [s]
 BUSY = "while True: pass"
 Rounds = dict[str, list[float]]
 
 
 def main() -> None:
-    """Print both tables."""
+    """Print the tables."""
     asked = arguments()
     wanted = [job for job in jobs() if not asked.only or job.name in asked.only]
     print(", ".join(f"{name} {found(name)}" for name in ("pin-pink", "mink", "daqp", "pin")))
     with ExitStack() as stack:
         placo = stack.enter_context(placo_beside(asked.placo, wanted))
         motions = {job.name: motions_of(job, placo) for job in wanted}
-        for loops in (0, asked.busy):
+        for loops, pause in ((0, 0.0), (asked.busy, 0.0), (0, PAUSE)):
             with busy(loops):
-                measured = in_turns(motions, asked.rounds)
+                measured = in_turns(motions, asked.rounds, pause)
             words = f"beside {loops} busy loop(s)" if loops else "nothing beside it"
+            words = "cold, after 1 ms of sleep each" if pause else words
             rounds = len(next(iter(measured.values()))["kernel"])
             print(f"\n{words}: median of {rounds} rounds, and the best [us a tick]")
             table(measured)
@@ -71,11 +74,11 @@ def motions_of(job: Job, placo: subprocess.Popen[str] | None) -> dict[str, Motio
     """A job's motions by system; those that are not installed are left out."""
     made = {name: make(job) for name, make in SYSTEMS.items()}
     if placo:
-        made[PLACO] = lambda: answered(placo, job.name)
+        made[PLACO] = lambda pause: answered(placo, job.name, pause)
     return {name: motion for name, motion in made.items() if motion}
 
 
-def in_turns(motions: dict[str, dict[str, Motion]], rounds: int) -> dict[str, Rounds]:
+def in_turns(motions: dict[str, dict[str, Motion]], rounds: int, pause: float) -> dict[str, Rounds]:
     """Times of every round [us], by job and system; a slow moment hits whoever runs then."""
     found: dict[str, Rounds] = {job: {name: [] for name in of} for job, of in motions.items()}
     end = monotonic() + LONGEST
@@ -84,7 +87,7 @@ def in_turns(motions: dict[str, dict[str, Motion]], rounds: int) -> dict[str, Ro
             break
         for job, of_job in motions.items():
             for name, motion in of_job.items():
-                us, missed = motion()
+                us, missed = motion(pause)
                 if not missed < NEAR:
                     sys.exit(f"{name} on {job} ends {1e3 * missed:.1f} mm from the target")
                 found[job][name].append(us)
@@ -128,11 +131,11 @@ def placo_beside(folder: Path, wanted: Sequence[Job]) -> Iterator[subprocess.Pop
                 process.kill()
 
 
-def answered(placo: subprocess.Popen[str], job: str) -> tuple[float, float]:
+def answered(placo: subprocess.Popen[str], job: str, pause: float) -> tuple[float, float]:
     """One motion of PlaCo; it says other things too."""
     assert placo.stdin
     assert placo.stdout
-    placo.stdin.write(job + "\n")
+    placo.stdin.write(f"{job} {pause}\n")
     placo.stdin.flush()
     for line in placo.stdout:
         if line.startswith("placo "):

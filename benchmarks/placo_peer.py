@@ -2,8 +2,9 @@
 
 python placo_peer.py JOBS.json
 
-For each line on standard input, the name of a job, it runs one motion and answers with the median
-of its ticks [us] and how far from the last target it ends [m]. It ends with its input.
+For each line on standard input, the name of a job and a pause before each tick [s], it runs one
+motion and answers with the median of its ticks [us] and how far from the last target it ends [m].
+It ends with its input.
 """
 
 import json
@@ -11,19 +12,19 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 from statistics import median
-from time import perf_counter_ns
+from time import perf_counter_ns, sleep
 from typing import Any
 
 import numpy as np
 import placo
 
 
-def prepared(job: dict[str, Any]) -> Callable[[], tuple[float, float]]:
+def prepared(job: dict[str, Any]) -> Callable[[float], tuple[float, float]]:
     """The motion of a job."""
     robot = placo.RobotWrapper("arms", placo.Flags.ignore_collisions, job["urdf"])
     targets = np.array(job["targets"])
 
-    def motion() -> tuple[float, float]:
+    def motion(pause: float) -> tuple[float, float]:
         robot.reset()
         for name, q in zip(job["joints"], job["q"], strict=True):
             robot.set_joint(name, q)
@@ -49,6 +50,8 @@ def prepared(job: dict[str, Any]) -> Callable[[], tuple[float, float]]:
 
         times = []
         for k in range(len(targets)):
+            if pause:
+                sleep(pause)
             before = perf_counter_ns()
             step(k)
             times.append(perf_counter_ns() - before)
@@ -63,7 +66,8 @@ def main() -> None:
     jobs = json.loads(Path(sys.argv[1]).read_text(encoding="utf-8"))
     motions = {job["name"]: prepared(job) for job in jobs}
     for line in sys.stdin:
-        us, missed = motions[line.strip()]()
+        name, pause = line.rsplit(maxsplit=1)
+        us, missed = motions[name](float(pause))
         print("placo", us, missed, flush=True)
 
 
