@@ -30,7 +30,7 @@ from coopqp.model.state import State
 
 #: Time between samples; after which the parity space is computed anew, and before a verdict; of
 #: windows [s].
-SAMPLE, RENEWED, FRESH, WINDOWS = 0.02, 0.5, 0.1, (0.4, 2.0)
+SAMPLE, RENEWED, FRESH, WINDOWS = 0.02, 0.5, 0.1, (0.2, 0.4, 2.0)
 #: Samples of a window that are looked at; those before the first look; every so many the long one.
 LOOKS, FEWEST, LONG = 40, 4, 4
 #: The latest that a servo may follow [s].
@@ -171,7 +171,7 @@ class JointFollowing:
         rank = int(np.sum(values > SINGULAR * values.max(initial=1e-12)))
         U, parity = U[:, :rank], U[:, rank:]
         last = self._samples - 1
-        at = np.arange(max(0, last - self._spans[0]), last + 1)
+        at = np.arange(max(0, last - self._spans[1]), last + 1)
         m, c = self._of(self._m, at), self._told(at, self._lag)
         r = (m - c) - (m[0] - c[0])
         sag = np.mean((r @ U @ U.T) ** 2, axis=0)
@@ -187,7 +187,7 @@ class JointFollowing:
     def _look(self, state: State) -> Suspect | None:
         """The suspect of the shortest window that has one."""
         self.suspicious = False
-        for span in self._spans if self._samples % LONG == 0 else self._spans[:1]:
+        for span in self._spans if self._samples % LONG == 0 else self._spans[:-1]:
             last = self._samples - 1
             first = max(0, last - span)
             r = self._of(self._m, last) - self._of(self._m, first)
