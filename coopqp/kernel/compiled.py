@@ -61,7 +61,9 @@ class Limits:
             elif isinstance(program, TwistBounds):
                 self.twist.append(flat_twist_limit(program, self.rows))
                 self.rows += program.rows
-        if filled := [limit for limit, program in known if program is None]:
+        if any(program is None for _, program in known):
+            # With constant bounds on v, which say how far limits in space must look ahead.
+            filled = [limit for limit, program in known if program is None or limit.constant]
             self.filled = Bounds(chain, filled, start, dt)
             self.rows += len(self.filled.rows)
 
