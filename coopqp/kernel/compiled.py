@@ -20,7 +20,7 @@ from coopqp.kernel.flat import (
     flat_twist_limit,
     kept_rows,
 )
-from coopqp.limit import Bounded, JointBounds, TwistBounds
+from coopqp.limit import Bounded, DistanceBounds, JointBounds, TwistBounds
 from coopqp.model.state import Memory, State
 from coopqp.program import Programs
 from coopqp.qp_law.bounds import Bounds
@@ -45,6 +45,7 @@ class Limits:
     def __init__(self, problem: ControlProblem, start: State) -> None:
         chain, dt, limits = problem.chain, problem.dt, problem.limits
         programs = [limit.program(chain, dt) for limit in limits]
+        programs = [None if isinstance(p, DistanceBounds) else p for p in programs]
         known = list(zip(limits, programs, strict=True))
         if any(program is None and not limit.rows(chain) for limit, program in known):
             known = [(limit, None) for limit in limits]
