@@ -48,6 +48,8 @@ ROWS, EACH = 24, 3
 CLOSE = 0.005
 #: Corners are this much farther away than the nearest point at most [m].
 SLAB = 0.002
+#: Sizes of corners are the same that differ by less, or by such a share [m, -].
+EVEN = 1e-9
 #: Reach of a sliding joint without limits [m].
 UNLIMITED = math.pi
 #: Speed of a joint that nothing bounds [rad/s, m/s].
@@ -279,7 +281,7 @@ class Corners:
         second, b = self._ends(pair, 1, n)
         if len(b) == 1:
             return []
-        if _width(first) <= _width(second):
+        if _width(first) <= _width(second) + EVEN:
             bottom = float(b.min())
             return [(first[i], bottom - float(a[i])) for i in _spread(first, p)]
         top = float(a.max())
@@ -305,10 +307,15 @@ def _spread(points: Array, p: Array) -> list[int]:
     """Up to three of the points, far from p and from each other."""
     if len(points) <= EACH:
         return list(range(len(points)))
-    one = int(((points - p) ** 2).sum(axis=1).argmax())
+    one = _largest(((points - p) ** 2).sum(axis=1))
     away = points - points[one]
-    other = int((away**2).sum(axis=1).argmax())
-    return [one, other, int((np.cross(away, away[other]) ** 2).sum(axis=1).argmax())]
+    other = _largest((away**2).sum(axis=1))
+    return [one, other, _largest((np.cross(away, away[other]) ** 2).sum(axis=1))]
+
+
+def _largest(sizes: Array) -> int:
+    """The first of the largest, but for rounding."""
+    return int((sizes >= (1.0 - EVEN) * sizes.max()).argmax())
 
 
 def _wrench(n: Array, p: Array) -> tuple[float, ...]:
