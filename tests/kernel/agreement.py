@@ -1,10 +1,11 @@
 """The kernel against the plain law: ``python -m tests.kernel.agreement --problems 1000``.
 
 The plain law drives along whole motions of the shipped scenarios, towards random goals with bodies
-that are kept apart, and for some ticks of random problems; the kernel is asked at the same states. Where the two differ by more than 1e-10 rad/s an
-oracle in extended precision says which is off (tests/oracle.py), and by how much the optimum itself
-moves where the numbers that it is made of move by their last digit. Exit code 1 where the kernel is
-off by more than that. What was left to the plain law is counted, with reasons.
+that are kept apart, and for some ticks of random problems; the kernel is asked at the same states.
+Where the two differ by more than 1e-10 rad/s an oracle in extended precision says which is off
+(tests/oracle.py), and by how much the optimum itself moves where the numbers that it is made of
+move by their last digit. Exit code 1 where the kernel is off by more than that. What was left to
+the plain law is counted, with reasons.
 """
 
 from __future__ import annotations

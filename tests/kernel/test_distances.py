@@ -19,7 +19,7 @@ pytestmark = needs_kernel
 
 @pytest.mark.parametrize("name", robots())
 def test_distances_are_coals(name: str) -> None:
-    """All pairs of a shipped robot at random poses; more of them: python -m tests.kernel.distances."""
+    """All pairs of a shipped robot at random poses; at more by python -m tests.kernel.distances."""
     seen = of_robot(robots()[name], 10)
     assert seen.passes, str(seen)
     assert seen.unknown <= 1e-3 * seen.pairs
