@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cache
 
@@ -67,7 +67,7 @@ def watching(name: str, *, things: bool = True, alone: bool = False) -> ControlP
     limits = [self_collision(chain)]
     if things:
         limits.append(near_things(chain))
-    others = () if alone else (each for each in scenario.limits if not _in_space(each))
+    others = () if alone else without_bodies(scenario.limits)
     return with_limits(scenario, *others, *limits).problem()
 
 
@@ -124,5 +124,6 @@ def _separation(limit: SelfCollision | Obstacles, chain: ClosedChain) -> Separat
     return limit._separation(chain)
 
 
-def _in_space(limit: Limit) -> bool:
-    return isinstance(limit, SelfCollision | Obstacles)
+def without_bodies(limits: Sequence[Limit]) -> tuple[Limit, ...]:
+    """Those that watch no bodies."""
+    return tuple(each for each in limits if not isinstance(each, SelfCollision | Obstacles))
