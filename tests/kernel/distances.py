@@ -255,9 +255,8 @@ def of_cases(chain: ClosedChain, cases: Iterable[tuple[Any, Placed, Placed, floa
 def _off(a: Placed, b: Placed, d: float, p: Array, n: Array) -> float:
     """By how much a distance can be wrong: of points outside, and of planes nearer together [m]."""
     between = -b.reach(-n) - a.reach(n)
-    tilted = np.sqrt(
-        2.0 * abs(d) * max(d - between, 0.0)
-    )  # how far p + d n may be beside b's point
+    reach = abs(d) + a.convex.rim + b.convex.rim
+    tilted = np.sqrt(2.0 * reach * max(d - between, 0.0))  # p + d n is so far beside b's point
     out = max(a.outside(p), b.outside(p + d * n) - tilted)
     return max(d - between, out, abs(float(n @ n) - 1.0))
 
