@@ -40,7 +40,7 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=15)
     parser.add_argument("--busy", type=int, default=1, help="loops beside the second table")
     asked = parser.parse_args()
-    for loops in (0, asked.busy):
+    for loops in sorted({0, asked.busy}):
         with busy(loops):
             print(f"beside {loops} busy loop(s)" if loops else "nothing beside it")
             table(asked.rounds)
