@@ -70,11 +70,10 @@ def bind_to_the_kernels_distances(self: Separation, dt: float) -> Tighten:
     class Measured(Distances):
         def update(self, within: float | Array) -> None:
             super().update(within)
-            found, k = space.measure(now[-1].q), len(self.near)
-            known = found[self.near, 0] == Told.MEASURED
-            self.d[self.near] = np.where(known, found[self.near, 1], self.d[self.near])
-            self.p[:k, :3][known] = found[self.near, 3:6][known]
-            self.n[:k, :3][known] = found[self.near, 6:9][known]
+            found = space.measure(now[-1].q)
+            known = self.near[found[self.near, 0] == Told.MEASURED]
+            self.d[known] = found[known, 1]
+            self.p[known], self.n[known] = found[known, 3:6], found[known, 6:9]
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(_keep_apart, "Distances", Measured)

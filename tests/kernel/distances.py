@@ -18,7 +18,7 @@ import argparse
 import itertools
 import sys
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -36,12 +36,12 @@ from watched_bodies import robots
 from coopqp.base.spec import Array
 from coopqp.kernel import native
 from coopqp.kernel.free_space import KNOWN, FreeSpace, Told
-from coopqp.limit import DistanceBounds, Form, Solid
+from coopqp.limit import DistanceBounds
 from coopqp.limits import SelfCollision
-from coopqp.limits._distances import Convex, _hull_of, of_capsule, of_shape
+from coopqp.limits._distances import _hull_of, of_capsule, of_shape
 from coopqp.limits._keep_apart import distances_along
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.robot import Capsule, Shape
+from coopqp.robot import Capsule, Convex, Form, Shape
 
 OFF = 1e-5  # from coal's distance [m]
 TOUCHES = 5e-6  # what coal calls so deep may be apart [m]
@@ -157,13 +157,6 @@ class Placed:
         planes = _planes(convex)
         return float((planes[:, :3] @ x + planes[:, 3]).max())
 
-    def solid(self, n: int) -> Solid:
-        convex, X = self.convex, self.X
-        return Solid(
-            joint=0, placement=X, form=convex.form, half=convex.half, radius=convex.radius,
-            points=convex.points, edges=convex.edges, rim=convex.rim, levers=np.zeros(n),
-        )  # fmt: skip
-
 
 @cache
 def _planes(convex: Convex) -> Array:
@@ -238,9 +231,12 @@ def of_cases(chain: ClosedChain, cases: Iterable[tuple[Any, Placed, Placed, floa
     """Adverse cases, as bodies that are fixed to the world of a chain."""
     seen = Seen()
     for batch in _batches(cases):
-        solids = [body.solid(chain.n) for _, *pair, _ in batch for body in pair]
+        solids = [(0, replace(b.convex, placement=b.X)) for _, *pair, _ in batch for b in pair]
         pairs = np.arange(len(solids), dtype=np.int64).reshape(-1, 2)
-        bounds = DistanceBounds(solids=solids, pairs=pairs, distance=0.0, gain=1.0, within=0.1)
+        still = np.zeros((len(solids), chain.n))
+        bounds = DistanceBounds(
+            bodies=solids, levers=still, pairs=pairs, distance=0.0, gain=1.0, within=0.1
+        )
         found = All(chain, bounds).measure(chain.q_start, seen)
         known = seen.add(found)
         for row, is_known, (_, a, b, gap) in zip(found, known, batch, strict=True):

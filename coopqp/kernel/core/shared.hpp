@@ -79,7 +79,7 @@ enum class Status : int {
 };
 constexpr int BUSY = -1, RELAXED = 16, STANDS = 32, COMES_BACK = 64;
 
-// coopqp.program.Kind, coopqp.limit.Bounded and Form, coopqp.model.profile.KINDS
+// coopqp.program.Kind, limit.Bounded, robot.Form and model.profile.KINDS
 enum class Kind {
     Point = 0,
     Radial = 1,
