@@ -17,6 +17,7 @@ from coopqp.base.spec import Array, spec, type_name
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.marker import Marker
 from coopqp.model.state import State
+from coopqp.robot import Convex
 
 #: A joint that is beyond a limit of its place by less is inside but for rounding [rad, m].
 ROUNDING = 1e-9
@@ -82,6 +83,28 @@ class TwistBounds:
         return 2 * len(self.components) + len(self.points)
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DistanceBounds:
+    """Rows of a limit that keeps pairs of bodies apart, for the kernel.
+
+    Attributes:
+        bodies: each with the id of the joint that carries it; 0 is the world.
+        levers: how fast each joint, at speed 1, moves a body's points at most, (b, n) [m, 1].
+        pairs: of bodies, as numbers in ``bodies``, shape (p, 2).
+        distance: to keep [m]; of what is left ``gain`` may be used up per second [1/s].
+        within: what pairs are farther apart than that may be used up in a tick [m].
+    """
+
+    bodies: Sequence[tuple[int, Convex]]
+    levers: Array
+    pairs: NDArray[np.int64]
+    distance: float
+    gain: float
+    within: float
+
+
+Program = JointBounds | TwistBounds | DistanceBounds
+
 Tighten = Callable[[State, LimitRows], None]
 
 Clearance = Callable[[State], Array]
@@ -114,7 +137,7 @@ class Limit(ABC):
     def bind(self, chain: ClosedChain, dt: float) -> Tighten:
         """Return the function that tightens the bounds each tick of dt [s]."""
 
-    def program(self, chain: ClosedChain, dt: float) -> JointBounds | TwistBounds | None:
+    def program(self, chain: ClosedChain, dt: float) -> Program | None:
         """The same as numbers for the kernel; None where it has no such form."""
         return None
 

@@ -4,12 +4,14 @@
 #include <nanobind/stl/vector.h>
 
 #include "deciding.hpp"
+#include "free_space.hpp"
 #include "sliding.hpp"
 #include "trajectory_evaluation.hpp"
 
 using namespace nb::literals;
 
 using KERNEL_MODULE::Engine;
+using KERNEL_MODULE::FreeSpace;
 using KERNEL_MODULE::Slide;
 using KERNEL_MODULE::TrajectoryEvaluation;
 
@@ -31,7 +33,12 @@ NB_MODULE(KERNEL_MODULE, m) {
              "remembered"_a, "stops"_a, "all_corrected"_a)
         .def("scale", &Engine::scale)
         .def("rows", &Engine::rows)
+        .def("near", &Engine::near)
         .def("worst", &Engine::worst);
+    nb::class_<FreeSpace>(m, "FreeSpace")
+        .def(nb::init<const nb::dict&>())
+        .def("is_free", &FreeSpace::is_free)
+        .def("measure", &FreeSpace::measure);
     nb::class_<Slide>(m, "Slide")
         .def(nb::init<const nb::dict&>())
         .def("step", &Slide::step);

@@ -14,13 +14,14 @@ from coopqp.kernel.flat import (
     Flat,
     Group,
     Levels,
+    flat_distances,
     flat_joint_limit,
     flat_model,
     flat_settings,
     flat_twist_limit,
     kept_rows,
 )
-from coopqp.limit import Bounded, JointBounds, TwistBounds
+from coopqp.limit import Bounded, DistanceBounds, JointBounds, TwistBounds
 from coopqp.model.state import Memory, State
 from coopqp.program import Programs
 from coopqp.qp_law.bounds import Bounds
@@ -39,6 +40,7 @@ class Limits:
         twist: rows on the object's twist as numbers; they come first.
         filled: the others, if there are any; their rows come after these.
         rows: their number.
+        distances: pairs of bodies as numbers; as many rows as are needed come last.
         q_measured: shape (n,), NaN where nothing is measured; None where no limit reads it.
     """
 
@@ -50,6 +52,7 @@ class Limits:
             known = [(limit, None) for limit in limits]
         self.joints: list[Flat] = []
         self.twist: list[Flat] = []
+        self.distances: list[Flat] = []
         self.filled: Bounds | None = None
         self.q_measured: Array | None = None
         self.rows = 0
@@ -61,7 +64,11 @@ class Limits:
             elif isinstance(program, TwistBounds):
                 self.twist.append(flat_twist_limit(program, self.rows))
                 self.rows += program.rows
-        if filled := [limit for limit, program in known if program is None]:
+            elif isinstance(program, DistanceBounds):
+                self.distances.append(flat_distances(chain, program))
+        if any(program is None for _, program in known):
+            # With constant bounds on v, which say how far limits in space must look ahead.
+            filled = [limit for limit, program in known if program is None or limit.constant]
             self.filled = Bounds(chain, filled, start, dt)
             self.rows += len(self.filled.rows)
 
@@ -155,6 +162,7 @@ class Compiled:
             "primitives": levels.primitives,
             "joint_limits": limits.joints,
             "twist_limits": limits.twist,
+            "distances": limits.distances,
             "settings": flat_settings(problem, damping, error_damping, limits.rows),
         })  # fmt: skip
         self.engine.bind_command(v)

@@ -24,11 +24,12 @@ from pathlib import Path
 import coal
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.reading import version
 from coopqp.base.spec import Array
-from coopqp.robot import Capsule, Shape
+from coopqp.robot import Capsule, Convex, Form, Shape
 from coopqp.robot_files.meshes import read_mesh
 
 #: How far from 1 a unit normal's square, and from 0 a length [m], may be.
@@ -41,26 +42,6 @@ RIM = 12
 
 #: How many numbers a shape's size has.
 NUMBERS = {"box": 3, "cylinder": 2, "capsule": 2, "sphere": 1, "ellipsoid": 3, "mesh": 3}
-
-
-@dataclass(frozen=True, eq=False)
-class Convex:
-    """A convex body.
-
-    Attributes:
-        placement: of the middle of the box round it, in the frame it was given in.
-        half: half the edges of that box, shape (3,) [m].
-        radius: of the ball round it, about the same middle [m].
-        points, rim: it is the hull of the points, shape (k, 3), thickened by the rim [m]; round
-            ends of a cylinder have a few of their points, what is round all over has one.
-    """
-
-    geometry: coal.CollisionGeometry
-    placement: pin.SE3
-    half: Array
-    radius: float
-    points: Array
-    rim: float = 0.0
 
 
 def of_shape(shape: Shape) -> Convex:
@@ -84,9 +65,10 @@ def of_meshes(shapes: Sequence[Shape]) -> Convex:
     hull = _hull_of(np.concatenate(points).tobytes())
     if hull is None:
         raise InvalidValueError(f"mesh {shapes[0].mesh}: is flat; needs a volume")
-    geometry, middle, half, corners = hull
+    geometry, middle, half, corners, edges = hull
     radius = float(np.linalg.norm(corners, axis=1).max())
-    return Convex(geometry, X * pin.SE3(np.eye(3), middle), half, radius, corners)
+    placement = X * pin.SE3(np.eye(3), middle)
+    return Convex(geometry, placement, half, radius, corners, edges=edges)
 
 
 def outermost(shape: Shape) -> Array:
@@ -120,9 +102,11 @@ def _primitive(kind: str, size: tuple[float, ...], placement: pin.SE3) -> Convex
     if kind == "box":
         half = 0.5 * np.array(size)
         corners = half * np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
-        return Convex(coal.Box(*size), placement, half, float(np.linalg.norm(half)), corners)
+        radius = float(np.linalg.norm(half))
+        return Convex(coal.Box(*size), placement, half, radius, corners, form=Form.BOX)
     if kind == "ellipsoid":
-        return Convex(coal.Ellipsoid(*size), placement, np.array(size), max(size), middle)
+        round_all_over, half = coal.Ellipsoid(*size), np.array(size)
+        return Convex(round_all_over, placement, half, max(size), middle, form=Form.ELLIPSOID)
     if kind == "sphere":
         (radius,) = size
         return Convex(coal.Sphere(radius), placement, np.full(3, radius), radius, middle, radius)
@@ -133,7 +117,8 @@ def _primitive(kind: str, size: tuple[float, ...], placement: pin.SE3) -> Convex
         angles = np.linspace(0.0, 2.0 * np.pi, RIM, endpoint=False)
         rim = radius * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(RIM)])
         points = np.concatenate([rim + end for end in ends])
-        return Convex(coal.Cylinder(*size), placement, half, math.hypot(radius, reach), points)
+        ball, cylinder = math.hypot(radius, reach), coal.Cylinder(*size)
+        return Convex(cylinder, placement, half, ball, points, form=Form.CYLINDER)
     half[2] += radius
     points = ends if reach else middle
     return Convex(coal.Capsule(*size), placement, half, half[2], points, radius)
@@ -156,7 +141,9 @@ def _read(path: Path, changed: int, size: int, scale: tuple[float, ...]) -> Arra
 
 
 @lru_cache(maxsize=512)
-def _hull_of(points: bytes) -> tuple[coal.CollisionGeometry, Array, Array, Array] | None:
+def _hull_of(
+    points: bytes,
+) -> tuple[coal.CollisionGeometry, Array, Array, Array, NDArray[np.int64]] | None:
     """Convex hull of points, bytes for the cache, about the middle of its box; None if flat."""
     from scipy.spatial import ConvexHull, QhullError
 
@@ -168,12 +155,15 @@ def _hull_of(points: bytes) -> tuple[coal.CollisionGeometry, Array, Array, Array
         return None
     if np.bincount(hull.simplices.ravel()).max() > MAX_EDGES:
         raise InvalidValueError(f"mesh: over {MAX_EDGES} edges meet in a corner; {SIMPLER}")
-    number = {old: new for new, old in enumerate(hull.vertices.tolist())}
-    corners = hull.points[hull.vertices]
+    number = np.zeros(len(vertices), np.int64)
+    number[hull.vertices] = np.arange(len(hull.vertices))
+    faces, corners = number[hull.simplices], hull.points[hull.vertices]
     corner_list, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
     corner_list.extend(list(corners))
-    triangles.extend([coal.Triangle(*(number[i] for i in t)) for t in hull.simplices.tolist()])
-    return (coal.Convex(corner_list, triangles), middle, np.abs(corners).max(axis=0), corners)
+    triangles.extend([coal.Triangle(*face) for face in faces.tolist()])
+    sides = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    geometry, half = coal.Convex(corner_list, triangles), np.abs(corners).max(axis=0)
+    return geometry, middle, half, corners, np.unique(sides, axis=0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,8 +188,8 @@ class Distances:
     Attributes:
         geometry, placed: the bodies, and where they are.
         d: of each pair, or a lower bound of it where the pair is far, shape (p,) [m].
-        near: the pairs that may be close, k of them.
-        n, p: their normals and nearest points in the first k rows.
+        near: the pairs that may be close.
+        n, p: normals and nearest points of these, shape (p, 3).
         ids: of the bodies of each pair, in geometry.
     """
 
@@ -225,99 +215,58 @@ class Distances:
             request.gjk_initial_guess = coal.GJKInitialGuess.BoundingVolumeGuess
             self.placed.distanceRequests[i] = request
         self._results = list(self.placed.distanceResults)
-        self._normals = [result.normal for result in self._results]  # views, which stay valid
-        self._bounds = _Bounds(self.placed, bodies, self.ids)
-        self._flat = np.zeros(3 * len(pairs))
-        self._is_near, self._was_near, self._changed = np.ones((3, len(pairs)), bool)
+        self._places = [self.placed.oMg[i] for i in range(len(bodies))]
+        first, second = np.array(self.ids, int).reshape(-1, 2).T
+        radius = np.array([body.convex.radius for body in bodies])
+        half = np.array([body.convex.half for body in bodies]).reshape(-1, 3)
+        turned = radius[first] < radius[second]  # the larger of two is bounded by its box
+        self._box, self._ball = np.where(turned, (second, first), (first, second))
+        self._half, self._radius = half[self._box], radius[self._ball]
+        self._was_near = np.ones(len(pairs), bool)
         self.d, self.near = np.zeros(len(pairs)), np.zeros(0, np.int64)
-        # Columns x y z x y, so that slices give the shifted columns of a cross product.
-        self.n, self.p = np.zeros((2, len(pairs), 5))
+        self.n, self.p = np.zeros((2, len(pairs), 3))
 
     def update(self, within: float | Array) -> None:
         """Find the distances of pairs that may be closer than ``within`` [m], each or all."""
-        n, p = self.n, self.p
-        self._bounds.update(self.d)
-        np.less(self.d, within, self._is_near)
-        self._choose()
-        (self.near,) = self._is_near.nonzero()
-        near = self.near.tolist()
-        if not near:
+        self.d[:] = self._bounds()
+        is_near = self.d < within
+        self._choose(is_near)
+        (self.near,) = is_near.nonzero()
+        if not len(self.near):
             return
         pin.computeDistances(self.geometry, self.placed)
-        results = [self._results[i] for i in near]
+        results = [self._results[i] for i in self.near.tolist()]
         self.d[self.near] = [result.min_distance for result in results]
-        k = len(near)
-        np.concatenate([self._normals[i] for i in near], out=self._flat[: 3 * k])
-        n[:k, :3] = self._flat[: 3 * k].reshape(-1, 3)
-        np.concatenate([result.getNearestPoint1() for result in results], out=self._flat[: 3 * k])
-        p[:k, :3] = self._flat[: 3 * k].reshape(-1, 3)
-        if self.d.min() < UNIT:
-            for row, i in enumerate(near):
-                self._mend(row, i)
+        self.n[self.near] = [result.normal for result in results]
+        self.p[self.near] = [result.getNearestPoint1() for result in results]
+        for i in self.near[self.d[self.near] < UNIT].tolist():
+            self._mend(i)
 
-    def _choose(self) -> None:
+    def _bounds(self) -> Array:
+        """From the box round one body to the ball round the other."""
+        p = np.array([X.translation for X in self._places]).reshape(-1, 3)
+        R = np.array([X.rotation for X in self._places]).reshape(-1, 3, 3)
+        way = np.einsum("ij,ijk->ik", p[self._ball] - p[self._box], R[self._box])
+        out = np.maximum(np.abs(way) - self._half, 0.0)
+        return np.asarray(np.sqrt((out * out).sum(axis=1)) - self._radius)
+
+    def _choose(self, is_near: NDArray[np.bool_]) -> None:
         """Tell pinocchio which pairs are near; few come and go in a tick."""
-        np.not_equal(self._is_near, self._was_near, self._changed)
-        for i in self._changed.nonzero()[0].tolist():
-            if self._is_near[i]:
+        for i in (is_near != self._was_near).nonzero()[0].tolist():
+            if is_near[i]:
                 self.placed.activateCollisionPair(i)
             else:
                 self.placed.deactivateCollisionPair(i)
-        self._was_near[:] = self._is_near
+        self._was_near = is_near
 
-    def _mend(self, k: int, i: int) -> None:
+    def _mend(self, i: int) -> None:
         """Where axes of capsules cross there is no normal; take any way out of each other."""
-        n = self.n[k, :3]
+        n = self.n[i]
         first, second = self.ids[i]
         if not abs(n.dot(n) - 1.0) < UNIT:  # written so that a NaN is mended
             X_1, X_2 = self.placed.oMg[first], self.placed.oMg[second]
             way = X_2.translation - X_1.translation
             size = math.sqrt(way.dot(way))
             n[:] = way / size if size > UNIT else X_1.rotation[:, 0]
-        if not np.isfinite(self.p[k, :3]).all():
-            self.p[k, :3] = self.placed.oMg[first].translation
-
-
-class _Bounds:
-    """Lower bounds of distances: from the box round one body to the ball round the other."""
-
-    def __init__(
-        self, placed: pin.GeometryData, bodies: Sequence[Body], ids: Sequence[tuple[int, int]]
-    ) -> None:
-        places = [placed.oMg[i] for i in range(len(bodies))]
-        # Views into pinocchio's data, which stay valid.
-        self._p_views = [X.translation for X in places]
-        self._R_views = [X.rotation for X in places]
-        radius = np.array([body.convex.radius for body in bodies])
-        half = np.array([body.convex.half for body in bodies]).reshape(-1, 3)
-        # The larger of two is bounded by its box.
-        boxes = [a if radius[a] >= radius[b] else b for a, b in ids]
-        balls = [a + b - box for (a, b), box in zip(ids, boxes, strict=True)]
-        self._box, self._ball = np.array(boxes, int), np.array(balls, int)
-        self._half, self._radius = half[self._box], radius[self._ball]
-        count, pairs = len(bodies), len(ids)
-        self._p, self._R = np.zeros(3 * count), np.zeros((3 * count, 3))
-        self._way, self._ball_p = np.zeros((2, pairs, 3))
-        self._turned = np.zeros((pairs, 1, 3))
-        self._R_box = np.zeros((pairs, 3, 3))
-
-    def update(self, d: Array) -> None:
-        if not len(d):
-            return
-        np.concatenate(self._p_views, out=self._p)
-        np.concatenate(self._R_views, out=self._R)
-        p, way = self._p.reshape(-1, 3), self._way
-        p.take(self._ball, axis=0, out=self._ball_p)
-        p.take(self._box, axis=0, out=way)
-        np.subtract(self._ball_p, way, way)
-        self._R.reshape(-1, 3, 3).take(self._box, axis=0, out=self._R_box)
-        turned = self._turned
-        np.matmul(way[:, None, :], self._R_box, out=turned)  # R' way
-        inside = turned[:, 0, :]
-        np.abs(inside, inside)
-        np.subtract(inside, self._half, inside)
-        np.maximum(inside, 0.0, out=inside)
-        np.multiply(inside, inside, inside)
-        np.add.reduce(inside, axis=1, out=d)
-        np.sqrt(d, d)
-        np.subtract(d, self._radius, d)
+        if not np.isfinite(self.p[i]).all():
+            self.p[i] = self.placed.oMg[first].translation
