@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from coopqp.kernel.flat import (
     kept_rows,
 )
 from coopqp.limit import Bounded, JointBounds, TwistBounds
+from coopqp.model.loop_observer import LoopObserver
 from coopqp.model.state import Memory, State
 from coopqp.program import Programs
 from coopqp.qp_law.bounds import Bounds
@@ -72,7 +74,7 @@ class Limits:
 
     @property
     def compiled(self) -> bool:
-        return self.filled is None and self.q_measured is None
+        return self.filled is None
 
     def update(self, state: State) -> None:
         if self.filled is not None:
@@ -104,6 +106,7 @@ class Outcome(IntEnum):
     SHORTENED = 10  # optimal, but for the length of the step
     UNPROVEN = 11  # no answer was found, and no proof that there is none
     CLASHING = 12  # the first level's constraints leave nothing, by less than they may give way
+    UNUSUAL = 13  # what the joints measured is for Python to judge; nothing is learnt
     RELAXED = 16
     STANDS = 32
     COMES_BACK = 64
@@ -167,6 +170,8 @@ class Compiled:
         for primitive, at in levels.followed:
             self.engine.bind_reference(primitive, at.c, at.RT, at.c_dot, at.omega)
         self.follows = bool(levels.followed)
+        self._leads = limits if limits.q_measured is not None else None
+        self._measured: tuple[Any, ...] = None, None
         self._heard: list[tuple[str, Array | None, Array | None]] = []
 
     def bind(self, state: State, memory: Memory) -> tuple[Bound, ...] | None:
@@ -197,13 +202,44 @@ class Compiled:
         """
         all_corrected = state.corrected >= ALL_OF_IT
         if self.alone:
-            if self.follows:
-                self._levels.follow(state)
+            self._prepare(state)
             self.outcome = self.engine.tick(state.t, all_corrected)
         else:
             self._levels.update(state)
             self.outcome = self.engine.tick_with_rows(state.t, all_corrected)
         return self.outcome
+
+    def tick_measured(self, state: State, observer: LoopObserver) -> int:
+        """The same with measured joints, by which the loop-closure offset is learnt first.
+
+        Where it is no answer, ``engine.forget_measured`` takes back what was learnt.
+        """
+        self._prepare(state)
+        corrected, learns = state.corrected >= ALL_OF_IT, observer.begins(state)
+        self.outcome = self.engine.tick_measured(state.t, corrected, learns)
+        return self.outcome
+
+    def measures(self, state: State, observer: LoopObserver) -> bool:
+        """Whether the kernel can read what a state has measured; binds it."""
+        reading, seen = self._measured
+        if state.q_measured is reading and observer is seen:
+            return True
+        given: Any = state.q_measured
+        if type(observer) is not LoopObserver or type(given) is not np.ndarray:
+            return False
+        if given.shape != state.q.shape or not plain_numbers(given):
+            return False
+        self.engine.bind_reading(given)
+        self.engine.bind_observer(observer.flat())
+        self._measured = given, observer
+        return True
+
+    def _prepare(self, state: State) -> None:
+        """What Python does before a tick of the kernel alone."""
+        if self.follows:
+            self._levels.follow(state)
+        if self._leads:
+            self._leads.update(state)
 
 
 def plain_numbers(*arrays: Array) -> bool:

@@ -29,6 +29,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -54,7 +55,8 @@ SLIGHT = 2e-4
 GRIP_SIZE = 0.03
 #: An object that is commanded to move faster does not rest: the servos' lag would count as a sag
 #: [m/s]; a rotation counts by 0.1 m.
-MOVES, REST, SPEEDS = 0.05, 0.005, np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])
+MOVES, REST, TURN_COUNTS = 0.05, 0.005, 0.1
+SPEEDS = np.repeat([1.0, TURN_COUNTS], 3)
 #: Farther a joint is not believed to sag under a load that is felt [rad].
 FARTHEST = 0.02
 #: Sags below this are rounding.
@@ -81,8 +83,6 @@ class LoopObserver:
 
     Attributes:
         at_bound: arms whose loops with the first one are at their bound since the last update.
-        load: the weight that the servos feel [N]; NaN while it is not known.
-        doubt: what readings that are half a milliradian off add to it [N].
         note: what is wrong, where something is.
         paused: whether what is measured now is not to be believed, so that the gap stays.
     """
@@ -94,8 +94,9 @@ class LoopObserver:
         self._known = self.settings.stiffness is not None
         self._most = self.settings.most, ROTATION * self.settings.most
         self.at_bound: tuple[str, ...] = ()
-        self.load, self.note, self.paused = math.nan, "", False
-        self.doubt, self._renewed = math.inf, 0
+        self.note, self.paused = "", False
+        self._every = max(1, round(RENEWED / dt))
+        self._told = np.array([math.nan, math.inf, 0.0])  # load, doubt, number of ticks
 
     @cached_property
     def _measured(self) -> State:
@@ -105,6 +106,29 @@ class LoopObserver:
     @cached_property
     def _sag(self) -> WeightSag:
         return WeightSag(self._chain, self._compliance)
+
+    @property
+    def load(self) -> float:
+        """The weight that the servos feel [N]; NaN while it is not known."""
+        return float(self._told[0])
+
+    @property
+    def doubt(self) -> float:
+        """What readings that are half a milliradian off add to it [N]."""
+        return float(self._told[1])
+
+    def flat(self) -> dict[str, Any]:
+        """Numbers, and arrays that the kernel writes where it does an :meth:`update` itself."""
+        sag = self._sag
+        return {
+            **sag.flat(), "told": self._told, "dt": self._dt, "share": self._share,
+            "most": np.array(self._most), "every": self._every, "known": self._known,
+        }  # fmt: skip
+
+    def begins(self, state: State) -> bool:
+        """A tick begins; whether the offset follows what is measured in it."""
+        self.at_bound, self.note = (), ""
+        return not (self.paused or state.corrected < 1.0 or not self.settings.enabled)
 
     @property
     def stated_stiffness(self) -> Array | None:
@@ -127,7 +151,7 @@ class LoopObserver:
 
     def update(self, state: State, along: Array | None = None) -> bool:
         """Follow the measured q, but along the unit vector ``along``; False where not finite."""
-        self.at_bound, self.note = (), ""
+        learns = self.begins(state)
         if state.q_measured is None:
             return True
         measured = self._measured
@@ -137,7 +161,7 @@ class LoopObserver:
             return False
         if found.shape != measured.q.shape or self._chain.unusable(found):
             return False  # a sensor that says nothing teaches nothing
-        if self.paused or state.corrected < 1.0 or not self.settings.enabled:
+        if not learns:
             return True
         measured.q[:] = found
         if math.isnan(state.felt[0]):
@@ -165,10 +189,10 @@ class LoopObserver:
     def _unload(self, state: State, along: Array | None) -> Array:
         """Take sag and squeeze out of the measured joints; what the sag opens the loops by."""
         sag, felt, q, known = self._sag, state.felt, self._measured.q, self._known
-        if self._renewed % max(1, round(RENEWED / self._dt)) == 0:
+        if self._told[2] % self._every == 0:
             sag.update(state, along if known else None)
-            self.doubt = DOUBT / max(float(np.abs(sag.sag).max()), TINY)
-        self._renewed += 1
+            self._told[1] = DOUBT / max(float(np.abs(sag.sag).max()), TINY)
+        self._told[2] += 1
         lag, load = q - state.q, math.nan
         if along is not None and known:
             sag.straighten(lag)
@@ -178,7 +202,7 @@ class LoopObserver:
         felt[1] = felt[1] + self._dt if math.isfinite(load) else 0.0
         if felt[1] > AFTER:
             felt[0] += min(1.0, self._dt / FEELS) * (load - felt[0])
-        self.load = float(felt[0]) if known else math.nan
+        self._told[0] = felt[0] if known else math.nan
         load = float(felt[0])
         if not known and load * np.abs(sag.sag).max() < SLIGHT:
             load = 0.0
@@ -224,12 +248,20 @@ class WeightSag:
         self._up = -chain.model.gravity.linear
         self._up = self._up / max(float(np.linalg.norm(self._up)), 1e-12)
         com = pin.skew(np.array(chain.held.com))
-        at_origin = np.zeros((6 * len(chain.arms), 3))  # of each arm, for a load along x, y, z
+        # Of each arm, for a load along x, y, z.
+        self._at_origin = at_origin = np.zeros((6 * len(chain.arms), 3))
         at_origin[: 6 * chain.holding] = _shares(
             [X.translation for X in chain.hand_poses()]
         ) @ np.vstack([np.eye(3), com])
         # Of J_ext = M [J_0; J_1; ...], so that sum_i J_i' h_i = J_ext' M^-T h.
         self._to_rows = np.linalg.solve(chain.mixing.T, at_origin)
+
+    def flat(self) -> dict[str, Array]:
+        """As :meth:`LoopObserver.flat`."""
+        return {
+            "compliance": self._compliance, "up": self._up, "at_origin": self._at_origin,
+            "torque": self._torque, "sag": self.sag, "opened": self.opened,
+        }  # fmt: skip
 
     def update(self, state: State, along: Array | None = None) -> None:
         """Follow an up-to-date state, in which the hands may squeeze ``along`` a loop direction."""

@@ -194,7 +194,7 @@ class State:
         return {
             "q": self.q, "v": self.v, "gap": self.gap, "p_WO": self.p_WO, "R_WO": self.R_WO,
             "loop_error": self.loop_error, "drift": self.drift, "q_seen": self._q_seen,
-            "commanded": self._commanded,
+            "commanded": self._commanded, "felt": self.felt,
         }  # fmt: skip
 
     def _refresh(self) -> None:
