@@ -4,14 +4,19 @@
 #include <nanobind/stl/vector.h>
 
 #include "deciding.hpp"
+#include "online.hpp"
 #include "sliding.hpp"
 #include "trajectory_evaluation.hpp"
 
 using namespace nb::literals;
 
 using KERNEL_MODULE::Engine;
+using KERNEL_MODULE::Reading;
+using KERNEL_MODULE::Ring;
+using KERNEL_MODULE::Samples;
 using KERNEL_MODULE::Slide;
 using KERNEL_MODULE::TrajectoryEvaluation;
+using KERNEL_MODULE::Numbers, KERNEL_MODULE::Written;
 
 NB_MODULE(KERNEL_MODULE, m) {
     nb::set_leak_warnings(false);  // what a script holds to its end is no leak of ours
@@ -36,6 +41,15 @@ NB_MODULE(KERNEL_MODULE, m) {
         .def("scale", &Engine::scale)
         .def("rows", &Engine::rows)
         .def("worst", &Engine::worst);
+    nb::class_<Reading>(m, "Reading")
+        .def(nb::init<const Written&, const Numbers&, const Numbers&, double>())
+        .def("take", &Reading::take);
+    nb::class_<Ring>(m, "Ring").def(nb::init<const nb::dict&>()).def("add", &Ring::add);
+    nb::class_<Samples>(m, "Samples")
+        .def(nb::init<const Written&, const Written&, const Numbers&, const nb::list&, int,
+                      const Numbers&, int>())
+        .def("add", &Samples::add)
+        .def("quiet", &Samples::quiet);
     nb::class_<Slide>(m, "Slide")
         .def(nb::init<const nb::dict&>())
         .def("step", &Slide::step);
