@@ -167,10 +167,9 @@ class Readings:
         self._since = 0.0
         self._read_at = -np.inf
         self._fault: Status | None = None
-        found = native.module()
-        self._quick = (
-            found and found.Reading(self.q, self._own.astype(float), self._max_speed, NOISE).take
-        )
+        found: Any = native.module()
+        own = self._own.astype(float)
+        self._quick = found and found.Reading(self.q, own, self._max_speed, NOISE).take
 
     def forget(self) -> None:
         """Accept the next reading wherever it is."""
