@@ -5,8 +5,8 @@ python benchmarks/loop_tick.py
 
 Joints follow with a lag and are measured with noise; the reading is made outside of the time. A
 round is a motion of 300 ticks of each, its numbers are the median and the mean of its ticks:
-``law.step``, ``OnlineLoop.tick``, that with a recording on disk, and PlaCo's bare tick in the job of
-``peers.py`` (for two Pandas that of two such arms). Cold: each tick after 1 ms of sleep.
+``law.step``, ``OnlineLoop.tick``, that with a recording on disk, and PlaCo's bare tick in the job
+of ``peers.py`` (for two Pandas that of two such arms). Cold: each tick after 1 ms of sleep.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ import argparse
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from statistics import mean, median
@@ -107,7 +106,9 @@ def table(given: list[tuple[str, Scenario]], rounds: int, ticks: int, sleep: flo
     """Medians of the rounds and the best, and ratios to ``law.step`` of both."""
     wanted = [each for each in jobs() if each.name in PLACO.values()]
     columns = ("law.step", "loop.tick", "recorded", "PlaCo")
-    print(f"{'':12}" + "".join(f"{c:>16}" for c in columns) + "   loop/step       mean of loop.tick")
+    print(
+        f"{'':12}" + "".join(f"{c:>16}" for c in columns) + "   loop/step       mean of loop.tick"
+    )
     with peers.placo_beside(Path(".placo"), wanted) as placo, tempfile.TemporaryDirectory() as out:
         for name, scenario in given:
             law = OnlineLoop(scenario, clock=None).law
@@ -132,13 +133,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rounds", type=int, default=15)
     rounds = parser.parse_args().rounds
-    given = [(name, replace(scenario)) for name, scenario in scenarios()]
+    given = list(scenarios())
     for busy, sleep in ((0, 0.0), (1, 0.0), (0, SLEEP)):
         words = "beside a busy loop" if busy else "nothing beside it"
         cold = f", cold: after {1e3 * sleep:g} ms of sleep" if sleep else ""
         print(f"\n{words}{cold}: median of {rounds} rounds, and the best [us a tick]")
+        few, ticks = (max(3, rounds // 3), COLD) if sleep else (rounds, TICKS)
         with peers.busy(busy):
-            table(given, rounds if not sleep else max(3, rounds // 3), COLD if sleep else TICKS, sleep)
+            table(given, few, ticks, sleep)
 
 
 if __name__ == "__main__":

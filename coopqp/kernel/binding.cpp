@@ -49,7 +49,8 @@ NB_MODULE(KERNEL_MODULE, m) {
         .def(nb::init<const Written&, const Written&, const Numbers&, const nb::list&, int,
                       const Numbers&, int>())
         .def("add", &Samples::add)
-        .def("quiet", &Samples::quiet);
+        .def("quiet", &Samples::quiet)
+        .def("directions", &Samples::directions);
     nb::class_<Slide>(m, "Slide")
         .def(nb::init<const nb::dict&>())
         .def("step", &Slide::step);

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <stdexcept>
 
+#include "core/left_singular.hpp"
 #include "reading.hpp"
 
 namespace KERNEL_MODULE {
@@ -147,6 +148,13 @@ class Samples {
             if (!(size < suspicious)) return false;
         }
         return true;
+    }
+
+    // As coopqp::left_singular, of A (n, m).
+    void directions(const Numbers& A, double nothing, const Written& values, const Written& U) const {
+        if (A.ndim() != 2 || A.shape(0) != n_ || values.size() != A.shape(1) || U.size() != n_ * n_)
+            throw std::invalid_argument("a matrix of another robot");
+        coopqp::left_singular(A.data(), int(n_), int(A.shape(1)), nothing, values.data(), U.data());
     }
 
   private:

@@ -184,7 +184,7 @@ class JointFollowing:
         """W with r W of unit variance without a fault, and zero for every internal wrench."""
         J = state.J_loop
         free = J.T @ null_space(J[:, self._passive].T) if len(self._passive) else J.T
-        U, values, _ = np.linalg.svd(self._compliance[:, None] * free[self._own])
+        U, values = self._directions(self._compliance[:, None] * free[self._own])
         rank = int(np.sum(values > SINGULAR * values.max(initial=1e-12)))
         U, parity = U[:, :rank], U[:, rank:]
         last = self._samples - 1
@@ -200,6 +200,16 @@ class JointFollowing:
         variance += self._observer.sag(state)[self._own] ** 2
         L = np.linalg.cholesky(parity.T @ (variance[:, None] * parity))
         return np.asarray(np.linalg.solve(L, parity.T).T)
+
+    def _directions(self, A: Array) -> tuple[Array, Array]:
+        """Left singular vectors (n, n) and values."""
+        if self._quick is None:
+            U, values, _ = np.linalg.svd(A)
+            return U, values
+        # LAPACK may wait for its other threads, up to a tenth of a second beside other programs.
+        U, values = np.zeros((len(A), len(A))), np.zeros(A.shape[1])
+        self._quick.directions(A, SINGULAR, values, U)
+        return U, values
 
     def _look(self, state: State) -> Suspect | None:
         """The suspect of the shortest window that has one."""

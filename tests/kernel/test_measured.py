@@ -11,10 +11,12 @@ from side_by_side import needs_kernel
 import coopqp
 from coopqp.controller import Law
 from coopqp.controllers import QPController
+from coopqp.kernel import native
 from coopqp.kernel.law import KernelLaw
 from coopqp.limits import FollowingError
 from coopqp.model.loop_observer import LoopObserver, Observer
 from coopqp.model.state import State
+from coopqp.online.following import SINGULAR
 from coopqp.solver import Status
 
 pytestmark = needs_kernel
@@ -124,3 +126,25 @@ def test_a_limit_of_following_is_the_kernels() -> None:
         if k < 30:
             assert np.abs(states[0].q - behind).max() < 1e-3 + 1e-9
     assert np.abs(states[0].q - behind).max() > 1.1e-3
+
+
+@pytest.mark.parametrize(("n", "m"), [(10, 6), (14, 6), (56, 42), (6, 3), (6, 8), (5, 1)])
+def test_directions_are_those_of_lapack(n: int, m: int) -> None:
+    """With parallel columns, and rows of very different size."""
+    rng, found = np.random.default_rng(n), native.module()
+    assert found
+    own = np.arange(n, dtype=float)
+    samples = found.Samples(np.zeros((5, n)), np.zeros((5, n)), own, [], 1, np.ones(1), 4)
+    for case in range(20):
+        A = rng.standard_normal((n, m)) * 10.0 ** rng.uniform(-0.1 * case, 0.1 * case, (n, 1))
+        A[:, m // 2] = A[:, 0]
+        U, values = np.zeros((n, n)), np.zeros(m)
+        samples.directions(A, SINGULAR, values, U)
+        V, wanted, _ = np.linalg.svd(A)
+        np.testing.assert_allclose(U.T @ U, np.eye(n), atol=1e-12)
+        np.testing.assert_allclose(values[: len(wanted)], wanted, atol=1e-12 * wanted[0])
+        rank = int(np.sum(wanted > SINGULAR * wanted[0]))
+        assert np.sum(values > SINGULAR * values[0]) == rank
+        np.testing.assert_allclose(
+            U[:, :rank] @ U[:, :rank].T, V[:, :rank] @ V[:, :rank].T, atol=1e-9
+        )
