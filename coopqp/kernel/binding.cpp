@@ -16,7 +16,8 @@ using KERNEL_MODULE::Ring;
 using KERNEL_MODULE::Samples;
 using KERNEL_MODULE::Slide;
 using KERNEL_MODULE::TrajectoryEvaluation;
-using KERNEL_MODULE::Numbers, KERNEL_MODULE::Written;
+using KERNEL_MODULE::Written;
+using Joints = std::vector<std::size_t>;
 
 NB_MODULE(KERNEL_MODULE, m) {
     nb::set_leak_warnings(false);  // what a script holds to its end is no leak of ours
@@ -42,12 +43,12 @@ NB_MODULE(KERNEL_MODULE, m) {
         .def("rows", &Engine::rows)
         .def("worst", &Engine::worst);
     nb::class_<Reading>(m, "Reading")
-        .def(nb::init<const Written&, const Numbers&, const Numbers&, double>())
+        .def(nb::init<const Written&, const Joints&, const std::vector<double>&, double>())
         .def("take", &Reading::take);
     nb::class_<Ring>(m, "Ring").def(nb::init<const nb::dict&>()).def("add", &Ring::add);
     nb::class_<Samples>(m, "Samples")
-        .def(nb::init<const Written&, const Written&, const Numbers&, const nb::list&, int,
-                      const Numbers&, int>())
+        .def(nb::init<const Written&, const Written&, const Joints&, const std::vector<Joints>&, int,
+                      const std::vector<int>&, int>())
         .def("add", &Samples::add)
         .def("quiet", &Samples::quiet)
         .def("directions", &Samples::directions);

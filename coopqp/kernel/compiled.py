@@ -172,6 +172,7 @@ class Compiled:
         self.follows = bool(levels.followed)
         self._leads = limits if limits.q_measured is not None else None
         self._measured: tuple[Any, ...] = None, None
+        self._shape = v.shape
         self._heard: list[tuple[str, Array | None, Array | None]] = []
 
     def bind(self, state: State, memory: Memory) -> tuple[Bound, ...] | None:
@@ -195,28 +196,26 @@ class Compiled:
         inputs = state.inputs
         return tuple((name, inputs.get(name), value, rate) for name, value, rate in self._heard)
 
-    def tick(self, state: State) -> int:
+    def tick(self, state: State, observer: LoopObserver | None = None) -> int:
         """Decide at a bound state, and return the outcome: INFEASIBLE only where that is proved.
 
-        Where Python fills rows, the state's kinematics and the limits must be up to date.
+        Where Python fills rows, the state's kinematics and the limits must be up to date. With an
+        observer it learns from the measured joints first; ``engine.forget_measured`` takes that
+        back where there is no answer.
         """
-        all_corrected = state.corrected >= ALL_OF_IT
-        if self.alone:
-            self._prepare(state)
-            self.outcome = self.engine.tick(state.t, all_corrected)
-        else:
+        engine, all_corrected = self.engine, state.corrected >= ALL_OF_IT
+        if not self.alone:
             self._levels.update(state)
-            self.outcome = self.engine.tick_with_rows(state.t, all_corrected)
-        return self.outcome
-
-    def tick_measured(self, state: State, observer: LoopObserver) -> int:
-        """The same with measured joints, by which the loop-closure offset is learnt first.
-
-        Where it is no answer, ``engine.forget_measured`` takes back what was learnt.
-        """
-        self._prepare(state)
-        corrected, learns = state.corrected >= ALL_OF_IT, observer.begins(state)
-        self.outcome = self.engine.tick_measured(state.t, corrected, learns)
+            self.outcome = engine.tick_with_rows(state.t, all_corrected)
+            return self.outcome
+        if self.follows:
+            self._levels.follow(state)
+        if self._leads:
+            self._leads.update(state)
+        if observer:
+            self.outcome = engine.tick_measured(state.t, all_corrected, observer.begins(state))
+        else:
+            self.outcome = engine.tick(state.t, all_corrected)
         return self.outcome
 
     def measures(self, state: State, observer: LoopObserver) -> bool:
@@ -227,19 +226,12 @@ class Compiled:
         given: Any = state.q_measured
         if type(observer) is not LoopObserver or type(given) is not np.ndarray:
             return False
-        if given.shape != state.q.shape or not plain_numbers(given):
+        if given.shape != self._shape or not plain_numbers(given):
             return False
         self.engine.bind_reading(given)
         self.engine.bind_observer(observer.flat())
         self._measured = given, observer
         return True
-
-    def _prepare(self, state: State) -> None:
-        """What Python does before a tick of the kernel alone."""
-        if self.follows:
-            self._levels.follow(state)
-        if self._leads:
-            self._leads.update(state)
 
 
 def plain_numbers(*arrays: Array) -> bool:

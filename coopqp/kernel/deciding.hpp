@@ -138,7 +138,9 @@ class Engine {
     }
 
     // Where Python decides after all: what that has learnt is forgotten.
-    void forget_measured() { observer_->forget(); }
+    void forget_measured() {
+        if (observer_) observer_->forget();
+    }
 
     // The same where Python has filled limits, rows of some tasks, or what some of them follow.
     int tick_with_rows(double t, bool all_corrected) {
@@ -261,6 +263,7 @@ class Engine {
 
     // Whether the reading is one, and q what the last command has led to.
     bool usable() {
+        if (!reading_ || !observer_) return false;
         double size = 0.0;
         bool stands = true, same = true;
         const double* q = kernel_->bound.q;

@@ -17,6 +17,7 @@ import numpy as np
 from coopqp.controller import Command, ControlProblem, InternalForceControl, Law
 from coopqp.kernel.compiled import Bound, Compiled, Limits, Outcome, plain_numbers
 from coopqp.kernel.flat import Group
+from coopqp.model.loop_observer import LoopObserver
 from coopqp.model.state import Memory, State
 from coopqp.qp_law.equations import ALL_OF_IT
 from coopqp.qp_law.law import QPLaw, memory_sizes
@@ -141,17 +142,17 @@ class KernelLaw(Law):
     def _decided_alone(self, state: State) -> bool:
         """The same where a signal may raise; :meth:`decide` then handles the exception."""
         try:
-            return self._decides(state, measured=state.q_measured is not None)
+            return self._decides(state, None if state.q_measured is None else self.observer)
         except KeyboardInterrupt:
             raise
         except BaseException:  # noqa: BLE001 - code of plug-ins may raise anything
             self._asked = False
             return False
 
-    def _decides(self, state: State, *, measured: bool = False) -> bool:
+    def _decides(self, state: State, observer: LoopObserver | None = None) -> bool:
         """Whether the kernel has an answer, which is the command then."""
         self.compiled, whole = False, self.whole
-        outcome = whole.tick_measured(state, self.observer) if measured else whole.tick(state)
+        outcome = whole.tick(state, observer)
         if outcome in ALL_WELL:
             self._say(ALL_WELL[outcome])
             self.command.scale = self.whole.engine.scale() if self._exact else 1.0
@@ -159,7 +160,7 @@ class KernelLaw(Law):
         if outcome == INFEASIBLE and not self._relaxes and self._rests(whole.engine.rest()):
             self._missed[:] = self._missing[:] = 0.0
             return True
-        if measured and outcome != BUSY:
+        if observer and outcome != BUSY:
             whole.engine.forget_measured()
             self._asked = outcome != UNUSUAL
         return False

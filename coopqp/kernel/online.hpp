@@ -14,10 +14,9 @@ namespace KERNEL_MODULE {
 class Reading {
   public:
     // q: the last that was accepted, and where the next goes; own: joints of the robot itself.
-    Reading(const Written& q, const Numbers& own, const Numbers& speed, double noise)
-        : q_(q), next_(q.size()), speed_(speed.data(), speed.data() + speed.size()), noise_(noise) {
-        for (std::size_t i = 0; i < own.size(); i++) own_.push_back(std::size_t(own.data()[i]));
-    }
+    Reading(const Written& q, const std::vector<std::size_t>& own, const std::vector<double>& speed,
+            double noise)
+        : q_(q), next_(q.size()), speed_(speed), own_(own), noise_(noise) {}
 
     // Whether a reading is accepted, `elapsed` after the last one [s]. Joints that are not measured
     // are where they are commanded to be.
@@ -95,16 +94,12 @@ class Samples {
   public:
     // c, m: rings of commanded and measured joints `own`, shape (kept, n); arms: of these which
     // belong to an arm; stuck, spans: samples between which they are compared.
-    Samples(const Written& c, const Written& m, const Numbers& own, const nb::list& arms,
-            int stuck, const Numbers& spans, int long_one)
-        : c_(c), m_(m), stuck_(stuck), long_(long_one), kept_(int(c.shape(0))), n_(c.shape(1)), r_(n_) {
-        for (std::size_t i = 0; i < own.size(); i++) own_.push_back(std::size_t(own.data()[i]));
+    Samples(const Written& c, const Written& m, const std::vector<std::size_t>& own,
+            const std::vector<std::vector<std::size_t>>& arms, int stuck,
+            const std::vector<int>& spans, int long_one)
+        : c_(c), m_(m), own_(own), arms_(arms), spans_(spans), stuck_(stuck), long_(long_one),
+          kept_(int(c.shape(0))), n_(c.shape(1)), r_(n_) {
         for (std::size_t j : own_) last_ = std::max(last_, j);
-        for (nb::handle arm : arms) {
-            const auto joints = nb::cast<Numbers>(arm);
-            if (joints.size() > 1) arms_.emplace_back(joints.data(), joints.data() + joints.size());
-        }
-        for (std::size_t i = 0; i < spans.size(); i++) spans_.push_back(int(spans.data()[i]));
     }
 
     // Sample number k.
@@ -125,9 +120,8 @@ class Samples {
         count_ = count;
         if (last >= stuck_)
             for (const auto& arm : arms_)
-                if (std::all_of(arm.begin(), arm.end(), [&](double j) {
-                        const std::size_t at = std::size_t(j);
-                        return of(m_, last)[at] == of(m_, last - stuck_)[at];
+                if (arm.size() > 1 && std::all_of(arm.begin(), arm.end(), [&](std::size_t j) {
+                        return of(m_, last)[j] == of(m_, last - stuck_)[j];
                     }))
                     return false;
         if (white.ndim() != 2 || white.shape(0) != n_) return false;
@@ -165,7 +159,7 @@ class Samples {
 
     Written c_, m_;
     std::vector<std::size_t> own_;
-    std::vector<std::vector<double>> arms_;
+    std::vector<std::vector<std::size_t>> arms_;
     std::vector<int> spans_;
     int stuck_, long_, kept_, count_ = 0;
     std::size_t n_, last_ = 0;

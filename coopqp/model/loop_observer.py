@@ -119,11 +119,8 @@ class LoopObserver:
 
     def flat(self) -> dict[str, Any]:
         """Numbers, and arrays that the kernel writes where it does an :meth:`update` itself."""
-        sag = self._sag
-        return {
-            **sag.flat(), "told": self._told, "dt": self._dt, "share": self._share,
-            "most": np.array(self._most), "every": self._every, "known": self._known,
-        }  # fmt: skip
+        own = {"told": self._told, "dt": self._dt, "share": self._share, "every": self._every}
+        return {**vars(self._sag), **own, "most": np.array(self._most), "known": self._known}
 
     def begins(self, state: State) -> bool:
         """A tick begins; whether the offset follows what is measured in it."""
@@ -234,45 +231,37 @@ class LoopObserver:
 class WeightSag:
     """The sag for one newton of weight.
 
-    ``compliance`` is 1/K by joint, shape (n,) [rad/(N m)].
-
     Attributes:
-        sag: u, shape (n,) [rad/N].
+        compliance: 1/K by joint, shape (n,) [rad/(N m)].
+        torque: of the springs, shape (n,) [N m/N]. sag: u, shape (n,) [rad/N].
+        up: against gravity, (3,). at_origin: each hand's wrench for a load along x, y, z, (6 N, 3).
         opened: by which the loops open for one newton, shape (6 L,) [m/N, rad/N].
     """
 
     def __init__(self, chain: ClosedChain, compliance: Array) -> None:
-        self._compliance, self._torque = compliance, np.zeros(chain.n)
+        self.compliance, self.torque = compliance, np.zeros(chain.n)
         self.sag, self.opened = np.zeros(chain.n), np.zeros(6 * (len(chain.arms) - 1))
         self._squeeze = self._bent = np.zeros(chain.n)
-        self._up = -chain.model.gravity.linear
-        self._up = self._up / max(float(np.linalg.norm(self._up)), 1e-12)
+        self.up = -chain.model.gravity.linear
+        self.up = self.up / max(float(np.linalg.norm(self.up)), 1e-12)
         com = pin.skew(np.array(chain.held.com))
-        # Of each arm, for a load along x, y, z.
-        self._at_origin = at_origin = np.zeros((6 * len(chain.arms), 3))
+        self.at_origin = at_origin = np.zeros((6 * len(chain.arms), 3))
         at_origin[: 6 * chain.holding] = _shares(
             [X.translation for X in chain.hand_poses()]
         ) @ np.vstack([np.eye(3), com])
         # Of J_ext = M [J_0; J_1; ...], so that sum_i J_i' h_i = J_ext' M^-T h.
         self._to_rows = np.linalg.solve(chain.mixing.T, at_origin)
 
-    def flat(self) -> dict[str, Array]:
-        """As :meth:`LoopObserver.flat`."""
-        return {
-            "compliance": self._compliance, "up": self._up, "at_origin": self._at_origin,
-            "torque": self._torque, "sag": self.sag, "opened": self.opened,
-        }  # fmt: skip
-
     def update(self, state: State, along: Array | None = None) -> None:
         """Follow an up-to-date state, in which the hands may squeeze ``along`` a loop direction."""
         R = state.R_WO
-        rows = self._to_rows.dot(self._up.dot(R)).reshape(-1, 3).dot(R.T)
-        rows.ravel().dot(state.J_ext, self._torque)
-        np.multiply(self._compliance, self._torque, self.sag)
+        rows = self._to_rows.dot(self.up.dot(R)).reshape(-1, 3).dot(R.T)
+        rows.ravel().dot(state.J_ext, self.torque)
+        np.multiply(self.compliance, self.torque, self.sag)
         np.negative(self.sag, self.sag)
         if along is not None:
             self._squeeze = along.dot(state.J_rel)
-            self._bent = self._compliance * self._squeeze
+            self._bent = self.compliance * self._squeeze
             self._bent /= max(float(self._bent.dot(self._squeeze)), TINY)
             self.straighten(self.sag)
         state.J_rel.dot(self.sag, self.opened)
@@ -285,12 +274,12 @@ class WeightSag:
         """The load that a sag, shape (n,) [rad], tells of, by least squares [N]; NaN in motion."""
         if state.v.dot(state.v) > MOVES * MOVES:  # before anybody asks for Jacobians
             return math.nan
-        twist, size = state.J_task.dot(state.v) * SPEEDS, -self._torque.dot(self.sag)
+        twist, size = state.J_task.dot(state.v) * SPEEDS, -self.torque.dot(self.sag)
         if not twist.dot(twist) < REST * REST or not size > TINY:
             return math.nan
         if np.abs(sag).max() > FARTHEST:  # a wall or a hand may hold the arms up
             return math.nan
-        return max(0.0, float(-self._torque.dot(sag) / size))
+        return max(0.0, float(-self.torque.dot(sag) / size))
 
 
 def _shares(points: list[Array]) -> Array:

@@ -167,9 +167,8 @@ class Readings:
         self._since = 0.0
         self._read_at = -np.inf
         self._fault: Status | None = None
-        found: Any = native.module()
-        own = self._own.astype(float)
-        self._quick = found and found.Reading(self.q, own, self._max_speed, NOISE).take
+        made, found = (self._own.tolist(), self._max_speed.tolist(), NOISE), native.module()
+        self._quick: Any = found and found.Reading(self.q, *made).take
 
     def forget(self) -> None:
         """Accept the next reading wherever it is."""

@@ -121,12 +121,9 @@ class JointFollowing:
         kernels = decays ** np.arange(round(FADED * TIMES[-1] / h) + 1)[:, None]
         self._kernels = kernels / kernels.sum(axis=0)
         self._stuck_for = round(STUCK / h)
-        found = native.module()
-        rings, members = (self._c, self._m), [arm.astype(float) for arm in self._arms]
-        spans = np.array(self._spans, float)
-        self._quick = found and found.Samples(
-            *rings, own.astype(float), members, self._stuck_for, spans, LONG
-        )
+        rings, members = (self._c, self._m), [arm.tolist() for arm in self._arms]
+        made, found = (*rings, own.tolist(), members, self._stuck_for, self._spans), native.module()
+        self._quick = found and found.Samples(*made, LONG)
         self.forget()
 
     def forget(self) -> None:

@@ -133,8 +133,7 @@ def test_directions_are_those_of_lapack(n: int, m: int) -> None:
     """With parallel columns, and rows of very different size."""
     rng, found = np.random.default_rng(n), native.module()
     assert found
-    own = np.arange(n, dtype=float)
-    samples = found.Samples(np.zeros((5, n)), np.zeros((5, n)), own, [], 1, np.ones(1), 4)
+    samples = found.Samples(np.zeros((5, n)), np.zeros((5, n)), list(range(n)), [], 1, [1], 4)
     for case in range(20):
         A = rng.standard_normal((n, m)) * 10.0 ** rng.uniform(-0.1 * case, 0.1 * case, (n, 1))
         A[:, m // 2] = A[:, 0]
