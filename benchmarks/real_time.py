@@ -1,6 +1,6 @@
-"""The loop at 500 Hz for minutes, with a plant in another process.
+"""The loop at 500 Hz, or another rate, for minutes, with a plant in another process.
 
-python benchmarks/real_time.py --minutes 10
+python benchmarks/real_time.py --minutes 10 --rate 1000
 
 The plant is ten joints that follow the positions they are sent with a lag of 10 ms, a thousand
 times a second, and say where they are; the two processes share a piece of memory. NAO carries a box
@@ -20,6 +20,7 @@ import resource
 import tempfile
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from multiprocessing.sharedctypes import RawArray
 from pathlib import Path
 from typing import Any
@@ -150,8 +151,10 @@ def main() -> None:
     """Run and tell."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--minutes", type=float, default=10.0)
-    minutes: float = parser.parse_args().minutes
-    scenario = coopqp.load(SCENARIO)
+    parser.add_argument("--rate", type=float, default=500.0, help="ticks a second")
+    asked = parser.parse_args()
+    minutes: float = asked.minutes
+    scenario = replace(coopqp.load(SCENARIO), dt=1.0 / asked.rate)
     with tempfile.TemporaryDirectory() as folder:
         loop = OnlineLoop(scenario, patience=2.0, out=Path(folder) / "session")
         driver = Driver(scenario.chain.q_start, round(60.0 * minutes / scenario.dt))
@@ -161,6 +164,8 @@ def main() -> None:
         finally:
             driver.close()
     tell(driver, scenario.dt, targets.memory)
+    late = loop.watch.late
+    print(f"late by more than half a period {late} ({100.0 * late / loop.ticks:.4f} %)")
     print(ended)
     print(
         f"processors {os.cpu_count()}, load {load:.1f} at the start, {os.getloadavg()[0]:.1f} now"

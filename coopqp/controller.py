@@ -305,6 +305,10 @@ class Law(ABC):
         command, wrong = self._decided(state)
         if state.overwritten:
             wrong.append(Status.OVERWRITTEN)
+        return self._told(state, command, wrong)
+
+    def _told(self, state: State, command: Command, wrong: list[Status]) -> Command:
+        """The command with what was wrong, also of what came from outside."""
         if state.inputs.stale:
             wrong.append(Status.INPUT_STALE)
         if state.inputs.refused:

@@ -5,6 +5,7 @@
 
 #include "deciding.hpp"
 #include "free_space.hpp"
+#include "online.hpp"
 #include "sliding.hpp"
 #include "trajectory_evaluation.hpp"
 
@@ -12,8 +13,13 @@ using namespace nb::literals;
 
 using KERNEL_MODULE::Engine;
 using KERNEL_MODULE::FreeSpace;
+using KERNEL_MODULE::Reading;
+using KERNEL_MODULE::Ring;
+using KERNEL_MODULE::Samples;
 using KERNEL_MODULE::Slide;
 using KERNEL_MODULE::TrajectoryEvaluation;
+using KERNEL_MODULE::Written;
+using Joints = std::vector<std::size_t>;
 
 NB_MODULE(KERNEL_MODULE, m) {
     nb::set_leak_warnings(false);  // what a script holds to its end is no leak of ours
@@ -26,6 +32,10 @@ NB_MODULE(KERNEL_MODULE, m) {
         .def("bind_rows", &Engine::bind_rows)
         .def("bind_reference", &Engine::bind_reference)
         .def("tick", &Engine::tick)
+        .def("bind_reading", &Engine::bind_reading)
+        .def("bind_observer", &Engine::bind_observer)
+        .def("tick_measured", &Engine::tick_measured)
+        .def("forget_measured", &Engine::forget_measured)
         .def("tick_with_rows", &Engine::tick_with_rows)
         .def("rest", &Engine::rest)
         .def("step", &Engine::step)
@@ -39,6 +49,16 @@ NB_MODULE(KERNEL_MODULE, m) {
         .def(nb::init<const nb::dict&>())
         .def("is_free", &FreeSpace::is_free)
         .def("measure", &FreeSpace::measure);
+    nb::class_<Reading>(m, "Reading")
+        .def(nb::init<const Written&, const Joints&, const std::vector<double>&, double>())
+        .def("take", &Reading::take);
+    nb::class_<Ring>(m, "Ring").def(nb::init<const nb::dict&>()).def("add", &Ring::add);
+    nb::class_<Samples>(m, "Samples")
+        .def(nb::init<const Written&, const Written&, const Joints&, const std::vector<Joints>&, int,
+                      const std::vector<int>&, int>())
+        .def("add", &Samples::add)
+        .def("quiet", &Samples::quiet)
+        .def("directions", &Samples::directions);
     nb::class_<Slide>(m, "Slide")
         .def(nb::init<const nb::dict&>())
         .def("step", &Slide::step);

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from coopqp.kernel.flat import (
     kept_rows,
 )
 from coopqp.limit import Bounded, DistanceBounds, JointBounds, TwistBounds
+from coopqp.model.loop_observer import LoopObserver
 from coopqp.model.state import Memory, State
 from coopqp.program import Programs
 from coopqp.qp_law.bounds import Bounds
@@ -79,7 +81,7 @@ class Limits:
 
     @property
     def compiled(self) -> bool:
-        return self.filled is None and self.q_measured is None
+        return self.filled is None
 
     def update(self, state: State) -> None:
         if self.filled is not None:
@@ -111,6 +113,7 @@ class Outcome(IntEnum):
     SHORTENED = 10  # optimal, but for the length of the step
     UNPROVEN = 11  # no answer was found, and no proof that there is none
     CLASHING = 12  # the first level's constraints leave nothing, by less than they may give way
+    UNUSUAL = 13  # what the joints measured is for Python to judge; nothing is learnt
     RELAXED = 16
     STANDS = 32
     COMES_BACK = 64
@@ -175,6 +178,9 @@ class Compiled:
         for primitive, at in levels.followed:
             self.engine.bind_reference(primitive, at.c, at.RT, at.c_dot, at.omega)
         self.follows = bool(levels.followed)
+        self._leads = limits if limits.q_measured is not None else None
+        self._measured: tuple[Any, ...] = None, None
+        self._shape = v.shape
         self._heard: list[tuple[str, Array | None, Array | None]] = []
 
     def bind(self, state: State, memory: Memory) -> tuple[Bound, ...] | None:
@@ -198,20 +204,42 @@ class Compiled:
         inputs = state.inputs
         return tuple((name, inputs.get(name), value, rate) for name, value, rate in self._heard)
 
-    def tick(self, state: State) -> int:
+    def tick(self, state: State, observer: LoopObserver | None = None) -> int:
         """Decide at a bound state, and return the outcome: INFEASIBLE only where that is proved.
 
-        Where Python fills rows, the state's kinematics and the limits must be up to date.
+        Where Python fills rows, the state's kinematics and the limits must be up to date. With an
+        observer it learns from the measured joints first; ``engine.forget_measured`` takes that
+        back where there is no answer.
         """
-        all_corrected = state.corrected >= ALL_OF_IT
-        if self.alone:
-            if self.follows:
-                self._levels.follow(state)
-            self.outcome = self.engine.tick(state.t, all_corrected)
-        else:
+        engine, all_corrected = self.engine, state.corrected >= ALL_OF_IT
+        if not self.alone:
             self._levels.update(state)
-            self.outcome = self.engine.tick_with_rows(state.t, all_corrected)
+            self.outcome = engine.tick_with_rows(state.t, all_corrected)
+            return self.outcome
+        if self.follows:
+            self._levels.follow(state)
+        if self._leads:
+            self._leads.update(state)
+        if observer:
+            self.outcome = engine.tick_measured(state.t, all_corrected, observer.begins(state))
+        else:
+            self.outcome = engine.tick(state.t, all_corrected)
         return self.outcome
+
+    def measures(self, state: State, observer: LoopObserver) -> bool:
+        """Whether the kernel can read what a state has measured; binds it."""
+        reading, seen = self._measured
+        if state.q_measured is reading and observer is seen:
+            return True
+        given: Any = state.q_measured
+        if type(observer) is not LoopObserver or type(given) is not np.ndarray:
+            return False
+        if given.shape != self._shape or not plain_numbers(given):
+            return False
+        self.engine.bind_reading(given)
+        self.engine.bind_observer(observer.flat())
+        self._measured = given, observer
+        return True
 
 
 def plain_numbers(*arrays: Array) -> bool:

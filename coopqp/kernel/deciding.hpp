@@ -76,6 +76,8 @@ class Engine {
         b.recovery = of("recovery");
         b.swing = of("swing");
         stopped_ = of("stopped");
+        gap_ = of("gap");
+        felt_ = of("felt");
         state_ = d;
     }
 
@@ -87,6 +89,16 @@ class Engine {
     void bind_measured(const Numbers& q) {
         bounds_.q_measured = q.data();
         measured_ = nb::cast(q);
+    }
+
+    // Joints as measured in the next ticks, and who follows the loop-closure offset by them.
+    void bind_reading(const Numbers& q) {
+        reading_ = q.data();
+        read_ = nb::cast(q);
+    }
+    void bind_observer(const nb::dict& d) {
+        observer_ = std::make_unique<coopqp::LoopObserver>(kernel_->model(), observed_of(d));
+        observing_ = d;
     }
 
     // Limits that Python fills: bounds beside those of the kernel, and rows after the kernel's.
@@ -116,6 +128,21 @@ class Engine {
         const Unlocked unlocked(*kernel_);
         const int status = evaluate(t);
         return status ? status : told(kernel_->solve(all_corrected));
+    }
+
+    // The same with measured joints; learns: whether the loop-closure offset follows them first.
+    int tick_measured(double t, bool all_corrected, bool learns) {
+        const Use use(*this);
+        if (!use.alone) return BUSY;
+        if (!usable()) return int(coopqp::Status::Unusual);
+        const Unlocked unlocked(*kernel_);
+        const int status = evaluate(t, learns);
+        return status ? status : told(kernel_->solve(all_corrected));
+    }
+
+    // Where Python decides after all: what that has learnt is forgotten.
+    void forget_measured() {
+        if (observer_) observer_->forget();
     }
 
     // The same where Python has filled limits, rows of some tasks, or what some of them follow.
@@ -240,9 +267,25 @@ class Engine {
         return COMES_BACK + STANDS + int(kernel_->come_back());
     }
 
-    int evaluate(double t) {
+    // Whether the reading is one, and q what the last command has led to.
+    bool usable() {
+        if (!reading_ || !observer_) return false;
+        double size = 0.0;
+        bool stands = true, same = true;
+        const double* q = kernel_->bound.q;
+        for (std::size_t j = 0; j < kernel_->model().joints.size(); j++) {
+            size += reading_[j] * reading_[j];
+            stands &= commanded_[j] == 0.0;
+            same &= commanded_[j] == q[j];
+        }
+        return std::sqrt(size) < coopqp::ENDLESS && (stands || same);
+    }
+
+    int evaluate(double t, bool learns = false) {
         const int status = int(kernel_->update(t));
         if (status) return status;
+        if (learns && !kernel_->learn(*observer_, reading_, gap_, felt_))
+            return int(coopqp::Status::Unusual);
         for (auto& level : kernel_->levels) coopqp::clear(level.wish, kernel_->model().blocks);
         const auto& m = kernel_->model();
         const auto& bound = kernel_->bound;
@@ -337,7 +380,10 @@ class Engine {
     coopqp::TwistLimits twist_limits_;
     FilledLimits filled_limits_{};
     std::vector<Filled> filled_;
-    nb::object state_, command_, limits_, measured_;
+    nb::object state_, command_, limits_, measured_, read_, observing_;
+    std::unique_ptr<coopqp::LoopObserver> observer_;
+    const double* reading_ = nullptr;
+    double *gap_ = nullptr, *felt_ = nullptr;
     nb::list rows_;
     nb::dict references_;
     double *q_now_ = nullptr, *v_now_ = nullptr, *commanded_ = nullptr;

@@ -17,6 +17,7 @@ import numpy as np
 from coopqp.controller import Command, ControlProblem, InternalForceControl, Law
 from coopqp.kernel.compiled import Bound, Compiled, Limits, Outcome, plain_numbers
 from coopqp.kernel.flat import Group
+from coopqp.model.loop_observer import LoopObserver
 from coopqp.model.state import Memory, State
 from coopqp.qp_law.equations import ALL_OF_IT
 from coopqp.qp_law.law import QPLaw, memory_sizes
@@ -27,6 +28,7 @@ from coopqp.trace import TickBatch
 
 #: Numbers, not members: a tick compares them.
 OPTIMAL, SHORTENED = int(Outcome.OPTIMAL), int(Outcome.SHORTENED)
+BUSY, UNUSUAL = int(Outcome.BUSY), int(Outcome.UNUSUAL)
 INFEASIBLE, OPENS = int(Outcome.INFEASIBLE), int(Outcome.OPENS)
 RELAXED, STANDS, COMES_BACK = map(int, (Outcome.RELAXED, Outcome.STANDS, Outcome.COMES_BACK))
 ALL_WELL = {
@@ -83,7 +85,7 @@ class KernelLaw(Law):
         self.rows_in_python = self.whole.rows_in_python
         self._engine_step = self.whole.engine.step
         self._alone_at_all = self.whole.alone and squeezer is None
-        self._runs = self._alone_at_all and not self.whole.follows
+        self._runs = self._alone_at_all and not self.whole.follows and limits.q_measured is None
         self._relaxes = problem.on_infeasible == "scale"
         self._stops = problem.on_infeasible == "stop"
         self._dt = problem.dt
@@ -110,7 +112,9 @@ class KernelLaw(Law):
             if self._decided_alone(state):
                 state.jacobians_due = True
                 state.corrected = 1.0
-                return self.with_why(state, self.command) if self.whole.outcome else self.command
+                if self.whole.outcome or state.inputs.stale or state.inputs.refused:
+                    return self._told(state, self.command, [])
+                return self.command
         return super().tick(state)
 
     def decide(self, state: State) -> Command:
@@ -138,25 +142,28 @@ class KernelLaw(Law):
     def _decided_alone(self, state: State) -> bool:
         """The same where a signal may raise; :meth:`decide` then handles the exception."""
         try:
-            return self._decides(state)
+            return self._decides(state, None if state.q_measured is None else self.observer)
         except KeyboardInterrupt:
             raise
         except BaseException:  # noqa: BLE001 - code of plug-ins may raise anything
             self._asked = False
             return False
 
-    def _decides(self, state: State) -> bool:
+    def _decides(self, state: State, observer: LoopObserver | None = None) -> bool:
         """Whether the kernel has an answer, which is the command then."""
-        self.compiled = False
-        outcome = self.whole.tick(state)
+        self.compiled, whole = False, self.whole
+        outcome = whole.tick(state, observer)
         if outcome in ALL_WELL:
             self._say(ALL_WELL[outcome])
             self.command.scale = self.whole.engine.scale() if self._exact else 1.0
             return True
-        if outcome != INFEASIBLE or self._relaxes or not self._rests(self.whole.engine.rest()):
-            return False
-        self._missed[:] = self._missing[:] = 0.0
-        return True
+        if outcome == INFEASIBLE and not self._relaxes and self._rests(whole.engine.rest()):
+            self._missed[:] = self._missing[:] = 0.0
+            return True
+        if observer and outcome != BUSY:
+            whole.engine.forget_measured()
+            self._asked = outcome != UNUSUAL
+        return False
 
     def step(self, state: State) -> Command:
         """A tick and state.advance in one; by the kernel alone where possible."""
@@ -197,7 +204,9 @@ class KernelLaw(Law):
         """
         done, ticks = 0, len(found.v)
         while done < ticks:
-            if self._runs and self._alone(state):
+            inputs = state.inputs
+            outside = inputs.stale or inputs.refused or state.q_measured is not None
+            if self._runs and not outside and self._alone(state):
                 rest = min(ticks - done, AT_ONCE)  # in between signals are heard
                 made = self._run(state, found, done, rest)
                 done += made
@@ -237,11 +246,12 @@ class KernelLaw(Law):
         return True
 
     def _alone(self, state: State) -> bool:
-        """Whether the kernel may decide, without Python's rows, sensors or inputs at fault."""
-        inputs = state.inputs
-        if inputs.stale or inputs.refused or state.q_measured is not None:
+        """Whether the kernel may decide, without Python's rows or forces."""
+        if self.squeezer or not self._alone_at_all:
             return False
-        return self._alone_at_all and self._ready(state)
+        if state.q_measured is not None and not self.whole.measures(state, self.observer):
+            return False
+        return self._ready(state)
 
     def _ready(self, state: State) -> bool:
         """Whether the kernel may decide at a state; binds arrays that are new to it."""

@@ -199,6 +199,14 @@ coopqp::Separation separation_of(const nb::dict& d, const coopqp::Model& model, 
     return {model, kept_apart_of(d), number(d, "gain"), number(d, "within"), dt};
 }
 
+coopqp::Observed observed_of(const nb::dict& d) {
+    const auto most = numbers(d, "most");
+    const auto at = [&](const char* name) { return nb::cast<Written>(d[name]).data(); };
+    return {numbers(d, "compliance"), numbers(d, "up"), numbers(d, "at_origin"), number(d, "dt"),
+            number(d, "share"), {most[0], most[1]}, int(number(d, "every")),
+            number(d, "known") != 0.0, at("sag"), at("torque"), at("opened"), at("told")};
+}
+
 coopqp::TwistLimit twist_limit_of(const nb::dict& d) {
     coopqp::TwistLimit limit;
     limit.at = int(number(d, "at"));

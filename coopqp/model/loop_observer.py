@@ -29,6 +29,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -54,7 +55,8 @@ SLIGHT = 2e-4
 GRIP_SIZE = 0.03
 #: An object that is commanded to move faster does not rest: the servos' lag would count as a sag
 #: [m/s]; a rotation counts by 0.1 m.
-MOVES, REST, SPEEDS = 0.05, 0.005, np.array([1.0, 1.0, 1.0, 0.1, 0.1, 0.1])
+MOVES, REST, TURN_COUNTS = 0.05, 0.005, 0.1
+SPEEDS = np.repeat([1.0, TURN_COUNTS], 3)
 #: Farther a joint is not believed to sag under a load that is felt [rad].
 FARTHEST = 0.02
 #: Sags below this are rounding.
@@ -81,8 +83,6 @@ class LoopObserver:
 
     Attributes:
         at_bound: arms whose loops with the first one are at their bound since the last update.
-        load: the weight that the servos feel [N]; NaN while it is not known.
-        doubt: what readings that are half a milliradian off add to it [N].
         note: what is wrong, where something is.
         paused: whether what is measured now is not to be believed, so that the gap stays.
     """
@@ -94,8 +94,9 @@ class LoopObserver:
         self._known = self.settings.stiffness is not None
         self._most = self.settings.most, ROTATION * self.settings.most
         self.at_bound: tuple[str, ...] = ()
-        self.load, self.note, self.paused = math.nan, "", False
-        self.doubt, self._renewed = math.inf, 0
+        self.note, self.paused = "", False
+        self._every = max(1, round(RENEWED / dt))
+        self._told = np.array([math.nan, math.inf, 0.0])  # load, doubt, number of ticks
 
     @cached_property
     def _measured(self) -> State:
@@ -105,6 +106,26 @@ class LoopObserver:
     @cached_property
     def _sag(self) -> WeightSag:
         return WeightSag(self._chain, self._compliance)
+
+    @property
+    def load(self) -> float:
+        """The weight that the servos feel [N]; NaN while it is not known."""
+        return float(self._told[0])
+
+    @property
+    def doubt(self) -> float:
+        """What readings that are half a milliradian off add to it [N]."""
+        return float(self._told[1])
+
+    def flat(self) -> dict[str, Any]:
+        """Numbers, and arrays that the kernel writes where it does an :meth:`update` itself."""
+        own = {"told": self._told, "dt": self._dt, "share": self._share, "every": self._every}
+        return {**vars(self._sag), **own, "most": np.array(self._most), "known": self._known}
+
+    def begins(self, state: State) -> bool:
+        """A tick begins; whether the offset follows what is measured in it."""
+        self.at_bound, self.note = (), ""
+        return not (self.paused or state.corrected < 1.0 or not self.settings.enabled)
 
     @property
     def stated_stiffness(self) -> Array | None:
@@ -127,7 +148,7 @@ class LoopObserver:
 
     def update(self, state: State, along: Array | None = None) -> bool:
         """Follow the measured q, but along the unit vector ``along``; False where not finite."""
-        self.at_bound, self.note = (), ""
+        learns = self.begins(state)
         if state.q_measured is None:
             return True
         measured = self._measured
@@ -137,7 +158,7 @@ class LoopObserver:
             return False
         if found.shape != measured.q.shape or self._chain.unusable(found):
             return False  # a sensor that says nothing teaches nothing
-        if self.paused or state.corrected < 1.0 or not self.settings.enabled:
+        if not learns:
             return True
         measured.q[:] = found
         if math.isnan(state.felt[0]):
@@ -165,10 +186,10 @@ class LoopObserver:
     def _unload(self, state: State, along: Array | None) -> Array:
         """Take sag and squeeze out of the measured joints; what the sag opens the loops by."""
         sag, felt, q, known = self._sag, state.felt, self._measured.q, self._known
-        if self._renewed % max(1, round(RENEWED / self._dt)) == 0:
+        if self._told[2] % self._every == 0:
             sag.update(state, along if known else None)
-            self.doubt = DOUBT / max(float(np.abs(sag.sag).max()), TINY)
-        self._renewed += 1
+            self._told[1] = DOUBT / max(float(np.abs(sag.sag).max()), TINY)
+        self._told[2] += 1
         lag, load = q - state.q, math.nan
         if along is not None and known:
             sag.straighten(lag)
@@ -178,7 +199,7 @@ class LoopObserver:
         felt[1] = felt[1] + self._dt if math.isfinite(load) else 0.0
         if felt[1] > AFTER:
             felt[0] += min(1.0, self._dt / FEELS) * (load - felt[0])
-        self.load = float(felt[0]) if known else math.nan
+        self._told[0] = felt[0] if known else math.nan
         load = float(felt[0])
         if not known and load * np.abs(sag.sag).max() < SLIGHT:
             load = 0.0
@@ -210,21 +231,21 @@ class LoopObserver:
 class WeightSag:
     """The sag for one newton of weight.
 
-    ``compliance`` is 1/K by joint, shape (n,) [rad/(N m)].
-
     Attributes:
-        sag: u, shape (n,) [rad/N].
+        compliance: 1/K by joint, shape (n,) [rad/(N m)].
+        torque: of the springs, shape (n,) [N m/N]. sag: u, shape (n,) [rad/N].
+        up: against gravity, (3,). at_origin: each hand's wrench for a load along x, y, z, (6 N, 3).
         opened: by which the loops open for one newton, shape (6 L,) [m/N, rad/N].
     """
 
     def __init__(self, chain: ClosedChain, compliance: Array) -> None:
-        self._compliance, self._torque = compliance, np.zeros(chain.n)
+        self.compliance, self.torque = compliance, np.zeros(chain.n)
         self.sag, self.opened = np.zeros(chain.n), np.zeros(6 * (len(chain.arms) - 1))
         self._squeeze = self._bent = np.zeros(chain.n)
-        self._up = -chain.model.gravity.linear
-        self._up = self._up / max(float(np.linalg.norm(self._up)), 1e-12)
+        self.up = -chain.model.gravity.linear
+        self.up = self.up / max(float(np.linalg.norm(self.up)), 1e-12)
         com = pin.skew(np.array(chain.held.com))
-        at_origin = np.zeros((6 * len(chain.arms), 3))  # of each arm, for a load along x, y, z
+        self.at_origin = at_origin = np.zeros((6 * len(chain.arms), 3))
         at_origin[: 6 * chain.holding] = _shares(
             [X.translation for X in chain.hand_poses()]
         ) @ np.vstack([np.eye(3), com])
@@ -234,13 +255,13 @@ class WeightSag:
     def update(self, state: State, along: Array | None = None) -> None:
         """Follow an up-to-date state, in which the hands may squeeze ``along`` a loop direction."""
         R = state.R_WO
-        rows = self._to_rows.dot(self._up.dot(R)).reshape(-1, 3).dot(R.T)
-        rows.ravel().dot(state.J_ext, self._torque)
-        np.multiply(self._compliance, self._torque, self.sag)
+        rows = self._to_rows.dot(self.up.dot(R)).reshape(-1, 3).dot(R.T)
+        rows.ravel().dot(state.J_ext, self.torque)
+        np.multiply(self.compliance, self.torque, self.sag)
         np.negative(self.sag, self.sag)
         if along is not None:
             self._squeeze = along.dot(state.J_rel)
-            self._bent = self._compliance * self._squeeze
+            self._bent = self.compliance * self._squeeze
             self._bent /= max(float(self._bent.dot(self._squeeze)), TINY)
             self.straighten(self.sag)
         state.J_rel.dot(self.sag, self.opened)
@@ -253,12 +274,12 @@ class WeightSag:
         """The load that a sag, shape (n,) [rad], tells of, by least squares [N]; NaN in motion."""
         if state.v.dot(state.v) > MOVES * MOVES:  # before anybody asks for Jacobians
             return math.nan
-        twist, size = state.J_task.dot(state.v) * SPEEDS, -self._torque.dot(self.sag)
+        twist, size = state.J_task.dot(state.v) * SPEEDS, -self.torque.dot(self.sag)
         if not twist.dot(twist) < REST * REST or not size > TINY:
             return math.nan
         if np.abs(sag).max() > FARTHEST:  # a wall or a hand may hold the arms up
             return math.nan
-        return max(0.0, float(-self._torque.dot(sag) / size))
+        return max(0.0, float(-self.torque.dot(sag) / size))
 
 
 def _shares(points: list[Array]) -> Array:

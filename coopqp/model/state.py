@@ -194,7 +194,7 @@ class State:
         return {
             "q": self.q, "v": self.v, "gap": self.gap, "p_WO": self.p_WO, "R_WO": self.R_WO,
             "loop_error": self.loop_error, "drift": self.drift, "q_seen": self._q_seen,
-            "commanded": self._commanded,
+            "commanded": self._commanded, "felt": self.felt,
         }  # fmt: skip
 
     def _refresh(self) -> None:
@@ -323,12 +323,17 @@ class State:
     @property
     def loop_position_error(self) -> float:
         """Largest drift between where two arms carry the object [m]."""
-        return max((math.hypot(*self.drift[i : i + 3]) for i in self._closed), default=0.0)
+        return self._largest(0)
 
     @property
     def loop_orientation_error(self) -> float:
         """Largest drift between how two arms carry the object [rad]."""
-        return max((math.hypot(*self.drift[i + 3 : i + 6]) for i in self._closed), default=0.0)
+        return self._largest(3)
+
+    def _largest(self, first: int) -> float:
+        drift = self.closed_error.tolist()
+        parts = (drift[i : i + 3] for i in range(first, len(drift), 6))
+        return max((math.hypot(*part) for part in parts), default=0.0)
 
     def _update_errors(self) -> None:
         (p_0, R_0), *others = self._hands
@@ -344,7 +349,7 @@ class State:
     def _prepare_loop_rows(self) -> None:
         loops = self.chain.loops
         rank = min(loops.rank, len(loops.kept))
-        self._kept, self._closed = np.array(loops.kept, int), range(0, loops.closed, 6)
+        self._kept = np.array(loops.kept, int)
         self.closed_error = self.drift[: loops.closed]
         self._J_loop, self._e_loop = self._J_rel[: loops.closed], self.closed_error
         self._rows_chosen = loops.varying or len(loops.kept) < loops.closed

@@ -24,6 +24,7 @@ import numpy as np
 
 from coopqp.base.rank import null_space
 from coopqp.base.spec import Array
+from coopqp.kernel import native
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.loop_observer import LoopObserver
 from coopqp.model.state import State
@@ -119,6 +120,10 @@ class JointFollowing:
         decays = np.exp(-h / TIMES)
         kernels = decays ** np.arange(round(FADED * TIMES[-1] / h) + 1)[:, None]
         self._kernels = kernels / kernels.sum(axis=0)
+        self._stuck_for = round(STUCK / h)
+        rings, members = (self._c, self._m), [arm.tolist() for arm in self._arms]
+        made, found = (*rings, own.tolist(), members, self._stuck_for, self._spans), native.module()
+        self._quick = found and found.Samples(*made, LONG)
         self.forget()
 
     def forget(self) -> None:
@@ -133,24 +138,33 @@ class JointFollowing:
         self._count += 1
         if self._count % self._every:
             return None
-        at = self._samples % len(self._c)
-        self._c[at], self._m[at] = q_c[self._own], q_m[self._own]
-        self._samples += 1
+        self._add(q_c, q_m)
         if self._samples < FEWEST:
+            return None
+        if self._samples - self._whitened >= self._renew:
+            self._white, self._whitened = self._whitening(state), self._samples
+        if self._quick and self._quick.quiet(self._samples, self._lag, self._white, SUSPICIOUS):
+            self.suspicious, self._before = False, None
             return None
         if stuck := self._stuck():
             return stuck
-        if self._samples - self._whitened >= self._renew:
-            self._white, self._whitened = self._whitening(state), self._samples
         if not (found := self._look(state)):
             self._before = None
             return None
         before, self._before = self._before, found
         return found if before and set(before.joints) & set(found.joints) else None
 
+    def _add(self, q_c: Array, q_m: Array) -> None:
+        if self._quick:
+            self._quick.add(self._samples, q_c, q_m)
+        else:
+            at = self._samples % len(self._c)
+            self._c[at], self._m[at] = q_c[self._own], q_m[self._own]
+        self._samples += 1
+
     def _stuck(self) -> Suspect | None:
         """An arm of which no reading has changed by a bit while it was commanded to move."""
-        last, span = self._samples - 1, round(STUCK / self._h)
+        last, span = self._samples - 1, self._stuck_for
         if last < span:
             return None
         for arm in self._arms:
@@ -167,7 +181,7 @@ class JointFollowing:
         """W with r W of unit variance without a fault, and zero for every internal wrench."""
         J = state.J_loop
         free = J.T @ null_space(J[:, self._passive].T) if len(self._passive) else J.T
-        U, values, _ = np.linalg.svd(self._compliance[:, None] * free[self._own])
+        U, values = self._directions(self._compliance[:, None] * free[self._own])
         rank = int(np.sum(values > SINGULAR * values.max(initial=1e-12)))
         U, parity = U[:, :rank], U[:, rank:]
         last = self._samples - 1
@@ -183,6 +197,16 @@ class JointFollowing:
         variance += self._observer.sag(state)[self._own] ** 2
         L = np.linalg.cholesky(parity.T @ (variance[:, None] * parity))
         return np.asarray(np.linalg.solve(L, parity.T).T)
+
+    def _directions(self, A: Array) -> tuple[Array, Array]:
+        """Left singular vectors (n, n) and values."""
+        if self._quick is None:
+            U, values, _ = np.linalg.svd(A)
+            return U, values
+        # LAPACK may wait for its other threads, up to a tenth of a second beside other programs.
+        U, values = np.zeros((len(A), len(A))), np.zeros(A.shape[1])
+        self._quick.directions(A, SINGULAR, values, U)
+        return U, values
 
     def _look(self, state: State) -> Suspect | None:
         """The suspect of the shortest window that has one."""

@@ -16,6 +16,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NoReturn
@@ -30,6 +31,7 @@ from coopqp.base.wording import raised
 from coopqp.controller import Command, ControlProblem, Law
 from coopqp.execution.controller_run import controller_of
 from coopqp.execution.phase_run import PhaseRun
+from coopqp.kernel import native
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.loop_observer import Observer
 from coopqp.model.notes import Why
@@ -91,11 +93,17 @@ class LoopTicks:
         return float(np.mean((self.causes & bit) != 0)) if len(self.causes) else 0.0
 
 
+@cache
+def _bits(causes: tuple[Status, ...]) -> int:
+    """One bit for each of them."""
+    return sum(1 << _NUMBER[cause] for cause in set(causes))
+
+
 class History:
     """A ring buffer of the last ticks."""
 
-    def __init__(self, chain: ClosedChain, capacity: int) -> None:
-        self.capacity, self.count = capacity, 0
+    def __init__(self, chain: ClosedChain, capacity: int, dt: float) -> None:
+        self.capacity, self.count, self._dt = capacity, 0, dt
         shapes = {"position": (3,), "rotation": (3, 3)}
         shapes |= dict.fromkeys(("q", "v", "measured"), (chain.n,))
         numbers = dict.fromkeys(("number", "causes"), np.int64)
@@ -103,16 +111,28 @@ class History:
             np.zeros((capacity, *shapes.get(name, ())), numbers.get(name, float))
             for name in LoopTicks.__dataclass_fields__
         ))  # fmt: skip
+        self.us, found = self._all.us, native.module()
+        self._quick = found and found.Ring(vars(self._all)).add
 
-    def add(self, clock: float, state: State, measured: Array, command: Command, us: float) -> None:
-        kept, i = self._all, self.count % self.capacity
-        kept.number[i], kept.clock[i], kept.t[i], kept.us[i] = self.count, clock, state.t, us
-        kept.q[i], kept.v[i], kept.measured[i] = state.q, command.v, measured
-        kept.position[i], kept.rotation[i] = state.p_WO, state.R_WO
-        kept.loop_position[i] = state.loop_position_error
-        kept.loop_orientation[i] = state.loop_orientation_error
-        kept.causes[i] = sum(1 << _NUMBER[cause] for cause in set(command.causes))
+    def add(
+        self, clock: float, state: State, measured: Array, command: Command, setpoint: Array
+    ) -> int:
+        """Add a tick, and write where its command leads; returns its row, for the time it took."""
+        kept, i, q, v, dt = self._all, self.count % self.capacity, state.q, command.v, self._dt
+        if self._quick:
+            place = state.p_WO, state.R_WO, state.closed_error
+            self._quick(i, clock, state.t, q, v, measured, *place, setpoint, dt)
+        else:
+            kept.clock[i], kept.t[i] = clock, state.t
+            kept.q[i], kept.v[i], kept.measured[i] = q, v, measured
+            kept.position[i], kept.rotation[i] = state.p_WO, state.R_WO
+            kept.loop_position[i] = state.loop_position_error
+            kept.loop_orientation[i] = state.loop_orientation_error
+            np.multiply(v, dt, out=setpoint)
+            np.add(q, setpoint, out=setpoint)
+        kept.number[i], kept.causes[i] = self.count, _bits(command.causes)
         self.count += 1
+        return i
 
     def last(self, ticks: int | None = None) -> LoopTicks:
         """A copy of the last ticks, all that are kept when omitted."""
@@ -193,7 +213,7 @@ class OnlineLoop:
         self._by_time = phases == "by_time"
         self.patience, self.simulated = patience, clock is None
         chain, dt = self._given.chain, self._given.dt
-        self.history = History(chain, max(1, round(keep / dt)))
+        self.history = History(chain, max(1, round(keep / dt)), dt)
         self._readings, self._stops = Readings(chain, silent_after), Stops(patience)
         self.measured = self._readings.q
         self.setpoint, self._no_reading = chain.q_start.copy(), np.full(chain.n, np.nan)
@@ -352,12 +372,10 @@ class OnlineLoop:
             command = self._refuse(Status.RAISED, raised(error))
         self._say(command)
         self._last = command
-        state = self._phases.now.state
-        np.multiply(command.v, self._phases.now.problem.dt, out=self.setpoint)
-        np.add(state.q, self.setpoint, out=self.setpoint)
-        us = 1e-3 * (time.perf_counter_ns() - before)
+        state, history = self._phases.now.state, self.history
         measured = self._no_reading if self._wrong else self._readings.q
-        self.history.add(now, state, measured, command, us)
+        i = history.add(now, state, measured, command, self.setpoint)
+        history.us[i] = us = 1e-3 * (time.perf_counter_ns() - before)
         self._keeper.tick(state, command, us)
         self.ticks += 1
         if self._built:
@@ -457,22 +475,23 @@ class OnlineLoop:
     def _advance(self) -> None:
         """Integrate the last command; the loop's time stands still while it brakes."""
         if self.begun:
-            state, t = self.state, self.state.t
-            state.advance(self._last.v, self.problem.dt)
-            state.t = t + self._pace * self.problem.dt if self._moved else t
+            now = self._phases.now
+            state, t, dt = now.state, now.state.t, now.problem.dt
+            state.advance(self._last.v, dt)
+            state.t = t + self._pace * dt if self._moved else t
 
     def _go_by_measurement(self) -> None:
         """Use the measurement; begin anew after a stop, or with a new phase."""
-        measured = None if self._wrong else self._readings.q
-        if self._stops.goes_on_again and measured is not None and not self._stops.why:
-            self._stops.goes_on_again = False
+        measured, stops = None if self._wrong else self._readings.q, self._stops
+        if stops.goes_on_again and measured is not None and not stops.why:
+            stops.goes_on_again = False
             if not self._last.v.any():
                 self._take_up(measured.copy())
         if self._observed:
             self.state.q_measured = self._no_reading if measured is None else measured
         elif measured is not None:
             self.state.q[:] = measured
-        if measured is None or self._stops.why or not self._phases.over:
+        if measured is None or stops.why or not self._phases.over:
             return
         self._built = self._phases.hand_over(measured.copy())
         if self._built and not self._phases.fault:
@@ -518,6 +537,8 @@ class OnlineLoop:
         fault = monitor.update(self.state, None if self._wrong else self._readings.q)
         if fault and self._reactions[fault.kind] == "rest":
             self._stops.halt(fault.note)
+        if not monitor.found and self._pace == 1.0:
+            return
         slow = any(self._reactions[fault.kind] == "slow_down" for fault in monitor.found)
         step = self.problem.dt / SLOWING
         self._pace = max(SLOW, self._pace - step) if slow else min(1.0, self._pace + step)

@@ -162,6 +162,7 @@ class Phases:
     def _enter(self, before: PhaseRun | None, q: Array | None) -> None:
         robot = Measured(q, self._observed)
         self.now = now = begin_phase(self.scenario, self._controller, before, robot=robot)
+        self._is_last = now.is_last
         names = {*self.scenario.inputs, HAND_WRENCH}
         self.arrivals = Arrivals(now.inputs, names, now.since)
         self.braking = Braking(now.law)
@@ -178,7 +179,7 @@ class Phases:
     @property
     def over(self) -> bool:
         """Whether the next phase is due."""
-        return not self.now.is_last and (self._asked or (self._by_time and self.now.over))
+        return not self._is_last and (self._asked or (self._by_time and self.now.over))
 
     def hand_over(self, q: Array) -> bool:
         """Begin the next phase at the present speed, if the arms can stop in a tick.
@@ -213,6 +214,9 @@ class Phases:
     def take(self, inputs: Any, now: float, ahead: float) -> list[Arrival]:
         """Pass on what has come since the last tick, as :meth:`Arrivals.read` takes it."""
         state = self.now.state
+        if inputs is None and not self.now.inputs.channels:
+            state.hand_wrench, state.inputs.refused = None, ()
+            return []
         arrivals = self.arrivals.read(self._without_wrench(inputs), state.t, now, ahead)
         self.now.inputs.step(state, arrivals)
         state.inputs.refused = (*self.arrivals.refused, *state.inputs.refused)

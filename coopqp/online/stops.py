@@ -93,6 +93,8 @@ class LoopTime:
         except Exception as error:  # noqa: BLE001 - it is a user's
             self._fault = f"the clock {raised(error)}"
             return None
+        if type(said) is float and abs(said) < self._most:
+            return said
         found = as_time(said)
         if found is not None and abs(found) < self._most:
             return found
@@ -225,7 +227,7 @@ class Stops:
 
     def look(self) -> bool:
         """A tick begins; whether :meth:`resume` was called since the last."""
-        self.why, resumed = self.requested, self._resumed
+        self.why, resumed = self._ended or self._stopped, self._resumed
         if resumed:
             self._resumed, self._wrong_since = False, None
             self.goes_on_again, self.by_itself = True, False

@@ -10,6 +10,7 @@
 
 #include "../../coopqp/kernel/core/bounds.hpp"
 #include "../../coopqp/kernel/core/kernel.hpp"
+#include "../../coopqp/kernel/core/left_singular.hpp"
 #include "../../coopqp/kernel/core/program.hpp"
 #include "../../coopqp/kernel/core/trajectory_evaluation.hpp"
 #include "../../coopqp/kernel/core/twist_limits.hpp"
@@ -258,6 +259,55 @@ int garbage(Random& random, Case& c) {
     return optimal;
 }
 
+// How often the observer of the loop-closure offset, given anything as measured joints, moves what is
+// Python's, keeps what was to be forgotten, or learns no number.
+int wrong_observer(Random& random, Case& c) {
+    const std::size_t n = c.owner.q.size(), loops = c.owner.gap.size(), arms = loops / 6 + 1;
+    std::vector<double> sag(n), torque(n), opened(loops), told(3), felt(2 + loops), compliance(n),
+        at_origin(18 * arms);
+    for (double& x : compliance) x = uniform(random, 0.0, 0.02);
+    for (double& x : at_origin) x = uniform(random, -1.0, 1.0);
+    LoopObserver observer(c.kernel->model(),
+                          {compliance, {0, 0, 1}, at_origin, 0.01, 0.05, {0.02, 0.2},
+                           whole(random, 1, 3), whole(random, 0, 1) == 1, sag.data(), torque.data(),
+                           opened.data(), told.data()});
+    if (c.kernel->update(0.0) != Status::Optimal) return 0;
+    int wrong = 0;
+    for (double bad : {0.0, 0.0, 0.0, std::numeric_limits<double>::quiet_NaN(), 1e200, 0.0}) {
+        const auto gap = c.owner.gap, before = felt;
+        std::vector<double> reading = c.owner.q;
+        for (double& x : reading) x += uniform(random, -1e-3, 1e-3);
+        reading[std::size_t(whole(random, 0, int(n) - 1))] += bad;
+        const bool learnt = c.kernel->learn(observer, reading.data(), c.owner.gap.data(), felt.data());
+        if (learnt && bad == 0.0)
+            for (double x : c.owner.gap) wrong += !std::isfinite(x);
+        if (!learnt || bad != 0.0 || whole(random, 0, 1)) {
+            observer.forget();
+            wrong += c.owner.gap != gap || felt != before;
+        }
+    }
+    std::fill(c.owner.gap.begin(), c.owner.gap.end(), 0.0);
+    return wrong;
+}
+
+// How many products of left singular vectors are no identity's, by the columns of a random matrix of
+// which some depend on others.
+int wrong_directions(Random& random) {
+    const int n = whole(random, 1, 12), m = whole(random, 1, 14);
+    std::vector<double> A(std::size_t(n * m)), U(std::size_t(n * n)), values(std::size_t(m), 0.0);
+    for (double& x : A) x = whole(random, -2, 2);
+    left_singular(A.data(), n, m, 1e-3, values.data(), U.data());
+    int wrong = 0;
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < n; j++) {
+            double product = 0.0;
+            for (int k = 0; k < n; k++) product += U[std::size_t(k * n + i)] * U[std::size_t(k * n + j)];
+            wrong += !(std::fabs(product - (i == j)) < 1e-12);
+        }
+    for (int k = 1; k < m; k++) wrong += !(values[std::size_t(k)] <= values[std::size_t(k - 1)]);
+    return wrong;
+}
+
 // How many sines and cosines are off by more than two units of the last digit of 1.
 int wrong_sines(Random& random) {
     int wrong = 0;
@@ -404,6 +454,7 @@ int main(int count, char** given) {
 #endif
         }
         wrong += garbage(random, c) + wrong_survey(random);
+        wrong += wrong_observer(random, c) + wrong_directions(random);
     }
     std::printf("%d ticks, %d optimal, %d of them with joints coming back, %d proved infeasible, "
                 "%d wrong, %d faults caught, %d of them by scaled tasks that leave their directions, "

@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from coopqp import limit, program, robot
+from coopqp import limit, program, robot, signal
 from coopqp.kernel import compiled
 from coopqp.kernel.compiled import Outcome
 from coopqp.limits import _keep_apart
-from coopqp.model import geometry, profile
+from coopqp.model import geometry, loop_observer, profile
 from coopqp.qp_law import equations, level, limit_recovery, nearest, priorities, safety
 from coopqp.tasks import manipulability
 
@@ -40,6 +40,11 @@ CONSTANTS: Mapping[object, Mapping[str, str]] = {
     },
     profile: {"RAMP": "RAMP"},
     geometry: {"TINY": "TINY", "CONE": "CONE"},
+    loop_observer: {
+        **{name: name for name in ("AFTER", "FEELS", "SLIGHT", "MOVES", "REST", "TURN_COUNTS")},
+        "FARTHEST": "FARTHEST", "DOUBT": "DOUBT", "TINY": "SAG_ROUNDING",
+    },
+    signal: {"ENDLESS": "ENDLESS"},
     manipulability: {"LARGE": "LARGE_PHI", "REGULAR": "REGULAR"},
 }  # fmt: skip
 

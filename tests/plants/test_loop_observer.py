@@ -6,6 +6,7 @@ import copy
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pinocchio as pin
@@ -15,6 +16,7 @@ import coopqp
 from coopqp.base.errors import UnknownNameError
 from coopqp.closed_loop.hands import hands, points
 from coopqp.controller import Law
+from coopqp.controllers import QPController
 from coopqp.model.loop_observer import LoopObserver, Observer, WeightSag
 from coopqp.model.state import State
 from coopqp.plant import Disturbance, PlantModel, Slip
@@ -38,10 +40,12 @@ def scenario(plant: QuasiStatic, observer: Observer, off: Disturbance = ERRORS) 
     return replace(changed, disturbance=off, observer=observer)
 
 
-def run(given: Scenario, seconds: float) -> tuple[Law, PlantModel, State, list[float]]:
+def run(
+    given: Scenario, seconds: float, engine: Literal["auto", "python"] = "auto"
+) -> tuple[Law, PlantModel, State, list[float]]:
     """Until then, and how far the hands' forces differ in each tick."""
     problem = given.problem()
-    law = given.controllers["qp"].build(problem)
+    law = QPController(engine=engine).build(problem)
     plant = given.plant.build(problem, given.seed, given.disturbance)
     state, force = law.start(q_measured=plant.measured), []
     for _ in range(round(seconds / given.dt)):
@@ -112,7 +116,7 @@ def test_an_observer_of_the_sag_alone_pulls(monkeypatch: pytest.MonkeyPatch) -> 
     _, _, _, force = run(scenario(FIRM, KNOWN), 6.0)
     nothing = lambda observer, state, along: np.zeros(len(state.gap))  # noqa: E731
     monkeypatch.setattr(LoopObserver, "_unload", nothing)
-    _, _, _, pulled = run(scenario(FIRM, KNOWN), 6.0)
+    _, _, _, pulled = run(scenario(FIRM, KNOWN), 6.0, "python")
     assert np.mean(pulled[-50:]) > 5.0 * np.mean(force[-50:])
 
 

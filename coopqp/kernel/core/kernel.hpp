@@ -12,6 +12,7 @@
 #include "faults.hpp"
 #include "loops.hpp"
 #include "nearest.hpp"
+#include "observer.hpp"
 #include "problem.hpp"
 #include "rows.hpp"
 #include "limit_recovery.hpp"
@@ -71,6 +72,14 @@ class Kernel {
         std::copy(q, q + m_->n(), bound.q_seen);
         limits.h.resize(std::size_t(s_.inequalities));
         return Status::Optimal;
+    }
+
+    // Follow the loop-closure offset by measured joints; false where that is Python's.
+    bool learn(LoopObserver& observer, const double* reading, double* gap, double* felt) {
+        if (!observer.update(kinematics, bound.q, bound.v_last, reading, gap, felt)) return false;
+        for (std::size_t i = 0; i < kinematics.loop_error.size(); i++)
+            bound.drift[i] = kinematics.loop_error[i] - gap[i];
+        return true;
     }
 
     // Decide v from the kinematics, tasks and limits as they stand. Joints that are outside their

@@ -57,6 +57,20 @@ constexpr double RAMP = 0.25;
 constexpr double TINY = 1e-12;
 constexpr double CONE = 0.02;
 
+// coopqp.model.loop_observer
+constexpr double AFTER = 0.2;
+constexpr double FEELS = 0.3;
+constexpr double SLIGHT = 0.0002;
+constexpr double MOVES = 0.05;
+constexpr double REST = 0.005;
+constexpr double TURN_COUNTS = 0.1;
+constexpr double FARTHEST = 0.02;
+constexpr double DOUBT = 0.0005;
+constexpr double SAG_ROUNDING = 1e-15;
+
+// coopqp.signal
+constexpr double ENDLESS = 1e+100;
+
 // coopqp.tasks.manipulability
 constexpr double LARGE_PHI = 3.0;
 constexpr double REGULAR = 1e-12;
@@ -76,6 +90,7 @@ enum class Status : int {
     Shortened = 10,
     Unproven = 11,
     Clashing = 12,
+    Unusual = 13,
 };
 constexpr int BUSY = -1, RELAXED = 16, STANDS = 32, COMES_BACK = 64;
 

@@ -1,0 +1,167 @@
+// The loop-closure offset, followed at measured joints, as coopqp.model.loop_observer explains it.
+#pragma once
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <vector>
+
+#include "kinematics.hpp"
+#include "shared.hpp"
+
+namespace coopqp {
+
+// What does not change, and arrays that Python owns, as LoopObserver and State have them.
+struct Observed {
+    std::vector<double> compliance, up, at_origin;  // (n,), (3,), (6 N, 3)
+    double dt, share, most[2];
+    int every;   // ticks between two looks at the sag
+    bool known;  // the stiffness of the servos
+    double *sag, *torque, *opened, *told;  // told: load, doubt, ticks
+};
+
+class LoopObserver {
+  public:
+    LoopObserver(const Model& model, Observed given)
+        : model_(model), o_(std::move(given)), measured_(model), q_(model.joints.size()),
+          before_(6 * model.arms.size()) {}
+
+    // Learn from joints measured at `reading` where q is commanded and v was. Its Jacobians are up to
+    // date; the gap and what is felt are moved. False where that is Python's: nothing is moved then.
+    bool update(const Kinematics& there, const double* q, const double* v, const double* reading,
+                double* gap, double* felt) {
+        const std::size_t loops = 6 * (model_.arms.size() - 1);
+        moved_ = false;
+        if (std::isnan(felt[0])) return false;
+        std::copy_n(o_.told, 3, told_);
+        std::copy_n(felt, 2, felt_);
+        std::copy_n(gap, loops, before_.begin());
+        const double load = unload(there, q, v, reading, felt);
+        measured_.place(q_.data());
+        measured_.measure();
+        gap_ = gap;
+        all_felt_ = felt;
+        moved_ = true;
+        const std::size_t closed = 6 * std::size_t(std::max(model_.loops(), 0));
+        for (std::size_t i = 0; i < closed; i++)
+            gap[i] += o_.share * (measured_.loop_error[i] - there.loop_error[i]);
+        for (std::size_t i = 0; i < closed; i += 3) {
+            double away[3];
+            for (std::size_t r = 0; r < 3; r++)
+                away[r] = gap[i + r] - (felt[2 + i + r] - load * o_.opened[i + r]);
+            if (!(std::sqrt(dot3(away, away)) < o_.most[i / 3 % 2])) {
+                forget();
+                return false;
+            }
+        }
+        return true;
+    }
+
+    // Have again what was before the last update.
+    void forget() {
+        if (!moved_) return;
+        moved_ = false;
+        std::copy_n(told_, 3, o_.told);
+        std::copy_n(felt_, 2, all_felt_);
+        std::copy_n(before_.begin(), 6 * (model_.arms.size() - 1), gap_);
+    }
+
+  private:
+    // The reading without the sag, q_; the load that it is taken to have.
+    double unload(const Kinematics& there, const double* q, const double* v, const double* reading,
+                  double* felt) {
+        const std::size_t n = q_.size();
+        if (std::fmod(o_.told[2], double(o_.every)) == 0.0) look_at_sag(there);
+        o_.told[2] += 1.0;
+        for (std::size_t j = 0; j < n; j++) q_[j] = reading[j] - q[j];
+        double load = felt_load(v);
+        felt[1] = std::isfinite(load) ? felt[1] + o_.dt : 0.0;
+        if (felt[1] > AFTER) felt[0] += std::min(1.0, o_.dt / FEELS) * (load - felt[0]);
+        o_.told[0] = o_.known ? felt[0] : std::numeric_limits<double>::quiet_NaN();
+        load = felt[0];
+        if (!o_.known && load * largest_sag() < SLIGHT) load = 0.0;
+        for (std::size_t j = 0; j < n; j++) q_[j] = reading[j] - load * o_.sag[j];
+        return load;
+    }
+
+    double largest_sag() const {
+        double most = 0.0;
+        for (std::size_t j = 0; j < q_.size(); j++) most = std::max(most, std::fabs(o_.sag[j]));
+        return most;
+    }
+
+    // As WeightSag.update.
+    void look_at_sag(const Kinematics& there) {
+        double load[3], h[6];
+        std::fill_n(o_.torque, q_.size(), 0.0);
+        transposed_times3(there.R_WO, o_.up.data(), load);
+        for (int i = 0; i < model_.holding; i++) {
+            const double* G = &o_.at_origin[std::size_t(18 * i)];
+            for (int half = 0; half < 2; half++) {
+                double own[3];
+                times3(G + 9 * half, load, own);
+                times3(there.R_WO, own, h + 3 * half);
+            }
+            each_column(model_.arms[std::size_t(i)], [&](int j, const double* column) {
+                for (int r = 0; r < 6; r++) o_.torque[j] += column[r] * h[r];
+            });
+        }
+        for (std::size_t j = 0; j < q_.size(); j++) o_.sag[j] = -(o_.compliance[j] * o_.torque[j]);
+        double first[6], other[6];
+        twist(0, o_.sag, first);
+        for (std::size_t i = 1; i < model_.arms.size(); i++) {
+            twist(i, o_.sag, other);
+            for (std::size_t r = 0; r < 6; r++) o_.opened[6 * (i - 1) + r] = other[r] - first[r];
+        }
+        o_.told[1] = DOUBT / std::max(largest_sag(), SAG_ROUNDING);
+    }
+
+    // As WeightSag.load, of the sag q_.
+    double felt_load(const double* v) const {
+        const double unknown = std::numeric_limits<double>::quiet_NaN();
+        double v2 = 0.0, size = 0.0, along = 0.0, most = 0.0, V2 = 0.0, V[6] = {}, own[6];
+        for (std::size_t j = 0; j < q_.size(); j++) {
+            v2 += v[j] * v[j];
+            size -= o_.torque[j] * o_.sag[j];
+            along -= o_.torque[j] * q_[j];
+            most = std::max(most, std::fabs(q_[j]));
+        }
+        if (v2 > MOVES * MOVES || !(size > SAG_ROUNDING) || most > FARTHEST) return unknown;
+        for (std::size_t i = 0; i < model_.arms.size(); i++) {
+            twist(i, v, own);
+            for (int r = 0; r < 6; r++) V[r] += model_.arms[i].alpha * own[r];
+        }
+        for (int r = 0; r < 6; r++) {
+            const double x = V[r] * (r < 3 ? 1.0 : TURN_COUNTS);
+            V2 += x * x;
+        }
+        return V2 < REST * REST ? std::max(0.0, along / size) : unknown;
+    }
+
+    // J_i x, (v; omega) of the object as carried by an arm.
+    void twist(std::size_t arm, const double* x, double* V) const {
+        std::fill_n(V, 6, 0.0);
+        each_column(model_.arms[arm], [&](int j, const double* column) {
+            for (int r = 0; r < 6; r++) V[r] += column[r] * x[j];
+        });
+    }
+
+    template <class Use>
+    static void each_column(const Arm& arm, const Use& use) {
+        const double* column = arm.columns;
+        for (const auto* joints : {&arm.base, &arm.own})
+            for (int j : *joints) {
+                use(j, column);
+                column += TWIST;
+            }
+    }
+
+    const Model& model_;
+    Observed o_;
+    Kinematics measured_;
+    std::vector<double> q_, before_;
+    double told_[3], felt_[2];
+    double *gap_ = nullptr, *all_felt_ = nullptr;
+    bool moved_ = false;
+};
+
+}  // namespace coopqp

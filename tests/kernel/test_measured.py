@@ -1,0 +1,149 @@
+"""Ticks with measured joints: the kernel learns what the observer in Python learns."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from side_by_side import needs_kernel
+
+import coopqp
+from coopqp.controller import Law
+from coopqp.controllers import QPController
+from coopqp.kernel import native
+from coopqp.kernel.law import KernelLaw
+from coopqp.limits import FollowingError
+from coopqp.model.loop_observer import LoopObserver, Observer
+from coopqp.model.state import State
+from coopqp.online.following import SINGULAR
+from coopqp.solver import Status
+
+pytestmark = needs_kernel
+
+TICKS, BOUND = 150, 1e-4
+SCENARIOS = ("point_on_point", "two_pandas", "three_ur", "tiago_torso")
+
+
+class InPython(LoopObserver):
+    """The same, which the kernel does not know."""
+
+
+def law(name: str, observer: Observer, kind: type[LoopObserver], *limits: object) -> KernelLaw:
+    given = coopqp.load(name)
+    problem = replace(given, observer=observer, limits=(*given.limits, *limits)).problem()
+    made = QPController(engine="kernel").build(problem)
+    assert isinstance(made, KernelLaw)
+    made.observer = kind(problem.chain, problem.dt, observer)
+    return made
+
+
+def told(one: Law, state: State) -> np.ndarray:
+    """What a tick commands and learns."""
+    return np.concatenate([
+        one.command.v, state.gap, state.felt, state.drift, state.loop_error, state.p_WO,
+        [one.observer.load, one.observer.doubt, one.command.scale, one.command.drift],
+    ])  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("observer", [
+    Observer(most=0.1), Observer(stiffness=80.0, most=0.1), Observer(stiffness=80.0, most=BOUND),
+    Observer(enabled=False),
+], ids=["felt", "known", "at bound", "disabled"])  # fmt: skip
+def test_what_is_learnt_is_what_python_learns(name: str, observer: Observer) -> None:
+    """Joints that sag, with noise and lag, and sensors that fail now and then."""
+    rng = np.random.default_rng(3)
+    laws = [law(name, observer, kind) for kind in (LoopObserver, InPython)]
+    states = [one.start(q_measured=one.problem.chain.q_start) for one in laws]
+    n, dt = laws[0].problem.chain.n, laws[0].problem.dt
+    off, lagging = 3e-3 * rng.standard_normal(n), states[0].q.copy()
+    by_python, update = [], laws[0].observer.update
+    laws[0].observer.update = lambda *given: by_python.append(1) or update(*given)  # type: ignore[func-returns-value, method-assign]
+    for k in range(TICKS):
+        lagging += 0.3 * (states[0].q - lagging)
+        reading = lagging + off * min(1.0, k * dt) + 2e-4 * rng.standard_normal(n)
+        reading[k % n] = np.nan if k % 37 == 5 else reading[k % n]
+        given = reading.tolist() if k % 29 == 7 else reading if k % 31 else None
+        for one, state in zip(laws, states, strict=True):
+            state.q_measured = given  # type: ignore[assignment]
+            state.corrected = 0.5 if k % 41 == 11 else state.corrected
+            one.observer.paused = k % 43 > 38
+            one.tick(state)
+        assert laws[0].command.causes == laws[1].command.causes
+        np.testing.assert_allclose(
+            told(laws[0], states[0]), told(laws[1], states[1]), rtol=1e-9, atol=1e-11
+        )
+        np.testing.assert_allclose(states[0].gap, states[1].gap, rtol=0.0, atol=1e-12)
+        for one, state in zip(laws, states, strict=True):
+            state.advance(0.0 * one.command.v if k > 110 else one.command.v, dt)
+    assert len(by_python) < 0.5 * TICKS or observer.most == BOUND
+    if observer.enabled:
+        assert states[0].gap.any()
+
+
+def test_a_tick_without_an_answer_has_learnt_once() -> None:
+    """Python then decides, and does not learn a second time."""
+    laws = [law("point_on_point", Observer(), kind) for kind in (LoopObserver, InPython)]
+    found = []
+    for one in laws:
+        state = one.start(q_measured=one.problem.chain.q_start)
+        state.q_measured = state.q + 1e-3
+        one.tick(state)
+        state.q_measured = state.q + 2e-3
+        state.q[3] = one.problem.chain.upper[3] + 0.3  # no recovery keeps the loops
+        state._commanded[:] = state.q
+        one.tick(state)
+        found.append(told(one, state))
+    assert not laws[0].compiled
+    np.testing.assert_allclose(found[0], found[1], atol=1e-11)
+
+
+def test_a_joint_that_was_overwritten_is_told() -> None:
+    one = law("point_on_point", Observer(), LoopObserver)
+    state = one.start(q_measured=one.problem.chain.q_start)
+    state.q_measured = state.q.copy()
+    state.advance(one.tick(state).v, one.problem.dt)
+    assert one.tick(state).causes == (Status.OPTIMAL,)
+    state.q[0] += 1e-3
+    assert Status.OVERWRITTEN in one.tick(state).causes
+
+
+def test_a_limit_of_following_is_the_kernels() -> None:
+    """It binds where the readings stay behind, and only while there are any."""
+    most = FollowingError(max=1e-3)
+    laws = [law("point_on_point", Observer(), kind, most) for kind in (LoopObserver, InPython)]
+    states = [one.start(q_measured=one.problem.chain.q_start) for one in laws]
+    behind = states[0].q.copy()
+    for k in range(40):
+        for one, state in zip(laws, states, strict=True):
+            state.q_measured = behind if k < 30 else None
+            one.tick(state)
+            assert one.compiled
+        np.testing.assert_allclose(laws[0].command.v, laws[1].command.v, atol=1e-11)
+        for one, state in zip(laws, states, strict=True):
+            state.advance(one.command.v, one.problem.dt)
+        if k < 30:
+            assert np.abs(states[0].q - behind).max() < 1e-3 + 1e-9
+    assert np.abs(states[0].q - behind).max() > 1.1e-3
+
+
+@pytest.mark.parametrize(("n", "m"), [(10, 6), (14, 6), (56, 42), (6, 3), (6, 8), (5, 1)])
+def test_directions_are_those_of_lapack(n: int, m: int) -> None:
+    """With parallel columns, and rows of very different size."""
+    rng, found = np.random.default_rng(n), native.module()
+    assert found
+    samples = found.Samples(np.zeros((5, n)), np.zeros((5, n)), list(range(n)), [], 1, [1], 4)
+    for case in range(20):
+        A = rng.standard_normal((n, m)) * 10.0 ** rng.uniform(-0.1 * case, 0.1 * case, (n, 1))
+        A[:, m // 2] = A[:, 0]
+        U, values = np.zeros((n, n)), np.zeros(m)
+        samples.directions(A, SINGULAR, values, U)
+        V, wanted, _ = np.linalg.svd(A)
+        np.testing.assert_allclose(U.T @ U, np.eye(n), atol=1e-12)
+        np.testing.assert_allclose(values[: len(wanted)], wanted, atol=1e-12 * wanted[0])
+        rank = int(np.sum(wanted > SINGULAR * wanted[0]))
+        assert np.sum(values > SINGULAR * values[0]) == rank
+        np.testing.assert_allclose(
+            U[:, :rank] @ U[:, :rank].T, V[:, :rank] @ V[:, :rank].T, atol=1e-9
+        )
