@@ -81,6 +81,7 @@ class QPLaw(Law):
         ]
         self.levels = (self.first, *self._later)
         self.memory_sizes = memory_sizes(problem, len(self.stacks), squeezer)
+        self._hard_rows, self._shares = slice(self.memory_sizes["missed"]), self.first.shares
 
     @cached_property
     def nearest(self) -> Nearest:
@@ -123,15 +124,15 @@ class QPLaw(Law):
         kappa = self.limit_recovery.limit(state)
         for stack in self._asked:
             stack.update(state)
-        self._assemble_first(state, kappa, self.exact.wanted)
+        self._assemble_exact(self.first, state, kappa, self.exact.wanted)
         return kappa
 
-    def _assemble_first(self, state: State, kappa: float, wanted: Array) -> None:
+    def _assemble_exact(self, level: Level, state: State, kappa: float, wanted: Array) -> None:
         """J_j v = wanted_j of hard tasks, J_k v - s_k wanted_k = 0 of scaled ones."""
-        n, m, first = self.problem.chain.n, len(state.e_loop), self.first
-        damping = self._damping.of_tasks(first.tasks, state)
-        first.assemble(state, kappa, damping + self._scaled_damping(state))
-        A, b = self.qp.A[m:], self.qp.b[m:]
+        n, m = self.problem.chain.n, len(state.e_loop)
+        damping = self._damping.of_tasks(level.tasks, state)
+        level.assemble(state, kappa, damping + self._scaled_damping(state))
+        A, b = level.qp.A[m:], level.qp.b[m:]
         A[:, :n], b[:] = self.exact.J, wanted
         for share, part in enumerate(self._scaled):
             A[part, n + share], b[part] = -wanted[part], 0.0
@@ -176,10 +177,10 @@ class QPLaw(Law):
         if not status.usable:
             return v, (status,)
         if whole.usable:
-            v, leaves, status = first.v, 0.0, whole
+            v, leaves, status, self._shares = first.v, 0.0, whole, first.shares
         else:
             v, leaves = self._scale_beside(state, kappa, v)
-        if self._relaxes and (leaves > 0.0 or first.scale < WHOLE):
+        if self._relaxes and (leaves > 0.0 or self._shares.min(initial=1.0) < WHOLE):
             near, status = self.nearest.of_scaled(state, v)
             leaves = max(leaves, self._leaves_directions(near) if leaves < 1.0 else 0.0)
             v = (1.0 - leaves) * v + leaves * near
@@ -193,35 +194,39 @@ class QPLaw(Law):
         return v, (status,)
 
     def _scale_beside(self, state: State, kappa: float, v: Array) -> tuple[Array, float]:
-        """The largest shares that the motion v of hard tasks leaves; how far these may be left."""
-        if not self._scaled:
+        """The largest shares beside the motion v of hard tasks; how far these may be left."""
+        level, wanted, got = self.nearest.beside, self.exact.wanted.copy(), self.exact.J @ v
+        missed, hard, self._shares = self._missed(v), self._hard_rows, level.shares[:-1]
+        wanted[hard] += missed
+        if not self._scaled and (not missed.any() or (missed == got - self.exact.wanted).all()):
             return v, 0.0
-        wanted, hard = self.exact.wanted, self._scaled[0].start
-        got = np.concatenate([self.exact.J[:hard] @ v, wanted[hard:]])
-        leaves = min(norm(got - wanted) / SLOW, 1.0)
+        leaves = min(norm(missed) / SLOW, 1.0)
         if leaves < 1.0:
-            self._assemble_first(state, kappa, got)
-            if self.first.solve().usable:
-                return self.first.v, leaves
-        return v, 1.0
+            self._assemble_exact(level, state, kappa, wanted)
+            got[hard] -= wanted[hard]
+            level.qp.A[len(state.e_loop) :, -1] = -got
+            if level.solve().usable:
+                v, leaves = level.v, max(leaves, level.shares[-1])
+            else:
+                leaves = 1.0
+        return v, leaves if self._scaled else 0.0
 
     def _leaves_directions(self, near: Array) -> float:
         """How far scaled tasks may leave their directions for the nearest motion, from 0 to 1."""
         wanted, J = self.exact.wanted, self.exact.J
-        parts = zip(self._scaled, self.first.shares.tolist(), strict=True)
+        parts = zip(self._scaled, self._shares.tolist(), strict=True)
         return max(blocked(share, wanted[p], J[p] @ near) for p, share in parts)
 
     def _missed(self, v: Array) -> Array:
         """What rows of hard tasks lack, zero where that is rounding."""
-        hard = slice(self.memory_sizes["missed"])
-        missed = self.exact.J[hard] @ v - self.exact.wanted[hard]
-        return np.where(np.abs(missed) > MET, missed, 0.0)
+        missed = self.exact.J[self._hard_rows] @ v - self.exact.wanted[self._hard_rows]
+        return missed * min(max(np.abs(missed).max(initial=0.0) / MET - 1.0, 0.0), 1.0)
 
     def _remember(self, state: State, v: Array, leaves: float) -> None:
         """What hard and scaled tasks lack, for the damping of the next tick; the scale of this."""
         wanted, missed, missing = self.exact.wanted, state.memory["missed"], state.memory["missing"]
         missed[:] = self._missed(v)
-        missing[:] = 1.0 if leaves == 1.0 else 1.0 - (1.0 - leaves) * self.first.shares
+        missing[:] = 1.0 if leaves == 1.0 else 1.0 - (1.0 - leaves) * self._shares
         sizes = [(norm(missed[p]), norm(wanted[p])) for p in self._hard]
         lacks = [lack / max(whole, lack, MET) for lack, whole in sizes]
         self.command.scale = 1.0 - max([0.0, *lacks, *missing.tolist()])
@@ -236,7 +241,7 @@ class QPLaw(Law):
         if not relaxed[0].usable:
             return drift.v, (failed,)
         kappa = drift.share * drift_gain(self.problem, state)
-        self._assemble_first(state, kappa, self.exact.wanted)
+        self._assemble_exact(self.first, state, kappa, self.exact.wanted)
         v, causes = self._decide_levels(state, kappa)
         if not causes[0].usable:
             if relaxed[0] is Status.SOLVER_FAILED:  # nothing was in the way but the solver

@@ -6,14 +6,19 @@ Wieber 2011; Escande, Mansard and Wieber 2014), above all soft tasks: first the 
     minimise    sum_i w_i |J_i v - wanted_i|^2 + d |v|^2
     subject to  J_c v = -kappa e,   lb <= v <= ub,   G v <= h
 
-then, with J_i v of these fixed, the scaled ones: v_s has the largest shares s_k of what they want,
-and v_n is the nearest to the whole of it, a problem like that of the hard ones. A direction along
-which little is reachable beside what v_n has of it, p_k, is relaxed:
+whose answer is v_h; then, with J_i v of these fixed, the scaled ones: v_s has the largest shares s_k
+of what they want, and v_n is the nearest to the whole of it, a problem like that of the hard ones.
+Loops and hard tasks may leave no motion along a direction; then v_s has the least share t of v_h,
+
+    J_k v = s_k wanted_k + t J_k v_h,   at the cost W (t^2 / 2 + ASIDE t)
+
+an exact penalty. A direction along which little is reachable beside what v_n has of it, p_k, is
+relaxed:
 
     v = (1 - r) v_s + r v_n,   r = max_k (1 - s_k |wanted_k| / (LITTLE p_k))+ (1 - s_k / WHOLE)+
 
-which is inside the limits, as both are. Where hard tasks lack a speed r is at least that over SLOW,
-up to 1; it is 1 where no shares are feasible. Later levels keep the result. The damping of v_n is
+which is inside the limits, as both are; r is at least t, and where hard tasks lack a speed at least
+that over SLOW, up to 1. Later levels keep the result. The damping of v_n is
 that of a soft task (:class:`coopqp.qp_law.equations.Damping`); that of the hard tasks grows from
 almost nothing with what their rows lacked in the last tick, m_i: d = c dt sum_i w_i |m_i| L_i.
 """
@@ -27,6 +32,7 @@ import numpy as np
 from coopqp.base.rank import null_space
 from coopqp.base.spec import Array
 from coopqp.model.state import State
+from coopqp.qp_law.equations import SCALE_WEIGHT
 from coopqp.qp_law.level import Given, Level, Step
 from coopqp.qp_law.priorities import LaterLevel, Order
 from coopqp.solver import Status, norm
@@ -40,8 +46,11 @@ LITTLE = 0.1
 SLOW = 5e-3
 #: Least damping of the level of the hard tasks, as a share of that of the soft ones.
 LESS = 1e-3
-#: Rows that lack less than this are met, as those of the loops are [m/s, rad/s].
+#: Rows that lack less than this are met, as those of the loops are, beyond twice it they are not
+#: [m/s, rad/s].
 MET = 1e-6
+#: Slope of the cost of what is left of the hard tasks' motion, above all multipliers it may have.
+ASIDE = 1e3
 
 
 class Nearest:
@@ -49,6 +58,7 @@ class Nearest:
 
     Attributes:
         hard, scaled: their levels. v: the answer of the first, refined, shape (n,).
+        beside: the level of the shares, the last of which is t.
     """
 
     def __init__(self, given: Given, order: Order) -> None:
@@ -58,6 +68,9 @@ class Nearest:
         firm = replace(given, damping=replace(given.damping, least=least))
         self.hard, self._refined = Level(firm, hard, loops.solver_rows), Step(firm, hard)
         self.scaled = LaterLevel(given, scaled, [hard])
+        rows, names = [*loops.solver_rows, *order.exact.rows], [task.name for task in order.scaled]
+        self.beside = Level(given, TaskStack((), order.start), rows, [*names, "hard tasks"])
+        self.beside.qp.q[-1] = ASIDE * SCALE_WEIGHT
         self.v = self._refined.v
 
     def of_hard(self, state: State, kappa: float) -> Status:
