@@ -168,11 +168,11 @@ class QPLaw(Law):
         Where hard tasks lacked something in the last tick they are asked for the nearest first.
         """
         missed, first = state.memory["missed"], self.first
-        was, v = missed.copy(), first.v
-        whole = status = Status.INFEASIBLE if was.any() else first.solve()
+        tried, v = not missed.any(), first.v
+        whole = status = first.solve() if tried else Status.INFEASIBLE
         if not whole.usable and self._relaxes:
             status, v = self.nearest.of_hard(state, kappa), self.nearest.v
-            if was.any() and status.usable and not self._missed(v).any():
+            if not tried and status.usable and not self._missed(v).any():
                 whole = first.solve()  # hard tasks can hold again
         if not status.usable:
             return v, (status,)
@@ -189,8 +189,6 @@ class QPLaw(Law):
             return v, (Status.SOLVER_FAILED, status)
         if leaves > 0.0 or missed.any():
             return v, (Status.TASKS_RELAXED, status)
-        if not whole.usable:
-            missed[:] = was
         return v, (status,)
 
     def _scale_beside(self, state: State, kappa: float, v: Array) -> tuple[Array, float]:

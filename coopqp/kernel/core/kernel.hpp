@@ -173,6 +173,7 @@ class Kernel {
         Level& level = levels[0];
         level.want();
         leaves_ = 0.0;
+        short_ = false;
         shares_ = &tasks_.shares();
         near_scaled_ = false;
         const bool tried =
@@ -189,7 +190,8 @@ class Kernel {
         if (near != Status::Optimal) return s_.relaxes ? near : status;
         note_missed(tasks_.v());
         // Where rows clash by less than they may give way, the nearest is as good as all.
-        if (status == Status::Optimal || (s_.relaxes && relaxed()) || (tried && clash && !relaxed()))
+        const bool is_relaxed = relaxed() || short_;
+        if (status == Status::Optimal || (s_.relaxes && is_relaxed) || (tried && clash && !relaxed()))
             return near;
         const bool proof = lacks() || (clash && relaxed());  // the nearest is the proof
         if (tried) return proof ? Status::Infeasible : Status::Unproven;
@@ -232,9 +234,10 @@ class Kernel {
             Status status = nearest_.of_hard(damping_, bound.missed, b_.data(), set_out_);
             if (status != Status::Optimal) return status;
             copy(near_, nearest_.v(), m_->blocks);
-            note_missed(near_);
-            scales &= tried || lacks();
-            if (scales || lacks_in_part_) status = scale_beside(near_);
+            const double part = note_missed(near_);
+            short_ = part > 0.0;
+            scales &= tried || short_;
+            if (scales || (short_ && part < 1.0)) status = scale_beside(near_);
             if (status != Status::Optimal) return status;
         }
         if (scales && (leaves_ > 0.0 || least_share() < WHOLE)) {
@@ -300,8 +303,9 @@ class Kernel {
         return most;
     }
 
-    // What rows of hard tasks lack of what they want, and shares to 1.
-    void note_missed(const double* v) {
+    // What rows of hard tasks lack of what they want, and shares to 1. Returns how much of the first
+    // counts, from none to all of it.
+    double note_missed(const double* v) {
         const Level& level = levels[0];
         if (level.hard) rows_.object_twist(v, V_);
         double most = 0.0;
@@ -312,10 +316,10 @@ class Kernel {
         }
         const double part = std::min(std::max(most / MET - 1.0, 0.0), 1.0);
         for (double& missed : missed_) missed *= part;
-        lacks_in_part_ = part > 0.0 && part < 1.0;
         for (int k = 0; k < level.shares; k++)
             missing_[std::size_t(k)] =
                 leaves_ == 1.0 ? 1.0 : 1.0 - (1.0 - leaves_) * shares_->share(k);
+        return part;
     }
 
     Status find_limit_recovery() {
@@ -353,7 +357,7 @@ class Kernel {
     LimitRecovery limit_recovery_;
     std::vector<double> b_;
     std::vector<double> missed_, got_;     // of hard rows, and of all exact ones
-    bool lacks_in_part_ = false;           // of what hard rows lack: less than twice what is met
+    bool short_ = false;                   // whether the nearest motion of hard tasks lacks anything
     const Shares* shares_ = nullptr;       // that were decided last
     std::vector<double> missing_;          // of shares
     double leaves_ = 0.0;                  // how far scaled tasks leave their directions

@@ -113,7 +113,7 @@ class Multipliers {
     // Multiplier of an exact row, of which the first coordinates are.
     double of_exact(int s) const {
         double by = spare[std::size_t(s)];
-        for (int k = 0; k < hierarchy_.decided && hierarchy_.pivot_row(k) <= s; k++)
+        for (int k = 0; k < hierarchy_.decided; k++)
             if (hierarchy_.pivot_row(k) == s) by += lambda[k];
         return by;
     }

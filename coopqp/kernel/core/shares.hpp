@@ -64,7 +64,7 @@ class Shares {
             lacks += asks(s, k) * share(k);
             all += std::fabs(asks(s, k));
         }
-        return all < CONSISTENT && std::fabs(lacks) < CONSISTENT ? 0.0 : lacks;
+        return level_.aside.empty() && all < CONSISTENT && std::fabs(lacks) < CONSISTENT ? 0.0 : lacks;
     }
 
   private:
@@ -102,16 +102,12 @@ class Shares {
     template <class Side>
     void solve(int rank, double* x, double* spare, Side side) {
         clear(x, hierarchy_.blocks());
-        for (int s = 0, k = 0; s < exact_; s++) {
-            double rest = side(s);
-            for (int j = 0; j < k; j++) rest -= hierarchy_.row(s)[j] * x[j];
-            spare[s] = 0.0;
-            if (k < rank && hierarchy_.pivot_row(k) == s) {
-                x[k] = rest / hierarchy_.row(s)[k];
-                k++;
-            } else {
-                spare[s] = rest;
-            }
+        for (int s = 0; s < exact_; s++) spare[s] = side(s);
+        for (int k = 0; k < rank; k++) {
+            const int own = hierarchy_.pivot_row(k);
+            x[k] = spare[own] / hierarchy_.row(own)[k];
+            for (int s = 0; s < exact_; s++) spare[s] -= hierarchy_.row(s)[k] * x[k];
+            spare[own] = 0.0;
         }
     }
 
