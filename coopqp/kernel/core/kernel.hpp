@@ -238,6 +238,7 @@ class Kernel {
             short_ = part > 0.0;
             scales &= tried || short_;
             if (scales || (short_ && part < 1.0)) status = scale_beside(near_);
+            if (scales && leaves_ < 1.0) nearest_.accept_hard(b_.data(), near_);
             if (status != Status::Optimal) return status;
         }
         if (scales && (leaves_ > 0.0 || least_share() < WHOLE)) {
