@@ -90,7 +90,7 @@ class QPLaw(Law):
 
     @cached_property
     def drift(self) -> DriftShare:
-        """Built when not all of the drift correction can be done."""
+        """Built when not all of the Baumgarte correction can be done."""
         return DriftShare(self.limit_recovery, self._damping)
 
     def prepare(self) -> QPLaw:
@@ -163,10 +163,7 @@ class QPLaw(Law):
         return v, causes
 
     def _decide_exact(self, state: State, kappa: float) -> tuple[Array, tuple[Status, ...]]:
-        """Hard and scaled tasks as they are, or as nearly as can be.
-
-        Where hard tasks lacked something in the last tick they are asked for the nearest first.
-        """
+        """Hard and scaled tasks; first the nearest where hard ones lacked something before."""
         missed, first = state.memory["missed"], self.first
         tried, v = not missed.any(), first.v
         whole = status = first.solve() if tried else Status.INFEASIBLE
@@ -193,20 +190,19 @@ class QPLaw(Law):
 
     def _scale_beside(self, state: State, kappa: float, v: Array) -> tuple[Array, float]:
         """The largest shares beside the motion v of hard tasks; how far these may be left."""
-        level, wanted, got = self.nearest.beside, self.exact.wanted.copy(), self.exact.J @ v
+        level, wanted, aside = self.nearest.beside, self.exact.wanted.copy(), self.exact.J @ v
         missed, hard, self._shares = self._missed(v), self._hard_rows, level.shares[:-1]
         wanted[hard] += missed
-        if not self._scaled and (not missed.any() or (missed == got - self.exact.wanted).all()):
-            return v, 0.0
-        leaves = min(norm(missed) / SLOW, 1.0)
-        if leaves < 1.0:
+        aside[hard] -= wanted[hard]
+        leaves, most = min(norm(missed) / SLOW, 1.0), np.abs(missed).max(initial=0.0)
+        partly = 0.0 < most < 2.0 * MET
+        if leaves < 1.0 and (self._scaled or partly) and np.isfinite(aside @ self.exact.wanted):
+            level.qp.A[:] = 0.0
             self._assemble_exact(level, state, kappa, wanted)
-            got[hard] -= wanted[hard]
-            level.qp.A[len(state.e_loop) :, -1] = -got
-            if level.solve().usable:
-                v, leaves = level.v, max(leaves, level.shares[-1])
-            else:
-                leaves = 1.0
+            level.qp.A[len(state.e_loop) :, -1] = -aside
+            level.qp.orthogonalize()
+            usable = level.solve().usable
+            v, leaves = (level.v, max(leaves, level.shares[-1])) if usable else (v, 1.0)
         return v, leaves if self._scaled else 0.0
 
     def _leaves_directions(self, near: Array) -> float:
@@ -217,8 +213,9 @@ class QPLaw(Law):
 
     def _missed(self, v: Array) -> Array:
         """What rows of hard tasks lack, zero where that is rounding."""
-        missed = self.exact.J[self._hard_rows] @ v - self.exact.wanted[self._hard_rows]
-        return missed * min(max(np.abs(missed).max(initial=0.0) / MET - 1.0, 0.0), 1.0)
+        missed: Array = (self.exact.J @ v - self.exact.wanted)[self._hard_rows]
+        part = float(np.abs(missed).max(initial=0.0)) / MET - 1.0
+        return missed * min(max(part, 0.0), 1.0)
 
     def _remember(self, state: State, v: Array, leaves: float) -> None:
         """What hard and scaled tasks lack, for the damping of the next tick; the scale of this."""

@@ -33,13 +33,13 @@ class StepVerification:
         """Make the largest share of the step that leaves the loops within the budget after it."""
         if self.within(state, command.v):
             return
-        share, others = 0.0, [cause for cause in command.causes if cause is not Status.OPTIMAL]
+        share = 0.0
         for more in 0.5 ** np.arange(1, HALVINGS + 1):
             share += more if self.within(state, (share + more) * command.v) else 0.0
-        if share < SHORTEST:
-            share, others = 0.0, list(command.causes)
+        share *= share >= SHORTEST
         command.v *= share
-        command.say(Status.STEP_SHORTENED if share else Status.LOOP_BUDGET, *others)
+        causes = (cause for cause in command.causes if not share or cause is not Status.OPTIMAL)
+        command.say(Status.STEP_SHORTENED if share else Status.LOOP_BUDGET, *causes)
 
     def within(self, state: State, v: Array) -> bool:
         """Whether the loops are within budget after a step v dt, or no worse than before it."""
