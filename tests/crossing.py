@@ -69,7 +69,12 @@ class Jump:
 
 
 def problem(
-    chain: ClosedChain, mode: Mode, seed: int = 0, *, alone: bool = False
+    chain: ClosedChain,
+    mode: Mode,
+    seed: int = 0,
+    *,
+    alone: bool = False,
+    signs: tuple[int, int] = (1, 1),
 ) -> ControlProblem:
     """A point goes round a circle about the border of reach, from the side that is in reach.
 
@@ -78,8 +83,10 @@ def problem(
         mode: of that task; a soft one comes before the other task, as a hard one does.
         seed: of the directions.
         alone: without another task.
+        signs: of the two directions.
     """
-    out, across = directions(chain, np.random.default_rng(seed))
+    drawn = directions(chain, np.random.default_rng(seed))
+    out, across = (sign * way for sign, way in zip(signs, drawn, strict=True))
     border = _at_the_end(chain, chain.start_position + OUT * chain.reach * out)
     begin = border.start_position - RADIUS * out
     near = _at_the_end(border, begin)

@@ -4,11 +4,13 @@ From the state, the tasks and the limits, never from the law's programs:
 
     0  J_c v = -kappa e,  lb <= v <= ub,  G v <= h
     1  J_h v = w_h of the hard tasks; where that cannot hold beside what scaled ones want, or rows
-       lacked something a tick ago and still do, min sum weight |J_h v - w_h|^2 + d |v|^2
-    2  v_s: J_k v = s_k w_k of the scaled tasks, 0 <= s_k <= 1,  min 1e3 sum (1 - s_k)^2 + d |v|^2
+       lacked something a tick ago and still do, v_h: min sum weight |J_h v - w_h|^2 + d |v|^2;
+       from MET to 2 MET what v_h lacks of a row is taken for more and more of it
+    2  v_s: J_k v = s_k w_k of the scaled tasks, 0 <= s_k <= 1,  min 1e3 sum (1 - s_k)^2 + d |v|^2;
+       after v_h: J_k v = s_k w_k + t J_k v_h, 0 <= t <= 1, with 1e3 (t + ASIDE)^2 in the cost
        v_n: min sum weight |J_k v - w_k|^2 + d |v|^2
-       v = (1 - r) v_s + r v_n  with r of :func:`coopqp.qp_law.nearest.blocked`, and at least what
-       hard tasks lack over SLOW; 1 without v_s
+       v = (1 - r) v_s + r v_n  with r of :func:`coopqp.qp_law.nearest.blocked`, and at least t and
+       what hard tasks lack over SLOW
     3  soft tasks and secondary objectives, min sum weight |J v - w|^2 + d |v|^2 by priority
 
 Each level keeps J v of the tasks before it. The dampings d belong to the definition: they are made
@@ -29,7 +31,7 @@ from coopqp.controller import ControlProblem
 from coopqp.model.state import State
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.equations import LEAST_SPEED, MOST_DAMPING, SCALE_WEIGHT, Damping
-from coopqp.qp_law.nearest import LESS, MET, SLOW, WHOLE, blocked
+from coopqp.qp_law.nearest import ASIDE, LESS, MET, SLOW, WHOLE, blocked
 from coopqp.qp_law.safety import drift_gain
 from coopqp.task import Task, TaskStack
 
@@ -38,7 +40,6 @@ EXCESS = 1e-12  # by which limits may be exceeded [rad/s]
 ROOM = 1e-9  # by which they may be while it is looked for those that are active [rad/s]
 NOISE, CLEAR = 1e-10, 1e-5  # singular values that add nothing to the rows before, or something
 HOLDS, FAILS = 1e-9, 1e-6  # rows that miss by less hold, by more do not [m/s, rad/s]
-DOUBT = 1e-9  # as near to what still counts as met as that it cannot be told [m/s, rad/s]
 
 
 @dataclass(frozen=True)
@@ -120,42 +121,41 @@ class Cascade:
         J_k, missed = self._moved(scaled.J), self._state.memory["missed"]
         ways = _ways(scaled)
         rows, sides = _exact(J_h, w_h, J_k, ways)
-        holds = self._can_hold(rows, sides)
-        lacks = 0.0  # speed that hard tasks lack
+        holds, best = self._can_hold(rows, sides), np.ones(ways.shape[1], LONG)
+        d = self._damping.least + (self._pulled(scaled) if scaled.tasks else 0.0)
+        v, lacks, leaves = None, np.zeros(len(w_h), LONG), 0.0
         if missed.any() or not holds:
             v = self._nearest(J_h, w_h, hard.weights, self._hard_damping(hard))
-            off = np.abs(J_h @ v - w_h)
-            if missed.any() and len(off) and abs(off.max() - MET) < DOUBT:
-                raise UndeterminedError
-            if not holds or (off > MET).any():
-                lacks, w_h = float(np.sqrt(off @ off)), J_h @ v
-            relaxed = bool((off > MET).any())
-            self._v = v
+            lacks = _lacks(J_h @ v - w_h)
+        if v is None or (holds and not lacks.any()):
+            v, shares = self._shares(rows, sides, best, d)
         else:
-            relaxed = False
-        self._keep(J_h, w_h)
-        if not scaled.tasks:
-            if not lacks:  # no more than that is wanted of v by now
-                self._v = self._shares(J_k, ways, self._damping.least)[0]
-            return relaxed, False
-        leaves = self._scaled(scaled, J_k, ways, min(lacks / SLOW, 1.0))
-        return relaxed, leaves
+            got, some = w_h + lacks, bool((lacks != J_h @ v - w_h).any() and lacks.any())
+            shares = best
+            leaves = min(float(np.sqrt(lacks @ lacks)) / SLOW, 1.0)
+            if (scaled.tasks or some) and leaves < 1.0:
+                sides[: len(got)] = got
+                aside = np.concatenate([J_h @ v - got, J_k @ v])
+                rows, best = np.hstack([rows, -aside[:, None]]), np.append(best, -LONG(ASIDE))
+                v, shares = self._shares(rows, sides, best, d)
+                shares, leaves = shares[:-1], max(leaves, float(shares[-1]))
+        self._v = v
+        self._keep(J_h, J_h @ v)
+        if scaled.tasks:
+            leaves = self._scaled(scaled, J_k, shares, leaves)
+        relaxed = bool(_lacks(J_h @ self._v - w_h).any())
+        return relaxed, bool(scaled.tasks) and leaves > 0.0
 
-    def _scaled(self, tasks: TaskStack, J: Array, ways: Array, least: float) -> bool:
-        """Decide the scaled tasks; whether they leave their directions.
+    def _scaled(self, tasks: TaskStack, J: Array, shares: Array, leaves: float) -> float:
+        """Decide the scaled tasks; how far they leave their directions.
 
         Args:
             tasks: these.
             J: their rows.
-            ways: what each of them wants, in a column.
-            least: by which they leave them at least.
+            shares: that the motion so far has of what they want.
+            leaves: how far they leave their directions at least.
         """
-        leaves, v, shares = 1.0, self._v, np.zeros(ways.shape[1])
-        if least < 1.0 and self._can_hold(np.hstack([J, -ways]), np.zeros(len(J), LONG)):
-            d = self._damping.least + self._pulled(tasks)
-            v, shares = self._shares(J, ways, d)
-            leaves = least
-        self._v = v
+        v = self._v
         if leaves > 0.0 or shares.min() < WHOLE:
             pull = float(self._state.memory["scaled pull"][0])
             near = self._improved(tasks, J, pull)
@@ -166,7 +166,7 @@ class Cascade:
                 leaves = max(leaves, *blocks)
             self._v = v + LONG(leaves) * (near - v)
         self._keep(J, J @ self._v)
-        return leaves > 0.0
+        return leaves
 
     def _improved(self, tasks: TaskStack, J: Array, pull: float) -> Array:
         """The nearest to what a level wants, from what those before it have decided.
@@ -207,13 +207,13 @@ class Cascade:
             raise UndeterminedError
         return missed <= HOLDS
 
-    def _shares(self, J: Array, ways: Array, d: float) -> tuple[Array, Array]:
-        """The v with J v = ways s of the largest shares s, and these."""
-        n, shares = self._n, ways.shape[1]
+    def _shares(self, rows: Array, sides: Array, best: Array, d: float) -> tuple[Array, Array]:
+        """The v and the shares with rows [v; s] = sides, these as near as can be to the best."""
+        n, shares = self._n, len(best)
         root = np.sqrt(LONG(SCALE_WEIGHT))
         M = np.diag(np.concatenate([np.full(n, np.sqrt(LONG(d))), np.full(shares, root)]))
-        m = np.concatenate([np.zeros(n, LONG), np.full(shares, root)])
-        x = self._solve(M, m, shares, np.hstack([J, -ways]))
+        m = np.concatenate([np.zeros(n, LONG), root * best])
+        x = self._solve(M, m, shares, rows, sides)
         return x[:n], x[n:]
 
     def _nearest(self, J: Array, w: Array, weights: Array, d: float) -> Array:
@@ -228,12 +228,14 @@ class Cascade:
         m[len(w) :] += self._digits(sizes.shape) * sizes / root
         return self._solve(M, m, 0)
 
-    def _solve(self, M: Array, m: Array, shares: int, held: Array | None = None) -> Array:
-        """Least squares within all that is kept, with shares from 0 to 1, and more rows at zero."""
+    def _solve(
+        self, M: Array, m: Array, shares: int, held: Array | None = None, sides: Array | None = None
+    ) -> Array:
+        """Least squares within all that is kept, with shares from 0 to 1, and more rows."""
         n, wide = self._n, self._n + shares
         C, c = _widened(self._C, shares), self._c
         if held is not None:
-            C, c = _added(C, c, held, np.zeros(len(held), LONG))
+            C, c = _added(C, c, held, sides)
         ends = np.eye(wide)[n:]
         G = np.vstack([_widened(self._G, shares), ends, -ends])
         h = np.concatenate([self._h, np.ones(shares), np.zeros(shares)])
@@ -254,6 +256,11 @@ class Cascade:
     def _digits(self, shape: tuple[int, ...]) -> Array:
         """By what numbers move, relatively."""
         return self._jitter * np.finfo(float).eps * self._rng.uniform(-1.0, 1.0, shape)
+
+
+def _lacks(missed: Array) -> Array:
+    """What hard tasks lack, but for what still counts as met."""
+    return missed * min(max(float(np.abs(missed).max(initial=0.0)) / MET - 1.0, 0.0), 1.0)
 
 
 def _ways(scaled: TaskStack) -> Array:

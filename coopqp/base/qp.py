@@ -18,6 +18,8 @@ import numpy as np
 Kind = Literal["joint", "share", "loop", "task", "limit", "free", "dynamics", "motor", "hand"]
 Side = Literal["lower", "upper"]
 
+DEPENDENT = 1e-12  # singular value of rows that depend on each other, as a share of the largest
+
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
@@ -103,3 +105,12 @@ class QP:
     def seal(self) -> None:
         """Copy b to the lower side; call it after b has been written."""
         self._b_lower[:] = self.b
+
+    def orthogonalize(self) -> None:
+        """Make A, which is finite, orthonormal by a diagonal P: solvers see which rows depend."""
+        root = np.sqrt(self.P.diagonal())
+        U, sizes, Vt = np.linalg.svd(self.A / root, full_matrices=False)
+        rank = int(np.count_nonzero(sizes > DEPENDENT * sizes.max(initial=0.0)))
+        b = U.T.dot(self.b)[:rank] / sizes[:rank]
+        self.A[rank:], self.b[rank:] = 0.0, 0.0
+        self.A[:rank], self.b[:rank] = Vt[:rank] * root, b

@@ -81,6 +81,7 @@ class QPLaw(Law):
         ]
         self.levels = (self.first, *self._later)
         self.memory_sizes = memory_sizes(problem, len(self.stacks), squeezer)
+        self._hard_rows, self._shares = slice(self.memory_sizes["missed"]), self.first.shares
 
     @cached_property
     def nearest(self) -> Nearest:
@@ -89,7 +90,7 @@ class QPLaw(Law):
 
     @cached_property
     def drift(self) -> DriftShare:
-        """Built when not all of the drift correction can be done."""
+        """Built when not all of the Baumgarte correction can be done."""
         return DriftShare(self.limit_recovery, self._damping)
 
     def prepare(self) -> QPLaw:
@@ -123,15 +124,15 @@ class QPLaw(Law):
         kappa = self.limit_recovery.limit(state)
         for stack in self._asked:
             stack.update(state)
-        self._assemble_first(state, kappa, self.exact.wanted)
+        self._assemble_exact(self.first, state, kappa, self.exact.wanted)
         return kappa
 
-    def _assemble_first(self, state: State, kappa: float, wanted: Array) -> None:
+    def _assemble_exact(self, level: Level, state: State, kappa: float, wanted: Array) -> None:
         """J_j v = wanted_j of hard tasks, J_k v - s_k wanted_k = 0 of scaled ones."""
-        n, m, first = self.problem.chain.n, len(state.e_loop), self.first
-        damping = self._damping.of_tasks(first.tasks, state)
-        first.assemble(state, kappa, damping + self._scaled_damping(state))
-        A, b = self.qp.A[m:], self.qp.b[m:]
+        n, m = self.problem.chain.n, len(state.e_loop)
+        damping = self._damping.of_tasks(level.tasks, state)
+        level.assemble(state, kappa, damping + self._scaled_damping(state))
+        A, b = level.qp.A[m:], level.qp.b[m:]
         A[:, :n], b[:] = self.exact.J, wanted
         for share, part in enumerate(self._scaled):
             A[part, n + share], b[part] = -wanted[part], 0.0
@@ -162,24 +163,21 @@ class QPLaw(Law):
         return v, causes
 
     def _decide_exact(self, state: State, kappa: float) -> tuple[Array, tuple[Status, ...]]:
-        """Hard and scaled tasks as they are, or as nearly as can be.
-
-        Where hard tasks lacked something in the last tick they are asked for the nearest first.
-        """
+        """Hard and scaled tasks; first the nearest where hard ones lacked something before."""
         missed, first = state.memory["missed"], self.first
-        was, v = missed.copy(), first.v
-        whole = status = Status.INFEASIBLE if was.any() else first.solve()
+        tried, v = not missed.any(), first.v
+        whole = status = first.solve() if tried else Status.INFEASIBLE
         if not whole.usable and self._relaxes:
             status, v = self.nearest.of_hard(state, kappa), self.nearest.v
-            if was.any() and status.usable and not self._missed(v).any():
+            if not tried and status.usable and not self._missed(v).any():
                 whole = first.solve()  # hard tasks can hold again
         if not status.usable:
             return v, (status,)
         if whole.usable:
-            v, leaves, status = first.v, 0.0, whole
+            v, leaves, status, self._shares = first.v, 0.0, whole, first.shares
         else:
             v, leaves = self._scale_beside(state, kappa, v)
-        if self._relaxes and (leaves > 0.0 or first.scale < WHOLE):
+        if self._relaxes and (leaves > 0.0 or self._shares.min(initial=1.0) < WHOLE):
             near, status = self.nearest.of_scaled(state, v)
             leaves = max(leaves, self._leaves_directions(near) if leaves < 1.0 else 0.0)
             v = (1.0 - leaves) * v + leaves * near
@@ -188,40 +186,42 @@ class QPLaw(Law):
             return v, (Status.SOLVER_FAILED, status)
         if leaves > 0.0 or missed.any():
             return v, (Status.TASKS_RELAXED, status)
-        if not whole.usable:
-            missed[:] = was
         return v, (status,)
 
     def _scale_beside(self, state: State, kappa: float, v: Array) -> tuple[Array, float]:
-        """The largest shares that the motion v of hard tasks leaves; how far these may be left."""
-        if not self._scaled:
-            return v, 0.0
-        wanted, hard = self.exact.wanted, self._scaled[0].start
-        got = np.concatenate([self.exact.J[:hard] @ v, wanted[hard:]])
-        leaves = min(norm(got - wanted) / SLOW, 1.0)
-        if leaves < 1.0:
-            self._assemble_first(state, kappa, got)
-            if self.first.solve().usable:
-                return self.first.v, leaves
-        return v, 1.0
+        """The largest shares beside the motion v of hard tasks; how far these may be left."""
+        level, wanted, aside = self.nearest.beside, self.exact.wanted.copy(), self.exact.J @ v
+        missed, hard, self._shares = self._missed(v), self._hard_rows, level.shares[:-1]
+        wanted[hard] += missed
+        aside[hard] -= wanted[hard]
+        leaves, most = min(norm(missed) / SLOW, 1.0), np.abs(missed).max(initial=0.0)
+        partly = 0.0 < most < 2.0 * MET
+        if leaves < 1.0 and (self._scaled or partly) and np.isfinite(aside @ self.exact.wanted):
+            level.qp.A[:] = 0.0
+            self._assemble_exact(level, state, kappa, wanted)
+            level.qp.A[len(state.e_loop) :, -1] = -aside
+            level.qp.orthogonalize()
+            usable = level.solve().usable
+            v, leaves = (level.v, max(leaves, level.shares[-1])) if usable else (v, 1.0)
+        return v, leaves if self._scaled else 0.0
 
     def _leaves_directions(self, near: Array) -> float:
         """How far scaled tasks may leave their directions for the nearest motion, from 0 to 1."""
         wanted, J = self.exact.wanted, self.exact.J
-        parts = zip(self._scaled, self.first.shares.tolist(), strict=True)
+        parts = zip(self._scaled, self._shares.tolist(), strict=True)
         return max(blocked(share, wanted[p], J[p] @ near) for p, share in parts)
 
     def _missed(self, v: Array) -> Array:
         """What rows of hard tasks lack, zero where that is rounding."""
-        hard = slice(self.memory_sizes["missed"])
-        missed = self.exact.J[hard] @ v - self.exact.wanted[hard]
-        return np.where(np.abs(missed) > MET, missed, 0.0)
+        missed: Array = (self.exact.J @ v - self.exact.wanted)[self._hard_rows]
+        part = float(np.abs(missed).max(initial=0.0)) / MET - 1.0
+        return missed * min(max(part, 0.0), 1.0)
 
     def _remember(self, state: State, v: Array, leaves: float) -> None:
         """What hard and scaled tasks lack, for the damping of the next tick; the scale of this."""
         wanted, missed, missing = self.exact.wanted, state.memory["missed"], state.memory["missing"]
         missed[:] = self._missed(v)
-        missing[:] = 1.0 if leaves == 1.0 else 1.0 - (1.0 - leaves) * self.first.shares
+        missing[:] = 1.0 if leaves == 1.0 else 1.0 - (1.0 - leaves) * self._shares
         sizes = [(norm(missed[p]), norm(wanted[p])) for p in self._hard]
         lacks = [lack / max(whole, lack, MET) for lack, whole in sizes]
         self.command.scale = 1.0 - max([0.0, *lacks, *missing.tolist()])
@@ -236,7 +236,7 @@ class QPLaw(Law):
         if not relaxed[0].usable:
             return drift.v, (failed,)
         kappa = drift.share * drift_gain(self.problem, state)
-        self._assemble_first(state, kappa, self.exact.wanted)
+        self._assemble_exact(self.first, state, kappa, self.exact.wanted)
         v, causes = self._decide_levels(state, kappa)
         if not causes[0].usable:
             if relaxed[0] is Status.SOLVER_FAILED:  # nothing was in the way but the solver

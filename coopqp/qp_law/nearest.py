@@ -1,21 +1,20 @@
 """Hard and scaled tasks that limits and loops make infeasible.
 
-They are levels of a hierarchy of least-squares problems with inequalities (Kanoun, Lamiraux and
-Wieber 2011; Escande, Mansard and Wieber 2014), above all soft tasks: first the hard ones,
+They are levels of least squares (:mod:`coopqp.qp_law.law`) above all soft ones: first hard tasks,
 
     minimise    sum_i w_i |J_i v - wanted_i|^2 + d |v|^2
     subject to  J_c v = -kappa e,   lb <= v <= ub,   G v <= h
 
-then, with J_i v of these fixed, the scaled ones: v_s has the largest shares s_k of what they want,
-and v_n is the nearest to the whole of it, a problem like that of the hard ones. A direction along
-which little is reachable beside what v_n has of it, p_k, is relaxed:
+with the answer v_h; then, with J_i v of these fixed, the scaled ones: v_n is the nearest to all
+they want, v_s has the largest shares s_k of it and the least part t of v_h, by an exact penalty:
 
+    J_k v_s = s_k wanted_k + t J_k v_h,   at the cost W (t^2 / 2 + ASIDE t) more
     v = (1 - r) v_s + r v_n,   r = max_k (1 - s_k |wanted_k| / (LITTLE p_k))+ (1 - s_k / WHOLE)+
 
-which is inside the limits, as both are. Where hard tasks lack a speed r is at least that over SLOW,
-up to 1; it is 1 where no shares are feasible. Later levels keep the result. The damping of v_n is
-that of a soft task (:class:`coopqp.qp_law.equations.Damping`); that of the hard tasks grows from
-almost nothing with what their rows lacked in the last tick, m_i: d = c dt sum_i w_i |m_i| L_i.
+p_k is what v_n has along a direction; r is at least t and, where hard tasks lack a speed, that over
+SLOW, up to 1. Later levels keep v. The damping of v_n is that of a soft task
+(:class:`coopqp.qp_law.equations.Damping`); that of the hard tasks grows from almost nothing with
+what their rows lacked in the last tick, m_i: d = c dt sum_i w_i |m_i| L_i.
 """
 
 from __future__ import annotations
@@ -27,6 +26,7 @@ import numpy as np
 from coopqp.base.rank import null_space
 from coopqp.base.spec import Array
 from coopqp.model.state import State
+from coopqp.qp_law.equations import SCALE_WEIGHT
 from coopqp.qp_law.level import Given, Level, Step
 from coopqp.qp_law.priorities import LaterLevel, Order
 from coopqp.solver import Status, norm
@@ -40,16 +40,14 @@ LITTLE = 0.1
 SLOW = 5e-3
 #: Least damping of the level of the hard tasks, as a share of that of the soft ones.
 LESS = 1e-3
-#: Rows that lack less than this are met, as those of the loops are [m/s, rad/s].
+#: Rows that lack less than this are met, from twice it on they are not [m/s, rad/s].
 MET = 1e-6
+#: Slope of the cost of t, above the multipliers that it may have, over W.
+ASIDE = 1e3
 
 
 class Nearest:
-    """The nearest motion to what hard tasks, and scaled ones after them, want.
-
-    Attributes:
-        hard, scaled: their levels. v: the answer of the first, refined, shape (n,).
-    """
+    """Levels of hard and scaled tasks; that of v_s is ``beside``, its last share t; v is v_h."""
 
     def __init__(self, given: Given, order: Order) -> None:
         loops, self._damping = given.problem.chain.loops, given.damping
@@ -58,13 +56,13 @@ class Nearest:
         firm = replace(given, damping=replace(given.damping, least=least))
         self.hard, self._refined = Level(firm, hard, loops.solver_rows), Step(firm, hard)
         self.scaled = LaterLevel(given, scaled, [hard])
+        rows, names = [*loops.solver_rows, *order.exact.rows], [task.name for task in order.scaled]
+        self.beside = Level(given, TaskStack((), order.start), rows, [*names, "hard tasks"])
+        self.beside.qp.q[-1] = ASIDE * SCALE_WEIGHT
         self.v = self._refined.v
 
     def of_hard(self, state: State, kappa: float) -> Status:
-        """Solve the level of the hard tasks, then refine the answer by a step from it.
-
-        With so little damping solvers lose digits in proportion to the answer.
-        """
+        """Solve it, and refine the answer by a step: with so little damping digits are lost."""
         tasks = self.hard.tasks
         tasks.update(state)
         bend = float(tasks.weights @ (np.abs(state.memory["missed"]) * tasks.levers))
@@ -75,7 +73,7 @@ class Nearest:
         return self._refined.step(self.hard.v, null_space(state.J_loop).T, self.hard.curvature)
 
     def of_scaled(self, state: State, v: Array) -> tuple[Array, Status]:
-        """What the level of the scaled tasks makes of v, in what its hard tasks leave free."""
+        """What the level of the scaled tasks makes of v, in what hard tasks leave free."""
         for stack in (self.hard.tasks, self.scaled.tasks):
             stack.update(state)
         loops, pull = null_space(state.J_loop).T, state.memory["scaled pull"]

@@ -10,8 +10,8 @@ from coopqp.limit import opening
 from coopqp.model.state import State
 from coopqp.solver import Status, norm
 
-SHORTEN = 0.5  # a step that opens a loop too far is halved ...
-SHORTEST = 2.0**-10  # ... down to this share, and then not made
+HALVINGS = 20  # with which the largest share of a step is found that does not open a loop too far
+SHORTEST = 2.0**-10  # share below which no step is made
 
 
 class StepVerification:
@@ -30,18 +30,16 @@ class StepVerification:
         self._chain, self._reach = problem.chain, problem.chain.reach
 
     def shorten(self, state: State, command: Command) -> None:
-        """Halve the step until the loops stay within the budget after it."""
-        share = 1.0
-        while not self.within(state, command.v):
-            share *= SHORTEN
-            if share < SHORTEST:
-                command.v[:] = 0.0
-                command.say(Status.LOOP_BUDGET, *command.causes)
-                return
-            command.v *= SHORTEN
-        if share < 1.0:
-            others = (cause for cause in command.causes if cause is not Status.OPTIMAL)
-            command.say(Status.STEP_SHORTENED, *others)
+        """Make the largest share of the step that leaves the loops within the budget after it."""
+        if self.within(state, command.v):
+            return
+        share = 0.0
+        for more in 0.5 ** np.arange(1, HALVINGS + 1):
+            share += more if self.within(state, (share + more) * command.v) else 0.0
+        share *= share >= SHORTEST
+        command.v *= share
+        causes = (cause for cause in command.causes if not share or cause is not Status.OPTIMAL)
+        command.say(Status.STEP_SHORTENED if share else Status.LOOP_BUDGET, *causes)
 
     def within(self, state: State, v: Array) -> bool:
         """Whether the loops are within budget after a step v dt, or no worse than before it."""

@@ -28,10 +28,10 @@ CONSTANTS: Mapping[object, Mapping[str, str]] = {
             "FADES_IN", "SWINGS_AT", "LETS_GO", "FIRM",
         )
     },
-    nearest: {name: name for name in ("WHOLE", "LITTLE", "SLOW", "LESS", "MET")},
+    nearest: {name: name for name in ("WHOLE", "LITTLE", "SLOW", "LESS", "MET", "ASIDE")},
     level: {"DECIDED": "DECIDED"},
     priorities: {"IDLE": "IDLE", "NOISE": "NOISE"},
-    safety: {"SHORTEN": "SHORTEN", "SHORTEST": "SHORTEST"},
+    safety: {"HALVINGS": "HALVINGS", "SHORTEST": "SHORTEST"},
     limit_recovery: {name: name for name in ("LEAST_RECOVERY", "LEAST_MOTION", "KEPT")},
     limit: {"ROUNDING": "OUTSIDE", "SHALLOW": "SHALLOW"},
     _keep_apart: {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from functools import cache
 
 import pytest
@@ -12,17 +13,24 @@ from unreachable_goals import chain_of, robots
 from coopqp.controllers import QPController
 
 
+SIGNS = tuple(itertools.product((1, -1), repeat=2))  # of the circle's two directions
+
+
 @cache
-def driven(robot: str, mode: Mode, *, alone: bool) -> Jump:
+def driven(robot: str, mode: Mode, *, alone: bool, signs: tuple[int, int] = (1, 1)) -> Jump:
     """How continuous the law is as it drives round a circle about the border."""
     grasp = arrangements.grasps_of(robot)[0] if robot in arrangements.names() else "its own"
-    return jump(QPController().build(problem(chain_of(robot, grasp), mode, alone=alone)))
+    asked = problem(chain_of(robot, grasp), mode, alone=alone, signs=signs)
+    return jump(QPController().build(asked))
 
 
 @pytest.mark.parametrize("robot", robots())
 @pytest.mark.parametrize("mode", ["soft", "hard", "scaled"])
-def test_no_command_jumps_while_a_task_passes_the_border_of_reach(robot: str, mode: Mode) -> None:
-    found = driven(robot, mode, alone=True)
+@pytest.mark.parametrize("signs", SIGNS)
+def test_no_command_jumps_while_a_task_passes_the_border_of_reach(
+    robot: str, mode: Mode, signs: tuple[int, int]
+) -> None:
+    found = driven(robot, mode, alone=True, signs=signs)
     assert max(found.left, found.seen) <= LEFT, found
 
 

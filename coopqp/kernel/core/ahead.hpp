@@ -14,8 +14,9 @@ namespace coopqp {
 
 class Ahead {
   public:
-    Ahead(const Model& model, const Settings& settings)
-        : m_(model), s_(settings), after_(model), q_(model.joints.size()) {}
+    Ahead(const Model& model, const Settings& settings, Arena& arena)
+        : m_(model), s_(settings), after_(model), q_(model.joints.size()),
+          part_(arena.take(std::size_t(model.blocks * LANES))) {}
 
     // Gain of the drift correction: more where the loop budget is half used up.
     double kappa(const double* drift) const {
@@ -30,15 +31,18 @@ class Ahead {
         return std::max(s_.kappa, std::min(std::max(2.0 * used - 1.0, 0.0), 1.0) * most);
     }
 
-    // The share of a step v dt, v in lanes, that leaves the loops within their budget: it is halved
-    // until it does. 0 where hardly a step would.
+    // The largest share of a step v dt, v in lanes, that leaves the loops within their budget, by
+    // which v is shortened. 0 where hardly a step would.
     double shorten(const double* q, const double* gap, const double* drift, double* v) {
-        double share = 1.0;
-        while (!within(q, gap, drift, v)) {
-            share *= SHORTEN;
-            if (share < SHORTEST) return 0.0;
-            for (int b = 0; b < m_.blocks; b++) lanes(v)[b] *= SHORTEN;
+        if (within(q, gap, drift, v)) return 1.0;
+        double share = 0.0, more = 0.5;
+        for (int i = 0; i < HALVINGS; i++, more *= 0.5) {
+            for (int b = 0; b < m_.blocks; b++)
+                lanes(part_)[b] = (share + more) * lanes(v)[b];
+            if (within(q, gap, drift, part_)) share += more;
         }
+        if (share < SHORTEST) return 0.0;
+        for (int b = 0; b < m_.blocks; b++) lanes(v)[b] *= share;
         return share;
     }
 
@@ -91,6 +95,7 @@ class Ahead {
     const Settings& s_;
     Kinematics after_;
     std::vector<double> q_;
+    double* part_;  // of a step
 };
 
 }  // namespace coopqp

@@ -101,7 +101,7 @@ class Check {
     // What is left of the gradient over the joints, and over a share, of the answer judged last.
     const double* left() const { return y_.g; }
     double left_of_share(int k) const {
-        return SCALE_WEIGHT * (shares_.share(k) - 1.0) - y_.at_share(k) +
+        return SCALE_WEIGHT * (shares_.share(k) - levels_[0].best_share(k)) - y_.at_share(k) +
                y_.of_shares[std::size_t(k)];
     }
 
@@ -185,7 +185,7 @@ class Check {
         double squares = 0.0;
         for (int k = 0; k < shares_.count(); k++) {
             const double s = shares_.share(k);
-            const double step = 1.0 + y_.at_share(k) / SCALE_WEIGHT;
+            const double step = levels_[0].best_share(k) + y_.at_share(k) / SCALE_WEIGHT;
             const double off = s - std::min(std::max(step, 0.0), 1.0);
             squares += off * off;
         }
@@ -225,9 +225,10 @@ class Check {
         double gap2 = 0.0;
         alignas(64) double V_moved[TWIST];
         for (int s = 0; l == 0 && s < levels_[0].exact; s++) {
-            const int k = levels_[0].share[std::size_t(s)];
-            const double off = rows_.times(levels_[0], s, v, V) -
-                               (k < 0 ? 1.0 : shares_.share(k)) * levels_[0].wanted[std::size_t(s)];
+            const Level& level = levels_[0];
+            double off = rows_.times(level, s, v, V);
+            if (level.share[std::size_t(s)] < 0) off -= level.wanted[std::size_t(s)];
+            for (int k = 0; k < level.shares; k++) off -= shares_.share(k) * level.asks(s, k);
             gap2 += off * off;
             r_.of_rows[std::size_t(s)] = -off;
         }

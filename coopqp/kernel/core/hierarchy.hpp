@@ -92,13 +92,18 @@ class Hierarchy {
                 copy(h_, row(s), blocks_);
                 to_y(h_, row(s));
             }
-        for (int s = rows; s < rows + count; s++) {
+        // Exact rows that outnumber the coordinates depend on each other; one that adds next to nothing
+        // must not take the coordinate of another.
+        const bool crowded = exact > free_ - decided;
+        for (int i = rows; i < rows + count; i++) {
             double beta = 0.0;
             if (decided >= free_) break;
+            const int s = crowded && i < soft ? most_left(rows, soft) : i;
             if (std::find(left_out_.begin(), left_out_.end(), s) != left_out_.end()) continue;
             const double onto = reflection(row(s), decided, blocks_, s < soft ? IDLE : NOTHING, h_, beta);
             if (onto == 0.0) continue;
-            reflect_rows(row(s + 1), width_, rows + count - s - 1, h_, beta, blocks_);
+            const int next = crowded ? rows : s + 1;
+            reflect_rows(row(next), width_, rows + count - next, h_, beta, blocks_);
             reflect_columns(V_, width_, free_, h_, beta, blocks_, t_);
             put_end(row(s), decided, onto, blocks_);
             pivots_.push_back(s);
@@ -142,6 +147,22 @@ class Hierarchy {
     const double* direction(int s) const { return S_ + s * width_; }
 
   private:
+    // Of rows from first to end the one of which those decided before leave most.
+    int most_left(int first, int end) const {
+        int found = first;
+        double most = -1.0;
+        for (int s = first; s < end; s++) {
+            double left = 0.0;
+            for (int y = decided; y < free_; y++) left += Y_[s * width_ + y] * Y_[s * width_ + y];
+            const bool is_pivot = std::find(pivots_.begin(), pivots_.end(), s) != pivots_.end();
+            const bool is_out = std::find(left_out_.begin(), left_out_.end(), s) != left_out_.end();
+            if (is_pivot || is_out || !(left > most)) continue;
+            found = s;
+            most = left;
+        }
+        return found;
+    }
+
     // Cosine c and sine s of the angle whose double has the tangent across / apart, by the shorter
     // way; small ones by their series, which is much faster and as exact.
     static void turn(double apart, double across, double& c, double& s) {

@@ -36,7 +36,7 @@ class Kernel {
           kept_(std::move(kept)),
           levels(std::move(given)),
           kinematics(*m_),
-          ahead_(*m_, s_),
+          ahead_(*m_, s_, *arena_),
           rows_(*m_),
           loops_(make_loops(*m_, kept_, *arena_)),
           damping_(rows_, s_, levels, *arena_),
@@ -46,7 +46,7 @@ class Kernel {
           nearest_(*m_, s_, rows_, *loops_, limits, kept_, levels[0], *arena_),
           limit_recovery_(*m_, s_, rows_, *loops_, limits, kept_, *arena_),
           b_(std::size_t(6 * std::max(m_->loops(), 1))),
-          wanted_(std::size_t(levels[0].hard)), missed_(wanted_.size()),
+          missed_(std::size_t(levels[0].hard)), got_(std::size_t(levels[0].exact)),
           missing_(std::size_t(levels[0].shares)), speed_(m_->joints.size()),
           set_out_(arena_->take(std::size_t(stride()))),
           v_(arena_->take(std::size_t(stride()))),
@@ -253,6 +253,8 @@ class Kernel {
         Level& level = levels[0];
         level.want();
         leaves_ = 0.0;
+        short_ = false;
+        shares_ = &tasks_.shares();
         near_scaled_ = false;
         const bool tried =
             std::all_of(bound.missed, bound.missed + level.hard, [](double x) { return x == 0.0; });
@@ -268,7 +270,8 @@ class Kernel {
         if (near != Status::Optimal) return s_.relaxes ? near : status;
         note_missed(tasks_.v());
         // Where rows clash by less than they may give way, the nearest is as good as all.
-        if (status == Status::Optimal || (s_.relaxes && relaxed()) || (tried && clash && !relaxed()))
+        const bool is_relaxed = relaxed() || short_;
+        if (status == Status::Optimal || (s_.relaxes && is_relaxed) || (tried && clash && !relaxed()))
             return near;
         const bool proof = lacks() || (clash && relaxed());  // the nearest is the proof
         if (tried) return proof ? Status::Infeasible : Status::Unproven;
@@ -287,13 +290,14 @@ class Kernel {
     }
 
     Status decide_exactly() {
+        shares_ = &tasks_.shares();
         tasks_.begin(b_.data(), set_out_);
         return tasks_.decide(0, s_.damping + damping_.of(0, levels[0], bound));
     }
 
     double least_share() {
         double least = 1.0;
-        for (int k = 0; k < levels[0].shares; k++) least = std::min(least, tasks_.shares().share(k));
+        for (int k = 0; k < levels[0].shares; k++) least = std::min(least, shares_->share(k));
         return least;
     }
 
@@ -310,9 +314,11 @@ class Kernel {
             Status status = nearest_.of_hard(damping_, bound.missed, b_.data(), set_out_);
             if (status != Status::Optimal) return status;
             copy(near_, nearest_.v(), m_->blocks);
-            note_missed(near_);
-            scales &= tried || lacks();
-            if (scales) status = scale_beside(near_);
+            const double part = note_missed(near_);
+            short_ = part > 0.0;
+            scales &= tried || short_;
+            if (scales || (short_ && part < 1.0)) status = scale_beside(near_);
+            if (scales && leaves_ < 1.0) nearest_.accept_hard(b_.data(), near_);
             if (status != Status::Optimal) return status;
         }
         if (scales && (leaves_ > 0.0 || least_share() < WHOLE)) {
@@ -335,25 +341,26 @@ class Kernel {
     // The largest shares that a motion v of hard tasks leaves, which v becomes, and how far these
     // may be left.
     Status scale_beside(double* v) {
-        Level& level = levels[0];
+        const Level& level = levels[0];
         rows_.object_twist(v, V_);
-        std::copy_n(level.wanted.begin(), level.hard, wanted_.begin());
-        double lacks2 = 0.0;
-        for (int s = 0; s < level.hard; s++) {
-            const double got = rows_.times(level, s, v, V_), lacks = got - level.wanted[std::size_t(s)];
-            lacks2 += lacks * lacks;
-            level.wanted[std::size_t(s)] = got;
-        }
-        leaves_ = std::min(std::sqrt(lacks2) / SLOW, 1.0);
-        const Status shared = leaves_ < 1.0 ? decide_exactly() : Status::Infeasible;
-        std::copy_n(wanted_.begin(), level.hard, level.wanted.begin());
-        if (shared == Status::Infeasible || shared == Status::Unproven || shared == Status::Clashing) {
+        for (int s = 0; s < level.exact; s++) got_[std::size_t(s)] = rows_.times(level, s, v, V_);
+        double missed2 = 0.0;
+        for (double missed : missed_) missed2 += missed * missed;
+        leaves_ = std::min(std::sqrt(missed2) / SLOW, 1.0);
+        if (leaves_ == 1.0) return Status::Optimal;
+        const double d = s_.damping + damping_.of(0, level, bound);
+        const Status status =
+            nearest_.of_shares(missed_.data(), got_.data(), d, b_.data(), set_out_);
+        shares_ = &nearest_.beside().shares();
+        if (status == Status::Infeasible || status == Status::Unproven || status == Status::Clashing)
             leaves_ = 1.0;
-            return Status::Optimal;
+        else if (status != Status::Optimal)
+            return status;
+        else {
+            copy(v, nearest_.beside().v(), m_->blocks);
+            leaves_ = level.shares ? std::max(leaves_, nearest_.aside()) : 0.0;
         }
-        if (shared != Status::Optimal) return shared;
-        copy(v, tasks_.v(), m_->blocks);
-        return shared;
+        return Status::Optimal;
     }
 
     // As coopqp.qp_law.nearest.blocked; near: the nearest motion, in lanes.
@@ -370,23 +377,30 @@ class Kernel {
                 along += wanted * rows_.times(level, s, near, V_);
             }
             along = std::max(along, MET * std::sqrt(wanted2));
-            const double share = tasks_.shares().share(k);
+            const double share = shares_->share(k);
             const double left = along > 0.0 ? std::max(1.0 - share * wanted2 / (LITTLE * along), 0.0) : 0.0;
             most = std::max(most, left * std::max(1.0 - share / WHOLE, 0.0));
         }
         return most;
     }
 
-    // What rows of hard tasks lack of what they want, and shares to 1.
-    void note_missed(const double* v) {
+    // What rows of hard tasks lack of what they want, and shares to 1. Returns how much of the first
+    // counts, from none to all of it.
+    double note_missed(const double* v) {
         const Level& level = levels[0];
         if (level.hard) rows_.object_twist(v, V_);
+        double most = 0.0;
         for (int s = 0; s < level.hard; s++) {
-            const double lacks = rows_.times(level, s, v, V_) - level.wanted[std::size_t(s)];
-            missed_[std::size_t(s)] = std::fabs(lacks) > MET ? lacks : 0.0;
+            double& missed = missed_[std::size_t(s)];
+            missed = rows_.times(level, s, v, V_) - level.wanted[std::size_t(s)];
+            most = std::max(most, std::fabs(missed));
         }
+        const double part = std::min(std::max(most / MET - 1.0, 0.0), 1.0);
+        for (double& missed : missed_) missed *= part;
         for (int k = 0; k < level.shares; k++)
-            missing_[std::size_t(k)] = leaves_ == 1.0 ? 1.0 : 1.0 - (1.0 - leaves_) * tasks_.shares().share(k);
+            missing_[std::size_t(k)] =
+                leaves_ == 1.0 ? 1.0 : 1.0 - (1.0 - leaves_) * shares_->share(k);
+        return part;
     }
 
     Status find_limit_recovery() {
@@ -427,7 +441,9 @@ class Kernel {
     Nearest nearest_;
     LimitRecovery limit_recovery_;
     std::vector<double> b_;
-    std::vector<double> wanted_, missed_;  // of hard rows
+    std::vector<double> missed_, got_;     // of hard rows, and of all exact ones
+    bool short_ = false;                   // whether the nearest motion of hard tasks lacks anything
+    const Shares* shares_ = nullptr;       // that were decided last
     std::vector<double> missing_;          // of shares
     std::vector<double> speed_;            // of joints, up to which bodies were looked at
     double leaves_ = 0.0;                  // how far scaled tasks leave their directions

@@ -113,18 +113,17 @@ class Multipliers {
     // Multiplier of an exact row, of which the first coordinates are.
     double of_exact(int s) const {
         double by = spare[std::size_t(s)];
-        for (int k = 0; k < hierarchy_.decided && hierarchy_.pivot_row(k) <= s; k++)
+        for (int k = 0; k < hierarchy_.decided; k++)
             if (hierarchy_.pivot_row(k) == s) by += lambda[k];
         return by;
     }
 
-    // What multipliers of scaled rows push at a share.
+    // What multipliers of exact rows push at a share.
     double at_share(int k) const {
         const Level& level = levels_[0];
         double all = 0.0;
-        for (int s = level.hard; s < level.exact; s++)
-            if (level.share[std::size_t(s)] == k)
-                all += of_exact(s) * level.wanted[std::size_t(s)];
+        for (int s = level.aside.empty() ? level.hard : 0; s < level.exact; s++)
+            if (const double asks = level.asks(s, k); asks != 0.0) all += of_exact(s) * asks;
         return all;
     }
 

@@ -21,7 +21,9 @@ class Nearest {
         : s_(settings), given_(given),
           levels_{part(given, 0, given.hard, rows.stride()),
                   part(given, given.hard, given.exact, rows.stride())},
-          cascade_(model, settings, rows, loops, limits, kept, levels_, arena) {}
+          beside_{part(given, 0, given.exact, rows.stride())},
+          cascade_(model, settings, rows, loops, limits, kept, levels_, arena),
+          shares_(model, settings, rows, loops, limits, kept, with_shares(beside_, given), arena) {}
 
     // The level of the hard tasks.
     //   missed: what their rows lacked in the last tick.
@@ -35,6 +37,23 @@ class Nearest {
         std::copy_n(given_.wanted.begin(), level.rows, level.wanted.begin());
         return cascade_.decide(0, (given_.hard ? LESS : 1.0) * s_.damping + damping.of(bend));
     }
+
+    // The largest shares of scaled tasks, and the least t, beside the motion of_hard.
+    //   missed: what the rows of hard tasks may lack; got: all exact rows of that motion.
+    //   d: damping.
+    Status of_shares(const double* missed, const double* got, double d, const double* b,
+                     const double* v) {
+        Level& level = beside_[0];
+        for (std::size_t s = 0; s < std::size_t(level.exact); s++) {
+            const bool hard = int(s) < given_.hard;
+            level.wanted[s] = given_.wanted[s] + (hard ? missed[s] : 0.0);
+            level.aside[s] = got[s] - (hard ? level.wanted[s] : 0.0);
+        }
+        shares_.begin(b, v);
+        return shares_.decide(0, d);
+    }
+    const Cascade& beside() const { return shares_; }
+    double aside() const { return shares_.shares().share(given_.shares); }  // t
 
     // Take the hard tasks as decided by a motion v, in lanes, that moves the loops by b.
     void accept_hard(const double* b, const double* v) {
@@ -80,10 +99,21 @@ class Nearest {
         return level;
     }
 
+    // The same rows as exact ones.
+    static std::vector<Level>& with_shares(std::vector<Level>& levels, const Level& given) {
+        Level& level = levels[0];
+        level.hard = given.hard;
+        level.exact = given.exact;
+        level.share.assign(given.share.begin(), given.share.begin() + given.exact);
+        level.shares = given.shares + 1;
+        level.aside.assign(std::size_t(given.exact), 0.0);
+        return levels;
+    }
+
     const Settings& s_;
     const Level& given_;
-    std::vector<Level> levels_;
-    Cascade cascade_;
+    std::vector<Level> levels_, beside_;
+    Cascade cascade_, shares_;
 };
 
 }  // namespace coopqp

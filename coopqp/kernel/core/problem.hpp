@@ -20,12 +20,20 @@ struct Level {
     int shares = 0;
     std::vector<int> task;              // the first row of each hard task
     std::vector<double> e, rate, gain, weight, lever, wanted;
+    std::vector<double> aside;  // of exact rows, by the last share, which then is to be small; or none
     std::vector<char> asks_velocity, twist;
     // A row sees the object's twist (rows, 8) or, where `twist` is 0, all joints (rows, lanes).
     double *T = nullptr, *J = nullptr;
     // Joint objectives together: |v - wish|^2 with one weight for all joints.
     double joint_weight = 0.0;
     double* wish = nullptr;  // weight times the wished velocities, in lanes
+
+    // What exact row s asks of share k, and the share that costs nothing.
+    double asks(int s, int k) const {
+        if (k + 1 == shares && !aside.empty()) return aside[std::size_t(s)];
+        return share[std::size_t(s)] == k ? wanted[std::size_t(s)] : 0.0;
+    }
+    double best_share(int k) const { return k + 1 == shares && !aside.empty() ? -ASIDE : 1.0; }
 
     void want() {
         for (std::size_t s = 0; s < std::size_t(rows); s++) wanted[s] = rate[s] - gain[s] * e[s];

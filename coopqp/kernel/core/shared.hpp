@@ -21,6 +21,7 @@ constexpr double LITTLE = 0.1;
 constexpr double SLOW = 0.005;
 constexpr double LESS = 0.001;
 constexpr double MET = 1e-06;
+constexpr double ASIDE = 1000.0;
 
 // coopqp.qp_law.level
 constexpr double DECIDED = 1e-07;
@@ -30,7 +31,7 @@ constexpr double IDLE = 1e-08;
 constexpr double NOISE = 1e-06;
 
 // coopqp.qp_law.safety
-constexpr double SHORTEN = 0.5;
+constexpr double HALVINGS = 20.0;
 constexpr double SHORTEST = 0.0009765625;
 
 // coopqp.qp_law.limit_recovery

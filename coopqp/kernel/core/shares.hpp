@@ -3,7 +3,8 @@
 //     v = v_0 + sum_k s_k V_k,   0 <= s_k <= 1
 //
 // V_k is the shortest motion that does all of task k and nothing of the other exact ones. In
-// orthonormal coordinates the cost is d/2 |x + sum_k s_k x_k|^2 + W/2 sum_k (s_k - 1)^2.
+// orthonormal coordinates the cost is d/2 |x + sum_k s_k x_k|^2 + W/2 sum_k (s_k - 1)^2. The last share
+// may be one that is as small as can be, t of coopqp.qp_law.nearest, W/2 (t + ASIDE)^2.
 #pragma once
 #include <cmath>
 #include <vector>
@@ -19,7 +20,7 @@ class Shares {
   public:
     // Of the first level.
     Shares(const Level& level, Hierarchy& hierarchy, int lanes, Arena& arena)
-        : hierarchy_(hierarchy), count_(level.shares), exact_(level.exact), lanes_(lanes),
+        : level_(level), hierarchy_(hierarchy), count_(level.shares), exact_(level.exact), lanes_(lanes),
           width_(hierarchy.width()), ways_(arena.take(std::size_t((count_ + 1) * lanes))),
           coordinates_(arena.take(std::size_t((count_ + 1) * width_))),
           R_(std::size_t((count_ + 1) * (count_ + 1))), s_(std::size_t(count_ + 1)),
@@ -46,7 +47,7 @@ class Shares {
               [&](int s) { return residual[s] - (share_of(s) < 0 ? 0.0 : wanted(s)); });
         for (int k = 0; k < count_; k++)
             solve(rank, coordinates(k), &spare_[std::size_t((k + 1) * exact_)],
-                  [&](int s) { return share_of(s) == k ? wanted(s) : 0.0; });
+                  [&](int s) { return level.asks(s, k); });
         choose(x, d);
         if (fault(Fault::WrongShare) && count_) share(0) *= 0.999;
         if (fault(Fault::WrongWay) && count_) coordinates(0)[0] += 1e-3;
@@ -63,7 +64,7 @@ class Shares {
             lacks += asks(s, k) * share(k);
             all += std::fabs(asks(s, k));
         }
-        return all < CONSISTENT && std::fabs(lacks) < CONSISTENT ? 0.0 : lacks;
+        return level_.aside.empty() && all < CONSISTENT && std::fabs(lacks) < CONSISTENT ? 0.0 : lacks;
     }
 
   private:
@@ -71,7 +72,8 @@ class Shares {
     void choose(const double* x, double d) {
         const int blocks = width_ / LANES;
         for (int i = 0; i < count_; i++) {
-            c_[std::size_t(i)] = SCALE_WEIGHT - d * dot(coordinates(i), x, blocks);
+            c_[std::size_t(i)] =
+                SCALE_WEIGHT * level_.best_share(i) - d * dot(coordinates(i), x, blocks);
             for (int j = i; j < count_; j++)
                 R(i, j) = d * dot(coordinates(i), coordinates(j), blocks);
             R(i, i) += SCALE_WEIGHT;
@@ -100,16 +102,12 @@ class Shares {
     template <class Side>
     void solve(int rank, double* x, double* spare, Side side) {
         clear(x, hierarchy_.blocks());
-        for (int s = 0, k = 0; s < exact_; s++) {
-            double rest = side(s);
-            for (int j = 0; j < k; j++) rest -= hierarchy_.row(s)[j] * x[j];
-            spare[s] = 0.0;
-            if (k < rank && hierarchy_.pivot_row(k) == s) {
-                x[k] = rest / hierarchy_.row(s)[k];
-                k++;
-            } else {
-                spare[s] = rest;
-            }
+        for (int s = 0; s < exact_; s++) spare[s] = side(s);
+        for (int k = 0; k < rank; k++) {
+            const int own = hierarchy_.pivot_row(k);
+            x[k] = spare[own] / hierarchy_.row(own)[k];
+            for (int s = 0; s < exact_; s++) spare[s] -= hierarchy_.row(s)[k] * x[k];
+            spare[own] = 0.0;
         }
     }
 
@@ -123,6 +121,7 @@ class Shares {
         }
     }
 
+    const Level& level_;
     Hierarchy& hierarchy_;
     int count_, exact_, lanes_, width_;
     double *ways_, *coordinates_;
