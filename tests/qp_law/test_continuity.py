@@ -12,7 +12,6 @@ from unreachable_goals import chain_of, robots
 
 from coopqp.controllers import QPController
 
-
 SIGNS = tuple(itertools.product((1, -1), repeat=2))  # of the circle's two directions
 
 
