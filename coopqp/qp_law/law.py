@@ -195,21 +195,20 @@ class QPLaw(Law):
         wanted[hard] += missed
         aside[hard] -= wanted[hard]
         leaves, most = min(norm(missed) / SLOW, 1.0), np.abs(missed).max(initial=0.0)
-        partly = 0.0 < most < 2.0 * MET
-        if leaves < 1.0 and (self._scaled or partly) and np.isfinite(aside @ self.exact.wanted):
+        asked = self._scaled or 0.0 < most < 2.0 * MET
+        if leaves < 1.0 and asked and np.isfinite(aside @ self.exact.wanted):
             level.qp.A[:] = 0.0
             self._assemble_exact(level, state, kappa, wanted)
             level.qp.A[len(state.e_loop) :, -1] = -aside
             level.qp.orthogonalize()
-            usable = level.solve().usable
-            v, leaves = (level.v, max(leaves, level.shares[-1])) if usable else (v, 1.0)
+            found = level.solve().usable
+            v, leaves = (level.v, max(leaves, level.shares[-1])) if found else (v, 1.0)
         return v, leaves if self._scaled else 0.0
 
     def _leaves_directions(self, near: Array) -> float:
         """How far scaled tasks may leave their directions for the nearest motion, from 0 to 1."""
-        wanted, J = self.exact.wanted, self.exact.J
-        parts = zip(self._scaled, self._shares.tolist(), strict=True)
-        return max(blocked(share, wanted[p], J[p] @ near) for p, share in parts)
+        wanted, parts = self.exact.wanted, zip(self._scaled, self._shares.tolist(), strict=True)
+        return max(blocked(share, wanted[p], self.exact.J[p] @ near) for p, share in parts)
 
     def _missed(self, v: Array) -> Array:
         """What rows of hard tasks lack, zero where that is rounding."""

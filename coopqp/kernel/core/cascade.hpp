@@ -22,7 +22,7 @@ namespace coopqp {
 constexpr double SHORT_OF_DIGITS = 1e-10;
 // Rows that depend on others give way by no more than they must: what is left of their width is
 // spent on larger shares. First by this, then by so many times more, up to CONSISTENT [rad/s].
-constexpr double LEAST_WIDTH = 3e-13, WIDER = 10.0;
+constexpr double LEAST_WIDTH = 3e-10, WIDER = 10.0;
 constexpr double HOLD = 1e-11;  // by which rows that must hold may not, in an answer that is mended
 constexpr double CLOSE = 1e-9;  // overrun of limits in a second try, as daqp's first [rad/s]
 
