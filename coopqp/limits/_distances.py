@@ -17,7 +17,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -65,10 +65,7 @@ def of_meshes(shapes: Sequence[Shape]) -> Convex:
     hull = _hull_of(np.concatenate(points).tobytes())
     if hull is None:
         raise InvalidValueError(f"mesh {shapes[0].mesh}: is flat; needs a volume")
-    geometry, middle, half, corners, edges = hull
-    radius = float(np.linalg.norm(corners, axis=1).max())
-    placement = X * pin.SE3(np.eye(3), middle)
-    return Convex(geometry, placement, half, radius, corners, edges=edges)
+    return replace(hull, placement=X * hull.placement)
 
 
 def outermost(shape: Shape) -> Array:
@@ -141,10 +138,8 @@ def _read(path: Path, changed: int, size: int, scale: tuple[float, ...]) -> Arra
 
 
 @lru_cache(maxsize=512)
-def _hull_of(
-    points: bytes,
-) -> tuple[coal.CollisionGeometry, Array, Array, Array, NDArray[np.int64]] | None:
-    """Convex hull of points, bytes for the cache, about the middle of its box; None if flat."""
+def _hull_of(points: bytes) -> Convex | None:
+    """Convex hull of points, bytes for the cache; None if flat."""
     from scipy.spatial import ConvexHull, QhullError
 
     vertices = np.frombuffer(points).reshape(-1, 3)
@@ -162,8 +157,14 @@ def _hull_of(
     corner_list.extend(list(corners))
     triangles.extend([coal.Triangle(*face) for face in faces.tolist()])
     sides = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-    geometry, half = coal.Convex(corner_list, triangles), np.abs(corners).max(axis=0)
-    return geometry, middle, half, corners, np.unique(sides, axis=0)
+    return Convex(
+        geometry=coal.Convex(corner_list, triangles),
+        placement=pin.SE3(np.eye(3), middle),
+        half=np.abs(corners).max(axis=0),
+        radius=float(np.linalg.norm(corners, axis=1).max()),
+        points=corners,
+        edges=np.unique(sides, axis=0),
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -131,12 +131,14 @@ def test_an_acceleration_is_told_with_its_cure_where_there_is_one() -> None:
 
 def test_the_cell_says_which_language_filled_the_rows() -> None:
     scenario, trace = hurried()
-    told = replace(trace, tick_us=np.ones(trace.ticks))
-    metrics = summarize(scenario, {"qp": trace}).metrics["qp"]
-    assert metrics["engine"]["rows_in_python"] == ["self_collision"]
-    assert cells(told, metrics)["tick"].lines == ("1", "C++", "+\N{NO-BREAK SPACE}Python rows")
-    alone = replace(told, rows_in_python=())
+    alone = replace(trace, tick_us=np.ones(trace.ticks))
+    metrics = summarize(scenario, {"qp": alone}).metrics["qp"]
+    assert metrics["engine"]["rows_in_python"] == []
     assert cells(alone, metrics)["tick"].lines == ("1", "C++")
+    told = replace(alone, rows_in_python=("mine",))
+    metrics = summarize(scenario, {"qp": told}).metrics["qp"]
+    assert metrics["engine"]["rows_in_python"] == ["mine"]
+    assert cells(told, metrics)["tick"].lines == ("1", "C++", "+\N{NO-BREAK SPACE}Python rows")
 
 
 def test_verdict_and_explanation_name_the_same_limits() -> None:

@@ -194,9 +194,7 @@ def _capsule(radius: float, length: float) -> Capsule:
 def _hull(points: Array) -> Convex:
     found = _hull_of(points.tobytes())
     assert found is not None
-    geometry, middle, half, corners, edges = found
-    radius = float(np.linalg.norm(corners, axis=1).max())
-    return Convex(geometry, pin.SE3(np.eye(3), middle), half, radius, corners, edges=edges)
+    return found
 
 
 def _units(rng: np.random.Generator, count: int) -> Array:
