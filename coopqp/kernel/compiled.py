@@ -237,7 +237,8 @@ class Compiled:
         if given.shape != self._shape or not plain_numbers(given):
             return False
         self.engine.bind_reading(given)
-        self.engine.bind_observer(observer.flat())
+        if observer is not seen:
+            self.engine.bind_observer(observer.flat())
         self._measured = given, observer
         return True
 
