@@ -7,7 +7,7 @@ from judged import compare
 from scenario_files import LOADABLE
 from side_by_side import drive, needs_kernel
 from stress.draw import draw
-from watched_bodies import driven, watched, watching
+from watched_bodies import OF_ROBOTS, driven, watching
 
 from coopqp.controllers.qp import QPController
 from coopqp.kernel.flat import why_not
@@ -32,7 +32,7 @@ def test_shipped_scenarios_move_alike(name: str) -> None:
     assert seen.v < SAME
 
 
-@pytest.mark.parametrize("name", watched())
+@pytest.mark.parametrize("name", OF_ROBOTS)
 def test_bodies_are_kept_apart_alike(name: str) -> None:
     """With self-collision and things nearby, towards a goal, also without any other limit."""
     seen = drive(driven(name, 1), 100)

@@ -6,28 +6,34 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from scenario_files import needs_robots
 from side_by_side import laws, needs_kernel, why
-from watched_bodies import driven, near_things, robots, self_collision, watching
+from watched_bodies import OF_ROBOTS, driven, near_things, robots, self_collision, watching
 
 from coopqp.kernel.free_space import FreeSpace, Told
 from coopqp.limits import Obstacles, SelfCollision
 from coopqp.limits._keep_apart import distances_along
+from coopqp.scenario.loader import load
 from tests.kernel.distances import OFF, adverse, of_cases, of_robot
 
-pytestmark = needs_kernel
+pytestmark = [needs_kernel, needs_robots]
 
 
-@pytest.mark.parametrize("name", robots())
+@pytest.mark.parametrize("name", OF_ROBOTS)
 def test_distances_are_coals(name: str) -> None:
     """All pairs of a shipped robot at random poses; at more by python -m tests.kernel.distances."""
-    seen = of_robot(robots()[name], 10)
+    seen = of_robot(load(name).problem().chain, 10)
     assert seen.passes, str(seen)
     assert seen.unknown <= 1e-3 * seen.pairs
 
 
+def test_no_shipped_robot_is_left_out() -> None:
+    assert set(robots()) == set(OF_ROBOTS)
+
+
 def test_adverse_cases_are_told_with_their_error() -> None:
     """Faces that are parallel but for rounding, a nanometre apart, round and flat bodies."""
-    seen = of_cases(robots()["two_so101"], adverse(3000, seed=1))
+    seen = of_cases(load("two_so101").problem().chain, adverse(3000, seed=1))
     assert seen.passes, str(seen)
     assert seen.inside == 0
     assert seen.unknown <= 3
@@ -35,7 +41,7 @@ def test_adverse_cases_are_told_with_their_error() -> None:
 
 def test_configurations_are_free_that_coal_calls_free() -> None:
     """Self-collision and things in the world at once, by two threads that share what is asked."""
-    chain = robots()["two_so101"]
+    chain = load("two_so101").problem().chain
     limits: list[SelfCollision | Obstacles] = [self_collision(chain), near_things(chain)]
     space = FreeSpace(chain, [limit.program(chain, 0.01) for limit in limits])
     q = np.array(list(chain.sample(np.random.default_rng(0), 60)))
@@ -54,7 +60,7 @@ def test_configurations_are_free_that_coal_calls_free() -> None:
 
 
 def test_garbage_is_not_free() -> None:
-    chain = robots()["two_so101"]
+    chain = load("two_so101").problem().chain
     space = FreeSpace(chain, [self_collision(chain).program(chain, 0.01)])
     q = np.tile(chain.q_start, (3, 1))
     q[1, 0], q[2, 3] = np.nan, np.inf

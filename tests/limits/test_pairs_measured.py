@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
+from scenario_files import needs_robots
 from side_by_side import laws, needs_kernel
 
 from coopqp.controller import ControlProblem
@@ -12,7 +13,7 @@ from coopqp.limits import SelfCollision
 from coopqp.limits._distances import Distances
 from coopqp.scenario.loader import load
 
-pytestmark = needs_kernel
+pytestmark = [needs_kernel, needs_robots]
 
 
 def two_pandas(*, alone: bool = False) -> ControlProblem:
