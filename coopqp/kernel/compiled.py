@@ -79,10 +79,6 @@ class Limits:
         rows = self.filled.rows if self.filled else ()
         return tuple(dict.fromkeys(row.owner for row in rows))
 
-    @property
-    def compiled(self) -> bool:
-        return self.filled is None
-
     def update(self, state: State) -> None:
         if self.filled is not None:
             self.filled.update(state)
@@ -153,7 +149,7 @@ class Compiled:
     ) -> None:
         chain, filled = problem.chain, limits.filled
         self._levels = levels = Levels(groups, programs)
-        self.alone = levels.compiled and limits.compiled
+        self.alone = levels.compiled and filled is None
         self.rows_in_python = (*levels.in_python, *limits.in_python)
         self.outcome = int(Outcome.BUSY)
         found = native.module()

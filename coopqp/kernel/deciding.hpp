@@ -134,6 +134,7 @@ class Engine {
     int tick_measured(double t, bool all_corrected, bool learns) {
         const Use use(*this);
         if (!use.alone) return BUSY;
+        if (observer_) observer_->begin();
         if (!usable()) return int(coopqp::Status::Unusual);
         const Unlocked unlocked(*kernel_);
         const int status = evaluate(t, learns);

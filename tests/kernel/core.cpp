@@ -278,6 +278,7 @@ int wrong_observer(Random& random, Case& c) {
         std::vector<double> reading = c.owner.q;
         for (double& x : reading) x += uniform(random, -1e-3, 1e-3);
         reading[std::size_t(whole(random, 0, int(n) - 1))] += bad;
+        observer.begin();
         const bool learnt = c.kernel->learn(observer, reading.data(), c.owner.gap.data(), felt.data());
         if (learnt && bad == 0.0)
             for (double x : c.owner.gap) wrong += !std::isfinite(x);

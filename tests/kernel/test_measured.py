@@ -99,6 +99,20 @@ def test_a_tick_without_an_answer_has_learnt_once() -> None:
     np.testing.assert_allclose(found[0], found[1], atol=1e-11)
 
 
+def test_an_unusual_reading_takes_nothing_back() -> None:
+    """Of what the tick before has learnt, in an array that the kernel has read before."""
+    one = law("point_on_point", Observer(), LoopObserver)
+    state = one.start(q_measured=one.problem.chain.q_start)
+    state.q_measured = reading = state.q + 1e-3
+    for _ in range(3):
+        one.tick(state)
+    gap, felt = state.gap.copy(), state.felt.copy()
+    reading[2] = np.nan
+    assert Status.NOT_MEASURED in one.tick(state).causes
+    np.testing.assert_array_equal(state.gap, gap)
+    np.testing.assert_array_equal(state.felt, felt)
+
+
 def test_a_joint_that_was_overwritten_is_told() -> None:
     one = law("point_on_point", Observer(), LoopObserver)
     state = one.start(q_measured=one.problem.chain.q_start)

@@ -30,7 +30,6 @@ class LoopObserver {
     bool update(const Kinematics& there, const double* q, const double* v, const double* reading,
                 double* gap, double* felt) {
         const std::size_t loops = 6 * (model_.arms.size() - 1);
-        moved_ = false;
         if (std::isnan(felt[0])) return false;
         std::copy_n(o_.told, 3, told_);
         std::copy_n(felt, 2, felt_);
@@ -56,7 +55,10 @@ class LoopObserver {
         return true;
     }
 
-    // Have again what was before the last update.
+    // What has been learnt so far is not forgotten.
+    void begin() { moved_ = false; }
+
+    // Have again what was before an update since then.
     void forget() {
         if (!moved_) return;
         moved_ = false;
