@@ -18,7 +18,6 @@ NB_MODULE(KERNEL_MODULE, m) {
     nb::class_<Engine>(m, "Engine")
         .def(nb::init<const nb::dict&>())
         .def("bind_state", &Engine::bind_state)
-        .def("bind_command", &Engine::bind_command)
         .def("bind_limits", &Engine::bind_limits)
         .def("bind_measured", &Engine::bind_measured)
         .def("bind_rows", &Engine::bind_rows)
@@ -30,6 +29,7 @@ NB_MODULE(KERNEL_MODULE, m) {
         .def("run", &Engine::run, "t"_a, "q"_a, "v"_a, "said"_a, "scale"_a, "memory"_a,
              "remembered"_a, "stops"_a, "all_corrected"_a)
         .def("scale", &Engine::scale)
+        .def("unlocks", &Engine::unlocks)
         .def("rows", &Engine::rows)
         .def("worst", &Engine::worst);
     nb::class_<Slide>(m, "Slide")

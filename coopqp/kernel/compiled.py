@@ -122,7 +122,6 @@ class Compiled:
         limits: updated by their owner.
         damping: cost of |v|^2.
         error_damping: share of the damping that rules out any overshoot.
-        v: output, shape (n,).
 
     Attributes:
         alone: whether Python only evaluates the signals that tasks follow.
@@ -139,7 +138,6 @@ class Compiled:
         limits: Limits,
         damping: float,
         error_damping: float,
-        v: Array,
     ) -> None:
         chain, filled = problem.chain, limits.filled
         self._levels = levels = Levels(groups, programs)
@@ -157,7 +155,6 @@ class Compiled:
             "twist_limits": limits.twist,
             "settings": flat_settings(problem, damping, error_damping, limits.rows),
         })  # fmt: skip
-        self.engine.bind_command(v)
         if limits.q_measured is not None:
             self.engine.bind_measured(limits.q_measured)
         if filled is not None:
@@ -169,10 +166,15 @@ class Compiled:
         self.follows = bool(levels.followed)
         self._heard: list[tuple[str, Array | None, Array | None]] = []
 
-    def bind(self, state: State, memory: Memory) -> tuple[Bound, ...] | None:
-        """Bind the arrays of a state; returns those of inputs, None where one is no place."""
+    def bind(self, state: State, memory: Memory, v: Array) -> tuple[Bound, ...] | None:
+        """Bind the arrays of a state, and v (n,) for the answer; returns those of inputs.
+
+        None where one is no place, or a thread is in the middle of a tick.
+        """
         names = "later pulls", "missed", "missing", "scaled pull", "recovery", "swing", "stopped"
-        self.engine.bind_state({**state.written(), **{name: memory[name] for name in names}})
+        remembered = {name: memory[name] for name in names}
+        if not self.engine.bind_state({**state.written(), **remembered, "command": v}):
+            return None
         before, self._heard = self._heard, []
         for _, at in self._levels.arriving:
             for name, value, rate in before:

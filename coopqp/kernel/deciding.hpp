@@ -53,8 +53,10 @@ class Engine {
                                                    std::move(levels));
     }
 
-    // Arrays of a state and of what the law remembers, by name.
-    void bind_state(const nb::dict& d) {
+    // Arrays of a state, of what the law remembers and of its command, by name; false where busy.
+    bool bind_state(const nb::dict& d) {
+        const Use use(*this);
+        if (!use.alone) return false;
         auto& b = kernel_->bound;
         const auto of = [&](const char* name) { return nb::cast<Written>(d[name]).data(); };
         b.q = q_now_ = of("q");
@@ -73,12 +75,10 @@ class Engine {
         b.recovery = of("recovery");
         b.swing = of("swing");
         stopped_ = of("stopped");
+        b.v = of("command");
+        bound_to_ = nb::handle(d["q"]).ptr();
         state_ = d;
-    }
-
-    void bind_command(const Written& v) {
-        kernel_->bound.v = v.data();
-        command_ = nb::cast(v);
+        return true;
     }
 
     void bind_measured(const Numbers& q) {
@@ -138,10 +138,11 @@ class Engine {
     double scale() const { return kernel_->scale(); }
 
     // A whole tick, and the step q += v dt of joints that do as told, where it has an answer; not
-    // where the law stands still. The tick before has done all of the drift correction.
-    int step(double t) {
+    // where the law stands still, or is bound to another q. The tick before has done all of the
+    // drift correction.
+    int step(double t, nb::handle q) {
         const Use use(*this);
-        if (!use.alone || waits()) return BUSY;
+        if (!use.alone || q.ptr() != bound_to_ || waits()) return BUSY;
         const Unlocked unlocked(*kernel_);
         const int status = evaluate(t);
         if (status) return status;
@@ -183,6 +184,9 @@ class Engine {
 
     // e, J and rate of a level's rows, one row after the other, for tests.
     std::vector<double> rows(int level) const { return kernel_->rows_of(level); }
+
+    // Whether another thread may have the GIL meanwhile.
+    bool unlocks() const { return takes_long(*kernel_); }
 
     std::vector<double> worst() const {
         return {kernel_->check().worst_primal, kernel_->check().worst_dual};
@@ -264,11 +268,13 @@ class Engine {
     // one, and another thread may keep it for milliseconds meanwhile.
     struct Unlocked {
         explicit Unlocked(const coopqp::Kernel& kernel) {
-            if (kernel.model().blocks > SHORT) released.emplace();
+            if (takes_long(kernel)) released.emplace();
         }
         std::optional<nb::gil_scoped_release> released;
     };
-    static constexpr int SHORT = 8;  // blocks of joints
+    static bool takes_long(const coopqp::Kernel& kernel) {
+        return kernel.model().blocks > 8;  // of joints
+    }
 
     // One thread at a time: another is told so.
     struct Use {
@@ -331,11 +337,12 @@ class Engine {
     coopqp::TwistLimits twist_limits_;
     FilledLimits filled_limits_{};
     std::vector<Filled> filled_;
-    nb::object state_, command_, limits_, measured_;
+    nb::object state_, limits_, measured_;
     nb::list rows_;
     nb::dict references_;
     double *q_now_ = nullptr, *v_now_ = nullptr, *commanded_ = nullptr;
     double* stopped_ = nullptr;
+    PyObject* bound_to_ = nullptr;
 };
 
 }  // namespace KERNEL_MODULE
