@@ -2,6 +2,7 @@
 
 python benchmarks/kernel.py           a table in us, and ratios
 python benchmarks/kernel.py --runs    verified ticks a second on one and on two threads
+python benchmarks/kernel.py --own     a task of one's own, three rows in Python, beside the shipped one
 """
 
 from __future__ import annotations
@@ -13,14 +14,16 @@ from dataclasses import replace
 from statistics import median
 from time import perf_counter, perf_counter_ns
 
+import numpy as np
 from test_scaling import job
 
+from coopqp import ClosedChain, Evaluate, State, Task, TaskRows, spec
 from coopqp.controller import ControlProblem, Law
 from coopqp.controllers import QPController
 from coopqp.kernel.law import KernelLaw
 from coopqp.scenario.loader import load
 from coopqp.solver import Status
-from coopqp.tasks import JointCentering
+from coopqp.tasks import JointCentering, PointOnPoint
 
 ROUNDS, TICKS, MOTIONS = 15, 300, 400
 SCENARIOS = ("point_on_point", "baxter_tray", "two_pandas", "three_ur", "tiago_torso", "regrasp")
@@ -58,6 +61,48 @@ def table() -> None:
         print(f"{line} {kernel[0]:6.2f} {python[0]:6.1f} {python[0] / kernel[0]:7.1f}", flush=True)
 
 
+@spec
+class OwnReach(Task):
+    """As docs/plugins/task.md shows: the object's origin goes to a place (3 rows)."""
+
+    goal: tuple[float, float, float]
+
+    def rows(self, chain: ClosedChain) -> tuple[str, ...]:
+        return ("x", "y", "z")
+
+    def bind(self, start: State) -> Evaluate:
+        goal = np.array(self.goal)
+
+        def evaluate(state: State, rows: TaskRows) -> None:
+            rows.e[:] = state.p_WO - goal
+            rows.J[:] = state.J_task[:3]
+
+        return evaluate
+
+
+def own() -> None:
+    """Medians of rounds that take turns, and the best, by law.step and by law.run [us]."""
+    given, goal = load("point_on_point").problem(), (0.19, 0.02, 0.05)
+    tasks = OwnReach(goal=goal), PointOnPoint(goal=goal)
+    laws = [QPController(engine="kernel").build(replace(given, tasks=(task,))) for task in tasks]
+    rounds = [[us for law in laws for us in step_and_run_us(law)] for _ in range(ROUNDS)]
+    for name, times in zip(
+        ("own, step", "own, run", "shipped, step", "shipped, run"),
+        zip(*rounds, strict=True), strict=True,
+    ):  # fmt: skip
+        print(f"{name:16} {median(times):6.2f} {min(times):6.2f}")
+
+
+def step_and_run_us(law: Law) -> tuple[float, float]:
+    """Of a tick of a motion."""
+    state, before = law.start(), perf_counter()
+    for _ in range(TICKS):
+        law.step(state)
+    stepped, state, again = perf_counter() - before, law.start(), perf_counter()
+    law.run(state, TICKS)
+    return 1e6 * stepped / TICKS, 1e6 * (perf_counter() - again) / TICKS
+
+
 def motions(law: Law) -> list[tuple[int, list[tuple[Status, ...]]]]:
     """Many of them, one after the other: ticks that Python decided, and what became of each."""
     assert isinstance(law, KernelLaw)
@@ -89,4 +134,4 @@ def runs() -> None:
 
 
 if __name__ == "__main__":
-    runs() if "--runs" in sys.argv else table()
+    runs() if "--runs" in sys.argv else own() if "--own" in sys.argv else table()

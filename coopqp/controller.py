@@ -263,6 +263,8 @@ class Law(ABC):
 
     rows_in_python: tuple[str, ...] = ()
     """Tasks and limits of which Python fills rows that the kernel decides on."""
+    rows_us: float = 0.0
+    """What that took in the last tick [us]."""
     engine: ClassVar[str | None] = None
     """What solves its QP: "kernel" or "python"; None for laws without one."""
     memory_sizes: Mapping[str, int] = {}

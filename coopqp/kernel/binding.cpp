@@ -23,6 +23,7 @@ NB_MODULE(KERNEL_MODULE, m) {
         .def("bind_rows", &Engine::bind_rows)
         .def("bind_reference", &Engine::bind_reference)
         .def("tick", &Engine::tick)
+        .def("place", &Engine::place)
         .def("tick_with_rows", &Engine::tick_with_rows)
         .def("rest", &Engine::rest)
         .def("step", &Engine::step)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from enum import IntEnum
 
@@ -119,13 +120,13 @@ class Compiled:
     Args:
         programs: of tasks, from the state where their references start.
         groups: tasks, a level each.
-        limits: updated by their owner.
         damping: cost of |v|^2.
         error_damping: share of the damping that rules out any overshoot.
 
     Attributes:
         alone: whether Python only evaluates the signals that tasks follow.
         rows_in_python: names of tasks and limits that Python fills.
+        rows_us: what that took in the last tick [us].
         follows: whether there are such signals, other than places that inputs give.
         outcome: of the last tick, one of :class:`Outcome`.
     """
@@ -140,6 +141,7 @@ class Compiled:
         error_damping: float,
     ) -> None:
         chain, filled = problem.chain, limits.filled
+        self._limits, self.rows_us = limits, 0.0
         self._levels = levels = Levels(groups, programs)
         self.alone = levels.compiled and limits.compiled
         self.rows_in_python = (*levels.in_python, *limits.in_python)
@@ -195,7 +197,7 @@ class Compiled:
     def tick(self, state: State) -> int:
         """Decide at a bound state, and return the outcome: INFEASIBLE only where that is proved.
 
-        Where Python fills rows, the state's kinematics and the limits must be up to date.
+        Where Python fills rows, the state's kinematics become the kernel's.
         """
         all_corrected = state.corrected >= ALL_OF_IT
         if self.alone:
@@ -203,9 +205,17 @@ class Compiled:
                 self._levels.follow(state)
             self.outcome = self.engine.tick(state.t, all_corrected)
         else:
-            self._levels.update(state)
-            self.outcome = self.engine.tick_with_rows(state.t, all_corrected)
+            self.outcome = self.engine.place(state.t) or self._tick_with_rows(state, all_corrected)
         return self.outcome
+
+    def _tick_with_rows(self, state: State, all_corrected: bool) -> int:
+        before = time.perf_counter_ns()
+        state.jacobians_due, state.joints_due = False, True
+        with np.errstate(all="ignore"):
+            self._limits.update(state)
+            self._levels.update(state)
+        self.rows_us = 1e-3 * (time.perf_counter_ns() - before)
+        return int(self.engine.tick_with_rows(state.t, all_corrected))
 
 
 def plain_numbers(*arrays: Array) -> bool:

@@ -67,6 +67,7 @@ class Engine {
         b.R_WO = of("R_WO");
         b.loop_error = of("loop_error");
         b.drift = of("drift");
+        J_ext_ = of("J_ext");
         b.q_seen = of("q_seen");
         b.later_pulls = of("later pulls");
         b.missed = of("missed");
@@ -115,13 +116,21 @@ class Engine {
         return status ? status : told(kernel_->solve(all_corrected));
     }
 
-    // The same where Python has filled limits, rows of some tasks, or what some of them follow.
+    // What Python needs to fill limits, rows of some tasks, or what some of them follow; then they
+    // decide with the kernel's own, tick_with_rows.
+    int place(double t) {
+        const Use use(*this);
+        if (!use.alone) return BUSY;
+        const int status = int(kernel_->update(t));
+        if (!status) kernel_->kinematics.write_jacobian(J_ext_);
+        return status;
+    }
+
     int tick_with_rows(double t, bool all_corrected) {
         const Use use(*this);
         if (!use.alone) return BUSY;
         const Unlocked unlocked(*kernel_);
-        const int status = evaluate(t);
-        if (status) return status;
+        fill(t);
         for (const Filled& rows : filled_) take_rows(rows);
         if (filled_limits_.lb) take_limits();
         return told(kernel_->solve(all_corrected));
@@ -240,7 +249,12 @@ class Engine {
 
     int evaluate(double t) {
         const int status = int(kernel_->update(t));
-        if (status) return status;
+        if (!status) fill(t);
+        return status;
+    }
+
+    // The rows of tasks and limits at what the kinematics are.
+    void fill(double t) {
         for (auto& level : kernel_->levels) coopqp::clear(level.wish, kernel_->model().blocks);
         const auto& m = kernel_->model();
         const auto& bound = kernel_->bound;
@@ -248,7 +262,6 @@ class Engine {
         auto& limits = kernel_->limits;
         bounds_.update(m, bound.q, bound.v_last, limits.lb, limits.ub);
         twist_limits_.update(kernel_->kinematics, m, kernel_->rows(), limits.G, limits.h);
-        return 0;
     }
 
     bool waits() const { return !q_now_ || *stopped_ != 0.0; }
@@ -341,7 +354,7 @@ class Engine {
     nb::list rows_;
     nb::dict references_;
     double *q_now_ = nullptr, *v_now_ = nullptr, *commanded_ = nullptr;
-    double* stopped_ = nullptr;
+    double *stopped_ = nullptr, *J_ext_ = nullptr;
     PyObject* bound_to_ = nullptr;
 };
 

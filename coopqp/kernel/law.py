@@ -82,8 +82,7 @@ class KernelLaw(Law):
         self.whole = Compiled(problem, order.programs, whole, *self._settings)
         self.rows_in_python = self.whole.rows_in_python
         self._engine_step = self.whole.engine.step
-        self._alone_at_all = self.whole.alone and squeezer is None
-        self._runs = self._alone_at_all and not self.whole.follows
+        self._runs = self.whole.alone and squeezer is None and not self.whole.follows
         self._relaxes = problem.on_infeasible == "scale"
         self._stops = problem.on_infeasible == "stop"
         self._dt = problem.dt
@@ -104,12 +103,12 @@ class KernelLaw(Law):
         return self
 
     def _tick(self, state: State) -> Command:
-        """By the kernel alone where possible."""
+        """Without pinocchio where possible."""
         self._asked = False
         if self._alone(state) and not self._stopped[0]:
             self._asked = True
             if self._decided_alone(state):
-                state.jacobians_due = True
+                state.jacobians_due = self.whole.alone
                 state.corrected = 1.0
                 return self.with_why(state, self.command) if self.whole.outcome else self.command
         return super()._tick(state)
@@ -122,7 +121,6 @@ class KernelLaw(Law):
                 self.command.v[:] = 0.0
                 self._rests(STANDS)
                 return self.command
-            self._limits.update(state)
             if self._decides(state):
                 return self.command
         with np.errstate(all="ignore"):
@@ -133,11 +131,11 @@ class KernelLaw(Law):
         return command
 
     def _decide(self, state: State) -> Command:
-        """Without Python's rows there is nothing that numpy could warn of."""
-        return self.decide(state) if self._alone_at_all else super()._decide(state)
+        """Whatever of a tick is Python's looks after numpy's warnings itself."""
+        return self.decide(state)
 
     def _decided_alone(self, state: State) -> bool:
-        """The same where a signal may raise; :meth:`decide` then handles the exception."""
+        """The same where tasks may raise; :meth:`decide` then handles the exception."""
         try:
             return self._decides(state)
         except KeyboardInterrupt:
@@ -153,6 +151,7 @@ class KernelLaw(Law):
         if outcome in ALL_WELL:
             self._say(ALL_WELL[outcome])
             self.command.scale = self.whole.engine.scale() if self._exact else 1.0
+            self.rows_us = self.whole.rows_us
             return True
         if outcome != INFEASIBLE or self._relaxes or not self._rests(self.whole.engine.rest()):
             return False
@@ -242,11 +241,11 @@ class KernelLaw(Law):
         return True
 
     def _alone(self, state: State) -> bool:
-        """Whether the kernel may decide, without Python's rows, sensors or inputs at fault."""
+        """Whether the kernel may decide, without sensors, or inputs at fault."""
         inputs = state.inputs
         if inputs.stale or inputs.refused or state.q_measured is not None:
             return False
-        return self._alone_at_all and self._ready(state)
+        return self.squeezer is None and self._ready(state)
 
     def _ready(self, state: State) -> bool:
         """Whether the kernel may decide at a state; binds arrays that are new to it."""

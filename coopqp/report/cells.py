@@ -79,7 +79,7 @@ def cells(trace: Trace, metrics: Mapping[str, Any]) -> dict[str, Cell]:
         ),
         "motors": _motors(found),
         "failed": _failed(metrics),
-        "tick": _tick(trace),
+        "tick": _tick(trace, metrics["engine"]),
     }
 
 
@@ -91,14 +91,16 @@ def tick_times_in(trace: Trace) -> dict[str, Array]:
     return {k: of for k, of in times.items() if len(of)} if np.isfinite(us).all() else {}
 
 
-def _tick(trace: Trace) -> Cell:
-    """The median in the language of most ticks, and how many ran in the other one."""
+def _tick(trace: Trace, engine: dict[str, Any] | None) -> Cell:
+    """The median in the language of most ticks, what rows cost, how many ran in the other one."""
     times = sorted(tick_times_in(trace).items(), key=lambda item: -len(item[1]))
     if not times:
         return Cell(("-",))
     (language, us), *others = times
     more = (f"{len(of)} in {other}" for other, of in others)
-    return Cell((f"{np.median(us):.0f}", *language.split(" ", 1), *more))
+    cost = engine["rows_us"] if engine and language == LANGUAGES[1] else None
+    rows = [] if cost is None else [f"{cost:.0f} of it: {', '.join(trace.rows_in_python)}"]
+    return Cell((f"{np.median(us):.0f}", *language.split(" ", 1), *rows, *more))
 
 
 def _solvers(comparison: Comparison) -> str:

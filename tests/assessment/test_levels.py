@@ -131,12 +131,15 @@ def test_an_acceleration_is_told_with_its_cure_where_there_is_one() -> None:
 
 def test_the_cell_says_which_language_filled_the_rows() -> None:
     scenario, trace = hurried()
-    told = replace(trace, tick_us=np.ones(trace.ticks))
-    metrics = summarize(scenario, {"qp": trace}).metrics["qp"]
+    assert ((trace.rows_us > 0.0) & (trace.rows_us < trace.tick_us)).all()
+    us = np.ones(trace.ticks)
+    told = replace(trace, tick_us=9.0 * us, rows_us=4.0 * us)
+    metrics = summarize(scenario, {"qp": told}).metrics["qp"]
     assert metrics["engine"]["rows_in_python"] == ["self_collision"]
-    assert cells(told, metrics)["tick"].lines == ("1", "C++", "+\N{NO-BREAK SPACE}Python rows")
+    rows = ("+\N{NO-BREAK SPACE}Python rows", "4 of it: self_collision")
+    assert cells(told, metrics)["tick"].lines == ("9", "C++", *rows)
     alone = replace(told, rows_in_python=())
-    assert cells(alone, metrics)["tick"].lines == ("1", "C++")
+    assert cells(alone, metrics)["tick"].lines == ("9", "C++")
 
 
 def test_verdict_and_explanation_name_the_same_limits() -> None:
