@@ -2,7 +2,7 @@
 
 python benchmarks/kernel.py           a table in us, and ratios
 python benchmarks/kernel.py --runs    verified ticks a second on one and on two threads
-python benchmarks/kernel.py --own     a task of one's own, three rows in Python, beside the shipped one
+python benchmarks/kernel.py --own     a task of three rows in Python, beside the shipped one
 """
 
 from __future__ import annotations

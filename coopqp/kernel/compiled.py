@@ -194,6 +194,18 @@ class Compiled:
         inputs = state.inputs
         return tuple((name, inputs.get(name), value, rate) for name, value, rate in self._heard)
 
+    @property
+    def in_closed_form(self) -> bool:
+        """Whether a first level of rows and a second one of all joints are the kernel's."""
+        first, second = self._levels.flat
+        apart = not first["joint_weight"] and not len(second["gain"])
+        return self.alone and apart and not self._levels.arriving
+
+    def follow(self, state: State) -> None:
+        """Move references that follow signals."""
+        if self.follows:
+            self._levels.follow(state)
+
     def tick(self, state: State) -> int:
         """Decide at a bound state, and return the outcome: INFEASIBLE only where that is proved.
 
@@ -201,8 +213,7 @@ class Compiled:
         """
         all_corrected = state.corrected >= ALL_OF_IT
         if self.alone:
-            if self.follows:
-                self._levels.follow(state)
+            self.follow(state)
             self.outcome = self.engine.tick(state.t, all_corrected)
         else:
             self.outcome = self.engine.place(state.t) or self._tick_with_rows(state, all_corrected)

@@ -6,6 +6,7 @@
 #include <cstdlib>
 #include <optional>
 
+#include "core/resolved_rate.hpp"
 #include "reading.hpp"
 
 // Of its own name in each variant, so that two of them may be imported side by side.
@@ -158,6 +159,19 @@ class Engine {
         const coopqp::Status decided = kernel_->solve(true);
         if (is_answer(decided)) advance();
         return told(decided);
+    }
+
+    // A whole tick of a law in closed form; SINGULAR where it has no answer. share: of the second
+    // level's wish in Z. The others are as in the constructor, and always the same.
+    int resolve(double t, double damping, bool weighted, double share) {
+        const Use use(*this);
+        if (!use.alone) return BUSY;
+        const int status = evaluate(t);
+        if (status) return status;
+        if (!resolved_rate_) resolved_rate_.emplace(*kernel_, damping, weighted);
+        kernel_->kinematics.write_jacobian(J_ext_);
+        return int(resolved_rate_->solve(J_ext_, share) ? coopqp::Status::Optimal
+                                                        : coopqp::Status::Singular);
     }
 
     // Ticks and steps until one that is Python's, from the state that is bound. Written: q before
@@ -344,6 +358,7 @@ class Engine {
     }
 
     std::unique_ptr<coopqp::Kernel> kernel_;
+    std::optional<coopqp::ResolvedRate> resolved_rate_;
     coopqp::Program program_;
     coopqp::Bounds bounds_;
     std::atomic_flag busy_ = ATOMIC_FLAG_INIT;

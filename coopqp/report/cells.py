@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -60,7 +60,9 @@ class Cell:
     each: tuple[bool, ...] = ()
 
 
-def cells(trace: Trace, metrics: Mapping[str, Any]) -> dict[str, Cell]:
+def cells(
+    trace: Trace, metrics: Mapping[str, Any], beside: Iterable[Trace] = ()
+) -> dict[str, Cell]:
     """The entries of one controller, by the keys of COLUMNS."""
     found, speed = assess(trace), metrics["velocity_violation_max"]
     place = trace.units[_worst(beyond(trace))]
@@ -79,7 +81,7 @@ def cells(trace: Trace, metrics: Mapping[str, Any]) -> dict[str, Cell]:
         ),
         "motors": _motors(found),
         "failed": _failed(metrics),
-        "tick": _tick(trace, metrics["engine"]),
+        "tick": _tick(trace, metrics["engine"], any(other.compiled.any() for other in beside)),
     }
 
 
@@ -91,8 +93,11 @@ def tick_times_in(trace: Trace) -> dict[str, Array]:
     return {k: of for k, of in times.items() if len(of)} if np.isfinite(us).all() else {}
 
 
-def _tick(trace: Trace, engine: dict[str, Any] | None) -> Cell:
-    """The median in the language of most ticks, what rows cost, how many ran in the other one."""
+def _tick(trace: Trace, engine: dict[str, Any] | None, beside_compiled: bool) -> Cell:
+    """The median in the language of most ticks, what rows cost, how many ran in the other one.
+
+    No time of Python beside times of compiled laws: a table compares laws, and not languages.
+    """
     times = sorted(tick_times_in(trace).items(), key=lambda item: -len(item[1]))
     if not times:
         return Cell(("-",))
@@ -100,7 +105,8 @@ def _tick(trace: Trace, engine: dict[str, Any] | None) -> Cell:
     more = (f"{len(of)} in {other}" for other, of in others)
     cost = engine["rows_us"] if engine and language == LANGUAGES[1] else None
     rows = [] if cost is None else [f"{cost:.0f} of it: {', '.join(trace.rows_in_python)}"]
-    return Cell((f"{np.median(us):.0f}", *language.split(" ", 1), *rows, *more))
+    said = "-" if beside_compiled and language == LANGUAGES[2] else f"{np.median(us):.0f}"
+    return Cell((said, *language.split(" ", 1), *rows, *more))
 
 
 def _solvers(comparison: Comparison) -> str:
