@@ -47,7 +47,7 @@ COLUMNS = {
     "failed": Column("Failed ticks", "", "Ticks without a usable answer; the joints held still."),
     "tick": Column("Median tick", "µs", "From reading the joints to the verified command, and in "
                    "which language: C++ and Python are no measure of each other. Python rows: the "
-                   "kernel decides, Python fills rows of limits or tasks, as of self_collision."),
+                   "kernel decides, Python fills rows of limits or tasks, in the time behind it."),
 }  # fmt: skip
 
 
@@ -104,9 +104,9 @@ def _tick(trace: Trace, engine: dict[str, Any] | None, beside_compiled: bool) ->
     (language, us), *others = times
     more = (f"{len(of)} in {other}" for other, of in others)
     cost = engine["rows_us"] if engine and language == LANGUAGES[1] else None
-    rows = [] if cost is None else [f"{cost:.0f} of it: {', '.join(trace.rows_in_python)}"]
+    rows = "" if cost is None else f":{NBSP}{cost:.0f}"
     said = "-" if beside_compiled and language == LANGUAGES[2] else f"{np.median(us):.0f}"
-    return Cell((said, *language.split(" ", 1), *rows, *more))
+    return Cell((said, *f"{language}{rows}".split(" ", 1), *more))
 
 
 def _solvers(comparison: Comparison) -> str:

@@ -136,8 +136,8 @@ def test_the_cell_says_which_language_filled_the_rows() -> None:
     told = replace(trace, tick_us=9.0 * us, rows_us=4.0 * us)
     metrics = summarize(scenario, {"qp": told}).metrics["qp"]
     assert metrics["engine"]["rows_in_python"] == ["self_collision"]
-    rows = ("+\N{NO-BREAK SPACE}Python rows", "4 of it: self_collision")
-    assert cells(told, metrics)["tick"].lines == ("9", "C++", *rows)
+    rows = "+\N{NO-BREAK SPACE}Python rows:\N{NO-BREAK SPACE}4"
+    assert cells(told, metrics)["tick"].lines == ("9", "C++", rows)
     alone = replace(told, rows_in_python=())
     assert cells(alone, metrics)["tick"].lines == ("9", "C++")
 
