@@ -263,6 +263,8 @@ class Law(ABC):
 
     rows_in_python: tuple[str, ...] = ()
     """Tasks and limits of which Python fills rows that the kernel decides on."""
+    outcomes: ClassVar[Sequence[tuple[Status, ...]]] = ()
+    """What indices of :meth:`run_starts` mean."""
     rows_us: float = 0.0
     """What that took in the last tick [us]."""
     engine: ClassVar[str | None] = None
@@ -377,6 +379,16 @@ class Law(ABC):
             found.q[ticks] = state.q
             state.update()
         return found
+
+    def run_starts(
+        self, starts: Array, q: Array, v: Array, said: NDArray[np.uint8]
+    ) -> NDArray[np.int32]:
+        """Motions from starts (M, n), as far as they can be done without Python.
+
+        Written are q, shape (M, T + 1, n), v (M, T, n) and an index of ``outcomes`` a tick (M, T).
+        Returns how many ticks of each were done, shape (M,); -1 for those not begun.
+        """
+        return np.full(len(starts), -1, np.int32)
 
     def _run_all(self, state: State, found: TickBatch) -> None:
         """All ticks of a run; laws that can do several at once override it."""

@@ -27,6 +27,7 @@ NB_MODULE(KERNEL_MODULE, m) {
         .def("tick_with_rows", &Engine::tick_with_rows)
         .def("rest", &Engine::rest)
         .def("step", &Engine::step)
+        .def("run_starts", &Engine::run_starts)
         .def("resolve", &Engine::resolve)
         .def("run", &Engine::run, "t"_a, "q"_a, "v"_a, "said"_a, "scale"_a, "memory"_a,
              "remembered"_a, "stops"_a, "all_corrected"_a)

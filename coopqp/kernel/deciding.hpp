@@ -190,19 +190,43 @@ class Engine {
         nb::gil_scoped_release released;
         std::size_t done = 0;
         for (; done < ticks; done++) {
-            std::copy(q_now_, q_now_ + n, q.data() + done * n);
             std::copy_n(memory.data(), kept, remembered.data() + done * kept);
-            const int how = decide(t, stops, all_corrected);
+            const int how = go_on(t, q.data() + done * n, v.data() + done * n, stops, all_corrected);
             if (how == BUSY) break;
             said.data()[done] = std::uint8_t(how);
             scale.data()[done] = scale_of(how);
-            advance();
-            std::copy(v_now_, v_now_ + n, v.data() + done * n);
-            t += kernel_->settings().dt;
             all_corrected = true;
         }
         std::copy(q_now_, q_now_ + n, q.data() + done * n);
         return int(done);
+    }
+
+    // Whole motions from `starts`, at rest and with nothing remembered, by the state that is bound;
+    // q, shape (M, T + 1, n), v and what was said as above, and how many ticks of each were done.
+    void run_starts(double t, const Numbers& starts, const Written& q, const Written& v,
+                    const Said& said, const Written& memory, const Counts& done, bool stops) {
+        const Use use(*this);
+        const std::size_t n = kernel_->model().joints.size(), m = done.size();
+        const std::size_t ticks = m ? said.size() / m : 0;
+        if (!use.alone || !q_now_ || starts.size() < m * n || v.size() < m * ticks * n ||
+            q.size() < m * (ticks + 1) * n)
+            return;
+        nb::gil_scoped_release released;
+        for (std::size_t i = 0; i < m; i++) {
+            std::copy_n(starts.data() + i * n, n, q_now_);
+            std::fill_n(v_now_, n, 0.0);
+            std::fill_n(memory.data(), memory.size(), 0.0);
+            double now = t, *place = q.data() + i * (ticks + 1) * n;
+            std::size_t k = 0;
+            for (; k < ticks; k++) {
+                const std::size_t at = i * ticks + k;
+                const int how = go_on(now, place + k * n, v.data() + at * n, stops, true);
+                if (how == BUSY) break;
+                said.data()[at] = std::uint8_t(how);
+            }
+            std::copy_n(q_now_, n, place + k * n);
+            done.data()[i] = std::int32_t(k);
+        }
     }
 
     // e, J and rate of a level's rows, one row after the other, for tests.
@@ -227,6 +251,18 @@ class Engine {
         *stopped_ = stops ? 1.0 : 0.0;
         forget_exact();
         return come_back();
+    }
+
+    // A tick of a run at t, which goes on, and its step; BUSY where it is Python's.
+    int go_on(double& t, double* q, double* v, bool stops, bool all_corrected) {
+        const std::size_t n = kernel_->model().joints.size();
+        std::copy_n(q_now_, n, q);
+        const int how = decide(t, stops, all_corrected);
+        if (how == BUSY) return BUSY;
+        advance();
+        std::copy_n(v_now_, n, v);
+        t += kernel_->settings().dt;
+        return how;
     }
 
     // As coopqp.kernel.law says it.
