@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import deque
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -80,21 +81,30 @@ def run_many(
         raise InvalidValueError(f"starts: found shape {given.shape}, needs (M, {n})")
     count = _whole("threads", threads, os.cpu_count() or 1, 1)
     steps = _whole("ticks", ticks, scenario.ticks, 0)
-    problem, m = scenario.held_by(controller).problem(), len(given)
-    laws = [chosen.unprepared(problem) for _ in range(min(count, -(-m // CHUNK) or 1))]
-    q, v = np.empty((m, steps + 1, n)), np.empty((m, steps, n))
-    said, compiled = np.zeros((m, steps), np.uint8), np.ones((m, steps), bool)
+    problem = scenario.held_by(controller).problem()
+    most = max(1, -(-len(given) // CHUNK))
+    return _run_all([chosen.unprepared(problem) for _ in range(min(count, most))], given, steps)
+
+
+def _run_all(laws: Sequence[Law], starts: Array, ticks: int) -> Motions:
+    """A law a thread."""
+    m, n = starts.shape
+    q, v, said = (
+        np.empty((m, ticks + 1, n)),
+        np.empty((m, ticks, n)),
+        np.zeros((m, ticks), np.uint8),
+    )
     left, plain = deque(range(0, m, CHUNK)), dict[int, TickBatch]()
     with ThreadPoolExecutor(len(laws)) as pool:
-        work = [pool.submit(_take, law, left, given, (q, v, said), plain) for law in laws]
+        work = [pool.submit(_take, law, left, starts, (q, v, said), plain) for law in laws]
         try:
             for each in work:
                 each.result()
         finally:
             left.clear()
+    compiled, index = np.ones((m, ticks), bool), np.zeros(256, np.uint8)
     causes: dict[tuple[Status, ...], int] = {(Status.OPTIMAL,): 0}
     by_kernel = np.isin(np.arange(m), list(plain), invert=True)
-    index = np.zeros(256, np.uint8)
     for outcome in np.unique(said[by_kernel]).tolist():
         index[outcome] = causes.setdefault(laws[0].outcomes[outcome], len(causes))
     said[by_kernel] = index[said[by_kernel]]
