@@ -1,28 +1,27 @@
-"""The kernel and the plain law side by side: ticks from Python in alternation, and whole runs.
+"""The kernel and the plain law side by side: ticks from Python in alternation.
 
 python benchmarks/kernel.py           a table in us, and ratios
-python benchmarks/kernel.py --runs    verified ticks a second on one and on two threads
+python benchmarks/kernel.py --own     a task of three rows in Python, beside the shipped one
 """
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from statistics import median
 from time import perf_counter, perf_counter_ns
 
+import numpy as np
 from test_scaling import job
 
+from coopqp import ClosedChain, Evaluate, State, Task, TaskRows, spec
 from coopqp.controller import ControlProblem, Law
 from coopqp.controllers import QPController
-from coopqp.kernel.law import KernelLaw
 from coopqp.scenario.loader import load
-from coopqp.solver import Status
-from coopqp.tasks import JointCentering
+from coopqp.tasks import JointCentering, PointOnPoint
 
-ROUNDS, TICKS, MOTIONS = 15, 300, 400
+ROUNDS, TICKS = 15, 300
 SCENARIOS = ("point_on_point", "baxter_tray", "two_pandas", "three_ur", "tiago_torso", "regrasp")
 ARMS = (2, 3, 4, 8)
 
@@ -58,35 +57,47 @@ def table() -> None:
         print(f"{line} {kernel[0]:6.2f} {python[0]:6.1f} {python[0] / kernel[0]:7.1f}", flush=True)
 
 
-def motions(law: Law) -> list[tuple[int, list[tuple[Status, ...]]]]:
-    """Many of them, one after the other: ticks that Python decided, and what became of each."""
-    assert isinstance(law, KernelLaw)
-    found = []
-    for _ in range(MOTIONS):
-        made = law.run(law.start(), TICKS)
-        found.append((int((~made.compiled).sum()), made.causes))
-    return found
+@spec
+class OwnReach(Task):
+    """As docs/plugins/task.md shows: the object's origin goes to a place (3 rows)."""
+
+    goal: tuple[float, float, float]
+
+    def rows(self, chain: ClosedChain) -> tuple[str, ...]:
+        return ("x", "y", "z")
+
+    def bind(self, start: State) -> Evaluate:
+        goal = np.array(self.goal)
+
+        def evaluate(state: State, rows: TaskRows) -> None:
+            rows.e[:] = state.p_WO - goal
+            rows.J[:] = state.J_task[:3]
+
+        return evaluate
 
 
-def runs() -> None:
-    """Whole motions in C++, a kernel a thread."""
-    for name, problem in problems():
-        laws = [QPController(engine="kernel").build(problem) for _ in range(2)]
-        for law in laws:
-            law.run(law.start(), TICKS)  # the first is slower
-        for count in (1, 2):
-            before = perf_counter()
-            with ThreadPoolExecutor(count) as pool:
-                made = [each for found in pool.map(motions, laws[:count]) for each in found]
-            ticks = count * MOTIONS * TICKS
-            rate = ticks / (perf_counter() - before)
-            left = sum(by_python for by_python, _ in made)
-            inaccurate = sum(said[0] is Status.INACCURATE for _, motion in made for said in motion)
-            print(
-                f"{name:16} {count} threads {rate:10.0f} ticks/s, {100.0 * left / ticks:.2f} % in "
-                f"Python, {100.0 * inaccurate / ticks:.2f} % INACCURATE", flush=True,
-            )  # fmt: skip
+def own() -> None:
+    """Medians of rounds that take turns, and the best, by law.step and by law.run [us]."""
+    given, goal = load("point_on_point").problem(), (0.19, 0.02, 0.05)
+    tasks = OwnReach(goal=goal), PointOnPoint(goal=goal)
+    laws = [QPController(engine="kernel").build(replace(given, tasks=(task,))) for task in tasks]
+    rounds = [[us for law in laws for us in step_and_run_us(law)] for _ in range(ROUNDS)]
+    for name, times in zip(
+        ("own, step", "own, run", "shipped, step", "shipped, run"),
+        zip(*rounds, strict=True), strict=True,
+    ):  # fmt: skip
+        print(f"{name:16} {median(times):6.2f} {min(times):6.2f}")
+
+
+def step_and_run_us(law: Law) -> tuple[float, float]:
+    """Of a tick of a motion."""
+    state, before = law.start(), perf_counter()
+    for _ in range(TICKS):
+        law.step(state)
+    stepped, state, again = perf_counter() - before, law.start(), perf_counter()
+    law.run(state, TICKS)
+    return 1e6 * stepped / TICKS, 1e6 * (perf_counter() - again) / TICKS
 
 
 if __name__ == "__main__":
-    runs() if "--runs" in sys.argv else table()
+    own() if "--own" in sys.argv else table()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
@@ -10,6 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Annotated, ClassVar, Literal, Protocol, get_args
+from weakref import WeakSet
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -236,6 +238,17 @@ class Command:
 
 
 ALL_WELL = (Status.OPTIMAL,)
+LAWS: WeakSet[Law] = WeakSet()
+
+
+def _free_turns() -> None:
+    """Threads that were in the middle of a tick do not live on in a forked process."""
+    for law in LAWS:
+        law._turn = threading.RLock()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_free_turns)
 
 
 class Law(ABC):
@@ -250,6 +263,10 @@ class Law(ABC):
 
     rows_in_python: tuple[str, ...] = ()
     """Tasks and limits of which Python fills rows that the kernel decides on."""
+    outcomes: ClassVar[Sequence[tuple[Status, ...]]] = ()
+    """What indices of :meth:`run_starts` mean."""
+    rows_us: float = 0.0
+    """What that took in the last tick [us]."""
     engine: ClassVar[str | None] = None
     """What solves its QP: "kernel" or "python"; None for laws without one."""
     memory_sizes: Mapping[str, int] = {}
@@ -268,8 +285,10 @@ class Law(ABC):
         self.problem, self.squeezer = problem, squeezer
         self.compiled = False
         self.command = Command(problem.chain.n, torques=torques)
+        self._served: State | None = None
         self.observer = LoopObserver(problem.chain, problem.dt, problem.observer)
-        self._lock = threading.Lock()
+        self._turn = threading.RLock()
+        LAWS.add(self)
 
     def start(
         self,
@@ -293,7 +312,16 @@ class Law(ABC):
         return state
 
     def tick(self, state: State) -> Command:
-        """The command for the next dt, from t, q, v and memory of a state; first its kinematics."""
+        """The command for the next dt, from t, q, v and memory of a state; first its kinematics.
+
+        Threads take turns. The command's arrays are reused in the next tick of the same state.
+        """
+        with self._turn:
+            self._serve(state)
+            return self._tick(state)
+
+    def _tick(self, state: State) -> Command:
+        """The same in a thread's turn."""
         self.command.told = ()
         if not self._fits(state):
             return self.with_why(state, self.refuse(Status.WRONG_STATE))
@@ -323,6 +351,12 @@ class Law(ABC):
         state.corrected = command.drift
         return command if command.causes == ALL_WELL else self.with_why(state, command)
 
+    def _serve(self, state: State) -> None:
+        """Leave the last command to whoever ticks another state."""
+        if state is not self._served:
+            self._served = state
+            self.command = Command(len(self.command.v), torques=self.command.tau is not None)
+
     def with_why(self, state: State, command: Command) -> Command:
         """The command of a tick that is not optimal, with who is behind its causes."""
         command.told = (*command.told, Why(self, state, command))
@@ -331,7 +365,7 @@ class Law(ABC):
     def run(self, state: State, ticks: int) -> TickBatch:
         """Many ticks on ideal joints, without inputs from outside; ``state`` is written.
 
-        One thread at a time runs a law, others wait.
+        Threads take turns.
 
         Raises:
             InvalidValueError: ``ticks`` is no whole number from 0 to ``MAX_TICKS``.
@@ -340,7 +374,8 @@ class Law(ABC):
             raise InvalidValueError(
                 f"ticks: found {ticks!r}, needs a whole number, 0 to {MAX_TICKS}"
             )
-        with self._lock:
+        with self._turn:
+            self._serve(state)
             if state.memory.sizes != self.memory_sizes:
                 state.memory = Memory(self.memory_sizes)
             found = TickBatch.empty(ticks, self.problem.chain.n, len(state.memory.numbers))
@@ -348,6 +383,16 @@ class Law(ABC):
             found.q[ticks] = state.q
             state.update()
         return found
+
+    def run_starts(
+        self, starts: Array, q: Array, v: Array, said: NDArray[np.uint8]
+    ) -> NDArray[np.int32]:
+        """Motions from starts (M, n), as far as they can be done without Python.
+
+        Written are q, shape (M, T + 1, n), v (M, T, n) and an index of ``outcomes`` a tick (M, T).
+        Returns how many ticks of each were done, shape (M,); -1 for those not begun.
+        """
+        return np.full(len(starts), -1, np.int32)
 
     def _run_all(self, state: State, found: TickBatch) -> None:
         """All ticks of a run; laws that can do several at once override it."""
@@ -365,8 +410,9 @@ class Law(ABC):
 
     def step(self, state: State) -> Command:
         """A tick and :meth:`coopqp.model.state.State.advance`: ideal joints for dt."""
-        command = self.tick(state)
-        state.advance(command.v, self.problem.dt)
+        with self._turn:
+            command = self.tick(state)
+            state.advance(command.v, self.problem.dt)
         return command
 
     def _decided(self, state: State) -> tuple[Command, list[Status]]:

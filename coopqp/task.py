@@ -236,6 +236,7 @@ class TaskStack:
         e, J, rate: as in :class:`TaskRows`.
         wanted: J v that makes the errors decay, rate - gain e.
         weights: of the rows.
+        bound: the function of each task, and where it writes.
     """
 
     def __init__(self, tasks: Sequence[Task], start: State) -> None:
@@ -259,12 +260,12 @@ class TaskStack:
         self._asking = [
             part for task, part in zip(tasks, self.slices, strict=True) if task.asks_velocity
         ]
-        self._evaluate: list[tuple[Evaluate, TaskRows]] = []
+        self.bound: list[tuple[Evaluate, TaskRows]] = []
         for task, part in zip(tasks, self.slices, strict=True):
             if task.joint_space:
                 self.J[part] = np.eye(n)
             block = TaskRows(self.e[part], self.J[part], self.rate[part])
-            self._evaluate.append((task.bind(start), block))
+            self.bound.append((task.bind(start), block))
 
     @cached_property
     def rows(self) -> tuple[Row, ...]:
@@ -273,7 +274,7 @@ class TaskStack:
 
     def update(self, state: State) -> None:
         """Fill all rows for a state."""
-        evaluate_all(self._evaluate, state)
+        evaluate_all(self.bound, state)
         self.wanted[:] = self.rate - self._gains * self.e
 
     def bends(self, v: Array) -> Array:

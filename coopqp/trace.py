@@ -282,6 +282,7 @@ class Trace:
         unaudited: names of limits that do not say how far a run stayed away from them.
         compiled: whether the kernel decided the tick; the plain law decides the others, shape (T,).
         rows_in_python: names of tasks and limits of which Python filled rows for the kernel.
+        rows_us: what that took of each tick, shape (T,) [us].
         tick_us: time of each tick, shape (T,) [us]; NaN where many were done at once.
         points: joint origins and hand of each arm for drawing, by arm, shape (T + 1, p, 3) [m].
         supports: what of the problem the law reads, :attr:`coopqp.controller.Controller.supports`.
@@ -333,6 +334,7 @@ class Trace:
     failures: tuple[Failure, ...] = field(metadata={"join": _failures})
     unaudited: tuple[str, ...] = field(metadata={"join": _once}, default=())
     rows_in_python: tuple[str, ...] = field(metadata={"join": _once}, default=())
+    rows_us: Array = field(metadata={"join": _ticks}, default_factory=lambda: np.zeros(0))
     signals: dict[str, Array] = field(metadata={"join": _signals}, default_factory=dict)
     inputs: dict[str, InputTrace] = field(metadata={"join": _inputs}, default_factory=dict)
     phases: tuple[PhaseInfo, ...] = field(metadata={"join": _phases}, default=())

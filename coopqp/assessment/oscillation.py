@@ -101,7 +101,13 @@ def _blocks(q: Array, ticks: int) -> tuple[Array, Array]:
     first = len(q) - 1 - count * ticks
     inside = first + ticks * np.arange(count)[:, None] + np.arange(ticks + 1)
     size, ratio = _extent(q[inside].swapaxes(0, 1))
-    return np.median(size, axis=0), np.median(ratio, axis=0)
+    return _median(size), _median(ratio)
+
+
+def _median(found: Array) -> Array:
+    """Along the first axis; numpy's own takes five times as long for so few numbers."""
+    found, k = np.sort(found, axis=0), len(found)
+    return np.asarray(0.5 * (found[(k - 1) // 2] + found[k // 2]))
 
 
 def _extent(q: Array) -> tuple[Array, Array]:

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from coopqp.base.rank import least_squares
 from coopqp.base.spec import Array
-from coopqp.controller import Command, ControlProblem, Law
+from coopqp.controller import Command, ControlProblem
+from coopqp.kernel.formula import FormulaLaw
 from coopqp.model.state import State
 from coopqp.solver import Status
 from coopqp.task import Task, TaskStack
@@ -56,14 +57,17 @@ class StackedRows:
         np.multiply(state.e_loop, -self._kappa, out=self.b[k:])
 
 
-class ResolvedRateLaw(Law):
+class ResolvedRateLaw(FormulaLaw):
     """Eq. (33); ``invert`` maps H J_ext, shape (k + m, n), to its inverse, (n, k + m).
 
-    Secondary objectives enter as Z where ``null_space`` is true.
+    ``damping`` is what it is damped by, for the kernel. Secondary objectives enter as Z where
+    ``null_space`` is true.
     """
 
-    def __init__(self, problem: ControlProblem, invert: Invert, *, null_space: bool) -> None:
-        super().__init__(problem)
+    def __init__(
+        self, problem: ControlProblem, invert: Invert, *, null_space: bool, damping: float = 0.0
+    ) -> None:
+        super().__init__(problem, damping=damping, null_space=null_space)
         start = State(problem.chain)
         self._invert = invert
         self._rows = StackedRows(problem)

@@ -32,4 +32,4 @@ class DampedPseudoinverse(Controller):
             gram.flat[:: len(gram) + 1] += squared
             return np.linalg.solve(gram, J).T
 
-        return ResolvedRateLaw(problem, invert, null_space=True)
+        return ResolvedRateLaw(problem, invert, null_space=True, damping=self.damping)

@@ -23,6 +23,7 @@ from coopqp.base.rank import least_squares
 from coopqp.base.spec import Array, spec
 from coopqp.controller import Command, Controller, ControlProblem, Law
 from coopqp.controllers._resolved_rate import StackedRows
+from coopqp.kernel.formula import FormulaLaw
 from coopqp.model.state import State
 from coopqp.solver import Status
 
@@ -30,11 +31,11 @@ from coopqp.solver import Status
 NEAREST = 1e-4
 
 
-class WeightedLeastNormLaw(Law):
+class WeightedLeastNormLaw(FormulaLaw):
     """The law built for one problem."""
 
     def __init__(self, problem: ControlProblem) -> None:
-        super().__init__(problem)
+        super().__init__(problem, weighted=True)
         chain = problem.chain
         self._rows = StackedRows(problem)
         self._limited = np.isfinite(chain.lower) & np.isfinite(chain.upper)

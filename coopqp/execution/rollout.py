@@ -210,6 +210,7 @@ class _Recorder:
         self.memory = np.zeros((ticks, sum(law.memory_sizes.values())))
         self._remembered = start.memory.numbers.copy()
         self.tick_us, self.compiled = np.full(ticks, np.nan), np.zeros(ticks, bool)
+        self.rows_us = np.full(ticks, np.nan)
         self.usable = np.ones(ticks, bool)
         self.inaccurate = np.zeros(ticks, bool)
         self.status = [Status.OPTIMAL.name] * ticks
@@ -269,7 +270,7 @@ class _Recorder:
             self.measured[k] = measured
         self.memory[k], self._remembered = self._remembered, state.memory.numbers.copy()
         self.v[k], self.tick_us[k], self.scale[k] = command.v, us, command.scale
-        self.compiled[k] = self._law.compiled
+        self.compiled[k], self.rows_us[k] = self._law.compiled, self._law.rows_us
         for name, kept in self.inputs.items():
             followed = state.inputs[name]
             kept.value[k], kept.rate[k] = followed.value, followed.rate
@@ -344,6 +345,7 @@ class _Recorder:
             unaudited=kept.unaudited,
             compiled=self.compiled,
             rows_in_python=self._law.rows_in_python,
+            rows_us=self.rows_us,
             tick_us=self.tick_us,
             points=instants.points,
             supports=supports,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from enum import IntEnum
 from typing import Any
@@ -125,14 +126,13 @@ class Compiled:
     Args:
         programs: of tasks, from the state where their references start.
         groups: tasks, a level each.
-        limits: updated by their owner.
         damping: cost of |v|^2.
         error_damping: share of the damping that rules out any overshoot.
-        v: output, shape (n,).
 
     Attributes:
         alone: whether Python only evaluates the signals that tasks follow.
         rows_in_python: names of tasks and limits that Python fills.
+        rows_us: what that took in the last tick [us].
         follows: whether there are such signals, other than places that inputs give.
         outcome: of the last tick, one of :class:`Outcome`.
     """
@@ -145,9 +145,9 @@ class Compiled:
         limits: Limits,
         damping: float,
         error_damping: float,
-        v: Array,
     ) -> None:
         chain, filled = problem.chain, limits.filled
+        self._limits, self.rows_us = limits, 0.0
         self._levels = levels = Levels(groups, programs)
         self.alone = levels.compiled and filled is None
         self.rows_in_python = (*levels.in_python, *limits.in_python)
@@ -164,7 +164,6 @@ class Compiled:
             "distances": limits.distances,
             "settings": flat_settings(problem, damping, error_damping, limits.rows),
         })  # fmt: skip
-        self.engine.bind_command(v)
         if limits.q_measured is not None:
             self.engine.bind_measured(limits.q_measured)
         if filled is not None:
@@ -176,13 +175,18 @@ class Compiled:
         self.follows = bool(levels.followed)
         self._leads = limits if limits.q_measured is not None else None
         self._measured: tuple[Any, ...] = None, None
-        self._shape = v.shape
+        self._shape = (chain.n,)
         self._heard: list[tuple[str, Array | None, Array | None]] = []
 
-    def bind(self, state: State, memory: Memory) -> tuple[Bound, ...] | None:
-        """Bind the arrays of a state; returns those of inputs, None where one is no place."""
+    def bind(self, state: State, memory: Memory, v: Array) -> tuple[Bound, ...] | None:
+        """Bind the arrays of a state, and v (n,) for the answer; returns those of inputs.
+
+        None where one is no place, or a thread is in the middle of a tick.
+        """
         names = "later pulls", "missed", "missing", "scaled pull", "recovery", "swing", "stopped"
-        self.engine.bind_state({**state.written(), **{name: memory[name] for name in names}})
+        remembered = {name: memory[name] for name in names}
+        if not self.engine.bind_state({**state.written(), **remembered, "command": v}):
+            return None
         before, self._heard = self._heard, []
         for _, at in self._levels.arriving:
             for name, value, rate in before:
@@ -200,20 +204,30 @@ class Compiled:
         inputs = state.inputs
         return tuple((name, inputs.get(name), value, rate) for name, value, rate in self._heard)
 
+    @property
+    def in_closed_form(self) -> bool:
+        """Whether a first level of rows and a second one of all joints are the kernel's."""
+        first, second = self._levels.flat
+        apart = not first["joint_weight"] and not len(second["gain"])
+        return self.alone and apart and not self._levels.arriving
+
+    def follow(self, state: State) -> None:
+        """Move references that follow signals."""
+        if self.follows:
+            self._levels.follow(state)
+
     def tick(self, state: State, observer: LoopObserver | None = None) -> int:
         """Decide at a bound state, and return the outcome: INFEASIBLE only where that is proved.
 
-        Where Python fills rows, the state's kinematics and the limits must be up to date. With an
-        observer it learns from the measured joints first; ``engine.forget_measured`` takes that
-        back where there is no answer.
+        Where Python fills rows, the state's kinematics become the kernel's. With an observer it
+        learns from the measured joints first; ``engine.forget_measured`` takes that back where
+        there is no answer.
         """
         engine, all_corrected = self.engine, state.corrected >= ALL_OF_IT
         if not self.alone:
-            self._levels.update(state)
-            self.outcome = engine.tick_with_rows(state.t, all_corrected)
+            self.outcome = engine.place(state.t) or self._tick_with_rows(state, all_corrected)
             return self.outcome
-        if self.follows:
-            self._levels.follow(state)
+        self.follow(state)
         if self._leads:
             self._leads.update(state)
         if observer:
@@ -221,6 +235,15 @@ class Compiled:
         else:
             self.outcome = engine.tick(state.t, all_corrected)
         return self.outcome
+
+    def _tick_with_rows(self, state: State, all_corrected: bool) -> int:
+        before = time.perf_counter_ns()
+        state.jacobians_due, state.joints_due = False, True
+        with np.errstate(all="ignore"):
+            self._limits.update(state)
+            self._levels.update(state)
+        self.rows_us = 1e-3 * (time.perf_counter_ns() - before)
+        return int(self.engine.tick_with_rows(state.t, all_corrected))
 
     def measures(self, state: State, observer: LoopObserver) -> bool:
         """Whether the kernel can read what a state has measured; binds it."""

@@ -6,6 +6,7 @@
 #include <cstdlib>
 #include <optional>
 
+#include "core/resolved_rate.hpp"
 #include "reading.hpp"
 
 // Of its own name in each variant, so that two of them may be imported side by side.
@@ -56,8 +57,10 @@ class Engine {
                                                    std::move(levels), std::move(separations));
     }
 
-    // Arrays of a state and of what the law remembers, by name.
-    void bind_state(const nb::dict& d) {
+    // Arrays of a state, of what the law remembers and of its command, by name; false where busy.
+    bool bind_state(const nb::dict& d) {
+        const Use use(*this);
+        if (!use.alone) return false;
         auto& b = kernel_->bound;
         const auto of = [&](const char* name) { return nb::cast<Written>(d[name]).data(); };
         b.q = q_now_ = of("q");
@@ -68,6 +71,7 @@ class Engine {
         b.R_WO = of("R_WO");
         b.loop_error = of("loop_error");
         b.drift = of("drift");
+        J_ext_ = of("J_ext");
         b.q_seen = of("q_seen");
         b.later_pulls = of("later pulls");
         b.missed = of("missed");
@@ -78,12 +82,10 @@ class Engine {
         stopped_ = of("stopped");
         gap_ = of("gap");
         felt_ = of("felt");
+        b.v = of("command");
+        bound_to_ = nb::handle(d["q"]).ptr();
         state_ = d;
-    }
-
-    void bind_command(const Written& v) {
-        kernel_->bound.v = v.data();
-        command_ = nb::cast(v);
+        return true;
     }
 
     void bind_measured(const Numbers& q) {
@@ -146,13 +148,21 @@ class Engine {
         if (observer_) observer_->forget();
     }
 
-    // The same where Python has filled limits, rows of some tasks, or what some of them follow.
+    // What Python needs to fill limits, rows of some tasks, or what some of them follow; then they
+    // decide with the kernel's own, tick_with_rows.
+    int place(double t) {
+        const Use use(*this);
+        if (!use.alone) return BUSY;
+        const int status = int(kernel_->update(t));
+        if (!status) kernel_->kinematics.write_jacobian(J_ext_);
+        return status;
+    }
+
     int tick_with_rows(double t, bool all_corrected) {
         const Use use(*this);
         if (!use.alone) return BUSY;
         const Unlocked unlocked(*kernel_);
-        const int status = evaluate(t);
-        if (status) return status;
+        fill(t);
         for (const Filled& rows : filled_) take_rows(rows);
         if (filled_limits_.lb) take_limits();
         return told(kernel_->solve(all_corrected));
@@ -169,16 +179,30 @@ class Engine {
     double scale() const { return kernel_->scale(); }
 
     // A whole tick, and the step q += v dt of joints that do as told, where it has an answer; not
-    // where the law stands still. The tick before has done all of the drift correction.
-    int step(double t) {
+    // where the law stands still, or is bound to another q. The tick before has done all of the
+    // drift correction.
+    int step(double t, nb::handle q) {
         const Use use(*this);
-        if (!use.alone || waits()) return BUSY;
+        if (!use.alone || q.ptr() != bound_to_ || waits()) return BUSY;
         const Unlocked unlocked(*kernel_);
         const int status = evaluate(t);
         if (status) return status;
         const coopqp::Status decided = kernel_->solve(true);
         if (is_answer(decided)) advance();
         return told(decided);
+    }
+
+    // A whole tick of a law in closed form; SINGULAR where it has no answer. share: of the second
+    // level's wish in Z. The others are as in the constructor, and always the same.
+    int resolve(double t, double damping, bool weighted, double share) {
+        const Use use(*this);
+        if (!use.alone) return BUSY;
+        const int status = evaluate(t);
+        if (status) return status;
+        if (!resolved_rate_) resolved_rate_.emplace(*kernel_, damping, weighted);
+        kernel_->kinematics.write_jacobian(J_ext_);
+        return int(resolved_rate_->solve(J_ext_, share) ? coopqp::Status::Optimal
+                                                        : coopqp::Status::Singular);
     }
 
     // Ticks and steps until one that is Python's, from the state that is bound. Written: q before
@@ -197,19 +221,43 @@ class Engine {
         nb::gil_scoped_release released;
         std::size_t done = 0;
         for (; done < ticks; done++) {
-            std::copy(q_now_, q_now_ + n, q.data() + done * n);
             std::copy_n(memory.data(), kept, remembered.data() + done * kept);
-            const int how = decide(t, stops, all_corrected);
+            const int how = go_on(t, q.data() + done * n, v.data() + done * n, stops, all_corrected);
             if (how == BUSY) break;
             said.data()[done] = std::uint8_t(how);
             scale.data()[done] = scale_of(how);
-            advance();
-            std::copy(v_now_, v_now_ + n, v.data() + done * n);
-            t += kernel_->settings().dt;
             all_corrected = true;
         }
         std::copy(q_now_, q_now_ + n, q.data() + done * n);
         return int(done);
+    }
+
+    // Whole motions from `starts`, at rest and with nothing remembered, by the state that is bound;
+    // q, shape (M, T + 1, n), v and what was said as above, and how many ticks of each were done.
+    void run_starts(double t, const Numbers& starts, const Written& q, const Written& v,
+                    const Said& said, const Written& memory, const Counts& done, bool stops) {
+        const Use use(*this);
+        const std::size_t n = kernel_->model().joints.size(), m = done.size();
+        const std::size_t ticks = m ? said.size() / m : 0;
+        if (!use.alone || !q_now_ || starts.size() < m * n || v.size() < m * ticks * n ||
+            q.size() < m * (ticks + 1) * n)
+            return;
+        nb::gil_scoped_release released;
+        for (std::size_t i = 0; i < m; i++) {
+            std::copy_n(starts.data() + i * n, n, q_now_);
+            std::fill_n(v_now_, n, 0.0);
+            std::fill_n(memory.data(), memory.size(), 0.0);
+            double now = t, *place = q.data() + i * (ticks + 1) * n;
+            std::size_t k = 0;
+            for (; k < ticks; k++) {
+                const std::size_t at = i * ticks + k;
+                const int how = go_on(now, place + k * n, v.data() + at * n, stops, true);
+                if (how == BUSY) break;
+                said.data()[at] = std::uint8_t(how);
+            }
+            std::copy_n(q_now_, n, place + k * n);
+            done.data()[i] = std::int32_t(k);
+        }
     }
 
     // e, J and rate of a level's rows, one row after the other, for tests.
@@ -217,6 +265,9 @@ class Engine {
 
     // How many pairs of bodies had a row in the last tick, for tests.
     std::size_t near() const { return kernel_->near(); }
+
+    // Whether another thread may have the GIL meanwhile.
+    bool unlocks() const { return takes_long(*kernel_); }
 
     std::vector<double> worst() const {
         return {kernel_->check().worst_primal, kernel_->check().worst_dual};
@@ -234,6 +285,18 @@ class Engine {
         *stopped_ = stops ? 1.0 : 0.0;
         forget_exact();
         return come_back();
+    }
+
+    // A tick of a run at t, which goes on, and its step; BUSY where it is Python's.
+    int go_on(double& t, double* q, double* v, bool stops, bool all_corrected) {
+        const std::size_t n = kernel_->model().joints.size();
+        std::copy_n(q_now_, n, q);
+        const int how = decide(t, stops, all_corrected);
+        if (how == BUSY) return BUSY;
+        advance();
+        std::copy_n(v_now_, n, v);
+        t += kernel_->settings().dt;
+        return how;
     }
 
     // As coopqp.kernel.law says it.
@@ -287,6 +350,12 @@ class Engine {
         if (status) return status;
         if (learns && !kernel_->learn(*observer_, reading_, gap_, felt_))
             return int(coopqp::Status::Unusual);
+        fill(t);
+        return 0;
+    }
+
+    // The rows of tasks and limits at what the kinematics are.
+    void fill(double t) {
         for (auto& level : kernel_->levels) coopqp::clear(level.wish, kernel_->model().blocks);
         const auto& m = kernel_->model();
         const auto& bound = kernel_->bound;
@@ -294,7 +363,6 @@ class Engine {
         auto& limits = kernel_->limits;
         bounds_.update(m, bound.q, bound.v_last, limits.lb, limits.ub);
         twist_limits_.update(kernel_->kinematics, m, kernel_->rows(), limits.G, limits.h);
-        return 0;
     }
 
     bool waits() const { return !q_now_ || *stopped_ != 0.0; }
@@ -314,11 +382,13 @@ class Engine {
     // one, and another thread may keep it for milliseconds meanwhile.
     struct Unlocked {
         explicit Unlocked(const coopqp::Kernel& kernel) {
-            if (kernel.model().blocks > SHORT) released.emplace();
+            if (takes_long(kernel)) released.emplace();
         }
         std::optional<nb::gil_scoped_release> released;
     };
-    static constexpr int SHORT = 8;  // blocks of joints
+    static bool takes_long(const coopqp::Kernel& kernel) {
+        return kernel.model().blocks > 8;  // of joints
+    }
 
     // One thread at a time: another is told so.
     struct Use {
@@ -375,20 +445,22 @@ class Engine {
     }
 
     std::unique_ptr<coopqp::Kernel> kernel_;
+    std::optional<coopqp::ResolvedRate> resolved_rate_;
     coopqp::Program program_;
     coopqp::Bounds bounds_;
     std::atomic_flag busy_ = ATOMIC_FLAG_INIT;
     coopqp::TwistLimits twist_limits_;
     FilledLimits filled_limits_{};
     std::vector<Filled> filled_;
-    nb::object state_, command_, limits_, measured_, read_, observing_;
+    nb::object state_, limits_, measured_, read_, observing_;
     std::unique_ptr<coopqp::LoopObserver> observer_;
     const double* reading_ = nullptr;
     double *gap_ = nullptr, *felt_ = nullptr;
     nb::list rows_;
     nb::dict references_;
     double *q_now_ = nullptr, *v_now_ = nullptr, *commanded_ = nullptr;
-    double* stopped_ = nullptr;
+    double *stopped_ = nullptr, *J_ext_ = nullptr;
+    PyObject* bound_to_ = nullptr;
 };
 
 }  // namespace KERNEL_MODULE

@@ -18,7 +18,7 @@ from coopqp.model.geometry import Reference
 from coopqp.model.state import State
 from coopqp.program import Programs, sees_twist
 from coopqp.robot import Convex, axis_of
-from coopqp.task import Task, TaskStack, levers_of
+from coopqp.task import Task, TaskStack, evaluate_all, levers_of
 
 Flat = dict[str, Any]
 
@@ -217,8 +217,7 @@ class Levels:
 
     def update(self, state: State) -> None:
         self.follow(state)
-        for stack in self.filled:
-            stack.update(state)
+        evaluate_all([pair for stack in self.filled for pair in stack.bound], state)
 
     def _level(self, level: int, group: Group) -> Flat:
         rows: list[tuple[float, ...]] = []

@@ -13,7 +13,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from coopqp.base.spec import Array
 from coopqp.controller import Command, ControlProblem, InternalForceControl, Law
 from coopqp.kernel.compiled import Bound, Compiled, Limits, Outcome, plain_numbers
 from coopqp.kernel.flat import Group
@@ -50,7 +52,7 @@ RESTS = {
 }  # fmt: skip
 IN_A_RUN = {**ALL_WELL, **RESTS}
 AT_ONCE = 1000  # ticks of a run without Python
-NOTHING = (None,) * 5 + ((),)
+NOTHING = (None,) * 5 + ((), None)
 
 
 class KernelLaw(Law):
@@ -66,6 +68,7 @@ class KernelLaw(Law):
     """
 
     engine = "kernel"
+    outcomes = tuple(IN_A_RUN.get(outcome, ()) for outcome in range(1 + max(IN_A_RUN)))
 
     def __init__(
         self,
@@ -77,26 +80,27 @@ class KernelLaw(Law):
         super().__init__(problem, squeezer=squeezer)
         self._order = order = Order(problem)
         self._limits = limits = Limits(problem, order.start)
-        self._settings = limits, damping, error_damping, self.command.v
+        self._settings = limits, damping, error_damping
         first, *later = order.groups
         self.memory_sizes = memory_sizes(problem, 1 + len(later), squeezer)
         whole = [Group(first, order.hard, order.scaled), *(Group(tasks) for tasks in later)]
         self.whole = Compiled(problem, order.programs, whole, *self._settings)
         self.rows_in_python = self.whole.rows_in_python
         self._engine_step = self.whole.engine.step
-        self._alone_at_all = self.whole.alone and squeezer is None
-        self._runs = self._alone_at_all and not self.whole.follows and limits.q_measured is None
+        follows = self.whole.follows or limits.q_measured is not None
+        self._runs = self.whole.alone and squeezer is None and not follows
         self._relaxes = problem.on_infeasible == "scale"
         self._stops = problem.on_infeasible == "stop"
         self._dt = problem.dt
         self._exact = bool(order.hard or order.scaled)
+        self._takes_turns = self._exact or self.whole.engine.unlocks()
         self._asked = False  # whether the kernel has been asked in this tick
         self._shown: tuple[Any, ...] = NOTHING
 
     @cached_property
     def plain(self) -> QPLaw:
         """The same law in Python, for ticks without an answer of the kernel; built on demand."""
-        _, damping, error_damping, _ = self._settings
+        _, damping, error_damping = self._settings
         return QPLaw(self.problem, damping, error_damping, self.squeezer, self._order)
 
     def prepare(self) -> KernelLaw:
@@ -104,18 +108,18 @@ class KernelLaw(Law):
         self.plain.prepare()
         return self
 
-    def tick(self, state: State) -> Command:
-        """The command for the next dt; by the kernel alone where possible."""
+    def _tick(self, state: State) -> Command:
+        """Without pinocchio where possible."""
         self._asked = False
         if self._alone(state) and not self._stopped[0]:
             self._asked = True
             if self._decided_alone(state):
-                state.jacobians_due = True
+                state.jacobians_due = self.whole.alone
                 state.corrected = 1.0
                 if self.whole.outcome or state.inputs.stale or state.inputs.refused:
                     return self._told(state, self.command, [])
                 return self.command
-        return super().tick(state)
+        return super()._tick(state)
 
     def decide(self, state: State) -> Command:
         """Fill Python's rows and let the kernel decide; the plain law where it has no answer."""
@@ -125,7 +129,6 @@ class KernelLaw(Law):
                 self.command.v[:] = 0.0
                 self._rests(STANDS)
                 return self.command
-            self._limits.update(state)
             if self._decides(state):
                 return self.command
         with np.errstate(all="ignore"):
@@ -136,11 +139,11 @@ class KernelLaw(Law):
         return command
 
     def _decide(self, state: State) -> Command:
-        """Without Python's rows there is nothing that numpy could warn of."""
-        return self.decide(state) if self._alone_at_all else super()._decide(state)
+        """Whatever of a tick is Python's looks after numpy's warnings itself."""
+        return self.decide(state)
 
     def _decided_alone(self, state: State) -> bool:
-        """The same where a signal may raise; :meth:`decide` then handles the exception."""
+        """The same where tasks may raise; :meth:`decide` then handles the exception."""
         try:
             return self._decides(state, None if state.q_measured is None else self.observer)
         except KeyboardInterrupt:
@@ -156,6 +159,7 @@ class KernelLaw(Law):
         if outcome in ALL_WELL:
             self._say(ALL_WELL[outcome])
             self.command.scale = self.whole.engine.scale() if self._exact else 1.0
+            self.rows_us = self.whole.rows_us
             return True
         if outcome == INFEASIBLE and not self._relaxes and self._rests(whole.engine.rest()):
             self._missed[:] = self._missing[:] = 0.0
@@ -168,8 +172,9 @@ class KernelLaw(Law):
     def step(self, state: State) -> Command:
         """A tick and state.advance in one; by the kernel alone where possible."""
         inputs = state.inputs
-        seen, q, v, gap, memory, bound = self._shown
-        # As _alone and _ready, without their calls, which are 3 % of a tick.
+        seen, q, v, gap, memory, bound, command = self._shown
+        # As _alone and _ready, without their calls, which are 3 % of a tick. To take turns is 5 %;
+        # where the engine keeps the GIL it steps q or nothing.
         if (
             state is seen
             and state.q is q
@@ -183,18 +188,33 @@ class KernelLaw(Law):
         ):
             if bound and _others(inputs, bound):
                 return super().step(state)
-            outcome = self._engine_step(state.t)
+            if self._takes_turns:
+                with self._turn:
+                    outcome = self._engine_step(state.t, q)
+                    command.scale = self.whole.engine.scale()
+            else:
+                outcome, command.scale = self._engine_step(state.t, q), 1.0
             if outcome in ALL_WELL:
                 state.t += self._dt
                 state.jacobians_due = True
                 state.corrected = 1.0
-                command, self.compiled = self.command, True
-                command.drift = command.scale = 1.0
+                self.compiled = True
+                command.drift = 1.0
                 command.causes, command.told = ALL_WELL[outcome], ()
-                if self._exact:
-                    command.scale = self.whole.engine.scale()
                 return self.with_why(state, command) if outcome else command
         return super().step(state)
+
+    def run_starts(
+        self, starts: Array, q: Array, v: Array, said: NDArray[np.uint8]
+    ) -> NDArray[np.int32]:
+        """Without the GIL, bit-equal to :meth:`run`."""
+        with self._turn:
+            state, done = self.start(), np.full(len(starts), -1, np.int32)
+            self._serve(state)
+            if self._runs and self._alone(state):
+                memory = state.memory.numbers
+                self.whole.engine.run_starts(state.t, starts, q, v, said, memory, done, self._stops)
+            return done
 
     def _run_all(self, state: State, found: TickBatch) -> None:
         """Without the GIL, bit-equal to tick by tick.
@@ -246,16 +266,17 @@ class KernelLaw(Law):
         return True
 
     def _alone(self, state: State) -> bool:
-        """Whether the kernel may decide, without Python's rows or forces."""
-        if self.squeezer or not self._alone_at_all:
+        """Whether the kernel may decide: no forces are measured, and no joints beside own rows."""
+        if self.squeezer:
             return False
-        if state.q_measured is not None and not self.whole.measures(state, self.observer):
-            return False
-        return self._ready(state)
+        if state.q_measured is None:
+            return self._ready(state)
+        reads = self.whole.alone and self.whole.measures(state, self.observer)
+        return reads and self._ready(state)
 
     def _ready(self, state: State) -> bool:
         """Whether the kernel may decide at a state; binds arrays that are new to it."""
-        seen, q, v, gap, memory, bound = self._shown
+        seen, q, v, gap, memory, bound, _ = self._shown
         if (
             state is seen
             and state.q is q
@@ -267,6 +288,11 @@ class KernelLaw(Law):
             return True
         return self._shows(state)
 
+    def _serve(self, state: State) -> None:
+        if state is not self._served:
+            self._shown = NOTHING
+        super()._serve(state)
+
     def _shows(self, state: State) -> bool:
         """Bind the arrays of a state; whether the kernel may decide at them."""
         memory = state.memory
@@ -275,10 +301,10 @@ class KernelLaw(Law):
         if memory.sizes != self.memory_sizes:
             state.memory = memory = Memory(self.memory_sizes)
         self._shown = NOTHING
-        bound = self.whole.bind(state, memory)
+        bound = self.whole.bind(state, memory, self.command.v)
         if bound is None:
             return False
-        self._shown = (state, state.q, state.v, state.gap, memory, bound)
+        self._shown = (state, state.q, state.v, state.gap, memory, bound, self.command)
         self._stopped = memory["stopped"]
         self._missed, self._missing = memory["missed"], memory["missing"]
         return True

@@ -18,6 +18,7 @@ namespace KERNEL_MODULE {
 
 using Numbers = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
 using Written = nb::ndarray<double, nb::c_contig, nb::device::cpu>;
+using Counts = nb::ndarray<std::int32_t, nb::c_contig, nb::device::cpu>;
 using Said = nb::ndarray<std::uint8_t, nb::c_contig, nb::device::cpu>;
 
 std::vector<double> numbers(const nb::dict& from, const char* key) {

@@ -84,6 +84,7 @@ class State:
         corrected: share of the Baumgarte correction that the last tick did.
         jacobians_due: whether the poses alone are up to date, as the kernel leaves them; Jacobians
             are then computed when somebody asks for them.
+        joints_due: whether ``J_ext`` is the kernel's, and what else is known of each joint is due.
         inputs: filtered values of what arrived from outside, by name; empty where nothing can.
     """
 
@@ -104,7 +105,7 @@ class State:
         self._J_ext = np.zeros((6 * arms, n))
         self._J_shown = read_only(self._J_ext)
         self._J_task, self._J_rel = self._J_shown[:6], self._J_shown[6:]
-        self._q_seen, self.jacobians_due = self.q.copy(), False
+        self._q_seen, self.jacobians_due, self.joints_due = self.q.copy(), False, False
         self.loop_error, self.gap, self.drift = np.zeros((3, 6 * (arms - 1)))
         self.felt = np.full(2 + 6 * (arms - 1), np.nan)
         self.q_measured: Array | None = None
@@ -178,7 +179,7 @@ class State:
         self.update_drift()
 
     def _differentiate(self) -> None:
-        self.jacobians_due = False
+        self.jacobians_due = self.joints_due = False
         model, data, axes = self._model, self._data, pin.LOCAL_WORLD_ALIGNED
         pin.computeJointJacobians(model, data, self._q_seen)
         for frame in self.chain.frames:
@@ -187,19 +188,19 @@ class State:
         self.chain.mixing.dot(np.concatenate(J_arms), self._J_ext)
 
     def written(self) -> dict[str, Array]:
-        """Arrays by name that the kernel writes instead of :meth:`update`; Jacobians are then due.
+        """Arrays by name that the kernel writes instead of :meth:`update`; others are then due.
 
         ``q_seen`` is the q that the poses belong to, ``commanded`` what :meth:`advance` keeps.
         """
         return {
             "q": self.q, "v": self.v, "gap": self.gap, "p_WO": self.p_WO, "R_WO": self.R_WO,
             "loop_error": self.loop_error, "drift": self.drift, "q_seen": self._q_seen,
-            "commanded": self._commanded, "felt": self.felt,
+            "commanded": self._commanded, "felt": self.felt, "J_ext": self._J_ext,
         }  # fmt: skip
 
     def _refresh(self) -> None:
-        """Compute the Jacobians of the q that the poses belong to, if that is still to be done."""
-        if self.jacobians_due:
+        """Compute all of the q that the poses belong to, if that is still to be done."""
+        if self.jacobians_due or self.joints_due:
             self._differentiate()
             if self._rows_chosen:
                 self._update_loop_rows()
@@ -207,19 +208,22 @@ class State:
     @property
     def J_ext(self) -> Array:
         """[J_tsk; J_rel] of eq. (31), shape (6 N, n)."""
-        self._refresh()
+        if self.jacobians_due:
+            self._refresh()
         return self._J_shown
 
     @property
     def J_task(self) -> Array:
         """Its first six rows, (v; omega) of the object in world axes."""
-        self._refresh()
+        if self.jacobians_due:
+            self._refresh()
         return self._J_task
 
     @property
     def J_rel(self) -> Array:
         """The other 6 L rows."""
-        self._refresh()
+        if self.jacobians_due:
+            self._refresh()
         return self._J_rel
 
     @property
@@ -375,7 +379,7 @@ class _Locked(State):
     """A state while code of plug-ins looks at it: what it has cannot be replaced."""
 
     def __setattr__(self, name: str, value: Any) -> None:
-        if not (name.startswith("_") or name == "jacobians_due"):  # which it computes when asked
+        if not name.startswith(("_", "jacobians_due", "joints_due")):  # what it computes when asked
             raise AttributeError(f"state.{name} cannot be replaced: plug-ins only read the state")
         object.__setattr__(self, name, value)
 

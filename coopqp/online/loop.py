@@ -13,13 +13,15 @@ this, keeps the period, and stops the robot at the end.
 
 from __future__ import annotations
 
+import functools
+import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from types import TracebackType
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -144,6 +146,20 @@ class History:
         )
 
 
+Method = TypeVar("Method", bound=Callable[..., Any])
+
+
+def in_turn(method: Method) -> Method:
+    """A method of the loop that threads call one after the other."""
+
+    @functools.wraps(method)
+    def taken(loop: OnlineLoop, *args: Any, **keys: Any) -> Any:
+        with loop._turn:
+            return method(loop, *args, **keys)
+
+    return cast(Method, taken)
+
+
 class OnlineLoop:
     """One controller of a scenario, tick by tick, with measured joints from any robot.
 
@@ -200,6 +216,7 @@ class OnlineLoop:
         observer: Observer | None = None,
     ) -> None:
         check_options(locals())
+        self._turn = threading.RLock()
         self._reactions = checked_reactions(reactions)
         self._chosen = controller_of(scenario, controller)
         if self._chosen.commands_torques:
@@ -223,6 +240,7 @@ class OnlineLoop:
         self._interrupts = Interrupts(self.end)
         self.reset()
 
+    @in_turn
     def reset(self) -> None:
         """Forget all but the history; the next tick begins where the robot is then."""
         self._keeper.close()
@@ -334,6 +352,7 @@ class OnlineLoop:
         """
         self._phases.ask()
 
+    @in_turn
     def begin(self, q: ArrayLike) -> None:
         """Take hold at measured joints, as in :meth:`tick`; else the first tick does it.
 
@@ -347,11 +366,12 @@ class OnlineLoop:
             raise InvalidValueError(f"q: {self._readings.note or wrong.value}")
         self._begin()
 
+    @in_turn
     def tick(self, q: Any, inputs: Mapping[str, Any] | None = None) -> Command:
         """One period.
 
         Called before its period is over, it holds the last command with status ``EARLY``; what has
-        come counts for the next tick.
+        come counts for the next tick. Threads take turns.
 
         Args:
             q: measured joints, shape (n,) [rad, m], or those of the robot alone without the

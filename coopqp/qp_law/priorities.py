@@ -77,9 +77,10 @@ class Order:
         tasks = [*self.hard, *self.scaled, *itertools.chain(*self.groups[:level])]
         if any(task.joint_space and task.all_joints for task in tasks):
             return True
-        chain, stack = self.start.chain, TaskStack(tasks, self.start)
-        if len(chain.loops.solver_rows) + len(stack.J) < chain.n:
+        chain = self.start.chain
+        if len(chain.loops.solver_rows) + sum(len(task.rows(chain)) for task in tasks) < chain.n:
             return False
+        stack = TaskStack(tasks, self.start)
         anywhere = states_along(chain, chain.sample(np.random.default_rng(0), SAMPLES))
         for state in itertools.chain([self.start], anywhere):
             stack.update(state)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -47,7 +47,7 @@ COLUMNS = {
     "failed": Column("Failed ticks", "", "Ticks without a usable answer; the joints held still."),
     "tick": Column("Median tick", "µs", "From reading the joints to the verified command, and in "
                    "which language: C++ and Python are no measure of each other. Python rows: the "
-                   "kernel decides, Python fills rows of limits or tasks, as of your own."),
+                   "kernel decides, Python fills rows of limits or tasks, in the time behind it."),
 }  # fmt: skip
 
 
@@ -60,7 +60,9 @@ class Cell:
     each: tuple[bool, ...] = ()
 
 
-def cells(trace: Trace, metrics: Mapping[str, Any]) -> dict[str, Cell]:
+def cells(
+    trace: Trace, metrics: Mapping[str, Any], beside: Iterable[Trace] = ()
+) -> dict[str, Cell]:
     """The entries of one controller, by the keys of COLUMNS."""
     found, speed = assess(trace), metrics["velocity_violation_max"]
     place = trace.units[_worst(beyond(trace))]
@@ -79,7 +81,7 @@ def cells(trace: Trace, metrics: Mapping[str, Any]) -> dict[str, Cell]:
         ),
         "motors": _motors(found),
         "failed": _failed(metrics),
-        "tick": _tick(trace),
+        "tick": _tick(trace, metrics["engine"], any(other.compiled.any() for other in beside)),
     }
 
 
@@ -91,14 +93,20 @@ def tick_times_in(trace: Trace) -> dict[str, Array]:
     return {k: of for k, of in times.items() if len(of)} if np.isfinite(us).all() else {}
 
 
-def _tick(trace: Trace) -> Cell:
-    """The median in the language of most ticks, and how many ran in the other one."""
+def _tick(trace: Trace, engine: dict[str, Any] | None, beside_compiled: bool) -> Cell:
+    """The median in the language of most ticks, what rows cost, how many ran in the other one.
+
+    No time of Python beside times of compiled laws: a table compares laws, and not languages.
+    """
     times = sorted(tick_times_in(trace).items(), key=lambda item: -len(item[1]))
     if not times:
         return Cell(("-",))
     (language, us), *others = times
     more = (f"{len(of)} in {other}" for other, of in others)
-    return Cell((f"{np.median(us):.0f}", *language.split(" ", 1), *more))
+    cost = engine["rows_us"] if engine and language == LANGUAGES[1] else None
+    rows = "" if cost is None else f":{NBSP}{cost:.0f}"
+    said = "-" if beside_compiled and language == LANGUAGES[2] else f"{np.median(us):.0f}"
+    return Cell((said, *f"{language}{rows}".split(" ", 1), *more))
 
 
 def _solvers(comparison: Comparison) -> str:

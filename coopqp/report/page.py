@@ -101,7 +101,8 @@ def _summary(comparison: Comparison, looks: dict[str, Style], folder: Path | Non
 
 
 def _row(comparison: Comparison, name: str, style: Style, folder: Path | None) -> str:
-    row = cells(comparison.traces[name], comparison.metrics[name])
+    traces = comparison.traces
+    row = cells(traces[name], comparison.metrics[name], traces.values())
     entries = "".join(_entry(row[k], column, wraps=k in WRAPPING) for k, column in COLUMNS.items())
     told = folder if comparison.scenario.source and row["reached"].bad else None
     why = _explained_by(comparison, name, told) if told else ""

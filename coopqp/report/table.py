@@ -92,7 +92,7 @@ def summary(comparison: Comparison) -> Table:
     for heading in SHOWN.values():
         table.add_column(Text(heading), justify="right", no_wrap=True)
     for name, trace in comparison.traces.items():
-        row = cells(trace, comparison.metrics[name])
+        row = cells(trace, comparison.metrics[name], comparison.traces.values())
         said = Text.assemble((name, "bold"), "\n", comparison.verdicts[name])
         table.add_row(said, *(_entry(row[key]) for key in SHOWN))
     return table

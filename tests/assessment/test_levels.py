@@ -131,14 +131,16 @@ def test_an_acceleration_is_told_with_its_cure_where_there_is_one() -> None:
 
 def test_the_cell_says_which_language_filled_the_rows() -> None:
     scenario, trace = hurried()
-    alone = replace(trace, tick_us=np.ones(trace.ticks))
+    us = np.ones(trace.ticks)
+    alone = replace(trace, tick_us=us)
     metrics = summarize(scenario, {"qp": alone}).metrics["qp"]
     assert metrics["engine"]["rows_in_python"] == []
     assert cells(alone, metrics)["tick"].lines == ("1", "C++")
-    told = replace(alone, rows_in_python=("mine",))
+    told = replace(trace, tick_us=9.0 * us, rows_us=4.0 * us, rows_in_python=("mine",))
     metrics = summarize(scenario, {"qp": told}).metrics["qp"]
     assert metrics["engine"]["rows_in_python"] == ["mine"]
-    assert cells(told, metrics)["tick"].lines == ("1", "C++", "+\N{NO-BREAK SPACE}Python rows")
+    rows = "+\N{NO-BREAK SPACE}Python rows:\N{NO-BREAK SPACE}4"
+    assert cells(told, metrics)["tick"].lines == ("9", "C++", rows)
 
 
 def test_verdict_and_explanation_name_the_same_limits() -> None:

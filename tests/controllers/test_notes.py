@@ -108,7 +108,7 @@ def test_words_are_made_once_and_only_where_they_are_read(chain: ClosedChain) ->
     assert asked == [1]
     law.says = Status.OPTIMAL
     assert law.tick(law.start()).told == ()
-    assert command.note == ""
+    assert (law.command.note, command.note) == ("", "'reach' made soft")
 
 
 SLOW = (*LIMITS, JointAcceleration(max=1.0))

@@ -6,6 +6,10 @@ import multiprocessing
 import os
 import pickle
 import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any, Literal
@@ -13,13 +17,14 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 from chains import ring, robot_of, serial
-from forking import program
+from forking import forked, program
 from laws import LIMITS, NEAR, problem
 from side_by_side import needs_kernel
 
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array
-from coopqp.controllers import QPController
+from coopqp.controller import Controller
+from coopqp.controllers import Pseudoinverse, QPController
 from coopqp.execution.controller_run import run
 from coopqp.grasps import Rigid
 from coopqp.kernel import native
@@ -27,9 +32,11 @@ from coopqp.kernel.flat import why_not
 from coopqp.kernel.law import KernelLaw
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.held_object import HeldObject
+from coopqp.model.state import State
 from coopqp.robot_files.mdh import MdhParameters as Parameters
 from coopqp.scenario.loader import load
 from coopqp.solver import Status
+from coopqp.task import Task
 from coopqp.tasks import JointCentering, PointOnPoint
 
 pytestmark = needs_kernel
@@ -108,14 +115,83 @@ def test_a_run_has_a_whole_number_of_ticks(
         law.run(law.start(), ticks)
 
 
-def test_two_threads_that_run_one_law_take_turns(chain: ClosedChain) -> None:
-    """Each gets what a run alone gives, to the last bit."""
-    law = QPController(engine="kernel").build(problem(chain, PointOnPoint(goal=NEAR)))
-    alone = law.run(law.start(), 20_000).v
+REACH = PointOnPoint(goal=NEAR)
+LAWS: dict[str, tuple[Controller, Task]] = {
+    "kernel": (QPController(engine="kernel"), REACH),
+    "hard": (QPController(engine="kernel"), replace(REACH, mode="hard")),
+    "large": (QPController(engine="kernel"), JointCentering(gain=0.5)),
+    "python": (QPController(engine="python"), REACH),
+    "pseudoinverse": (Pseudoinverse(), REACH),
+}
+
+
+@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("how", ["run", "step", "tick"])
+def test_two_threads_on_one_law_take_turns(
+    chain: ClosedChain, name: str, how: str, often: None
+) -> None:
+    """Each gets what it gets alone, to the last bit, and nobody else writes to its command."""
+    chain = ring(7, 6) if name == "large" else chain
+    controller, task = LAWS[name]
+    law, ticks = controller.build(problem(chain, task)), 300
+
+    def work() -> Array:
+        state, v = law.start(), np.zeros((ticks, chain.n))
+        if how == "run":
+            return law.run(state, ticks).v
+        for k in range(ticks):
+            command = getattr(law, how)(state)
+            if how == "tick":
+                state.advance(command.v, law.problem.dt)
+            time.sleep(0.0)  # the other one's turn
+            v[k] = command.v
+        return v
+
+    alone = work()
     with ThreadPoolExecutor(2) as pool:
-        runs = [pool.submit(law.run, law.start(), 20_000) for _ in range(4)]
-        for found in runs:
-            np.testing.assert_array_equal(found.result().v, alone)
+        for found in [pool.submit(work) for _ in range(4)]:
+            np.testing.assert_array_equal(found.result(), alone)
+
+
+@pytest.fixture
+def often() -> Iterator[None]:
+    """Threads are changed in the middle of ticks."""
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    yield
+    sys.setswitchinterval(interval)
+
+
+def test_a_law_goes_on_in_a_process_that_was_forked_in_the_middle_of_a_tick(
+    chain: ClosedChain,
+) -> None:
+    """The thread whose turn it was is not there any more."""
+    law = QPController(engine="kernel").build(problem(chain, PointOnPoint(goal=NEAR)))
+    wanted, ticking, go_on = law.tick(law.start()).v.copy(), threading.Event(), threading.Event()
+
+    class Slow(State):
+        def update(self) -> None:
+            super().update()
+            if threading.current_thread() is not threading.main_thread():
+                ticking.set()
+                go_on.wait(10.0)
+
+    slow = Slow(chain)
+    slow.q_measured = slow.q.copy()
+    other = threading.Thread(target=law.tick, args=(slow,))
+
+    def same() -> bool:
+        signal.alarm(10)  # else it may wait for ever
+        return np.array_equal(law.tick(law.start()).v, wanted)
+
+    other.start()
+    assert ticking.wait(10.0)
+    try:
+        child = forked(lambda: os._exit(3 if same() else 4))
+        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 3
+    finally:
+        go_on.set()
+        other.join()
 
 
 def test_a_spawned_process_gives_the_same_bits() -> None:

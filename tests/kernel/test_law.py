@@ -13,6 +13,7 @@ from laws import LIMITS, NEAR, STEP, problem
 from side_by_side import needs_kernel
 
 from coopqp.base.errors import InvalidValueError
+from coopqp.base.spec import Array, spec
 from coopqp.controllers import QPController
 from coopqp.kernel import native
 from coopqp.kernel.flat import why_not
@@ -21,9 +22,10 @@ from coopqp.limits import Workspace
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.qp_law.law import QPLaw
+from coopqp.scenario.loader import load
 from coopqp.solver import Status
 from coopqp.solvers import Osqp
-from coopqp.task import Task
+from coopqp.task import Evaluate, Task, TaskRows
 from coopqp.tasks import JointCentering, Manipulability, PointOnPoint
 
 pytestmark = needs_kernel
@@ -117,6 +119,35 @@ def test_jacobians_are_those_of_the_tick(chain: ClosedChain) -> None:
     state.advance(command.v, 0.01)
     np.testing.assert_array_equal(state.J_ext, there.J_ext)
     np.testing.assert_allclose(state.p_WO, there.p_WO, atol=1e-15)
+
+
+@pytest.mark.parametrize("name", ["three_ur", "tiago_torso", "yeo_4_5"])
+def test_rows_in_python_are_filled_from_the_kernels_kinematics(name: str) -> None:
+    """Which are pinocchio's but for rounding, with what is asked of joints beside them."""
+    chain, seen = load(name).chain, dict[str, Array]()
+    of = ("p_WO", "R_WO", "J_ext", "J_task", "J_rel", "loop_error", "drift", "J_loop", "J_joints")
+
+    @spec
+    class Looks(Task):
+        def rows(self, chain: ClosedChain) -> tuple[str, ...]:
+            return ("x",)
+
+        def bind(self, start: State) -> Evaluate:
+            def evaluate(state: State, rows: TaskRows) -> None:
+                assert state.joints_due
+                seen.update({name: getattr(state, name).copy() for name in of})
+                rows.e[0], rows.J[0] = state.p_WO[0] - 0.1, state.J_task[0]
+
+            return evaluate
+
+    law = kernel(chain, Looks())
+    state = law.start()
+    state.q += 0.01 * np.cos(np.arange(chain.n))
+    there = State(chain, state.q)
+    assert law.tick(state).status.usable
+    assert law.compiled
+    for name in of:
+        np.testing.assert_allclose(seen[name], getattr(there, name), atol=1e-13, err_msg=name)
 
 
 def test_two_threads_on_one_kernel_do_not_crash(chain: ClosedChain) -> None:

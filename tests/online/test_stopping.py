@@ -14,7 +14,7 @@ from forking import program
 from online_loops import Scripted, follows, go, simulated
 
 from coopqp.limits import JointAcceleration
-from coopqp.online.loop import OnlineLoop
+from coopqp.online.loop import LoopTicks, OnlineLoop
 from coopqp.solver import Status
 
 NEAR = {"target": [0.15, 0.01, 0.05]}
@@ -40,6 +40,32 @@ def test_it_stops_for_any_reason_and_for_none(way: str, why: Any) -> None:
     assert loop.status is Status.STOPPED
     assert loop.note == loop.stopped
     assert loop.running == (way == "stop")
+
+
+def test_threads_that_tick_one_loop_take_turns() -> None:
+    """Their ticks are those of one thread that ticks as often."""
+
+    def ticked(threads: int) -> LoopTicks:
+        loop, _ = simulated(follows())
+        q, each = loop.setpoint.copy(), 120 // threads
+        loop.begin(q)
+        workers = [
+            threading.Thread(target=lambda: [loop.tick(q, NEAR) for _ in range(each)])
+            for _ in range(threads)
+        ]
+        for worker in workers:
+            worker.start()
+        for worker in workers:
+            worker.join()
+        return loop.history.last()
+
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    alone, together = ticked(1), ticked(2)
+    sys.setswitchinterval(before)
+    assert np.abs(alone.v).max() > 0.1
+    for name in ("number", "t", "q", "v", "causes"):
+        np.testing.assert_array_equal(getattr(together, name), getattr(alone, name))
 
 
 def test_other_threads_may_stop_it_and_let_it_go_on() -> None:

@@ -20,6 +20,7 @@ from coopqp.base.rank import null_space
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem, Law
 from coopqp.controllers import QPController
+from coopqp.kernel.law import KernelLaw
 from coopqp.model.state import State
 from coopqp.qp_law.bounds import Bounds
 from coopqp.solver import written
@@ -126,7 +127,7 @@ def ending(law: Law, state: State, record: Record, errors: PartErrors) -> Ending
 def _rest(law: Law, state: State, record: Record, errors: PartErrors) -> Ending:
     """Why the tasks rest short of the goal; a speed limit blocks nobody who stands still."""
     problem, tasks = law.problem, errors.stack(state)
-    plain = QPController().plain(problem)
+    plain = law.plain if isinstance(law, KernelLaw) else QPController().plain(problem)
     why = explain(record_tick(plain, state, scenario="random", controller="qp", tick=0))
     limits = [r.name for r in why.relaxations]
     names = [name for name in limits if not name.startswith(OF_SPEED)]

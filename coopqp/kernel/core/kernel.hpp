@@ -167,6 +167,7 @@ class Kernel {
     const Model& model() const { return *m_; }
     const Settings& settings() const { return s_; }
     const Rows& rows() const { return rows_; }
+    const std::vector<std::vector<int>>& kept() const { return kept_; }
     Check& check() { return tasks_.check(); }
 
   private:

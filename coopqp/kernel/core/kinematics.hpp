@@ -120,6 +120,26 @@ class Kinematics {
         }
     }
 
+    // [J_tsk; J_rel] of eq. (31) over the joints, row by row.
+    void write_jacobian(double* J) const {
+        const std::size_t n = joints_.size(), arms = carried.size();
+        std::fill_n(J, 6 * arms * n, 0.0);
+        for (std::size_t i = 0; i < arms; i++) {
+            const Arm& arm = model_.arms[i];
+            const double* column = arm.columns;
+            for (const auto* joints : {&arm.base, &arm.own})
+                for (int j : *joints) {
+                    for (std::size_t r = 0; r < 6; r++) {
+                        double* to = J + r * n + std::size_t(j);
+                        *to += arm.alpha * column[r];
+                        if (i > 0) to[6 * i * n] += column[r];
+                        for (std::size_t k = 1; i == 0 && k < arms; k++) to[6 * k * n] -= column[r];
+                    }
+                    column += TWIST;
+                }
+        }
+    }
+
   private:
     // How a joint moves what is at p.
     void moves(int j, const v4& p, double* twist) const {
