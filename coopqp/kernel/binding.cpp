@@ -4,12 +4,14 @@
 #include <nanobind/stl/vector.h>
 
 #include "deciding.hpp"
+#include "planning.hpp"
 #include "sliding.hpp"
 #include "trajectory_evaluation.hpp"
 
 using namespace nb::literals;
 
 using KERNEL_MODULE::Engine;
+using KERNEL_MODULE::Planner;
 using KERNEL_MODULE::Slide;
 using KERNEL_MODULE::TrajectoryEvaluation;
 
@@ -32,6 +34,10 @@ NB_MODULE(KERNEL_MODULE, m) {
         .def("scale", &Engine::scale)
         .def("rows", &Engine::rows)
         .def("worst", &Engine::worst);
+    nb::class_<Planner>(m, "Planner")
+        .def(nb::init<const nb::dict&>())
+        .def("project", &Planner::project)
+        .def("find", &Planner::find);
     nb::class_<Slide>(m, "Slide")
         .def(nb::init<const nb::dict&>())
         .def("step", &Slide::step);
