@@ -10,6 +10,7 @@ from functools import lru_cache
 from typing import ClassVar
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from coopqp.base.qp import Row, Side
@@ -82,6 +83,60 @@ class TwistBounds:
         return 2 * len(self.components) + len(self.points)
 
 
+class Form(IntEnum):
+    """How a body is bounded, from which ``kernel/core/shared.hpp`` is made."""
+
+    HULL = 0  # the convex hull of points
+    BOX = 1
+    CYLINDER = 2  # along z
+    ELLIPSOID = 3
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Solid:
+    """A convex body that is fixed to a joint, for the kernel.
+
+    Attributes:
+        joint: its id; 0 is the world.
+        placement: of the middle of the box round it, in the joint's frame.
+        half: half the edges of that box, shape (3,) [m].
+        radius: of the ball round it, about the same middle [m].
+        points: those it is the hull of, or some of a cylinder's, shape (k, 3) [m].
+        edges: which points a hull's edges lie between, shape (e, 2).
+        rim: by which the form is thickened [m].
+        levers: how fast each joint, at speed 1, moves its points at most, shape (n,) [m, 1].
+    """
+
+    joint: int
+    placement: pin.SE3
+    form: Form
+    half: Array
+    radius: float
+    points: Array
+    edges: NDArray[np.int64]
+    rim: float
+    levers: Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DistanceBounds:
+    """Rows of a limit that keeps pairs of bodies apart, for the kernel.
+
+    Attributes:
+        pairs: of bodies, as numbers in ``solids``, shape (p, 2).
+        distance: to keep [m]; of what is left ``gain`` may be used up per second [1/s].
+        within: what pairs are farther apart than that may be used up in a tick [m].
+    """
+
+    solids: Sequence[Solid]
+    pairs: NDArray[np.int64]
+    distance: float
+    gain: float
+    within: float
+
+
+Program = JointBounds | TwistBounds | DistanceBounds
+
 Tighten = Callable[[State, LimitRows], None]
 
 Clearance = Callable[[State], Array]
@@ -114,7 +169,7 @@ class Limit(ABC):
     def bind(self, chain: ClosedChain, dt: float) -> Tighten:
         """Return the function that tightens the bounds each tick of dt [s]."""
 
-    def program(self, chain: ClosedChain, dt: float) -> JointBounds | TwistBounds | None:
+    def program(self, chain: ClosedChain, dt: float) -> Program | None:
         """The same as numbers for the kernel; None where it has no such form."""
         return None
 

@@ -4,6 +4,7 @@
 #include <nanobind/stl/vector.h>
 
 #include "deciding.hpp"
+#include "free_space.hpp"
 #include "planning.hpp"
 #include "sliding.hpp"
 #include "trajectory_evaluation.hpp"
@@ -11,6 +12,7 @@
 using namespace nb::literals;
 
 using KERNEL_MODULE::Engine;
+using KERNEL_MODULE::FreeSpace;
 using KERNEL_MODULE::Planner;
 using KERNEL_MODULE::Slide;
 using KERNEL_MODULE::TrajectoryEvaluation;
@@ -34,6 +36,10 @@ NB_MODULE(KERNEL_MODULE, m) {
         .def("scale", &Engine::scale)
         .def("rows", &Engine::rows)
         .def("worst", &Engine::worst);
+    nb::class_<FreeSpace>(m, "FreeSpace")
+        .def(nb::init<const nb::dict&>())
+        .def("is_free", &FreeSpace::is_free)
+        .def("measure", &FreeSpace::measure);
     nb::class_<Planner>(m, "Planner")
         .def(nb::init<const nb::dict&>())
         .def("project", &Planner::project)

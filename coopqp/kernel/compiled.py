@@ -20,7 +20,7 @@ from coopqp.kernel.flat import (
     flat_twist_limit,
     kept_rows,
 )
-from coopqp.limit import Bounded, JointBounds, TwistBounds
+from coopqp.limit import Bounded, DistanceBounds, JointBounds, TwistBounds
 from coopqp.model.state import Memory, State
 from coopqp.program import Programs
 from coopqp.qp_law.bounds import Bounds
@@ -45,6 +45,7 @@ class Limits:
     def __init__(self, problem: ControlProblem, start: State) -> None:
         chain, dt, limits = problem.chain, problem.dt, problem.limits
         programs = [limit.program(chain, dt) for limit in limits]
+        programs = [None if isinstance(p, DistanceBounds) else p for p in programs]
         known = list(zip(limits, programs, strict=True))
         if any(program is None and not limit.rows(chain) for limit, program in known):
             known = [(limit, None) for limit in limits]
@@ -61,7 +62,9 @@ class Limits:
             elif isinstance(program, TwistBounds):
                 self.twist.append(flat_twist_limit(program, self.rows))
                 self.rows += program.rows
-        if filled := [limit for limit, program in known if program is None]:
+        if any(program is None for _, program in known):
+            # With constant bounds on v, which say how far limits in space must look ahead.
+            filled = [limit for limit, program in known if program is None or limit.constant]
             self.filled = Bounds(chain, filled, start, dt)
             self.rows += len(self.filled.rows)
 

@@ -12,7 +12,7 @@ import pinocchio as pin
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.kernel import native
-from coopqp.limit import JointBounds, TwistBounds, movers, opening
+from coopqp.limit import DistanceBounds, JointBounds, Solid, TwistBounds, movers, opening
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.geometry import Reference
 from coopqp.model.state import State
@@ -100,6 +100,33 @@ def flat_twist_limit(bounds: TwistBounds, at: int) -> Flat:
         "normal": np.array(bounds.normal, float),
         "offset": float(bounds.offset),
         "gain": float(bounds.gain),
+    }
+
+
+def flat_distances(chain: ClosedChain, bounds: DistanceBounds) -> Flat:
+    """Pairs of bodies as numbers."""
+    axes = chain.once(turned)
+
+    def flat(solid: Solid) -> Flat:
+        A, X = axes[solid.joint].T, solid.placement
+        return {
+            "joint": float(solid.joint - 1),
+            "placement": np.concatenate([(A @ X.rotation).ravel(), A @ X.translation]),
+            "form": float(solid.form),
+            "half": np.array(solid.half, float),
+            "radius": float(solid.radius),
+            "rim": float(solid.rim),
+            "points": np.array(solid.points, float).ravel(),
+            "edges": solid.edges.astype(float).ravel(),
+            "levers": np.array(solid.levers, float),
+        }
+
+    return {
+        "solids": [flat(solid) for solid in bounds.solids],
+        "pairs": bounds.pairs.astype(float).ravel(),
+        "distance": float(bounds.distance),
+        "gain": float(bounds.gain),
+        "within": float(bounds.within),
     }
 
 

@@ -2,24 +2,30 @@
 #pragma once
 #include <memory>
 
+#include "core/apart.hpp"
 #include "core/way.hpp"
 #include "reading.hpp"
 
 namespace KERNEL_MODULE {
 
-// A look for collisions in Python, by a function that says whether its argument is free.
-class Asked final : public coopqp::Obstruction {
+// The kernel's distances, then what limits in Python say of a configuration.
+class Room final : public coopqp::Obstruction {
   public:
-    Asked(nb::callable free, int n) : free_(std::move(free)), n_(n) {}
+    Room(const coopqp::Model& model, const std::vector<coopqp::KeptApart>& kept, nb::object others)
+        : space_(model, kept), others_(std::move(others)), n_(std::size_t(model.n())) {}
+
     bool free(const double* q) override {
+        if (!space_.free(q)) return false;
+        if (others_.is_none()) return true;
         nb::gil_scoped_acquire held;
-        nb::ndarray<nb::numpy, const double> seen(q, {std::size_t(n_)}, nb::handle());
-        return nb::cast<bool>(free_(nb::cast(seen, nb::rv_policy::copy)));
+        nb::ndarray<nb::numpy, const double> seen(q, {n_}, nb::handle());
+        return nb::cast<bool>(others_(nb::cast(seen, nb::rv_policy::copy)));
     }
 
   private:
-    nb::callable free_;
-    int n_;
+    coopqp::FreeSpace space_;
+    nb::object others_;
+    std::size_t n_;
 };
 
 class Planner {
@@ -37,18 +43,21 @@ class Planner {
             std::move(arena), std::move(model), numbers(d, "kept"), int(number(d, "rank")),
             std::move(levels), std::move(primitives), number(d, "t"), numbers(d, "lower"),
             numbers(d, "upper"));
+        for (nb::handle kept : nb::cast<nb::list>(d["distances"]))
+            kept_.push_back(kept_apart_of(nb::cast<nb::dict>(kept)));
     }
 
     // Bring each row of q to the manifold; `closed` says which are there.
     void project(const Written& q, const Said& closed, int steps) {
         const auto n = std::size_t(manifold_->n());
         if (q.size() != closed.size() * n) throw nb::value_error("a number for each joint");
-        nb::gil_scoped_release others;
+        const nb::gil_scoped_release released;
         for (std::size_t i = 0; i < closed.size(); i++)
             closed.data()[i] = manifold_->project(q.data() + i * n, nullptr, steps);
     }
 
-    nb::dict find(const nb::dict& d, const nb::callable& free, const nb::callable& wait) {
+    // `others` says whether a configuration keeps the limits that Python knows; None: there are none.
+    nb::dict find(const nb::dict& d, const nb::object& others, const nb::callable& wait) const {
         coopqp::Search search;
         search.step = number(d, "step");
         search.fine = number(d, "fine");
@@ -66,14 +75,14 @@ class Planner {
         if (n != std::size_t(manifold_->n()) || starts.size() % n || goals.size() % n ||
             flags.size() % n || search.charts.empty())
             throw nb::value_error("a number for each joint");
-        Asked asked(free, int(n));
-        coopqp::Way way(*manifold_, asked, search, [&] {
+        Room room(manifold_->model(), kept_, others);
+        coopqp::Way way(*manifold_, room, search, [&] {
             nb::gil_scoped_acquire held;
             wait();
         });
         coopqp::Found found;
         {
-            nb::gil_scoped_release others;
+            const nb::gil_scoped_release released;
             found = way.find(starts, goals);
         }
         nb::dict out;
@@ -89,6 +98,7 @@ class Planner {
 
   private:
     std::unique_ptr<coopqp::Manifold> manifold_;
+    std::vector<coopqp::KeptApart> kept_;
 };
 
 }  // namespace KERNEL_MODULE

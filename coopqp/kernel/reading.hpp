@@ -6,6 +6,7 @@
 #include <memory>
 #include <vector>
 
+#include "core/apart.hpp"
 #include "core/bounds.hpp"
 #include "core/kernel.hpp"
 #include "core/program.hpp"
@@ -28,6 +29,12 @@ std::vector<int> integers(const nb::dict& from, const char* key) {
     std::vector<int> found;
     for (double x : numbers(from, key)) found.push_back(int(x));
     return found;
+}
+
+std::vector<std::pair<int, int>> pairs_of(const std::vector<int>& flat) {
+    std::vector<std::pair<int, int>> pairs;
+    for (std::size_t i = 0; i + 1 < flat.size(); i += 2) pairs.emplace_back(flat[i], flat[i + 1]);
+    return pairs;
 }
 
 double number(const nb::dict& from, const char* key) { return nb::cast<double>(from[key]); }
@@ -162,6 +169,30 @@ coopqp::Bounds bounds_of(const nb::list& limits, std::size_t n, double dt) {
                      number(d, "speed")});
     }
     return bounds;
+}
+
+coopqp::Solid solid_of(const nb::dict& d) {
+    coopqp::Solid solid;
+    solid.joint = int(number(d, "joint"));
+    solid.at = placement(numbers(d, "placement").data());
+    solid.levers = numbers(d, "levers");
+    coopqp::Convex& convex = solid.convex;
+    convex.form = static_cast<coopqp::Form>(int(number(d, "form")));
+    const auto half = numbers(d, "half"), points = numbers(d, "points");
+    convex.half = {half[0], half[1], half[2]};
+    convex.radius = number(d, "radius");
+    convex.rim = number(d, "rim");
+    for (std::size_t i = 0; i + 2 < points.size(); i += 3)
+        convex.points.push_back({points[i], points[i + 1], points[i + 2]});
+    convex.open(pairs_of(integers(d, "edges")));
+    return solid;
+}
+
+coopqp::KeptApart kept_apart_of(const nb::dict& d) {
+    std::vector<coopqp::Solid> solids;
+    for (nb::handle solid : nb::cast<nb::list>(d["solids"]))
+        solids.push_back(solid_of(nb::cast<nb::dict>(solid)));
+    return {{std::move(solids), pairs_of(integers(d, "pairs"))}, number(d, "distance")};
 }
 
 coopqp::TwistLimit twist_limit_of(const nb::dict& d) {

@@ -17,17 +17,19 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 
 import coal
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.reading import version
 from coopqp.base.spec import Array
+from coopqp.limit import Form
 from coopqp.robot import Capsule, Shape
 from coopqp.robot_files.meshes import read_mesh
 
@@ -53,6 +55,8 @@ class Convex:
         radius: of the ball round it, about the same middle [m].
         points, rim: it is the hull of the points, shape (k, 3), thickened by the rim [m]; round
             ends of a cylinder have a few of their points, what is round all over has one.
+        form: hull of the points, or which other body.
+        edges: which points those of a mesh's hull lie between, shape (e, 2).
     """
 
     geometry: coal.CollisionGeometry
@@ -61,6 +65,8 @@ class Convex:
     radius: float
     points: Array
     rim: float = 0.0
+    form: Form = Form.HULL
+    edges: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), np.int64))
 
 
 def of_shape(shape: Shape) -> Convex:
@@ -84,9 +90,10 @@ def of_meshes(shapes: Sequence[Shape]) -> Convex:
     hull = _hull_of(np.concatenate(points).tobytes())
     if hull is None:
         raise InvalidValueError(f"mesh {shapes[0].mesh}: is flat; needs a volume")
-    geometry, middle, half, corners = hull
+    geometry, middle, half, corners, edges = hull
     radius = float(np.linalg.norm(corners, axis=1).max())
-    return Convex(geometry, X * pin.SE3(np.eye(3), middle), half, radius, corners)
+    placement = X * pin.SE3(np.eye(3), middle)
+    return Convex(geometry, placement, half, radius, corners, edges=edges)
 
 
 def outermost(shape: Shape) -> Array:
@@ -120,9 +127,11 @@ def _primitive(kind: str, size: tuple[float, ...], placement: pin.SE3) -> Convex
     if kind == "box":
         half = 0.5 * np.array(size)
         corners = half * np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
-        return Convex(coal.Box(*size), placement, half, float(np.linalg.norm(half)), corners)
+        radius = float(np.linalg.norm(half))
+        return Convex(coal.Box(*size), placement, half, radius, corners, form=Form.BOX)
     if kind == "ellipsoid":
-        return Convex(coal.Ellipsoid(*size), placement, np.array(size), max(size), middle)
+        round_all_over, half = coal.Ellipsoid(*size), np.array(size)
+        return Convex(round_all_over, placement, half, max(size), middle, form=Form.ELLIPSOID)
     if kind == "sphere":
         (radius,) = size
         return Convex(coal.Sphere(radius), placement, np.full(3, radius), radius, middle, radius)
@@ -133,7 +142,8 @@ def _primitive(kind: str, size: tuple[float, ...], placement: pin.SE3) -> Convex
         angles = np.linspace(0.0, 2.0 * np.pi, RIM, endpoint=False)
         rim = radius * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(RIM)])
         points = np.concatenate([rim + end for end in ends])
-        return Convex(coal.Cylinder(*size), placement, half, math.hypot(radius, reach), points)
+        ball, cylinder = math.hypot(radius, reach), coal.Cylinder(*size)
+        return Convex(cylinder, placement, half, ball, points, form=Form.CYLINDER)
     half[2] += radius
     points = ends if reach else middle
     return Convex(coal.Capsule(*size), placement, half, half[2], points, radius)
@@ -156,7 +166,9 @@ def _read(path: Path, changed: int, size: int, scale: tuple[float, ...]) -> Arra
 
 
 @lru_cache(maxsize=512)
-def _hull_of(points: bytes) -> tuple[coal.CollisionGeometry, Array, Array, Array] | None:
+def _hull_of(
+    points: bytes,
+) -> tuple[coal.CollisionGeometry, Array, Array, Array, NDArray[np.int64]] | None:
     """Convex hull of points, bytes for the cache, about the middle of its box; None if flat."""
     from scipy.spatial import ConvexHull, QhullError
 
@@ -168,12 +180,15 @@ def _hull_of(points: bytes) -> tuple[coal.CollisionGeometry, Array, Array, Array
         return None
     if np.bincount(hull.simplices.ravel()).max() > MAX_EDGES:
         raise InvalidValueError(f"mesh: over {MAX_EDGES} edges meet in a corner; {SIMPLER}")
-    number = {old: new for new, old in enumerate(hull.vertices.tolist())}
-    corners = hull.points[hull.vertices]
+    number = np.zeros(len(vertices), np.int64)
+    number[hull.vertices] = np.arange(len(hull.vertices))
+    faces, corners = number[hull.simplices], hull.points[hull.vertices]
     corner_list, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
     corner_list.extend(list(corners))
-    triangles.extend([coal.Triangle(*(number[i] for i in t)) for t in hull.simplices.tolist()])
-    return (coal.Convex(corner_list, triangles), middle, np.abs(corners).max(axis=0), corners)
+    triangles.extend([coal.Triangle(*face) for face in faces.tolist()])
+    sides = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    geometry, half = coal.Convex(corner_list, triangles), np.abs(corners).max(axis=0)
+    return geometry, middle, half, corners, np.unique(sides, axis=0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,9 @@ from coopqp.base.spec import Array, overshoot
 from coopqp.limit import (
     SHALLOW,
     Clearance,
+    DistanceBounds,
     LimitRows,
+    Solid,
     Tighten,
     damp,
     movers,
@@ -98,8 +100,7 @@ class Separation:
         there if it could come closer than ``distance`` before the next (:class:`LookAhead`).
         InvalidValueError: the gain overshoots in a tick dt [s].
         """
-        if wrong := overshoot(self.gain, dt):
-            raise InvalidValueError(f"{self.name}: {wrong}")
+        self._check_gain(dt)
         chain, pairs, distance, gain = self.chain, self.pairs, self.distance, self.gain
         found, count = Distances(pairs), len(pairs)
         corners = Corners(pairs, found, distance)
@@ -128,6 +129,23 @@ class Separation:
                 rows.h[i] = max(float(rows.h[i]), -BACK * float(np.abs(rows.G[i]).sum()))
 
         return tighten
+
+    def program(self, dt: float) -> DistanceBounds:
+        """The same for the kernel; InvalidValueError as for :meth:`bind`."""
+        self._check_gain(dt)
+        bodies = list(dict.fromkeys(body for pair in self.pairs for body in pair))
+        at = {body: i for i, body in enumerate(bodies)}
+        return DistanceBounds(
+            solids=[_solid(self.chain, body) for body in bodies],
+            pairs=np.array([[at[a], at[b]] for a, b in self.pairs], np.int64).reshape(-1, 2),
+            distance=self.distance,
+            gain=self.gain,
+            within=self.within,
+        )
+
+    def _check_gain(self, dt: float) -> None:
+        if wrong := overshoot(self.gain, dt):
+            raise InvalidValueError(f"{self.name}: {wrong}")
 
     def clearance(self) -> Clearance:
         """What is left of each pair's distance [m], at most of ``within``; corners have none."""
@@ -337,6 +355,21 @@ def levers(chain: ClosedChain, pairs: Sequence[Pair]) -> Array:
     first, second = (movers(chain, [pair[side].joint for pair in pairs]) for side in (0, 1))
     found = np.array([of_body[a] + of_body[b] for a, b in pairs]).reshape(-1, chain.n)
     return np.asarray(found * (first != second), float)
+
+
+def _solid(chain: ClosedChain, body: Body) -> Solid:
+    convex = body.convex
+    return Solid(
+        joint=body.joint,
+        placement=convex.placement,
+        form=convex.form,
+        half=convex.half,
+        radius=convex.radius,
+        points=convex.points,
+        edges=convex.edges,
+        rim=convex.rim,
+        levers=_levers_of(chain, body),
+    )
 
 
 def _levers_of(chain: ClosedChain, body: Body) -> Array:

@@ -22,7 +22,7 @@ from coopqp.base.qp import Row
 from coopqp.base.reading import FilePath
 from coopqp.base.spec import Array, Lengths3, Name, NonNegative, Pose, Positive, spec
 from coopqp.grasp import pose_matrix
-from coopqp.limit import Clearance, Limit, Tighten
+from coopqp.limit import Clearance, DistanceBounds, Limit, Tighten
 from coopqp.limits._bodies import bodies_of, named_bodies, unseen
 from coopqp.limits._distances import Body, Pair, of_shape
 from coopqp.limits._keep_apart import SHOWN, Separation, check_count
@@ -115,6 +115,9 @@ class Obstacles(Limit):
     def bind(self, chain: ClosedChain, dt: float) -> Tighten:
         """One row for each body and thing, whether near or not, so that the count never changes."""
         return self._separation(chain).bind(dt)
+
+    def program(self, chain: ClosedChain, dt: float) -> DistanceBounds:
+        return self._separation(chain).program(dt)
 
     def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
         """Distance of each body from each thing after each tick, less what is kept free [m]."""

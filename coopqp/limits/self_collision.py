@@ -21,7 +21,7 @@ from coopqp.base.errors import InvalidValueError, under
 from coopqp.base.qp import Row
 from coopqp.base.spec import Array, Name, NonNegative, Positive, spec
 from coopqp.base.wording import counted
-from coopqp.limit import Clearance, Limit, Tighten
+from coopqp.limit import Clearance, DistanceBounds, Limit, Tighten
 from coopqp.limits._bodies import (
     bodies_of,
     by_construction,
@@ -73,6 +73,9 @@ class SelfCollision(Limit):
     def bind(self, chain: ClosedChain, dt: float) -> Tighten:
         """One row a pair, whether near or not, so that the count never changes."""
         return self._separation(chain).bind(dt)
+
+    def program(self, chain: ClosedChain, dt: float) -> DistanceBounds:
+        return self._separation(chain).program(dt)
 
     def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
         """Distance of each pair after each tick, less what is kept free [m]."""

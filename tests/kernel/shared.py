@@ -12,6 +12,7 @@ from pathlib import Path
 from coopqp import limit, program
 from coopqp.kernel import compiled
 from coopqp.kernel.compiled import Outcome
+from coopqp.limits import _keep_apart
 from coopqp.model import geometry, profile
 from coopqp.qp_law import equations, level, limit_recovery, nearest, priorities, safety
 from coopqp.tasks import manipulability
@@ -33,6 +34,10 @@ CONSTANTS: Mapping[object, Mapping[str, str]] = {
     safety: {"SHORTEN": "SHORTEN", "SHORTEST": "SHORTEST"},
     limit_recovery: {name: name for name in ("LEAST_RECOVERY", "LEAST_MOTION", "KEPT")},
     limit: {"ROUNDING": "OUTSIDE", "SHALLOW": "SHALLOW"},
+    _keep_apart: {
+        "BACK": "BACK", "ROWS": "CORNER_ROWS", "EACH": "CORNERS_EACH", "CLOSE": "WITH_CORNERS",
+        "SLAB": "CORNER_SLAB",
+    },
     profile: {"RAMP": "RAMP"},
     geometry: {"TINY": "TINY", "CONE": "CONE"},
     manipulability: {"LARGE": "LARGE_PHI", "REGULAR": "REGULAR"},
@@ -64,9 +69,10 @@ def _lines() -> Iterator[str]:
     yield from _enum("enum class Status : int", outcomes)
     yield f"constexpr int {', '.join(f'{name} = {int(o)}' for name, o in flags.items())};"
     yield ""
-    yield "// coopqp.program.Kind, coopqp.limit.Bounded, coopqp.model.profile.KINDS"
+    yield "// coopqp.program.Kind, coopqp.limit.Bounded and Form, coopqp.model.profile.KINDS"
     yield from _enum("enum class Kind", {_camel(k.name): k for k in program.Kind})
     yield from _enum("enum class Bounded", {_camel(k.name): k for k in limit.Bounded})
+    yield from _enum("enum class Form", {_camel(k.name): k for k in limit.Form})
     kinds = {_camel(name): i for i, name in enumerate(profile.KINDS)}
     yield from _enum("enum class ProfileKind", kinds)
     yield ""

@@ -49,8 +49,7 @@ class Manifold {
     }
 
     int n() const { return m_->n(); }
-    const std::vector<double>& lower() const { return lower_; }
-    const std::vector<double>& upper() const { return upper_; }
+    const Model& model() const { return *m_; }
 
     // Bring q back with at most `steps` Newton steps; joints that are held stay (null: none are).
     bool project(double* q, const char* held, int steps) {

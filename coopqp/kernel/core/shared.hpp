@@ -42,6 +42,13 @@ constexpr double KEPT = 0.995;
 constexpr double OUTSIDE = 1e-09;
 constexpr double SHALLOW = 0.001;
 
+// coopqp.limits._keep_apart
+constexpr double BACK = 0.1;
+constexpr double CORNER_ROWS = 24.0;
+constexpr double CORNERS_EACH = 3.0;
+constexpr double WITH_CORNERS = 0.005;
+constexpr double CORNER_SLAB = 0.002;
+
 // coopqp.model.profile
 constexpr double RAMP = 0.25;
 
@@ -71,7 +78,7 @@ enum class Status : int {
 };
 constexpr int BUSY = -1, RELAXED = 16, STANDS = 32, COMES_BACK = 64;
 
-// coopqp.program.Kind, coopqp.limit.Bounded, coopqp.model.profile.KINDS
+// coopqp.program.Kind, coopqp.limit.Bounded and Form, coopqp.model.profile.KINDS
 enum class Kind {
     Point = 0,
     Radial = 1,
@@ -90,6 +97,12 @@ enum class Bounded {
     Position = 1,
     Braking = 2,
     Lead = 3,
+};
+enum class Form {
+    Hull = 0,
+    Box = 1,
+    Cylinder = 2,
+    Ellipsoid = 3,
 };
 enum class ProfileKind {
     Step = 0,

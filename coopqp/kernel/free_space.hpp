@@ -1,0 +1,47 @@
+// Distances of a robot's bodies at given configurations as a Python class.
+#pragma once
+#include <memory>
+
+#include "core/apart.hpp"
+#include "reading.hpp"
+
+namespace KERNEL_MODULE {
+
+class FreeSpace {
+  public:
+    explicit FreeSpace(const nb::dict& d) : model_(model_of(nb::cast<nb::dict>(d["model"]), arena_)) {
+        for (nb::handle kept : nb::cast<nb::list>(d["distances"]))
+            kept_.push_back(kept_apart_of(nb::cast<nb::dict>(kept)));
+    }
+
+    // For each configuration, (N, n), whether all pairs keep their distance; without the GIL.
+    void is_free(const Numbers& q, const Said& free) const {
+        const std::size_t n = model_->joints.size();
+        if (q.size() != n * free.size()) throw nb::value_error("a number for each joint");
+        const nb::gil_scoped_release released;
+        coopqp::FreeSpace space(*model_, kept_);
+        for (std::size_t i = 0; i < free.size(); i++)
+            free.data()[i] = space.free(q.data() + i * n);
+    }
+
+    // Of each pair: what was told, d, gap, p and n of coopqp::Closest, (pairs, 9); without the GIL.
+    void measure(const Numbers& q, const Written& found) const {
+        std::size_t pairs = 0;
+        for (const auto& each : kept_) pairs += each.pairs.size();
+        if (q.size() != model_->joints.size() || found.size() != 9 * pairs)
+            throw nb::value_error("a number for each joint, nine for each pair");
+        const nb::gil_scoped_release released;
+        double* to = found.data();
+        coopqp::FreeSpace(*model_, kept_).measure(q.data(), [&](const coopqp::Closest& c) {
+            for (double x : {double(c.told), c.d, c.gap, c.p.x, c.p.y, c.p.z, c.n.x, c.n.y, c.n.z})
+                *to++ = x;
+        });
+    }
+
+  private:
+    coopqp::Arena arena_;
+    std::unique_ptr<coopqp::Model> model_;
+    std::vector<coopqp::KeptApart> kept_;
+};
+
+}  // namespace KERNEL_MODULE

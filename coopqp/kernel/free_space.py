@@ -1,0 +1,70 @@
+"""Distances of a robot's bodies at given configurations, compiled; several threads may ask."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coopqp.base.spec import Array
+from coopqp.kernel import native
+from coopqp.kernel.flat import flat_distances, flat_model
+from coopqp.limit import DistanceBounds, Program
+from coopqp.model.closed_chain import ClosedChain
+
+#: Two bounds of a distance differ by no more where it is known [m], as in ``core/apart.hpp``.
+KNOWN = 1e-7
+
+
+class Told(IntEnum):
+    """What is said of a pair, as in ``core/gjk.hpp``."""
+
+    MEASURED = 0
+    BEYOND = 1
+    WITHIN = 2
+    INSIDE = 3  # not proved
+
+
+class FreeSpace:
+    """Whether configurations keep the distances of limits: self-collision, things in the world.
+
+    Args:
+        chain: the robot.
+        programs: of its limits (:meth:`coopqp.limit.Limit.program`); those that keep no distances
+            are left out. Pairs are numbered through, limit after limit.
+
+    It asks for a compiled kernel, and joints that are hinges or slides
+    (``flat_model(chain) is not None``).
+    """
+
+    def __init__(self, chain: ClosedChain, programs: Iterable[Program | None]) -> None:
+        kept = [program for program in programs if isinstance(program, DistanceBounds)]
+        self._pairs, self._n = sum(len(each.pairs) for each in kept), chain.n
+        found = native.module()
+        assert found is not None
+        flat = [flat_distances(chain, each) for each in kept]
+        self._space = found.FreeSpace({"model": chain.once(flat_model), "distances": flat})
+
+    def is_free(self, q: Array) -> NDArray[np.bool_]:
+        """Whether each row of q (N, n) is proved to keep all distances; without the GIL."""
+        free = np.zeros(len(q), np.uint8)
+        self._space.is_free(np.ascontiguousarray(q, float), free)
+        return free.view(np.bool_)
+
+    def distances(self, q: Array) -> Array:
+        """Signed distance of each pair at q (n,); NaN of bodies that are in each other [m]."""
+        found = self.measure(q)
+        known = (found[:, 0] == Told.MEASURED) & (found[:, 2] <= KNOWN)
+        return np.where(known, found[:, 1], np.nan)
+
+    def measure(self, q: Array) -> Array:
+        """Of each pair at q, shape (p, 9).
+
+        What is told, the distance, by how much it may be smaller [m], the nearest point of the
+        first body (3) and the unit normal towards the second one (3), in the world.
+        """
+        found = np.zeros((self._pairs, 9))
+        self._space.measure(np.ascontiguousarray(q, float), found)
+        return found
