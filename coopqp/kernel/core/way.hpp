@@ -63,6 +63,7 @@ class Way {
         if (!found_.found) return found_;
         found_.first = length(found_.path);
         shorten(found_.path);
+        smooth(found_.path);
         return found_;
     }
 
@@ -71,6 +72,7 @@ class Way {
     static constexpr int NEWTON = 12;        // steps of a projection along an edge
     static constexpr double STRETCH = 2.0;   // of a step, how much longer it may become
     static constexpr double SAME = 1e-6;     // configurations that are one [rad, m]
+    static constexpr int PASSES = 8;         // of smoothing
     static constexpr double LEAST = 1.0 / 16;  // share of a step below which none is tried
 
     struct Tree {
@@ -314,6 +316,41 @@ class Way {
             made.insert(made.end(), path.begin() + long(b * n), path.end());
             if (length(made) < at.back() - SAME) path = std::move(made);
         }
+    }
+
+    // Round the corners that shortcuts leave: points at a step's distance go to the middle between
+    // their neighbours. What the finer look does not stand stays as it was.
+    void smooth(Points& path) {
+        const auto n = std::size_t(n_);
+        Points rough(path.begin(), path.begin() + n_), q(n);
+        for (std::size_t at = n; at < path.size(); at += n)
+            if (at + n == path.size() || apart(&path[at], &rough[rough.size() - n]) > s_.step)
+                rough.insert(rough.end(), path.begin() + long(at), path.begin() + long(at + n));
+        const std::size_t count = rough.size() / n;
+        for (int pass = 0; pass < PASSES && !late(); pass++)
+            for (std::size_t i = 1; i + 1 < count; i++) {
+                double* here = &rough[i * n];
+                for (std::size_t j = 0; j < n; j++)
+                    q[j] = 0.5 * here[j] + 0.25 * (here[j - n] + here[j + n]);
+                if (project(q.data(), nullptr) && free(q.data()))
+                    std::copy(q.begin(), q.end(), here);
+            }
+        Points made;
+        if (refined(rough, made)) path = std::move(made);
+    }
+
+    // Halved to the finer step; false where something is in the way.
+    bool refined(const Points& rough, Points& made) {
+        const auto n = std::size_t(n_);
+        made.assign(rough.begin(), rough.begin() + n_);
+        for (std::size_t at = n; at < rough.size(); at += n) {
+            if (!between(&rough[at - n], &rough[at], s_.fine, emptied())) {
+                inner_.clear();
+                return false;
+            }
+            append(made, &rough[at]);
+        }
+        return true;
     }
 
     Manifold& m_;
