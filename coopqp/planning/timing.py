@@ -66,7 +66,8 @@ def _speeds(points: Array, speed: Array, push: Array) -> Array:
         return np.zeros(len(points))
     tangent = np.gradient(points, axis=0) / np.gradient(np.cumsum([0.0, *step]))[:, None]
     bend = np.abs(np.gradient(tangent, axis=0)) / step.mean()
-    window = np.ones(WIDTH) / WIDTH
+    width = min(WIDTH, len(points))
+    window = np.ones(width) / width
     bend = np.array([np.convolve(column, window, "same") for column in bend.T]).T
     size = np.maximum(np.abs(tangent), 1e-9)
     most = np.minimum((speed / size).min(axis=1), np.sqrt((0.5 * push / (bend + 1e-9)).min(axis=1)))

@@ -72,7 +72,7 @@ class Way {
     static constexpr int NEWTON = 12;        // steps of a projection along an edge
     static constexpr double STRETCH = 2.0;   // of a step, how much longer it may become
     static constexpr double SAME = 1e-6;     // configurations that are one [rad, m]
-    static constexpr int PASSES = 8;         // of smoothing
+    static constexpr int PASSES = 20;        // of smoothing
     static constexpr double LEAST = 1.0 / 16;  // share of a step below which none is tried
 
     struct Tree {
