@@ -228,7 +228,7 @@ class Planner:
     def _made(
         self, path: Path, q: Array, seen: Verification, goals: int, took: dict[str, float]
     ) -> Plan:
-        t, ticks = timed(self.problem, q)
+        t, ticks = timed(self.problem, q, self._allowed)
         poses = [self.chain.object_pose(row) for row in ticks]
         at = [[*X.translation, *quaternion_of(X.rotation)] for X in poses]
         whole = sum(took.values())
@@ -241,6 +241,13 @@ class Planner:
             found=True, sentence=sentence, joints=self.chain.joint_names, q=q, t=t, timed=ticks,
             object=np.array(at), verification=seen, seconds=took, path=path,
         )  # fmt: skip
+
+    def _allowed(self, q: Array) -> Array | None:
+        """Rows near the path on the manifold; None where one is not, or something is in the way."""
+        near = q.copy()
+        if not (self.space.project(near).all() and self.space.is_free(near).all()):
+            return None
+        return near
 
     def _nothing(self, why: str, took: dict[str, float], path: Path | None = None) -> Plan:
         n = self.chain.n

@@ -10,6 +10,9 @@ and each half of a_j is one term's. s_dot is found by a pass forwards from rest 
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Callable
+
 import numpy as np
 
 from coopqp.base.spec import Array
@@ -23,12 +26,23 @@ TO_SPEED = 0.3
 UNLIMITED = 1.0
 #: Share of the limits that the timing uses: the rest is for what the law corrects.
 SHARE = 0.8
+#: Ticks that corners are rounded over, and how much slower all may become for them.
+WINDOWS, SLOWER = (1, 5, 9, 15, 21, 31), (1.0, 1.3, 1.7, 2.3, 3.0)
 #: Distance of the points at which a path is timed [rad, m], and points that curvature is smoothed on.
 EVERY, WIDTH = 0.02, 5
 
+Allowed = Callable[[Array], Array | None]
+"""From rows near a path to those on the manifold; None where a limit is not kept."""
 
-def timed(problem: ControlProblem, q: Array) -> tuple[Array, Array]:
-    """Times [s] and configurations at each tick of a path q (K, n), shapes (T,) and (T, n)."""
+
+def timed(problem: ControlProblem, q: Array, allowed: Allowed) -> tuple[Array, Array]:
+    """Times [s] and configurations at each tick of a path q (K, n), shapes (T,) and (T, n).
+
+    Corners are rounded in time, so that accelerations keep their limits, as far as ``allowed``
+    gives what is near it on the manifold and keeps the limits in space; where it does not, all
+    goes slower.
+    """
+    dt = problem.dt
     if len(q) < 2:
         return np.array([0.0]), q.copy()
     points = along(q, EVERY)
@@ -36,11 +50,38 @@ def timed(problem: ControlProblem, q: Array) -> tuple[Array, Array]:
     s_dot = _speeds(points, SHARE * speed, SHARE * push)
     mean = np.maximum(0.5 * (s_dot[1:] + s_dot[:-1]), 1e-9)
     step = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    t = np.concatenate([[0.0], np.cumsum(step / mean)])
-    ticks = problem.dt * np.arange(int(np.ceil(t[-1] / problem.dt)) + 1)
-    s = np.concatenate([[0.0], np.cumsum(step)])
-    at = np.interp(ticks, t, s)
-    return ticks, np.array([np.interp(at, s, column) for column in points.T]).T
+    t, s = (np.concatenate([[0.0], np.cumsum(x)]) for x in (step / mean, step))
+    best, least = points[:1], np.inf
+    for slower, window in itertools.product(SLOWER, WINDOWS):
+        ticks = dt * np.arange(int(np.ceil(slower * t[-1] / dt)) + 1)
+        at = np.interp(ticks, slower * t, s)
+        made = np.array([np.interp(at, s, column) for column in points.T]).T
+        near = allowed(_averaged(made, window))
+        if near is None:
+            continue
+        excess = _excess(near, push, dt)
+        if excess < least:
+            best, least = near, excess
+        if excess <= 1.0:
+            break
+    return dt * np.arange(len(best)), best
+
+
+def _averaged(q: Array, window: int) -> Array:
+    """Moving average, twice, from rest to rest; so many ticks longer at both ends."""
+    if window < 2:
+        return q
+    held = np.concatenate([np.repeat(q[:1], window, 0), q, np.repeat(q[-1:], window, 0)])
+    weights = np.convolve(np.ones(window), np.ones(window)) / window**2
+    ends = [np.repeat(held[at], window - 1, 0) for at in (slice(0, 1), slice(-1, None))]
+    padded = np.concatenate([ends[0], held, ends[1]])
+    return np.array([np.convolve(column, weights, "valid") for column in padded.T]).T
+
+
+def _excess(q: Array, push: Array, dt: float) -> float:
+    """Largest acceleration over its limit, from rest to rest."""
+    v = np.diff(q, axis=0, prepend=q[:1], append=q[-1:]) / dt
+    return float((np.abs(np.diff(v, axis=0)) / dt / push).max(initial=0.0))
 
 
 def joint_limits(problem: ControlProblem) -> tuple[Array, Array]:

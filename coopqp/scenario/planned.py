@@ -23,6 +23,8 @@ from coopqp.tasks import Pose, Posture
 #: How fast what is left of an error goes to zero along the path [1/s].
 GAIN = 10.0
 WAY, GOAL = "way", "goal"
+#: How long the reference stays where the plan ends [s].
+SETTLES = 0.5
 #: How far a plan may begin from the start [rad, m].
 NEAR = 1e-3
 
@@ -61,6 +63,6 @@ def following(scenario: Scenario, path: Path) -> Scenario:
         Posture(name="planned joints", goal=way, gain=gain),
         Pose(name="planned object", goal=way, gain=gain),
     )
-    first = Phase(name=WAY, duration=max(end, scenario.dt), tasks=tasks)
+    first = Phase(name=WAY, duration=end + SETTLES, tasks=tasks)
     then = Phase(name=GOAL, duration=scenario.duration, tasks=scenario.tasks)
     return replace(scenario, tasks=(), duration=0.0, phases=(first, then))
