@@ -145,7 +145,9 @@ def reach(scenario: str, seed: int | None, catalog: Any, as_json: bool) -> None:
 
 @click.command()
 @SCENARIO
-@click.option("--out", type=WRITTEN, help="Folder for the path, and for a scenario that follows it.")
+@click.option(
+    "--out", type=WRITTEN, help="Folder for the path, and for a scenario that follows it."
+)
 @click.option("--keep", multiple=True, metavar="TASK", help="Met all along; more than once.")
 @click.option("--seconds", type=click.FloatRange(0.01, 3600.0), default=10.0, help="At most.")
 @click.option("--seed", type=click.IntRange(0), help="Of the search, instead of the scenario's.")

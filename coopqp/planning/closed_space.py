@@ -39,8 +39,8 @@ STEPS = 60
 
 #: Configurations at which charts are judged, how many of each leader are used, sets looked at.
 POSES, EACH, MOST_SETS = 60, 2, 200
-#: Followers are dependent below this singular value [m/rad, 1]; charts of which most are, are joined
-#: by the chart in which no joint leads.
+#: Followers are dependent below this singular value [m/rad, 1]; where a chart has this share of
+#: such poses, the chart in which no joint leads is used too.
 DEPENDENT, MOST = 0.02, 0.4
 
 Wait = Callable[[], None]
@@ -91,9 +91,7 @@ class ClosedSpace:
         CoopqpError: the kernel is not built, or cannot do such joints or tasks.
     """
 
-    def __init__(
-        self, problem: ControlProblem, tasks: Sequence[Task] = (), t: float = 0.0
-    ) -> None:
+    def __init__(self, problem: ControlProblem, tasks: Sequence[Task] = (), t: float = 0.0) -> None:
         chain = self.chain = problem.chain
         found, model = native.module(), chain.once(flat_model)
         if found is None or model is None:
@@ -140,9 +138,7 @@ class ClosedSpace:
             free &= np.array([self._others(row) for row in q], bool)
         return free
 
-    def way(
-        self, starts: Array, goals: Array, budget: Budget, wait: Wait = lambda: None
-    ) -> Path:
+    def way(self, starts: Array, goals: Array, budget: Budget, wait: Wait = lambda: None) -> Path:
         """A path from one of the starts to one of the goals, both closed, shape (k, n).
 
         ``wait`` is called ten times a second and ends the search by raising.
@@ -181,12 +177,12 @@ class ClosedSpace:
         return low, np.where(self.upper < LARGE, self.upper, q + UNLIMITED)
 
 
-def _others(
-    problem: ControlProblem, programs: Iterable[object]
-) -> Callable[[Array], bool] | None:
+def _others(problem: ControlProblem, programs: Iterable[object]) -> Callable[[Array], bool] | None:
     """Whether limits in space that the kernel does not know are kept; None where there are none."""
     known = zip(problem.limits, programs, strict=True)
-    asked = [limit.clearance(problem.chain) for limit, p in known if not isinstance(p, DistanceBounds)]
+    asked = [
+        limit.clearance(problem.chain) for limit, p in known if not isinstance(p, DistanceBounds)
+    ]
     left = [clearance for clearance in asked if clearance is not None]
     if not left:
         return None
@@ -245,5 +241,4 @@ def _best(J: Array, sets: Iterable[tuple[int, ...]]) -> list[tuple[int, ...]]:
 
 def _least(J: Array, follow: Sequence[int]) -> Array:
     """The smallest singular value of the followers' columns at each pose, shape (N,)."""
-    found: Array = np.linalg.svd(J[:, :, list(follow)], compute_uv=False)[:, -1]
-    return found
+    return np.asarray(np.linalg.svd(J[:, :, list(follow)], compute_uv=False)[:, -1], float)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from coopqp.base.errors import InvalidValueError, UnknownNameError
 from coopqp.base.spec import Array
@@ -19,7 +19,8 @@ from coopqp.planning.timing import timed
 from coopqp.planning.verification import Verification, Verifier, lengths
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import quaternion_of
-from coopqp.study.explanation.goal import placed
+from coopqp.study.explanation.goal import Goal, placed
+from coopqp.study.explanation.words import size
 from coopqp.task import Task
 
 #: Largest distance of a path's points: straight lines between them open loops by less than 0.01 mm.
@@ -28,6 +29,8 @@ CLOSE = 0.005
 VERIFIED = 0.01
 #: Goal configurations that are searched for, the nearest to the start of them are planned to.
 GOALS, NEAREST = 48, 12
+#: How far a start moves when its loops are closed exactly [rad, m].
+FAR = 1e-3
 #: Loops and tasks that a start is off by less, are closed and met there [m, rad].
 MET = 1e-6
 
@@ -115,12 +118,17 @@ class Planner:
         if outside.max(initial=0.0) > 0.0:
             joint = self.chain.joint_names[int(outside.argmax())]
             raise InvalidValueError(
-                f"start: {joint} is {outside.max():.3g} outside its limits; a way begins inside them"
+                f"start: {joint} is {outside.max():.3g} outside its limits; ways begin inside"
             ).at("start")
         moved = q[None].copy()
-        if not space.project(moved)[0] or np.abs(moved - q).max() > 1e-3:
-            names = f" with {', '.join(task.name for task in kept)} met" if kept else ""
-            raise InvalidValueError(f"start: the loops are not closed there{names}").at("start")
+        if kept and (missed := Goal(self.chain, kept, self._t).missed(q)):
+            part, error = missed[0]
+            raise InvalidValueError(
+                f"keep: {part.name} is {size(error, part.part.unit)} off at the start; "
+                "what is kept has to be met there"
+            )
+        if not space.project(moved)[0] or np.abs(moved - q).max() > FAR:
+            raise InvalidValueError("start: the loops are not closed there").at("start")
         if not space.is_free(q[None])[0]:
             clearance = space.room.at(q)
             row = space.room.rows[int(clearance.argmin())]
@@ -164,16 +172,16 @@ class Planner:
         more = f"; the last path failed the second look: {seen.words}" if seen else ""
         tried = f"not found in {time.perf_counter() - begun:.1f} s"
         to = f"no path to any of {counted(len(ends), 'goal configuration')}"
-        return self._nothing(f"{tried}: {to}; that proves nothing, more time may do{more}", took, path)
+        return self._nothing(
+            f"{tried}: {to}; that proves nothing, more time may do{more}", took, path
+        )
 
     def _start(self) -> Array:
         q = self.chain.q_start[None].copy()
         self.space.project(q)
         return q
 
-    def _goals(
-        self, budget: Budget, given: ArrayLike | None, begun: float
-    ) -> tuple[Array, str]:
+    def _goals(self, budget: Budget, given: ArrayLike | None, begun: float) -> tuple[Array, str]:
         """Goal configurations, the nearest to the start first, or why there are none."""
         n = self.chain.n
         if given is not None:
@@ -188,16 +196,19 @@ class Planner:
         if not goals.found:
             return np.zeros((0, n)), look(self.problem, self._t, budget.seed).sentence
         found = np.array(goals.found)
-        if not self._holds(found).all():
-            found = found[self._holds(found)]
+        found = found[self._holds(found)]
         away = np.linalg.norm(found - self.chain.q_start, axis=1)
         near = found[np.argsort(away)[:NEAREST]]
-        return near, "" if len(near) else "no goal configuration keeps the tasks that are to be kept"
+        return near, "" if len(
+            near
+        ) else "no goal configuration keeps the tasks that are to be kept"
 
-    def _holds(self, q: Array) -> np.ndarray:
+    def _holds(self, q: Array) -> NDArray[np.bool_]:
         """Whether configurations are on the manifold of the tasks that are kept."""
         moved = q.copy()
-        return self.space.project(moved) & (np.abs(moved - q).max(axis=1) < MET)
+        held: NDArray[np.bool_] = self.space.project(moved)
+        held &= np.abs(moved - q).max(axis=1) < MET
+        return held
 
     def _given(self, q: Array) -> Array:
         if q.ndim != 2 or q.shape[1] != self.chain.n or not np.isfinite(q).all():
@@ -207,7 +218,7 @@ class Planner:
         good = self._holds(q) & self.space.is_free(q)
         if not good.all():
             raise InvalidValueError(
-                f"goals[{int(np.argmin(good))}]: is open, outside a limit, or something is in the way"
+                f"goals[{int(np.argmin(good))}]: is open, outside a limit, or in something"
             )
         self.space.project(q)
         return q

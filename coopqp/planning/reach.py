@@ -262,5 +262,3 @@ def _length(chain: ClosedChain, frame: int, p_O: Array) -> tuple[Array, float]:
         if chain.joint_units[i] == "m":
             length += float(np.abs([chain.lower[i], chain.upper[i]]).max())
     return model.jointPlacements[first].translation.copy(), length
-
-

@@ -1,7 +1,7 @@
 """When a path is where: as fast as the joints' speeds and accelerations allow.
 
-Along the path's length s the joints are q(s). With the tangent q' and the curvature q'' of points at
-equal distances,
+Along the path's length s the joints are q(s). With the tangent q' and the curvature q'' of points
+at equal distances,
 
     |q'_j| s_dot <= v_j,   |q'_j| |s_ddot| + |q''_j| s_dot^2 <= a_j
 
@@ -15,9 +15,11 @@ from collections.abc import Callable
 
 import numpy as np
 
+from coopqp.assessment.thresholds import LOOP_CLOSED, LOOP_CLOSED_ANGLE
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.limit import Bounded, JointBounds
+from coopqp.model.closed_chain import ClosedChain
 from coopqp.planning.verification import along
 
 #: Where no limit bounds accelerations, the highest speed is there after so long [s].
@@ -27,8 +29,8 @@ UNLIMITED = 1.0
 #: Share of the limits that the timing uses: the rest is for what the law corrects.
 SHARE = 0.8
 #: Ticks that corners are rounded over, and how much slower all may become for them.
-WINDOWS, SLOWER = (1, 5, 9, 15, 21, 31), (1.0, 1.3, 1.7, 2.3, 3.0)
-#: Distance of the points at which a path is timed [rad, m], and points that curvature is smoothed on.
+WINDOWS, SLOWER = (1, 5, 9, 15, 21, 31), (1.0, 1.2, 1.4, 1.7, 2.0, 2.5, 3.0)
+#: Distance of the points at which a path is timed [rad, m], and how many curvature is averaged on.
 EVERY, WIDTH = 0.02, 5
 
 Allowed = Callable[[Array], Array | None]
@@ -59,12 +61,12 @@ def timed(problem: ControlProblem, q: Array, allowed: Allowed) -> tuple[Array, A
         near = allowed(_averaged(made, window))
         if near is None:
             continue
-        excess = _excess(near, push, dt)
+        excess = max(_excess(near, push, dt), _opening(problem.chain, near))
         if excess < least:
             best, least = near, excess
         if excess <= 1.0:
             break
-    return dt * np.arange(len(best)), best
+    return np.asarray(dt * np.arange(len(best)), float), best
 
 
 def _averaged(q: Array, window: int) -> Array:
@@ -82,6 +84,14 @@ def _excess(q: Array, push: Array, dt: float) -> float:
     """Largest acceleration over its limit, from rest to rest."""
     v = np.diff(q, axis=0, prepend=q[:1], append=q[-1:]) / dt
     return float((np.abs(np.diff(v, axis=0)) / dt / push).max(initial=0.0))
+
+
+def _opening(chain: ClosedChain, q: Array) -> float:
+    """How far a tick's straight step opens the loops, over what counts as closed."""
+    ahead = 2.0 * q[1:-1] - q[:-2]
+    errors = np.array([chain.loop_error(row) for row in ahead]).reshape(-1, 2, 3)
+    position, angle = np.linalg.norm(errors, axis=2).max(axis=0, initial=0.0).tolist()
+    return float(max(position / LOOP_CLOSED, angle / LOOP_CLOSED_ANGLE) / SHARE)
 
 
 def joint_limits(problem: ControlProblem) -> tuple[Array, Array]:
@@ -113,7 +123,7 @@ def _speeds(points: Array, speed: Array, push: Array) -> Array:
     size = np.maximum(np.abs(tangent), 1e-9)
     most = np.minimum((speed / size).min(axis=1), np.sqrt((0.5 * push / (bend + 1e-9)).min(axis=1)))
     rise = (0.5 * push / size).min(axis=1)
-    s_dot = most.copy()
+    s_dot = np.asarray(most, float)
     s_dot[0] = s_dot[-1] = 0.0
     for k in range(1, len(points)):
         s_dot[k] = min(s_dot[k], np.sqrt(s_dot[k - 1] ** 2 + 2.0 * rise[k - 1] * step[k - 1]))

@@ -1,7 +1,7 @@
 """A second look at a path, by pinocchio and coal: nothing of the planner's kernel is used.
 
-Between its points a path is the straight line in joint space. Points at equal distances along it are
-looked at: whether the loops are closed, joints inside their limits, bodies as far apart as asked.
+Between its points a path is the straight line in joint space. At equal distances along it, it is
+looked at whether loops are closed, joints inside their limits and bodies as far apart as asked.
 """
 
 from __future__ import annotations
