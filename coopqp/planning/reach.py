@@ -32,8 +32,8 @@ from coopqp.study.explanation.goal import Goal, Place, placed
 
 #: Random starts of one look, and of all looks.
 BATCH, MOST = 64, 4096
-#: Free configurations after which the search ends.
-ENOUGH = 64
+#: Free configurations after which the search ends, once so many starts were tried.
+ENOUGH, LEAST = 64, 512
 #: The sum of lengths proves only what is farther off than rounding [m].
 ROUNDING = 1e-6
 
@@ -112,8 +112,8 @@ def look(
     goals = Goals(problem, t, seed)
     for _ in range(MOST // BATCH):
         goals.look()
-        progress(max(goals.tried / MOST, len(goals.found) / ENOUGH))
-        if len(goals.found) >= ENOUGH:
+        progress(max(goals.tried / MOST, min(len(goals.found) / ENOUGH, goals.tried / LEAST)))
+        if len(goals.found) >= ENOUGH and goals.tried >= LEAST:
             break
     if goals.found:
         found = described(goals.space, goals.found)

@@ -88,6 +88,8 @@ def _excess(q: Array, push: Array, dt: float) -> float:
 
 def _opening(chain: ClosedChain, q: Array) -> float:
     """How far a tick's straight step opens the loops, over what counts as closed."""
+    if not chain.loops.closed:
+        return 0.0
     ahead = 2.0 * q[1:-1] - q[:-2]
     errors = np.array([chain.loop_error(row) for row in ahead]).reshape(-1, 2, 3)
     position, angle = np.linalg.norm(errors, axis=2).max(axis=0, initial=0.0).tolist()

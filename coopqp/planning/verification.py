@@ -86,10 +86,13 @@ class Verifier:
     def look(self, q: Array, every: float) -> Verification:
         """Look at a path q, shape (K, n), each so many radians or metres."""
         points = along(q, every)
-        errors = [np.abs(self._chain.loop_error(row)).max(initial=0.0) for row in points]
+        looped = points if self._chain.loops.closed else points[:0]
+        errors = [np.abs(self._chain.loop_error(row)).max() for row in looped]
         beyond = np.maximum(points - self._upper, self._lower - points).max(initial=0.0)
         hits = sum(not self.free(row) for row in points)
-        return Verification(len(points), float(max(errors)), float(max(beyond, 0.0)), hits)
+        return Verification(
+            len(points), float(max(errors, default=0.0)), float(max(beyond, 0.0)), hits
+        )
 
     def free(self, q: Array) -> bool:
         """Whether the limits in space are kept at q."""
