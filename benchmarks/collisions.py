@@ -9,18 +9,15 @@ default 500 goals and 1,000 poses a robot:
 - the nearest that bodies came at any tick of any run, less what the limits keep free. "free" are
   arms that hold nothing, driven at full speed straight to random joint values; "holding" are runs
   of the QP controller with random goals for the object, most of them unreachable. Of each run the
-  deepest tick is measured again by coal alone;
-- what the limits cost a tick, as a ratio of the same runs with and without them, which take turns.
+  deepest tick is measured again by coal alone.
 """
 
 from __future__ import annotations
 
 import itertools
 import sys
-import time
-from collections import deque
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import coal
@@ -43,19 +40,14 @@ from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.plant import Disturbance
 from coopqp.plants import Kinematic
-from coopqp.scenario.loader import load
 from coopqp.solvers import Daqp
 from coopqp.tasks import JointCentering
 from coopqp.tasks import Pose as PoseTask
 
 DT, TICKS = 0.01, 100
 GAINS = {10.0: 1, 50.0: 5}  # 1/s; one of so many goals
-TURNS = 21  # of runs whose ticks are compared
 PULL = 5.0  # 1/s, of free arms towards their goal
 REACH, TURN = 0.5, 1.5  # of the object's goals: standard deviations [m, rad]
-
-#: What is asked for, and for how many ticks.
-Run = tuple[ControlProblem, int]
 
 #: In reach of the arms of each robot, clear of where they start.
 THINGS = {
@@ -263,63 +255,10 @@ def poses(name: str, count: int) -> str:
     )
 
 
-def tick_us(run: Run) -> float:
-    """A tick of a run [us]."""
-    asked, ticks = run
-    law = QPController().build(asked)
-    plant, state = Kinematic().build(asked, 0, Disturbance()), law.start()
-    begun = time.process_time()
-    deque(drive(law, plant, state, ticks), maxlen=0)
-    return 1e6 * (time.process_time() - begun) / ticks
-
-
-def compared(plain: Run, limited: Mapping[str, Run]) -> str:
-    """What ticks of some runs cost, those of the first as one.
-
-    All take turns, so that a busy machine slows all of them: of a ratio the median of the turns,
-    and the span in which nine of ten lie.
-    """
-    runs = (plain, *limited.values())
-    us = np.array([[tick_us(run) for run in runs] for _ in range(TURNS)])
-    said = [f"without {np.median(us[:, 0]):.0f} us"]
-    for i, name in enumerate(limited, 1):
-        low, middle, high = np.quantile(us[:, i] / us[:, 0], (0.05, 0.5, 0.95))
-        said.append(f"{name} x {middle:.2f} ({low:.2f} to {high:.2f})")
-    return ", ".join(said)
-
-
-def cost(name: str) -> str:
-    """Ratio of a tick with each limit to one without."""
-    case = CASES[name]
-    chain = case.chain()
-    goal = goals_of(chain, 1)[0]
-    limits = limits_of(name, 10.0, holding=True)
-    limited = {
-        f"{owner} ({len(limit.rows(chain))} rows)": (problem(case, chain, goal, (limit,)), TICKS)
-        for owner, limit in zip(("self_collision", "obstacles"), limits, strict=True)
-    }
-    return compared((problem(case, chain, goal, ()), TICKS), limited)
-
-
-def cost_of_scenario(name: str) -> str:
-    """The same for self_collision in a shipped scenario."""
-    plain = (JointPosition(), JointVelocity())
-    scenario, limit = replace(load(name), limits=plain), SelfCollision()
-    with_it = replace(scenario, limits=(*plain, limit))
-    owner = f"self_collision ({len(limit.rows(scenario.chain))} rows)"
-    return compared(
-        (scenario.problem(), scenario.ticks), {owner: (with_it.problem(), with_it.ticks)}
-    )
-
-
 def main(goals: int, count: int) -> None:
     """Print the tables."""
     for name in CASES:
         print(f"{name:8s} {poses(name, count)}", flush=True)
-    for name in CASES:
-        print(f"{name:8s} {cost(name)}", flush=True)
-    for name in ("point_on_point", "two_so101"):
-        print(f"{name:8s} {cost_of_scenario(name)}", flush=True)
     for runs in (free, holding):
         for gain, share in GAINS.items():
             for name in CASES:

@@ -10,7 +10,6 @@ from functools import lru_cache
 from typing import ClassVar
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from coopqp.base.qp import Row, Side
@@ -18,6 +17,7 @@ from coopqp.base.spec import Array, spec, type_name
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.marker import Marker
 from coopqp.model.state import State
+from coopqp.robot import Convex
 
 #: A joint that is beyond a limit of its place by less is inside but for rounding [rad, m].
 ROUNDING = 1e-9
@@ -83,52 +83,20 @@ class TwistBounds:
         return 2 * len(self.components) + len(self.points)
 
 
-class Form(IntEnum):
-    """How a body is bounded, from which ``kernel/core/shared.hpp`` is made."""
-
-    HULL = 0  # the convex hull of points
-    BOX = 1
-    CYLINDER = 2  # along z
-    ELLIPSOID = 3
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Solid:
-    """A convex body that is fixed to a joint, for the kernel.
-
-    Attributes:
-        joint: its id; 0 is the world.
-        placement: of the middle of the box round it, in the joint's frame.
-        half: half the edges of that box, shape (3,) [m].
-        radius: of the ball round it, about the same middle [m].
-        points: those it is the hull of, or some of a cylinder's, shape (k, 3) [m].
-        edges: which points a hull's edges lie between, shape (e, 2).
-        rim: by which the form is thickened [m].
-        levers: how fast each joint, at speed 1, moves its points at most, shape (n,) [m, 1].
-    """
-
-    joint: int
-    placement: pin.SE3
-    form: Form
-    half: Array
-    radius: float
-    points: Array
-    edges: NDArray[np.int64]
-    rim: float
-    levers: Array
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DistanceBounds:
     """Rows of a limit that keeps pairs of bodies apart, for the kernel.
 
     Attributes:
-        pairs: of bodies, as numbers in ``solids``, shape (p, 2).
+        bodies: each with the id of the joint that carries it; 0 is the world.
+        levers: how fast each joint, at speed 1, moves a body's points at most, (b, n) [m, 1].
+        pairs: of bodies, as numbers in ``bodies``, shape (p, 2).
         distance: to keep [m]; of what is left ``gain`` may be used up per second [1/s].
         within: what pairs are farther apart than that may be used up in a tick [m].
     """
 
-    solids: Sequence[Solid]
+    bodies: Sequence[tuple[int, Convex]]
+    levers: Array
     pairs: NDArray[np.int64]
     distance: float
     gain: float

@@ -5,13 +5,16 @@ from __future__ import annotations
 import itertools
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from enum import IntEnum
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
+import coal
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from coopqp.base.errors import InvalidValueError, UnknownNameError
 from coopqp.base.spec import Array, array, near
@@ -51,6 +54,40 @@ class Shape:
     kind: Literal["mesh", "box", "cylinder", "capsule", "sphere", "ellipsoid"]
     size: tuple[float, ...]
     mesh: Path | None = None
+
+
+class Form(IntEnum):
+    """What bounds a convex body, from which ``kernel/core/shared.hpp`` is made."""
+
+    HULL = 0  # of points
+    BOX = 1
+    CYLINDER = 2  # along z
+    ELLIPSOID = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Convex:
+    """A convex body.
+
+    Attributes:
+        geometry: as coal has it.
+        placement: of the middle of the box round it, in the frame it was given in.
+        half: half the edges of that box, shape (3,) [m].
+        radius: of the ball round it, about the same middle [m].
+        points, rim: it is the hull of the points, shape (k, 3), thickened by the rim [m]; round
+            ends of a cylinder have a few of their points, what is round all over has one.
+        form: hull of the points, or which other body.
+        edges: which points those of a mesh's hull lie between, shape (e, 2).
+    """
+
+    geometry: coal.CollisionGeometry
+    placement: pin.SE3
+    half: Array
+    radius: float
+    points: Array
+    rim: float = 0.0
+    form: Form = Form.HULL
+    edges: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), np.int64))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,10 +8,16 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
+from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.kernel import native
 from coopqp.kernel.compiled import Outcome
+from coopqp.kernel.free_space import FreeSpace, Told
 from coopqp.kernel.law import KernelLaw
+from coopqp.limit import LimitRows, Tighten
+from coopqp.limits import _keep_apart
+from coopqp.limits._distances import Distances
+from coopqp.limits._keep_apart import Separation
 from coopqp.model.state import Memory, State
 from coopqp.qp_law.law import QPLaw
 from coopqp.solver import Status, written
@@ -43,9 +49,41 @@ class Agreement:
 
 
 def laws(problem: ControlProblem) -> tuple[QPLaw, KernelLaw]:
-    """The plain law, and the kernel with a plain law of its own."""
-    plain = QPLaw(problem, DAMPING, ERROR_DAMPING)
-    return plain, KernelLaw(problem, DAMPING, ERROR_DAMPING).prepare()
+    """The plain law, and the kernel with a plain law of its own; both measure bodies alike."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Separation, "bind", bind_to_the_kernels_distances)
+        plain = QPLaw(problem, DAMPING, ERROR_DAMPING)
+        return plain, KernelLaw(problem, DAMPING, ERROR_DAMPING).prepare()
+
+
+BIND = Separation.bind
+
+
+def bind_to_the_kernels_distances(self: Separation, dt: float) -> Tighten:
+    """A limit's rows in Python, from the kernel's distances instead of coal's.
+
+    coal iterates to a micrometre, and of parallel faces both may take other points for the nearest.
+    The distances themselves are held against coal's by tests.kernel.distances.
+    """
+    space, now = FreeSpace(self.chain, [self.program(dt)]), list[State]()
+
+    class Measured(Distances):
+        def update(self, within: float | Array) -> None:
+            super().update(within)
+            found = space.measure(now[-1].q)
+            known = self.near[found[self.near, 0] == Told.MEASURED]
+            self.d[known] = found[known, 1]
+            self.p[known], self.n[known] = found[known, 3:6], found[known, 6:9]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(_keep_apart, "Distances", Measured)
+        tighten = BIND(self, dt)
+
+    def measured(state: State, rows: LimitRows) -> None:
+        now[:] = [state]
+        tighten(state, rows)
+
+    return measured
 
 
 def why(law: KernelLaw) -> str:

@@ -35,6 +35,7 @@ NB_MODULE(KERNEL_MODULE, m) {
              "remembered"_a, "stops"_a, "all_corrected"_a)
         .def("scale", &Engine::scale)
         .def("rows", &Engine::rows)
+        .def("near", &Engine::near)
         .def("worst", &Engine::worst);
     nb::class_<FreeSpace>(m, "FreeSpace")
         .def(nb::init<const nb::dict&>())

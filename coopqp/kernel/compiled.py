@@ -14,6 +14,7 @@ from coopqp.kernel.flat import (
     Flat,
     Group,
     Levels,
+    flat_distances,
     flat_joint_limit,
     flat_model,
     flat_settings,
@@ -39,18 +40,19 @@ class Limits:
         twist: rows on the object's twist as numbers; they come first.
         filled: the others, if there are any; their rows come after these.
         rows: their number.
+        distances: pairs of bodies as numbers; as many rows as are needed come last.
         q_measured: shape (n,), NaN where nothing is measured; None where no limit reads it.
     """
 
     def __init__(self, problem: ControlProblem, start: State) -> None:
         chain, dt, limits = problem.chain, problem.dt, problem.limits
         programs = [limit.program(chain, dt) for limit in limits]
-        programs = [None if isinstance(p, DistanceBounds) else p for p in programs]
         known = list(zip(limits, programs, strict=True))
         if any(program is None and not limit.rows(chain) for limit, program in known):
             known = [(limit, None) for limit in limits]
         self.joints: list[Flat] = []
         self.twist: list[Flat] = []
+        self.distances: list[Flat] = []
         self.filled: Bounds | None = None
         self.q_measured: Array | None = None
         self.rows = 0
@@ -62,6 +64,8 @@ class Limits:
             elif isinstance(program, TwistBounds):
                 self.twist.append(flat_twist_limit(program, self.rows))
                 self.rows += program.rows
+            elif isinstance(program, DistanceBounds):
+                self.distances.append(flat_distances(chain, program))
         if any(program is None for _, program in known):
             # With constant bounds on v, which say how far limits in space must look ahead.
             filled = [limit for limit, program in known if program is None or limit.constant]
@@ -158,6 +162,7 @@ class Compiled:
             "primitives": levels.primitives,
             "joint_limits": limits.joints,
             "twist_limits": limits.twist,
+            "distances": limits.distances,
             "settings": flat_settings(problem, damping, error_damping, limits.rows),
         })  # fmt: skip
         self.engine.bind_command(v)

@@ -48,9 +48,12 @@ class Engine {
         bounds_ = bounds_of(nb::cast<nb::list>(d["joint_limits"]), model->joints.size(), settings.dt);
         for (nb::handle limit : nb::cast<nb::list>(d["twist_limits"]))
             twist_limits_.limits.push_back(twist_limit_of(nb::cast<nb::dict>(limit)));
+        std::vector<coopqp::Separation> separations;
+        for (nb::handle limit : nb::cast<nb::list>(d["distances"]))
+            separations.push_back(separation_of(nb::cast<nb::dict>(limit), *model, settings.dt));
         kernel_ = std::make_unique<coopqp::Kernel>(std::move(arena), std::move(model),
                                                    kept_of(numbers(d, "kept")), settings,
-                                                   std::move(levels));
+                                                   std::move(levels), std::move(separations));
     }
 
     // Arrays of a state and of what the law remembers, by name.
@@ -183,6 +186,9 @@ class Engine {
 
     // e, J and rate of a level's rows, one row after the other, for tests.
     std::vector<double> rows(int level) const { return kernel_->rows_of(level); }
+
+    // How many pairs of bodies had a row in the last tick, for tests.
+    std::size_t near() const { return kernel_->near(); }
 
     std::vector<double> worst() const {
         return {kernel_->check().worst_primal, kernel_->check().worst_dual};

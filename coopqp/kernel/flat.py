@@ -12,12 +12,12 @@ import pinocchio as pin
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.kernel import native
-from coopqp.limit import DistanceBounds, JointBounds, Solid, TwistBounds, movers, opening
+from coopqp.limit import DistanceBounds, JointBounds, TwistBounds, movers, opening
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.geometry import Reference
 from coopqp.model.state import State
 from coopqp.program import Programs, sees_twist
-from coopqp.robot import axis_of
+from coopqp.robot import Convex, axis_of
 from coopqp.task import Task, TaskStack, levers_of
 
 Flat = dict[str, Any]
@@ -105,28 +105,28 @@ def flat_twist_limit(bounds: TwistBounds, at: int) -> Flat:
 
 def flat_distances(chain: ClosedChain, bounds: DistanceBounds) -> Flat:
     """Pairs of bodies as numbers."""
-    axes = chain.once(turned)
-
-    def flat(solid: Solid) -> Flat:
-        A, X = axes[solid.joint].T, solid.placement
-        return {
-            "joint": float(solid.joint - 1),
-            "placement": np.concatenate([(A @ X.rotation).ravel(), A @ X.translation]),
-            "form": float(solid.form),
-            "half": np.array(solid.half, float),
-            "radius": float(solid.radius),
-            "rim": float(solid.rim),
-            "points": np.array(solid.points, float).ravel(),
-            "edges": solid.edges.astype(float).ravel(),
-            "levers": np.array(solid.levers, float),
-        }
-
+    bodies = zip(bounds.bodies, bounds.levers, strict=True)
     return {
-        "solids": [flat(solid) for solid in bounds.solids],
+        "solids": [_flat_solid(chain, *body, levers) for body, levers in bodies],
         "pairs": bounds.pairs.astype(float).ravel(),
         "distance": float(bounds.distance),
         "gain": float(bounds.gain),
         "within": float(bounds.within),
+    }
+
+
+def _flat_solid(chain: ClosedChain, joint: int, convex: Convex, levers: Array) -> Flat:
+    A, X = chain.once(turned)[joint].T, convex.placement
+    return {
+        "joint": float(joint - 1),
+        "placement": np.concatenate([(A @ X.rotation).ravel(), A @ X.translation]),
+        "form": float(convex.form),
+        "half": np.array(convex.half, float),
+        "radius": float(convex.radius),
+        "rim": float(convex.rim),
+        "points": np.array(convex.points, float).ravel(),
+        "edges": convex.edges.astype(float).ravel(),
+        "levers": np.array(levers, float),
     }
 
 

@@ -195,6 +195,10 @@ coopqp::KeptApart kept_apart_of(const nb::dict& d) {
     return {{std::move(solids), pairs_of(integers(d, "pairs"))}, number(d, "distance")};
 }
 
+coopqp::Separation separation_of(const nb::dict& d, const coopqp::Model& model, double dt) {
+    return {model, kept_apart_of(d), number(d, "gain"), number(d, "within"), dt};
+}
+
 coopqp::TwistLimit twist_limit_of(const nb::dict& d) {
     coopqp::TwistLimit limit;
     limit.at = int(number(d, "at"));

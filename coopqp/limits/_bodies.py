@@ -22,7 +22,6 @@ from coopqp.base.errors import InvalidValueError, UnknownNameError
 from coopqp.base.spec import Array
 from coopqp.limits._distances import (
     Body,
-    Convex,
     Distances,
     Pair,
     of_capsule,
@@ -31,7 +30,7 @@ from coopqp.limits._distances import (
     outermost,
 )
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.robot import RobotModel, Shape
+from coopqp.robot import Convex, RobotModel, Shape
 
 OBJECT = "object"
 

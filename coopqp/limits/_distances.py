@@ -17,7 +17,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
@@ -29,8 +29,7 @@ from numpy.typing import NDArray
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.reading import version
 from coopqp.base.spec import Array
-from coopqp.limit import Form
-from coopqp.robot import Capsule, Shape
+from coopqp.robot import Capsule, Convex, Form, Shape
 from coopqp.robot_files.meshes import read_mesh
 
 #: How far from 1 a unit normal's square, and from 0 a length [m], may be.
@@ -43,30 +42,6 @@ RIM = 12
 
 #: How many numbers a shape's size has.
 NUMBERS = {"box": 3, "cylinder": 2, "capsule": 2, "sphere": 1, "ellipsoid": 3, "mesh": 3}
-
-
-@dataclass(frozen=True, eq=False)
-class Convex:
-    """A convex body.
-
-    Attributes:
-        placement: of the middle of the box round it, in the frame it was given in.
-        half: half the edges of that box, shape (3,) [m].
-        radius: of the ball round it, about the same middle [m].
-        points, rim: it is the hull of the points, shape (k, 3), thickened by the rim [m]; round
-            ends of a cylinder have a few of their points, what is round all over has one.
-        form: hull of the points, or which other body.
-        edges: which points those of a mesh's hull lie between, shape (e, 2).
-    """
-
-    geometry: coal.CollisionGeometry
-    placement: pin.SE3
-    half: Array
-    radius: float
-    points: Array
-    rim: float = 0.0
-    form: Form = Form.HULL
-    edges: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), np.int64))
 
 
 def of_shape(shape: Shape) -> Convex:
@@ -213,8 +188,8 @@ class Distances:
     Attributes:
         geometry, placed: the bodies, and where they are.
         d: of each pair, or a lower bound of it where the pair is far, shape (p,) [m].
-        near: the pairs that may be close, k of them.
-        n, p: their normals and nearest points in the first k rows.
+        near: the pairs that may be close.
+        n, p: normals and nearest points of these, shape (p, 3).
         ids: of the bodies of each pair, in geometry.
     """
 
@@ -240,99 +215,58 @@ class Distances:
             request.gjk_initial_guess = coal.GJKInitialGuess.BoundingVolumeGuess
             self.placed.distanceRequests[i] = request
         self._results = list(self.placed.distanceResults)
-        self._normals = [result.normal for result in self._results]  # views, which stay valid
-        self._bounds = _Bounds(self.placed, bodies, self.ids)
-        self._flat = np.zeros(3 * len(pairs))
-        self._is_near, self._was_near, self._changed = np.ones((3, len(pairs)), bool)
+        self._places = [self.placed.oMg[i] for i in range(len(bodies))]
+        first, second = np.array(self.ids, int).reshape(-1, 2).T
+        radius = np.array([body.convex.radius for body in bodies])
+        half = np.array([body.convex.half for body in bodies]).reshape(-1, 3)
+        turned = radius[first] < radius[second]  # the larger of two is bounded by its box
+        self._box, self._ball = np.where(turned, (second, first), (first, second))
+        self._half, self._radius = half[self._box], radius[self._ball]
+        self._was_near = np.ones(len(pairs), bool)
         self.d, self.near = np.zeros(len(pairs)), np.zeros(0, np.int64)
-        # Columns x y z x y, so that slices give the shifted columns of a cross product.
-        self.n, self.p = np.zeros((2, len(pairs), 5))
+        self.n, self.p = np.zeros((2, len(pairs), 3))
 
     def update(self, within: float | Array) -> None:
         """Find the distances of pairs that may be closer than ``within`` [m], each or all."""
-        n, p = self.n, self.p
-        self._bounds.update(self.d)
-        np.less(self.d, within, self._is_near)
-        self._choose()
-        (self.near,) = self._is_near.nonzero()
-        near = self.near.tolist()
-        if not near:
+        self.d[:] = self._bounds()
+        is_near = self.d < within
+        self._choose(is_near)
+        (self.near,) = is_near.nonzero()
+        if not len(self.near):
             return
         pin.computeDistances(self.geometry, self.placed)
-        results = [self._results[i] for i in near]
+        results = [self._results[i] for i in self.near.tolist()]
         self.d[self.near] = [result.min_distance for result in results]
-        k = len(near)
-        np.concatenate([self._normals[i] for i in near], out=self._flat[: 3 * k])
-        n[:k, :3] = self._flat[: 3 * k].reshape(-1, 3)
-        np.concatenate([result.getNearestPoint1() for result in results], out=self._flat[: 3 * k])
-        p[:k, :3] = self._flat[: 3 * k].reshape(-1, 3)
-        if self.d.min() < UNIT:
-            for row, i in enumerate(near):
-                self._mend(row, i)
+        self.n[self.near] = [result.normal for result in results]
+        self.p[self.near] = [result.getNearestPoint1() for result in results]
+        for i in self.near[self.d[self.near] < UNIT].tolist():
+            self._mend(i)
 
-    def _choose(self) -> None:
+    def _bounds(self) -> Array:
+        """From the box round one body to the ball round the other."""
+        p = np.array([X.translation for X in self._places]).reshape(-1, 3)
+        R = np.array([X.rotation for X in self._places]).reshape(-1, 3, 3)
+        way = np.einsum("ij,ijk->ik", p[self._ball] - p[self._box], R[self._box])
+        out = np.maximum(np.abs(way) - self._half, 0.0)
+        return np.asarray(np.sqrt((out * out).sum(axis=1)) - self._radius)
+
+    def _choose(self, is_near: NDArray[np.bool_]) -> None:
         """Tell pinocchio which pairs are near; few come and go in a tick."""
-        np.not_equal(self._is_near, self._was_near, self._changed)
-        for i in self._changed.nonzero()[0].tolist():
-            if self._is_near[i]:
+        for i in (is_near != self._was_near).nonzero()[0].tolist():
+            if is_near[i]:
                 self.placed.activateCollisionPair(i)
             else:
                 self.placed.deactivateCollisionPair(i)
-        self._was_near[:] = self._is_near
+        self._was_near = is_near
 
-    def _mend(self, k: int, i: int) -> None:
+    def _mend(self, i: int) -> None:
         """Where axes of capsules cross there is no normal; take any way out of each other."""
-        n = self.n[k, :3]
+        n = self.n[i]
         first, second = self.ids[i]
         if not abs(n.dot(n) - 1.0) < UNIT:  # written so that a NaN is mended
             X_1, X_2 = self.placed.oMg[first], self.placed.oMg[second]
             way = X_2.translation - X_1.translation
             size = math.sqrt(way.dot(way))
             n[:] = way / size if size > UNIT else X_1.rotation[:, 0]
-        if not np.isfinite(self.p[k, :3]).all():
-            self.p[k, :3] = self.placed.oMg[first].translation
-
-
-class _Bounds:
-    """Lower bounds of distances: from the box round one body to the ball round the other."""
-
-    def __init__(
-        self, placed: pin.GeometryData, bodies: Sequence[Body], ids: Sequence[tuple[int, int]]
-    ) -> None:
-        places = [placed.oMg[i] for i in range(len(bodies))]
-        # Views into pinocchio's data, which stay valid.
-        self._p_views = [X.translation for X in places]
-        self._R_views = [X.rotation for X in places]
-        radius = np.array([body.convex.radius for body in bodies])
-        half = np.array([body.convex.half for body in bodies]).reshape(-1, 3)
-        # The larger of two is bounded by its box.
-        boxes = [a if radius[a] >= radius[b] else b for a, b in ids]
-        balls = [a + b - box for (a, b), box in zip(ids, boxes, strict=True)]
-        self._box, self._ball = np.array(boxes, int), np.array(balls, int)
-        self._half, self._radius = half[self._box], radius[self._ball]
-        count, pairs = len(bodies), len(ids)
-        self._p, self._R = np.zeros(3 * count), np.zeros((3 * count, 3))
-        self._way, self._ball_p = np.zeros((2, pairs, 3))
-        self._turned = np.zeros((pairs, 1, 3))
-        self._R_box = np.zeros((pairs, 3, 3))
-
-    def update(self, d: Array) -> None:
-        if not len(d):
-            return
-        np.concatenate(self._p_views, out=self._p)
-        np.concatenate(self._R_views, out=self._R)
-        p, way = self._p.reshape(-1, 3), self._way
-        p.take(self._ball, axis=0, out=self._ball_p)
-        p.take(self._box, axis=0, out=way)
-        np.subtract(self._ball_p, way, way)
-        self._R.reshape(-1, 3, 3).take(self._box, axis=0, out=self._R_box)
-        turned = self._turned
-        np.matmul(way[:, None, :], self._R_box, out=turned)  # R' way
-        inside = turned[:, 0, :]
-        np.abs(inside, inside)
-        np.subtract(inside, self._half, inside)
-        np.maximum(inside, 0.0, out=inside)
-        np.multiply(inside, inside, inside)
-        np.add.reduce(inside, axis=1, out=d)
-        np.sqrt(d, d)
-        np.subtract(d, self._radius, d)
+        if not np.isfinite(self.p[i]).all():
+            self.p[i] = self.placed.oMg[first].translation

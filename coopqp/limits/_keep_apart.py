@@ -22,7 +22,6 @@ from coopqp.limit import (
     Clearance,
     DistanceBounds,
     LimitRows,
-    Solid,
     Tighten,
     damp,
     movers,
@@ -48,6 +47,8 @@ ROWS, EACH = 24, 3
 CLOSE = 0.005
 #: Corners are this much farther away than the nearest point at most [m].
 SLAB = 0.002
+#: Sizes of corners are the same that differ by less, or by such a share [m, -].
+EVEN = 1e-9
 #: Reach of a sliding joint without limits [m].
 UNLIMITED = math.pi
 #: Speed of a joint that nothing bounds [rad/s, m/s].
@@ -97,35 +98,32 @@ class Separation:
         """Fill the rows, whether pairs are near or not.
 
         Of what a pair is farther apart than ``within`` all may be used up in a tick. It has a row
-        there if it could come closer than ``distance`` before the next (:class:`LookAhead`).
-        InvalidValueError: the gain overshoots in a tick dt [s].
+        there if it could come closer than ``distance`` before the next, by its :func:`levers` and
+        the bounds on v. InvalidValueError: the gain overshoots in a tick dt [s].
         """
         self._check_gain(dt)
         chain, pairs, distance, gain = self.chain, self.pairs, self.distance, self.gain
         found, count = Distances(pairs), len(pairs)
         corners = Corners(pairs, found, distance)
-        rates = _Rates(chain, pairs)
-        gains, free = np.full(count + ROWS, gain), np.array(distance)
-        shallow = max(distance, SHALLOW)
-        room, deep = np.zeros(count + ROWS), np.zeros(count + ROWS, bool)
-        ahead, beyond = LookAhead(chain, pairs, distance, self.within, dt), np.zeros(count)
+        gains, shallow = np.full(count + ROWS, gain), max(distance, SHALLOW)
+        deep, ways = np.zeros(count + ROWS, bool), dt * levers(chain, pairs)
+        first, second = _moved(chain, pairs)
+        sign = first - second  # joints that move both bodies change no distance
 
         def tighten(state: State, rows: LimitRows) -> None:
             state.place(found.geometry, found.placed)
-            ahead.update(rows)
-            found.update(ahead.far)
+            speed = np.minimum(np.maximum(np.abs(rows.lb), np.abs(rows.ub)), FASTEST)
+            far = np.maximum(ways.dot(speed) + distance, self.within)
+            found.update(far)
             corners.update()
-            np.subtract(found.d, free, room[:count])
-            room[count:] = corners.room
-            damp(room, gains, deep, rows.h, shallow)
-            np.subtract(found.d, self.within, beyond)
-            np.maximum(beyond, 0.0, out=beyond)
-            np.multiply(beyond, 1.0 / dt - gain, beyond)
-            np.add(rows.h[:count], beyond, rows.h[:count])
-            rates.fill(state, found, corners, rows.G)
-            np.greater_equal(found.d, ahead.far, deep[:count])  # as far for what reads the rows
-            rows.G[:count][deep[:count]] = 0.0
-            for i in np.less(rows.h, 0.0, deep).nonzero()[0].tolist():
+            damp(np.concatenate([found.d - distance, corners.room]), gains, deep, rows.h, shallow)
+            rows.h[:count] += (1.0 / dt - gain) * np.maximum(found.d - self.within, 0.0)
+            rows.G[:] = 0.0
+            near = found.near[found.d[found.near] < far[found.near]]
+            rows.G[near] = _wrenches(found.n[near], found.p[near]).dot(state.J_joints) * sign[near]
+            if corners.count:
+                rows.G[count:] = corners.W.dot(state.J_joints) * sign[corners.pair]
+            for i in (rows.h < 0.0).nonzero()[0].tolist():
                 rows.h[i] = max(float(rows.h[i]), -BACK * float(np.abs(rows.G[i]).sum()))
 
         return tighten
@@ -136,7 +134,8 @@ class Separation:
         bodies = list(dict.fromkeys(body for pair in self.pairs for body in pair))
         at = {body: i for i, body in enumerate(bodies)}
         return DistanceBounds(
-            solids=[_solid(self.chain, body) for body in bodies],
+            bodies=[(body.joint, body.convex) for body in bodies],
+            levers=np.array([_levers_of(self.chain, body) for body in bodies]),
             pairs=np.array([[at[a], at[b]] for a, b in self.pairs], np.int64).reshape(-1, 2),
             distance=self.distance,
             gain=self.gain,
@@ -198,36 +197,6 @@ def distances_along(chain: ClosedChain, pairs: Sequence[Pair], q: Array) -> Arra
     return d
 
 
-class _Rates:
-    """How the distances of pairs, and of corners, change."""
-
-    def __init__(self, chain: ClosedChain, pairs: Sequence[Pair]) -> None:
-        first, second = (movers(chain, [pair[side].joint for pair in pairs]) for side in (0, 1))
-        # Joints that move both bodies change no distance.
-        self._sign = first - second
-        self._W, self._minus = np.zeros((len(pairs), 6)), np.zeros((len(pairs), 3))
-        self._G = np.zeros_like(self._sign)
-        self._G_corners = np.zeros((ROWS, chain.n))
-
-    def fill(self, state: State, found: Distances, corners: Corners, G: Array) -> None:
-        """Write -d_dot per joint speed, shape (p + ROWS, n); zero where pairs are far."""
-        near, count = found.near, len(found.d)
-        k = len(near)
-        n, p, W, minus, rows = found.n[:k], found.p[:k], self._W[:k], self._minus[:k], self._G[:k]
-        n[:, 3:], p[:, 3:] = n[:, :2], p[:, :2]
-        W[:, :3] = n[:, :3]
-        np.multiply(p[:, 1:4], n[:, 2:], W[:, 3:])
-        np.multiply(p[:, 2:], n[:, 1:4], minus)
-        np.subtract(W[:, 3:], minus, W[:, 3:])
-        W.dot(state.J_joints, rows)
-        G[:] = 0.0
-        G[near] = rows
-        np.multiply(G[:count], self._sign, G[:count])
-        if corners.count:
-            corners.W.dot(state.J_joints, self._G_corners)
-            np.multiply(self._G_corners, self._sign[corners.pair], G[count:])
-
-
 class Corners:
     """More points of pairs that lie along each other, in a fixed number of rows.
 
@@ -265,10 +234,10 @@ class Corners:
             pair = int(found.near[k])
             if not self._flat[pair]:
                 continue
-            n, p = found.n[k, :3], found.p[k, :3]
-            for corner, s in self._corners(pair, n, p)[: ROWS - self.count]:
+            n = found.n[pair]
+            for corner, s in self._corners(pair, n, found.p[pair])[: ROWS - self.count]:
                 self.room[self.count], self.pair[self.count] = s - self._distance, pair
-                self.W[self.count] = _wrench(n, corner)
+                self.W[self.count] = _wrenches(n, corner)
                 self.count += 1
 
     def _corners(self, pair: int, n: Array, p: Array) -> list[tuple[Array, float]]:
@@ -279,7 +248,7 @@ class Corners:
         second, b = self._ends(pair, 1, n)
         if len(b) == 1:
             return []
-        if _width(first) <= _width(second):
+        if _width(first) <= _width(second) + EVEN:
             bottom = float(b.min())
             return [(first[i], bottom - float(a[i])) for i in _spread(first, p)]
         top = float(a.max())
@@ -305,71 +274,39 @@ def _spread(points: Array, p: Array) -> list[int]:
     """Up to three of the points, far from p and from each other."""
     if len(points) <= EACH:
         return list(range(len(points)))
-    one = int(((points - p) ** 2).sum(axis=1).argmax())
+    one = _largest(((points - p) ** 2).sum(axis=1))
     away = points - points[one]
-    other = int((away**2).sum(axis=1).argmax())
-    return [one, other, int((np.cross(away, away[other]) ** 2).sum(axis=1).argmax())]
+    other = _largest((away**2).sum(axis=1))
+    return [one, other, _largest((np.cross(away, away[other]) ** 2).sum(axis=1))]
 
 
-def _wrench(n: Array, p: Array) -> tuple[float, ...]:
-    """The row of a point that moves along n, [n; p x n]."""
-    (x, y, z), (a, b, c) = p.tolist(), n.tolist()
-    return a, b, c, y * c - z * b, z * a - x * c, x * b - y * a
+def _largest(sizes: Array) -> int:
+    """The first of the largest, but for rounding."""
+    return int((sizes >= (1.0 - EVEN) * sizes.max()).argmax())
 
 
-class LookAhead:
-    """Distances up to which pairs have a row, so that none can come too close within a tick.
-
-    A joint that turns moves no point of a body faster than its speed times the longest way from its
-    axis to the body's far end, whatever the configuration; one that slides moves all of it at its
-    own speed. Of a pair only joints that move one of the two count. Summed up with the bounds on
-    the velocity of the tick, that is how far a pair can close at most.
-
-    ``far`` is that of each pair as of the last update, at least ``within``, shape (p,) [m].
-    """
-
-    def __init__(
-        self, chain: ClosedChain, pairs: Sequence[Pair], distance: float, within: float, dt: float
-    ) -> None:
-        self._ways = dt * levers(chain, pairs)
-        self._distance, self._within = distance, within
-        self._speed, self._other = np.zeros((2, chain.n))
-        self.far = np.full(len(pairs), within)
-
-    def update(self, bounds: LimitRows) -> None:
-        """Add how far pairs can close in a tick within these bounds on v to the distance kept."""
-        speed = self._speed
-        np.abs(bounds.lb, speed)
-        np.abs(bounds.ub, self._other)
-        np.maximum(speed, self._other, out=speed)
-        np.minimum(speed, FASTEST, out=speed)
-        self._ways.dot(speed, self.far)
-        self.far += self._distance
-        np.maximum(self.far, self._within, out=self.far)
+def _wrenches(n: Array, p: Array) -> Array:
+    """The rows of points that move along n, [n; p x n], one or many."""
+    return np.concatenate([n, np.cross(p, n)], axis=-1)
 
 
 def levers(chain: ClosedChain, pairs: Sequence[Pair]) -> Array:
-    """How fast each joint, at speed 1, can close each pair at most, shape (p, n) [m, 1]."""
+    """How fast each joint, at speed 1, can close each pair at most, shape (p, n) [m, 1].
+
+    A joint that turns moves no point of a body faster than its speed times the longest way from its
+    axis to the body's far end, whatever the configuration; one that slides moves all of it at its
+    own speed. Of a pair only joints that move one of the two count.
+    """
     bodies = list(dict.fromkeys(body for pair in pairs for body in pair))
     of_body = dict(zip(bodies, (_levers_of(chain, body) for body in bodies), strict=True))
-    first, second = (movers(chain, [pair[side].joint for pair in pairs]) for side in (0, 1))
+    first, second = _moved(chain, pairs)
     found = np.array([of_body[a] + of_body[b] for a, b in pairs]).reshape(-1, chain.n)
     return np.asarray(found * (first != second), float)
 
 
-def _solid(chain: ClosedChain, body: Body) -> Solid:
-    convex = body.convex
-    return Solid(
-        joint=body.joint,
-        placement=convex.placement,
-        form=convex.form,
-        half=convex.half,
-        radius=convex.radius,
-        points=convex.points,
-        edges=convex.edges,
-        rim=convex.rim,
-        levers=_levers_of(chain, body),
-    )
+def _moved(chain: ClosedChain, pairs: Sequence[Pair]) -> list[Array]:
+    """1 where a joint moves the first, and the second, body of a pair, shape (p, n) each."""
+    return [movers(chain, [pair[side].joint for pair in pairs]) for side in (0, 1)]
 
 
 def _levers_of(chain: ClosedChain, body: Body) -> Array:

@@ -47,7 +47,7 @@ COLUMNS = {
     "failed": Column("Failed ticks", "", "Ticks without a usable answer; the joints held still."),
     "tick": Column("Median tick", "µs", "From reading the joints to the verified command, and in "
                    "which language: C++ and Python are no measure of each other. Python rows: the "
-                   "kernel decides, Python fills rows of limits or tasks, as of self_collision."),
+                   "kernel decides, Python fills rows of limits or tasks, as of your own."),
 }  # fmt: skip
 
 

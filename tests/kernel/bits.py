@@ -19,6 +19,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # what tests share
 from scenario_files import LOADABLE
 from stress.draw import draw
 from variants import apart, variants
+from watched_bodies import driven, watched
 
 from coopqp.controller import ControlProblem
 from coopqp.controllers.qp import QPController
@@ -50,6 +51,8 @@ def _motions(problems: int, ticks: int, first: int) -> Iterator[tuple[str, Contr
         scenario = load(name)
         if any(isinstance(c, QPController) for c in scenario.controllers.values()):
             yield name, scenario.problem(), scenario.schedule[0].ticks(scenario.dt)
+    for name in watched():
+        yield f"{name} with bodies apart", driven(name, 0), 200
     for seed in range(first, first + problems):
         problem = draw(seed).problem
         if not why_not(problem):

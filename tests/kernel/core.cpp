@@ -327,6 +327,94 @@ int wrong_survey(Random& random) {
     return wrong;
 }
 
+Convex random_body(Random& random) {
+    Convex body;
+    std::vector<std::pair<int, int>> edges;
+    body.half = {uniform(random, 0.02, 0.1), uniform(random, 0.02, 0.1), uniform(random, 0.02, 0.1)};
+    body.form = Form(whole(random, 0, 3));
+    if (body.form == Form::Cylinder) body.half.y = body.half.x;
+    if (body.form == Form::Hull) body.rim = whole(random, 0, 1) ? 0.0 : 0.03;
+    const int rings = body.form == Form::Hull ? whole(random, 1, 6) : 2, around = 4;
+    for (int i = 0; i < rings; i++)  // of an ellipsoid, so that all are corners
+        for (int k = 0; k < around; k++) {
+            const double up = (i + 0.5) * PI / rings, turn = (k + 0.5 * (i % 2)) * 2.0 * PI / around;
+            body.points.push_back({body.half.x * std::sin(up) * std::cos(turn),
+                                   body.half.y * std::sin(up) * std::sin(turn),
+                                   body.half.z * std::cos(up)});
+        }
+    const int count = int(body.points.size());
+    for (int i = 0; i < count; i++)  // more than a hull has do no harm
+        for (int k = i + 1; k < count; k++) edges.emplace_back(i, k);
+    body.radius = std::sqrt(dot(body.half, body.half)) + body.rim;
+    body.half = body.half + V3{body.rim, body.rim, body.rim};
+    body.open(edges);
+    return body;
+}
+
+// How many pairs of bodies come together faster than may be, at speeds that keep all rows there are.
+int too_fast(Random& random, int& near) {
+    auto arena = std::make_unique<Arena>();
+    Model model;
+    std::vector<Solid> solids;
+    const std::size_t arms = 2, joints = 3, n = arms * joints;
+    for (std::size_t i = 0; i < arms; i++) {
+        Arm arm;
+        for (std::size_t j = 0; j < joints; j++) {
+            const int parent = j ? int(model.joints.size()) - 1 : -1;
+            model.joints.push_back({parent, whole(random, 0, 3) == 0, somewhere(random, 0.3), -1});
+            arm.tip = int(model.joints.size()) - 1;
+            Solid solid{arm.tip, somewhere(random, 0.1), random_body(random), std::vector<double>(n)};
+            for (int k = arm.tip; k >= 0; k = model.joints[std::size_t(k)].parent)
+                solid.levers[std::size_t(k)] = 3.0;
+            solids.push_back(solid);
+        }
+        arm.at = somewhere(random, 0.1);
+        arm.alpha = 0.5;
+        model.arms.push_back(arm);
+    }
+    model.holding = int(arms);
+    lay_out(model, *arena);
+    std::vector<std::pair<int, int>> pairs;
+    for (int a = 0; a < int(n); a++)
+        for (int b = a + 1; b < int(n); b++) pairs.emplace_back(a, b);
+    const double distance = 0.01, gain = 10.0, within = uniform(random, 0.02, 0.1), dt = 0.01;
+    const std::vector<KeptApart> kept = {{Apart(solids, pairs), distance}};
+    Separation separation(model, kept[0], gain, within, dt);
+    Limits limits(model.blocks * LANES, 0, separation.most_rows(), *arena);
+    Kinematics kinematics(model);
+    std::vector<double> q(n), speed(n);
+    double* v = arena->take(std::size_t(model.blocks) * LANES);
+    for (std::size_t j = 0; j < n; j++) {
+        q[j] = uniform(random, -1.0, 1.0);
+        speed[j] = 0.1;
+        v[model.joints[j].lane] = uniform(random, -1.0, 1.0);
+    }
+    kinematics.place(q.data());
+    if (separation.begin(kinematics, speed.data(), limits) != Separation::Told::Kept) return 0;
+    std::fill(speed.begin(), speed.end(), 1.0);
+    if (separation.look(kinematics, speed.data(), v, limits) == Separation::Told::Unknown) return 0;
+    near += int(separation.near());
+    double share = 1.0;
+    for (std::size_t i = 0; i < limits.h.size(); i++) {
+        const double closes = dot(limits.G + i * std::size_t(model.blocks) * LANES, v, model.blocks);
+        if (closes > limits.h[i]) share = std::min(share, std::max(limits.h[i], 0.0) / closes);
+    }
+    const double step = 1e-6;
+    std::vector<double> then = q, before, after;
+    for (std::size_t j = 0; j < n; j++) then[j] += step * share * v[model.joints[j].lane];
+    FreeSpace space(model, kept);
+    space.measure(q.data(), [&](const Closest& c) { before.push_back(c.gap <= KNOWN ? c.d : 0.0); });
+    space.measure(then.data(), [&](const Closest& c) { after.push_back(c.gap <= KNOWN ? c.d : 1.0); });
+    int wrong = 0;
+    for (std::size_t k = 0; k < pairs.size(); k++) {
+        const double d = before[k], far = std::max(d - within, 0.0) * (1.0 / dt - gain);
+        if (d <= distance) continue;
+        wrong += (d - after[k]) / step > gain * (d - distance) + far + 1e-3;
+    }
+    for (double& x : q) x = std::numeric_limits<double>::quiet_NaN();
+    return wrong + space.free(q.data());
+}
+
 }  // namespace
 
 int main(int count, char** given) {
@@ -334,7 +422,9 @@ int main(int count, char** given) {
     const int cases = count > 2 ? std::atoi(given[2]) : 200;
     int optimal = 0, ticks = 0, faults = 0, elsewhere = 0, missed = 0, proofs = 0, back = 0;
     Random angles(seed);
-    int wrong = wrong_sines(angles);
+    int wrong = wrong_sines(angles), near = 0;
+    for (int i = 0; i < std::max(cases, 100); i++) wrong += too_fast(angles, near);
+    wrong += near == 0;
     for (int i = 0; i < cases; i++) {
         Random random(seed + (unsigned long)i);
         Case c;

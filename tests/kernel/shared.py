@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from coopqp import limit, program
+from coopqp import limit, program, robot
 from coopqp.kernel import compiled
 from coopqp.kernel.compiled import Outcome
 from coopqp.limits import _keep_apart
@@ -36,7 +36,7 @@ CONSTANTS: Mapping[object, Mapping[str, str]] = {
     limit: {"ROUNDING": "OUTSIDE", "SHALLOW": "SHALLOW"},
     _keep_apart: {
         "BACK": "BACK", "ROWS": "CORNER_ROWS", "EACH": "CORNERS_EACH", "CLOSE": "WITH_CORNERS",
-        "SLAB": "CORNER_SLAB",
+        "SLAB": "CORNER_SLAB", "EVEN": "EVEN",
     },
     profile: {"RAMP": "RAMP"},
     geometry: {"TINY": "TINY", "CONE": "CONE"},
@@ -69,10 +69,10 @@ def _lines() -> Iterator[str]:
     yield from _enum("enum class Status : int", outcomes)
     yield f"constexpr int {', '.join(f'{name} = {int(o)}' for name, o in flags.items())};"
     yield ""
-    yield "// coopqp.program.Kind, coopqp.limit.Bounded and Form, coopqp.model.profile.KINDS"
+    yield "// coopqp.program.Kind, limit.Bounded, robot.Form and model.profile.KINDS"
     yield from _enum("enum class Kind", {_camel(k.name): k for k in program.Kind})
     yield from _enum("enum class Bounded", {_camel(k.name): k for k in limit.Bounded})
-    yield from _enum("enum class Form", {_camel(k.name): k for k in limit.Form})
+    yield from _enum("enum class Form", {_camel(k.name): k for k in robot.Form})
     kinds = {_camel(name): i for i, name in enumerate(profile.KINDS)}
     yield from _enum("enum class ProfileKind", kinds)
     yield ""

@@ -7,6 +7,7 @@ from judged import compare
 from scenario_files import LOADABLE
 from side_by_side import drive, needs_kernel
 from stress.draw import draw
+from watched_bodies import driven, watched, watching
 
 from coopqp.controllers.qp import QPController
 from coopqp.kernel.flat import why_not
@@ -29,6 +30,16 @@ def test_shipped_scenarios_move_alike(name: str) -> None:
     seen = drive(problem, ticks)
     assert seen.decided == ticks, dict(seen.left)
     assert seen.v < SAME
+
+
+@pytest.mark.parametrize("name", watched())
+def test_bodies_are_kept_apart_alike(name: str) -> None:
+    """With self-collision and things nearby, towards a goal, also without any other limit."""
+    seen = drive(driven(name, 1), 100)
+    alone = drive(watching(name, alone=True), 20)
+    assert seen.decided == 100, dict(seen.left)
+    assert alone.decided == 20, dict(alone.left)
+    assert max(seen.v, alone.v) < SAME
 
 
 @pytest.mark.parametrize("seed", [*range(24), 381])  # the last needs its answer refined

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from stress.draw import draw
 from variants import apart, variants
+from watched_bodies import driven
 
 from coopqp.scenario.loader import load
 
@@ -16,6 +17,12 @@ TICKS = 100
 @pytest.mark.parametrize("name", ["point_on_point", "baxter_tray", "three_ur", "tiago_torso"])
 def test_scenarios_have_the_same_bits(name: str) -> None:
     off, decided = apart(load(name).problem(), TICKS)
+    assert (off, decided) == (0.0, TICKS)
+
+
+@pytest.mark.parametrize("name", ["two_so101", "pr2_circle"])
+def test_bodies_are_kept_apart_with_the_same_bits(name: str) -> None:
+    off, decided = apart(driven(name, 0), TICKS)
     assert (off, decided) == (0.0, TICKS)
 
 

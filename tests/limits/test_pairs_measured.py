@@ -1,4 +1,4 @@
-"""How many pairs of bodies are measured in a tick: those that can come near, not all."""
+"""How many pairs of bodies are looked at in a tick: those that can come near, not all."""
 
 from __future__ import annotations
 
@@ -7,16 +7,34 @@ from dataclasses import replace
 import pytest
 from side_by_side import laws, needs_kernel
 
+from coopqp.controller import ControlProblem
 from coopqp.limits import SelfCollision
 from coopqp.limits._distances import Distances
 from coopqp.scenario.loader import load
 
+pytestmark = needs_kernel
 
-@needs_kernel
-def test_the_kernel_tells_limits_how_fast_joints_may_be(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Before, all 346 pairs of two Pandas were measured in every tick with the kernel."""
+
+def two_pandas(*, alone: bool = False) -> ControlProblem:
+    """346 pairs; alone: no other limit, so that nothing bounds the joints' speed."""
     scenario = load("two_pandas")
-    scenario = replace(scenario, limits=(*scenario.limits, SelfCollision()))
+    others = () if alone else scenario.limits
+    return replace(scenario, limits=(*others, SelfCollision())).problem()
+
+
+@pytest.mark.parametrize("alone", [False, True])
+def test_the_kernel_has_rows_of_near_pairs_alone(alone: bool) -> None:
+    """Whatever bounds the joints: far pairs are asked whether an answer could touch them."""
+    _, kernel = laws(two_pandas(alone=alone))
+    state = kernel.start()
+    for _ in range(100):
+        kernel.step(state)
+        assert kernel.compiled
+        assert kernel.whole.engine.near() < 20
+
+
+def test_limits_in_python_are_told_how_fast_joints_may_be(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before, all pairs were measured in every tick of the kernel's, not those in reach alone."""
     counts: list[int] = []
     update = Distances.update
 
@@ -24,7 +42,9 @@ def test_the_kernel_tells_limits_how_fast_joints_may_be(monkeypatch: pytest.Monk
         update(self, within)
         counts.append(len(self.near))
 
-    plain, kernel = laws(scenario.problem())
+    plain, _ = laws(two_pandas())
+    monkeypatch.setattr(SelfCollision, "program", lambda *_: None)
+    _, kernel = laws(two_pandas())
     monkeypatch.setattr(Distances, "update", counting)
     kernel.tick(kernel.start())
     plain.tick(plain.start())

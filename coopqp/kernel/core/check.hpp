@@ -35,10 +35,9 @@ class Check {
           const std::vector<std::vector<int>>& kept, Arena& arena)
         : m_(model), rows_(rows), hierarchy_(hierarchy), shares_(shares), s_(settings),
           levels_(levels), kept_(kept),
-          moved_(arena.take(rows.stride())), slack_(std::size_t(settings.inequalities)),
-          of_arms_(arena.take(TWIST * model.arms.size())), V(arena.take(TWIST)),
+          moved_(arena.take(rows.stride())), of_arms_(arena.take(TWIST * model.arms.size())), V(arena.take(TWIST)),
           r_(model, rows, loops, hierarchy, shares, levels, arena),
-          y_(model, rows, loops, hierarchy, levels, settings.inequalities, arena) {}
+          y_(model, rows, loops, hierarchy, levels, arena) {}
 
     // Largest residuals since the beginning, for who wants to know.
     double worst_primal = 0.0, worst_dual = 0.0;
@@ -56,9 +55,8 @@ class Check {
         const double overrun = std::sqrt(clip(v, c.limits.lb, c.limits.ub) + (l == 0 ? clip_shares() : 0.0));
         double above = 0.0;
         alignas(64) double V_before[TWIST];
-        const int p = s_.inequalities;
-        for (int i = 0; i < p; i++) {
-            const std::size_t at = std::size_t(i);
+        slack_.resize(c.limits.h.size());
+        for (std::size_t at = 0; at < slack_.size(); at++) {
             slack_[at] = c.limits.h[at] - dot(c.limits.G + at * rows_.stride(), v, m_.blocks);
             if (slack_[at] < 0.0) above += slack_[at] * slack_[at];
         }
@@ -73,7 +71,7 @@ class Check {
             rows_.twists(moved_, of_arms_);
             own = std::sqrt(gap2 + loop_gap(nullptr));
         }
-        gradient(l, d, v, c.nearest, c.limits.G);
+        gradient(l, d, v, c);
         double off = 0.0;
         Outcome outcome{Status::Optimal, 0.0, 0.0, own};
         if (l > 0) outcome.pull = y_.pull(l, first, d, v);
@@ -131,7 +129,7 @@ class Check {
     Status excludes(int first, const Constraints& c, double width = CONSISTENT) {
         const Level& level = levels_[0];
         clear(y_.g, m_.blocks);
-        y_.push_limits(c.nearest, c.limits.G);
+        y_.push_limits(c.nearest, c.limits.G, c.limits.h.size());
         for (int pass = 0; pass < MOST_PASSES; pass++) y_.balance(first);
         double all = 0.0, asked = 0.0, widest2 = 0.0;
         for (int i = 0; i < m_.blocks * LANES; i++) {
@@ -247,8 +245,7 @@ class Check {
     }
 
     // g = the level's gradient, with what active limits push; y_.box has the part of bounds on v.
-    void gradient(int l, double d, const double* v, const LeastDistance& nearest,
-                  const double* G) {
+    void gradient(int l, double d, const double* v, const Constraints& c) {
         const Level& level = levels_[std::size_t(l)];
         const double curvature = d + level.joint_weight;
         double tau[6] = {0, 0, 0, 0, 0, 0};
@@ -261,7 +258,7 @@ class Check {
         }
         if (level.rows > level.exact) rows_.pull_object(tau, y_.g);
         y_.push_held(moved_);
-        y_.push_limits(nearest, G);
+        y_.push_limits(c.nearest, c.limits.G, c.limits.h.size());
     }
 
     // Norm of a projected gradient step, an estimate of |v - v*|. g has the bounds' part in it.

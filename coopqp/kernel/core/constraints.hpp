@@ -13,13 +13,17 @@ namespace coopqp {
 
 // lb <= v <= ub and G v <= h of a tick, for all levels.
 struct Limits {
-    Limits(int lanes, int inequalities, Arena& arena)
+    // most: rows there can be.
+    Limits(int lanes, int rows, int most, Arena& arena)
         : lb(arena.take(std::size_t(lanes))), ub(arena.take(std::size_t(lanes))),
-          G(arena.take(std::size_t(lanes * (inequalities + 1)))), h(std::size_t(inequalities)) {}
+          G(arena.take(std::size_t(lanes) * std::size_t(most + 1))), h(std::size_t(rows)), most(most) {
+        h.reserve(std::size_t(most));
+    }
 
-    double *lb, *ub;  // in lanes
-    double* G;        // (p, lanes)
-    std::vector<double> h;
+    double *lb, *ub;        // in lanes
+    double* G;              // (p, lanes)
+    std::vector<double> h;  // of the rows of a tick
+    int most;
 };
 
 class Constraints {
@@ -27,10 +31,10 @@ class Constraints {
     Constraints(int lanes, const Limits& given, int columns, const Level& first, Shares& shares,
                 Arena& arena)
         : limits(given),
-          nearest(lanes + padded(int(given.h.size())) + padded(shares.count()) +
+          nearest(lanes + padded(given.most) + padded(shares.count()) +
                       padded(first.exact),
                   columns + shares.count(), arena),
-          lanes_(lanes), inequalities_(int(given.h.size())), exact_(first.exact), shares_(shares),
+          lanes_(lanes), inequalities_(given.most), exact_(first.exact), shares_(shares),
           sizes2_(arena.take(std::size_t(nearest.stride()))),
           turn_(std::size_t(shares.count() + 1)) {}
 
@@ -40,6 +44,7 @@ class Constraints {
     // Whether level l may have v and the shares as they are; sides of all rows but those of joints
     // and shares are written for who may not.
     bool hold(int l, const double* v) {
+        if (inequalities_ != int(limits.h.size())) lay_out();
         const bool inside = limits_hold(v), agree = rows_agree(l);
         return inside && agree;
     }
@@ -111,6 +116,14 @@ class Constraints {
     int spare_row(int s) const { return share_row(0) + padded(shares_.count()) + s; }
 
   private:
+    // Where rows are, as many as there are in this tick; those that only fill lanes hold nothing.
+    void lay_out() {
+        inequalities_ = int(limits.h.size());
+        nearest.take_rows(spare_row(0) + padded(exact_));
+        clear(nearest.lower, nearest.stride() / LANES);
+        clear(nearest.upper, nearest.stride() / LANES);
+    }
+
     bool limits_hold(const double* v) {
         bool inside = true;
         const v4 *lo = coopqp::lanes(limits.lb), *hi = coopqp::lanes(limits.ub), *x = coopqp::lanes(v);

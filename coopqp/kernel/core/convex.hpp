@@ -136,10 +136,11 @@ class Convex {
         return cell(d.z < 0.0 ? 5 : 4, d.x, d.y, z);
     }
     static int cell(int face, double u, double v, double most) {
-        const double scale = 0.5 * CELLS / std::max(most, TINY);
-        const int i = std::min(int(u * scale + 0.5 * CELLS), CELLS - 1);
-        const int j = std::min(int(v * scale + 0.5 * CELLS), CELLS - 1);
-        return (face * CELLS + i) * CELLS + j;
+        return (face * CELLS + strip(u / most)) * CELLS + strip(v / most);
+    }
+    static int strip(double share) {  // -1 to 1; also of what is no number
+        const double at = 0.5 * CELLS * (share + 1.0);
+        return at > 0.0 ? at < CELLS ? int(at) : CELLS - 1 : 0;
     }
 
     // The corner to begin at for each cell.

@@ -153,7 +153,7 @@ inline Closest closest(const Convex& A, const Pose& at_A, const Convex& B, const
     using Told = Closest::Told;
     const Pose X = relative(at_A, at_B);  // all is in A's frame
     const double rims = A.rim + B.rim, closed = A.round() || B.round() ? CLOSED_ROUND : CLOSED;
-    V3 v = X.p;
+    V3 v = X.p, n = {1.0, 0.0, 0.0};  // of the best plane, which is the one that is proved
     if (!(dot(v, v) > 0.0)) v = {1.0, 0.0, 0.0};
     double size = std::sqrt(dot(v, v)), low = -std::numeric_limits<double>::infinity();
     Simplex simplex, best;
@@ -164,7 +164,10 @@ inline Closest closest(const Convex& A, const Pose& at_A, const Convex& B, const
         Simplex::Vertex w;
         w.a = A.support(v, i);
         w.w = X.out(B.support(X.in(-v), j)) + X.p - w.a;
-        low = std::max(low, dot(v, w.w) / size);
+        if (const double here = dot(v, w.w) / size; here > low) {
+            low = here;
+            n = (1.0 / size) * v;
+        }
         if (low - rims > enough) {
             found.told = Told::Beyond;
             found.d = low - rims;
@@ -207,7 +210,6 @@ inline Closest closest(const Convex& A, const Pose& at_A, const Convex& B, const
     found.told = Told::Measured;
     found.d = best_size - rims;
     found.gap = std::max(best_size - low, 0.0);
-    const V3 n = (1.0 / best_size) * best.nearest();
     found.n = at_A.out(n);
     found.p = at_A.out(best.nearest_of_first() + A.rim * n) + at_A.p;
     return found;

@@ -15,13 +15,20 @@
 #include "problem.hpp"
 #include "rows.hpp"
 #include "limit_recovery.hpp"
+#include "separation.hpp"
 
 namespace coopqp {
+
+// Bodies are looked at first as if joints became faster than in the last tick by no more than this,
+// plus a speed that one may set out with [rad/s, m/s].
+constexpr double FASTER = 1.5, STARTS = 0.2;
+constexpr int MOST_LOOKS = 8;
 
 class Kernel {
   public:
     Kernel(std::unique_ptr<Arena> arena, std::unique_ptr<Model> model,
-           std::vector<std::vector<int>> kept, Settings settings, std::vector<Level> given)
+           std::vector<std::vector<int>> kept, Settings settings, std::vector<Level> given,
+           std::vector<Separation> separations = {})
         : arena_(std::move(arena)),
           m_(std::move(model)),
           s_(std::move(settings)),
@@ -32,13 +39,14 @@ class Kernel {
           rows_(*m_),
           loops_(make_loops(*m_, kept_, *arena_)),
           damping_(rows_, s_, levels, *arena_),
-          limits(stride(), s_.inequalities, *arena_),
+          separations_(std::move(separations)),
+          limits(stride(), s_.inequalities, most_rows(), *arena_),
           tasks_(*m_, s_, rows_, *loops_, limits, kept_, levels, *arena_),
           nearest_(*m_, s_, rows_, *loops_, limits, kept_, levels[0], *arena_),
           limit_recovery_(*m_, s_, rows_, *loops_, limits, kept_, *arena_),
           b_(std::size_t(6 * std::max(m_->loops(), 1))),
           wanted_(std::size_t(levels[0].hard)), missed_(wanted_.size()),
-          missing_(std::size_t(levels[0].shares)),
+          missing_(std::size_t(levels[0].shares)), speed_(m_->joints.size()),
           set_out_(arena_->take(std::size_t(stride()))),
           v_(arena_->take(std::size_t(stride()))),
           last_(arena_->take(std::size_t(stride()))),
@@ -61,6 +69,7 @@ class Kernel {
             bound.drift[i] = kinematics.loop_error[i] - bound.gap[i];
         }
         std::copy(q, q + m_->n(), bound.q_seen);
+        limits.h.resize(std::size_t(s_.inequalities));
         return Status::Optimal;
     }
 
@@ -76,20 +85,15 @@ class Kernel {
         if (fault(Fault::WrongDirection)) loops_->Z[0] += 1e-3;
         loops_->particular(b_.data(), set_out_);
         if (fault(Fault::WrongSide)) set_out_[0] += 1e-4;
+        if (!look_around()) return Status::Unproven;
         comes_back_ = s_.outside(bound.q);
         if (comes_back_) {
             const Status status = all_corrected ? find_limit_recovery() : Status::Outside;
             if (status != Status::Optimal) return status;
         }
-        Status status = decide_first();
+        Status status = where_bodies_stay_apart([this] { return decide_levels(); },
+                                                [this] { return tasks_.v(); });
         if (status != Status::Optimal) return status;
-        for (std::size_t l = 1; l < levels.size(); l++) {
-            levels[l].want();
-            const double damping = s_.damping + damping_.of(int(l), levels[l], bound);
-            status = tasks_.decide(int(l), damping);
-            if (status != Status::Optimal) return status;
-            tasks_.shorten(damping_.step_of(bound.later_pulls[l - 1]));
-        }
         status = command(tasks_.v());
         if (status == Status::Opens) return status;
         for (std::size_t l = 1; l < levels.size(); l++) {
@@ -143,6 +147,13 @@ class Kernel {
     // For tests: e, J over the joints and rate of each row.
     std::vector<double> rows_of(int l) const { return rows_.listed(levels[std::size_t(l)], t_); }
 
+    // For tests: how many pairs of bodies have a row.
+    std::size_t near() const {
+        std::size_t pairs = 0;
+        for (const Separation& each : separations_) pairs += each.near();
+        return pairs;
+    }
+
     int stride() const { return m_->blocks * LANES; }
     const Model& model() const { return *m_; }
     const Settings& settings() const { return s_; }
@@ -166,6 +177,66 @@ class Kernel {
         std::size_t at = 0;
         for (std::size_t i = 0; i < kept_.size(); i++)
             for (int r : kept_[i]) b_[at++] = -kappa * bound.drift[6 * i + std::size_t(r)];
+    }
+
+    Status decide_levels() {
+        Status status = decide_first();
+        for (std::size_t l = 1; status == Status::Optimal && l < levels.size(); l++) {
+            levels[l].want();
+            const double damping = s_.damping + damping_.of(int(l), levels[l], bound);
+            status = tasks_.decide(int(l), damping);
+            if (status == Status::Optimal) tasks_.shorten(damping_.step_of(bound.later_pulls[l - 1]));
+        }
+        return status;
+    }
+
+    int most_rows() const {
+        int rows = s_.inequalities;
+        for (const Separation& each : separations_) rows += each.most_rows();
+        return rows;
+    }
+
+    // Rows of bodies that are near, up to some speed of the joints. False where one is not known.
+    bool look_around() {
+        if (separations_.empty()) return true;
+        for (std::size_t j = 0; j < speed_.size(); j++) {
+            const int lane = m_->joints[j].lane;
+            const double most = std::max(std::fabs(limits.lb[lane]), std::fabs(limits.ub[lane]));
+            speed_[j] = std::min(FASTER * std::fabs(bound.v_last[j]) + STARTS, most);
+        }
+        for (Separation& each : separations_)
+            if (each.begin(kinematics, speed_.data(), limits) != Separation::Told::Kept) return false;
+        return true;
+    }
+
+    // Decide until no pair of bodies that was left out could matter to the answer v.
+    template <class Decide, class Answer>
+    Status where_bodies_stay_apart(Decide decide, Answer v) {
+        for (int look = 0; look < MOST_LOOKS; look++) {
+            const Status status = decide();
+            if (status != Status::Optimal) return status;
+            const Separation::Told told = look_again(v());
+            if (told == Separation::Told::Kept) return status;
+            if (told == Separation::Told::Unknown) return Status::Unproven;
+        }
+        return Status::Unproven;
+    }
+
+    Separation::Told look_again(const double* v) {
+        using Told = Separation::Told;
+        bool faster = false;
+        for (std::size_t j = 0; j < speed_.size() && !separations_.empty(); j++) {
+            const double of_joint = std::fabs(v[m_->joints[j].lane]);
+            faster |= of_joint > speed_[j];
+            speed_[j] = std::max(speed_[j], of_joint);
+        }
+        Told told = Told::Kept;
+        for (std::size_t i = 0; faster && i < separations_.size(); i++) {
+            const Told one = separations_[i].look(kinematics, speed_.data(), v, limits);
+            if (one == Told::Unknown) return one;
+            if (one == Told::More) told = one;
+        }
+        return told;
     }
 
     // Hard and scaled tasks as they are, or as nearly as can be; else the first soft ones.
@@ -311,7 +382,9 @@ class Kernel {
 
     Status find_limit_recovery() {
         const double damping = damping_.of(s_.reach * bound.recovery[0]);
-        const Status status = limit_recovery_.find(bound.q, damping, b_.data(), set_out_);
+        const Status status = where_bodies_stay_apart(
+            [&] { return limit_recovery_.find(bound.q, damping, b_.data(), set_out_); },
+            [this] { return limit_recovery_.v(); });
         if (status == Status::Optimal) limit_recovery_.keep(bound.q, limits);
         return status;
     }
@@ -335,6 +408,8 @@ class Kernel {
     std::unique_ptr<Loops> loops_;
     StepDamping damping_;
 
+    std::vector<Separation> separations_;
+
   public:
     Limits limits;
 
@@ -345,6 +420,7 @@ class Kernel {
     std::vector<double> b_;
     std::vector<double> wanted_, missed_;  // of hard rows
     std::vector<double> missing_;          // of shares
+    std::vector<double> speed_;            // of joints, up to which bodies were looked at
     double leaves_ = 0.0;                  // how far scaled tasks leave their directions
     bool near_scaled_ = false;             // whether their nearest motion was looked for
     double *set_out_, *v_, *last_, *near_, *V_, *t_;

@@ -32,6 +32,9 @@ class LeastDistance {
           multiplier_(std::size_t(columns + 1)),
           row_(std::size_t(columns + 1)), side_(std::size_t(columns + 1)), most_(columns + 1) {}
 
+    // So many rows from now on, no more than at first.
+    void take_rows(int rows) { row_blocks_ = blocks_of(rows); }
+
     double* column(int a) { return M + a * stride(); }
     int stride() const { return row_blocks_ * LANES; }
 

@@ -16,11 +16,11 @@ namespace coopqp {
 class Multipliers {
   public:
     Multipliers(const Model& model, const Rows& rows, const Loops& loops, Hierarchy& hierarchy,
-                const std::vector<Level>& levels, int inequalities, Arena& arena)
+                const std::vector<Level>& levels, Arena& arena)
         : g(arena.take(rows.stride())), box(arena.take(rows.stride())),
           lambda(arena.take(std::size_t(hierarchy.width()))),
           of_loops(std::size_t(6 * std::max(model.loops(), 1))),
-          of_rows(std::size_t(inequalities)), of_shares(std::size_t(levels[0].shares)),
+          of_shares(std::size_t(levels[0].shares)),
           spare(std::size_t(levels[0].exact)),
           m_(model), rows_(rows), loops_(loops), hierarchy_(hierarchy), levels_(levels),
           y_(arena.take(std::size_t(hierarchy.width()))),
@@ -33,11 +33,11 @@ class Multipliers {
     std::vector<double> of_loops, of_rows, of_shares;  // of_rows: of G
     std::vector<double> spare;  // of exact rows that depend on others
 
-    // Add what active limits push to g; multipliers of others begin at zero.
-    void push_limits(const LeastDistance& nearest, const double* G) {
+    // Add what active limits, of so many rows G, push to g; multipliers of others begin at zero.
+    void push_limits(const LeastDistance& nearest, const double* G, std::size_t rows) {
         reduced_ = false;
         std::fill(of_loops.begin(), of_loops.end(), 0.0);
-        std::fill(of_rows.begin(), of_rows.end(), 0.0);
+        of_rows.assign(rows, 0.0);
         std::fill(of_shares.begin(), of_shares.end(), 0.0);
         std::fill(spare.begin(), spare.end(), 0.0);
         clear(lambda, hierarchy_.blocks());

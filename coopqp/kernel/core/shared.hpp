@@ -48,6 +48,7 @@ constexpr double CORNER_ROWS = 24.0;
 constexpr double CORNERS_EACH = 3.0;
 constexpr double WITH_CORNERS = 0.005;
 constexpr double CORNER_SLAB = 0.002;
+constexpr double EVEN = 1e-09;
 
 // coopqp.model.profile
 constexpr double RAMP = 0.25;
@@ -78,7 +79,7 @@ enum class Status : int {
 };
 constexpr int BUSY = -1, RELAXED = 16, STANDS = 32, COMES_BACK = 64;
 
-// coopqp.program.Kind, coopqp.limit.Bounded and Form, coopqp.model.profile.KINDS
+// coopqp.program.Kind, limit.Bounded, robot.Form and model.profile.KINDS
 enum class Kind {
     Point = 0,
     Radial = 1,
