@@ -9,13 +9,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-import coal
 import numpy as np
 import pinocchio as pin
 
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
-from coopqp.limit import DistanceBounds, Form, Solid
+from coopqp.limit import DistanceBounds
 from coopqp.model.state import State
 
 #: What a loop may be open by between the points of a path [m, rad], and a joint beyond its limit.
@@ -125,41 +124,11 @@ def lengths(q: Array) -> Array:
 def _add(geometry: pin.GeometryModel, bounds: DistanceBounds) -> Iterator[float]:
     """Add a limit's bodies and pairs; the distance that each pair keeps [m]."""
     ids = []
-    for solid in bounds.solids:
-        shape, at = _shape(solid)
+    for joint, convex in bounds.bodies:
         name = f"{geometry.ngeoms}"
-        body = pin.GeometryObject(name, solid.joint, solid.placement * at, shape)
+        convex.geometry.computeLocalAABB()
+        body = pin.GeometryObject(name, joint, convex.placement, convex.geometry)
         ids.append(geometry.addGeometryObject(body))
     for a, b in bounds.pairs.tolist():
         geometry.addCollisionPair(pin.CollisionPair(ids[a], ids[b]))
         yield bounds.distance
-
-
-def _shape(solid: Solid) -> tuple[coal.CollisionGeometry, pin.SE3]:
-    """A body for coal, and where its frame is in the body's own."""
-    here = pin.SE3.Identity()
-    if solid.form is Form.BOX:
-        return coal.Box(*(2.0 * solid.half)), here
-    if solid.form is Form.CYLINDER:
-        return coal.Cylinder(float(solid.half[0]), 2.0 * float(solid.half[2])), here
-    if solid.form is Form.ELLIPSOID:
-        return coal.Ellipsoid(*solid.half), here
-    if len(solid.points) == 1:
-        return coal.Sphere(solid.rim), pin.SE3(np.eye(3), solid.points[0])
-    if len(solid.points) == 2:
-        a, b = solid.points
-        turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), b - a)
-        at = pin.SE3(turn.toRotationMatrix(), 0.5 * (a + b))
-        return coal.Capsule(solid.rim, float(np.linalg.norm(b - a))), at
-    return _hull(solid.points), here
-
-
-def _hull(points: Array) -> coal.CollisionGeometry:
-    from scipy.spatial import ConvexHull
-
-    hull = ConvexHull(points)
-    number = {old: new for new, old in enumerate(hull.vertices.tolist())}
-    corners, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
-    corners.extend(list(hull.points[hull.vertices]))
-    triangles.extend([coal.Triangle(*(number[i] for i in t)) for t in hull.simplices.tolist()])
-    return coal.Convex(corners, triangles)
