@@ -6,6 +6,7 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
+from scenario_files import needs_robots
 from side_by_side import needs_kernel
 from stress import arrangements
 from variants import variants
@@ -21,7 +22,7 @@ from coopqp.planning.verification import along, lengths
 from coopqp.scenario.loader import load
 from coopqp.study.explanation.goal import Goal
 
-pytestmark = needs_kernel
+pytestmark = [needs_kernel, needs_robots]
 
 NAMES = ("point_on_point", "planar_pair", "two_so101", "three_ur", "tiago_torso", "baxter_tray")
 

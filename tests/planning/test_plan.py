@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import typed
+from scenario_files import needs_robots
 from side_by_side import needs_kernel
 
 import coopqp
@@ -25,7 +26,7 @@ from coopqp.scenario.scenario import Scenario
 from coopqp.study.explanation.goal import Goal, Room, placed
 from coopqp.tasks import PlaneOnPlane, PointOnPoint
 
-pytestmark = needs_kernel
+pytestmark = [needs_kernel, needs_robots]
 
 AMPLE = Budget(seconds=60.0)
 
