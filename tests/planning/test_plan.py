@@ -19,7 +19,7 @@ from coopqp.limits import Obstacles
 from coopqp.planning.closed_space import Budget
 from coopqp.planning.plan import CLOSE, Plan, Planner, plan
 from coopqp.planning.reach import reach
-from coopqp.planning.timing import joint_limits
+from coopqp.planning.timing import TO_SPEED, joint_limits
 from coopqp.planning.verification import Verifier
 from coopqp.scenario.loader import load, load_text
 from coopqp.scenario.scenario import Scenario
@@ -109,7 +109,7 @@ def test_a_plan_in_time_keeps_speeds_and_accelerations(shelves: Scenario, way: P
     v = np.diff(way.timed, axis=0, prepend=way.timed[:1], append=way.timed[-1:]) / shelves.dt
     assert (np.abs(v) <= speed).all()
     assert (np.abs(np.diff(v, axis=0)) / shelves.dt <= push * (1.0 + 1e-9)).all()
-    np.testing.assert_allclose(push, 10.0)
+    np.testing.assert_allclose(push, speed / TO_SPEED)
 
 
 def test_the_second_look_sees_what_is_wrong(shelves: Scenario, way: Plan) -> None:
