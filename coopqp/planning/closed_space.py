@@ -62,7 +62,7 @@ class Budget:
     step: float = 0.1
     fine: float = 0.02
     reach: float = 1.5
-    shortcuts: int = 300
+    shortcuts: int = 500
 
 
 @dataclass(frozen=True)
