@@ -93,7 +93,7 @@ def shelves(asked: argparse.Namespace) -> None:
             rows.setdefault(name, []).append(_measured(found, wall - ready, spent))
             if found.found and seed < 10:
                 np.savez(asked.out / f"{name.replace('->', '_')}_{seed}.npz", q=found.q)
-        print(_line(name, rows[name]), flush=True)
+        print(_line(name, rows.get(name, [])), flush=True)
     groups = {
         "named": [row for name in rows if "->" in name for row in rows[name]],
         "random": [row for name in rows if "->" not in name for row in rows[name]],
