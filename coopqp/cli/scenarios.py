@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -104,18 +106,91 @@ def solve_start(scenario: str, seed: int | None, catalog: Any, as_json: bool) ->
     Without object.pose the loops are closed near its own start, wherever that puts the object.
     """
     from coopqp.report import strict_json
-    from coopqp.report.table import progress_bars
     from coopqp.scenario.loader import load_and_solve
     from coopqp.scenario.start_solver import yaml_text
 
-    with progress_bars(["solving"], 1) as progress:
-        report = (lambda done, total: progress("solving", done / total)) if progress else None
+    with _bar("solving") as progress:
+        report = lambda done, total: progress(done / total)  # noqa: E731
         start = load_and_solve(scenario, catalog, seed=seed, progress=report)
     if as_json:
         keys = ("start", "margin", "tries", "found")
         click.echo(strict_json.text({key: getattr(start, key) for key in keys}))
         return
     click.echo(yaml_text(start), nl=False)
+
+
+@click.command()
+@SCENARIO
+@click.option("--seed", type=click.IntRange(0), help="Of the starts, instead of the scenario's.")
+@catalogued
+@JSON
+def reach(scenario: str, seed: int | None, catalog: Any, as_json: bool) -> None:
+    """Look for configurations inside all limits that meet a scenario's tasks at their goals.
+
+    SCENARIO is a YAML file or the name of a shipped scenario (coopqp list scenarios).
+    """
+    from coopqp.planning import reach as look
+    from coopqp.report import planning as report
+    from coopqp.report.table import console
+
+    with _bar("looking") as progress:
+        found = look(read_scenario(scenario, catalog), seed=seed, progress=progress)
+    if as_json:
+        click.echo(report.reach_json(found))
+        return
+    say(found.sentence, aside=False)
+    if found.found:
+        console().print(report.configurations(found))
+
+
+@click.command()
+@SCENARIO
+@click.option(
+    "--out", type=WRITTEN, help="Folder for the path, and for a scenario that follows it."
+)
+@click.option("--keep", multiple=True, metavar="TASK", help="Met all along; more than once.")
+@click.option("--seconds", type=click.FloatRange(0.01, 3600.0), default=10.0, help="At most.")
+@click.option("--seed", type=click.IntRange(0), help="Of the search, instead of the scenario's.")
+@catalogued
+@JSON
+def plan(
+    scenario: str,
+    out: Path | None,
+    keep: tuple[str, ...],
+    seconds: float,
+    seed: int | None,
+    catalog: Any,
+    as_json: bool,
+) -> None:
+    """Find a way to a scenario's goals round what is in the way, with the loops closed all along.
+
+    SCENARIO is a YAML file or the name of a shipped scenario (coopqp list scenarios).
+    """
+    from coopqp.planning import Budget
+    from coopqp.planning import plan as find
+    from coopqp.report import files
+    from coopqp.report import planning as report
+
+    loaded = read_scenario(scenario, catalog)
+    if out:
+        files.check_folder(out)
+    budget = Budget(seconds=seconds, seed=loaded.seed if seed is None else seed)
+    with _bar("planning") as progress:
+        found = find(loaded, keep=keep, budget=budget, progress=progress)
+    if not found.found:
+        raise CoopqpError(found.sentence)
+    click.echo(report.plan_json(found)) if as_json else say(found.sentence, aside=False)
+    for path in report.write_plan(found, loaded, out) if out else ():
+        say(f"wrote {path}", aside=as_json)
+
+
+@contextmanager
+def _bar(name: str) -> Iterator[Callable[[float], None]]:
+    """A progress bar of one search, on a terminal."""
+    from coopqp.report.table import progress_bars
+
+    with progress_bars([name], 1) as progress:
+        yield (lambda share: progress(name, share)) if progress else (lambda share: None)
 
 
 @click.command()

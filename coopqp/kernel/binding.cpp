@@ -6,6 +6,7 @@
 #include "deciding.hpp"
 #include "free_space.hpp"
 #include "online.hpp"
+#include "planning.hpp"
 #include "sliding.hpp"
 #include "trajectory_evaluation.hpp"
 
@@ -16,6 +17,7 @@ using KERNEL_MODULE::FreeSpace;
 using KERNEL_MODULE::Reading;
 using KERNEL_MODULE::Ring;
 using KERNEL_MODULE::Samples;
+using KERNEL_MODULE::Planner;
 using KERNEL_MODULE::Slide;
 using KERNEL_MODULE::TrajectoryEvaluation;
 using KERNEL_MODULE::Written;
@@ -62,6 +64,10 @@ NB_MODULE(KERNEL_MODULE, m) {
         .def("add", &Samples::add)
         .def("quiet", &Samples::quiet)
         .def("directions", &Samples::directions);
+    nb::class_<Planner>(m, "Planner")
+        .def(nb::init<const nb::dict&>())
+        .def("project", &Planner::project)
+        .def("find", &Planner::find, "search"_a, "others"_a.none(), "wait"_a);
     nb::class_<Slide>(m, "Slide")
         .def(nb::init<const nb::dict&>())
         .def("step", &Slide::step);

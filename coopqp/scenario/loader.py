@@ -15,14 +15,15 @@ from coopqp.robot import RobotModel
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.checks import Known, at, check_start, contradictions, refuse
 from coopqp.scenario.form import SOLVE, check, chosen, fields_of, given
+from coopqp.scenario.planned import following
 from coopqp.scenario.scenario import Scenario, Start, from_degrees
 from coopqp.scenario.start_solver import Progress, StartSolution, close_start, solve_start
 from coopqp.scenario.yaml import YamlFile, parsed, read_yaml
 from coopqp.solver import Solver
 from coopqp.solvers import qpsolvers
 
-#: Keys whose values are paths, of robots, obstacles, way-points and what was sent.
-FILE_KEYS = {"path", "mesh", "file", "feed_file"}
+#: Keys whose values are paths, of robots, obstacles, way-points, plans and what was sent.
+FILE_KEYS = {"path", "mesh", "file", "feed_file", "plan"}
 
 
 def load(path: str | Path, catalog: Catalog | None = None) -> Scenario:
@@ -55,6 +56,9 @@ def load_file(file: YamlFile, catalog: Catalog, known: Known | None = None) -> S
             with at(["robot"]):
                 robot = scenario.robot_model
             scenario = _starting(scenario, from_degrees(robot, scenario.grasps, scenario.start))
+        if planned := file.data.get("reference"):
+            with at(["reference"]):
+                scenario = following(scenario, file.folder / planned["plan"])
         check_start(file.data, scenario, known)
         return scenario
 

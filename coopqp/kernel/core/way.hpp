@@ -1,0 +1,367 @@
+// A path on a manifold: two trees that grow towards each other, then shortcuts.
+//
+// After RRT-Connect (Kuffner and LaValle 2000). A tree grows in a chart: some joints lead on a
+// straight line and the others follow by Newton steps, so that a sample need not be on the manifold.
+// Where no joint leads, all go towards the sample and are brought back by steps of least norm. Each
+// turn takes a chart at random. Edges are made of small steps, each looked at for collisions; they
+// are halved on the manifold to a finer step before a path counts, and what does not stand that
+// dies with all that grew from it.
+#pragma once
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <cstdint>
+#include <functional>
+#include <vector>
+
+#include "manifold.hpp"
+
+namespace coopqp {
+
+using Points = std::vector<double>;  // configurations one after the other
+
+class Obstruction {
+  public:
+    virtual ~Obstruction() = default;
+    virtual bool free(const double* q) = 0;
+};
+
+struct Search {
+    double step, fine, range;  // of a look in trees and on paths, of a branch [rad, m]
+    double seconds;
+    std::uint64_t seed;
+    int shortcuts;                           // tries
+    std::vector<double> low, high;           // where samples are taken
+    std::vector<std::vector<char>> charts;   // of each joint, whether it leads; no joint: all go
+};
+
+struct Found {
+    bool found = false;
+    Points path;
+    double first = 0.0;  // length before shortcuts [rad, m]
+    long checks = 0, projections = 0, nodes = 0;
+};
+
+class Way {
+  public:
+    // `wait` is called ten times a second and ends all by throwing, as on Ctrl-C.
+    Way(Manifold& manifold, Obstruction& obstruction, const Search& search,
+        std::function<void()> wait)
+        : m_(manifold), o_(obstruction), s_(search), wait_(std::move(wait)), n_(manifold.n()),
+          state_(search.seed), begun_(Clock::now()), told_(begun_) {}
+
+    Found find(const Points& starts, const Points& goals) {
+        Tree trees[2];
+        for (int side = 0; side < 2; side++) {
+            const Points& roots = side ? goals : starts;
+            for (std::size_t at = 0; at < roots.size(); at += std::size_t(n_))
+                trees[side].add(&roots[at], n_, -1, true);
+        }
+        found_ = {};
+        if (!straight(trees)) grow(trees);
+        found_.nodes = long(trees[0].parent.size() + trees[1].parent.size());
+        if (!found_.found) return found_;
+        found_.first = length(found_.path);
+        shorten(found_.path);
+        smooth(found_.path);
+        return found_;
+    }
+
+  private:
+    using Clock = std::chrono::steady_clock;
+    static constexpr int NEWTON = 12;        // steps of a projection along an edge
+    static constexpr double STRETCH = 2.0;   // of a step, how much longer it may become
+    static constexpr double SAME = 1e-6;     // configurations that are one [rad, m]
+    static constexpr int PASSES = 20;        // of smoothing
+    static constexpr double LEAST = 1.0 / 16;  // share of a step below which none is tried
+
+    struct Tree {
+        Points q;
+        std::vector<int> parent, nodes;  // nodes: those that branches begin at
+        std::vector<char> dead;
+
+        int add(const double* at, int n, int from, bool node) {
+            q.insert(q.end(), at, at + n);
+            parent.push_back(from);
+            dead.push_back(0);
+            if (node) nodes.push_back(int(parent.size()) - 1);
+            return int(parent.size()) - 1;
+        }
+        const double* at(int i, int n) const { return &q[std::size_t(i) * std::size_t(n)]; }
+    };
+
+    double random() {  // splitmix64
+        std::uint64_t z = (state_ += 0x9e3779b97f4a7c15ull);
+        z = (z ^ (z >> 30)) * 0xbf58476d1ce4e5b9ull;
+        z = (z ^ (z >> 27)) * 0x94d049bb133111ebull;
+        return double((z ^ (z >> 31)) >> 11) * 0x1.0p-53;
+    }
+    int random(int count) { return std::min(int(random() * count), count - 1); }
+
+    double apart(const double* a, const double* b) const {
+        double sum = 0.0;
+        for (int j = 0; j < n_; j++) sum += (a[j] - b[j]) * (a[j] - b[j]);
+        return std::sqrt(sum);
+    }
+    double length(const Points& path) const {
+        double sum = 0.0;
+        for (std::size_t at = std::size_t(n_); at < path.size(); at += std::size_t(n_))
+            sum += apart(&path[at], &path[at - std::size_t(n_)]);
+        return sum;
+    }
+
+    bool free(const double* q) {
+        found_.checks++;
+        return o_.free(q);
+    }
+    bool project(double* q, const char* held) {
+        found_.projections++;
+        return m_.project(q, held, NEWTON);
+    }
+
+    bool late() {
+        const auto now = Clock::now();
+        if (std::chrono::duration<double>(now - told_).count() > 0.1) {
+            told_ = now;
+            wait_();
+        }
+        return std::chrono::duration<double>(now - begun_).count() > s_.seconds;
+    }
+
+    // Between two configurations by halves, each looked at; both ends are left out of `out`.
+    bool between(const double* a, const double* b, double fine, Points& out, int depth = 0) {
+        const double whole = apart(a, b);
+        if (whole <= fine) return true;
+        if (depth > 16) return false;
+        Points middle(static_cast<std::size_t>(n_));
+        for (int j = 0; j < n_; j++) middle[std::size_t(j)] = 0.5 * (a[j] + b[j]);
+        if (!project(middle.data(), nullptr)) return false;
+        const double most = 0.75 * whole;
+        if (apart(a, middle.data()) > most || apart(middle.data(), b) > most) return false;
+        if (!free(middle.data())) return false;
+        Points later;
+        if (!between(a, middle.data(), fine, out, depth + 1) ||
+            !between(middle.data(), b, fine, later, depth + 1))
+            return false;
+        out.insert(out.end(), middle.begin(), middle.end());
+        out.insert(out.end(), later.begin(), later.end());
+        return true;
+    }
+
+    // From a start to a goal without a search.
+    bool straight(Tree* trees) {
+        for (int i : trees[0].nodes)
+            for (int k : trees[1].nodes) {
+                const double *a = trees[0].at(i, n_), *b = trees[1].at(k, n_);
+                Points inner;
+                if (!between(a, b, s_.fine, inner)) continue;
+                found_.path.assign(a, a + n_);
+                found_.path.insert(found_.path.end(), inner.begin(), inner.end());
+                found_.path.insert(found_.path.end(), b, b + n_);
+                return found_.found = true;
+            }
+        return false;
+    }
+
+    void grow(Tree* trees) {
+        Points target(static_cast<std::size_t>(n_));
+        for (int turn = 0; !late(); turn++) {
+            Tree &one = trees[turn % 2], &other = trees[1 - turn % 2];
+            const std::vector<char>& chart = s_.charts[std::size_t(random(int(s_.charts.size())))];
+            for (int j = 0; j < n_; j++) {
+                const auto at = std::size_t(j);
+                target[at] = s_.low[at] + random() * (s_.high[at] - s_.low[at]);
+            }
+            const int from = nearest(one, target.data(), chart);
+            if (from < 0) return;
+            const int to = extend(one, from, target.data(), chart, s_.range);
+            if (to == from) continue;
+            const Points there(one.at(to, n_), one.at(to, n_) + n_);
+            const int near = nearest(other, there.data(), {});
+            if (near < 0) return;
+            const int met = extend(other, near, there.data(), chart, 1e9);
+            if (apart(other.at(met, n_), there.data()) > SAME) continue;
+            if (joined(trees, turn % 2 ? met : to, turn % 2 ? to : met)) return;
+        }
+    }
+
+    // Of the branches' beginnings, by the joints that lead; all where none does.
+    int nearest(const Tree& tree, const double* q, const std::vector<char>& chart) const {
+        int best = -1;
+        double least = 1e300;
+        const bool all = !leads(chart);
+        for (int i : tree.nodes) {
+            if (tree.dead[std::size_t(i)]) continue;
+            const double* at = tree.at(i, n_);
+            double sum = 0.0;
+            for (int j = 0; j < n_; j++)
+                if (all || chart[std::size_t(j)]) sum += (at[j] - q[j]) * (at[j] - q[j]);
+            if (sum < least) {
+                least = sum;
+                best = i;
+            }
+        }
+        return best;
+    }
+
+    static bool leads(const std::vector<char>& chart) {
+        return std::find(chart.begin(), chart.end(), 1) != chart.end();
+    }
+
+    // Grow towards a target, as far as `range`; the last point, which may be where it began.
+    int extend(Tree& tree, int from, const double* target, const std::vector<char>& chart,
+               double range) {
+        const bool led = leads(chart);
+        int at = from;
+        double gone = 0.0, since = 0.0, share = 1.0;
+        Points q(static_cast<std::size_t>(n_)), way(q);
+        while (gone < range) {
+            const double* here = tree.at(at, n_);
+            double rest = 0.0;
+            for (int j = 0; j < n_; j++) {
+                way[std::size_t(j)] = !led || chart[std::size_t(j)] ? target[j] - here[j] : 0.0;
+                rest += way[std::size_t(j)] * way[std::size_t(j)];
+            }
+            rest = std::sqrt(rest);
+            if (rest < SAME) break;
+            const double part = std::min(1.0, share * s_.step / rest);
+            for (int j = 0; j < n_; j++) q[std::size_t(j)] = here[j] + part * way[std::size_t(j)];
+            const bool closed = project(q.data(), led ? chart.data() : nullptr);
+            const double moved = closed ? apart(q.data(), here) : 0.0;
+            if (!closed || moved > STRETCH * s_.step) {
+                if ((share *= 0.5) < LEAST) break;
+                continue;
+            }
+            if (!led && apart(q.data(), target) > rest - 0.2 * part * rest) break;
+            if (!free(q.data())) break;
+            share = std::min(1.0, 2.0 * share);
+            gone += moved;
+            since += moved;
+            const bool node = since > 0.5 * s_.range;
+            if (node) since = 0.0;
+            at = tree.add(q.data(), n_, at, node);
+        }
+        if (at != from && (tree.nodes.empty() || tree.nodes.back() != at)) tree.nodes.push_back(at);
+        return at;
+    }
+
+    // Whether the path through two points that are one stands a finer look; else what does not dies.
+    bool joined(Tree* trees, int of_start, int of_goal) {
+        Points path;
+        std::vector<int> way;
+        for (int i = of_start; i >= 0; i = trees[0].parent[std::size_t(i)]) way.push_back(i);
+        std::reverse(way.begin(), way.end());
+        for (std::size_t i = 0; i < way.size(); i++) {
+            const double* q = trees[0].at(way[i], n_);
+            if (i && !between(&path[path.size() - std::size_t(n_)], q, s_.fine, emptied()))
+                return kill(trees[0], way[i]);
+            append(path, q);
+        }
+        Points back;
+        way.clear();
+        for (int i = of_goal; i >= 0; i = trees[1].parent[std::size_t(i)]) way.push_back(i);
+        std::reverse(way.begin(), way.end());
+        for (std::size_t i = 0; i < way.size(); i++) {
+            const double* q = trees[1].at(way[i], n_);
+            if (i && !between(&back[back.size() - std::size_t(n_)], q, s_.fine, emptied()))
+                return kill(trees[1], way[i]);
+            append(back, q);
+        }
+        for (std::size_t at = back.size() - std::size_t(n_); at > 0;) {  // the last is there already
+            at -= std::size_t(n_);
+            path.insert(path.end(), back.begin() + long(at), back.begin() + long(at) + n_);
+        }
+        found_.path = std::move(path);
+        return found_.found = true;
+    }
+
+    // Where points between go until all of them are known.
+    Points& emptied() {
+        inner_.clear();
+        return inner_;
+    }
+    void append(Points& path, const double* q) {
+        path.insert(path.end(), inner_.begin(), inner_.end());
+        inner_.clear();
+        path.insert(path.end(), q, q + n_);
+    }
+
+    bool kill(Tree& tree, int i) {
+        inner_.clear();
+        tree.dead[std::size_t(i)] = 1;
+        for (std::size_t k = std::size_t(i) + 1; k < tree.parent.size(); k++)
+            if (tree.parent[k] >= 0 && tree.dead[std::size_t(tree.parent[k])]) tree.dead[k] = 1;
+        return false;
+    }
+
+    // Ways between two points of the path at random, where they are shorter.
+    void shorten(Points& path) {
+        const auto n = std::size_t(n_);
+        std::vector<double> at;  // length up to each point
+        for (int i = 0; i < s_.shortcuts && !late(); i++) {
+            const std::size_t count = path.size() / n;
+            if (count < 3) return;
+            at.assign(count, 0.0);
+            for (std::size_t k = 1; k < count; k++)
+                at[k] = at[k - 1] + apart(&path[k * n], &path[(k - 1) * n]);
+            const double u = random() * at.back(), v = random() * at.back();
+            const auto index = [&](double x) {
+                return std::size_t(std::lower_bound(at.begin(), at.end(), x) - at.begin());
+            };
+            const std::size_t a = index(std::min(u, v)), b = index(std::max(u, v));
+            if (b < a + 2 || apart(&path[a * n], &path[b * n]) > 0.999 * (at[b] - at[a])) continue;
+            Points inner, made(path.begin(), path.begin() + long((a + 1) * n));
+            if (!between(&path[a * n], &path[b * n], s_.fine, inner)) continue;
+            made.insert(made.end(), inner.begin(), inner.end());
+            made.insert(made.end(), path.begin() + long(b * n), path.end());
+            if (length(made) < at.back() - SAME) path = std::move(made);
+        }
+    }
+
+    // Round the corners that shortcuts leave: points at a step's distance go to the middle between
+    // their neighbours. What the finer look does not stand stays as it was.
+    void smooth(Points& path) {
+        const auto n = std::size_t(n_);
+        Points rough(path.begin(), path.begin() + n_), q(n);
+        for (std::size_t at = n; at < path.size(); at += n)
+            if (at + n == path.size() || apart(&path[at], &rough[rough.size() - n]) > s_.step)
+                rough.insert(rough.end(), path.begin() + long(at), path.begin() + long(at + n));
+        const std::size_t count = rough.size() / n;
+        for (int pass = 0; pass < PASSES && !late(); pass++)
+            for (std::size_t i = 1; i + 1 < count; i++) {
+                double* here = &rough[i * n];
+                for (std::size_t j = 0; j < n; j++)
+                    q[j] = 0.5 * here[j] + 0.25 * (here[j - n] + here[j + n]);
+                if (project(q.data(), nullptr) && free(q.data()))
+                    std::copy(q.begin(), q.end(), here);
+            }
+        Points made;
+        if (refined(rough, made)) path = std::move(made);
+    }
+
+    // Halved to the finer step; false where something is in the way.
+    bool refined(const Points& rough, Points& made) {
+        const auto n = std::size_t(n_);
+        made.assign(rough.begin(), rough.begin() + n_);
+        for (std::size_t at = n; at < rough.size(); at += n) {
+            if (!between(&rough[at - n], &rough[at], s_.fine, emptied())) {
+                inner_.clear();
+                return false;
+            }
+            append(made, &rough[at]);
+        }
+        return true;
+    }
+
+    Manifold& m_;
+    Obstruction& o_;
+    const Search& s_;
+    std::function<void()> wait_;
+    int n_;
+    std::uint64_t state_;
+    Clock::time_point begun_, told_;
+    Found found_;
+    Points inner_;
+};
+
+}  // namespace coopqp

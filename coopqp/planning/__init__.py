@@ -1,0 +1,7 @@
+"""A way round: whether goals can be reached, and by which motion."""
+
+from coopqp.planning.closed_space import Budget as Budget
+from coopqp.planning.plan import Plan as Plan
+from coopqp.planning.plan import plan as plan
+from coopqp.planning.reach import Reach as Reach
+from coopqp.planning.reach import reach as reach

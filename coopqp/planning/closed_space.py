@@ -1,0 +1,244 @@
+"""Closed configurations inside the position limits: where they are, and ways between them.
+
+Searches are the kernel's (``core/manifold.hpp``, ``core/way.hpp``), joint limits those of every
+limit that bounds q. A tree grows in charts: n - rank joints lead and the others follow by Newton
+steps. Who can follow is said by the loops' Jacobian J_c at closed configurations: a chart is as
+good as the mean logarithm of the smallest singular value of its followers' columns.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from coopqp.base.errors import CoopqpError
+from coopqp.base.spec import Array
+from coopqp.controller import ControlProblem
+from coopqp.kernel import native
+from coopqp.kernel.flat import Group, Levels, flat_distances, flat_model, kept_rows
+from coopqp.kernel.free_space import FreeSpace
+from coopqp.limit import DistanceBounds
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
+from coopqp.program import Programs
+from coopqp.study.explanation.goal import Room
+from coopqp.task import Task, TaskStack
+
+LARGE = 1e300  # stands for no limit
+
+#: Joints without limits are sampled so far to both sides of the start [rad, m].
+UNLIMITED = np.pi
+
+#: Newton steps of a configuration that is far off the manifold.
+STEPS = 60
+
+#: Configurations at which charts are judged, how many of each leader are used, sets looked at.
+POSES, EACH, MOST_SETS = 60, 2, 200
+#: Followers are dependent below this singular value [m/rad, 1]; where a chart has this share of
+#: such poses, the chart in which no joint leads is used too.
+DEPENDENT, MOST = 0.02, 0.4
+
+Wait = Callable[[], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Budget:
+    """What a search may cost, and how fine it looks.
+
+    Attributes:
+        seconds: wall time; ``seed``: of samples and shortcuts.
+        step, fine: between two looks at what is in the way, in trees and on a path [rad, m].
+        reach: of a branch [rad, m].
+        shortcuts: tries to make a path shorter.
+    """
+
+    seconds: float = 10.0
+    seed: int = 0
+    step: float = 0.1
+    fine: float = 0.02
+    reach: float = 1.5
+    shortcuts: int = 500
+
+
+@dataclass(frozen=True)
+class Path:
+    """A way on the manifold, q of shape (K, n), and what it cost; K is 0 where none was found."""
+
+    q: Array
+    first_length: float
+    checks: int
+    projections: int
+    nodes: int
+
+
+class ClosedSpace:
+    """Closed configurations of a problem inside its position limits, with some tasks held.
+
+    Args:
+        problem: whose limits count.
+        tasks: held at time t [s].
+
+    Attributes:
+        room: the position limits.
+        lower, upper: of the joints, shape (n,) [rad, m].
+
+    Raises:
+        CoopqpError: the kernel is not built, or cannot do such joints or tasks.
+    """
+
+    def __init__(self, problem: ControlProblem, tasks: Sequence[Task] = (), t: float = 0.0) -> None:
+        chain = self.chain = problem.chain
+        found, model = native.module(), chain.once(flat_model)
+        if found is None or model is None:
+            why = native.MISSING if found is None else "a joint is neither a hinge nor a slide"
+            raise CoopqpError(f"ways are searched for by the compiled kernel: {why}")
+        self._tasks, self._t = tuple(tasks), t
+        self.room = Room(problem)
+        self.lower = np.maximum(self.room.lower, -LARGE)
+        self.upper = np.minimum(self.room.upper, LARGE)
+        programs = [limit.program(chain, problem.dt) for limit in problem.limits]
+        distances = [program for program in programs if isinstance(program, DistanceBounds)]
+        self._apart = FreeSpace(chain, distances)
+        self._others = _others(problem, programs)
+        levels = Levels([Group((), hard=tasks)], Programs(State(chain)))
+        if not levels.compiled or levels.arriving or levels.followed:
+            names = ", ".join(task.name for task in tasks)
+            raise CoopqpError(f"{names}: follows a signal, or is Python's own; needs a fixed goal")
+        self._engine = found.Planner({
+            "model": model,
+            "kept": kept_rows(chain),
+            "rank": float(chain.loops.rank),
+            "distances": [flat_distances(chain, bounds) for bounds in distances],
+            "levels": levels.flat,
+            "primitives": levels.primitives,
+            "t": float(t),
+            "lower": self.lower,
+            "upper": self.upper,
+        })  # fmt: skip
+
+    def sample(self, rng: np.random.Generator, count: int) -> Array:
+        """Random configurations inside the joint limits, loops not closed, shape (count, n)."""
+        return np.asarray(rng.uniform(*self._sampled(), (count, self.chain.n)), float)
+
+    def project(self, q: Array, steps: int = STEPS) -> NDArray[np.bool_]:
+        """Bring each row of q (N, n) to the manifold, in place; whether each is there."""
+        closed = np.zeros(len(q), np.uint8)
+        self._engine.project(q, closed, steps)
+        return closed.view(np.bool_)
+
+    def is_free(self, q: Array) -> NDArray[np.bool_]:
+        """Whether each row of q (N, n) keeps the limits in space."""
+        free = self._apart.is_free(q)
+        if self._others:
+            free &= np.array([self._others(row) for row in q], bool)
+        return free
+
+    def way(self, starts: Array, goals: Array, budget: Budget, wait: Wait = lambda: None) -> Path:
+        """A path from one of the starts to one of the goals, both closed, shape (k, n).
+
+        ``wait`` is called ten times a second and ends the search by raising.
+        """
+        low, high = self._sampled()
+        made = self._engine.find(
+            {
+                **{name: float(getattr(budget, name)) for name in ("step", "fine", "seconds")},
+                "range": budget.reach,
+                "seed": int(budget.seed),
+                "shortcuts": float(budget.shortcuts),
+                "low": low,
+                "high": high,
+                "charts": self.charts.astype(float).ravel(),
+                "starts": np.ascontiguousarray(starts, float).ravel(),
+                "goals": np.ascontiguousarray(goals, float).ravel(),
+            },
+            self._others,
+            wait,
+        )
+        q = np.frombuffer(made["path"]).reshape(-1, self.chain.n).copy()
+        return Path(q, made["first"], made["checks"], made["projections"], made["nodes"])
+
+    @cached_property
+    def charts(self) -> NDArray[np.bool_]:
+        """Which joints lead in each chart, shape (c, n); none in one where all go."""
+        q = self.sample(np.random.default_rng(0), POSES)
+        q = q[self.project(q)]
+        chain, tasks = self.chain, self._tasks
+        J = _jacobians(chain, tasks, self._t, q if len(q) else chain.q_start[None])
+        return _charts(chain, J)
+
+    def _sampled(self) -> tuple[Array, Array]:
+        q = self.chain.q_start
+        low = np.where(self.lower > -LARGE, self.lower, q - UNLIMITED)
+        return low, np.where(self.upper < LARGE, self.upper, q + UNLIMITED)
+
+
+def _others(problem: ControlProblem, programs: Iterable[object]) -> Callable[[Array], bool] | None:
+    """Whether limits in space that the kernel does not know are kept; None where there are none."""
+    known = zip(problem.limits, programs, strict=True)
+    asked = [
+        limit.clearance(problem.chain) for limit, p in known if not isinstance(p, DistanceBounds)
+    ]
+    left = [clearance for clearance in asked if clearance is not None]
+    if not left:
+        return None
+    state = State(problem.chain)
+
+    def kept(q: Array) -> bool:
+        state.q[:] = q
+        state.update()
+        return all(bool((clearance(state) >= 0.0).all()) for clearance in left)
+
+    return kept
+
+
+def _jacobians(chain: ClosedChain, tasks: Sequence[Task], t: float, q: Array) -> Array:
+    """Rows of the closed loops and of the tasks at each row of q, shape (N, rows, n)."""
+    state = State(chain)
+    stack = TaskStack(tasks, State(chain))
+    found = []
+    for row in q:
+        state.q[:], state.t = row, t
+        state.update()
+        stack.update(state)
+        found.append(np.vstack([state.J_rel[: chain.loops.closed], stack.J]))
+    return np.array(found)
+
+
+def _charts(chain: ClosedChain, J: Array) -> NDArray[np.bool_]:
+    """The best charts in which all arms but one follow, as far as their joints do."""
+    rank = int(np.median(np.linalg.matrix_rank(J, rtol=1e-6))) if J.shape[1] else 0
+    charts, worst = [], 0.0
+    for leader in chain.arms[: chain.holding]:
+        own = [chain.joint_names.index(joint) for joint in chain.robot.arm_joints(leader)]
+        for follow in _best(J, _followers(chain.n, own, rank)):
+            charts.append(np.isin(np.arange(chain.n), follow, invert=True))
+            worst = max(worst, float((_least(J, follow) < DEPENDENT).mean()))
+    if worst > MOST or not charts:
+        charts.append(np.zeros(chain.n, bool))
+    return np.array(charts)
+
+
+def _followers(n: int, leading: Sequence[int], rank: int) -> Iterator[tuple[int, ...]]:
+    """Sets of joints that can follow: of the other arms first, at most so many."""
+    others = [j for j in range(n) if j not in leading]
+    if len(others) >= rank:
+        yield from itertools.islice(itertools.combinations(others, rank), MOST_SETS)
+        return
+    for more in itertools.islice(itertools.combinations(leading, rank - len(others)), MOST_SETS):
+        yield (*others, *more)
+
+
+def _best(J: Array, sets: Iterable[tuple[int, ...]]) -> list[tuple[int, ...]]:
+    """The sets of followers that are worth most."""
+    worth = {follow: float(np.log(_least(J, follow) + 1e-4).mean()) for follow in sets if follow}
+    return sorted(worth, key=lambda follow: -worth[follow])[:EACH]
+
+
+def _least(J: Array, follow: Sequence[int]) -> Array:
+    """The smallest singular value of the followers' columns at each pose, shape (N,)."""
+    return np.asarray(np.linalg.svd(J[:, :, list(follow)], compute_uv=False)[:, -1], float)

@@ -1,0 +1,277 @@
+"""A path of closed configurations from a scenario's start to where its tasks are met."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from coopqp.base.errors import InvalidValueError, UnknownNameError
+from coopqp.base.spec import Array
+from coopqp.base.wording import counted
+from coopqp.controller import ControlProblem
+from coopqp.planning.closed_space import Budget, ClosedSpace, Path
+from coopqp.planning.reach import MOST, Goals, Progress, look
+from coopqp.planning.timing import timed
+from coopqp.planning.verification import Verification, Verifier, lengths
+from coopqp.scenario.scenario import Scenario
+from coopqp.signal import quaternion_of
+from coopqp.study.explanation.goal import Goal, placed
+from coopqp.study.explanation.words import size
+from coopqp.task import Task
+
+#: Largest distance of a path's points: straight lines between them open loops by less than 0.01 mm.
+CLOSE = 0.005
+#: Distance at which a path is looked at a second time, a tenth of a tree's step.
+VERIFIED = 0.01
+#: Goal configurations that are searched for, the nearest to the start of them are planned to.
+GOALS, NEAREST = 48, 12
+#: How far a start moves when its loops are closed exactly [rad, m].
+FAR = 1e-3
+#: Loops and tasks that a start is off by less, are closed and met there [m, rad].
+MET = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """A way round.
+
+    Attributes:
+        found: whether there is a path; without one the arrays have no rows.
+        sentence: in words.
+        joints: names of the n joints.
+        q: the path's points, closed and at most ``CLOSE`` apart, shape (K, n) [rad, m].
+        t, timed: times of a rollout's ticks [s], and where the joints are then, (T,) and (T, n).
+        object: of the object then: place, and quaternion x, y, z, w, shape (T, 7).
+        verification: the second look; None without a path.
+        seconds: wall time of goals, search and second look [s].
+        path: of the search, with its costs.
+    """
+
+    found: bool
+    sentence: str
+    joints: tuple[str, ...]
+    q: Array
+    t: Array
+    timed: Array
+    object: Array
+    verification: Verification | None = None
+    seconds: dict[str, float] = field(default_factory=dict)
+    path: Path | None = None
+
+    @property
+    def length(self) -> float:
+        """Of the path [rad, m]."""
+        return float(lengths(self.q)[-1]) if len(self.q) else 0.0
+
+    @property
+    def csv(self) -> str:
+        """The path tick by tick, as ``way-points: {file: ...}`` reads it."""
+        names = ("t", *self.joints, "x", "y", "z", "qx", "qy", "qz", "qw")
+        rows = np.column_stack([self.t, self.timed, self.object])
+        lines = [",".join(names), *(",".join(f"{x:.12g}" for x in row) for row in rows)]
+        return "\n".join(lines) + "\n"
+
+
+def plan(
+    scenario: Scenario,
+    *,
+    goals: ArrayLike | None = None,
+    keep: Sequence[str] = (),
+    budget: Budget | None = None,
+    progress: Progress = lambda share: None,
+) -> Plan:
+    """Find a path of closed configurations that keeps all limits.
+
+    Args:
+        scenario: whose first phase counts.
+        goals: closed configurations, shape (k, n); those that meet the tasks when omitted.
+        keep: names of tasks that are met at the start and stay so along the way.
+        budget: what it may cost; ten seconds and the scenario's seed when omitted.
+        progress: called with the share of the time that is gone.
+
+    Raises:
+        CoopqpError: the start is no closed configuration inside the limits, a task to keep is not
+            met there or does not exist, or the kernel is not built.
+    """
+    budget = budget or Budget(seed=scenario.seed)
+    problem, t = scenario.problem(), scenario.schedule[0].duration
+    return Planner(problem, t, keep).plan(budget, goals, progress)
+
+
+class Planner:
+    """Plans in one problem, whose tasks are met at t [s]; ``keep`` as in :func:`plan`."""
+
+    def __init__(self, problem: ControlProblem, t: float, keep: Sequence[str] = ()) -> None:
+        self.problem, self.chain, self._t = problem, problem.chain, t
+        kept = _kept(problem, keep)
+        self.space = ClosedSpace(problem, kept, t)
+        self.verifier = Verifier(problem, self.space.room.lower, self.space.room.upper)
+        self._check_start(kept)
+
+    def _check_start(self, kept: Sequence[Task]) -> None:
+        q, space = self.chain.q_start, self.space
+        outside = np.maximum(space.room.lower - q, q - space.room.upper)
+        if outside.max(initial=0.0) > 0.0:
+            joint = self.chain.joint_names[int(outside.argmax())]
+            raise InvalidValueError(
+                f"start: {joint} is {outside.max():.3g} outside its limits; ways begin inside"
+            ).at("start")
+        moved = q[None].copy()
+        if kept and (missed := Goal(self.chain, kept, self._t).missed(q)):
+            part, error = missed[0]
+            raise InvalidValueError(
+                f"keep: {part.name} is {size(error, part.part.unit)} off at the start; "
+                "what is kept has to be met there"
+            )
+        if not space.project(moved)[0] or np.abs(moved - q).max() > FAR:
+            raise InvalidValueError("start: the loops are not closed there").at("start")
+        if not space.is_free(q[None])[0]:
+            clearance = space.room.at(q)
+            row = space.room.rows[int(clearance.argmin())]
+            raise InvalidValueError(
+                f"start: {row.words} is {-1e3 * clearance.min():.2f} mm less than its limit keeps; "
+                "move the start, or let the limit keep less"
+            ).at("start")
+
+    def plan(
+        self, budget: Budget, goals: ArrayLike | None = None, progress: Progress = lambda x: None
+    ) -> Plan:
+        """As :func:`plan`."""
+        begun = time.perf_counter()
+        took: dict[str, float] = {}
+        ends, why = self._goals(budget, goals, begun)
+        took["goals"] = time.perf_counter() - begun
+        if not len(ends):
+            return self._nothing(why, took)
+        path, seen = None, None
+        seed = budget.seed
+
+        def wait() -> None:
+            progress(min((time.perf_counter() - begun) / budget.seconds, 1.0))
+
+        while (left := budget.seconds - (time.perf_counter() - begun)) > 0.0:
+            at = time.perf_counter()
+            now = replace(budget, seconds=left, seed=seed)
+            path = self.space.way(self._start(), ends, now, wait)
+            q = self._close(path.q)
+            took["search"] = took.get("search", 0.0) + time.perf_counter() - at
+            if not len(q):
+                break
+            at = time.perf_counter()
+            seen = self.verifier.look(q, VERIFIED)
+            took["verify"] = took.get("verify", 0.0) + time.perf_counter() - at
+            if seen.good:
+                return self._made(path, q, seen, len(ends), took)
+            # What the finer look has seen, the next search looks for as finely.
+            seed += 1
+            budget = replace(budget, fine=0.5 * budget.fine)
+        more = f"; the last path failed the second look: {seen.words}" if seen else ""
+        tried = f"not found in {time.perf_counter() - begun:.1f} s"
+        to = f"no path to any of {counted(len(ends), 'goal configuration')}"
+        return self._nothing(
+            f"{tried}: {to}; that proves nothing, more time may do{more}", took, path
+        )
+
+    def _start(self) -> Array:
+        q = self.chain.q_start[None].copy()
+        self.space.project(q)
+        return q
+
+    def _goals(self, budget: Budget, given: ArrayLike | None, begun: float) -> tuple[Array, str]:
+        """Goal configurations, the nearest to the start first, or why there are none."""
+        n = self.chain.n
+        if given is not None:
+            return self._given(np.atleast_2d(np.array(given, float))), ""
+        goals = Goals(self.problem, self._t, budget.seed)
+        while len(goals.found) < GOALS and goals.tried < MOST:
+            goals.look()
+            if time.perf_counter() - begun > 0.5 * budget.seconds:
+                break
+            if goals.found and goals.tried >= MOST // 4:
+                break
+        if not goals.found:
+            return np.zeros((0, n)), look(self.problem, self._t, budget.seed).sentence
+        found = np.array(goals.found)
+        found = found[self._holds(found)]
+        away = np.linalg.norm(found - self.chain.q_start, axis=1)
+        near = found[np.argsort(away)[:NEAREST]]
+        return near, "" if len(
+            near
+        ) else "no goal configuration keeps the tasks that are to be kept"
+
+    def _holds(self, q: Array) -> NDArray[np.bool_]:
+        """Whether configurations are on the manifold of the tasks that are kept."""
+        moved = q.copy()
+        held: NDArray[np.bool_] = self.space.project(moved)
+        held &= np.abs(moved - q).max(axis=1) < MET
+        return held
+
+    def _given(self, q: Array) -> Array:
+        if q.ndim != 2 or q.shape[1] != self.chain.n or not np.isfinite(q).all():
+            raise InvalidValueError(
+                f"goals: found shape {q.shape}, needs finite numbers, (k, {self.chain.n})"
+            )
+        good = self._holds(q) & self.space.is_free(q)
+        if not good.all():
+            raise InvalidValueError(
+                f"goals[{int(np.argmin(good))}]: is open, outside a limit, or in something"
+            )
+        self.space.project(q)
+        return q
+
+    def _close(self, q: Array) -> Array:
+        """The path with points so near to each other that the loops stay closed between them."""
+        while len(q) > 1:
+            step = np.linalg.norm(np.diff(q, axis=0), axis=1)
+            (far,) = np.nonzero(step > CLOSE)
+            if not len(far):
+                break
+            middle = 0.5 * (q[far] + q[far + 1])
+            if not self.space.project(middle).all():
+                return q[:0]
+            q = np.insert(q, far + 1, middle, axis=0)
+        return q
+
+    def _made(
+        self, path: Path, q: Array, seen: Verification, goals: int, took: dict[str, float]
+    ) -> Plan:
+        t, ticks = timed(self.problem, q, self._allowed)
+        poses = [self.chain.object_pose(row) for row in ticks]
+        at = [[*X.translation, *quaternion_of(X.rotation)] for X in poses]
+        whole = sum(took.values())
+        sentence = (
+            f"found in {whole:.2g} s: {lengths(q)[-1]:.3g} rad to one of "
+            f"{counted(goals, 'goal configuration')}, {t[-1]:.3g} s at the joints' speeds; "
+            f"{seen.points} points verified, loops closed within {1e3 * seen.open:.1g} mm"
+        )
+        return Plan(
+            found=True, sentence=sentence, joints=self.chain.joint_names, q=q, t=t, timed=ticks,
+            object=np.array(at), verification=seen, seconds=took, path=path,
+        )  # fmt: skip
+
+    def _allowed(self, q: Array) -> Array | None:
+        """Rows near the path on the manifold; None where one is not, or something is in the way."""
+        near = q.copy()
+        if not (self.space.project(near).all() and self.space.is_free(near).all()):
+            return None
+        return near
+
+    def _nothing(self, why: str, took: dict[str, float], path: Path | None = None) -> Plan:
+        n = self.chain.n
+        return Plan(
+            found=False, sentence=why, joints=self.chain.joint_names, q=np.zeros((0, n)),
+            t=np.zeros(0), timed=np.zeros((0, n)), object=np.zeros((0, 7)), seconds=took, path=path,
+        )  # fmt: skip
+
+
+def _kept(problem: ControlProblem, names: Sequence[str]) -> tuple[Task, ...]:
+    """The tasks of these names; errors where one does not exist, or is no place."""
+    tasks = {task.name: task for task in placed(problem.tasks, problem.chain)}
+    for name in names:
+        if name not in tasks:
+            raise UnknownNameError("task with a place", name, list(tasks), "keep: ")
+    return tuple(tasks[name] for name in names)

@@ -1,0 +1,264 @@
+"""Is there a closed configuration inside all position limits at which the tasks are met.
+
+Random configurations are brought to the manifold of closed loops and met tasks by Newton steps; the
+free ones are kept. Where there are none, the searches of ``explain`` say what stands in the way.
+Nothing is called unreachable but what a bound proves so: a point of the object is never farther
+from an arm's base than the lengths between its joints, up to the point, together.
+
+Configurations are grouped by which way each arm bends: the sign of the rate at which its bend, the
+joint that most changes the distance of hand and base, lengthens the arm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.base.errors import InvalidValueError, under
+from coopqp.base.spec import Array, seeded
+from coopqp.base.wording import counted
+from coopqp.controller import ControlProblem
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.state import State
+from coopqp.planning.closed_space import ClosedSpace
+from coopqp.program import Kind, Programs
+from coopqp.scenario.scenario import Scenario
+from coopqp.study.explanation import words
+from coopqp.study.explanation.diagnosis import BlockedByLimits, Elsewhere, NotBlocked, diagnose
+from coopqp.study.explanation.goal import Goal, Place, placed
+
+#: Random starts of one look, and of all looks.
+BATCH, MOST = 64, 4096
+#: Free configurations after which the search ends, once so many starts were tried.
+ENOUGH, LEAST = 64, 512
+#: The sum of lengths proves only what is farther off than rounding [m].
+ROUNDING = 1e-6
+
+Progress = Callable[[float], None]
+"""Called now and then with the share that is done; raises to end the search."""
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """A closed configuration that meets the tasks.
+
+    Attributes:
+        q: shape (n,) [rad, m].
+        joint_margin: least distance of a joint from its limit [rad, m]; infinite without limits.
+        clearance: least distance left by limits in space [m]; infinite where there are none.
+        bends: which way each arm bends, such as ``left LElbowRoll +``.
+    """
+
+    q: Array
+    joint_margin: float
+    clearance: float
+    bends: str
+
+
+@dataclass(frozen=True)
+class Reach:
+    """Whether the tasks' goals can be met.
+
+    Attributes:
+        found: configurations that meet them, of every group that with the largest margin first.
+        proven: whether a bound proves that there are none.
+        sentence: in words.
+        tried: random starts.
+    """
+
+    found: tuple[Configuration, ...]
+    proven: bool
+    sentence: str
+    tried: int = 0
+
+    @property
+    def groups(self) -> dict[str, list[Configuration]]:
+        """The configurations by which way the arms bend."""
+        groups: dict[str, list[Configuration]] = {}
+        for configuration in self.found:
+            groups.setdefault(configuration.bends, []).append(configuration)
+        return groups
+
+
+def reach(
+    scenario: Scenario, *, seed: int | None = None, progress: Progress = lambda share: None
+) -> Reach:
+    """Look for closed configurations inside the limits that meet a scenario's tasks at their goals.
+
+    Of a scenario with phases the first counts. ``seed`` is of the random starts, the scenario's
+    when omitted.
+
+    Raises:
+        CoopqpError: no task asks for a place, or the kernel is not built.
+    """
+    problem, t = scenario.problem(), scenario.schedule[0].duration
+    return look(problem, t, scenario.seed if seed is None else seed, progress)
+
+
+def look(
+    problem: ControlProblem, t: float, seed: int, progress: Progress = lambda share: None
+) -> Reach:
+    """The same of a problem, whose tasks are to be met at t [s]."""
+    chain = problem.chain
+    tasks = placed(problem.tasks, chain)
+    if not tasks:
+        with under("tasks"):
+            raise InvalidValueError("no task asks for a place, so there is nothing to reach")
+    if proof := _too_far(problem, t):
+        return Reach((), True, proof)
+    goals = Goals(problem, t, seed)
+    for _ in range(MOST // BATCH):
+        goals.look()
+        progress(max(goals.tried / MOST, min(len(goals.found) / ENOUGH, goals.tried / LEAST)))
+        if len(goals.found) >= ENOUGH and goals.tried >= LEAST:
+            break
+    if goals.found:
+        found = described(goals.space, goals.found)
+        groups = len({one.bends for one in found})
+        sentence = f"reachable: {counted(len(found), 'configuration')} found"
+        ways = f", which bend the arms in {counted(groups, 'way')}"
+        return Reach(found, False, sentence + ways, goals.tried)
+    return _explained(goals, progress)
+
+
+class Goals:
+    """Closed, free configurations at which a problem's tasks are met at t [s], as they are found.
+
+    Attributes:
+        space: of the tasks' manifold.
+        found: configurations, shape (n,) each.
+        tried: random starts so far.
+    """
+
+    def __init__(self, problem: ControlProblem, t: float, seed: int) -> None:
+        self.goal = Goal(problem.chain, placed(problem.tasks, problem.chain), t)
+        self.space = ClosedSpace(problem, self.goal.tasks, t)
+        self.found: list[Array] = []
+        self.tried = 0
+        self._rng = seeded(seed)
+
+    def look(self) -> None:
+        """Try the start and random configurations near it, then those anywhere."""
+        q = self.space.sample(self._rng, BATCH)
+        if not self.tried:
+            start, share = self.space.chain.q_start, np.linspace(0.0, 0.5, BATCH)[:, None]
+            q = start + share * (q - start)
+        self.tried += len(q)
+        self.take(q[self.space.project(q)])
+
+    def take(self, q: Array) -> None:
+        """Keep of closed configurations, (k, n), those that are free and meet the tasks."""
+        if len(q):
+            q = q[self.space.is_free(q)]
+        self.found += [row.copy() for row in q if not self.goal.missed(row)]
+
+
+def _explained(goals: Goals, progress: Progress) -> Reach:
+    """Nothing was found by Newton steps: ask the searches of explain, which also descend."""
+    goal, space = goals.goal, goals.space
+    q = space.chain.q_start
+    missed = goal.missed(q)
+    found = diagnose(goal, space.room, q)
+    progress(1.0)
+    for place in _places(found):
+        goals.take(place.q[None].copy())
+    if goals.found:
+        return Reach(
+            described(space, goals.found), False, "reachable: 1 configuration found", goals.tried
+        )
+    tried = f"not found from {goals.tried} starts"
+    if isinstance(found, NotBlocked):
+        return Reach((), False, f"{tried}: it is met only where limits just touch", goals.tried)
+    if isinstance(found, BlockedByLimits):
+        nearest = goal.missed(found.place.q)
+        near = words.stops_short(*nearest[0]) if nearest else words.stops_short(*missed[0])
+        sentence = f"{tried}: {near}; {words.holding(found.shares)}"
+        return Reach((), False, sentence, goals.tried)
+    sentence = words.geometry(found, missed, space.chain, ordered=False)
+    return Reach((), False, f"{tried}: {sentence}", goals.tried)
+
+
+def _places(found: object) -> Iterator[Place]:
+    """Places at the goal inside the limits that a diagnosis holds."""
+    if isinstance(found, NotBlocked | Elsewhere):
+        yield found.place
+    if isinstance(found, BlockedByLimits) and found.elsewhere:
+        yield found.elsewhere
+
+
+def described(space: ClosedSpace, found: Sequence[Array]) -> tuple[Configuration, ...]:
+    """Configurations with their margins and bends, groups together, the largest margins first."""
+    bends = _bends(space.chain, found)
+    all_of_them = []
+    for q, bend in zip(found, bends, strict=True):
+        joints = float(np.minimum(q - space.room.lower, space.room.upper - q).min(initial=np.inf))
+        clearance = float(space.room.at(q).min(initial=np.inf))
+        all_of_them.append(Configuration(q, joints, clearance, bend))
+    best: dict[str, float] = {}
+    for one in all_of_them:
+        best[one.bends] = max(best.get(one.bends, -np.inf), one.joint_margin)
+    return tuple(
+        sorted(all_of_them, key=lambda one: (-best[one.bends], one.bends, -one.joint_margin))
+    )
+
+
+def _bends(chain: ClosedChain, found: Sequence[Array]) -> list[str]:
+    data, model = chain.model.createData(), chain.model
+    labels: list[list[str]] = [[] for _ in found]
+    for arm, frame in zip(chain.arms, chain.frames, strict=True):
+        names = chain.robot.arm_joints(arm)
+        columns = [chain.joint_names.index(name) for name in names]
+        base = model.getJointId(names[0])
+        rates = []
+        for q in found:
+            pin.computeJointJacobians(model, data, q)
+            X = pin.updateFramePlacement(model, data, frame)
+            J = pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)[:3, columns]
+            away = X.translation - data.oMi[base].translation
+            rates.append(away @ J / max(float(np.linalg.norm(away)), ROUNDING))
+        bend = int(np.median(np.abs(rates), axis=0).argmax())
+        for label, rate in zip(labels, rates, strict=True):
+            label.append(f"{arm.name} {names[bend]} {'+' if rate[bend] >= 0.0 else '-'}")
+    return [", ".join(label) for label in labels]
+
+
+def _too_far(problem: ControlProblem, t: float) -> str:
+    """The proof that a point's goal is beyond an arm's length; empty where there is none."""
+    chain = problem.chain
+    start = State(chain)
+    programs, at = Programs(start), State(chain, t=t)
+    for task in placed(problem.tasks, chain):
+        for primitive in programs.of(task) or ():
+            if primitive.kind is not Kind.POINT or len(primitive.rows) < 3:
+                continue
+            primitive.reference.update(at)
+            for arm, frame in zip(chain.arms[: chain.holding], chain.frames, strict=False):
+                base, length = _length(chain, frame, np.array(primitive.point, float))
+                away = float(np.linalg.norm(primitive.reference.c - base))
+                beyond = away - length - max(part.tolerance for part in task.parts(chain))
+                if beyond > ROUNDING:
+                    return (
+                        f"proven unreachable: the goal of {task.name} is {away:.3f} m from the "
+                        f"base of {arm.name}, which is {length:.3f} m long up to the object's point"
+                    )
+    return ""
+
+
+def _length(chain: ClosedChain, frame: int, p_O: Array) -> tuple[Array, float]:
+    """Where an arm's first joint is, and its length from there to a point of the object [m].
+
+    A joint that slides adds what its range allows; without limits the length is infinite.
+    """
+    model = chain.model
+    first, *joints = [j for j in model.supports[model.frames[frame].parentJoint] if j > 0]
+    length = float(np.linalg.norm(model.frames[frame].placement.act(p_O)))
+    for j in joints:
+        length += float(np.linalg.norm(model.jointPlacements[j].translation))
+    for j in (first, *joints):
+        i = model.idx_vs[j]
+        if chain.joint_units[i] == "m":
+            length += float(np.abs([chain.lower[i], chain.upper[i]]).max())
+    return model.jointPlacements[first].translation.copy(), length

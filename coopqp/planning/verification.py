@@ -1,0 +1,134 @@
+"""A second look at a path, by pinocchio and coal: nothing of the planner's kernel is used.
+
+Between its points a path is the straight line in joint space. At equal distances along it, it is
+looked at whether loops are closed, joints inside their limits and bodies as far apart as asked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.base.spec import Array
+from coopqp.controller import ControlProblem
+from coopqp.limit import DistanceBounds
+from coopqp.model.state import State
+
+#: What a loop may be open by between the points of a path [m, rad], and a joint beyond its limit.
+OPEN, BEYOND = 1e-5, 1e-9
+
+
+@dataclass(frozen=True)
+class Verification:
+    """What was seen along a path.
+
+    Attributes:
+        points: that were looked at.
+        open: largest loop error [m, rad].
+        beyond: how far a joint is outside its limits, at most [rad, m].
+        hits: points at which a limit in space is not kept.
+    """
+
+    points: int
+    open: float
+    beyond: float
+    hits: int
+
+    @property
+    def good(self) -> bool:
+        return self.open <= OPEN and self.beyond <= BEYOND and not self.hits
+
+    @property
+    def words(self) -> str:
+        """What is wrong; empty where nothing is."""
+        wrong = [f"{self.hits} of {self.points} points break a limit in space"] * bool(self.hits)
+        if self.open > OPEN:
+            wrong.append(f"a loop is open by {1e3 * self.open:.3g} mm or mrad")
+        if self.beyond > BEYOND:
+            wrong.append(f"a joint is {self.beyond:.3g} outside its limits")
+        return ", ".join(wrong)
+
+
+class Verifier:
+    """Looks at paths of a problem.
+
+    Args:
+        problem: whose limits count.
+        lower, upper: of the joints, shape (n,) [rad, m].
+    """
+
+    def __init__(self, problem: ControlProblem, lower: Array, upper: Array) -> None:
+        chain = self._chain = problem.chain
+        self._lower, self._upper = lower, upper
+        self._state, self._data = State(chain), chain.model.createData()
+        self._others, margins = [], []
+        self._geometry = geometry = pin.GeometryModel()
+        for limit in problem.limits:
+            program = limit.program(chain, problem.dt)
+            if isinstance(program, DistanceBounds):
+                margins += list(_add(geometry, program))
+            elif left := limit.clearance(chain):
+                self._others.append(left)
+        self._placed = pin.GeometryData(geometry)
+        for i, margin in enumerate(margins):
+            request = self._placed.collisionRequests[i]
+            request.security_margin, request.num_max_contacts = margin, 1
+            self._placed.collisionRequests[i] = request
+        self._manager = None
+        if margins:
+            kind = pin.BroadPhaseManager_DynamicAABBTreeCollisionManager
+            self._manager = kind(chain.model, geometry, self._placed)
+
+    def look(self, q: Array, every: float) -> Verification:
+        """Look at a path q, shape (K, n), each so many radians or metres."""
+        points = along(q, every)
+        looped = points if self._chain.loops.closed else points[:0]
+        errors = [np.abs(self._chain.loop_error(row)).max() for row in looped]
+        beyond = np.maximum(points - self._upper, self._lower - points).max(initial=0.0)
+        hits = sum(not self.free(row) for row in points)
+        return Verification(
+            len(points), float(max(errors, default=0.0)), float(max(beyond, 0.0)), hits
+        )
+
+    def free(self, q: Array) -> bool:
+        """Whether the limits in space are kept at q."""
+        if self._manager is not None and pin.computeCollisions(
+            self._chain.model, self._data, self._manager, q, True
+        ):
+            return False
+        if not self._others:
+            return True
+        self._state.q[:] = q
+        self._state.update()
+        return all(bool((left(self._state) >= 0.0).all()) for left in self._others)
+
+
+def along(q: Array, every: float) -> Array:
+    """Points on the straight lines between rows of q at equal distances, both ends included."""
+    s = lengths(q)
+    if len(q) < 2 or s[-1] == 0.0:
+        return q[:1].copy()
+    at = np.linspace(0.0, s[-1], int(np.ceil(s[-1] / every)) + 1)
+    return np.array([np.interp(at, s, column) for column in q.T]).T
+
+
+def lengths(q: Array) -> Array:
+    """Length of a path up to each of its rows [rad, m]."""
+    steps = np.linalg.norm(np.diff(q, axis=0), axis=1)
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def _add(geometry: pin.GeometryModel, bounds: DistanceBounds) -> Iterator[float]:
+    """Add a limit's bodies and pairs; the distance that each pair keeps [m]."""
+    ids = []
+    for joint, convex in bounds.bodies:
+        name = f"{geometry.ngeoms}"
+        convex.geometry.computeLocalAABB()
+        body = pin.GeometryObject(name, joint, convex.placement, convex.geometry)
+        ids.append(geometry.addGeometryObject(body))
+    for a, b in bounds.pairs.tolist():
+        geometry.addCollisionPair(pin.CollisionPair(ids[a], ids[b]))
+        yield bounds.distance

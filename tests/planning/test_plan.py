@@ -1,0 +1,264 @@
+"""Whether goals can be reached, by which way, and that a run follows it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import typed
+from scenario_files import needs_robots
+from side_by_side import needs_kernel
+
+import coopqp
+from coopqp.base.errors import CoopqpError
+from coopqp.limits import Obstacles
+from coopqp.planning.closed_space import Budget
+from coopqp.planning.plan import CLOSE, Plan, Planner, plan
+from coopqp.planning.reach import reach
+from coopqp.planning.timing import TO_SPEED, joint_limits
+from coopqp.planning.verification import Verifier
+from coopqp.scenario.loader import load, load_text
+from coopqp.scenario.scenario import Scenario
+from coopqp.study.explanation.goal import Goal, Room, placed
+from coopqp.tasks import PlaneOnPlane, PointOnPoint
+
+pytestmark = [needs_kernel, needs_robots]
+
+AMPLE = Budget(seconds=60.0)
+
+
+@pytest.fixture(scope="module")
+def shelves() -> Scenario:
+    return load("shelves")
+
+
+@pytest.fixture(scope="module")
+def way(shelves: Scenario) -> Plan:
+    return plan(shelves, budget=AMPLE)
+
+
+def test_reach_finds_configurations_that_meet_the_tasks_inside_all_limits(
+    shelves: Scenario,
+) -> None:
+    found, problem = reach(shelves), shelves.problem()
+    goal, room = Goal(problem.chain, problem.tasks, shelves.duration), Room(problem)
+    assert found.found
+    assert not found.proven
+    for one in found.found:
+        assert not goal.missed(one.q)
+        assert goal.open < 1e-8
+        assert room.violation(one.q) < 1e-6  # by coal, which rounds more
+        assert one.joint_margin >= 0.0
+        assert one.clearance > -1e-6
+    assert sum(map(len, found.groups.values())) == len(found.found)
+
+
+def test_equal_seeds_find_equal_configurations() -> None:
+    scenario = load("planar_pair")
+    first, second, other = (reach(scenario, seed=seed) for seed in (4, 4, 5))
+    np.testing.assert_array_equal(first.found[0].q, second.found[0].q)
+    assert not np.array_equal(first.found[0].q, other.found[0].q)
+    assert len(first.groups) == 4  # both elbows, up and down
+
+
+def test_what_is_beyond_the_arms_lengths_is_proven_unreachable() -> None:
+    scenario = load("point_on_point")
+    far = replace(scenario, tasks=(PointOnPoint(name="reach", goal=[1.2, 0.0, 0.0]),))
+    found = reach(far)
+    assert found.proven
+    assert not found.found
+    assert "m from the base of right, which is" in found.sentence
+
+
+def test_what_no_search_finds_is_not_called_unreachable() -> None:
+    found = reach(load("joint_limit_stress"))
+    assert not found.proven
+    assert not found.found
+    assert "not found from 4096 starts: reach stops 29.9 mm short" in found.sentence
+    assert "hold it back" in found.sentence
+
+
+def test_a_scenario_that_asks_for_no_place_is_refused() -> None:
+    scenario = load("passive_grasp_push")
+    only = replace(scenario, tasks=tuple(x for x in load("nao_presses").tasks if x.of_forces))
+    with pytest.raises(CoopqpError, match="no task asks for a place"):
+        reach(only)
+
+
+def test_a_plan_begins_at_the_start_and_ends_where_the_tasks_are_met(
+    shelves: Scenario, way: Plan
+) -> None:
+    problem = shelves.problem()
+    goal = Goal(problem.chain, problem.tasks, shelves.duration)
+    assert way.found
+    assert way.verification is not None
+    assert way.verification.good
+    np.testing.assert_allclose(way.q[0], problem.chain.q_start, atol=1e-6)
+    assert not goal.missed(way.q[-1])
+    assert np.linalg.norm(np.diff(way.q, axis=0), axis=1).max() <= CLOSE
+    np.testing.assert_allclose(way.timed[-1], way.q[-1], atol=1e-9)
+
+
+def test_a_plan_in_time_keeps_speeds_and_accelerations(shelves: Scenario, way: Plan) -> None:
+    problem = shelves.problem()
+    speed, push = joint_limits(problem)
+    v = np.diff(way.timed, axis=0, prepend=way.timed[:1], append=way.timed[-1:]) / shelves.dt
+    assert (np.abs(v) <= speed).all()
+    assert (np.abs(np.diff(v, axis=0)) / shelves.dt <= push * (1.0 + 1e-9)).all()
+    np.testing.assert_allclose(push, speed / TO_SPEED)
+
+
+def test_the_second_look_sees_what_is_wrong(shelves: Scenario, way: Plan) -> None:
+    problem = shelves.problem()
+    room = Room(problem)
+    verifier = Verifier(problem, room.lower, room.upper)
+    assert verifier.look(way.q, 0.01).good
+    straight = np.linspace(way.q[0], way.q[-1], 500)
+    found = verifier.look(straight, 0.01)
+    assert found.open > 1e-3
+    assert "a loop is open by" in found.words
+    assert not verifier.look(way.q[::40], 0.01).good  # straight lines open the loops
+    beyond = way.q.copy()
+    beyond[7, 3] = room.upper[3] + 0.1
+    assert "outside its limits" in verifier.look(beyond, 0.001).words
+
+
+def test_the_second_look_sees_bodies_in_each_other(shelves: Scenario, way: Plan) -> None:
+    """A ball where the bar has passed: the path of the old scene is not free in the new."""
+    middle = way.object[len(way.object) // 2, :3].tolist()
+    board = "        board:"
+    ball = f"        ball: {{sphere: 0.05, position: {middle}}}\n{board}"
+    text = shelves.source.replace(board, ball)
+    other = load_text(Path("shelves_with_ball.yaml"), text, shelves.catalog)
+    problem = other.problem()
+    room = Room(problem)
+    seen = Verifier(problem, room.lower, room.upper).look(way.q, 0.01)
+    assert seen.hits > 0
+    assert "break a limit in space" in seen.words
+
+
+def test_a_task_that_is_kept_is_met_all_along() -> None:
+    scenario = load("baxter_tray")
+    level, carry = scenario.tasks
+    here = float(scenario.chain.start_position[2])
+    assert isinstance(level, PlaneOnPlane)
+    kept = replace(level, name="level", through=(0.0, 0.0, here))
+    aside = replace(scenario, tasks=(kept, replace(carry, goal=[0.72, 0.12, here])))
+    found = plan(aside, keep=["level"], budget=AMPLE)
+    goal = Goal(aside.chain, placed((kept,), aside.chain), aside.duration)
+    assert found.found
+    for q in found.q[::10]:
+        assert not goal.missed(q)
+
+
+def test_what_is_not_met_at_the_start_cannot_be_kept() -> None:
+    scenario = load("baxter_tray")
+    with pytest.raises(CoopqpError, match=r"keep: level.position is 100 mm off at the start"):
+        plan(scenario, keep=["level"])
+    with pytest.raises(CoopqpError, match="did you mean 'level'"):
+        plan(scenario, keep=["lvl"])
+
+
+def test_goals_that_are_given_are_checked() -> None:
+    scenario = load("planar_pair")
+    with pytest.raises(CoopqpError, match=r"goals: found shape \(1, 2\)"):
+        plan(scenario, goals=[0.0, 1.0])
+    with pytest.raises(CoopqpError, match=r"goals\[0\]: is open"):
+        plan(scenario, goals=scenario.chain.q_start + 0.1)
+    assert plan(scenario, goals=scenario.chain.q_start, budget=AMPLE).found
+
+
+def test_a_start_beyond_a_limit_or_in_something_is_refused(shelves: Scenario) -> None:
+    problem = shelves.problem()
+    q = problem.chain.q_start
+    planner = Planner(problem, shelves.duration)
+    planner.space.room.upper[3] = q[3] - 0.1
+    with pytest.raises(CoopqpError, match=r"start: left/panda_joint4 is 0\.1 outside its limits"):
+        planner._check_start(())
+    (obstacles,) = (limit for limit in shelves.limits if isinstance(limit, Obstacles))
+    farther = replace(obstacles, distance=0.09)
+    with pytest.raises(CoopqpError, match=r"start: the distance of .* less than its limit keeps"):
+        plan(replace(shelves, limits=(farther,)))
+
+
+def test_without_time_it_says_that_this_proves_nothing(shelves: Scenario) -> None:
+    found = plan(shelves, goals=reach(shelves).found[0].q, budget=Budget(seconds=1e-9))
+    assert not found.found
+    assert "that proves nothing" in found.sentence
+    assert not len(found.q)
+
+
+def test_plan_and_reach_on_the_command_line(tmp_path: Path) -> None:
+    result = typed("reach", "planar_pair")
+    assert result.exit_code == 0
+    assert "reachable:" in result.output
+    assert "left left_2 -" in result.output
+    data = json.loads(typed("reach", "planar_pair", "--json").stdout)
+    assert data["reachable"]
+    assert len(data["configurations"][0]["q"]) == 6
+    out = tmp_path / "way"
+    result = typed("plan", "planar_pair", "--out", out)
+    assert result.exit_code == 0
+    assert "points verified" in result.output
+    assert sorted(path.name for path in out.iterdir()) == ["plan.csv", "planar_pair.yaml"]
+    data = json.loads(typed("plan", "planar_pair", "--json").stdout)
+    assert data["found"]
+
+
+def test_what_cannot_be_planned_is_said_in_a_line_and_nothing_is_written(tmp_path: Path) -> None:
+    out = tmp_path / "way"
+    for words, says in (
+        (("joint_limit_stress",), "not found from 4096 starts"),
+        (("planar_pair", "--keep", "nothing"), "unknown task with a place"),
+        (("pr2_circle",), "needs a fixed goal"),
+        (("planar_pair", "--seconds", "0"), "--seconds"),
+    ):
+        result = typed("plan", *words, "--out", out)
+        assert result.exit_code == 2
+        assert says in result.output
+        assert not [path for path in out.glob("*") if not path.name.startswith(".")]
+
+
+def test_a_run_follows_the_plan_and_reaches_what_no_law_does_alone(
+    shelves: Scenario, way: Plan, tmp_path: Path
+) -> None:
+    from coopqp.assessment import assess
+    from coopqp.report.planning import write_plan
+
+    alone = coopqp.compare(shelves, controllers=["qp"]).traces["qp"]
+    assert not assess(alone).reached
+    _, path = write_plan(way, shelves, tmp_path)
+    scenario = load(path)
+    assert [phase.name for phase in scenario.schedule] == ["way", "goal"]
+    found = assess(coopqp.compare(scenario, controllers=["qp"]).traces["qp"])
+    assert found.reached
+    assert found.succeeds
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda text: text.replace("t,right_1", "t,right_9"), "unknown column 'right_1'"),
+        (lambda text: text.replace("\n0.01,", "\n0.5,"), "times need to rise"),
+        (lambda text: text.replace("\n0.02,", "\nx,"), "found 'x', needs a number"),
+        (lambda text: text.replace("\n0,-0.34", "\n0,-0.94"), "begins 0.6 from the start"),
+        (lambda text: text.replace(",qw", ",w"), "unknown column 'qw'"),
+    ],
+)
+def test_a_broken_plan_is_refused_with_its_line(
+    change: Callable[[str], str], says: str, tmp_path: Path
+) -> None:
+    from coopqp.report.planning import write_plan
+
+    scenario = load("planar_pair")
+    file, path = write_plan(plan(scenario, budget=AMPLE), scenario, tmp_path)
+    assert load(path).schedule[0].duration > 0.5
+    file.write_text(change(file.read_text()))
+    result = typed("validate", path)
+    assert result.exit_code == 2
+    assert says in result.output
+    assert f"{path}:" in result.output
