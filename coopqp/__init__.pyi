@@ -47,6 +47,8 @@ from .online.joint_check import JointCheck as JointCheck
 from .online.joint_check import check_joints as check_joints
 from .online.loop import OnlineLoop as OnlineLoop
 from .online.real_time import real_time as real_time
+from .planning.time_along import TimedPath as TimedPath
+from .planning.time_along import time_along as time_along
 from .plant import Disturbance as Disturbance
 from .plant import Plant as Plant
 from .plant import PlantModel as PlantModel
