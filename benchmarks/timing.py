@@ -7,7 +7,9 @@ zero (equal sharing). All three keep the same rows on the same grid, before limi
 what is exceeded between places. Then the whole call, with the default box: share of the time with
 an active limit, largest use of any limit at ten times the resolution by rows made there, closure at
 1,000 random places, and CPU time. With --toppra PYTHON, an interpreter that has toppra, its timing
-of the weighted sharing's rows stands beside ours.
+of the weighted sharing's rows stands beside ours. With --follow, torque_qp follows five of them in
+MuJoCo, with the mass as told and 20 % off: it knows the joints' reference and its rate, shares the
+load by itself, and has the torque that the plan leaves.
 """
 
 from __future__ import annotations
@@ -25,17 +27,29 @@ from statistics import median
 import numpy as np
 
 from coopqp.base.spec import Array
+from coopqp.controllers import TorqueQp
+from coopqp.execution.controller_run import run
+from coopqp.model.profile import Profile
 from coopqp.planning.closed_path import Loops
 from coopqp.planning.passes import Passes, Share, Stuck
 from coopqp.planning.rows import RowMaker, Rows
 from coopqp.planning.time_along import TimedPath, time_along
+from coopqp.plant import Disturbance
+from coopqp.plants import Mujoco
 from coopqp.scenario.loader import load
+from coopqp.signals import Waypoints
+from coopqp.tasks import Posture
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 from random_ways import random_way
 
 #: Scenarios, and the share of the torque that is planned with: with all of it speeds bind alone.
 ROBOTS = {"point_on_point": 1.0, "two_pandas": 0.4, "baxter_tray": 1.0, "two_so101": 0.15}
+#: Scenarios, shares of the torque and seeds that are followed.
+FOLLOWED = (
+    ("point_on_point", 0.8, 0), ("point_on_point", 0.8, 1), ("two_pandas", 0.4, 0),
+    ("two_pandas", 0.4, 1), ("two_so101", 0.15, 0),
+)  # fmt: skip
 #: As good as no box [N].
 UNBOUND = 1e4
 FINER = 10
@@ -132,6 +146,39 @@ def measured(robot: str, torque: float, seed: int, python: str) -> Result:
     )  # fmt: skip
 
 
+def followed() -> Iterator[str]:
+    """What torque_qp makes of five timed paths in MuJoCo."""
+    dt, rest = 0.002, 0.3
+    for robot, torque, seed in FOLLOWED:
+        scenario = load(robot)
+        found = time_along(random_way(scenario.chain, seed), scenario, torque=torque)
+        moments = [found.at(float(t)) for t in np.linspace(0.0, found.duration, 50)]
+        planned = max(np.abs(now.internal[:, :3]).max() for now in moments)
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / "timed.csv"
+            file.write_text(found.csv(dt), encoding="utf-8")
+            still = Profile(kind="step")
+            task = Posture(goal=Waypoints(file=file), gain=40.0, profile=still)
+            for mass in (1.0, 1.2, 0.8):
+                other = replace(
+                    scenario, tasks=(task,), secondary=(), plant=Mujoco(), dt=dt, kappa=100.0,
+                    controllers={"torque_qp": TorqueQp()}, duration=found.duration + rest,
+                    disturbance=Disturbance(object_mass=mass),
+                )  # fmt: skip
+                trace = run(other, controller="torque_qp", timed=False)
+                q = trace.measured
+                planned_q = [found.path.spline(found.where(k * dt)[0]) for k in range(len(q))]
+                off = np.abs(q - np.array(planned_q)).max(axis=1)
+                used = (np.abs(trace.signals["tau"]) / trace.effort).max()
+                force = np.abs(trace.signals["internal_wrench"]).reshape(-1, 6)[:, :3].max()
+                yield (
+                    f"{robot} {seed}, {mass:g} of the mass, {found.duration:.3f} s: error "
+                    f"{1e3 * off.max():.1f} mrad, at the end {1e3 * off[-1]:.2f}; motors up to "
+                    f"{100.0 * used:.0f} % (planned {100.0 * torque:.0f}), internal force "
+                    f"{force:.1f} N (planned {planned:.1f}); {len(trace.failures)} failures"
+                )
+
+
 def lines(results: list[Result]) -> Iterator[str]:
     names = "path", "free", "weighted", "toppra", "/weighted", "/equal", "call", "active", "at 10x"
     yield f"{names[0]:17}" + "".join(f"{name:>10}" for name in (*names[1:], "gap [mm]", "CPU [ms]"))
@@ -157,7 +204,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--paths", type=int, default=5, help="a robot")
     parser.add_argument("--toppra", default="", help="interpreter that has toppra")
+    parser.add_argument("--follow", action="store_true", help="in MuJoCo instead")
     options = parser.parse_args()
+    if options.follow:
+        print("\n".join(followed()))
+        return
     results = [
         measured(robot, torque, seed, options.toppra)
         for robot, torque in ROBOTS.items()

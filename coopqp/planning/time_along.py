@@ -52,6 +52,8 @@ SINGULAR = 1e-3
 SLIGHT = 1e-6
 #: Dividing limits leaves this of what holding still takes.
 STANDS = 1.0001
+#: Shares of a limit that the program of an instant may be looser by, until its solver finds a point.
+LOOSER = (1e-7, 1e-5, 1e-3)
 NOTHING = "nothing"
 
 
@@ -165,6 +167,9 @@ class TimedPath:
         ticks = np.arange(0.0, self.duration - 1e-6 * dt, dt)
         t = np.append(ticks, self.duration)
         moments = [self.at(float(now)) for now in t]
+        if lost := [now.s for now in moments if not np.isfinite(now.tau).all()]:
+            where = self.path.place(lost[0])
+            raise CoopqpError(f"at {where}: no torques keep all limits; give more points")
         joints = self.path.chain.joint_names
         arms = [arm.name for arm in self.path.chain.arms[: self.maker.arms]]
         wrench = [f"internal[{arm}].{part}" for arm in arms for part in _WRENCH]
@@ -418,17 +423,19 @@ def _wrench(rows: Rows, box: Array, u: float, x: float) -> Array:
         return np.zeros(0)
     felt = rows.Ru[0] * u + rows.Rx[0] * x + rows.Rc[0]
     use, _ = Share(rows, box).of(0, u, x)
-    looser = max(0.0, use - 1.0 if np.isfinite(use) else 0.0) + 1e-7
+    beyond = max(0.0, use - 1.0 if np.isfinite(use) else 0.0)
     motors = np.flatnonzero((rows.kinds == "torque") & (rows.size > 0.0))
     bound = np.flatnonzero(rows.kinds != "acceleration")
     W = FORCE * rows.Rl[0, motors] / rows.size[motors, None]
     P = W.T @ W + SLIGHT * np.eye(m)
     q = W.T @ (felt[motors] / rows.size[motors])
     unit = np.maximum(rows.unit[bound], 1e-3)
-    size = rows.size[bound] + looser * rows.unit[bound]
     A = np.ascontiguousarray(FORCE * rows.Rl[0, bound] / unit[:, None])
-    upper = np.concatenate([box / FORCE, (size - felt[bound]) / unit])
-    low = np.where(rows.two_sided[bound], (-size - felt[bound]) / unit, -np.inf)
-    lower = np.concatenate([-box / FORCE, low])
-    found = program(P, q, A, upper, lower)
-    return np.full(m, np.nan) if found is None else FORCE * found[0]
+    for looser in LOOSER:
+        size = rows.size[bound] + (beyond + looser) * rows.unit[bound]
+        upper = np.concatenate([box / FORCE, (size - felt[bound]) / unit])
+        low = np.where(rows.two_sided[bound], (-size - felt[bound]) / unit, -np.inf)
+        found = program(P, q, A, upper, np.concatenate([-box / FORCE, low]))
+        if found is not None:
+            return np.asarray(FORCE * found[0], float)
+    return np.full(m, np.nan)

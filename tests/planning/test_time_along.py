@@ -215,6 +215,15 @@ def test_accelerations_of_two_pandas_are_kept_and_bind() -> None:
     assert sum(share for name, share in found.shares.items() if "acceleration" in name) > 0.5
 
 
+@needs_robots
+def test_every_instant_has_torques() -> None:
+    scenario = load("two_so101")  # ten motors, of which little is planned with
+    found = time_along(random_way(scenario.chain, 0), scenario, torque=0.15)
+    for t in np.linspace(0.0, found.duration, 60):
+        tau = found.at(float(t)).tau
+        assert np.abs(tau).max() < 0.15 * 2.94 * 1.002
+
+
 def test_a_path_of_redundant_loops_is_timed() -> None:
     scenario = load("planar_pair")
     found = time_along(random_way(scenario.chain, 0), scenario)
