@@ -52,7 +52,7 @@ SINGULAR = 1e-3
 SLIGHT = 1e-6
 #: Dividing limits leaves this of what holding still takes.
 STANDS = 1.0001
-#: Shares of a limit that the program of an instant may be looser by, until its solver finds a point.
+#: Shares of a limit by which the program of an instant is loosened until a point is found.
 LOOSER = (1e-7, 1e-5, 1e-3)
 NOTHING = "nothing"
 
