@@ -29,6 +29,7 @@ import numpy as np
 from coopqp.base.spec import Array
 from coopqp.controllers import TorqueQp
 from coopqp.execution.controller_run import run
+from coopqp.grasp import SAFETY
 from coopqp.model.profile import Profile
 from coopqp.planning.closed_path import Loops
 from coopqp.planning.passes import Passes, Share, Stuck
@@ -37,8 +38,10 @@ from coopqp.planning.time_along import TimedPath, time_along
 from coopqp.plant import Disturbance
 from coopqp.plants import Mujoco
 from coopqp.scenario.loader import load
+from coopqp.scenario.scenario import Scenario
 from coopqp.signals import Waypoints
 from coopqp.tasks import Posture
+from coopqp.trace import Trace
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 from random_ways import random_way
@@ -50,6 +53,8 @@ FOLLOWED = (
     ("point_on_point", 0.8, 0), ("point_on_point", 0.8, 1), ("two_pandas", 0.4, 0),
     ("two_pandas", 0.4, 1), ("two_so101", 0.15, 0),
 )  # fmt: skip
+#: Control period and the time after the path's end [s].
+DT, REST = 0.002, 0.5
 #: As good as no box [N].
 UNBOUND = 1e4
 FINER = 10
@@ -146,37 +151,53 @@ def measured(robot: str, torque: float, seed: int, python: str) -> Result:
     )  # fmt: skip
 
 
+def tracked(
+    scenario: Scenario, found: TimedPath, disturbance: Disturbance, safety: float = SAFETY
+) -> tuple[Trace, Array]:
+    """A run of torque_qp along a timed path in MuJoCo, and the largest joint error by tick."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "timed.csv"
+        file.write_text(found.csv(DT), encoding="utf-8")
+        task = Posture(goal=Waypoints(file=file), gain=40.0, profile=Profile(kind="step"))
+        other = replace(
+            scenario, tasks=(task,), secondary=(), plant=Mujoco(), dt=DT, kappa=100.0,
+            controllers={"torque_qp": TorqueQp(safety=safety)}, duration=found.duration + REST,
+            disturbance=disturbance,
+        )  # fmt: skip
+        trace = run(other, controller="torque_qp", timed=False)
+    planned = [found.path.spline(found.where(k * DT)[0]) for k in range(len(trace.measured))]
+    return trace, np.abs(trace.measured - np.array(planned)).max(axis=1)
+
+
 def followed() -> Iterator[str]:
-    """What torque_qp makes of five timed paths in MuJoCo."""
-    dt, rest = 0.002, 0.3
+    """What torque_qp makes of five timed paths in MuJoCo, and of one with a box between pads."""
     for robot, torque, seed in FOLLOWED:
         scenario = load(robot)
         found = time_along(random_way(scenario.chain, seed), scenario, torque=torque)
         moments = [found.at(float(t)) for t in np.linspace(0.0, found.duration, 50)]
         planned = max(np.abs(now.internal[:, :3]).max() for now in moments)
-        with tempfile.TemporaryDirectory() as folder:
-            file = Path(folder) / "timed.csv"
-            file.write_text(found.csv(dt), encoding="utf-8")
-            still = Profile(kind="step")
-            task = Posture(goal=Waypoints(file=file), gain=40.0, profile=still)
-            for mass in (1.0, 1.2, 0.8):
-                other = replace(
-                    scenario, tasks=(task,), secondary=(), plant=Mujoco(), dt=dt, kappa=100.0,
-                    controllers={"torque_qp": TorqueQp()}, duration=found.duration + rest,
-                    disturbance=Disturbance(object_mass=mass),
-                )  # fmt: skip
-                trace = run(other, controller="torque_qp", timed=False)
-                q = trace.measured
-                planned_q = [found.path.spline(found.where(k * dt)[0]) for k in range(len(q))]
-                off = np.abs(q - np.array(planned_q)).max(axis=1)
-                used = (np.abs(trace.signals["tau"]) / trace.effort).max()
-                force = np.abs(trace.signals["internal_wrench"]).reshape(-1, 6)[:, :3].max()
-                yield (
-                    f"{robot} {seed}, {mass:g} of the mass, {found.duration:.3f} s: error "
-                    f"{1e3 * off.max():.1f} mrad, at the end {1e3 * off[-1]:.2f}; motors up to "
-                    f"{100.0 * used:.0f} % (planned {100.0 * torque:.0f}), internal force "
-                    f"{force:.1f} N (planned {planned:.1f}); {len(trace.failures)} failures"
-                )
+        for mass in (1.0, 1.2, 0.8):
+            trace, off = tracked(scenario, found, Disturbance(object_mass=mass))
+            used = (np.abs(trace.signals["tau"]) / trace.effort).max()
+            force = np.abs(trace.signals["internal_wrench"]).reshape(-1, 6)[:, :3].max()
+            yield (
+                f"{robot} {seed}, {mass:g} of the mass, {found.duration:.3f} s: error "
+                f"{1e3 * off.max():.1f} mrad, at the end {1e3 * off[-1]:.2f}; motors up to "
+                f"{100.0 * used:.0f} % (planned {100.0 * torque:.0f}), internal force "
+                f"{force:.1f} N (planned {planned:.1f}); {len(trace.failures)} failures"
+            )
+    scenario = load("press_and_lift")
+    way = random_way(scenario.chain, 1, count=3, step=0.4)
+    for safety in (SAFETY, 1.0):
+        found = time_along(way, scenario, safety=safety)
+        for friction in (1.0, 0.7, 0.6):
+            trace, _ = tracked(scenario, found, Disturbance(friction=friction), safety)
+            slip = np.nanmax(trace.signals["slip"])
+            end = trace.failures[0].note if trace.failures else "held"
+            yield (
+                f"press_and_lift, safety {safety:g}, {friction:g} of the friction, "
+                f"{found.duration:.3f} s: slips by {1e3 * slip:.1f} mm; {end}"
+            )
 
 
 def lines(results: list[Result]) -> Iterator[str]:

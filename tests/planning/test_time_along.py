@@ -21,6 +21,7 @@ from coopqp.model.held_object import HeldObject
 from coopqp.planning.closed_path import CLOSED
 from coopqp.planning.time_along import TimedPath, time_along
 from coopqp.robot import Arm, Robot, RobotModel
+from coopqp.robots import PlanarPair
 from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import POSE, Moment
@@ -238,6 +239,17 @@ def test_a_path_that_turns_back_is_timed_and_named() -> None:
     found = time_along(np.vstack([there, there[-2::-1]]), scenario)
     assert "turns back; it is passed slowly" in found.notes[0]
     assert max(limits_used(found, 301)) < 1.01
+
+
+def test_stretched_arms_are_passed_and_named() -> None:
+    """Arms on one another stretch, where no motor tells how hard they pull along them."""
+    bend = np.linspace(-0.5, 0.5, 21)[:, None]
+    arm = np.hstack([-0.5 * bend, bend, -0.5 * bend])
+    start = {"right": arm[0].tolist(), "left": arm[0].tolist()}
+    scenario = replace(load("planar_pair"), robot=PlanarPair(distance=1e-5), start=start)
+    found = time_along(np.hstack([arm, arm]), scenario)
+    assert any("the arms are singular; it is passed slowly" in note for note in found.notes)
+    assert max(limits_used(found, 301)) < 1.001
 
 
 def test_the_table_is_a_reference_that_way_points_read(tmp_path: Path) -> None:
