@@ -194,7 +194,7 @@ class Share:
         self._sided = rows.two_sided[at]
         self._count = int(self._sided.sum())
         unit = rows.unit[at]
-        self._scale = np.maximum(unit, NARROW * unit.max(initial=1e-9))
+        self._scale = np.maximum(unit, NARROW * unit.max(initial=1.0))
         k = len(at)
         self._A = np.zeros((len(rows.s), k + self._count, m + 1))
         self._A[:, :k, :m] = rows.Rl[:, at] * (FORCE / self._scale)[:, None]

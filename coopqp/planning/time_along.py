@@ -127,7 +127,8 @@ class TimedPath:
             f"The fastest motion along the path takes {self.duration:.4g} s.",
             f"Holding still along it takes up to {100.0 * self.hold:.0f} % of a motor or contact.",
             f"Between the {len(self.s)} places a limit is used to {100.0 * self.exceeded:.2f} % at "
-            f"most, and the loops stand open by {1e3 * path.gap:.1g} mm.",
+            f"most, and the loops stand open by {1e3 * path.gap:.1g} mm; the path is up to "
+            f"{path.deviation:.1g} rad from the points.",
             *self.notes,
         ]
 

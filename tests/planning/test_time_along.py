@@ -216,6 +216,26 @@ def test_accelerations_of_two_pandas_are_kept_and_bind() -> None:
     assert sum(share for name, share in found.shares.items() if "acceleration" in name) > 0.5
 
 
+@pytest.mark.parametrize("seed", [11, 12])
+def test_motors_without_limits_leave_speeds(seed: int) -> None:
+    scenario = load("yeo_4_5")  # whose one hinge is all that has a limit of torque: 0
+    found = time_along(random_way(scenario.chain, seed, count=3, step=0.3), scenario)
+    speed, _ = limits_used(found, 201)
+    assert 0.99 < speed < 1.001
+    hinge = scenario.chain.passive
+    for t in np.linspace(0.0, found.duration, 9):
+        now = found.at(float(t))
+        J = scenario.chain.loop_jacobian(now.q)[:, hinge]
+        tree = tree_torques(found, now.q, now.v, now.a)[hinge]
+        assert np.abs(tree + J.T @ now.internal[1]).max() < 1e-6
+
+
+def tree_torques(found: TimedPath, q: Array, v: Array, a: Array) -> Array:
+    """Of the tree whose arms carry the object's mass alike."""
+    model = found.maker.dynamics.model
+    return np.asarray(pin.rnea(model, model.createData(), q, v, a))
+
+
 @needs_robots
 def test_every_instant_has_torques() -> None:
     scenario = load("two_so101")  # ten motors, of which little is planned with
