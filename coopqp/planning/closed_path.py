@@ -21,7 +21,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.base.errors import InvalidValueError
-from coopqp.base.spec import Array
+from coopqp.base.spec import Array, array
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.grasp_configuration import CLOSED_ORIENTATION, CLOSED_POSITION
 
@@ -247,7 +247,7 @@ def _spline(s: Array, Q: Array, degree: int) -> Any:
 
 
 def _checked(chain: ClosedChain, loops: Loops, points: Array) -> Array:
-    Q = np.asarray(points, float)
+    Q = array("path", points)
     if Q.ndim != 2 or Q.shape[1] != chain.n or len(Q) < 2:
         raise InvalidValueError(
             f"path: found shape {Q.shape}, needs at least 2 configurations of {chain.n} joints: "

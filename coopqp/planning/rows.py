@@ -130,7 +130,7 @@ class Rows:
         for part in kept:
             size = part[0].size
             parts.append(
-                np.ascontiguousarray(found[:, at : at + size]).reshape(-1, *part.shape[1:])
+                np.ascontiguousarray(found[:, at : at + size]).reshape(len(s), *part.shape[1:])
             )
             at += size
         Ru, Rx, Rc, Rl, rates = parts

@@ -273,8 +273,8 @@ def _check(
         for value in values:
             if not low <= value < np.inf:
                 raise InvalidValueError(f"{name}: found {value:g}, needs at least {low:g}")
-    if points > MOST:
-        raise InvalidValueError(f"points: found {points}, needs at most {MOST}")
+    if points > MOST or points % 1:
+        raise InvalidValueError(f"points: found {points}, needs a whole number of at most {MOST}")
     if not 0.0 < torque <= 1.0:
         raise InvalidValueError(f"torque: found {torque:g}, needs a share in (0, 1]")
 

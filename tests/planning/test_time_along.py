@@ -23,7 +23,7 @@ from coopqp.planning.time_along import TimedPath, time_along
 from coopqp.robot import Arm, Robot, RobotModel
 from coopqp.robots import PlanarPair
 from coopqp.scenario.loader import load
-from coopqp.scenario.scenario import Scenario
+from coopqp.scenario.scenario import Phase, Scenario
 from coopqp.signal import POSE, Moment
 from coopqp.signals import Waypoints
 
@@ -272,6 +272,19 @@ def test_stretched_arms_are_passed_and_named() -> None:
     assert max(limits_used(found, 301)) < 1.001
 
 
+def test_one_arm_alone_carries_as_its_own_dynamics_say() -> None:
+    scenario = load("point_on_point")
+    alone = Phase(name="alone", duration=1.0, released=("left",), tasks=scenario.tasks)
+    scenario = replace(scenario, phases=(alone,), tasks=())
+    found = time_along(random_way(scenario.chain, 0), scenario)
+    assert max(limits_used(found, 201)) < 1.001
+    model = found.maker.dynamics.model
+    for t in np.linspace(0.1, 0.9, 5) * found.duration:
+        now = found.at(float(t))
+        tau = pin.rnea(model, model.createData(), now.q, now.v, now.a)
+        np.testing.assert_allclose(now.tau, tau, atol=1e-10)
+
+
 def test_the_table_is_a_reference_that_way_points_read(tmp_path: Path) -> None:
     found = nao(1)
     file = tmp_path / "timed.csv"
@@ -322,6 +335,7 @@ def test_a_load_that_cannot_be_held_is_refused_with_place_and_motor() -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
+        ({"points": 20.5}, "points: found 20.5, needs a whole number of at most 20000"),
         ({"points": 3}, "points: found 3, needs at least 8"),
         ({"torque": 1.5}, r"torque: found 1.5, needs a share in \(0, 1\]"),
         ({"safety": 0.5}, "safety: found 0.5, needs at least 1"),
