@@ -53,6 +53,8 @@ from .planning.plan import Plan as Plan
 from .planning.plan import plan as plan
 from .planning.reach import Reach as Reach
 from .planning.reach import reach as reach
+from .planning.time_along import TimedPath as TimedPath
+from .planning.time_along import time_along as time_along
 from .plant import Disturbance as Disturbance
 from .plant import Plant as Plant
 from .plant import PlantModel as PlantModel

@@ -22,7 +22,55 @@ from coopqp.cli.options import (
     say,
 )
 
+#: What coopqp time writes.
+TIMED = "timed.csv"
 FORMATS = ("mcap", "rosbag2", "parquet")
+
+
+@click.command(name="time")
+@click.argument("path", type=click.Path(exists=True, path_type=Path))
+@click.option("--scenario", help="Whose robot and limits count; that of a recorded run if omitted.")
+@click.option("--out", type=WRITTEN, help="Folder for the timed path.")
+@click.option("--controller", help="Of a recorded run; the first if omitted.")
+@click.option("--torque", type=float, default=1.0, help="Share of each motor that is planned with.")
+@click.option(
+    "--wrench", type=(float, float), metavar="N NM", help="Largest internal force, torque."
+)
+@click.option("--safety", type=float, default=1.5, help="By which friction is divided.")
+@click.option(
+    "--speed", type=(float, float), default=(0.0, 0.0), metavar="FROM TO",
+    help="Of the joints at the beginning and the end [rad/s].",
+)  # fmt: skip
+@click.option("--points", type=int, default=200, help="Intervals of the grid.")
+@catalogued
+@JSON
+def time_(
+    path: Path, scenario: str | None, out: Path | None, catalog: Any, *, as_json: bool, **how: Any
+) -> None:
+    """Find the fastest motion along a path that speeds, accelerations and torques allow.
+
+    PATH is a recorded run, a report's folder, or a CSV file with a column for each joint.
+    """
+    from coopqp.planning.time_along import time_along
+    from coopqp.report import files, strict_json
+    from coopqp.report.table import console, shares_table
+
+    if scenario is None:
+        _, loaded = read_trace(path, catalog)
+    else:
+        loaded = read_scenario(scenario, catalog)
+    found = time_along(path, loaded, **how)
+    text = found.csv(loaded.dt)
+    if as_json:
+        keys = ("duration", "hold", "exceeded", "shares", "notes")
+        click.echo(strict_json.text({key: getattr(found, key) for key in keys}))
+    else:
+        for line in found.sentences:
+            say(line, aside=False)
+        console().print(shares_table(found.shares, found.duration))
+    if out:
+        files.write_one(out / TIMED, text)
+        say(f"wrote {out / TIMED}", aside=as_json)
 
 
 @click.command()

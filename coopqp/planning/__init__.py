@@ -1,4 +1,4 @@
-"""A way round: whether goals can be reached, and by which motion."""
+"""Motions that are decided beforehand: whether goals can be reached, by which way, and how fast."""
 
 from coopqp.planning.closed_space import Budget as Budget
 from coopqp.planning.plan import Plan as Plan

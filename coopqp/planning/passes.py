@@ -1,0 +1,254 @@
+"""The fastest profile over a path's places: the passes of TOPP-RA, with the wrench among variables.
+
+    backward   K_N = {end},  K_i = [min, max] of x with the rows and x + 2 ds u in K_i+1
+    forward    x_0 = start,  x_i+1 = x_i + 2 ds max u
+
+Interval i keeps the rows of both its ends, each with a wrench of its own (the interpolation scheme
+of Pham and Pham 2018): what is exceeded between them is then O(ds^2), and u does not chatter where
+the coefficient of u passes zero. Each step is a linear program, solved by daqp's dual active set.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import daqp
+import numpy as np
+
+from coopqp.base.spec import Array
+from coopqp.planning.rows import Rows
+
+#: daqp's settings, and those of further tries where it cycles or finds nothing by rounding.
+TRIES: tuple[dict[str, float], ...] = (
+    {"primal_tol": 1e-9, "dual_tol": 1e-12, "iter_limit": 1000},
+    {"primal_tol": 1e-7, "iter_limit": 1000},
+    {"primal_tol": 1e-7, "iter_limit": 1000, "eps_prox": 1e-3},
+)
+EQUALITY = 5  # daqp's sense of it
+#: Unit of the wrench in the programs [N].
+FORCE = 10.0
+#: A row counts as at least this share of the widest [-].
+NARROW = 0.01
+#: Smaller coefficients are rounding, which daqp would divide by.
+ROUNDING = 1e-12
+#: Largest u in the programs, over the median x_max.
+STEEPEST = 1e5
+#: Where x_i of the pass before is missed by rounding, so much less of it is tried.
+LESS = (1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3)
+
+
+class Stuck(Exception):  # noqa: N818 - not an error of users; the caller says what it means
+    """No u at a place: its index, and the least and most x there; NaN where there is none."""
+
+    def __init__(self, place: int, least: float = np.nan, most: float = np.nan) -> None:
+        super().__init__(place)
+        self.place, self.least, self.most = place, least, most
+
+
+def program(P: Array | None, q: Array, A: Array, upper: Array, lower: Array) -> Any:
+    """The x of least x'Px/2 + q'x with lower <= (x; A x) <= upper, and multipliers, or None.
+
+    Equal ends are equalities.
+    """
+    sense = (upper == lower).astype(np.intc) * EQUALITY
+    for settings in TRIES:
+        x, _, flag, info = daqp.solve(P, q, A, upper, lower, sense.copy(), **settings)
+        if flag > 0:
+            return x, info["lam"]
+    return None if P is not None else _by_simplex(q, A, upper, lower)
+
+
+def _by_simplex(q: Array, A: Array, upper: Array, lower: Array) -> Any:
+    """The same by HiGHS, a hundred times as slow, where daqp fails for its rounding."""
+    from scipy.optimize import Bounds, LinearConstraint, milp  # nobody else waits for it
+
+    n = len(q)
+    found = milp(
+        q, bounds=Bounds(lower[:n], upper[:n]),
+        constraints=LinearConstraint(A, lower[n:], upper[n:]),
+    )  # fmt: skip
+    return (found.x, np.zeros(len(upper))) if found.x is not None else None
+
+
+@dataclass(frozen=True)
+class Profile:
+    """At the places x and the most x that leads to the end, (N,); u in the intervals, (N - 1,)."""
+
+    x: Array
+    u: Array
+    most: Array
+
+
+class Passes:
+    """The programs of a path's intervals.
+
+    Args:
+        rows: at the places.
+        box: largest wrench by component, shape (m,).
+        share: of the bounds, shape (N, r), and speed: of the speeds, shape (N,).
+    """
+
+    def __init__(self, rows: Rows, box: Array, share: Array, speed: Array) -> None:
+        self._x = float(np.median(rows.x_max))
+        N, r, m = rows.Rl.shape
+        ds = np.diff(rows.s)
+        x_max = speed**2 * rows.x_max
+        lo, up = rows.lo_up(share)
+        wide = np.where(np.isfinite(lo), 0.5 * (up - lo), np.abs(up))
+        scale = np.maximum(wide, NARROW * np.maximum(wide.max(axis=0), rows.unit))[:, :, None]
+        scale[scale == 0.0] = 1.0
+        Ru, Rx = rows.Ru[:, :, None] * self._x / scale, rows.Rx[:, :, None] * self._x / scale
+        Rl = rows.Rl * FORCE / scale
+        lo, up = lo / scale[:, :, 0], up / scale[:, :, 0]
+        self._A = np.zeros((N - 1, 1 + 2 * r, 2 + 2 * m))
+        A, h = self._A, (2.0 * ds)[:, None, None]
+        A[:, 0, 0], A[:, 0, 1] = 2.0 * ds, 1.0
+        A[:, 1 : 1 + r, :1], A[:, 1 : 1 + r, 1:2], A[:, 1 : 1 + r, 2 : 2 + m] = (
+            Ru[:-1], Rx[:-1], Rl[:-1]
+        )  # fmt: skip
+        A[:, 1 + r :, :1], A[:, 1 + r :, 1:2] = Ru[1:] + h * Rx[1:], Rx[1:]
+        A[:, 1 + r :, 2 + m :] = Rl[1:]
+        A[np.abs(A) < ROUNDING] = 0.0
+        self._upper, self._lower = np.empty((2, N - 1, 3 + 2 * m + 2 * r))
+        wrench = np.tile(box / FORCE, 2)
+        for sign, ends, out in ((1.0, up, self._upper), (-1.0, lo, self._lower)):
+            out[:, 0], out[:, 2 : 2 + 2 * m] = sign * STEEPEST, sign * wrench
+            out[:, 3 + 2 * m : 3 + 2 * m + r], out[:, 3 + 2 * m + r :] = ends[:-1], ends[1:]
+        self._upper[:, 1], self._lower[:, 1] = x_max[:-1] / self._x, 0.0
+        self._next, self._x_max = 2 + 2 * m, x_max / self._x
+        self._ds = ds
+
+    def profile(self, start: float = 0.0, end: float = 0.0) -> Profile:
+        """The fastest one, from sdot^2 = start to end.
+
+        Raises:
+            Stuck: there is none.
+        """
+        least, most = self._backward(end / self._x)
+        first = start / self._x
+        if not least[0] - 1e-9 <= first <= most[0] * (1.0 + 1e-9):
+            raise Stuck(0, least[0] * self._x, most[0] * self._x)
+        x = self._forward(min(max(first, least[0]), most[0]), least, most)
+        u = np.diff(x) / (2.0 * self._ds)
+        return Profile(x * self._x, u * self._x, most * self._x)
+
+    def _backward(self, end: float) -> tuple[Array, Array]:
+        N = len(self._x_max)
+        least, most = np.zeros(N), np.zeros(N)
+        least[-1] = most[-1] = end
+        if end > self._x_max[-1] * (1.0 + 1e-9):
+            raise Stuck(N - 1, 0.0, self._x_max[-1] * self._x)
+        cost = np.zeros(self._A.shape[2])
+        for i in range(N - 2, -1, -1):
+            cost[1] = -1.0
+            found = self._solve(i, cost, least[i + 1], most[i + 1])
+            if found is None:
+                raise Stuck(i)
+            most[i] = found[1]
+            if least[i + 1] > 0.0:  # else rest leads to rest: whatever is held there may stand
+                cost[1] = 1.0
+                found = self._solve(i, cost, least[i + 1], most[i + 1])
+                least[i] = max(0.0, found[1]) if found is not None else most[i]
+        return least, most
+
+    def _forward(self, first: float, least: Array, most: Array) -> Array:
+        x, cost = np.empty(len(most)), np.zeros(self._A.shape[2])
+        x[0], cost[0] = first, -1.0
+        for i in range(len(most) - 1):
+            for less in (0.0, *LESS):
+                x_i = max(x[i] * (1.0 - less), least[i])
+                found = self._solve(i, cost, least[i + 1], most[i + 1], x_i)
+                if found is not None:
+                    break
+            else:
+                raise Stuck(i)
+            x[i] = x_i
+            x[i + 1] = min(max(x_i + 2.0 * self._ds[i] * found[0], least[i + 1]), most[i + 1])
+        return x
+
+    def _solve(
+        self, i: int, cost: Array, least: float, most: float, fixed: float | None = None
+    ) -> Any:
+        upper, lower = self._upper[i], self._lower[i]
+        upper[self._next], lower[self._next] = most, least
+        kept = upper[1]
+        if fixed is not None:
+            upper[1] = lower[1] = fixed
+        found = program(None, cost, self._A[i], upper, lower)
+        upper[1], lower[1] = kept, 0.0
+        return None if found is None else found[0]
+
+
+class Share:
+    """How much of its limits the best wrench leaves a motion, and which row it is.
+
+    One program a place: min t with |row| <= t size at motors, rows <= size + (t - 1) unit at
+    contacts, |lambda| <= box.
+    """
+
+    def __init__(self, rows: Rows, box: Array) -> None:
+        self._rows, self._box = rows, box
+        self.at = np.flatnonzero(rows.kinds != "acceleration")
+        at, m = self.at, rows.Rl.shape[2]
+        self._sided = rows.two_sided[at]
+        self._count = int(self._sided.sum())
+        unit = rows.unit[at]
+        self._scale = np.maximum(unit, NARROW * unit.max(initial=1.0))
+        k = len(at)
+        self._A = np.zeros((len(rows.s), k + self._count, m + 1))
+        self._A[:, :k, :m] = rows.Rl[:, at] * (FORCE / self._scale)[:, None]
+        self._A[:, :k, m] = -unit / self._scale
+        self._A[np.abs(self._A) < ROUNDING] = 0.0
+        self._A[:, k:, :m] = -self._A[:, :k, :m][:, self._sided]
+        self._A[:, k:, m] = self._A[:, :k, m][:, self._sided]
+        self._upper = np.empty(m + 1 + k + self._count)
+        self._upper[:m], self._upper[m] = box / FORCE, 1e6
+        self._lower = np.full(len(self._upper), -np.inf)
+        self._lower[:m], self._lower[m] = -box / FORCE, 0.0
+        self._cost = np.zeros(m + 1)
+        self._cost[m] = 1.0
+        self._m = m
+
+    def of(self, i: int, u: float, x: float) -> tuple[float, str]:
+        """t, and the row that holds it back most; infinite where no wrench will do."""
+        rows, at, m, k = self._rows, self.at, self._m, len(self.at)
+        if not k:
+            return 0.0, ""
+        felt = rows.Ru[i, at] * u + rows.Rx[i, at] * x + rows.Rc[i, at]
+        room = rows.size[at] - rows.unit[at]
+        self._upper[m + 1 : m + 1 + k] = (room - felt) / self._scale
+        self._upper[m + 1 + k :] = ((room + felt) / self._scale)[self._sided]
+        solved = program(None, self._cost, self._A[i], self._upper, self._lower)
+        if solved is None:
+            return np.inf, ""
+        found, multipliers = solved
+        pull = np.abs(multipliers[m + 1 :])
+        pull[:k][self._sided] += pull[k:]
+        return float(found[m]), rows.names[at[int(pull[:k].argmax())]]
+
+    def of_all(self, u: Array, x: Array, least: float) -> tuple[Array, list[str]]:
+        """Of all places; where a fixed wrench leaves less than ``least``, its t.
+
+        That is the wrench of least |tau / tau_max|^2, all places at once: it spares the programs
+        where torques are far from their limits.
+        """
+        found, names = self._fixed(u, x), [""] * len(u)
+        for i in np.flatnonzero(found >= least).tolist():
+            found[i], names[i] = self.of(i, float(u[i]), float(x[i]))
+        return found, names
+
+    def _fixed(self, u: Array, x: Array) -> Array:
+        rows, at, unit = self._rows, self.at, self._rows.unit[self.at]
+        if not len(at):
+            return np.zeros(len(u))
+        if not self._sided.all() or not unit.all():  # cones and hinges need the program
+            return np.full(len(u), np.inf)
+        felt = rows.Ru[:, at] * u[:, None] + rows.Rx[:, at] * x[:, None] + rows.Rc[:, at]
+        R = rows.Rl[:, at] / unit[:, None]
+        felt /= unit
+        RR = R.transpose(0, 2, 1) @ R
+        RR += 1e-9 * np.eye(self._m) * (1e-9 + np.trace(RR, axis1=1, axis2=2))[:, None, None]
+        lam = -np.linalg.solve(RR, R.transpose(0, 2, 1) @ felt[:, :, None])[..., 0]
+        use = np.abs(felt + (R @ lam[:, :, None])[..., 0]).max(axis=1)
+        return np.where((np.abs(lam) <= self._box).all(axis=1), use, np.inf)

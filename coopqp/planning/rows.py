@@ -1,0 +1,290 @@
+"""What speeds, accelerations, motors and contacts allow along a path, as rows on (u, x, lambda).
+
+With q' and q'' by s, x = sdot^2 and u = sddot,
+
+    qd  = q' sqrt(x),   qdd = q' u + q'' x
+    tau = a u + b x + c - J_c' lambda
+    a = A q',   b = A q'' + H(q, q') - H(q, 0),   c = H(q, 0)
+
+The object's mass is on all hands alike, so lambda is Walker's internal wrench: with w the wrench
+that moves the object, h_0 = w/N + sum lambda_i, h_i = w/N - lambda_i at the object's origin. w is
+linear in u and x as tau is, and so are the cones of hands that press. Joints' friction is left out.
+
+    lo <= Ru u + Rx x + Rl lambda <= up,   x <= x_max,   |lambda| <= box
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.spec import Array
+from coopqp.closed_loop.dynamics import ClosedLoopDynamics
+from coopqp.closed_loop.hands import hands
+from coopqp.limit import Bounded, JointBounds, TwistBounds
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.planning.closed_path import Along, ClosedPath, Loops, relative
+from coopqp.scenario.scenario import Scenario
+
+#: What speeds of the object are called, by component.
+AXES = ("x", "y", "z", "about x", "about y", "about z")
+#: Above so much of the median x is bounded where nothing else does it: where joints stand still.
+FASTEST = 1e4
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """The limits of a motion; infinite where there is none.
+
+    Attributes:
+        speed, acceleration: of joints, shape (n,) [rad/s, rad/s2; m/s, m/s2].
+        torque: of motors, shape (n,), 0 at passive joints [N m, N].
+        twist: of the object's components in world axes, shape (6,) [m/s, rad/s].
+        wrench: largest component of the internal wrench of each hand, shape (6,) [N, N m].
+        safety: by which friction is divided.
+    """
+
+    speed: Array
+    acceleration: Array
+    torque: Array
+    twist: Array
+    wrench: Array
+    safety: float
+
+
+def bounds_of(
+    scenario: Scenario, torque: float, wrench: tuple[float, float], safety: float
+) -> Bounds:
+    """The bounds of a scenario's robot and limits, of which motors use a share."""
+    chain = scenario.chain
+    speed, acceleration = chain.velocity.copy(), np.full(chain.n, np.inf)
+    twist = np.full(6, np.inf)
+    for limit in scenario.limits:
+        program = limit.program(chain, scenario.dt)
+        if isinstance(program, TwistBounds):
+            at = list(program.components)
+            twist[at] = np.minimum(twist[at], program.bounds)
+        elif isinstance(program, JointBounds) and program.of == Bounded.VELOCITY:
+            speed = np.minimum(speed, np.minimum(-program.lower, program.upper))
+        elif isinstance(program, JointBounds) and program.step is not None:
+            acceleration = np.minimum(acceleration, program.step / scenario.dt)
+    effort = torque * np.array(chain.model.effortLimit)
+    effort[chain.passive] = 0.0
+    box = np.repeat(np.array(wrench, float), 3)
+    return Bounds(speed, acceleration, effort, twist, box, safety)
+
+
+@dataclass(frozen=True)
+class Rows:
+    """The rows at N places.
+
+    Attributes:
+        s: the places, shape (N,).
+        along: the path there.
+        Ru, Rx, Rc: shape (N, r); Rl, shape (N, r, m). Rc is what is there at rest.
+        names: such as "torque of elbow"; joints: those of the chain.
+        kinds: "acceleration", "torque" or "contact", by row.
+        size: of what bounds a row, shape (r,); lo = -size - Rc (-inf at contacts), up = size - Rc.
+        unit: what a row's use is counted in, shape (r,): its size, at contacts the weight [N].
+        rates: of joints and of the object by s, (N, n + 6), which speeds bound, shape (n + 6,).
+    """
+
+    s: Array
+    along: Along
+    Ru: Array
+    Rx: Array
+    Rc: Array
+    Rl: Array
+    names: tuple[str, ...]
+    joints: tuple[str, ...]
+    kinds: Array
+    size: Array
+    unit: Array
+    rates: Array
+    speeds: Array
+
+    @property
+    def x_max(self) -> Array:
+        """Largest x that the speeds allow, shape (N,); finite where a joint stands still, too."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            most = np.square(self.speeds / np.abs(self.rates)).min(axis=1)
+        finite = most[np.isfinite(most)]
+        usual = float(np.median(finite)) if len(finite) else 1.0
+        return np.asarray(np.fmin(most, FASTEST * usual), float)
+
+    def finer(self, count: int) -> Rows:
+        """Rows at ``count`` places in each interval, both ends among them, by cubic splines.
+
+        The coefficients are smooth in s, so that this takes a tenth of the time of making them.
+        """
+        from scipy.interpolate import CubicSpline  # nobody else waits for it
+
+        kept = self.Ru, self.Rx, self.Rc, self.Rl, self.rates
+        flat = np.hstack([part.reshape(len(self.s), -1) for part in kept])
+        share = np.linspace(0.0, 1.0, count)
+        s = (self.s[:-1, None] + np.diff(self.s)[:, None] * share).ravel()
+        found, parts, at = CubicSpline(self.s, flat)(s), [], 0
+        for part in kept:
+            size = part[0].size
+            parts.append(
+                np.ascontiguousarray(found[:, at : at + size]).reshape(len(s), *part.shape[1:])
+            )
+            at += size
+        Ru, Rx, Rc, Rl, rates = parts
+        return replace(self, s=s, Ru=Ru, Rx=Rx, Rc=Rc, Rl=Rl, rates=rates)
+
+    @property
+    def two_sided(self) -> Array:
+        return np.asarray(self.kinds != "contact")
+
+    def lo_up(self, share: Array) -> tuple[Array, Array]:
+        """Lower and upper ends, shape (N, r), with the bounds times a share."""
+        size = self.size - (1.0 - share) * self.unit
+        return np.where(self.two_sided, -size, -np.inf) - self.Rc, size - self.Rc
+
+
+class RowMaker:
+    """Makes the rows of one path at any places.
+
+    Raises:
+        InvalidValueError: nothing bounds the speed of a motor.
+    """
+
+    def __init__(self, path: ClosedPath, bounds: Bounds) -> None:
+        chain = path.chain
+        self.path, self.bounds, self.chain = path, bounds, chain
+        holders = [arm.name for arm in chain.arms[: chain.holding]]
+        self.arms = len(holders)
+        shares = dict.fromkeys(holders, 1.0 / self.arms)
+        self.dynamics = ClosedLoopDynamics(chain, shares=shares)
+        self.kept = np.array(chain.loops.kept, int)
+        self.loops = Loops(chain, self.dynamics.model)
+        self._limited = np.flatnonzero(np.isfinite(bounds.torque))
+        self._quick = np.flatnonzero(np.isfinite(bounds.acceleration))
+        names = chain.joint_names
+        self._cones = _Cones(chain, bounds.safety)
+        self.names = (
+            *(f"acceleration of {names[j]}" for j in self._quick),
+            *(f"torque of {names[j]}" for j in self._limited),
+            *self._cones.names,
+        )
+        counts = (len(self._quick), len(self._limited), len(self._cones.names))
+        self.kinds = np.repeat(["acceleration", "torque", "contact"], counts)
+        self.size = np.concatenate(
+            [bounds.acceleration[self._quick], bounds.torque[self._limited], self._cones.most]
+        )
+        weight = chain.held.body().mass * float(np.linalg.norm(chain.model.gravity.linear))
+        self.unit = np.where(self.kinds == "contact", max(weight, 1.0), self.size)
+        self.speeds = np.concatenate([bounds.speed, bounds.twist])
+        if not (np.isfinite(self.speeds).any() or counts[0] or counts[1] > len(chain.passive)):
+            raise InvalidValueError(
+                "nothing limits the motion: the robot has no limits of speed or torque; give it "
+                "some, or limits: joint_acceleration"
+            )
+
+    @property
+    def box(self) -> Array:
+        """Bounds of lambda, shape (m,) [N, N m]."""
+        return np.asarray(np.tile(self.bounds.wrench, self.arms)[self.kept], float)
+
+    def at(self, s: Array) -> Rows:
+        """The rows at places of shape (N,)."""
+        along = self.path.at(s, self.loops)
+        a, b, c = self.torques(along)
+        J = relative(along.moved.J)[:, self.kept]
+        N, m, at, quick = len(s), J.shape[1], self._limited, self._quick
+        nothing = np.zeros((N, len(quick)))
+        cones = self._cones.at(self.dynamics, along, self.kept)
+        twist = (along.moved.J[:, 0] @ along.dq[:, :, None])[..., 0]
+        return Rows(
+            s, along,
+            np.hstack([along.dq[:, quick], a[:, at], cones[0]]),
+            np.hstack([along.ddq[:, quick], b[:, at], cones[1]]),
+            np.hstack([nothing, c[:, at], cones[2]]),
+            np.concatenate(
+                [np.zeros((N, len(quick), m)), -J.transpose(0, 2, 1)[:, at], cones[3]], axis=1
+            ),
+            self.names, self.chain.joint_names, self.kinds, self.size, self.unit,
+            np.hstack([along.dq, twist]), self.speeds,
+        )  # fmt: skip
+
+    def torques(self, along: Along) -> tuple[Array, Array, Array]:
+        """a, b and c of the tree's torques, each (N, n)."""
+        found = np.empty((3, *along.q.shape))
+        model, data, nothing = self.dynamics.model, self.loops.data, np.zeros(along.q.shape[1])
+        for k, (q, dq, ddq) in enumerate(zip(along.q, along.dq, along.ddq, strict=True)):
+            found[2, k] = pin.rnea(model, data, q, nothing, nothing)
+            found[0, k] = pin.rnea(model, data, q, nothing, dq)
+            found[1, k] = pin.rnea(model, data, q, dq, ddq)
+        found[:2] -= found[2]
+        return found[0], found[1], found[2]
+
+
+class _Cones:
+    """What hands that press keep, as rows on (u, x, lambda)."""
+
+    def __init__(self, chain: ClosedChain, safety: float) -> None:
+        self._each: list[tuple[int, Array]] = []
+        names: list[str] = []
+        most: list[Array] = [np.zeros(0)]
+        self._hands = hands(chain)
+        body = chain.held.body()
+        self._mass, self._lever, self._inertia = body.mass, body.lever, body.inertia
+        for i, hand in enumerate(self._hands):
+            if not hand.contact:
+                continue
+            found = hand.contact.force_rows(safety)
+            R, p = hand.X_OC.rotation, hand.X_OC.translation
+            turn = np.zeros((6, 6))  # from the wrench at the origin, O's axes, to the contact's
+            turn[:3, :3], turn[3:, 3:], turn[3:, :3] = R.T, R.T, -R.T @ pin.skew(p)
+            self._each.append((i, found.rows @ turn))
+            names += [f"{label.partition('[')[0]} of {hand.arm}" for label in found.labels]
+            most.append(found.most)
+        self.names, self.most = tuple(names), np.concatenate(most)
+
+    def at(
+        self, dynamics: ClosedLoopDynamics, along: Along, kept: Array
+    ) -> tuple[Array, Array, Array, Array]:
+        """Ru, Rx, Rc, each (N, r), and Rl, (N, r, m)."""
+        N, m = len(along.q), len(kept)
+        if not self._each:
+            return (*np.zeros((3, N, 0)), np.zeros((N, 0, m)))
+        w = self._wrenches(dynamics, along)
+        R, count = along.moved.R[:, 0], len(self._hands)
+        parts = []
+        for i, rows in self._each:
+            turned = np.concatenate(
+                [rows[:, :3] @ R.transpose(0, 2, 1), rows[:, 3:] @ R.transpose(0, 2, 1)], axis=2
+            )
+            shared = [(turned @ part[:, :, None])[..., 0] / count for part in w]
+            split = np.zeros((6, 6 * (count - 1)))
+            for j in range(1, count):
+                if i in (0, j):
+                    split[:, 6 * j - 6 : 6 * j] = np.eye(6) * (1.0 if i == 0 else -1.0)
+            parts.append((*shared, turned @ split[:, kept]))
+        u, x, c, lam = (np.concatenate(found, axis=1) for found in zip(*parts, strict=True))
+        return u, x, c, lam
+
+    def _wrenches(self, dynamics: ClosedLoopDynamics, along: Along) -> tuple[Array, Array, Array]:
+        """What the object needs for u, for x and at rest, at its origin, each (N, 6)."""
+        R, J = along.moved.R[:, 0], along.moved.J[:, 0]
+        lever = R @ self._lever
+        I = R @ self._inertia @ R.transpose(0, 2, 1)  # noqa: E741
+        twist = (J @ along.dq[:, :, None])[..., 0]
+        turning = (J @ along.ddq[:, :, None])[..., 0] + along.drift[:, 0]
+        omega = twist[:, 3:]
+        spun = np.cross(omega, np.cross(omega, lever))
+        gyro = np.cross(omega, (I @ omega[:, :, None])[..., 0])
+
+        def wrench(a: Array, more: Array, turn: Array) -> Array:
+            force = self._mass * (a[:, :3] + np.cross(a[:, 3:], lever) + more)
+            torque = (I @ a[:, 3:, None])[..., 0] + turn + np.cross(lever, force)
+            return np.hstack([force, torque])
+
+        still = np.zeros_like(twist)
+        falls = np.tile(-dynamics.model.gravity.linear, (len(R), 1))
+        none = np.zeros_like(omega)
+        return wrench(twist, none, none), wrench(turning, spun, gyro), wrench(still, falls, none)

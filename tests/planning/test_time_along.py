@@ -1,0 +1,349 @@
+"""The fastest motion along a path: closed forms, pinocchio's dynamics, limits between places."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from dynamics_by_hand import PinocchioOracle, relative
+from random_ways import random_way
+from scenario_files import needs_robots
+
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.spec import Array, Positive, spec
+from coopqp.grasps import Rigid
+from coopqp.limits import JointAcceleration, JointPosition, JointVelocity, ObjectSpeed
+from coopqp.model.held_object import HeldObject
+from coopqp.planning.closed_path import CLOSED
+from coopqp.planning.time_along import TimedPath, time_along
+from coopqp.robot import Arm, Robot, RobotModel
+from coopqp.robots import PlanarPair
+from coopqp.scenario.loader import load
+from coopqp.scenario.scenario import Phase, Scenario
+from coopqp.signal import POSE, Moment
+from coopqp.signals import Waypoints
+
+MASS, EFFORT, SPEED, PUSH = 2.0, 6.0, 0.7, 1.5
+"""Of a slider and what it carries [kg, N, m/s, m/s2]."""
+
+
+@spec
+class Sliders(Robot):
+    """Two sliding joints side by side, level, each with a hand and without mass."""
+
+    speed: Positive = 1e3
+    effort: Positive = 1e3
+
+    def build(self) -> RobotModel:
+        model = pin.Model()
+        for name, y in (("left", 0.05), ("right", -0.05)):
+            base = pin.SE3(np.eye(3), np.array([0.0, y, 0.0]))
+            joint = model.addJoint(0, pin.JointModelPX(), base, name)
+            hand = pin.Frame(f"{name}_hand", joint, 0, pin.SE3.Identity(), pin.FrameType.OP_FRAME)
+            model.addFrame(hand)
+        model.lowerPositionLimit[:], model.upperPositionLimit[:] = -5.0, 5.0
+        model.velocityLimit[:], model.effortLimit[:] = self.speed, self.effort
+        arms = tuple(Arm(name=name, tip=f"{name}_hand") for name in ("left", "right"))
+        return RobotModel(name="sliders", model=model, arms=arms)
+
+
+def sliders(speed: float = 1e3, effort: float = 1e3, push: float | None = None) -> Scenario:
+    limits = (JointPosition(), *([JointAcceleration(max=push)] if push else []))
+    return replace(
+        load("point_on_point"), robot=Sliders(speed=speed, effort=effort), limits=limits,
+        start={"left": [0.0], "right": [0.0]}, grasps=Rigid(),
+        held=HeldObject(mass=MASS, size=(0.1, 0.1, 0.1)),
+    )  # fmt: skip
+
+
+#: |v| of both over the speed of one.
+ROOT = np.sqrt(2.0)
+LINE = np.linspace([0.0, 0.0], [1.2, 1.2], 7)
+
+
+@pytest.mark.parametrize(
+    ("scenario", "a", "v"),
+    [
+        (sliders(effort=EFFORT), 2.0 * EFFORT / MASS, 1e3),
+        (sliders(push=PUSH), PUSH, 1e3),
+        (sliders(push=PUSH, speed=SPEED), PUSH, SPEED),
+        (sliders(effort=EFFORT, speed=SPEED), 2.0 * EFFORT / MASS, SPEED),
+    ],
+)
+def test_two_sliders_take_the_time_of_closed_forms(scenario: Scenario, a: float, v: float) -> None:
+    found = time_along(LINE, scenario, points=100)
+    way = LINE[-1, 0]
+    quickest = 2.0 * np.sqrt(way / a) if v**2 / a > way else way / v + v / a
+    assert found.duration == pytest.approx(quickest, rel=1e-3)
+
+
+def test_two_sliders_go_from_speed_to_speed() -> None:
+    found = time_along(LINE, sliders(push=PUSH), points=100, speed=(ROOT * 0.5, ROOT * 0.3))
+    peak = np.sqrt(PUSH * LINE[-1, 0] + 0.5 * (0.5**2 + 0.3**2))
+    assert found.duration == pytest.approx((2.0 * peak - 0.8) / PUSH, rel=1e-3)
+    assert found.at(0.0).v[0] == pytest.approx(0.5)
+    assert found.at(found.duration).v[0] == pytest.approx(0.3)
+    with pytest.raises(InvalidValueError, match=r"speed: found 3 rad/s at the beginning, needs 0"):
+        time_along(LINE, sliders(push=PUSH), points=100, speed=(3.0, 0.0))
+
+
+def test_each_moment_is_the_derivative_of_the_one_before() -> None:
+    found = nao(1)
+    h = 1e-5
+    for t in np.linspace(0.1, 0.9, 7) * found.duration:
+        if np.any(np.abs(found.t - t) < 2 * h):
+            continue
+        before, now, after = (found.at(t + dt) for dt in (-h, 0.0, h))
+        np.testing.assert_allclose((after.q - before.q) / (2 * h), now.v, atol=2e-4)
+        np.testing.assert_allclose((after.v - before.v) / (2 * h), now.a, rtol=1e-4, atol=5e-3)
+
+
+@cache
+def nao(seed: int, **options: float) -> TimedPath:
+    scenario = load("point_on_point")
+    return time_along(random_way(scenario.chain, seed), scenario, **options)
+
+
+def test_planned_torques_cause_the_planned_accelerations() -> None:
+    found = nao(0)
+    oracle = PinocchioOracle(found.path.chain)
+    for t in np.linspace(0.02, 0.98, 25) * found.duration:
+        now = found.at(float(t))
+        a = oracle.acceleration(now.q, now.v, now.tau)
+        assert relative(a, now.a) < 1e-6
+
+
+def limits_used(found: TimedPath, count: int) -> tuple[float, float]:
+    """Largest share of speed and torque at so many times; torques as :meth:`TimedPath.at` has."""
+    chain = found.path.chain
+    moments = [found.at(float(t)) for t in np.linspace(0.0, found.duration, count)]
+    motors = np.setdiff1d(np.arange(chain.n), chain.passive)
+    v = max(np.abs(now.v[motors] / chain.velocity[motors]).max() for now in moments)
+    effort = np.array(chain.model.effortLimit)
+    return v, max(np.abs(now.tau[motors] / effort[motors]).max() for now in moments)
+
+
+@pytest.mark.parametrize("name", ["point_on_point", "passive_grasp_pose"])
+def test_limits_are_kept_between_the_places_and_one_is_met(name: str) -> None:
+    scenario = load(name)
+    found = time_along(random_way(scenario.chain, 3), scenario)
+    speed, torque = limits_used(found, 501)
+    assert max(speed, torque) < 1.001
+    assert found.exceeded < 1.001
+    assert found.shares.get("nothing", 0.0) < 0.05
+    assert max(speed, torque) > 0.99
+
+
+def test_loops_stay_closed_all_along() -> None:
+    found = nao(2)
+    chain = found.path.chain
+    for s in np.linspace(0.0, found.path.length, 400):
+        q = found.path.spline(s)
+        places = [X.translation.copy() for X in chain._carried(q, chain.model.createData())]
+        assert np.linalg.norm(places[1] - places[0]) < CLOSED
+
+
+def test_less_of_anything_takes_longer() -> None:
+    quickest = nao(0).duration
+    assert nao(0, torque=0.7).duration > quickest
+    assert nao(0, wrench=(1e-3, 1e-3)).duration >= quickest * (1.0 - 1e-6)
+    scenario = load("point_on_point")
+    limits = (JointPosition(), JointVelocity(scale=0.5), ObjectSpeed(linear=0.1))
+    path = random_way(scenario.chain, 0)
+    slow = time_along(path, replace(scenario, limits=limits))
+    assert slow.duration > quickest
+    assert any(name.startswith("speed of the object") for name in slow.active)
+    moments = [slow.at(float(t)) for t in np.linspace(0.0, slow.duration, 200)]
+    steps = np.diff([now.p_WO for now in moments], axis=0) / (slow.duration / 199)
+    assert np.abs(steps).max() < 0.1 * 1.001
+
+
+def test_internal_wrenches_stay_in_the_box_and_cancel() -> None:
+    found = nao(0, wrench=(0.5, 0.05))
+    for t in np.linspace(0.0, found.duration, 40):
+        internal = found.at(float(t)).internal
+        assert np.abs(internal[:, :3]).max() < 0.5 + 1e-6
+        assert np.abs(internal[:, 3:]).max() < 0.05 + 1e-6
+        assert np.abs(internal.sum(axis=0)).max() < 1e-9
+
+
+def test_hands_that_press_stay_in_their_cones() -> None:
+    """The wrenches by the direct model's own object dynamics, in the contact's own rows."""
+    scenario = load("nao_presses")
+    chain = scenario.chain
+    q = random_way(chain, 1, count=2, step=0.2)
+    found = time_along(q, scenario)
+    assert {name.partition(" ")[0] for name in found.active} & {"friction", "edge", "least"}
+    assert pressed(found, 1.5) < 1e-4
+    assert pressed(time_along(q, scenario, safety=1.0), 1.5) > 0.0
+
+
+def pressed(found: TimedPath, safety: float) -> float:
+    """By how much the hands leave their cones at worst [N]."""
+    from coopqp.closed_loop.dynamics import ClosedLoopDynamics
+    from coopqp.closed_loop.grasp_matrix import moved
+    from coopqp.closed_loop.hands import hands, in_axes
+
+    chain = found.path.chain
+    dynamics = ClosedLoopDynamics(chain, shares={arm.name: 0.5 for arm in chain.arms})
+    worst = -np.inf
+    for t in np.linspace(0.0, found.duration, 60):
+        now = found.at(float(t))
+        dynamics.update(now.q, now.v)
+        M, b = dynamics.object_inertia()
+        w = M @ (dynamics.drift_arms[:6] + dynamics.J_object @ now.a) + b
+        for hand, internal in zip(hands(chain), now.internal, strict=True):
+            assert hand.contact
+            at = now.p_WO + now.R_WO @ hand.X_OC.translation
+            h = moved(0.5 * w + internal, now.p_WO, at)
+            h = in_axes(h, (now.R_WO @ hand.X_OC.rotation).T)
+            cone = hand.contact.force_rows(safety)
+            worst = max(worst, float((cone.rows @ h - cone.most).max()))
+    return worst
+
+
+@needs_robots
+def test_accelerations_of_two_pandas_are_kept_and_bind() -> None:
+    scenario = load("two_pandas")
+    limits = (JointPosition(), JointVelocity(), JointAcceleration(max=7.5))
+    found = time_along(random_way(scenario.chain, 4), replace(scenario, limits=limits))
+    moments = [found.at(float(t)) for t in np.linspace(0.0, found.duration, 801)]
+    assert max(np.abs(now.a).max() for now in moments) < 7.5 * 1.001
+    assert sum(share for name, share in found.shares.items() if "acceleration" in name) > 0.5
+
+
+@pytest.mark.parametrize("seed", [11, 12])
+def test_motors_without_limits_leave_speeds(seed: int) -> None:
+    scenario = load("yeo_4_5")  # whose one hinge is all that has a limit of torque: 0
+    found = time_along(random_way(scenario.chain, seed, count=3, step=0.3), scenario)
+    speed, _ = limits_used(found, 201)
+    assert 0.99 < speed < 1.001
+    hinge = scenario.chain.passive
+    for t in np.linspace(0.0, found.duration, 9):
+        now = found.at(float(t))
+        J = scenario.chain.loop_jacobian(now.q)[:, hinge]
+        tree = tree_torques(found, now.q, now.v, now.a)[hinge]
+        assert np.abs(tree + J.T @ now.internal[1]).max() < 1e-6
+
+
+def tree_torques(found: TimedPath, q: Array, v: Array, a: Array) -> Array:
+    """Of the tree whose arms carry the object's mass alike."""
+    model = found.maker.dynamics.model
+    return np.asarray(pin.rnea(model, model.createData(), q, v, a))
+
+
+@needs_robots
+def test_every_instant_has_torques() -> None:
+    scenario = load("two_so101")  # ten motors, of which little is planned with
+    found = time_along(random_way(scenario.chain, 0), scenario, torque=0.15)
+    for t in np.linspace(0.0, found.duration, 60):
+        tau = found.at(float(t)).tau
+        assert np.abs(tau).max() < 0.15 * 2.94 * 1.002
+
+
+def test_a_path_of_redundant_loops_is_timed() -> None:
+    scenario = load("planar_pair")
+    found = time_along(random_way(scenario.chain, 0), scenario)
+    speed, torque = limits_used(found, 301)
+    assert 0.99 < max(speed, torque) < 1.001
+
+
+def test_a_path_that_turns_back_is_timed_and_named() -> None:
+    scenario = load("point_on_point")
+    way = random_way(scenario.chain, 0, count=2, step=0.4)
+    there = time_along(way, scenario).path.spline(np.linspace(0.0, 0.4, 21))
+    found = time_along(np.vstack([there, there[-2::-1]]), scenario)
+    assert "turns back; it is passed slowly" in found.notes[0]
+    assert max(limits_used(found, 301)) < 1.01
+
+
+def test_stretched_arms_are_passed_and_named() -> None:
+    """Arms on one another stretch, where no motor tells how hard they pull along them."""
+    bend = np.linspace(-0.5, 0.5, 21)[:, None]
+    arm = np.hstack([-0.5 * bend, bend, -0.5 * bend])
+    start = {"right": arm[0].tolist(), "left": arm[0].tolist()}
+    scenario = replace(load("planar_pair"), robot=PlanarPair(distance=1e-5), start=start)
+    found = time_along(np.hstack([arm, arm]), scenario)
+    assert any("the arms are singular; it is passed slowly" in note for note in found.notes)
+    assert max(limits_used(found, 301)) < 1.001
+
+
+def test_one_arm_alone_carries_as_its_own_dynamics_say() -> None:
+    scenario = load("point_on_point")
+    alone = Phase(name="alone", duration=1.0, released=("left",), tasks=scenario.tasks)
+    scenario = replace(scenario, phases=(alone,), tasks=())
+    found = time_along(random_way(scenario.chain, 0), scenario)
+    assert max(limits_used(found, 201)) < 1.001
+    model = found.maker.dynamics.model
+    for t in np.linspace(0.1, 0.9, 5) * found.duration:
+        now = found.at(float(t))
+        tau = pin.rnea(model, model.createData(), now.q, now.v, now.a)
+        np.testing.assert_allclose(now.tau, tau, atol=1e-10)
+
+
+def test_the_table_is_a_reference_that_way_points_read(tmp_path: Path) -> None:
+    found = nao(1)
+    file = tmp_path / "timed.csv"
+    file.write_text(found.csv(0.01), encoding="utf-8")
+    chain = found.path.chain
+    pose = Waypoints(file=file).bind(POSE, Moment(0.0), None)
+    pose.update(Moment(0.5 * found.duration))
+    X = chain.object_pose(found.at(0.5 * found.duration).q)
+    np.testing.assert_allclose(pose.value[:3], X.translation, atol=1e-4)
+    again = time_along(file, load("point_on_point"))
+    assert again.duration == pytest.approx(found.duration, rel=0.01)
+
+
+REFUSED = {
+    "needs at least 2 configurations of 10 joints": lambda q: q[:1],
+    "point 1: no finite number for RShoulderPitch": lambda q: spoiled(q, np.nan),
+    "point 1: RShoulderPitch is 6.9 rad beyond its limit": lambda q: spoiled(q, 9.0),
+    "point 1: the loops are not closed: hands stand": lambda q: spoiled(q, q[1, 0] + 0.1),
+    "its points are all the same": lambda q: q[[0, 0, 0]],
+    "jumps by .* from point 10 to point 11, where the others": lambda q: np.vstack(
+        [q[:1] + 1e-4 * k * (q[1:2] - q[:1]) for k in range(11)] + [q[-1:]]
+    ),
+}
+
+
+def spoiled(q: Array, value: float) -> Array:
+    found = q.copy()
+    found[1, 0] = value
+    return found
+
+
+@pytest.mark.parametrize("words", REFUSED)
+def test_paths_that_are_none_are_refused_with_the_place(words: str) -> None:
+    scenario = load("point_on_point")
+    path = REFUSED[words](random_way(scenario.chain, 0))
+    with pytest.raises(InvalidValueError, match=words):
+        time_along(path, scenario)
+
+
+def test_a_load_that_cannot_be_held_is_refused_with_place_and_motor() -> None:
+    scenario = load("point_on_point")
+    heavy = replace(scenario, held=replace(scenario.held, mass=3.0))
+    words = r"at \d+ % of the path, between points .* held at rest: .* % of torque of .Shoulder"
+    with pytest.raises(InvalidValueError, match=words):
+        time_along(random_way(scenario.chain, 0), heavy)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"points": 20.5}, "points: found 20.5, needs a whole number of at most 20000"),
+        ({"points": 3}, "points: found 3, needs at least 8"),
+        ({"torque": 1.5}, r"torque: found 1.5, needs a share in \(0, 1\]"),
+        ({"safety": 0.5}, "safety: found 0.5, needs at least 1"),
+        ({"wrench": (-1.0, 1.0)}, "wrench: found -1, needs at least 0"),
+        ({"speed": (0.0, float("nan"))}, "speed: found nan, needs at least 0"),
+    ],
+)
+def test_options_out_of_range_are_refused(options: dict[str, float], words: str) -> None:
+    scenario = load("point_on_point")
+    with pytest.raises(InvalidValueError, match=words):
+        time_along(random_way(scenario.chain, 0), scenario, **options)

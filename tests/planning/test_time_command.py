@@ -1,0 +1,50 @@
+"""``coopqp time``: from a recorded run to a reference, and bad input in one line each."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from command_line import typed
+
+
+@pytest.fixture(scope="module")
+def slow(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("slow")
+    assert typed("compare", "point_on_point", "--controllers", "qp", "--out", folder).exit_code == 0
+    return folder
+
+
+def test_a_run_becomes_a_reference(slow: Path, tmp_path: Path) -> None:
+    result = typed("time", slow, "--out", tmp_path / "fast")
+    assert result.exit_code == 0
+    assert "The fastest motion along the path takes 0.1" in result.output
+    assert "speed of LElbowRoll" in result.output
+    file = tmp_path / "fast" / "timed.csv"
+    assert file.read_text(encoding="utf-8").startswith("t,RShoulderPitch,")
+    again = typed("time", file, "--scenario", "point_on_point", "--json")
+    data = json.loads(again.output)
+    assert 0.1 < data["duration"] < 0.2
+    assert sum(data["shares"].values()) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--torque", "0.05"], "of the path, between points 0 and 1: the object cannot be held"),
+        (["--torque", "nan"], "torque: found nan, needs a share in (0, 1]"),
+        (["--controller", "nobody"], "unknown controller 'nobody'"),
+        (["--scenario", "two_so101"], "has no column 'q[left/shoulder_pan]'"),
+        (["--speed", "0", "90"], "speed: found 90 rad/s at the end, needs 0 to"),
+    ],
+)
+def test_bad_input_ends_in_one_line(
+    slow: Path, tmp_path: Path, options: list[str], words: str
+) -> None:
+    result = typed("time", slow, "--out", tmp_path / "fast", *options)
+    assert result.exit_code == 2
+    errors = [line for line in result.output.splitlines() if line.startswith("error: ")]
+    assert len(errors) == 1
+    assert words in errors[0]
+    assert not (tmp_path / "fast").exists()
