@@ -126,7 +126,7 @@ class Samples {
                     return false;
         if (white.ndim() != 2 || white.shape(0) != n_) return false;
         const std::size_t d = white.shape(1);
-        for (std::size_t s = 0; s < (count % long_ ? 1 : spans_.size()); s++) {
+        for (std::size_t s = 0; s < spans_.size() - (count % long_ ? 1 : 0); s++) {
             const int first = std::max(0, last - spans_[s]);
             const double *m = of(m_, last), *before = of(m_, first);
             const double *c[4] = {of(c_, first - lag / 2), of(c_, first - (lag + 1) / 2),
