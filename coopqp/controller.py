@@ -440,7 +440,8 @@ class Law(ABC):
 
     def _fits(self, state: State) -> bool:
         n, gap = self.problem.chain.n, 6 * (len(self.problem.chain.arms) - 1)
-        return state.q.shape == state.v.shape == (n,) and len(state.gap) == gap
+        fit = len(state.gap) == gap and len(state.felt) == 2 + gap
+        return fit and state.q.shape == state.v.shape == (n,)
 
     def refuse(self, why: Status, note: str = "") -> Command:
         """Stand still where nothing can be decided."""

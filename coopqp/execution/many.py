@@ -19,8 +19,8 @@ from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status
 from coopqp.trace import TickBatch
 
-#: Motions that a thread takes at a time.
-CHUNK = 16
+#: Motions that a thread takes at a time, and their ticks: so long Ctrl-C waits.
+CHUNK, AT_ONCE = 16, 200_000
 
 
 @dataclass(frozen=True)
@@ -94,9 +94,10 @@ def _run_all(laws: Sequence[Law], starts: Array, ticks: int) -> Motions:
         np.empty((m, ticks, n)),
         np.zeros((m, ticks), np.uint8),
     )
-    left, plain = deque(range(0, m, CHUNK)), dict[int, TickBatch]()
+    size = max(1, min(CHUNK, AT_ONCE // max(ticks, 1)))
+    left, plain = deque(range(0, m, size)), dict[int, TickBatch]()
     with ThreadPoolExecutor(len(laws)) as pool:
-        work = [pool.submit(_take, law, left, starts, (q, v, said), plain) for law in laws]
+        work = [pool.submit(_take, law, left, size, starts, (q, v, said), plain) for law in laws]
         try:
             for each in work:
                 each.result()
@@ -126,6 +127,7 @@ def _whole(name: str, value: int | None, omitted: int, least: int) -> int:
 def _take(
     law: Law,
     left: deque[int],
+    size: int,
     starts: Array,
     found: tuple[Array, Array, NDArray[np.uint8]],
     plain: dict[int, TickBatch],
@@ -138,7 +140,7 @@ def _take(
             first = left.popleft()
         except IndexError:  # another thread was faster
             return
-        part = slice(first, first + CHUNK)
+        part = slice(first, first + size)
         done = law.run_starts(starts[part], q[part], v[part], said[part])
         for i in first + np.flatnonzero(done < ticks):
             plain[int(i)] = law.run(law.start(starts[i]), ticks)

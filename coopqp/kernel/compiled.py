@@ -84,9 +84,8 @@ class Limits:
         if self.filled is not None:
             self.filled.update(state)
         if self.q_measured is not None:
-            measured = state.q_measured
-            known = measured is not None and np.shape(measured) == self.q_measured.shape
-            self.q_measured[:] = measured if known else np.nan
+            reading = state.reading
+            self.q_measured[:] = np.nan if reading is None else reading
 
 
 class Outcome(IntEnum):

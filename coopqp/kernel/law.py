@@ -95,6 +95,8 @@ class KernelLaw(Law):
         self._exact = bool(order.hard or order.scaled)
         self._takes_turns = self._exact or self.whole.engine.unlocks()
         self._asked = False  # whether the kernel has been asked in this tick
+        self._raised: BaseException | None = None  # by code of plug-ins meanwhile
+        self._felt: Array | None = None  # what is bound
         self._shown: tuple[Any, ...] = NOTHING
 
     @cached_property
@@ -110,7 +112,7 @@ class KernelLaw(Law):
 
     def _tick(self, state: State) -> Command:
         """Without pinocchio where possible."""
-        self._asked = False
+        self._asked, self._raised = False, None
         if self._alone(state) and not self._stopped[0]:
             self._asked = True
             if self._decided_alone(state):
@@ -124,6 +126,8 @@ class KernelLaw(Law):
     def decide(self, state: State) -> Command:
         """Fill Python's rows and let the kernel decide; the plain law where it has no answer."""
         self.compiled = False
+        if self._raised:
+            raise self._raised
         if not self._asked and self._ready(state):
             if self._stopped[0]:
                 self.command.v[:] = 0.0
@@ -148,8 +152,8 @@ class KernelLaw(Law):
             return self._decides(state, None if state.q_measured is None else self.observer)
         except KeyboardInterrupt:
             raise
-        except BaseException:  # noqa: BLE001 - code of plug-ins may raise anything
-            self._asked = False
+        except BaseException as error:  # noqa: BLE001 - code of plug-ins may raise anything
+            self._raised = error
             return False
 
     def _decides(self, state: State, observer: LoopObserver | None = None) -> bool:
@@ -271,6 +275,8 @@ class KernelLaw(Law):
             return False
         if state.q_measured is None:
             return self._ready(state)
+        if state.felt is not self._felt:
+            self._shown = NOTHING
         reads = self.whole.alone and self.whole.measures(state, self.observer)
         return reads and self._ready(state)
 
@@ -296,7 +302,7 @@ class KernelLaw(Law):
     def _shows(self, state: State) -> bool:
         """Bind the arrays of a state; whether the kernel may decide at them."""
         memory = state.memory
-        if not self._fits(state) or not plain_numbers(state.q, state.v, state.gap):
+        if not self._fits(state) or not plain_numbers(state.q, state.v, state.gap, state.felt):
             return False
         if memory.sizes != self.memory_sizes:
             state.memory = memory = Memory(self.memory_sizes)
@@ -304,6 +310,7 @@ class KernelLaw(Law):
         bound = self.whole.bind(state, memory, self.command.v)
         if bound is None:
             return False
+        self._felt = state.felt
         self._shown = (state, state.q, state.v, state.gap, memory, bound, self.command)
         self._stopped = memory["stopped"]
         self._missed, self._missing = memory["missed"], memory["missing"]

@@ -40,8 +40,8 @@ class FollowingError(Limit):
         driven = _driven(chain)
 
         def tighten(state: State, rows: LimitRows) -> None:
-            measured = state.q_measured
-            if measured is None or np.shape(measured) != (chain.n,):
+            measured = state.reading
+            if measured is None:
                 return
             lead = state.q - measured
             known = driven & np.isfinite(lead)

@@ -35,7 +35,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.base.errors import UnknownNameError
-from coopqp.base.spec import Array, Positive, real, spec
+from coopqp.base.spec import Array, Positive, spec
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 
@@ -152,11 +152,8 @@ class LoopObserver:
         if state.q_measured is None:
             return True
         measured = self._measured
-        try:
-            found = real(state.q_measured)
-        except ValueError:
-            return False
-        if found.shape != measured.q.shape or self._chain.unusable(found):
+        found = state.reading
+        if found is None or self._chain.unusable(found):
             return False  # a sensor that says nothing teaches nothing
         if not learns:
             return True

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import lapack
 
 from coopqp.base.rank import independent_rows, least_squares
-from coopqp.base.spec import Array, read_only, vector
+from coopqp.base.spec import Array, read_only, real, vector
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.signal import InputValues
 
@@ -231,7 +231,7 @@ class State:
         """What each joint does to a body that it moves, shape (6, n), world axes.
 
         Velocity of the body's point that is at the world's origin, then angular velocity. A point p
-        of the body goes along a direction d at [d; p x d]' J_joints v.
+        of the body goes along a direction d at [d; p x d]' J_joints v. Of this q; ask in each tick.
         """
         self._refresh()
         return self._J_joints
@@ -258,6 +258,17 @@ class State:
         self.v[:] = v
         self.t += dt
         self._commanded[:] = self.q
+
+    @property
+    def reading(self) -> Array | None:
+        """A copy of ``q_measured`` where it is n real numbers; NaN are some."""
+        if self.q_measured is None:
+            return None
+        try:
+            found = real(self.q_measured)
+        except ValueError:
+            return None
+        return found if found.shape == self.q.shape else None
 
     @property
     def overwritten(self) -> bool:

@@ -186,3 +186,30 @@ def test_eight_arms_are_one_problem() -> None:
     plain, law = (QPController(engine=e).build(given) for e in ("python", "kernel"))
     np.testing.assert_allclose(law.tick(law.start()).v, plain.tick(plain.start()).v, atol=1e-10)
     assert law.compiled
+
+
+@spec
+class Looked(Task):
+    """A task whose look-up fails twice."""
+
+    def rows(self, chain: ClosedChain) -> tuple[str, ...]:
+        return ("x",)
+
+    def bind(self, start: State) -> Evaluate:
+        calls = iter(range(1000))
+
+        def evaluate(state: State, rows: TaskRows) -> None:
+            rows.e[0], rows.J[0] = state.p_WO[0] - 0.2, state.J_task[0]
+            if next(calls) in (6, 9):
+                raise TimeoutError("no transform")
+
+        return evaluate
+
+
+@pytest.mark.parametrize("measured", [False, True])
+def test_a_tick_in_which_a_task_raises_once_is_told(chain: ClosedChain, measured: bool) -> None:
+    """The law does not ask it again and hide that."""
+    law = kernel(chain, REACH, Looked())
+    state = law.start(q_measured=chain.q_start if measured else None)
+    said = [law.tick(state).status is Status.RAISED for _ in range(12)]
+    assert sum(said) == 2

@@ -123,6 +123,35 @@ def test_a_joint_that_was_overwritten_is_told() -> None:
     assert Status.OVERWRITTEN in one.tick(state).causes
 
 
+def test_what_was_felt_may_be_put_back() -> None:
+    """As from a record: an array of the same numbers is learnt on, one of others is refused."""
+    laws = [law("point_on_point", Observer(most=1.0), kind) for kind in (LoopObserver, InPython)]
+    states = [one.start(q_measured=one.problem.chain.q_start) for one in laws]
+    for one, state in zip(laws, states, strict=True):
+        state.q_measured = state.q + 3e-3
+        for _ in range(20):
+            one.tick(state)
+        state.felt = state.felt.copy()
+        state.felt[0] += 3.0
+        one.tick(state)
+    first, second = (told(*both) for both in zip(laws, states, strict=True))
+    np.testing.assert_allclose(first, second, rtol=0.0, atol=1e-11)
+    states[0].felt = states[0].felt[:-1].copy()
+    assert laws[0].tick(states[0]).causes == (Status.WRONG_STATE,)
+
+
+def test_readings_that_are_no_real_numbers_bound_nothing() -> None:
+    n = len(law("point_on_point", Observer(), LoopObserver).problem.chain.q_start)
+    for given in (np.ones(n) * 1j, "joints", ["a"] * n, np.ma.masked_all(n), [None] * n):
+        for kind in (LoopObserver, InPython):
+            one = law("point_on_point", Observer(), kind, FollowingError(max=1e-3))
+            state = one.start(q_measured=one.problem.chain.q_start)
+            alone = law("point_on_point", Observer(), kind)
+            state.q_measured = given  # type: ignore[assignment]
+            assert one.tick(state).causes == (Status.NOT_MEASURED,)
+            np.testing.assert_allclose(one.command.v, alone.tick(alone.start()).v, atol=1e-9)
+
+
 def test_a_limit_of_following_is_the_kernels() -> None:
     """It binds where the readings stay behind, and only while there are any."""
     most = FollowingError(max=1e-3)
