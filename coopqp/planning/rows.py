@@ -10,7 +10,9 @@ The object's mass is on all hands alike, so lambda is Walker's internal wrench: 
 that moves the object, h_0 = w/N + sum lambda_i, h_i = w/N - lambda_i at the object's origin. w is
 linear in u and x as tau is, and so are the cones of hands that press. Joints' friction is left out.
 
-    lo <= Ru u + Rx x + Rl lambda <= up,   x <= x_max,   |lambda| <= box
+    lo <= Ru u + Rx x + Rl lambda <= up,   x <= x_max
+
+The bounds of lambda are rows, too.
 """
 
 from __future__ import annotations
@@ -29,7 +31,7 @@ from coopqp.model.closed_chain import ClosedChain
 from coopqp.planning.closed_path import Along, ClosedPath, Loops, relative
 from coopqp.scenario.scenario import Scenario
 
-#: What speeds of the object are called, by component.
+#: What components of the object's speed and of wrenches are called.
 AXES = ("x", "y", "z", "about x", "about y", "about z")
 #: Above so much of the median x is bounded where nothing else does it: where joints stand still.
 FASTEST = 1e4
@@ -86,7 +88,7 @@ class Rows:
         along: the path there.
         Ru, Rx, Rc: shape (N, r); Rl, shape (N, r, m). Rc is what is there at rest.
         names: such as "torque of elbow"; joints: those of the chain.
-        kinds: "acceleration", "torque" or "contact", by row.
+        kinds: "acceleration", "torque", "wrench" or "contact", by row.
         size: of what bounds a row, shape (r,); lo = -size - Rc (-inf at contacts), up = size - Rc.
         unit: what a row's use is counted in, shape (r,): its size, at contacts the weight [N].
         rates: of joints and of the object by s, (N, n + 6), which speeds bound, shape (n + 6,).
@@ -169,13 +171,15 @@ class RowMaker:
         self.names = (
             *(f"acceleration of {names[j]}" for j in self._quick),
             *(f"torque of {names[j]}" for j in self._limited),
+            *(f"internal wrench of {holders[1 + k // 6]} ({AXES[k % 6]})" for k in self.kept),
             *self._cones.names,
         )
-        counts = (len(self._quick), len(self._limited), len(self._cones.names))
-        self.kinds = np.repeat(["acceleration", "torque", "contact"], counts)
-        self.size = np.concatenate(
-            [bounds.acceleration[self._quick], bounds.torque[self._limited], self._cones.most]
-        )
+        counts = (len(self._quick), len(self._limited), len(self.kept), len(self._cones.names))
+        self.kinds = np.repeat(["acceleration", "torque", "wrench", "contact"], counts)
+        self.size = np.concatenate([
+            bounds.acceleration[self._quick], bounds.torque[self._limited],
+            bounds.wrench[self.kept % 6], self._cones.most,
+        ])  # fmt: skip
         weight = chain.held.body().mass * float(np.linalg.norm(chain.model.gravity.linear))
         self.unit = np.where(self.kinds == "contact", max(weight, 1.0), self.size)
         self.speeds = np.concatenate([bounds.speed, bounds.twist])
@@ -185,28 +189,24 @@ class RowMaker:
                 "some, or limits: joint_acceleration"
             )
 
-    @property
-    def box(self) -> Array:
-        """Bounds of lambda, shape (m,) [N, N m]."""
-        return np.asarray(np.tile(self.bounds.wrench, self.arms)[self.kept], float)
-
     def at(self, s: Array) -> Rows:
         """The rows at places of shape (N,)."""
         along = self.path.at(s, self.loops)
         a, b, c = self.torques(along)
         J = relative(along.moved.J)[:, self.kept]
         N, m, at, quick = len(s), J.shape[1], self._limited, self._quick
-        nothing = np.zeros((N, len(quick)))
+        nothing, free = np.zeros((N, len(quick))), np.zeros((N, m))
         cones = self._cones.at(self.dynamics, along, self.kept)
         twist = (along.moved.J[:, 0] @ along.dq[:, :, None])[..., 0]
         return Rows(
             s, along,
-            np.hstack([along.dq[:, quick], a[:, at], cones[0]]),
-            np.hstack([along.ddq[:, quick], b[:, at], cones[1]]),
-            np.hstack([nothing, c[:, at], cones[2]]),
-            np.concatenate(
-                [np.zeros((N, len(quick), m)), -J.transpose(0, 2, 1)[:, at], cones[3]], axis=1
-            ),
+            np.hstack([along.dq[:, quick], a[:, at], free, cones[0]]),
+            np.hstack([along.ddq[:, quick], b[:, at], free, cones[1]]),
+            np.hstack([nothing, c[:, at], free, cones[2]]),
+            np.concatenate([
+                np.zeros((N, len(quick), m)), -J.transpose(0, 2, 1)[:, at],
+                np.tile(np.eye(m), (N, 1, 1)), cones[3],
+            ], axis=1),
             self.names, self.chain.joint_names, self.kinds, self.size, self.unit,
             np.hstack([along.dq, twist]), self.speeds,
         )  # fmt: skip

@@ -90,7 +90,7 @@ class TimedPath:
         most: largest sdot^2 from which the path can be followed, shape (N,).
         active: by interval, the limit that is active, such as "torque of elbow" or "nothing".
         exceeded: largest share of a limit between the grid's places.
-        hold: largest share of a motor that holding still somewhere takes.
+        hold: largest share of a motor, a contact or the wrench that holding still somewhere takes.
         notes: sentences on places that are passed slowly.
     """
 
@@ -125,7 +125,8 @@ class TimedPath:
         path = self.path
         return [
             f"The fastest motion along the path takes {self.duration:.4g} s.",
-            f"Holding still along it takes up to {100.0 * self.hold:.0f} % of a motor or contact.",
+            f"Holding still along it takes up to {100.0 * self.hold:.0f} % of a motor, "
+            "a contact or the internal wrench.",
             f"Between the {len(self.s)} places a limit is used to {100.0 * self.exceeded:.2f} % at "
             f"most, and the loops stand open by {1e3 * path.gap:.1g} mm; the path is up to "
             f"{path.deviation:.1g} rad from the points.",
@@ -146,7 +147,7 @@ class TimedPath:
         s, rate, u = self.where(t)
         rows, x = self.maker.at(np.array([s])), rate**2
         along, n = rows.along, self.path.chain.n
-        lam = _wrench(rows, self.maker.box, u, x)
+        lam = _wrench(rows, u, x)
         a, b, c = (part[0] for part in self.maker.torques(along))
         J = relative(along.moved.J)[0, self.maker.kept]
         tau = a * u + b * x + c - J.T @ lam
@@ -238,16 +239,16 @@ def time_along(
     maker = RowMaker(smooth, bounds_of(scenario, torque, wrench, safety))
     s = np.linspace(0.0, smooth.length, points + 1)
     rows = maker.at(s)
-    held = _held(smooth, rows, maker.box)
+    held = _held(smooth, rows)
     ends = [
         float((v / np.linalg.norm(rows.along.dq[i])) ** 2)
         for i, v in zip((0, -1), speed, strict=True)
     ]
     fine = rows.finer(FINER + 1)
-    share = Share(fine, maker.box)
+    share = Share(fine)
     limits = {kind: np.ones(points + 1) for kind in ("speed", "acceleration", "force")}
     for _ in range(1 + REPEATS):
-        profile = _profile(smooth, rows, maker.box, limits, ends, speed)
+        profile = _profile(smooth, rows, limits, ends, speed)
         uses = _uses(fine, share, profile)
         if uses.largest < TOLERATED:
             break
@@ -293,9 +294,9 @@ def _points(path: Any, scenario: Scenario, controller: str | None) -> Any:
     return run.of(name).joints("q", joints)
 
 
-def _held(path: ClosedPath, rows: Rows, box: Array) -> Array:
-    """Share of a motor or a contact that holding still takes, (N,); refused where that is all."""
-    share = Share(rows, box)
+def _held(path: ClosedPath, rows: Rows) -> Array:
+    """Share of the limits that holding still takes, (N,); refused where that is all."""
+    share = Share(rows)
     found = [share.of(i, 0.0, 0.0) for i in range(len(rows.s))]
     i = int(np.argmax([use for use, _ in found]))
     use, name = found[i]
@@ -304,7 +305,7 @@ def _held(path: ClosedPath, rows: Rows, box: Array) -> Array:
     needs = f"even the best wrench between the hands needs {100.0 * use:.0f} % of {name}"
     if not np.isfinite(use):
         needs = "no wrench between the hands leaves the passive joints free of torque"
-    elif name.partition(" ")[0] not in ("torque", "acceleration"):
+    elif not name.startswith(("torque", "internal")):
         needs = f"{name} does not bear it with any wrench between the hands"
     raise InvalidValueError(
         f"path: at {path.place(float(rows.s[i]))}: the object cannot be held at rest: {needs}; "
@@ -316,7 +317,6 @@ def _held(path: ClosedPath, rows: Rows, box: Array) -> Array:
 def _profile(
     path: ClosedPath,
     rows: Rows,
-    box: Array,
     limits: dict[str, Array],
     ends: Sequence[float],
     speed: Sequence[float],
@@ -324,7 +324,7 @@ def _profile(
     quick = rows.kinds == "acceleration"
     of = np.where(quick, limits["acceleration"][:, None], limits["force"][:, None])
     try:
-        return Passes(rows, box, of, limits["speed"]).profile(*ends)
+        return Passes(rows, of, limits["speed"]).profile(*ends)
     except Stuck as stuck:
         if stuck.place in (0, len(rows.s) - 1) and np.isfinite(stuck.most):
             end = "beginning" if stuck.place == 0 else "end"
@@ -417,13 +417,13 @@ def _slow(path: ClosedPath, rows: Rows) -> list[str]:
     return found
 
 
-def _wrench(rows: Rows, box: Array, u: float, x: float) -> Array:
+def _wrench(rows: Rows, u: float, x: float) -> Array:
     """The internal wrench of one instant, shape (m,), that is easiest on the motors."""
     m = rows.Rl.shape[2]
     if not m:
         return np.zeros(0)
     felt = rows.Ru[0] * u + rows.Rx[0] * x + rows.Rc[0]
-    use, _ = Share(rows, box).of(0, u, x)
+    use, _ = Share(rows).of(0, u, x)
     beyond = max(0.0, use - 1.0 if np.isfinite(use) else 0.0)
     motors = np.flatnonzero((rows.kinds == "torque") & (rows.size > 0.0))
     bound = np.flatnonzero(rows.kinds != "acceleration")
@@ -432,11 +432,12 @@ def _wrench(rows: Rows, box: Array, u: float, x: float) -> Array:
     q = W.T @ (felt[motors] / rows.size[motors])
     unit = np.maximum(rows.unit[bound], 1e-3)
     A = np.ascontiguousarray(FORCE * rows.Rl[0, bound] / unit[:, None])
+    free = np.full(m, np.inf)
     for looser in LOOSER:
         size = rows.size[bound] + (beyond + looser) * rows.unit[bound]
-        upper = np.concatenate([box / FORCE, (size - felt[bound]) / unit])
+        upper = np.concatenate([free, (size - felt[bound]) / unit])
         low = np.where(rows.two_sided[bound], (-size - felt[bound]) / unit, -np.inf)
-        found = program(P, q, A, upper, np.concatenate([-box / FORCE, low]))
+        found = program(P, q, A, upper, np.concatenate([-free, low]))
         if found is not None:
             return np.asarray(FORCE * found[0], float)
     return np.full(m, np.nan)
