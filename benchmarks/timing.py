@@ -193,7 +193,7 @@ def followed() -> Iterator[str]:
         for friction in (1.0, 0.7, 0.6):
             trace, _ = tracked(scenario, found, Disturbance(friction=friction), safety)
             slip = np.nanmax(trace.signals["slip"])
-            end = trace.failures[0].note if trace.failures else "held"
+            end = trace.failures[0].note if trace.failures else "not lost by the end"
             yield (
                 f"press_and_lift, safety {safety:g}, {friction:g} of the friction, "
                 f"{found.duration:.3f} s: slips by {1e3 * slip:.1f} mm; {end}"
