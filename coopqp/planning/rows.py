@@ -26,6 +26,7 @@ from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.closed_loop.hands import hands
+from coopqp.controller import ControlProblem
 from coopqp.limit import Bounded, JointBounds, TwistBounds
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.planning.closed_path import Along, ClosedPath, Loops, relative
@@ -62,21 +63,28 @@ def bounds_of(
 ) -> Bounds:
     """The bounds of a scenario's robot and limits, of which motors use a share."""
     chain = scenario.chain
+    speed, acceleration, twist = limited(scenario)
+    effort = torque * np.array(chain.model.effortLimit)
+    effort[chain.passive] = 0.0
+    box = np.repeat(np.array(wrench, float), 3)
+    return Bounds(speed, acceleration, effort, twist, box, safety)
+
+
+def limited(problem: ControlProblem | Scenario) -> tuple[Array, Array, Array]:
+    """Speeds and accelerations of joints, and twists of the object, that its limits allow."""
+    chain = problem.chain
     speed, acceleration = chain.velocity.copy(), np.full(chain.n, np.inf)
     twist = np.full(6, np.inf)
-    for limit in scenario.limits:
-        program = limit.program(chain, scenario.dt)
+    for limit in problem.limits:
+        program = limit.program(chain, problem.dt)
         if isinstance(program, TwistBounds):
             at = list(program.components)
             twist[at] = np.minimum(twist[at], program.bounds)
         elif isinstance(program, JointBounds) and program.of == Bounded.VELOCITY:
             speed = np.minimum(speed, np.minimum(-program.lower, program.upper))
         elif isinstance(program, JointBounds) and program.step is not None:
-            acceleration = np.minimum(acceleration, program.step / scenario.dt)
-    effort = torque * np.array(chain.model.effortLimit)
-    effort[chain.passive] = 0.0
-    box = np.repeat(np.array(wrench, float), 3)
-    return Bounds(speed, acceleration, effort, twist, box, safety)
+            acceleration = np.minimum(acceleration, program.step / problem.dt)
+    return speed, acceleration, twist
 
 
 @dataclass(frozen=True)
@@ -231,8 +239,7 @@ class _Cones:
         names: list[str] = []
         most: list[Array] = [np.zeros(0)]
         self._hands = hands(chain)
-        body = chain.held.body()
-        self._mass, self._lever, self._inertia = body.mass, body.lever, body.inertia
+        self._body = chain.held.body()
         for i, hand in enumerate(self._hands):
             if not hand.contact:
                 continue
@@ -270,21 +277,12 @@ class _Cones:
 
     def _wrenches(self, dynamics: ClosedLoopDynamics, along: Along) -> tuple[Array, Array, Array]:
         """What the object needs for u, for x and at rest, at its origin, each (N, 6)."""
-        R, J = along.moved.R[:, 0], along.moved.J[:, 0]
-        lever = R @ self._lever
-        I = R @ self._inertia @ R.transpose(0, 2, 1)  # noqa: E741
-        twist = (J @ along.dq[:, :, None])[..., 0]
-        turning = (J @ along.ddq[:, :, None])[..., 0] + along.drift[:, 0]
-        omega = twist[:, 3:]
-        spun = np.cross(omega, np.cross(omega, lever))
-        gyro = np.cross(omega, (I @ omega[:, :, None])[..., 0])
-
-        def wrench(a: Array, more: Array, turn: Array) -> Array:
-            force = self._mass * (a[:, :3] + np.cross(a[:, 3:], lever) + more)
-            torque = (I @ a[:, 3:, None])[..., 0] + turn + np.cross(lever, force)
-            return np.hstack([force, torque])
-
-        still = np.zeros_like(twist)
-        falls = np.tile(-dynamics.model.gravity.linear, (len(R), 1))
-        none = np.zeros_like(omega)
-        return wrench(twist, none, none), wrench(turning, spun, gyro), wrench(still, falls, none)
+        found, still = np.empty((3, len(along.q), 6)), pin.Motion.Zero()
+        for k, (R, J) in enumerate(zip(along.moved.R[:, 0], along.moved.J[:, 0], strict=True)):
+            body = pin.SE3(R, np.zeros(3)).act(self._body)
+            spin, turning = still.copy(), J @ along.ddq[k] + along.drift[k, 0]
+            spin.angular = J[3:] @ along.dq[k]
+            found[0, k] = (body * pin.Motion(J @ along.dq[k])).vector
+            found[1, k] = (body * pin.Motion(turning) + spin.cross(body * spin)).vector
+            found[2, k] = (body * -dynamics.model.gravity).vector
+        return found[0], found[1], found[2]

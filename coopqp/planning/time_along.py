@@ -146,7 +146,7 @@ class TimedPath:
         """The motion at a time [s], with torques shared by the program of this instant."""
         s, rate, u = self.where(t)
         rows, x = self.maker.at(np.array([s])), rate**2
-        along, n = rows.along, self.path.chain.n
+        along = rows.along
         lam = _wrench(rows, u, x)
         a, b, c = (part[0] for part in self.maker.torques(along))
         J = relative(along.moved.J)[0, self.maker.kept]
@@ -157,7 +157,6 @@ class TimedPath:
         by_arm = loops.reshape(-1, 6)
         internal = np.vstack([by_arm.sum(axis=0), -by_arm])
         q, dq, ddq = along.q[0], along.dq[0], along.ddq[0]
-        assert len(q) == n
         p, R = along.moved.p[0, 0], along.moved.R[0, 0]
         return Moment(s, q, dq * rate, dq * u + ddq * x, p, R, tau, internal)
 
@@ -374,10 +373,8 @@ def _active(
     fine: Rows, speed: Array, a: Array, force: Array, names: Sequence[str], count: int
 ) -> list[str]:
     """The limit that is used most in each interval, if any is active."""
-    joints = fine.along.dq.shape[1]
     of_speed = [f"speed of {name}" for name in fine.joints]
     of_speed += [f"speed of the object ({axis})" for axis in AXES]
-    assert len(of_speed) == joints + 6
     found = []
     for k in range(0, len(speed), count):
         part = slice(k, k + count)
