@@ -22,7 +22,7 @@ import numpy as np
 
 from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.reading import open_bytes
-from coopqp.base.spec import Array
+from coopqp.base.spec import Array, array
 from coopqp.base.table import read_table
 from coopqp.grasp import SAFETY
 from coopqp.planning.closed_path import FINER, STILL, ClosedPath, closed_path, relative
@@ -78,7 +78,7 @@ class Moment(NamedTuple):
     internal: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class TimedPath:
     """A path and when to be where on it.
 
@@ -165,6 +165,8 @@ class TimedPath:
 
         ``waypoints: {file: ...}`` reads the first three.
         """
+        if not 0.0 < dt < np.inf:
+            raise InvalidValueError(f"dt: found {dt:g}, needs more than 0")
         ticks = np.arange(0.0, self.duration - 1e-6 * dt, dt)
         t = np.append(ticks, self.duration)
         moments = [self.at(float(now)) for now in t]
@@ -214,7 +216,7 @@ def time_along(
 
     Args:
         path: configurations, shape (N, n) [rad, m]; what has them as ``q``; or a file: a recorded
-            run, a report's folder, or a CSV file with a column a joint, such as a plan's.
+            run, or a CSV file with a column a joint, such as a plan's; or the folder of these.
         scenario: whose robot, start, grasps, object and limits count.
         points: intervals of the grid.
         torque: share of each motor's limit that may be planned with; the rest is for the loop.
@@ -233,7 +235,8 @@ def time_along(
     if wrench is None:
         pressing = any(grasp.contact for grasp in chain.grasps.values())
         wrench = PRESSING if pressing else WRENCH
-    _check(points, torque, wrench, safety, speed)
+    _check(points=points, torque=torque, wrench=wrench, safety=safety, speed=speed)
+    points = int(points)
     smooth = closed_path(chain, _points(path, scenario, controller))
     maker = RowMaker(smooth, bounds_of(scenario, torque, wrench, safety))
     s = np.linspace(0.0, smooth.length, points + 1)
@@ -262,35 +265,45 @@ def time_along(
     )  # fmt: skip
 
 
-def _check(
-    points: int, torque: float, wrench: Sequence[float], safety: float, speed: Sequence[float]
-) -> None:
-    asked: tuple[tuple[str, float, Sequence[float]], ...] = (
-        ("points", FEWEST, [points]), ("safety", 1.0, [safety]), ("wrench", 0.0, wrench),
-        ("speed", 0.0, speed),
-    )  # fmt: skip
-    for name, low, values in asked:
-        for value in values:
-            if not low <= value < np.inf:
-                raise InvalidValueError(f"{name}: found {value:g}, needs at least {low:g}")
-    if points > MOST or points % 1:
-        raise InvalidValueError(f"points: found {points}, needs a whole number of at most {MOST}")
-    if not 0.0 < torque <= 1.0:
-        raise InvalidValueError(f"torque: found {torque:g}, needs a share in (0, 1]")
+def _check(**given: Any) -> None:
+    for name, (shape, low, high, needs) in _ASKED.items():
+        found = array(name, given[name])
+        fits = found.shape == shape and bool(((low <= found) & (found <= high)).all())
+        if not fits or (name == "points" and found % 1.0):
+            raise InvalidValueError(f"{name}: found {given[name]}, needs {needs}")
+
+
+#: Shapes of options, their ends, and what they need in words.
+_ASKED: dict[str, tuple[tuple[int, ...], float, float, str]] = {
+    "points": ((), FEWEST, MOST, f"a whole number from {FEWEST} to {MOST}"),
+    "torque": ((), 1e-9, 1.0, "a share in (0, 1]"),
+    "safety": ((), 1.0, 1e9, "a number of at least 1"),
+    "wrench": ((2,), 0.0, 1e9, "two numbers of at least 0"),
+    "speed": ((2,), 0.0, 1e9, "two numbers of at least 0"),
+}
 
 
 def _points(path: Any, scenario: Scenario, controller: str | None) -> Any:
     """Configurations from whatever has them."""
     if not isinstance(path, str | Path):
         return getattr(path, "q", path)
-    file, joints = Path(path), scenario.chain.joint_names
-    if file.is_file() and file.suffix == ".csv":
-        with open_bytes(file) as stream:
-            if b"status" not in stream.readline(LINE):
-                return read_table(file).take(joints)
-    run = read(trace_in(file))
+    joints = scenario.chain.joint_names
+    if file := table_of(Path(path)):
+        return read_table(file).take(joints)
+    run = read(trace_in(Path(path)))
     name = controller or run.controllers[0]
     return run.of(name).joints("q", joints)
+
+
+def table_of(path: Path) -> Path | None:
+    """The file of a table of joints, from its own or its folder's path; None for a run's."""
+    if path.is_dir():
+        found = list(path.glob("*.csv"))
+        return table_of(found[0]) if len(found) == 1 else None
+    if path.suffix == ".csv" and path.is_file():
+        with open_bytes(path) as stream:
+            return None if b"status" in stream.readline(LINE) else path
+    return None
 
 
 def _held(path: ClosedPath, rows: Rows) -> Array:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -348,15 +349,17 @@ def test_a_load_that_cannot_be_held_is_refused_with_place_and_motor() -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"points": 20.5}, "points: found 20.5, needs a whole number of at most 20000"),
-        ({"points": 3}, "points: found 3, needs at least 8"),
+        ({"points": 20.5}, "points: found 20.5, needs a whole number from 8 to 20000"),
+        ({"points": 3}, "points: found 3, needs a whole number from 8 to 20000"),
+        ({"points": "all"}, "points: found 'all', needs numbers"),
         ({"torque": 1.5}, r"torque: found 1.5, needs a share in \(0, 1\]"),
-        ({"safety": 0.5}, "safety: found 0.5, needs at least 1"),
-        ({"wrench": (-1.0, 1.0)}, "wrench: found -1, needs at least 0"),
-        ({"speed": (0.0, float("nan"))}, "speed: found nan, needs at least 0"),
+        ({"safety": 0.5}, "safety: found 0.5, needs a number of at least 1"),
+        ({"wrench": (-1.0, 1.0)}, r"wrench: found \(-1.0, 1.0\), needs two numbers of at least 0"),
+        ({"wrench": 40.0}, "wrench: found 40.0, needs two numbers of at least 0"),
+        ({"speed": (0.0, float("nan"))}, r"speed: found \(0.0, nan\), needs two numbers"),
     ],
 )
-def test_options_out_of_range_are_refused(options: dict[str, float], words: str) -> None:
+def test_options_out_of_range_are_refused(options: dict[str, Any], words: str) -> None:
     scenario = load("point_on_point")
     with pytest.raises(InvalidValueError, match=words):
         time_along(random_way(scenario.chain, 0), scenario, **options)
