@@ -23,7 +23,7 @@ import numpy as np
 from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.reading import open_bytes
 from coopqp.base.spec import Array, array
-from coopqp.base.table import read_table
+from coopqp.base.table import csv_text, read_table
 from coopqp.grasp import SAFETY
 from coopqp.planning.closed_path import FINER, STILL, ClosedPath, closed_path, relative
 from coopqp.planning.passes import FORCE, Passes, Profile, Share, Stuck, program
@@ -192,10 +192,7 @@ class TimedPath:
 
     def csv(self, dt: float) -> str:
         """The table as text."""
-        table = self.table(dt)
-        rows = np.array(list(table.values())).T.tolist()
-        lines = [",".join(table), *(",".join(map(repr, row)) for row in rows)]
-        return "\n".join(lines) + "\n"
+        return csv_text(self.table(dt))
 
 
 _WRENCH = ("fx", "fy", "fz", "tx", "ty", "tz")
@@ -242,15 +239,12 @@ def time_along(
     s = np.linspace(0.0, smooth.length, points + 1)
     rows = maker.at(s)
     held = _held(smooth, rows)
-    ends = [
-        float((v / np.linalg.norm(rows.along.dq[i])) ** 2)
-        for i, v in zip((0, -1), speed, strict=True)
-    ]
+    ends = (np.array(speed) / np.linalg.norm(rows.along.dq[[0, -1]], axis=1)) ** 2
     fine = rows.finer(FINER + 1)
     share = Share(fine)
     limits = {kind: np.ones(points + 1) for kind in ("speed", "acceleration", "force")}
     for _ in range(1 + REPEATS):
-        profile = _profile(smooth, rows, limits, ends, speed)
+        profile = _profile(smooth, rows, limits, ends.tolist(), speed)
         uses = _uses(fine, share, profile)
         if uses.largest < TOLERATED:
             break
@@ -309,11 +303,11 @@ def table_of(path: Path) -> Path | None:
 def _held(path: ClosedPath, rows: Rows) -> Array:
     """Share of the limits that holding still takes, (N,); refused where that is all."""
     share = Share(rows)
-    found = [share.of(i, 0.0, 0.0) for i in range(len(rows.s))]
-    i = int(np.argmax([use for use, _ in found]))
-    use, name = found[i]
+    found, names = zip(*(share.of(i, 0.0, 0.0) for i in range(len(rows.s))), strict=True)
+    i = int(np.argmax(found))
+    use, name = found[i], names[i]
     if use <= 1.0:
-        return np.array([use for use, _ in found])
+        return np.array(found)
     needs = f"even the best wrench between the hands needs {100.0 * use:.0f} % of {name}"
     if not np.isfinite(use):
         needs = "no wrench between the hands leaves the passive joints free of torque"
