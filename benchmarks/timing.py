@@ -77,10 +77,10 @@ class Result:
     seconds: float
 
 
-def seconds(rows: Rows, box: Array) -> tuple[float, Array]:
+def seconds(rows: Rows) -> tuple[float, Array]:
     """Duration and x of one pair of passes; NaN where there is none."""
     try:
-        x = Passes(rows, box, np.ones(rows.Rc.shape), np.ones(len(rows.s))).profile().x
+        x = Passes(rows, np.ones(rows.Rc.shape), np.ones(len(rows.s))).profile().x
     except Stuck:
         return np.nan, np.zeros(0)
     return float((2.0 * np.diff(rows.s) / (np.sqrt(x[1:]) + np.sqrt(x[:-1]))).sum()), x
@@ -111,7 +111,7 @@ def exceeded(found: TimedPath) -> float:
     u = np.repeat(found.u, count)
     x = ((1.0 - part) * found.x[:-1, None] + part * found.x[1:, None]).ravel()
     speed = np.abs(rows.rates) * np.sqrt(np.maximum(x, 0.0))[:, None] / rows.speeds
-    force, _ = Share(rows, found.maker.box).of_all(u, x, 1.0)
+    force, _ = Share(rows).of_all(u, x, 1.0)
     quick = rows.kinds == "acceleration"
     a = np.abs(rows.Ru[:, quick] * u[:, None] + rows.Rx[:, quick] * x[:, None]) / rows.size[quick]
     return float(max(speed.max(), force.max(), a.max(initial=0.0)))
@@ -139,13 +139,13 @@ def measured(robot: str, torque: float, seed: int, python: str) -> Result:
     bounds = replace(whole.maker.bounds, wrench=np.full(6, UNBOUND))
     maker = RowMaker(whole.path, bounds)
     rows = maker.at(whole.s)
-    free, _ = seconds(rows, maker.box)
+    free, _ = seconds(rows)
     weighted = shared(rows, weighted=True)
     places = np.random.default_rng(seed).uniform(0.0, whole.path.length, 1000)
     gaps = Loops(scenario.chain).gaps(whole.path.spline(places))
     return Result(
-        robot, seed, free, seconds(weighted, np.zeros(0))[0],
-        seconds(shared(rows, weighted=False), np.zeros(0))[0],
+        robot, seed, free, seconds(weighted)[0],
+        seconds(shared(rows, weighted=False))[0],
         by_toppra(weighted, python) if python else np.nan,
         whole, exceeded(whole), float(gaps[:, 0].max()), took,
     )  # fmt: skip
@@ -193,7 +193,7 @@ def followed() -> Iterator[str]:
         for friction in (1.0, 0.7, 0.6):
             trace, _ = tracked(scenario, found, Disturbance(friction=friction), safety)
             slip = np.nanmax(trace.signals["slip"])
-            end = trace.failures[0].note if trace.failures else "held"
+            end = trace.failures[0].note if trace.failures else "not lost by the end"
             yield (
                 f"press_and_lift, safety {safety:g}, {friction:g} of the friction, "
                 f"{found.duration:.3f} s: slips by {1e3 * slip:.1f} mm; {end}"

@@ -19,6 +19,7 @@ from coopqp.assessment.thresholds import (
     MODEL_OFF_ANGLE,
     ON_EDGE,
     OUTSIDE,
+    SETTLED,
     SINGULAR,
     SLIPPED,
     matters,
@@ -327,6 +328,9 @@ def _hold(found: Assessment, metrics: Mapping[str, Any]) -> str:
     )
     if margin is None:  # a run that was over before they pressed
         return "holds the object so far"
+    lately = found.trace.signals["slip"][-1 - round(SETTLED / found.trace.dt) :]
+    if (lately[-1] - lately[0]).max() > SLIPPED:  # whether friction holds it yet is not known
+        return f"lets the object slip, by {_round(1e3 * slip)} mm and still at the end"
     said = "at the edge of its friction"
     if margin >= FRICTION_LEFT:
         said = f"with {100.0 * margin:.0f} % of the friction unused"

@@ -62,6 +62,12 @@ def read_table(path: str | Path) -> Table:
     return _read(*version(Path(path)))
 
 
+def csv_text(columns: dict[str, Array]) -> str:
+    """Columns by name as CSV."""
+    rows = (map("{:.12g}".format, row) for row in zip(*columns.values(), strict=True))
+    return "\n".join(map(",".join, [columns, *rows])) + "\n"
+
+
 @functools.lru_cache(maxsize=16)
 def _read(path: Path, changed: int, size: int) -> Table:
     return _parquet(path) if path.suffix == ".parquet" else _csv(path)

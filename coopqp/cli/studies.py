@@ -49,13 +49,16 @@ def time_(
 ) -> None:
     """Find the fastest motion along a path that speeds, accelerations and torques allow.
 
-    PATH is a recorded run, a report's folder, or a CSV file with a column for each joint.
+    PATH is a recorded run, a CSV file with a column for each joint, or the folder of one.
     """
-    from coopqp.planning.time_along import time_along
+    from coopqp.planning.time_along import table_of, time_along
     from coopqp.report import files, strict_json
     from coopqp.report.table import console, shares_table
 
     if scenario is None:
+        if table := table_of(path):
+            words = "says where joints are, not whose; add --scenario, such as what was planned for"
+            raise CoopqpError(f"'{table}' {words}")
         _, loaded = read_trace(path, catalog)
     else:
         loaded = read_scenario(scenario, catalog)

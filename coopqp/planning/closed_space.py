@@ -25,6 +25,7 @@ from coopqp.kernel.free_space import FreeSpace
 from coopqp.limit import DistanceBounds
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
+from coopqp.planning.verification import others
 from coopqp.program import Programs
 from coopqp.study.explanation.goal import Room
 from coopqp.task import Task, TaskStack
@@ -104,7 +105,7 @@ class ClosedSpace:
         programs = [limit.program(chain, problem.dt) for limit in problem.limits]
         distances = [program for program in programs if isinstance(program, DistanceBounds)]
         self._apart = FreeSpace(chain, distances)
-        self._others = _others(problem, programs)
+        self._others = others(problem)
         levels = Levels([Group((), hard=tasks)], Programs(State(chain)))
         if not levels.compiled or levels.arriving or levels.followed:
             names = ", ".join(task.name for task in tasks)
@@ -175,25 +176,6 @@ class ClosedSpace:
         q = self.chain.q_start
         low = np.where(self.lower > -LARGE, self.lower, q - UNLIMITED)
         return low, np.where(self.upper < LARGE, self.upper, q + UNLIMITED)
-
-
-def _others(problem: ControlProblem, programs: Iterable[object]) -> Callable[[Array], bool] | None:
-    """Whether limits in space that the kernel does not know are kept; None where there are none."""
-    known = zip(problem.limits, programs, strict=True)
-    asked = [
-        limit.clearance(problem.chain) for limit, p in known if not isinstance(p, DistanceBounds)
-    ]
-    left = [clearance for clearance in asked if clearance is not None]
-    if not left:
-        return None
-    state = State(problem.chain)
-
-    def kept(q: Array) -> bool:
-        state.q[:] = q
-        state.update()
-        return all(bool((clearance(state) >= 0.0).all()) for clearance in left)
-
-    return kept
 
 
 def _jacobians(chain: ClosedChain, tasks: Sequence[Task], t: float, q: Array) -> Array:

@@ -34,6 +34,8 @@ NARROW = 0.01
 ROUNDING = 1e-12
 #: Largest u in the programs, over the median x_max.
 STEEPEST = 1e5
+#: Largest share of a limit that is told from none.
+MOST = 1e6
 #: Where x_i of the pass before is missed by rounding, so much less of it is tried.
 LESS = (1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3)
 
@@ -85,11 +87,10 @@ class Passes:
 
     Args:
         rows: at the places.
-        box: largest wrench by component, shape (m,).
         share: of the bounds, shape (N, r), and speed: of the speeds, shape (N,).
     """
 
-    def __init__(self, rows: Rows, box: Array, share: Array, speed: Array) -> None:
+    def __init__(self, rows: Rows, share: Array, speed: Array) -> None:
         self._x = float(np.median(rows.x_max))
         N, r, m = rows.Rl.shape
         ds = np.diff(rows.s)
@@ -111,9 +112,8 @@ class Passes:
         A[:, 1 + r :, 2 + m :] = Rl[1:]
         A[np.abs(A) < ROUNDING] = 0.0
         self._upper, self._lower = np.empty((2, N - 1, 3 + 2 * m + 2 * r))
-        wrench = np.tile(box / FORCE, 2)
         for sign, ends, out in ((1.0, up, self._upper), (-1.0, lo, self._lower)):
-            out[:, 0], out[:, 2 : 2 + 2 * m] = sign * STEEPEST, sign * wrench
+            out[:, 0], out[:, 2 : 2 + 2 * m] = sign * STEEPEST, sign * np.inf
             out[:, 3 + 2 * m : 3 + 2 * m + r], out[:, 3 + 2 * m + r :] = ends[:-1], ends[1:]
         self._upper[:, 1], self._lower[:, 1] = x_max[:-1] / self._x, 0.0
         self._next, self._x_max = 2 + 2 * m, x_max / self._x
@@ -183,18 +183,17 @@ class Passes:
 class Share:
     """How much of its limits the best wrench leaves a motion, and which row it is.
 
-    One program a place: min t with |row| <= t size at motors, rows <= size + (t - 1) unit at
-    contacts, |lambda| <= box.
+    One program a place: min t with |row| <= t size, at contacts row <= size + (t - 1) unit.
     """
 
-    def __init__(self, rows: Rows, box: Array) -> None:
-        self._rows, self._box = rows, box
+    def __init__(self, rows: Rows) -> None:
+        self._rows = rows
         self.at = np.flatnonzero(rows.kinds != "acceleration")
         at, m = self.at, rows.Rl.shape[2]
         self._sided = rows.two_sided[at]
         self._count = int(self._sided.sum())
         unit = rows.unit[at]
-        self._scale = np.maximum(unit, NARROW * unit.max(initial=1.0))
+        self._scale = np.maximum(unit, NARROW * np.median(unit)) if len(at) else unit
         k = len(at)
         self._A = np.zeros((len(rows.s), k + self._count, m + 1))
         self._A[:, :k, :m] = rows.Rl[:, at] * (FORCE / self._scale)[:, None]
@@ -202,10 +201,10 @@ class Share:
         self._A[np.abs(self._A) < ROUNDING] = 0.0
         self._A[:, k:, :m] = -self._A[:, :k, :m][:, self._sided]
         self._A[:, k:, m] = self._A[:, :k, m][:, self._sided]
-        self._upper = np.empty(m + 1 + k + self._count)
-        self._upper[:m], self._upper[m] = box / FORCE, 1e6
+        self._upper = np.full(m + 1 + k + self._count, np.inf)
+        self._upper[m] = MOST
         self._lower = np.full(len(self._upper), -np.inf)
-        self._lower[:m], self._lower[m] = -box / FORCE, 0.0
+        self._lower[m] = 0.0
         self._cost = np.zeros(m + 1)
         self._cost[m] = 1.0
         self._m = m
@@ -246,9 +245,10 @@ class Share:
             return np.full(len(u), np.inf)
         felt = rows.Ru[:, at] * u[:, None] + rows.Rx[:, at] * x[:, None] + rows.Rc[:, at]
         R = rows.Rl[:, at] / unit[:, None]
+        motors = rows.kinds[at] == "torque"
         felt /= unit
-        RR = R.transpose(0, 2, 1) @ R
+        W = R[:, motors]
+        RR = W.transpose(0, 2, 1) @ W
         RR += 1e-9 * np.eye(self._m) * (1e-9 + np.trace(RR, axis1=1, axis2=2))[:, None, None]
-        lam = -np.linalg.solve(RR, R.transpose(0, 2, 1) @ felt[:, :, None])[..., 0]
-        use = np.abs(felt + (R @ lam[:, :, None])[..., 0]).max(axis=1)
-        return np.where((np.abs(lam) <= self._box).all(axis=1), use, np.inf)
+        lam = -np.linalg.solve(RR, W.transpose(0, 2, 1) @ felt[:, motors, None])[..., 0]
+        return np.asarray(np.abs(felt + (R @ lam[:, :, None])[..., 0]).max(axis=1), float)

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from coopqp.base.errors import InvalidValueError, UnknownNameError
 from coopqp.base.spec import Array
+from coopqp.base.table import csv_text
 from coopqp.base.wording import counted
 from coopqp.controller import ControlProblem
 from coopqp.planning.closed_space import Budget, ClosedSpace, Path
@@ -18,7 +19,7 @@ from coopqp.planning.reach import MOST, Goals, Progress, look
 from coopqp.planning.timing import timed
 from coopqp.planning.verification import Verification, Verifier, lengths
 from coopqp.scenario.scenario import Scenario
-from coopqp.signal import quaternion_of
+from coopqp.signal import TURN_COLUMNS, quaternion_of
 from coopqp.study.explanation.goal import Goal, placed
 from coopqp.study.explanation.words import size
 from coopqp.task import Task
@@ -70,10 +71,9 @@ class Plan:
     @property
     def csv(self) -> str:
         """The path tick by tick, as ``way-points: {file: ...}`` reads it."""
-        names = ("t", *self.joints, "x", "y", "z", "qx", "qy", "qz", "qw")
+        names = ("t", *self.joints, "x", "y", "z", *TURN_COLUMNS)
         rows = np.column_stack([self.t, self.timed, self.object])
-        lines = [",".join(names), *(",".join(f"{x:.12g}" for x in row) for row in rows)]
-        return "\n".join(lines) + "\n"
+        return csv_text(dict(zip(names, rows.T, strict=True)))
 
 
 def plan(

@@ -10,7 +10,9 @@ The object's mass is on all hands alike, so lambda is Walker's internal wrench: 
 that moves the object, h_0 = w/N + sum lambda_i, h_i = w/N - lambda_i at the object's origin. w is
 linear in u and x as tau is, and so are the cones of hands that press. Joints' friction is left out.
 
-    lo <= Ru u + Rx x + Rl lambda <= up,   x <= x_max,   |lambda| <= box
+    lo <= Ru u + Rx x + Rl lambda <= up,   x <= x_max
+
+The bounds of lambda are rows, too.
 """
 
 from __future__ import annotations
@@ -24,12 +26,13 @@ from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.closed_loop.hands import hands
+from coopqp.controller import ControlProblem
 from coopqp.limit import Bounded, JointBounds, TwistBounds
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.planning.closed_path import Along, ClosedPath, Loops, relative
 from coopqp.scenario.scenario import Scenario
 
-#: What speeds of the object are called, by component.
+#: What components of the object's speed and of wrenches are called.
 AXES = ("x", "y", "z", "about x", "about y", "about z")
 #: Above so much of the median x is bounded where nothing else does it: where joints stand still.
 FASTEST = 1e4
@@ -60,21 +63,28 @@ def bounds_of(
 ) -> Bounds:
     """The bounds of a scenario's robot and limits, of which motors use a share."""
     chain = scenario.chain
+    speed, acceleration, twist = limited(scenario)
+    effort = torque * np.array(chain.model.effortLimit)
+    effort[chain.passive] = 0.0
+    box = np.repeat(np.array(wrench, float), 3)
+    return Bounds(speed, acceleration, effort, twist, box, safety)
+
+
+def limited(problem: ControlProblem | Scenario) -> tuple[Array, Array, Array]:
+    """Speeds and accelerations of joints, and twists of the object, that its limits allow."""
+    chain = problem.chain
     speed, acceleration = chain.velocity.copy(), np.full(chain.n, np.inf)
     twist = np.full(6, np.inf)
-    for limit in scenario.limits:
-        program = limit.program(chain, scenario.dt)
+    for limit in problem.limits:
+        program = limit.program(chain, problem.dt)
         if isinstance(program, TwistBounds):
             at = list(program.components)
             twist[at] = np.minimum(twist[at], program.bounds)
         elif isinstance(program, JointBounds) and program.of == Bounded.VELOCITY:
             speed = np.minimum(speed, np.minimum(-program.lower, program.upper))
         elif isinstance(program, JointBounds) and program.step is not None:
-            acceleration = np.minimum(acceleration, program.step / scenario.dt)
-    effort = torque * np.array(chain.model.effortLimit)
-    effort[chain.passive] = 0.0
-    box = np.repeat(np.array(wrench, float), 3)
-    return Bounds(speed, acceleration, effort, twist, box, safety)
+            acceleration = np.minimum(acceleration, program.step / problem.dt)
+    return speed, acceleration, twist
 
 
 @dataclass(frozen=True)
@@ -86,7 +96,7 @@ class Rows:
         along: the path there.
         Ru, Rx, Rc: shape (N, r); Rl, shape (N, r, m). Rc is what is there at rest.
         names: such as "torque of elbow"; joints: those of the chain.
-        kinds: "acceleration", "torque" or "contact", by row.
+        kinds: "acceleration", "torque", "wrench" or "contact", by row.
         size: of what bounds a row, shape (r,); lo = -size - Rc (-inf at contacts), up = size - Rc.
         unit: what a row's use is counted in, shape (r,): its size, at contacts the weight [N].
         rates: of joints and of the object by s, (N, n + 6), which speeds bound, shape (n + 6,).
@@ -169,13 +179,15 @@ class RowMaker:
         self.names = (
             *(f"acceleration of {names[j]}" for j in self._quick),
             *(f"torque of {names[j]}" for j in self._limited),
+            *(f"internal wrench of {holders[1 + k // 6]} ({AXES[k % 6]})" for k in self.kept),
             *self._cones.names,
         )
-        counts = (len(self._quick), len(self._limited), len(self._cones.names))
-        self.kinds = np.repeat(["acceleration", "torque", "contact"], counts)
-        self.size = np.concatenate(
-            [bounds.acceleration[self._quick], bounds.torque[self._limited], self._cones.most]
-        )
+        counts = (len(self._quick), len(self._limited), len(self.kept), len(self._cones.names))
+        self.kinds = np.repeat(["acceleration", "torque", "wrench", "contact"], counts)
+        self.size = np.concatenate([
+            bounds.acceleration[self._quick], bounds.torque[self._limited],
+            bounds.wrench[self.kept % 6], self._cones.most,
+        ])  # fmt: skip
         weight = chain.held.body().mass * float(np.linalg.norm(chain.model.gravity.linear))
         self.unit = np.where(self.kinds == "contact", max(weight, 1.0), self.size)
         self.speeds = np.concatenate([bounds.speed, bounds.twist])
@@ -185,28 +197,24 @@ class RowMaker:
                 "some, or limits: joint_acceleration"
             )
 
-    @property
-    def box(self) -> Array:
-        """Bounds of lambda, shape (m,) [N, N m]."""
-        return np.asarray(np.tile(self.bounds.wrench, self.arms)[self.kept], float)
-
     def at(self, s: Array) -> Rows:
         """The rows at places of shape (N,)."""
         along = self.path.at(s, self.loops)
         a, b, c = self.torques(along)
         J = relative(along.moved.J)[:, self.kept]
         N, m, at, quick = len(s), J.shape[1], self._limited, self._quick
-        nothing = np.zeros((N, len(quick)))
+        nothing, free = np.zeros((N, len(quick))), np.zeros((N, m))
         cones = self._cones.at(self.dynamics, along, self.kept)
         twist = (along.moved.J[:, 0] @ along.dq[:, :, None])[..., 0]
         return Rows(
             s, along,
-            np.hstack([along.dq[:, quick], a[:, at], cones[0]]),
-            np.hstack([along.ddq[:, quick], b[:, at], cones[1]]),
-            np.hstack([nothing, c[:, at], cones[2]]),
-            np.concatenate(
-                [np.zeros((N, len(quick), m)), -J.transpose(0, 2, 1)[:, at], cones[3]], axis=1
-            ),
+            np.hstack([along.dq[:, quick], a[:, at], free, cones[0]]),
+            np.hstack([along.ddq[:, quick], b[:, at], free, cones[1]]),
+            np.hstack([nothing, c[:, at], free, cones[2]]),
+            np.concatenate([
+                np.zeros((N, len(quick), m)), -J.transpose(0, 2, 1)[:, at],
+                np.tile(np.eye(m), (N, 1, 1)), cones[3],
+            ], axis=1),
             self.names, self.chain.joint_names, self.kinds, self.size, self.unit,
             np.hstack([along.dq, twist]), self.speeds,
         )  # fmt: skip
@@ -231,8 +239,7 @@ class _Cones:
         names: list[str] = []
         most: list[Array] = [np.zeros(0)]
         self._hands = hands(chain)
-        body = chain.held.body()
-        self._mass, self._lever, self._inertia = body.mass, body.lever, body.inertia
+        self._body = chain.held.body()
         for i, hand in enumerate(self._hands):
             if not hand.contact:
                 continue
@@ -270,21 +277,12 @@ class _Cones:
 
     def _wrenches(self, dynamics: ClosedLoopDynamics, along: Along) -> tuple[Array, Array, Array]:
         """What the object needs for u, for x and at rest, at its origin, each (N, 6)."""
-        R, J = along.moved.R[:, 0], along.moved.J[:, 0]
-        lever = R @ self._lever
-        I = R @ self._inertia @ R.transpose(0, 2, 1)  # noqa: E741
-        twist = (J @ along.dq[:, :, None])[..., 0]
-        turning = (J @ along.ddq[:, :, None])[..., 0] + along.drift[:, 0]
-        omega = twist[:, 3:]
-        spun = np.cross(omega, np.cross(omega, lever))
-        gyro = np.cross(omega, (I @ omega[:, :, None])[..., 0])
-
-        def wrench(a: Array, more: Array, turn: Array) -> Array:
-            force = self._mass * (a[:, :3] + np.cross(a[:, 3:], lever) + more)
-            torque = (I @ a[:, 3:, None])[..., 0] + turn + np.cross(lever, force)
-            return np.hstack([force, torque])
-
-        still = np.zeros_like(twist)
-        falls = np.tile(-dynamics.model.gravity.linear, (len(R), 1))
-        none = np.zeros_like(omega)
-        return wrench(twist, none, none), wrench(turning, spun, gyro), wrench(still, falls, none)
+        found, still = np.empty((3, len(along.q), 6)), pin.Motion.Zero()
+        for k, (R, J) in enumerate(zip(along.moved.R[:, 0], along.moved.J[:, 0], strict=True)):
+            body = pin.SE3(R, np.zeros(3)).act(self._body)
+            spin, turning = still.copy(), J @ along.ddq[k] + along.drift[k, 0]
+            spin.angular = J[3:] @ along.dq[k]
+            found[0, k] = (body * pin.Motion(J @ along.dq[k])).vector
+            found[1, k] = (body * pin.Motion(turning) + spin.cross(body * spin)).vector
+            found[2, k] = (body * -dynamics.model.gravity).vector
+        return found[0], found[1], found[2]

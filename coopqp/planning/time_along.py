@@ -22,8 +22,8 @@ import numpy as np
 
 from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.reading import open_bytes
-from coopqp.base.spec import Array
-from coopqp.base.table import read_table
+from coopqp.base.spec import Array, array
+from coopqp.base.table import csv_text, read_table
 from coopqp.grasp import SAFETY
 from coopqp.planning.closed_path import FINER, STILL, ClosedPath, closed_path, relative
 from coopqp.planning.passes import FORCE, Passes, Profile, Share, Stuck, program
@@ -78,7 +78,7 @@ class Moment(NamedTuple):
     internal: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class TimedPath:
     """A path and when to be where on it.
 
@@ -90,7 +90,7 @@ class TimedPath:
         most: largest sdot^2 from which the path can be followed, shape (N,).
         active: by interval, the limit that is active, such as "torque of elbow" or "nothing".
         exceeded: largest share of a limit between the grid's places.
-        hold: largest share of a motor that holding still somewhere takes.
+        hold: largest share of a motor, a contact or the wrench that holding still somewhere takes.
         notes: sentences on places that are passed slowly.
     """
 
@@ -125,7 +125,8 @@ class TimedPath:
         path = self.path
         return [
             f"The fastest motion along the path takes {self.duration:.4g} s.",
-            f"Holding still along it takes up to {100.0 * self.hold:.0f} % of a motor or contact.",
+            f"Holding still along it takes up to {100.0 * self.hold:.0f} % of a motor, "
+            "a contact or the internal wrench.",
             f"Between the {len(self.s)} places a limit is used to {100.0 * self.exceeded:.2f} % at "
             f"most, and the loops stand open by {1e3 * path.gap:.1g} mm; the path is up to "
             f"{path.deviation:.1g} rad from the points.",
@@ -145,8 +146,8 @@ class TimedPath:
         """The motion at a time [s], with torques shared by the program of this instant."""
         s, rate, u = self.where(t)
         rows, x = self.maker.at(np.array([s])), rate**2
-        along, n = rows.along, self.path.chain.n
-        lam = _wrench(rows, self.maker.box, u, x)
+        along = rows.along
+        lam = _wrench(rows, u, x)
         a, b, c = (part[0] for part in self.maker.torques(along))
         J = relative(along.moved.J)[0, self.maker.kept]
         tau = a * u + b * x + c - J.T @ lam
@@ -156,7 +157,6 @@ class TimedPath:
         by_arm = loops.reshape(-1, 6)
         internal = np.vstack([by_arm.sum(axis=0), -by_arm])
         q, dq, ddq = along.q[0], along.dq[0], along.ddq[0]
-        assert len(q) == n
         p, R = along.moved.p[0, 0], along.moved.R[0, 0]
         return Moment(s, q, dq * rate, dq * u + ddq * x, p, R, tau, internal)
 
@@ -165,6 +165,8 @@ class TimedPath:
 
         ``waypoints: {file: ...}`` reads the first three.
         """
+        if not 0.0 < dt < np.inf:
+            raise InvalidValueError(f"dt: found {dt:g}, needs more than 0")
         ticks = np.arange(0.0, self.duration - 1e-6 * dt, dt)
         t = np.append(ticks, self.duration)
         moments = [self.at(float(now)) for now in t]
@@ -190,10 +192,7 @@ class TimedPath:
 
     def csv(self, dt: float) -> str:
         """The table as text."""
-        table = self.table(dt)
-        rows = np.array(list(table.values())).T.tolist()
-        lines = [",".join(table), *(",".join(map(repr, row)) for row in rows)]
-        return "\n".join(lines) + "\n"
+        return csv_text(self.table(dt))
 
 
 _WRENCH = ("fx", "fy", "fz", "tx", "ty", "tz")
@@ -214,7 +213,7 @@ def time_along(
 
     Args:
         path: configurations, shape (N, n) [rad, m]; what has them as ``q``; or a file: a recorded
-            run, a report's folder, or a CSV file with a column a joint, such as a plan's.
+            run, or a CSV file with a column a joint, such as a plan's; or the folder of these.
         scenario: whose robot, start, grasps, object and limits count.
         points: intervals of the grid.
         torque: share of each motor's limit that may be planned with; the rest is for the loop.
@@ -233,21 +232,19 @@ def time_along(
     if wrench is None:
         pressing = any(grasp.contact for grasp in chain.grasps.values())
         wrench = PRESSING if pressing else WRENCH
-    _check(points, torque, wrench, safety, speed)
+    _check(points=points, torque=torque, wrench=wrench, safety=safety, speed=speed)
+    points = int(points)
     smooth = closed_path(chain, _points(path, scenario, controller))
     maker = RowMaker(smooth, bounds_of(scenario, torque, wrench, safety))
     s = np.linspace(0.0, smooth.length, points + 1)
     rows = maker.at(s)
-    held = _held(smooth, rows, maker.box)
-    ends = [
-        float((v / np.linalg.norm(rows.along.dq[i])) ** 2)
-        for i, v in zip((0, -1), speed, strict=True)
-    ]
+    held = _held(smooth, rows)
+    ends = (np.array(speed) / np.linalg.norm(rows.along.dq[[0, -1]], axis=1)) ** 2
     fine = rows.finer(FINER + 1)
-    share = Share(fine, maker.box)
+    share = Share(fine)
     limits = {kind: np.ones(points + 1) for kind in ("speed", "acceleration", "force")}
     for _ in range(1 + REPEATS):
-        profile = _profile(smooth, rows, maker.box, limits, ends, speed)
+        profile = _profile(smooth, rows, limits, ends.tolist(), speed)
         uses = _uses(fine, share, profile)
         if uses.largest < TOLERATED:
             break
@@ -262,49 +259,59 @@ def time_along(
     )  # fmt: skip
 
 
-def _check(
-    points: int, torque: float, wrench: Sequence[float], safety: float, speed: Sequence[float]
-) -> None:
-    asked: tuple[tuple[str, float, Sequence[float]], ...] = (
-        ("points", FEWEST, [points]), ("safety", 1.0, [safety]), ("wrench", 0.0, wrench),
-        ("speed", 0.0, speed),
-    )  # fmt: skip
-    for name, low, values in asked:
-        for value in values:
-            if not low <= value < np.inf:
-                raise InvalidValueError(f"{name}: found {value:g}, needs at least {low:g}")
-    if points > MOST or points % 1:
-        raise InvalidValueError(f"points: found {points}, needs a whole number of at most {MOST}")
-    if not 0.0 < torque <= 1.0:
-        raise InvalidValueError(f"torque: found {torque:g}, needs a share in (0, 1]")
+def _check(**given: Any) -> None:
+    for name, (shape, low, high, needs) in _ASKED.items():
+        found = array(name, given[name])
+        fits = found.shape == shape and bool(((low <= found) & (found <= high)).all())
+        if not fits or (name == "points" and found % 1.0):
+            raise InvalidValueError(f"{name}: found {given[name]}, needs {needs}")
+
+
+#: Shapes of options, their ends, and what they need in words.
+_ASKED: dict[str, tuple[tuple[int, ...], float, float, str]] = {
+    "points": ((), FEWEST, MOST, f"a whole number from {FEWEST} to {MOST}"),
+    "torque": ((), 1e-9, 1.0, "a share in (0, 1]"),
+    "safety": ((), 1.0, 1e9, "a number of at least 1"),
+    "wrench": ((2,), 0.0, 1e9, "two numbers of at least 0"),
+    "speed": ((2,), 0.0, 1e9, "two numbers of at least 0"),
+}
 
 
 def _points(path: Any, scenario: Scenario, controller: str | None) -> Any:
     """Configurations from whatever has them."""
     if not isinstance(path, str | Path):
         return getattr(path, "q", path)
-    file, joints = Path(path), scenario.chain.joint_names
-    if file.is_file() and file.suffix == ".csv":
-        with open_bytes(file) as stream:
-            if b"status" not in stream.readline(LINE):
-                return read_table(file).take(joints)
-    run = read(trace_in(file))
+    joints = scenario.chain.joint_names
+    if file := table_of(Path(path)):
+        return read_table(file).take(joints)
+    run = read(trace_in(Path(path)))
     name = controller or run.controllers[0]
     return run.of(name).joints("q", joints)
 
 
-def _held(path: ClosedPath, rows: Rows, box: Array) -> Array:
-    """Share of a motor or a contact that holding still takes, (N,); refused where that is all."""
-    share = Share(rows, box)
-    found = [share.of(i, 0.0, 0.0) for i in range(len(rows.s))]
-    i = int(np.argmax([use for use, _ in found]))
-    use, name = found[i]
+def table_of(path: Path) -> Path | None:
+    """The file of a table of joints, from its own or its folder's path; None for a run's."""
+    if path.is_dir():
+        found = list(path.glob("*.csv"))
+        return table_of(found[0]) if len(found) == 1 else None
+    if path.suffix == ".csv" and path.is_file():
+        with open_bytes(path) as stream:
+            return None if b"status" in stream.readline(LINE) else path
+    return None
+
+
+def _held(path: ClosedPath, rows: Rows) -> Array:
+    """Share of the limits that holding still takes, (N,); refused where that is all."""
+    share = Share(rows)
+    found, names = zip(*(share.of(i, 0.0, 0.0) for i in range(len(rows.s))), strict=True)
+    i = int(np.argmax(found))
+    use, name = found[i], names[i]
     if use <= 1.0:
-        return np.array([use for use, _ in found])
+        return np.array(found)
     needs = f"even the best wrench between the hands needs {100.0 * use:.0f} % of {name}"
     if not np.isfinite(use):
         needs = "no wrench between the hands leaves the passive joints free of torque"
-    elif name.partition(" ")[0] not in ("torque", "acceleration"):
+    elif not name.startswith(("torque", "internal")):
         needs = f"{name} does not bear it with any wrench between the hands"
     raise InvalidValueError(
         f"path: at {path.place(float(rows.s[i]))}: the object cannot be held at rest: {needs}; "
@@ -316,7 +323,6 @@ def _held(path: ClosedPath, rows: Rows, box: Array) -> Array:
 def _profile(
     path: ClosedPath,
     rows: Rows,
-    box: Array,
     limits: dict[str, Array],
     ends: Sequence[float],
     speed: Sequence[float],
@@ -324,7 +330,7 @@ def _profile(
     quick = rows.kinds == "acceleration"
     of = np.where(quick, limits["acceleration"][:, None], limits["force"][:, None])
     try:
-        return Passes(rows, box, of, limits["speed"]).profile(*ends)
+        return Passes(rows, of, limits["speed"]).profile(*ends)
     except Stuck as stuck:
         if stuck.place in (0, len(rows.s) - 1) and np.isfinite(stuck.most):
             end = "beginning" if stuck.place == 0 else "end"
@@ -374,10 +380,8 @@ def _active(
     fine: Rows, speed: Array, a: Array, force: Array, names: Sequence[str], count: int
 ) -> list[str]:
     """The limit that is used most in each interval, if any is active."""
-    joints = fine.along.dq.shape[1]
     of_speed = [f"speed of {name}" for name in fine.joints]
     of_speed += [f"speed of the object ({axis})" for axis in AXES]
-    assert len(of_speed) == joints + 6
     found = []
     for k in range(0, len(speed), count):
         part = slice(k, k + count)
@@ -417,13 +421,13 @@ def _slow(path: ClosedPath, rows: Rows) -> list[str]:
     return found
 
 
-def _wrench(rows: Rows, box: Array, u: float, x: float) -> Array:
+def _wrench(rows: Rows, u: float, x: float) -> Array:
     """The internal wrench of one instant, shape (m,), that is easiest on the motors."""
     m = rows.Rl.shape[2]
     if not m:
         return np.zeros(0)
     felt = rows.Ru[0] * u + rows.Rx[0] * x + rows.Rc[0]
-    use, _ = Share(rows, box).of(0, u, x)
+    use, _ = Share(rows).of(0, u, x)
     beyond = max(0.0, use - 1.0 if np.isfinite(use) else 0.0)
     motors = np.flatnonzero((rows.kinds == "torque") & (rows.size > 0.0))
     bound = np.flatnonzero(rows.kinds != "acceleration")
@@ -432,11 +436,12 @@ def _wrench(rows: Rows, box: Array, u: float, x: float) -> Array:
     q = W.T @ (felt[motors] / rows.size[motors])
     unit = np.maximum(rows.unit[bound], 1e-3)
     A = np.ascontiguousarray(FORCE * rows.Rl[0, bound] / unit[:, None])
+    free = np.full(m, np.inf)
     for looser in LOOSER:
         size = rows.size[bound] + (beyond + looser) * rows.unit[bound]
-        upper = np.concatenate([box / FORCE, (size - felt[bound]) / unit])
+        upper = np.concatenate([free, (size - felt[bound]) / unit])
         low = np.where(rows.two_sided[bound], (-size - felt[bound]) / unit, -np.inf)
-        found = program(P, q, A, upper, np.concatenate([-box / FORCE, low]))
+        found = program(P, q, A, upper, np.concatenate([-free, low]))
         if found is not None:
             return np.asarray(FORCE * found[0], float)
     return np.full(m, np.nan)

@@ -18,8 +18,9 @@ import numpy as np
 from coopqp.assessment.thresholds import LOOP_CLOSED, LOOP_CLOSED_ANGLE
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
-from coopqp.limit import Bounded, JointBounds
 from coopqp.model.closed_chain import ClosedChain
+from coopqp.planning.closed_path import smoothed
+from coopqp.planning.rows import limited
 from coopqp.planning.verification import along
 
 #: Where no limit bounds accelerations, the highest speed is there after so long [s].
@@ -74,10 +75,8 @@ def _averaged(q: Array, window: int) -> Array:
     if window < 2:
         return q
     held = np.concatenate([np.repeat(q[:1], window, 0), q, np.repeat(q[-1:], window, 0)])
-    weights = np.convolve(np.ones(window), np.ones(window)) / window**2
     ends = [np.repeat(held[at], window - 1, 0) for at in (slice(0, 1), slice(-1, None))]
-    padded = np.concatenate([ends[0], held, ends[1]])
-    return np.array([np.convolve(column, weights, "valid") for column in padded.T]).T
+    return smoothed(np.concatenate([ends[0], held, ends[1]]), window)
 
 
 def _excess(q: Array, push: Array, dt: float) -> float:
@@ -98,16 +97,7 @@ def _opening(chain: ClosedChain, q: Array) -> float:
 
 def joint_limits(problem: ControlProblem) -> tuple[Array, Array]:
     """Speeds and accelerations that the limits of a problem allow, shape (n,) each."""
-    chain = problem.chain
-    speed, push = chain.velocity.copy(), np.full(chain.n, np.inf)
-    for limit in problem.limits:
-        program = limit.program(chain, problem.dt)
-        if not isinstance(program, JointBounds):
-            continue
-        if program.of is Bounded.VELOCITY:
-            speed = np.minimum(speed, np.minimum(program.upper, -program.lower))
-        if program.of is Bounded.BRAKING and program.step is not None:
-            push = np.minimum(push, program.step / problem.dt)
+    speed, push, _ = limited(problem)
     speed = np.where(np.isfinite(speed) & (speed > 0.0), speed, UNLIMITED)
     return speed, np.where(np.isfinite(push), push, speed / TO_SPEED)
 

@@ -6,7 +6,7 @@ looked at whether loops are closed, joints inside their limits and bodies as far
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,15 +63,13 @@ class Verifier:
     def __init__(self, problem: ControlProblem, lower: Array, upper: Array) -> None:
         chain = self._chain = problem.chain
         self._lower, self._upper = lower, upper
-        self._state, self._data = State(chain), chain.model.createData()
-        self._others, margins = [], []
+        self._data, margins = chain.model.createData(), list[float]()
         self._geometry = geometry = pin.GeometryModel()
         for limit in problem.limits:
             program = limit.program(chain, problem.dt)
             if isinstance(program, DistanceBounds):
                 margins += list(_add(geometry, program))
-            elif left := limit.clearance(chain):
-                self._others.append(left)
+        self._others = others(problem)
         self._placed = pin.GeometryData(geometry)
         for i, margin in enumerate(margins):
             request = self._placed.collisionRequests[i]
@@ -99,11 +97,25 @@ class Verifier:
             self._chain.model, self._data, self._manager, q, True
         ):
             return False
-        if not self._others:
-            return True
-        self._state.q[:] = q
-        self._state.update()
-        return all(bool((left(self._state) >= 0.0).all()) for left in self._others)
+        return self._others is None or self._others(q)
+
+
+def others(problem: ControlProblem) -> Callable[[Array], bool] | None:
+    """Whether limits in space that are no distances are kept; None where there are none."""
+    chain, state = problem.chain, State(problem.chain)
+    left = [
+        clearance
+        for limit in problem.limits
+        if not isinstance(limit.program(chain, problem.dt), DistanceBounds)
+        and (clearance := limit.clearance(chain))
+    ]
+
+    def kept(q: Array) -> bool:
+        state.q[:] = q
+        state.update()
+        return all(bool((clearance(state) >= 0.0).all()) for clearance in left)
+
+    return kept if left else None
 
 
 def along(q: Array, every: float) -> Array:

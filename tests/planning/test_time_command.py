@@ -29,6 +29,18 @@ def test_a_run_becomes_a_reference(slow: Path, tmp_path: Path) -> None:
     assert sum(data["shares"].values()) == pytest.approx(1.0)
 
 
+def test_a_table_of_joints_is_found_in_its_folder_and_needs_a_scenario(
+    slow: Path, tmp_path: Path
+) -> None:
+    assert typed("time", slow, "--out", tmp_path).exit_code == 0
+    named = typed("time", tmp_path, "--scenario", "point_on_point")
+    assert "The fastest motion along the path takes 0.1" in named.output
+    for path in (tmp_path, tmp_path / "timed.csv"):
+        result = typed("time", path)
+        assert result.exit_code == 2
+        assert "timed.csv' says where joints are, not whose; add --scenario" in result.output
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [

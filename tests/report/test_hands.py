@@ -67,6 +67,19 @@ def test_the_verdict_tells_a_pad_on_its_edge_apart_from_friction(pressed: Compar
     assert "% of the friction unused and a pad on its edge; " in said
 
 
+def test_the_verdict_does_not_say_held_of_what_still_slips(pressed: Comparison) -> None:
+    (name,) = pressed.traces
+    trace, metrics = pressed.traces[name], pressed.metrics[name]
+    slip = np.zeros_like(trace.signals["slip"])
+    slip[:, 0] = np.linspace(0.0, 0.089, trace.ticks)
+    slipping = replace(trace, signals={**trace.signals, "slip": slip})
+    said = verdict(assess(slipping), {**metrics, "slip_distance": 0.089})
+    assert said.startswith("Lets the object slip, by 89 mm and still at the end; ")
+    slip[: trace.ticks // 4, 0], slip[trace.ticks // 4 :, 0] = 0.0, 0.089  # and lies there
+    slow = replace(slipping, dt=0.02)
+    assert verdict(assess(slow), {**metrics, "slip_distance": 0.089}).startswith("Holds the object")
+
+
 def test_a_lost_object_reaches_no_goal(pressed: Comparison) -> None:
     (name,) = pressed.traces
     trace = pressed.traces[name]
