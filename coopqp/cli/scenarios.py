@@ -29,6 +29,16 @@ COLLECTIONS = (
 )  # fmt: skip
 
 
+class _Range(click.FloatRange):
+    """NaN is in no range."""
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        number = super().convert(value, param, ctx)
+        if math.isnan(number):
+            self.fail(f"{value} is not in the range {self._describe_range()}.", param, ctx)
+        return number
+
+
 @click.command()
 @SCENARIO
 @click.option("--out", type=WRITTEN, help="Folder for the report and the data.")
@@ -149,7 +159,7 @@ def reach(scenario: str, seed: int | None, catalog: Any, as_json: bool) -> None:
     "--out", type=WRITTEN, help="Folder for the path, and for a scenario that follows it."
 )
 @click.option("--keep", multiple=True, metavar="TASK", help="Met all along; more than once.")
-@click.option("--seconds", type=click.FloatRange(0.01, 3600.0), default=10.0, help="At most.")
+@click.option("--seconds", type=_Range(0.01, 3600.0), default=10.0, help="At most.")
 @click.option("--seed", type=click.IntRange(0), help="Of the search, instead of the scenario's.")
 @catalogued
 @JSON
@@ -170,9 +180,11 @@ def plan(
     from coopqp.planning import plan as find
     from coopqp.report import files
     from coopqp.report import planning as report
+    from coopqp.scenario.planned import refuse_phases
 
     loaded = read_scenario(scenario, catalog)
     if out:
+        refuse_phases(loaded)
         files.check_folder(out)
     budget = Budget(seconds=seconds, seed=loaded.seed if seed is None else seed)
     with _bar("planning") as progress:
@@ -302,16 +314,6 @@ def compare_on(scenario: Any, controllers: list[str], out: Path | None, *, as_js
         say(f"wrote {path}", aside=False)
 
 
-class _Speed(click.FloatRange):
-    """A share of real time; NaN is in no range."""
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
-        speed = super().convert(value, param, ctx)
-        if math.isnan(speed):
-            self.fail(f"{value} is not in the range {self._describe_range()}.", param, ctx)
-        return speed
-
-
 @click.command()
 @SCENARIO
 @click.option(
@@ -324,7 +326,7 @@ class _Speed(click.FloatRange):
     "--allow-origin", "origins", multiple=True, metavar="URL",
     help="A page that may use this one beside itself, as behind a proxy; more than once.",
 )  # fmt: skip
-@click.option("--speed", type=_Speed(0.05, 4.0), default=1.0, help="Times real time, at first.")
+@click.option("--speed", type=_Range(0.05, 4.0), default=1.0, help="Times real time, at first.")
 @click.option(
     "--record", type=WRITTEN,
     help="Folder for a recording, which coopqp compare replays; written at the end too.",

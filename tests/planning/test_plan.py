@@ -14,6 +14,7 @@ from scenario_files import needs_robots
 from side_by_side import needs_kernel
 
 import coopqp
+from coopqp.assessment import assess
 from coopqp.base.errors import CoopqpError
 from coopqp.limits import Obstacles
 from coopqp.planning.closed_space import Budget
@@ -21,7 +22,9 @@ from coopqp.planning.plan import CLOSE, Plan, Planner, plan
 from coopqp.planning.reach import reach
 from coopqp.planning.timing import TO_SPEED, joint_limits
 from coopqp.planning.verification import Verifier
+from coopqp.report.planning import write_plan
 from coopqp.scenario.loader import load, load_text
+from coopqp.scenario.planned import SETTLES
 from coopqp.scenario.scenario import Scenario
 from coopqp.study.explanation.goal import Goal, Room, placed
 from coopqp.tasks import PlaneOnPlane, PointOnPoint
@@ -214,8 +217,10 @@ def test_what_cannot_be_planned_is_said_in_a_line_and_nothing_is_written(tmp_pat
     for words, says in (
         (("joint_limit_stress",), "not found from 4096 starts"),
         (("planar_pair", "--keep", "nothing"), "unknown task with a place"),
-        (("pr2_circle",), "needs a fixed goal"),
+        (("pr2_circle",), "error: tasks: round: its goal moves by a signal or an input; needs a"),
+        (("regrasp",), "this scenario has phases"),
         (("planar_pair", "--seconds", "0"), "--seconds"),
+        (("planar_pair", "--seconds", "nan"), "--seconds"),
     ):
         result = typed("plan", *words, "--out", out)
         assert result.exit_code == 2
@@ -226,9 +231,6 @@ def test_what_cannot_be_planned_is_said_in_a_line_and_nothing_is_written(tmp_pat
 def test_a_run_follows_the_plan_and_reaches_what_no_law_does_alone(
     shelves: Scenario, way: Plan, tmp_path: Path
 ) -> None:
-    from coopqp.assessment import assess
-    from coopqp.report.planning import write_plan
-
     alone = coopqp.compare(shelves, controllers=["qp"]).traces["qp"]
     assert not assess(alone).reached
     _, path = write_plan(way, shelves, tmp_path)
@@ -237,6 +239,15 @@ def test_a_run_follows_the_plan_and_reaches_what_no_law_does_alone(
     found = assess(coopqp.compare(scenario, controllers=["qp"]).traces["qp"])
     assert found.reached
     assert found.succeeds
+
+
+def test_a_plan_shorter_than_a_second_is_read_back(tmp_path: Path) -> None:
+    """A trial of its tasks at a tick, where the reference has a kink, refused all of these."""
+    scenario = load("yeo_4_5")
+    way = plan(scenario, budget=AMPLE)
+    assert way.t[-1] < 1.0
+    _, path = write_plan(way, scenario, tmp_path)
+    np.testing.assert_allclose(load(path).schedule[0].duration, way.t[-1] + SETTLES)
 
 
 @pytest.mark.parametrize(
@@ -252,8 +263,6 @@ def test_a_run_follows_the_plan_and_reaches_what_no_law_does_alone(
 def test_a_broken_plan_is_refused_with_its_line(
     change: Callable[[str], str], says: str, tmp_path: Path
 ) -> None:
-    from coopqp.report.planning import write_plan
-
     scenario = load("planar_pair")
     file, path = write_plan(plan(scenario, budget=AMPLE), scenario, tmp_path)
     assert load(path).schedule[0].duration > 0.5
