@@ -18,7 +18,7 @@ from coopqp.assessment import assess
 from coopqp.base.errors import CoopqpError
 from coopqp.limits import Obstacles
 from coopqp.planning.closed_space import Budget
-from coopqp.planning.plan import CLOSE, Plan, Planner, plan
+from coopqp.planning.plan import CLOSE, Plan, Planner, plan, way_round
 from coopqp.planning.reach import reach
 from coopqp.planning.timing import TO_SPEED, joint_limits
 from coopqp.planning.verification import Verifier
@@ -26,6 +26,7 @@ from coopqp.report.planning import write_plan
 from coopqp.scenario.loader import load, load_text
 from coopqp.scenario.planned import SETTLES
 from coopqp.scenario.scenario import Scenario
+from coopqp.study.explanation import RunExplanation, explain_run
 from coopqp.study.explanation.goal import Goal, Room, placed
 from coopqp.tasks import PlaneOnPlane, PointOnPoint
 
@@ -215,7 +216,7 @@ def test_plan_and_reach_on_the_command_line(tmp_path: Path) -> None:
 def test_what_cannot_be_planned_is_said_in_a_line_and_nothing_is_written(tmp_path: Path) -> None:
     out = tmp_path / "way"
     for words, says in (
-        (("joint_limit_stress",), "not found from 4096 starts"),
+        (("joint_limit_stress", "--seconds", "600"), "not found from 4096 starts"),
         (("planar_pair", "--keep", "nothing"), "unknown task with a place"),
         (("pr2_circle",), "error: tasks: round: its goal moves by a signal or an input; needs a"),
         (("regrasp",), "this scenario has phases"),
@@ -233,12 +234,30 @@ def test_a_run_follows_the_plan_and_reaches_what_no_law_does_alone(
 ) -> None:
     alone = coopqp.compare(shelves, controllers=["qp"]).traces["qp"]
     assert not assess(alone).reached
+    _check_way_round(shelves, explain_run(shelves, alone))
     _, path = write_plan(way, shelves, tmp_path)
     scenario = load(path)
     assert [phase.name for phase in scenario.schedule] == ["way", "goal"]
     found = assess(coopqp.compare(scenario, controllers=["qp"]).traces["qp"])
     assert found.reached
     assert found.succeeds
+
+
+def _check_way_round(scenario: Scenario, blocked: RunExplanation) -> None:
+    """The explanation of a blocked run says whether the planner got there in the time it had."""
+    problem = scenario.problem()
+    there = np.array(blocked.elsewhere)
+    assert not Goal(problem.chain, problem.tasks, scenario.duration).missed(there)
+    said = way_round(scenario, blocked, "FILE", seconds=60.0)
+    assert said.way_round
+    assert said.sentence.startswith(f"{blocked.sentence}; coopqp plan FILE: a way round was found")
+    said = way_round(scenario, blocked, "FILE", seconds=1e-9)
+    assert said.way_round is False
+    assert said.sentence.endswith("no way round was found in 1e-09 s, which proves nothing")
+    said = way_round(load("pr2_circle"), blocked, "FILE")
+    assert said.way_round is None
+    assert "coopqp plan FILE cannot help: tasks: round: its goal moves by a signal" in said.sentence
+    assert way_round(load("regrasp"), blocked, "FILE") is blocked  # no run follows a plan there
 
 
 def test_a_plan_shorter_than_a_second_is_read_back(tmp_path: Path) -> None:
