@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +15,7 @@ from coopqp.cli.options import (
     SCENARIO,
     SOLVER,
     WRITTEN,
+    bar,
     catalogued,
     print_notes,
     read_scenario,
@@ -119,7 +118,7 @@ def solve_start(scenario: str, seed: int | None, catalog: Any, as_json: bool) ->
     from coopqp.scenario.loader import load_and_solve
     from coopqp.scenario.start_solver import yaml_text
 
-    with _bar("solving") as progress:
+    with bar("solving") as progress:
         report = lambda done, total: progress(done / total)  # noqa: E731
         start = load_and_solve(scenario, catalog, seed=seed, progress=report)
     if as_json:
@@ -143,7 +142,7 @@ def reach(scenario: str, seed: int | None, catalog: Any, as_json: bool) -> None:
     from coopqp.report import planning as report
     from coopqp.report.table import console
 
-    with _bar("looking") as progress:
+    with bar("looking") as progress:
         found = look(read_scenario(scenario, catalog), seed=seed, progress=progress)
     if as_json:
         click.echo(report.reach_json(found))
@@ -187,22 +186,13 @@ def plan(
         refuse_phases(loaded)
         files.check_folder(out)
     budget = Budget(seconds=seconds, seed=loaded.seed if seed is None else seed)
-    with _bar("planning") as progress:
+    with bar("planning") as progress:
         found = find(loaded, keep=keep, budget=budget, progress=progress)
     if not found.found:
         raise CoopqpError(found.sentence)
     click.echo(report.plan_json(found)) if as_json else say(found.sentence, aside=False)
     for path in report.write_plan(found, loaded, out) if out else ():
         say(f"wrote {path}", aside=as_json)
-
-
-@contextmanager
-def _bar(name: str) -> Iterator[Callable[[float], None]]:
-    """A progress bar of one search, on a terminal."""
-    from coopqp.report.table import progress_bars
-
-    with progress_bars([name], 1) as progress:
-        yield (lambda share: progress(name, share)) if progress else (lambda share: None)
 
 
 @click.command()

@@ -24,6 +24,7 @@ from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array, array
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.grasp_configuration import CLOSED_ORIENTATION, CLOSED_POSITION
+from coopqp.planning.verification import lengths
 
 #: Largest gap of the loops between knots [m, rad].
 CLOSED = 1e-5
@@ -287,7 +288,7 @@ def _refuse_outside(chain: ClosedChain, Q: Array, most: float, place: Callable[[
 
 def _thinned(Q: Array) -> tuple[Array, Array, Array]:
     """The way of the joints up to each point, and of points that are kept, with the points."""
-    gone = _way(Q)
+    gone = lengths(Q)
     if not gone[-1] > ROUNDING or np.ptp(Q, axis=0).max() <= ROUNDING:
         raise InvalidValueError(
             "path: its points are all the same, so nothing moves; needs at least 2 that differ"
@@ -299,13 +300,8 @@ def _thinned(Q: Array) -> tuple[Array, Array, Array]:
         Q = _averaged(np.array([np.interp(even, s, column) for column in Q.T]).T)
         kept = _apart(Q)
         s, Q = even[kept], Q[kept]
-    way = _way(Q)
+    way = lengths(Q)
     return np.interp(gone, s, way), way, Q
-
-
-def _way(Q: Array) -> Array:
-    steps = np.linalg.norm(np.diff(Q, axis=0), axis=1)
-    return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 def _apart(Q: Array) -> list[int]:
