@@ -29,6 +29,8 @@ CLOSE = 0.005
 VERIFIED = 0.01
 #: Goal configurations that are searched for, the nearest to the start of them are planned to.
 GOALS, NEAREST = 48, 12
+#: Goals nearer to a joint's limit are planned to where there are not enough others [rad, m].
+OFF = 0.05
 #: How long an explanation looks for a way round [s].
 TRIED = 2.0
 #: How far a start moves when its loops are closed exactly [rad, m].
@@ -205,7 +207,7 @@ class Planner:
         return q
 
     def _goals(self, budget: Budget, given: ArrayLike | None, begun: float) -> tuple[Array, str]:
-        """Goal configurations, the nearest to the start first, or why there are none."""
+        """Goal configurations, the nearest that are off the joints' limits first, or why none."""
         n = self.chain.n
         if given is not None:
             return self._given(np.atleast_2d(np.array(given, float))), ""
@@ -227,7 +229,9 @@ class Planner:
         found = np.array(goals.found)
         found = found[self._holds(found)]
         away = np.linalg.norm(found - self.chain.q_start, axis=1)
-        near = found[np.argsort(away)[:NEAREST]]
+        room = self.space.room
+        margin = np.minimum(found - room.lower, room.upper - found).min(axis=1, initial=OFF)
+        near = found[np.lexsort((away, margin < OFF))[:NEAREST]]
         lost = "no goal configuration keeps the tasks that are to be kept"
         return near, "" if len(near) else lost
 

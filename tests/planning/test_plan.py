@@ -18,7 +18,7 @@ from coopqp.assessment import assess
 from coopqp.base.errors import CoopqpError
 from coopqp.limits import Obstacles
 from coopqp.planning.closed_space import Budget
-from coopqp.planning.plan import CLOSE, Plan, Planner, plan, way_round
+from coopqp.planning.plan import CLOSE, OFF, Plan, Planner, plan, way_round
 from coopqp.planning.reach import reach
 from coopqp.planning.timing import TO_SPEED, joint_limits
 from coopqp.planning.verification import Verifier
@@ -143,6 +143,13 @@ def test_the_second_look_sees_bodies_in_each_other(shelves: Scenario, way: Plan)
     seen = Verifier(problem, room.lower, room.upper).look(way.q, 0.01)
     assert seen.hits > 0
     assert "break a limit in space" in seen.words
+
+
+def test_goals_off_the_limits_of_joints_come_before_nearer_ones() -> None:
+    problem = load("tiago_torso").problem()
+    room = Room(problem)
+    end = plan(load("tiago_torso"), budget=AMPLE).q[-1]
+    assert np.minimum(end - room.lower, room.upper - end).min() > OFF
 
 
 def test_a_task_that_is_kept_is_met_all_along() -> None:
