@@ -189,3 +189,12 @@ def print_notes(scenario: Any, controllers: Sequence[str] = (), *, steered: bool
     chosen = {name: controller_of(scenario, name) for name in names}
     for line in notes(scenario, chosen, steered=steered):
         say(f"note: {line}")
+
+
+@contextlib.contextmanager
+def bar(name: str) -> Iterator[Callable[[float], None]]:
+    """A progress bar of one search, on a terminal."""
+    from coopqp.report.table import progress_bars
+
+    with progress_bars([name], 1) as progress:
+        yield (lambda share: progress(name, share)) if progress else (lambda share: None)

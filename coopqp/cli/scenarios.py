@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +15,7 @@ from coopqp.cli.options import (
     SCENARIO,
     SOLVER,
     WRITTEN,
+    bar,
     catalogued,
     print_notes,
     read_scenario,
@@ -27,6 +26,16 @@ COLLECTIONS = (
     "robots", "grasps", "tasks", "signals", "limits", "controllers", "solvers", "plants", "metrics",
     "scenarios", "studies",
 )  # fmt: skip
+
+
+class _Range(click.FloatRange):
+    """NaN is in no range."""
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        number = super().convert(value, param, ctx)
+        if math.isnan(number):
+            self.fail(f"{value} is not in the range {self._describe_range()}.", param, ctx)
+        return number
 
 
 @click.command()
@@ -109,7 +118,7 @@ def solve_start(scenario: str, seed: int | None, catalog: Any, as_json: bool) ->
     from coopqp.scenario.loader import load_and_solve
     from coopqp.scenario.start_solver import yaml_text
 
-    with _bar("solving") as progress:
+    with bar("solving") as progress:
         report = lambda done, total: progress(done / total)  # noqa: E731
         start = load_and_solve(scenario, catalog, seed=seed, progress=report)
     if as_json:
@@ -133,7 +142,7 @@ def reach(scenario: str, seed: int | None, catalog: Any, as_json: bool) -> None:
     from coopqp.report import planning as report
     from coopqp.report.table import console
 
-    with _bar("looking") as progress:
+    with bar("looking") as progress:
         found = look(read_scenario(scenario, catalog), seed=seed, progress=progress)
     if as_json:
         click.echo(report.reach_json(found))
@@ -149,7 +158,7 @@ def reach(scenario: str, seed: int | None, catalog: Any, as_json: bool) -> None:
     "--out", type=WRITTEN, help="Folder for the path, and for a scenario that follows it."
 )
 @click.option("--keep", multiple=True, metavar="TASK", help="Met all along; more than once.")
-@click.option("--seconds", type=click.FloatRange(0.01, 3600.0), default=10.0, help="At most.")
+@click.option("--seconds", type=_Range(0.01, 3600.0), default=10.0, help="At most.")
 @click.option("--seed", type=click.IntRange(0), help="Of the search, instead of the scenario's.")
 @catalogued
 @JSON
@@ -170,27 +179,20 @@ def plan(
     from coopqp.planning import plan as find
     from coopqp.report import files
     from coopqp.report import planning as report
+    from coopqp.scenario.planned import refuse_phases
 
     loaded = read_scenario(scenario, catalog)
     if out:
+        refuse_phases(loaded)
         files.check_folder(out)
     budget = Budget(seconds=seconds, seed=loaded.seed if seed is None else seed)
-    with _bar("planning") as progress:
+    with bar("planning") as progress:
         found = find(loaded, keep=keep, budget=budget, progress=progress)
     if not found.found:
         raise CoopqpError(found.sentence)
     click.echo(report.plan_json(found)) if as_json else say(found.sentence, aside=False)
     for path in report.write_plan(found, loaded, out) if out else ():
         say(f"wrote {path}", aside=as_json)
-
-
-@contextmanager
-def _bar(name: str) -> Iterator[Callable[[float], None]]:
-    """A progress bar of one search, on a terminal."""
-    from coopqp.report.table import progress_bars
-
-    with progress_bars([name], 1) as progress:
-        yield (lambda share: progress(name, share)) if progress else (lambda share: None)
 
 
 @click.command()
@@ -302,16 +304,6 @@ def compare_on(scenario: Any, controllers: list[str], out: Path | None, *, as_js
         say(f"wrote {path}", aside=False)
 
 
-class _Speed(click.FloatRange):
-    """A share of real time; NaN is in no range."""
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
-        speed = super().convert(value, param, ctx)
-        if math.isnan(speed):
-            self.fail(f"{value} is not in the range {self._describe_range()}.", param, ctx)
-        return speed
-
-
 @click.command()
 @SCENARIO
 @click.option(
@@ -324,7 +316,7 @@ class _Speed(click.FloatRange):
     "--allow-origin", "origins", multiple=True, metavar="URL",
     help="A page that may use this one beside itself, as behind a proxy; more than once.",
 )  # fmt: skip
-@click.option("--speed", type=_Speed(0.05, 4.0), default=1.0, help="Times real time, at first.")
+@click.option("--speed", type=_Range(0.05, 4.0), default=1.0, help="Times real time, at first.")
 @click.option(
     "--record", type=WRITTEN,
     help="Folder for a recording, which coopqp compare replays; written at the end too.",

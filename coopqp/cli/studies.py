@@ -13,6 +13,7 @@ from coopqp.base.reading import absolute
 from coopqp.cli.options import (
     JSON,
     WRITTEN,
+    bar,
     catalogued,
     engined,
     printed_aside,
@@ -103,8 +104,8 @@ def explain(
     TRACE is a trace.csv, or its folder, written by 'coopqp compare --out', or what 'coopqp export'
     made of it.
     """
+    from coopqp.planning import way_round
     from coopqp.report import files, table
-    from coopqp.report.table import progress_bars
     from coopqp.study.explanation import explain_run
     from coopqp.study.trace_file import trace_from_file, worth_explaining
 
@@ -120,9 +121,10 @@ def explain(
         recorded = trace_from_file(run, scenario, controller)
     else:
         recorded = worth_explaining(run, scenario)
-    with progress_bars(["explaining"], 1) as progress:
-        report = (lambda share: progress("explaining", share)) if progress else lambda share: None
+    with bar("explaining") as report:
         explained = explain_run(scenario, recorded, report)
+        beside = run.path.with_name("scenario.yaml")  # recordings of other formats hold theirs
+        explained = way_round(scenario, explained, str(beside) if beside.exists() else "SCENARIO")
     click.echo(table.run_text(explained, absolute(run.path.parent).name, as_json=as_json))
 
 

@@ -3,5 +3,6 @@
 from coopqp.planning.closed_space import Budget as Budget
 from coopqp.planning.plan import Plan as Plan
 from coopqp.planning.plan import plan as plan
+from coopqp.planning.plan import way_round as way_round
 from coopqp.planning.reach import Reach as Reach
 from coopqp.planning.reach import reach as reach

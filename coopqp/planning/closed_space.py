@@ -108,8 +108,7 @@ class ClosedSpace:
         self._others = others(problem)
         levels = Levels([Group((), hard=tasks)], Programs(State(chain)))
         if not levels.compiled or levels.arriving or levels.followed:
-            names = ", ".join(task.name for task in tasks)
-            raise CoopqpError(f"{names}: follows a signal, or is Python's own; needs a fixed goal")
+            raise CoopqpError("\n".join(filter(None, (_unfit(chain, task) for task in tasks))))
         self._engine = found.Planner({
             "model": model,
             "kept": kept_rows(chain),
@@ -176,6 +175,16 @@ class ClosedSpace:
         q = self.chain.q_start
         low = np.where(self.lower > -LARGE, self.lower, q - UNLIMITED)
         return low, np.where(self.upper < LARGE, self.upper, q + UNLIMITED)
+
+
+def _unfit(chain: ClosedChain, task: Task) -> str:
+    """Why a task has no manifold that the kernel knows; empty where it has one."""
+    levels = Levels([Group((), hard=(task,))], Programs(State(chain)))
+    if not levels.compiled:
+        return f"tasks: {task.name}: its rows are Python's, which no search knows; leave it out"
+    if levels.arriving or levels.followed:
+        return f"tasks: {task.name}: its goal moves by a signal or an input; needs a fixed goal"
+    return ""
 
 
 def _jacobians(chain: ClosedChain, tasks: Sequence[Task], t: float, q: Array) -> Array:

@@ -9,19 +9,19 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from coopqp.base.errors import InvalidValueError, UnknownNameError
+from coopqp.base.errors import CoopqpError, InvalidValueError, UnknownNameError
 from coopqp.base.spec import Array
 from coopqp.base.table import csv_text
 from coopqp.base.wording import counted
 from coopqp.controller import ControlProblem
 from coopqp.planning.closed_space import Budget, ClosedSpace, Path
-from coopqp.planning.reach import MOST, Goals, Progress, look
+from coopqp.planning.reach import MOST, Goals, Progress, explained, too_far
 from coopqp.planning.timing import timed
 from coopqp.planning.verification import Verification, Verifier, lengths
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import TURN_COLUMNS, quaternion_of
 from coopqp.study.explanation.goal import Goal, placed
-from coopqp.study.explanation.words import size
+from coopqp.study.explanation.words import RunExplanation, size
 from coopqp.task import Task
 
 #: Largest distance of a path's points: straight lines between them open loops by less than 0.01 mm.
@@ -30,6 +30,10 @@ CLOSE = 0.005
 VERIFIED = 0.01
 #: Goal configurations that are searched for, the nearest to the start of them are planned to.
 GOALS, NEAREST = 48, 12
+#: Goals nearer to a joint's limit are planned to where there are not enough others [rad, m].
+OFF = 0.05
+#: How long an explanation looks for a way round [s].
+TRIED = 2.0
 #: How far a start moves when its loops are closed exactly [rad, m].
 FAR = 1e-3
 #: Loops and tasks that a start is off by less, are closed and met there [m, rad].
@@ -100,6 +104,27 @@ def plan(
     budget = budget or Budget(seed=scenario.seed)
     problem, t = scenario.problem(), scenario.schedule[0].duration
     return Planner(problem, t, keep).plan(budget, goals, progress)
+
+
+def way_round(
+    scenario: Scenario, found: RunExplanation, named: str, seconds: float = TRIED
+) -> RunExplanation:
+    """The explanation of a blocked run, and whether a plan from the start leads to its goal.
+
+    Tried so long, where a configuration is known at the goal and a run may follow a plan. ``named``
+    is what the command line calls the scenario.
+    """
+    if not found.elsewhere or scenario.phases:
+        return found
+    command = f"coopqp plan {named}"
+    try:
+        way = plan(scenario, budget=Budget(seconds=seconds, seed=scenario.seed))
+    except CoopqpError as error:
+        return replace(found, sentence=f"{found.sentence}; {command} cannot help: {error}")
+    took = f"{sum(way.seconds.values()):.2g} s, {way.length:.3g} rad"
+    none = f"no way round was found in {seconds:g} s, which proves nothing"
+    words = f"{command}: {f'a way round was found in {took}' if way.found else none}"
+    return replace(found, sentence=f"{found.sentence}; {words}", way_round=way.found)
 
 
 class Planner:
@@ -182,26 +207,33 @@ class Planner:
         return q
 
     def _goals(self, budget: Budget, given: ArrayLike | None, begun: float) -> tuple[Array, str]:
-        """Goal configurations, the nearest to the start first, or why there are none."""
+        """Goal configurations, the nearest that are off the joints' limits first, or why none."""
         n = self.chain.n
         if given is not None:
             return self._given(np.atleast_2d(np.array(given, float))), ""
-        goals = Goals(self.problem, self._t, budget.seed)
+        if proof := too_far(self.problem, self._t):
+            return np.zeros((0, n)), proof
+        goals, why = Goals(self.problem, self._t, budget.seed), ""
         while len(goals.found) < GOALS and goals.tried < MOST:
             goals.look()
-            if time.perf_counter() - begun > 0.5 * budget.seconds:
+            if (gone := time.perf_counter() - begun) > 0.5 * budget.seconds:
+                why = f"not found in {gone:.1f} s: no goal configuration from {goals.tried} starts"
+                why += "; that proves nothing, more time may do"
                 break
             if goals.found and goals.tried >= MOST // 4:
                 break
         if not goals.found:
-            return np.zeros((0, n)), look(self.problem, self._t, budget.seed).sentence
+            why = why or explained(goals).sentence
+        if not goals.found:
+            return np.zeros((0, n)), why
         found = np.array(goals.found)
         found = found[self._holds(found)]
         away = np.linalg.norm(found - self.chain.q_start, axis=1)
-        near = found[np.argsort(away)[:NEAREST]]
-        return near, "" if len(
-            near
-        ) else "no goal configuration keeps the tasks that are to be kept"
+        room = self.space.room
+        margin = np.minimum(found - room.lower, room.upper - found).min(axis=1, initial=OFF)
+        near = found[np.lexsort((away, margin < OFF))[:NEAREST]]
+        lost = "no goal configuration keeps the tasks that are to be kept"
+        return near, "" if len(near) else lost
 
     def _holds(self, q: Array) -> NDArray[np.bool_]:
         """Whether configurations are on the manifold of the tasks that are kept."""

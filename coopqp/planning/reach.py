@@ -107,7 +107,7 @@ def look(
     if not tasks:
         with under("tasks"):
             raise InvalidValueError("no task asks for a place, so there is nothing to reach")
-    if proof := _too_far(problem, t):
+    if proof := too_far(problem, t):
         return Reach((), True, proof)
     goals = Goals(problem, t, seed)
     for _ in range(MOST // BATCH):
@@ -121,7 +121,7 @@ def look(
         sentence = f"reachable: {counted(len(found), 'configuration')} found"
         ways = f", which bend the arms in {counted(groups, 'way')}"
         return Reach(found, False, sentence + ways, goals.tried)
-    return _explained(goals, progress)
+    return explained(goals, progress)
 
 
 class Goals:
@@ -156,8 +156,11 @@ class Goals:
         self.found += [row.copy() for row in q if not self.goal.missed(row)]
 
 
-def _explained(goals: Goals, progress: Progress) -> Reach:
-    """Nothing was found by Newton steps: ask the searches of explain, which also descend."""
+def explained(goals: Goals, progress: Progress = lambda share: None) -> Reach:
+    """Nothing was found by Newton steps: ask the searches of explain, which also descend.
+
+    What these find is among ``goals.found`` then.
+    """
     goal, space = goals.goal, goals.space
     q = space.chain.q_start
     missed = goal.missed(q)
@@ -225,7 +228,7 @@ def _bends(chain: ClosedChain, found: Sequence[Array]) -> list[str]:
     return [", ".join(label) for label in labels]
 
 
-def _too_far(problem: ControlProblem, t: float) -> str:
+def too_far(problem: ControlProblem, t: float) -> str:
     """The proof that a point's goal is beyond an arm's length; empty where there is none."""
     chain = problem.chain
     start = State(chain)

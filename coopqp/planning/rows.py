@@ -58,33 +58,33 @@ class Bounds:
     safety: float
 
 
+def joint_bounds(of: Scenario | ControlProblem) -> tuple[Array, Array]:
+    """Speeds and accelerations of joints that limits allow, shape (n,) each."""
+    speed, acceleration = of.chain.velocity.copy(), np.full(of.chain.n, np.inf)
+    for limit in of.limits:
+        program = limit.program(of.chain, of.dt)
+        if isinstance(program, JointBounds) and program.of == Bounded.VELOCITY:
+            speed = np.minimum(speed, np.minimum(-program.lower, program.upper))
+        elif isinstance(program, JointBounds) and program.step is not None:
+            acceleration = np.minimum(acceleration, program.step / of.dt)
+    return speed, acceleration
+
+
 def bounds_of(
     scenario: Scenario, torque: float, wrench: tuple[float, float], safety: float
 ) -> Bounds:
     """The bounds of a scenario's robot and limits, of which motors use a share."""
-    chain = scenario.chain
-    speed, acceleration, twist = limited(scenario)
+    chain, twist = scenario.chain, np.full(6, np.inf)
+    speed, acceleration = joint_bounds(scenario)
+    for limit in scenario.limits:
+        program = limit.program(chain, scenario.dt)
+        if isinstance(program, TwistBounds):
+            at = list(program.components)
+            twist[at] = np.minimum(twist[at], program.bounds)
     effort = torque * np.array(chain.model.effortLimit)
     effort[chain.passive] = 0.0
     box = np.repeat(np.array(wrench, float), 3)
     return Bounds(speed, acceleration, effort, twist, box, safety)
-
-
-def limited(problem: ControlProblem | Scenario) -> tuple[Array, Array, Array]:
-    """Speeds and accelerations of joints, and twists of the object, that its limits allow."""
-    chain = problem.chain
-    speed, acceleration = chain.velocity.copy(), np.full(chain.n, np.inf)
-    twist = np.full(6, np.inf)
-    for limit in problem.limits:
-        program = limit.program(chain, problem.dt)
-        if isinstance(program, TwistBounds):
-            at = list(program.components)
-            twist[at] = np.minimum(twist[at], program.bounds)
-        elif isinstance(program, JointBounds) and program.of == Bounded.VELOCITY:
-            speed = np.minimum(speed, np.minimum(-program.lower, program.upper))
-        elif isinstance(program, JointBounds) and program.step is not None:
-            acceleration = np.minimum(acceleration, program.step / problem.dt)
-    return speed, acceleration, twist
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,8 @@ from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.planning.closed_path import smoothed
-from coopqp.planning.rows import limited
-from coopqp.planning.verification import along
+from coopqp.planning.rows import joint_bounds
+from coopqp.planning.verification import along, lengths
 
 #: Where no limit bounds accelerations, the highest speed is there after so long [s].
 TO_SPEED = 0.3
@@ -53,7 +53,7 @@ def timed(problem: ControlProblem, q: Array, allowed: Allowed) -> tuple[Array, A
     s_dot = _speeds(points, SHARE * speed, SHARE * push)
     mean = np.maximum(0.5 * (s_dot[1:] + s_dot[:-1]), 1e-9)
     step = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    t, s = (np.concatenate([[0.0], np.cumsum(x)]) for x in (step / mean, step))
+    s, t = lengths(points), np.concatenate([[0.0], np.cumsum(step / mean)])
     best, least = points[:1], np.inf
     for slower, window in itertools.product(SLOWER, WINDOWS):
         ticks = dt * np.arange(int(np.ceil(slower * t[-1] / dt)) + 1)
@@ -96,8 +96,8 @@ def _opening(chain: ClosedChain, q: Array) -> float:
 
 
 def joint_limits(problem: ControlProblem) -> tuple[Array, Array]:
-    """Speeds and accelerations that the limits of a problem allow, shape (n,) each."""
-    speed, push, _ = limited(problem)
+    """Speeds and accelerations of joints, finite where no limit of the problem bounds them."""
+    speed, push = joint_bounds(problem)
     speed = np.where(np.isfinite(speed) & (speed > 0.0), speed, UNLIMITED)
     return speed, np.where(np.isfinite(push), push, speed / TO_SPEED)
 

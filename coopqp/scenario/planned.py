@@ -37,6 +37,15 @@ class Followed:
     """The file that coopqp plan has written."""
 
 
+def refuse_phases(scenario: Scenario) -> None:
+    """InvalidValueError where a scenario has phases, and no plan can come before its tasks."""
+    if scenario.phases:
+        raise InvalidValueError(
+            "a plan comes before tasks, and this scenario has phases, or a plan, already; "
+            "plan for a scenario without"
+        )
+
+
 def following(scenario: Scenario, path: Path) -> Scenario:
     """The scenario with the plan of a file before its tasks.
 
@@ -44,9 +53,7 @@ def following(scenario: Scenario, path: Path) -> Scenario:
         CoopqpError: the file is none that 'coopqp plan' writes for such a robot and start, or the
             scenario has phases of its own.
     """
-    if scenario.phases:
-        words = "a plan comes before tasks; take it out, or plan for a scenario without phases"
-        raise InvalidValueError(words)
+    refuse_phases(scenario)
     with under("plan"):
         table = read_table(path)
         q = table.take(scenario.chain.joint_names)

@@ -40,8 +40,9 @@ CLOSING = 5
 CLOSED = 1e-6
 WIDENED = "widens the bounds; tighten them by np.maximum(rows.lb, ...), np.minimum(rows.ub, ...)"
 
-#: When the reference is looked at, as shares of its time; away from where motion laws have kinks.
-SHARES = (0.21, 0.43)
+#: When the reference is looked at, as shares of its time; away from where motion laws have kinks,
+#: and with digits enough that no tick of a plan is met, at each of which its reference has one.
+SHARES = (0.2134567, 0.4312345)
 #: Step of the differences, in v's length [rad or m] and in time [s].
 STEP = 1e-6
 #: An error that no goal of arms has, whose differences are lost in rounding [m, rad].

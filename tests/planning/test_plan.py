@@ -14,15 +14,19 @@ from scenario_files import needs_robots
 from side_by_side import needs_kernel
 
 import coopqp
+from coopqp.assessment import assess
 from coopqp.base.errors import CoopqpError
 from coopqp.limits import Obstacles
 from coopqp.planning.closed_space import Budget
-from coopqp.planning.plan import CLOSE, Plan, Planner, plan
+from coopqp.planning.plan import CLOSE, OFF, Plan, Planner, plan, way_round
 from coopqp.planning.reach import reach
 from coopqp.planning.timing import TO_SPEED, joint_limits
 from coopqp.planning.verification import Verifier
+from coopqp.report.planning import write_plan
 from coopqp.scenario.loader import load, load_text
+from coopqp.scenario.planned import SETTLES
 from coopqp.scenario.scenario import Scenario
+from coopqp.study.explanation import RunExplanation, explain_run
 from coopqp.study.explanation.goal import Goal, Room, placed
 from coopqp.tasks import PlaneOnPlane, PointOnPoint
 
@@ -141,6 +145,13 @@ def test_the_second_look_sees_bodies_in_each_other(shelves: Scenario, way: Plan)
     assert "break a limit in space" in seen.words
 
 
+def test_goals_off_the_limits_of_joints_come_before_nearer_ones() -> None:
+    problem = load("tiago_torso").problem()
+    room = Room(problem)
+    end = plan(load("tiago_torso"), budget=AMPLE).q[-1]
+    assert np.minimum(end - room.lower, room.upper - end).min() > OFF
+
+
 def test_a_task_that_is_kept_is_met_all_along() -> None:
     scenario = load("baxter_tray")
     level, carry = scenario.tasks
@@ -212,10 +223,12 @@ def test_plan_and_reach_on_the_command_line(tmp_path: Path) -> None:
 def test_what_cannot_be_planned_is_said_in_a_line_and_nothing_is_written(tmp_path: Path) -> None:
     out = tmp_path / "way"
     for words, says in (
-        (("joint_limit_stress",), "not found from 4096 starts"),
+        (("joint_limit_stress", "--seconds", "600"), "not found from 4096 starts"),
         (("planar_pair", "--keep", "nothing"), "unknown task with a place"),
-        (("pr2_circle",), "needs a fixed goal"),
+        (("pr2_circle",), "error: tasks: round: its goal moves by a signal or an input; needs a"),
+        (("regrasp",), "this scenario has phases"),
         (("planar_pair", "--seconds", "0"), "--seconds"),
+        (("planar_pair", "--seconds", "nan"), "--seconds"),
     ):
         result = typed("plan", *words, "--out", out)
         assert result.exit_code == 2
@@ -226,17 +239,41 @@ def test_what_cannot_be_planned_is_said_in_a_line_and_nothing_is_written(tmp_pat
 def test_a_run_follows_the_plan_and_reaches_what_no_law_does_alone(
     shelves: Scenario, way: Plan, tmp_path: Path
 ) -> None:
-    from coopqp.assessment import assess
-    from coopqp.report.planning import write_plan
-
     alone = coopqp.compare(shelves, controllers=["qp"]).traces["qp"]
     assert not assess(alone).reached
+    _check_way_round(shelves, explain_run(shelves, alone))
     _, path = write_plan(way, shelves, tmp_path)
     scenario = load(path)
     assert [phase.name for phase in scenario.schedule] == ["way", "goal"]
     found = assess(coopqp.compare(scenario, controllers=["qp"]).traces["qp"])
     assert found.reached
     assert found.succeeds
+
+
+def _check_way_round(scenario: Scenario, blocked: RunExplanation) -> None:
+    """The explanation of a blocked run says whether the planner got there in the time it had."""
+    problem = scenario.problem()
+    there = np.array(blocked.elsewhere)
+    assert not Goal(problem.chain, problem.tasks, scenario.duration).missed(there)
+    said = way_round(scenario, blocked, "FILE", seconds=60.0)
+    assert said.way_round
+    assert said.sentence.startswith(f"{blocked.sentence}; coopqp plan FILE: a way round was found")
+    said = way_round(scenario, blocked, "FILE", seconds=1e-9)
+    assert said.way_round is False
+    assert said.sentence.endswith("no way round was found in 1e-09 s, which proves nothing")
+    said = way_round(load("pr2_circle"), blocked, "FILE")
+    assert said.way_round is None
+    assert "coopqp plan FILE cannot help: tasks: round: its goal moves by a signal" in said.sentence
+    assert way_round(load("regrasp"), blocked, "FILE") is blocked  # no run follows a plan there
+
+
+def test_a_plan_shorter_than_a_second_is_read_back(tmp_path: Path) -> None:
+    """A trial of its tasks at a tick, where the reference has a kink, refused all of these."""
+    scenario = load("yeo_4_5")
+    way = plan(scenario, budget=AMPLE)
+    assert way.t[-1] < 1.0
+    _, path = write_plan(way, scenario, tmp_path)
+    np.testing.assert_allclose(load(path).schedule[0].duration, way.t[-1] + SETTLES)
 
 
 @pytest.mark.parametrize(
@@ -252,8 +289,6 @@ def test_a_run_follows_the_plan_and_reaches_what_no_law_does_alone(
 def test_a_broken_plan_is_refused_with_its_line(
     change: Callable[[str], str], says: str, tmp_path: Path
 ) -> None:
-    from coopqp.report.planning import write_plan
-
     scenario = load("planar_pair")
     file, path = write_plan(plan(scenario, budget=AMPLE), scenario, tmp_path)
     assert load(path).schedule[0].duration > 0.5

@@ -68,7 +68,8 @@ def explain(leg: ExplainedPhase, goal: Goal, place: Place, base: RunExplanation)
     if after.missed and not _falls(leg, after):
         if misled := _misled_by_model(leg):
             return base.because("model", misled, tried=True)
-        return base.because("rest", _rests(leg, place, held), held, tried=False)
+        at = tuple(place.q.tolist())
+        return base.because("rest", _rests(leg, place, held), held, tried=False, elsewhere=at)
     return _too_short(leg, goal, after, held, base, slow=slow)
 
 

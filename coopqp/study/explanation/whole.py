@@ -166,6 +166,8 @@ def _blocked(leg: ExplainedPhase, base: RunExplanation, report: Report) -> RunEx
         suggestion = by_geometry(leg, goal, found, report)
         other = found.elsewhere
         more = [words.elsewhere(other, goal.chain)] if other else []
+        if other:
+            base = replace(base, elsewhere=tuple(other.q.tolist()))
         return with_suggestion(base, found.shares, suggestion, *more)
     return _by_geometry(leg, found, base)
 
@@ -187,7 +189,8 @@ def _by_geometry(leg: ExplainedPhase, found: Unreachable, base: RunExplanation) 
     sentence = words.geometry(found, leg.missed, leg.problem.chain, ordered=leg.ordered)
     base = replace(base, sentence="")
     if isinstance(found, Elsewhere):
-        return base.because("elsewhere", sentence, found.shares)
+        at = tuple(found.place.q.tolist())
+        return base.because("elsewhere", sentence, found.shares, elsewhere=at)
     if isinstance(found, Contradiction):
         names = tuple(task.name for task in found.tasks)
         return base.because("contradiction", sentence, tasks=names, any_robot=found.any_robot)

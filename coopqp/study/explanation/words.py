@@ -274,6 +274,8 @@ class RunExplanation:
         distance: to the nearest place [unit of what is missed most].
         way: unit vector from there to the goal, where the task is a point of the world.
         time: that would do, or at which the object was lost [s].
+        elsewhere: joints at the goal inside the limits, where the run does not get there [rad, m].
+        way_round: whether a plan from the start was found; None if none was looked for.
         relaxed: hard and scaled tasks that were not met in full on the way.
     """
 
@@ -291,6 +293,8 @@ class RunExplanation:
     distance: float | None = None
     way: tuple[float, ...] = ()
     time: float | None = None
+    elsewhere: tuple[float, ...] = ()
+    way_round: bool | None = None
     relaxed: tuple[Relaxed, ...] = ()
 
     def because(
