@@ -29,7 +29,7 @@ from coopqp.model.state import Memory, State
 from coopqp.program import Programs
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.equations import ALL_OF_IT
-from coopqp.signal import Trajectory
+from coopqp.signal import InputValues
 
 
 class Limits:
@@ -115,7 +115,8 @@ class Outcome(IntEnum):
     COMES_BACK = 64
 
 
-Bound = tuple[str, Trajectory | None, Array | None, Array | None]
+#: A dictionary, a key, and what is there; None where nothing is.
+Entry = tuple[dict[str, Any], str, object]
 """An input by name, and the arrays of its value and rate that the kernel reads."""
 
 
@@ -177,8 +178,8 @@ class Compiled:
         self._shape = (chain.n,)
         self._heard: list[tuple[str, Array | None, Array | None]] = []
 
-    def bind(self, state: State, memory: Memory, v: Array) -> tuple[Bound, ...] | None:
-        """Bind the arrays of a state, and v (n,) for the answer; returns those of inputs.
+    def bind(self, state: State, memory: Memory, v: Array) -> list[Entry] | None:
+        """Bind the arrays of a state, and v (n,) for the answer; returns where inputs have theirs.
 
         None where one is no place, or a thread is in the middle of a tick.
         """
@@ -200,8 +201,7 @@ class Compiled:
                 return None
             self.engine.bind_reference(primitive, arrays[0], at.RT, arrays[1], at.omega)
             self._heard.append((at.arrives, value, rate))
-        inputs = state.inputs
-        return tuple((name, inputs.get(name), value, rate) for name, value, rate in self._heard)
+        return _arrays_of(state.inputs, self._heard)
 
     @property
     def in_closed_form(self) -> bool:
@@ -259,6 +259,19 @@ class Compiled:
             self.engine.bind_observer(observer.flat())
         self._measured = given, observer
         return True
+
+
+def _arrays_of(
+    inputs: InputValues, heard: Sequence[tuple[str, Array | None, Array | None]]
+) -> list[Entry]:
+    """Where inputs have the arrays that are heard."""
+    found = list[Entry]()
+    for name, value, rate in heard:
+        now = inputs.get(name)
+        found.append((inputs, name, now))
+        if now is not None:
+            found += (vars(now), "value", value), (vars(now), "rate", rate)
+    return found
 
 
 def plain_numbers(*arrays: Array) -> bool:

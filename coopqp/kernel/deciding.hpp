@@ -6,6 +6,7 @@
 #include <cstdlib>
 #include <optional>
 
+#include "bound_state.hpp"
 #include "core/resolved_rate.hpp"
 #include "reading.hpp"
 
@@ -83,10 +84,16 @@ class Engine {
         gap_ = of("gap");
         felt_ = of("felt");
         b.v = of("command");
-        bound_to_ = nb::handle(d["q"]).ptr();
         state_ = d;
         return true;
     }
+
+    // Whose arrays these are, as BoundState has it; nobody's after `let_go`.
+    void bind_owner(nb::object state, nb::dict attributes, nb::list same, nb::list usual) {
+        owner_.emplace(std::move(state), std::move(attributes), std::move(same), std::move(usual));
+    }
+    void let_go() { owner_.reset(); }
+    bool is_bound(nb::handle state) const { return owner_ && owner_->is(state); }
 
     void bind_measured(const Numbers& q) {
         bounds_.q_measured = q.data();
@@ -179,11 +186,13 @@ class Engine {
     double scale() const { return kernel_->scale(); }
 
     // A whole tick, and the step q += v dt of joints that do as told, where it has an answer; not
-    // where the law stands still, or is bound to another q. The tick before has done all of the
-    // drift correction.
-    int step(double t, nb::handle q) {
+    // where the law stands still, is bound to another state, something of it is not usual, or the
+    // tick before has not done all of the drift correction.
+    int step(nb::handle state) {
         const Use use(*this);
-        if (!use.alone || q.ptr() != bound_to_ || waits()) return BUSY;
+        if (!use.alone || !is_bound(state) || !owner_->is_usual() || waits()) return BUSY;
+        if (!(owner_->corrected() >= coopqp::ALL_OF_IT)) return BUSY;
+        const double t = owner_->t();
         const Unlocked unlocked(*kernel_);
         const int status = evaluate(t);
         if (status) return status;
@@ -460,7 +469,7 @@ class Engine {
     nb::dict references_;
     double *q_now_ = nullptr, *v_now_ = nullptr, *commanded_ = nullptr;
     double *stopped_ = nullptr, *J_ext_ = nullptr;
-    PyObject* bound_to_ = nullptr;
+    std::optional<BoundState> owner_;
 };
 
 }  // namespace KERNEL_MODULE

@@ -8,23 +8,20 @@ every other tick: stabilisation in part, acceleration limits that are relaxed.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coopqp.base.spec import Array
 from coopqp.controller import Command, ControlProblem, InternalForceControl, Law
-from coopqp.kernel.compiled import Bound, Compiled, Limits, Outcome, plain_numbers
+from coopqp.kernel.compiled import Compiled, Limits, Outcome, plain_numbers
 from coopqp.kernel.flat import Group
 from coopqp.model.loop_observer import LoopObserver
 from coopqp.model.state import Memory, State
 from coopqp.qp_law.equations import ALL_OF_IT
 from coopqp.qp_law.law import QPLaw, memory_sizes
 from coopqp.qp_law.priorities import Order
-from coopqp.signal import InputValues
 from coopqp.solver import Status
 from coopqp.trace import TickBatch
 
@@ -52,7 +49,8 @@ RESTS = {
 }  # fmt: skip
 IN_A_RUN = {**ALL_WELL, **RESTS}
 AT_ONCE = 1000  # ticks of a run without Python
-NOTHING = (None,) * 5 + ((), None)
+#: Attributes of a state whose objects the kernel is bound to.
+BOUND_TO = "q", "v", "gap", "felt", "memory", "inputs"
 
 
 class KernelLaw(Law):
@@ -96,8 +94,6 @@ class KernelLaw(Law):
         self._takes_turns = self._exact or self.whole.engine.unlocks()
         self._asked = False  # whether the kernel has been asked in this tick
         self._raised: BaseException | None = None  # by code of plug-ins meanwhile
-        self._felt: Array | None = None  # what is bound
-        self._shown: tuple[Any, ...] = NOTHING
 
     @cached_property
     def plain(self) -> QPLaw:
@@ -175,38 +171,26 @@ class KernelLaw(Law):
 
     def step(self, state: State) -> Command:
         """A tick and state.advance in one; by the kernel alone where possible."""
-        inputs = state.inputs
-        seen, q, v, gap, memory, bound, command = self._shown
-        # As _alone and _ready, without their calls, which are 3 % of a tick. To take turns is 5 %;
-        # where the engine keeps the GIL it steps q or nothing.
-        if (
-            state is seen
-            and state.q is q
-            and state.v is v
-            and state.gap is gap
-            and state.memory is memory
-            and state.q_measured is None
-            and state.corrected >= ALL_OF_IT
-            and self._runs
-            and not (inputs.stale or inputs.refused)
-        ):
-            if bound and _others(inputs, bound):
-                return super().step(state)
-            if self._takes_turns:
-                with self._turn:
-                    outcome = self._engine_step(state.t, q)
-                    command.scale = self.whole.engine.scale()
-            else:
-                outcome, command.scale = self._engine_step(state.t, q), 1.0
-            if outcome in ALL_WELL:
-                state.t += self._dt
-                state.jacobians_due = True
-                state.corrected = 1.0
-                self.compiled = True
-                command.drift = 1.0
-                command.causes, command.told = ALL_WELL[outcome], ()
-                return self.with_why(state, command) if outcome else command
-        return super().step(state)
+        if not self._runs:
+            return super().step(state)
+        command, scale = self.command, 1.0
+        # To take turns is 5 % of a tick; where the engine keeps the GIL it steps this or nothing.
+        if self._takes_turns:
+            with self._turn:
+                outcome = self._engine_step(state)
+                if self._exact:
+                    scale = self.whole.engine.scale()
+        else:
+            outcome = self._engine_step(state)
+        if outcome not in ALL_WELL:
+            return super().step(state)
+        state.t += self._dt
+        state.jacobians_due = True
+        state.corrected = 1.0
+        self.compiled = True
+        command.scale, command.drift = scale, 1.0
+        command.causes, command.told = ALL_WELL[outcome], ()
+        return self.with_why(state, command) if outcome else command
 
     def run_starts(
         self, starts: Array, q: Array, v: Array, said: NDArray[np.uint8]
@@ -275,28 +259,16 @@ class KernelLaw(Law):
             return False
         if state.q_measured is None:
             return self._ready(state)
-        if state.felt is not self._felt:
-            self._shown = NOTHING
         reads = self.whole.alone and self.whole.measures(state, self.observer)
         return reads and self._ready(state)
 
     def _ready(self, state: State) -> bool:
         """Whether the kernel may decide at a state; binds arrays that are new to it."""
-        seen, q, v, gap, memory, bound, _ = self._shown
-        if (
-            state is seen
-            and state.q is q
-            and state.v is v
-            and state.gap is gap
-            and state.memory is memory
-            and not (bound and _others(state.inputs, bound))
-        ):
-            return True
-        return self._shows(state)
+        return self.whole.engine.is_bound(state) or self._shows(state)
 
     def _serve(self, state: State) -> None:
         if state is not self._served:
-            self._shown = NOTHING
+            self.whole.engine.let_go()
         super()._serve(state)
 
     def _shows(self, state: State) -> bool:
@@ -306,21 +278,14 @@ class KernelLaw(Law):
             return False
         if memory.sizes != self.memory_sizes:
             state.memory = memory = Memory(self.memory_sizes)
-        self._shown = NOTHING
-        bound = self.whole.bind(state, memory, self.command.v)
-        if bound is None:
+        engine, own, sent = self.whole.engine, vars(state), vars(state.inputs)
+        engine.let_go()
+        arriving = self.whole.bind(state, memory, self.command.v)
+        if arriving is None:
             return False
-        self._felt = state.felt
-        self._shown = (state, state.q, state.v, state.gap, memory, bound, self.command)
+        same = [*((own, name, own[name]) for name in BOUND_TO), *arriving]
+        usual = [(own, "q_measured", None), (sent, "stale", ()), (sent, "refused", ())]
+        engine.bind_owner(state, own, same, usual)
         self._stopped = memory["stopped"]
         self._missed, self._missing = memory["missed"], memory["missing"]
         return True
-
-
-def _others(inputs: InputValues, bound: Sequence[Bound]) -> bool:
-    """Whether inputs have other arrays than those bound, :meth:`Compiled.bind`."""
-    for name, trajectory, value, rate in bound:
-        now = inputs.get(name)
-        if now is not trajectory or (now and (now.value is not value or now.rate is not rate)):
-            return True
-    return False
