@@ -120,8 +120,8 @@ def table(given: list[tuple[str, Scenario]], rounds: int, ticks: int, sleep: flo
                 found["law.step"].append(median(steps(law, ticks, sleep)))
                 found["loop.tick"].append(median(looped))
                 found["recorded"].append(median(loop_ticks(scenario, ticks, sleep, out)))
-                if placo and not sleep:
-                    found["PlaCo"].append(peers.answered(placo, PLACO[name])[0])
+                if placo:
+                    found["PlaCo"].append(peers.answered(placo, PLACO[name], sleep)[0])
             step, loop = found["law.step"], found["loop.tick"]
             ratios = f"{median(loop) / median(step):.1f} ({min(loop) / min(step):.1f})"
             cells = "".join(peers.cell(found[column]) for column in columns)
