@@ -43,7 +43,7 @@ LESS = 1e-3
 #: Rows that lack less than this are met, from twice it on they are not [m/s, rad/s].
 MET = 1e-6
 #: Slope of the cost of t, above the multipliers that it may have, over W.
-ASIDE = 1e2
+ASIDE = 1e3
 
 
 class Nearest:

@@ -21,7 +21,7 @@ constexpr double LITTLE = 0.1;
 constexpr double SLOW = 0.005;
 constexpr double LESS = 0.001;
 constexpr double MET = 1e-06;
-constexpr double ASIDE = 100.0;
+constexpr double ASIDE = 1000.0;
 
 // coopqp.qp_law.level
 constexpr double DECIDED = 1e-07;
