@@ -17,6 +17,7 @@ Source: Chow and Willsky 1984, parity relations; the rest is the statics of a cl
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import combinations
 from typing import Any, NamedTuple
 
@@ -131,6 +132,7 @@ class JointFollowing:
         self._count = self._samples = self._lag = 0
         self._whitened = -self._renew
         self._before: Suspect | None = None
+        self._before_long: Suspect | None = None
         self.suspicious = False
 
     def update(self, state: State, q_c: Array, q_m: Array) -> Suspect | None:
@@ -143,16 +145,22 @@ class JointFollowing:
             return None
         if self._samples - self._whitened >= self._renew:
             self._white, self._whitened = self._whitening(state), self._samples
+        spans = self._spans if self._samples % LONG == 0 else self._spans[:-1]
         if self._quick and self._quick.quiet(self._samples, self._lag, self._white, SUSPICIOUS):
-            self.suspicious, self._before = False, None
-            return None
+            self.suspicious = False
+            return self._agreed(None, 0, spans)
         if stuck := self._stuck():
             return stuck
-        if not (found := self._look(state)):
-            self._before = None
-            return None
-        before, self._before = self._before, found
-        return found if before and set(before.joints) & set(found.joints) else None
+        return self._agreed(*self._look(state, spans), spans)
+
+    def _agreed(self, found: Suspect | None, span: int, spans: Sequence[int]) -> Suspect | None:
+        """What the last look has found, too, or that of the long window, which is a rare one."""
+        long, earlier = self._spans[-1], (self._before, self._before_long)
+        self._before = found
+        if long in spans:
+            self._before_long = found if span == long else None
+        agree = (e and found and set(e.joints) & set(found.joints) for e in earlier)
+        return found if any(agree) else None
 
     def _add(self, q_c: Array, q_m: Array) -> None:
         if self._quick:
@@ -208,10 +216,10 @@ class JointFollowing:
         self._quick.directions(A, SINGULAR, values, U)
         return U, values
 
-    def _look(self, state: State) -> Suspect | None:
-        """The suspect of the shortest window that has one."""
+    def _look(self, state: State, spans: Sequence[int]) -> tuple[Suspect | None, int]:
+        """The suspect of the shortest window that has one, and that window."""
         self.suspicious = False
-        for span in self._spans if self._samples % LONG == 0 else self._spans[:-1]:
+        for span in spans:
             last = self._samples - 1
             first = max(0, last - span)
             r = self._of(self._m, last) - self._of(self._m, first)
@@ -222,8 +230,8 @@ class JointFollowing:
             if self._samples > self._whitened + self._fresh:
                 self._white, self._whitened = self._whitening(state), self._samples
             if found := self._judge(first, last):
-                return found
-        return None
+                return found, span
+        return None, 0
 
     def _clear(self, left: Array, size: float, slope: Array, T: int) -> Any:
         """Whether a joint stands still, or moves backwards, but for what noise leaves."""
