@@ -136,8 +136,8 @@ def test_bodies_that_hold_a_run_are_named_with_their_distance() -> None:
     x, y, z = (like.chain.start_position + np.array([0.0, 0.0, 0.11])).tolist()
     slab = Obstacle(box=(0.4, 0.4, 0.05), position=(x, y, z))
     limits = (*like.limits, Obstacles(shapes={"slab": slab}, bodies=("object",)))
-    leg = next(explained_phases(replace(like, limits=limits), run(like, controller="qp")))
-    room = Room(leg.problem)
+    phase = next(explained_phases(replace(like, limits=limits), run(like, controller="qp")))
+    room = Room(phase.problem)
     corner = next(row for row in limits[-1].rows(like.chain) if "corner" in row.name)
     told = insufficient_time._with_nearest_pair(Share(corner, 1.0), room, like.chain.q_start)
     pose, half = State(like.chain), 0.5 * np.array(like.held.size)
@@ -151,8 +151,8 @@ def test_bodies_that_hold_a_run_are_named_with_their_distance() -> None:
 def test_joint_values_that_are_told_close_the_loops() -> None:
     """To two digits the hands were 13 mm apart."""
     scenario = load("point_on_point")
-    leg = next(explained_phases(scenario, run(scenario, controller="qp")))
-    said = words.start(leg.q[-1], leg.problem.chain)
+    phase = next(explained_phases(scenario, run(scenario, controller="qp")))
+    said = words.start(phase.q[-1], phase.problem.chain)
     arms = dict(part.split(" ", 1) for part in said.split("; "))
     values = {arm: [float(x) for x in text.strip("[]").split(",")] for arm, text in arms.items()}
     q = scenario.robot_model.configuration(values)
