@@ -130,7 +130,10 @@ def test_explain_says_what_was_in_the_way_and_replay_solves_it_again(tmp_path: P
     [
         (["explain", "/no/such"], "cannot be read"),
         (["explain", "point_on_point"], "'coopqp compare point_on_point --out DIR' writes one"),
-        (["explain", "scenarios/my.yaml"], "is no recorded run; 'coopqp compare scenarios/my.yaml"),
+        (
+            ["explain", "scenarios/my.yaml"],
+            "is not a recorded run; 'coopqp compare scenarios/my.yaml",
+        ),
         (["explain", "OUT", "--tick", "99"], "has no tick 99; it has 0 to 9"),
         (
             ["explain", "OUT", "--tick", "3", "--controller", "pseudoinverse"],

@@ -43,8 +43,8 @@ def verdict(found: Assessment, metrics: Mapping[str, Any], unseen: Sequence[str]
 def _arrival(found: Assessment) -> str:
     if found.ended or found.held is False:
         return "reaches no goal"
-    if unheard := not_followed(found):
-        return f"reaches no goal: {unheard}"
+    if unfollowed := not_followed(found):
+        return f"reaches no goal: {unfollowed}"
     if not found.missed and (yielded := _gives_way(found)):
         return yielded
     if not found.missed:
@@ -125,7 +125,7 @@ def not_followed(found: Assessment) -> str:
 
 def _where(found: Assessment, k: int) -> str:
     """What can be seen where task k is missed; ``coopqp explain`` finds out why."""
-    if found.trace.leverage[k] < thresholds.SINGULAR:
+    if found.trace.manipulability[k] < thresholds.SINGULAR:
         return ", at a pose in which the arms can hardly move it that way"
     names = found.at_limits(k)
     return f", with {listed_limits(names)} at the limit" if names else ""
@@ -235,10 +235,10 @@ def _acceleration(found: Assessment) -> str:
         if share >= HARDLY
         else f"{_round(100.0 * (share - 1.0))} % more than"
     )
-    cure = ": add joint_acceleration to limits" if found.acceleration_free else ""
+    advice = ": add joint_acceleration to limits" if found.acceleration_free else ""
     return (
         f"accelerates {worst.joint} by {_amount(worst.value, worst.unit)}, {beyond} what the "
-        f"loop for robots allows{cure}"
+        f"loop for robots allows{advice}"
     )
 
 
@@ -267,8 +267,8 @@ def _gap(metrics: Mapping[str, Any]) -> str:
     if resolved(orientation, thresholds.MODEL_OFF_ANGLE):
         apart.append(f"{_round(1e3 * orientation)} mrad")
     off = position > thresholds.CALIBRATE or orientation > thresholds.CALIBRATE_ANGLE
-    cure = ": calibrate" if off else ""
-    return f"the hands are {_listed(apart)} apart from what the model says{cure}"
+    advice = ": calibrate" if off else ""
+    return f"the hands are {_listed(apart)} apart from what the model says{advice}"
 
 
 def _motors(found: Assessment) -> str:

@@ -36,7 +36,7 @@ SPACING, FEWEST, HALVINGS = 0.05, 12, 5
 FINER = 10
 #: Points that are nearer to the one before only add their rounding [rad, m].
 THINNED = 0.1 * SPACING
-#: A step from point to point, and what projection adds to it, that is no path [rad, m].
+#: A step from point to point, and what projection adds to it, that is not a path [rad, m].
 JUMP, MOVED = 1.5, 0.3
 #: A step beside so much smaller ones is a jump, too.
 UNLIKE = 30.0

@@ -405,8 +405,8 @@ def _broken_limits(scenario: Scenario, places: Places) -> Iterator[Wrong]:
             continue
         rows = set(names_of(limit.rows(scenario.chain)))
         if twice := sorted(rows & taken):
-            cure = TELL_APART if hasattr(limit, "name") else "leave one of them out"
-            yield Wrong(["limits", i], f"another limit has a row '{twice[0]}' too; {cure}")
+            advice = TELL_APART if hasattr(limit, "name") else "leave one of them out"
+            yield Wrong(["limits", i], f"another limit has a row '{twice[0]}' too; {advice}")
         taken |= rows
     # Joints that would brake for a bound behind the one that they must not pass.
     margin = max((k.margin for k in scenario.limits if isinstance(k, JointPosition)), default=0.0)

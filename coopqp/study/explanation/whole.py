@@ -72,8 +72,8 @@ def _explained(
     suspect = phase.missed or torn or found.held is False
     if suspect and (gone := lost(phase, base)):
         return gone
-    if unheard := not_followed(found):
-        return base.because("input", f"no goal counts as reached: {unheard}")
+    if unfollowed := not_followed(found):
+        return base.because("input", f"no goal counts as reached: {unfollowed}")
     if torn and not phase.missed:
         why = f"no goal counts as reached: the loop came open by {loop_words(found)} on the way"
         return base.because("open", why)
