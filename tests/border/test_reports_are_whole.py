@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from command_line import typed
+from command_line import refused, typed
 from scenario_files import cut
 
 import coopqp
@@ -45,9 +45,8 @@ def test_files_of_an_earlier_report_do_not_stay(comparison: Comparison, tmp_path
 
 def test_a_folder_in_the_way_is_said_before_the_run(tmp_path: Path) -> None:
     (tmp_path / "metrics.json").mkdir()
-    result = typed("compare", "point_on_point", "--out", tmp_path)
-    assert result.exit_code == 2
-    assert "metrics.json' is a folder, but a file is to be written there" in result.stderr
+    said = refused("compare", "point_on_point", "--out", tmp_path)
+    assert "metrics.json' is a folder, but a file is to be written there" in said
 
 
 def test_a_page_that_cannot_be_drawn_takes_nothing_else_along(

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_line import typed
+from command_line import refused, typed
 
 from coopqp.execution.controller_run import run
 from coopqp.scenario.loader import load
@@ -253,16 +253,14 @@ def test_a_port_that_is_taken_is_one_line() -> None:
 )
 def test_what_cannot_be_played_is_one_line(words: list[str], said: str) -> None:
     pytest.importorskip("viser", reason="needs coopqp[viewer]")
-    result = typed("play", "point_on_point", *words)
-    assert result.exit_code == 2
-    assert said in result.stderr
-    assert len([x for x in result.stderr.splitlines() if not x.startswith("note:")]) == 1
+    told = refused("play", "point_on_point", *words)
+    assert said in told
+    assert len([x for x in told.splitlines() if not x.startswith("note:")]) == 1
 
 
 def test_a_speed_that_is_no_number_is_refused() -> None:
-    result = typed("play", "point_on_point", "--port", "0", "--speed", "nan")
-    assert result.exit_code == 2
-    assert "'--speed': nan is not in the range 0.05<=x<=4.0" in result.stderr
+    said = refused("play", "point_on_point", "--port", "0", "--speed", "nan")
+    assert "'--speed': nan is not in the range 0.05<=x<=4.0" in said
 
 
 @pytest.mark.parametrize("there", ["scenario.yaml", "inputs/target.csv"])
@@ -270,10 +268,9 @@ def test_a_session_that_is_there_is_left_alone(there: str, tmp_path: Path) -> No
     pytest.importorskip("viser", reason="needs coopqp[viewer]")
     (tmp_path / there).parent.mkdir(exist_ok=True)
     (tmp_path / there).write_text("mine")
-    result = typed("play", "point_on_point", "--port", "0", "--record", str(tmp_path))
-    assert result.exit_code == 2
+    said = refused("play", "point_on_point", "--port", "0", "--record", str(tmp_path))
     words = "holds a session already; name another folder"
-    assert result.stderr == f"error: --record: '{tmp_path}' {words}\n"
+    assert said == f"error: --record: '{tmp_path}' {words}\n"
     assert (tmp_path / there).read_text() == "mine"
 
 
@@ -291,6 +288,5 @@ def test_without_viser_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> No
     from coopqp.viewer import play
 
     monkeypatch.setattr(play.importlib.util, "find_spec", lambda name: None)
-    result = typed("play", "point_on_point")
-    assert result.exit_code == 2
-    assert result.stderr == "error: coopqp play needs: pip install 'coopqp[viewer]'\n"
+    said = refused("play", "point_on_point")
+    assert said == "error: coopqp play needs: pip install 'coopqp[viewer]'\n"
