@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -14,6 +15,7 @@ import pytest
 from command_line import refused_in_one_line, typed
 from explained import ADVICE, REACH, advice, explained, gap, nao, nearest, of_case
 from laws import LIMITS, STEP
+from own_task import Own
 from ruamel.yaml import YAML
 from scenario_files import HEAD, PHASES, TAIL, phased
 
@@ -35,6 +37,7 @@ from coopqp.solver import Budget
 from coopqp.study.explanation import explain_run, insufficient_time, words
 from coopqp.study.explanation.explained_phase import _Wider, explained_phases
 from coopqp.study.explanation.goal import Room, Share
+from coopqp.task import TaskRows
 from coopqp.tasks import Twist
 
 # Speed, time, budget
@@ -283,3 +286,16 @@ def test_damaged_traces_are_refused_in_one_line(damage: str, written: Path, tmp_
     said = refused_in_one_line("explain", out)
     assert str(trace) in said
     assert "damaged" in said or "is not a trace.csv" in said
+
+
+def test_rows_that_python_fills_are_named_with_what_they_take() -> None:
+    """As the law for robots says of the same problem."""
+
+    def write(state: State, rows: TaskRows) -> None:
+        rows.e[0], rows.J[0] = state.p_WO[2] - 0.05, state.J_task[2]
+
+    scenario = replace(load("point_on_point"), limits=LIMITS)
+    assert "Python" not in explained(scenario).sentence
+    mine = Own(name="mine", write=write, priority=1)
+    said = r"the rows of mine are computed in Python, [1-9]\d* us of a tick"
+    assert re.search(said, explained(replace(scenario, tasks=(*scenario.tasks, mine))).sentence)
