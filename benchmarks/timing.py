@@ -32,8 +32,8 @@ from coopqp.execution.controller_run import run
 from coopqp.grasp import SAFETY
 from coopqp.model.profile import Profile
 from coopqp.planning.closed_path import Loops
-from coopqp.planning.passes import Passes, Share, Stuck
-from coopqp.planning.rows import RowMaker, Rows
+from coopqp.planning.forward_backward_pass import Passes, Share, Stuck
+from coopqp.planning.path_constraints import RowMaker, Rows
 from coopqp.planning.time_along import TimedPath, time_along
 from coopqp.plant import Disturbance
 from coopqp.plants import Mujoco
@@ -77,13 +77,13 @@ class Result:
     seconds: float
 
 
-def seconds(rows: Rows) -> tuple[float, Array]:
-    """Duration and x of one pair of passes; NaN where there is none."""
+def seconds(rows: Rows) -> float:
+    """Duration of one pair of passes; NaN where there is none."""
     try:
-        x = Passes(rows, np.ones(rows.Rc.shape), np.ones(len(rows.s))).profile().x
+        found = Passes(rows, np.ones(rows.R[2].shape), np.ones(len(rows.s))).profile()
     except Stuck:
-        return np.nan, np.zeros(0)
-    return float((2.0 * np.diff(rows.s) / (np.sqrt(x[1:]) + np.sqrt(x[:-1]))).sum()), x
+        return np.nan
+    return float(found.t[-1])
 
 
 def shared(rows: Rows, weighted: bool) -> Rows:
@@ -91,38 +91,38 @@ def shared(rows: Rows, weighted: bool) -> Rows:
     nothing = rows.Rl[:, :, :0]
     if not weighted:
         return replace(rows, Rl=nothing)
-    motors = np.flatnonzero((rows.kinds == "torque") & (rows.size > 0.0))
-    R = rows.Rl[:, motors] / rows.size[motors, None]
+    size = rows.maker.size
+    motors = np.flatnonzero((rows.maker.kinds == "torque") & (size > 0.0))
+    R = rows.Rl[:, motors] / size[motors, None]
     to_wrench = -np.linalg.pinv(R)
     made = []
-    for part in (rows.Ru, rows.Rx, rows.Rc):
-        scaled = part[:, motors] / rows.size[motors]
+    for part in rows.R:
+        scaled = part[:, motors] / size[motors]
         lam = (to_wrench @ scaled[:, :, None])[..., 0]
         made.append(part + (rows.Rl @ lam[:, :, None])[..., 0])
-    return replace(rows, Ru=made[0], Rx=made[1], Rc=made[2], Rl=nothing)
+    return replace(rows, R=np.array(made), Rl=nothing)
 
 
 def exceeded(found: TimedPath) -> float:
     """Largest use of a limit at the finer places, by rows that are made there."""
-    count = FINER + 1
-    part = np.linspace(0.0, 1.0, count)
-    s = (found.s[:-1, None] + np.diff(found.s)[:, None] * part).ravel()
-    rows = found.maker.at(s)
-    u = np.repeat(found.u, count)
-    x = ((1.0 - part) * found.x[:-1, None] + part * found.x[1:, None]).ravel()
-    speed = np.abs(rows.rates) * np.sqrt(np.maximum(x, 0.0))[:, None] / rows.speeds
-    force, _ = Share(rows).of_all(u, x, 1.0)
-    quick = rows.kinds == "acceleration"
-    a = np.abs(rows.Ru[:, quick] * u[:, None] + rows.Rx[:, quick] * x[:, None]) / rows.size[quick]
-    return float(max(speed.max(), force.max(), a.max(initial=0.0)))
+    part, way = np.linspace(0.0, 1.0, FINER + 1), found.profile
+    s = (way.s[:-1, None] + np.diff(way.s)[:, None] * part).ravel()
+    rows, u = found.maker.at(s), np.repeat(way.u, len(part))
+    x = np.maximum((1.0 - part) * way.x[:-1, None] + part * way.x[1:, None], 0.0).ravel()
+    speed = np.abs(rows.rates) * np.sqrt(x)[:, None] / found.maker.speeds
+    share = Share(rows)
+    force = max(share.of(i, u[i], x[i])[0] for i in range(len(s)))
+    quick = found.maker.kinds == "acceleration"
+    a = np.abs(rows.felt(u, x)[:, quick]) / found.maker.size[quick]
+    return float(max(speed.max(), force, a.max(initial=0.0)))
 
 
 def by_toppra(rows: Rows, python: str) -> float:
     """Duration by toppra with the same rows."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "rows.npz"
-        lo, up = rows.lo_up(np.ones(rows.Rc.shape))
-        np.savez(file, s=rows.s, a=rows.Ru, b=rows.Rx, lo=lo, up=up, x_max=rows.x_max)
+        lo, up = rows.lo_up(np.ones(rows.R[2].shape))
+        np.savez(file, s=rows.s, a=rows.R[0], b=rows.R[1], lo=lo, up=up, x_max=rows.x_max)
         done = subprocess.run(
             [python, str(TOPPRA), str(file)], check=True, capture_output=True, text=True
         )
@@ -138,14 +138,14 @@ def measured(robot: str, torque: float, seed: int, python: str) -> Result:
     took = time.process_time() - begun
     bounds = replace(whole.maker.bounds, wrench=np.full(6, UNBOUND))
     maker = RowMaker(whole.path, bounds)
-    rows = maker.at(whole.s)
-    free, _ = seconds(rows)
+    rows = maker.at(whole.profile.s)
+    free = seconds(rows)
     weighted = shared(rows, weighted=True)
     places = np.random.default_rng(seed).uniform(0.0, whole.path.length, 1000)
     gaps = Loops(scenario.chain).gaps(whole.path.spline(places))
     return Result(
-        robot, seed, free, seconds(weighted)[0],
-        seconds(shared(rows, weighted=False))[0],
+        robot, seed, free, seconds(weighted),
+        seconds(shared(rows, weighted=False)),
         by_toppra(weighted, python) if python else np.nan,
         whole, exceeded(whole), float(gaps[:, 0].max()), took,
     )  # fmt: skip

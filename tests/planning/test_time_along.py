@@ -96,7 +96,7 @@ def test_each_moment_is_the_derivative_of_the_one_before() -> None:
     found = nao(1)
     h = 1e-5
     for t in np.linspace(0.1, 0.9, 7) * found.duration:
-        if np.any(np.abs(found.t - t) < 2 * h):
+        if np.any(np.abs(found.profile.t - t) < 2 * h):
             continue
         before, now, after = (found.at(t + dt) for dt in (-h, 0.0, h))
         np.testing.assert_allclose((after.q - before.q) / (2 * h), now.v, atol=2e-4)

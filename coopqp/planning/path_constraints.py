@@ -48,6 +48,7 @@ class Bounds:
         twist: of the object's components in world axes, shape (6,) [m/s, rad/s].
         wrench: largest component of the internal wrench of each hand, shape (6,) [N, N m].
         safety: by which friction is divided.
+        forces: False where speeds and accelerations alone are looked at.
     """
 
     speed: Array
@@ -55,7 +56,8 @@ class Bounds:
     torque: Array
     twist: Array
     wrench: Array
-    safety: float
+    safety: float = 1.0
+    forces: bool = True
 
 
 def joint_bounds(of: Scenario | ControlProblem) -> tuple[Array, Array]:
@@ -71,13 +73,13 @@ def joint_bounds(of: Scenario | ControlProblem) -> tuple[Array, Array]:
 
 
 def bounds_of(
-    scenario: Scenario, torque: float, wrench: tuple[float, float], safety: float
+    of: Scenario | ControlProblem, torque: float, wrench: tuple[float, float], safety: float
 ) -> Bounds:
-    """The bounds of a scenario's robot and limits, of which motors use a share."""
-    chain, twist = scenario.chain, np.full(6, np.inf)
-    speed, acceleration = joint_bounds(scenario)
-    for limit in scenario.limits:
-        program = limit.program(chain, scenario.dt)
+    """The bounds of a robot and of limits, of which motors use a share."""
+    chain, twist = of.chain, np.full(6, np.inf)
+    speed, acceleration = joint_bounds(of)
+    for limit in of.limits:
+        program = limit.program(chain, of.dt)
         if isinstance(program, TwistBounds):
             at = list(program.components)
             twist[at] = np.minimum(twist[at], program.bounds)
@@ -92,35 +94,29 @@ class Rows:
     """The rows at N places.
 
     Attributes:
+        maker: of what is the same at all of them.
         s: the places, shape (N,).
         along: the path there.
-        Ru, Rx, Rc: shape (N, r); Rl, shape (N, r, m). Rc is what is there at rest.
-        names: such as "torque of elbow"; joints: those of the chain.
-        kinds: "acceleration", "torque", "wrench" or "contact", by row.
-        size: of what bounds a row, shape (r,); lo = -size - Rc (-inf at contacts), up = size - Rc.
-        unit: what a row's use is counted in, shape (r,): its size, at contacts the weight [N].
-        rates: of joints and of the object by s, (N, n + 6), which speeds bound, shape (n + 6,).
+        R: by u, by x and at rest, shape (3, N, r); Rl, shape (N, r, m).
+        rates: of joints and of the object by s, (N, n + 6), which speeds bound.
     """
 
+    maker: RowMaker
     s: Array
     along: Along
-    Ru: Array
-    Rx: Array
-    Rc: Array
+    R: Array
     Rl: Array
-    names: tuple[str, ...]
-    joints: tuple[str, ...]
-    kinds: Array
-    size: Array
-    unit: Array
     rates: Array
-    speeds: Array
+
+    def felt(self, u: Array, x: Array) -> Array:
+        """The rows' left sides without lambda, shape (N, r), for u and x of shape (N,)."""
+        return np.asarray(self.R[0] * u[:, None] + self.R[1] * x[:, None] + self.R[2])
 
     @property
     def x_max(self) -> Array:
         """Largest x that the speeds allow, shape (N,); finite where a joint stands still, too."""
         with np.errstate(divide="ignore", invalid="ignore"):
-            most = np.square(self.speeds / np.abs(self.rates)).min(axis=1)
+            most = np.square(self.maker.speeds / np.abs(self.rates)).min(axis=1)
         finite = most[np.isfinite(most)]
         usual = float(np.median(finite)) if len(finite) else 1.0
         return np.asarray(np.fmin(most, FASTEST * usual), float)
@@ -132,32 +128,33 @@ class Rows:
         """
         from scipy.interpolate import CubicSpline  # nobody else waits for it
 
-        kept = self.Ru, self.Rx, self.Rc, self.Rl, self.rates
-        flat = np.hstack([part.reshape(len(self.s), -1) for part in kept])
         share = np.linspace(0.0, 1.0, count)
         s = (self.s[:-1, None] + np.diff(self.s)[:, None] * share).ravel()
-        found, parts, at = CubicSpline(self.s, flat)(s), [], 0
-        for part in kept:
-            size = part[0].size
-            parts.append(
-                np.ascontiguousarray(found[:, at : at + size]).reshape(len(s), *part.shape[1:])
-            )
-            at += size
-        Ru, Rx, Rc, Rl, rates = parts
-        return replace(self, s=s, Ru=Ru, Rx=Rx, Rc=Rc, Rl=Rl, rates=rates)
-
-    @property
-    def two_sided(self) -> Array:
-        return np.asarray(self.kinds != "contact")
+        kept = *self.R, self.Rl, self.rates
+        flat = CubicSpline(self.s, np.hstack([part.reshape(len(self.s), -1) for part in kept]))(s)
+        cuts = np.cumsum([part[0].size for part in kept])[:-1]
+        *R, Rl, rates = np.split(flat, cuts, axis=1)
+        return replace(
+            self, s=s, R=np.array(R), Rl=Rl.reshape(len(s), *self.Rl.shape[1:]), rates=rates
+        )
 
     def lo_up(self, share: Array) -> tuple[Array, Array]:
         """Lower and upper ends, shape (N, r), with the bounds times a share."""
-        size = self.size - (1.0 - share) * self.unit
-        return np.where(self.two_sided, -size, -np.inf) - self.Rc, size - self.Rc
+        made = self.maker
+        size = made.size - (1.0 - share) * made.unit
+        return np.where(made.two_sided, -size, -np.inf) - self.R[2], size - self.R[2]
 
 
 class RowMaker:
     """Makes the rows of one path at any places.
+
+    Attributes:
+        names: such as "torque of elbow".
+        kinds: "acceleration", "torque", "wrench" or "contact", by row.
+        size: of what bounds a row, shape (r,): it is in +- size, at contacts below it.
+        unit: what a row's use is counted in, shape (r,): its size, at contacts the weight [N].
+        speeds: largest rates of joints and of the object, shape (n + 6,).
+        kept: rows of the loops whose wrench is free; none where its box is of no size.
 
     Raises:
         InvalidValueError: nothing bounds the speed of a motor.
@@ -171,11 +168,13 @@ class RowMaker:
         shares = dict.fromkeys(holders, 1.0 / self.arms)
         self.dynamics = ClosedLoopDynamics(chain, shares=shares)
         self.kept = np.array(chain.loops.kept, int)
+        if not bounds.wrench.any():
+            self.kept = self.kept[:0]
         self.loops = Loops(chain, self.dynamics.model)
         self._limited = np.flatnonzero(np.isfinite(bounds.torque))
         self._quick = np.flatnonzero(np.isfinite(bounds.acceleration))
         names = chain.joint_names
-        self._cones = _Cones(chain, bounds.safety)
+        self._cones = _Cones(chain, bounds)
         self.names = (
             *(f"acceleration of {names[j]}" for j in self._quick),
             *(f"torque of {names[j]}" for j in self._limited),
@@ -188,6 +187,7 @@ class RowMaker:
             bounds.acceleration[self._quick], bounds.torque[self._limited],
             bounds.wrench[self.kept % 6], self._cones.most,
         ])  # fmt: skip
+        self.two_sided = self.kinds != "contact"
         weight = chain.held.body().mass * float(np.linalg.norm(chain.model.gravity.linear))
         self.unit = np.where(self.kinds == "contact", max(weight, 1.0), self.size)
         self.speeds = np.concatenate([bounds.speed, bounds.twist])
@@ -203,25 +203,29 @@ class RowMaker:
         a, b, c = self.torques(along)
         J = relative(along.moved.J)[:, self.kept]
         N, m, at, quick = len(s), J.shape[1], self._limited, self._quick
-        nothing, free = np.zeros((N, len(quick))), np.zeros((N, m))
+        nothing, free = np.zeros_like(along.q), np.zeros((N, m))
         cones = self._cones.at(self.dynamics, along, self.kept)
         twist = (along.moved.J[:, 0] @ along.dq[:, :, None])[..., 0]
+        felt = [
+            np.hstack([by_joint[:, quick], tau[:, at], free, cone])
+            for by_joint, tau, cone in zip(
+                (along.dq, along.ddq, nothing), (a, b, c), cones[:3], strict=True
+            )
+        ]
+        by_wrench = [
+            np.zeros((N, len(quick), m)), -J.transpose(0, 2, 1)[:, at],
+            np.tile(np.eye(m), (N, 1, 1)), cones[3],
+        ]  # fmt: skip
         return Rows(
-            s, along,
-            np.hstack([along.dq[:, quick], a[:, at], free, cones[0]]),
-            np.hstack([along.ddq[:, quick], b[:, at], free, cones[1]]),
-            np.hstack([nothing, c[:, at], free, cones[2]]),
-            np.concatenate([
-                np.zeros((N, len(quick), m)), -J.transpose(0, 2, 1)[:, at],
-                np.tile(np.eye(m), (N, 1, 1)), cones[3],
-            ], axis=1),
-            self.names, self.chain.joint_names, self.kinds, self.size, self.unit,
-            np.hstack([along.dq, twist]), self.speeds,
+            self, s, along, np.array(felt), np.concatenate(by_wrench, axis=1),
+            np.hstack([along.dq, twist]),
         )  # fmt: skip
 
     def torques(self, along: Along) -> tuple[Array, Array, Array]:
         """a, b and c of the tree's torques, each (N, n)."""
-        found = np.empty((3, *along.q.shape))
+        found = np.zeros((3, *along.q.shape))
+        if not self.bounds.forces:
+            return found[0], found[1], found[2]
         model, data, nothing = self.dynamics.model, self.loops.data, np.zeros(along.q.shape[1])
         for k, (q, dq, ddq) in enumerate(zip(along.q, along.dq, along.ddq, strict=True)):
             found[2, k] = pin.rnea(model, data, q, nothing, nothing)
@@ -234,16 +238,16 @@ class RowMaker:
 class _Cones:
     """What hands that press keep, as rows on (u, x, lambda)."""
 
-    def __init__(self, chain: ClosedChain, safety: float) -> None:
+    def __init__(self, chain: ClosedChain, bounds: Bounds) -> None:
         self._each: list[tuple[int, Array]] = []
         names: list[str] = []
         most: list[Array] = [np.zeros(0)]
         self._hands = hands(chain)
         self._body = chain.held.body()
         for i, hand in enumerate(self._hands):
-            if not hand.contact:
+            if not (hand.contact and bounds.forces):
                 continue
-            found = hand.contact.force_rows(safety)
+            found = hand.contact.force_rows(bounds.safety)
             R, p = hand.X_OC.rotation, hand.X_OC.translation
             turn = np.zeros((6, 6))  # from the wrench at the origin, O's axes, to the contact's
             turn[:3, :3], turn[3:, 3:], turn[3:, :3] = R.T, R.T, -R.T @ pin.skew(p)
