@@ -17,6 +17,7 @@ The bounds of lambda are rows, too.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -72,17 +73,23 @@ def joint_bounds(of: Scenario | ControlProblem) -> tuple[Array, Array]:
     return speed, acceleration
 
 
-def bounds_of(
-    of: Scenario | ControlProblem, torque: float, wrench: tuple[float, float], safety: float
-) -> Bounds:
-    """The bounds of a robot and of limits, of which motors use a share."""
-    chain, twist = of.chain, np.full(6, np.inf)
-    speed, acceleration = joint_bounds(of)
+def twist_bounds(of: Scenario | ControlProblem) -> Array:
+    """Components of the object's speed that limits allow, shape (6,)."""
+    twist = np.full(6, np.inf)
     for limit in of.limits:
-        program = limit.program(chain, of.dt)
+        program = limit.program(of.chain, of.dt)
         if isinstance(program, TwistBounds):
             at = list(program.components)
             twist[at] = np.minimum(twist[at], program.bounds)
+    return twist
+
+
+def bounds_of(
+    scenario: Scenario, torque: float, wrench: tuple[float, float], safety: float
+) -> Bounds:
+    """The bounds of a robot and of limits, of which motors use a share."""
+    chain, twist = scenario.chain, twist_bounds(scenario)
+    speed, acceleration = joint_bounds(scenario)
     effort = torque * np.array(chain.model.effortLimit)
     effort[chain.passive] = 0.0
     box = np.repeat(np.array(wrench, float), 3)
@@ -187,8 +194,9 @@ class RowMaker:
             bounds.acceleration[self._quick], bounds.torque[self._limited],
             bounds.wrench[self.kept % 6], self._cones.most,
         ])  # fmt: skip
+        self._body = chain.held.body()
         self.two_sided = self.kinds != "contact"
-        weight = chain.held.body().mass * float(np.linalg.norm(chain.model.gravity.linear))
+        weight = self._body.mass * float(np.linalg.norm(chain.model.gravity.linear))
         self.unit = np.where(self.kinds == "contact", max(weight, 1.0), self.size)
         self.speeds = np.concatenate([bounds.speed, bounds.twist])
         if not (np.isfinite(self.speeds).any() or counts[0] or counts[1] > len(chain.passive)):
@@ -204,7 +212,7 @@ class RowMaker:
         J = relative(along.moved.J)[:, self.kept]
         N, m, at, quick = len(s), J.shape[1], self._limited, self._quick
         nothing, free = np.zeros_like(along.q), np.zeros((N, m))
-        cones = self._cones.at(self.dynamics, along, self.kept)
+        cones = self._cones.at(self.loads, along, self.kept)
         twist = (along.moved.J[:, 0] @ along.dq[:, :, None])[..., 0]
         felt = [
             np.hstack([by_joint[:, quick], tau[:, at], free, cone])
@@ -234,6 +242,18 @@ class RowMaker:
         found[:2] -= found[2]
         return found[0], found[1], found[2]
 
+    def loads(self, along: Along) -> Array:
+        """What moves the object for u, for x and at rest, at its origin, shape (3, N, 6)."""
+        found, still = np.empty((3, len(along.q), 6)), pin.Motion.Zero()
+        for k, (R, J) in enumerate(zip(along.moved.R[:, 0], along.moved.J[:, 0], strict=True)):
+            body = pin.SE3(R, np.zeros(3)).act(self._body)
+            spin, turning = still.copy(), J @ along.ddq[k] + along.drift[k, 0]
+            spin.angular = J[3:] @ along.dq[k]
+            found[0, k] = (body * pin.Motion(J @ along.dq[k])).vector
+            found[1, k] = (body * pin.Motion(turning) + spin.cross(body * spin)).vector
+            found[2, k] = (body * -self.dynamics.model.gravity).vector
+        return found
+
 
 class _Cones:
     """What hands that press keep, as rows on (u, x, lambda)."""
@@ -243,7 +263,6 @@ class _Cones:
         names: list[str] = []
         most: list[Array] = [np.zeros(0)]
         self._hands = hands(chain)
-        self._body = chain.held.body()
         for i, hand in enumerate(self._hands):
             if not (hand.contact and bounds.forces):
                 continue
@@ -257,13 +276,13 @@ class _Cones:
         self.names, self.most = tuple(names), np.concatenate(most)
 
     def at(
-        self, dynamics: ClosedLoopDynamics, along: Along, kept: Array
+        self, loads: Callable[[Along], Array], along: Along, kept: Array
     ) -> tuple[Array, Array, Array, Array]:
         """Ru, Rx, Rc, each (N, r), and Rl, (N, r, m)."""
         N, m = len(along.q), len(kept)
         if not self._each:
             return (*np.zeros((3, N, 0)), np.zeros((N, 0, m)))
-        w = self._wrenches(dynamics, along)
+        w = loads(along)
         R, count = along.moved.R[:, 0], len(self._hands)
         parts = []
         for i, rows in self._each:
@@ -278,15 +297,3 @@ class _Cones:
             parts.append((*shared, turned @ split[:, kept]))
         u, x, c, lam = (np.concatenate(found, axis=1) for found in zip(*parts, strict=True))
         return u, x, c, lam
-
-    def _wrenches(self, dynamics: ClosedLoopDynamics, along: Along) -> tuple[Array, Array, Array]:
-        """What the object needs for u, for x and at rest, at its origin, each (N, 6)."""
-        found, still = np.empty((3, len(along.q), 6)), pin.Motion.Zero()
-        for k, (R, J) in enumerate(zip(along.moved.R[:, 0], along.moved.J[:, 0], strict=True)):
-            body = pin.SE3(R, np.zeros(3)).act(self._body)
-            spin, turning = still.copy(), J @ along.ddq[k] + along.drift[k, 0]
-            spin.angular = J[3:] @ along.dq[k]
-            found[0, k] = (body * pin.Motion(J @ along.dq[k])).vector
-            found[1, k] = (body * pin.Motion(turning) + spin.cross(body * spin)).vector
-            found[2, k] = (body * -dynamics.model.gravity).vector
-        return found[0], found[1], found[2]

@@ -24,7 +24,10 @@ from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.reading import open_bytes
 from coopqp.base.spec import Array, array
 from coopqp.base.table import csv_text, read_table
+from coopqp.closed_loop.grasp_matrix import COMPONENTS, moved, section
+from coopqp.closed_loop.hands import hands, points
 from coopqp.grasp import SAFETY
+from coopqp.model.closed_chain import ClosedChain
 from coopqp.planning.closed_path import FINER, STILL, ClosedPath, closed_path, relative
 from coopqp.planning.forward_backward_pass import FORCE, Passes, Profile, Share, Stuck, program
 from coopqp.planning.path_constraints import AXES, RowMaker, Rows, bounds_of
@@ -64,8 +67,8 @@ class Moment(NamedTuple):
         s: where on the path, and q, v, a: shape (n,) [rad, rad/s, rad/s2; m].
         p_WO, R_WO: pose of the object.
         tau: of the motors, 0 at passive joints, shape (n,) [N m, N].
-        internal: wrench of each hand on the object that cancels, shape (A, 6), at the object's
-            origin, world axes [N, N m].
+        load: wrench that moves the object, shape (6,), and internal: what of each hand's wrench
+            cancels, shape (A, 6), both at the object's origin, world axes [N, N m].
     """
 
     s: float
@@ -75,7 +78,18 @@ class Moment(NamedTuple):
     p_WO: Array
     R_WO: Array
     tau: Array
+    load: Array
     internal: Array
+
+    def section(self, chain: ClosedChain) -> Array:
+        """Squeeze, shear, twist and bend between two hands that share the load alike, (6,)."""
+        pair = hands(chain)
+        at = points(pair, self.p_WO, self.R_WO)
+        at_hands = [
+            moved(0.5 * self.load + part, self.p_WO, place)
+            for part, place in zip(self.internal, at, strict=True)
+        ]
+        return section(*at).of(np.array(at_hands))
 
 
 @dataclass(frozen=True, repr=False)
@@ -130,12 +144,12 @@ class TimedPath:
         ]
 
     def where(self, t: float) -> tuple[float, float, float]:
-        """s, sdot and sddot at a time [s]; at rest before the path and after it."""
+        """s, sdot and sddot at a time [s]; at rest before the path, and from its end on."""
         s, x, u, times = self.profile.s, self.profile.x, self.profile.u, self.profile.t
         i = min(max(int(np.searchsorted(times, t, side="right")) - 1, 0), len(u) - 1)
         since, rate = min(max(t - times[i], 0.0), times[i + 1] - times[i]), np.sqrt(x[i])
         place = s[i] + rate * since + 0.5 * u[i] * since**2
-        gone = t < 0.0 or t > self.duration
+        gone = t < 0.0 or t > self.duration or (t == self.duration and x[-1] == 0.0)
         rate, push = (0.0, 0.0) if gone else (max(0.0, rate + u[i] * since), u[i])
         return float(min(max(place, s[0]), s[-1])), float(rate), float(push)
 
@@ -155,12 +169,14 @@ class TimedPath:
         internal = np.vstack([by_arm.sum(axis=0), -by_arm])
         q, dq, ddq = along.q[0], along.dq[0], along.ddq[0]
         p, R = along.moved.p[0, 0], along.moved.R[0, 0]
-        return Moment(s, q, dq * rate, dq * u + ddq * x, p, R, tau, internal)
+        load = np.array([u, x, 1.0]) @ self.maker.loads(along)[:, 0]
+        return Moment(s, q, dq * rate, dq * u + ddq * x, p, R, tau, load, internal)
 
     def table(self, dt: float) -> dict[str, Array]:
         """Columns by name every dt [s] and at the end: t, joints, pose, speeds, torques, wrenches.
 
-        ``waypoints: {file: ...}`` reads the first three.
+        ``waypoints: {file: ...}`` reads the first three, and of two hands the wrench between them,
+        ``waypoints: {file: ..., column: squeeze}``.
         """
         if not 0.0 < dt < np.inf:
             raise InvalidValueError(f"dt: found {dt:g}, needs more than 0")
@@ -182,6 +198,9 @@ class TimedPath:
             ([f"tau[{name}]" for name in joints], np.array([m.tau for m in moments])),
             (wrench, np.array([m.internal.ravel() for m in moments])),
         ]
+        if self.maker.arms == 2:
+            between = np.array([m.section(self.path.chain) for m in moments])
+            blocks.append((COMPONENTS, between))
         found: dict[str, Array] = {}
         for names, values in blocks:
             found |= dict(zip(names, values.T, strict=True))

@@ -12,7 +12,7 @@ from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.planning.closed_path import Loops, closed_path
-from coopqp.planning.path_constraints import Bounds, RowMaker, joint_bounds
+from coopqp.planning.path_constraints import Bounds, RowMaker, joint_bounds, twist_bounds
 from coopqp.planning.time_along import POINTS, fastest
 from coopqp.planning.verification import lengths
 
@@ -41,8 +41,8 @@ def timed(problem: ControlProblem, q: Array, allowed: Allowed) -> tuple[Array, A
     if len(q) < 2:
         return np.zeros(1), best
     speed, push = joint_limits(problem)
-    none = np.full(chain.n + 6, np.inf)
-    bounds = Bounds(SHARE * speed, SHARE * push, none[6:], none[:6], np.zeros(6), forces=False)
+    twist, none = SHARE * twist_bounds(problem), np.full(chain.n, np.inf)
+    bounds = Bounds(SHARE * speed, SHARE * push, none, twist, np.zeros(6), forces=False)
     for rounded in ROUNDED:
         try:
             path = closed_path(chain, q, rounded)
