@@ -13,7 +13,7 @@ A linear program's wrench jumps from vertex to vertex, so the torques of an inst
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -30,7 +30,7 @@ from coopqp.grasp import SAFETY
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.planning.closed_path import FINER, STILL, ClosedPath, closed_path, relative
 from coopqp.planning.forward_backward_pass import FORCE, Passes, Profile, Share, Stuck, program
-from coopqp.planning.path_constraints import AXES, RowMaker, Rows, bounds_of
+from coopqp.planning.path_constraints import AXES, Bounds, RowMaker, Rows, bounds_of
 from coopqp.recordings.known import read, trace_in
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import TURN_COLUMNS, quaternion_of
@@ -57,6 +57,8 @@ SLIGHT = 1e-6
 STANDS = 1.0001
 #: Shares of a limit by which the program of an instant is loosened until a point is found.
 LOOSER = (1e-7, 1e-5, 1e-3)
+#: What would do: how much more of a limit is tried, of how many, and what a lighter load is called.
+MORE, TRIED, LIGHTER = 1.2, 6, "load 20 % lighter"
 NOTHING, KINDS = "nothing", ("speed", "acceleration", "force")
 
 
@@ -103,6 +105,7 @@ class TimedPath:
         exceeded: largest share of a limit between the grid's places.
         hold: largest share of a motor, a contact or the wrench that holding still somewhere takes.
         notes: sentences on places that are passed slowly.
+        speed: along the path at its beginning and its end, |v| [rad/s].
     """
 
     maker: RowMaker
@@ -111,6 +114,7 @@ class TimedPath:
     exceeded: float
     hold: float
     notes: tuple[str, ...]
+    speed: tuple[float, float] = (0.0, 0.0)
 
     @property
     def path(self) -> ClosedPath:
@@ -273,7 +277,43 @@ def fastest(maker: RowMaker, points: int, speed: tuple[float, float] = (0.0, 0.0
             limits[kind] /= np.maximum(np.append(over, 1.0), np.append(1.0, over))
         limits["force"] = np.maximum(limits["force"], np.minimum(STANDS * held, 1.0))
     active = tuple(_active(fine, share, uses))
-    return TimedPath(maker, profile, active, uses.largest, float(held.max()), tuple(_slow(rows)))
+    hold, notes = float(held.max()), tuple(_slow(rows))
+    return TimedPath(maker, profile, active, uses.largest, hold, notes, speed)
+
+
+def would_do(found: TimedPath, scenario: Scenario) -> dict[str, float]:
+    """Durations with a fifth more of each active limit, or a lighter load: tried, not guessed [s].
+
+    An active limit promises nothing, since the next one may be near. By the name that the limit has
+    in ``TimedPath.shares``, those that are active longest first, then by ``LIGHTER``.
+    """
+    maker, points = found.maker, len(found.profile.u)
+    tried = {}
+    for name in [name for name in found.shares if name != NOTHING][:TRIED]:
+        more = RowMaker(maker.path, _raised(maker, name))
+        tried[name] = fastest(more, points, found.speed).duration
+    held = replace(scenario.held, mass=(2.0 - MORE) * scenario.held.mass)
+    chain = replace(scenario, held=held).chain
+    lighter = RowMaker(replace(maker.path, chain=chain), maker.bounds)
+    return tried | {LIGHTER: fastest(lighter, points, found.speed).duration}
+
+
+def _raised(maker: RowMaker, name: str) -> Bounds:
+    """The bounds with more of an active limit."""
+    bounds, joints = maker.bounds, list(maker.chain.joint_names)
+    kind, _, who = name.partition(" of ")
+    if kind == "internal wrench":
+        return replace(bounds, wrench=MORE * bounds.wrench)
+    if kind not in ("speed", "acceleration", "torque"):
+        return replace(bounds, safety=bounds.safety / MORE)
+    if who in joints:
+        at = joints.index(who)
+    else:
+        kind, at = "twist", [f"the object ({axis})" for axis in AXES].index(who)
+    found = getattr(bounds, kind).copy()
+    found[at] *= MORE
+    raised: Bounds = replace(bounds, **{kind: found})
+    return raised
 
 
 def _check(**given: Any) -> None:

@@ -24,7 +24,7 @@ from coopqp.limits import JointAcceleration, JointPosition, JointVelocity, Objec
 from coopqp.model.held_object import HeldObject
 from coopqp.model.profile import Profile
 from coopqp.planning.closed_path import CLOSED
-from coopqp.planning.time_along import TOLERATED, TimedPath, time_along
+from coopqp.planning.time_along import LIGHTER, MORE, TOLERATED, TimedPath, time_along, would_do
 from coopqp.planning.timing import timed
 from coopqp.plants import RigidBody
 from coopqp.robot import Arm, Robot, RobotModel
@@ -168,6 +168,26 @@ def test_less_of_anything_takes_longer() -> None:
     moments = [slow.at(float(t)) for t in np.linspace(0.0, slow.duration, 200)]
     steps = np.diff([now.p_WO for now in moments], axis=0) / (slow.duration / 199)
     assert np.abs(steps).max() < 0.1 * 1.001
+
+
+def test_what_would_do_is_what_timing_with_it_takes() -> None:
+    found, scenario = nao(0), load("point_on_point")
+    tried = would_do(found, scenario)
+    assert (
+        list(tried)
+        == [*(name for name in found.shares if name != "nothing"), LIGHTER][-len(tried) :]
+    )
+    assert max(tried.values()) <= found.duration * (1.0 + 1e-3)
+    held = replace(scenario.held, mass=0.8 * scenario.held.mass)
+    lighter = time_along(random_way(scenario.chain, 0), replace(scenario, held=held))
+    assert tried[LIGHTER] == pytest.approx(lighter.duration, rel=1e-9)
+    sliding = sliders(push=PUSH, speed=SPEED)
+    tried = would_do(time_along(LINE, sliding, points=100), sliding)
+    for name, a, v in (("acceleration", MORE * PUSH, SPEED), ("speed", PUSH, MORE * SPEED)):
+        found_by_name = [seconds for key, seconds in tried.items() if key.startswith(name)]
+        assert found_by_name
+        both = LINE[-1, 0] / v + v / a  # of both sliders; of one alone the other still binds
+        assert min(found_by_name) >= both - 1e-6
 
 
 def test_plans_are_timed_within_the_objects_speed_and_accelerations() -> None:
