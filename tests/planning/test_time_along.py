@@ -16,17 +16,24 @@ from scenario_files import needs_robots
 
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array, Positive, spec
+from coopqp.closed_loop.grasp_matrix import COMPONENTS
+from coopqp.controllers import TorqueQp
+from coopqp.execution.controller_run import run
 from coopqp.grasps import Rigid
 from coopqp.limits import JointAcceleration, JointPosition, JointVelocity, ObjectSpeed
 from coopqp.model.held_object import HeldObject
+from coopqp.model.profile import Profile
 from coopqp.planning.closed_path import CLOSED
-from coopqp.planning.time_along import TOLERATED, TimedPath, time_along
+from coopqp.planning.time_along import LIGHTER, MORE, TOLERATED, TimedPath, time_along, would_do
+from coopqp.planning.timing import timed
+from coopqp.plants import RigidBody
 from coopqp.robot import Arm, Robot, RobotModel
 from coopqp.robots import PlanarPair
 from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Phase, Scenario
 from coopqp.signal import POSE, Moment
 from coopqp.signals import Waypoints
+from coopqp.tasks import InternalWrench, Posture
 
 MASS, EFFORT, SPEED, PUSH = 2.0, 6.0, 0.7, 1.5
 """Of a slider and what it carries [kg, N, m/s, m/s2]."""
@@ -96,7 +103,7 @@ def test_each_moment_is_the_derivative_of_the_one_before() -> None:
     found = nao(1)
     h = 1e-5
     for t in np.linspace(0.1, 0.9, 7) * found.duration:
-        if np.any(np.abs(found.t - t) < 2 * h):
+        if np.any(np.abs(found.profile.t - t) < 2 * h):
             continue
         before, now, after = (found.at(t + dt) for dt in (-h, 0.0, h))
         np.testing.assert_allclose((after.q - before.q) / (2 * h), now.v, atol=2e-4)
@@ -161,6 +168,40 @@ def test_less_of_anything_takes_longer() -> None:
     moments = [slow.at(float(t)) for t in np.linspace(0.0, slow.duration, 200)]
     steps = np.diff([now.p_WO for now in moments], axis=0) / (slow.duration / 199)
     assert np.abs(steps).max() < 0.1 * 1.001
+
+
+def test_what_would_do_is_what_timing_with_it_takes() -> None:
+    found, scenario = nao(0), load("point_on_point")
+    tried = would_do(found, scenario)
+    assert (
+        list(tried)
+        == [*(name for name in found.shares if name != "nothing"), LIGHTER][-len(tried) :]
+    )
+    assert max(tried.values()) <= found.duration * (1.0 + 1e-3)
+    held = replace(scenario.held, mass=0.8 * scenario.held.mass)
+    lighter = time_along(random_way(scenario.chain, 0), replace(scenario, held=held))
+    assert tried[LIGHTER] == pytest.approx(lighter.duration, rel=1e-9)
+    sliding = sliders(push=PUSH, speed=SPEED)
+    tried = would_do(time_along(LINE, sliding, points=100), sliding)
+    for name, a, v in (("acceleration", MORE * PUSH, SPEED), ("speed", PUSH, MORE * SPEED)):
+        found_by_name = [seconds for key, seconds in tried.items() if key.startswith(name)]
+        assert found_by_name
+        both = LINE[-1, 0] / v + v / a  # of both sliders; of one alone the other still binds
+        assert min(found_by_name) >= both - 1e-6
+
+
+def test_plans_are_timed_within_the_objects_speed_and_accelerations() -> None:
+    scenario = load("point_on_point")
+    limits = (JointPosition(), JointVelocity(), JointAcceleration(max=4.0), ObjectSpeed(linear=0.1))
+    problem = replace(scenario, limits=limits).problem()
+    q = nao(0).path.spline(np.linspace(0.0, nao(0).path.length, 400))
+    _, ticks = timed(problem, q, lambda near: near)
+    np.testing.assert_allclose(ticks[[0, -1]], q[[0, -1]], atol=1e-9)
+    places = np.array([scenario.chain.object_pose(row).translation for row in ticks])
+    speeds = np.abs(np.diff(places, axis=0)) / problem.dt
+    assert 0.079 < speeds.max() < 0.081
+    v = np.diff(ticks, axis=0, prepend=ticks[:1], append=ticks[-1:]) / problem.dt
+    assert 2.0 < np.abs(np.diff(v, axis=0)).max() / problem.dt < 4.0
 
 
 def test_internal_wrenches_stay_in_the_box_and_cancel() -> None:
@@ -310,6 +351,31 @@ def test_the_table_is_a_reference_that_way_points_read(tmp_path: Path) -> None:
     np.testing.assert_allclose(pose.value[:3], X.translation, atol=1e-4)
     again = time_along(file, load("point_on_point"))
     assert again.duration == pytest.approx(found.duration, rel=0.01)
+
+
+def test_torques_that_follow_it_squeeze_as_planned(tmp_path: Path) -> None:
+    """In the rigid-body plant; by itself the controller has less than a fifth of it."""
+    found, dt = nao(0, torque=0.8), 0.002
+    file = tmp_path / "timed.csv"
+    file.write_text(found.csv(dt), encoding="utf-8")
+    posture = Posture(goal=Waypoints(file=file), gain=40.0, profile=Profile(kind="step"))
+    wrench = InternalWrench(
+        **{part: Waypoints(file=file, column=part, between="linear") for part in COMPONENTS}
+    )
+    scenario = replace(
+        load("point_on_point"), plant=RigidBody(), dt=dt, kappa=100.0, duration=found.duration,
+        controllers={"torque_qp": TorqueQp()}, secondary=(),
+    )  # fmt: skip
+    forces = []
+    for tasks in ((posture, wrench), (posture,)):
+        trace = run(replace(scenario, tasks=tasks), controller="torque_qp", timed=False)
+        assert np.abs(trace.q[-1] - found.at(found.duration).q).max() < 0.01
+        assert (np.abs(trace.signals["tau"]) <= trace.effort * (1.0 + 1e-9)).all()
+        between = trace.signals["internal_wrench"].reshape(len(trace.t) - 1, -1, 6)
+        forces.append(np.linalg.norm(between[:, 0, :3], axis=1))
+    planned = [np.linalg.norm(found.at(t).internal[0, :3]) for t in trace.t[:-1]]
+    assert np.median(np.abs(forces[0] - planned)) < 0.01 * np.max(planned)
+    assert np.median(forces[1]) < 0.2 * np.median(planned)
 
 
 REFUSED = {
