@@ -21,7 +21,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
 from coopqp.assessment.assessment import allowed_acceleration
 from coopqp.assessment.thresholds import ACCELERATION_UNLIMITED
@@ -30,16 +29,18 @@ from coopqp.base.spec import Array, Pose, finite, vector
 from coopqp.controller import Command, Controller, ControlProblem, InternalForceControl, Law
 from coopqp.controllers import QPController
 from coopqp.execution.phase_run import Measured, PhaseRun, begin_phase
+from coopqp.grasp import pose_matrix
 from coopqp.limit import Limit
 from coopqp.limits import JointAcceleration, JointPosition
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.grasp_configuration import grasp_of_each
 from coopqp.model.state import Memory, State
 from coopqp.online.arrivals import Arrivals
-from coopqp.online.beginning import check_hands, check_range, check_resumed
+from coopqp.online.beginning import check_hands, check_object, check_range, check_resumed
 from coopqp.online.faults import FaultMonitor
 from coopqp.scenario.input import Arrival
 from coopqp.scenario.scenario import Scenario
+from coopqp.scenario.start import pose_at, without_tiny
 from coopqp.solver import Status
 
 #: Acceleration limit of joints without a motor, which bounds nothing [rad/s2].
@@ -147,13 +148,13 @@ class Phases:
         self.done: tuple[PhaseRun, ...] = ()
         self._enter(None, None)
 
-    def begin(self, q: Array, *, held: bool) -> None:
+    def begin(self, q: Array, pose: Pose | None, *, held: bool) -> None:
         given = self._given
-        if not np.array_equal(q, given.chain.q_start):
+        if pose or not np.array_equal(q, given.chain.q_start):
             if not given.start_outside:
                 check_range(given.chain, q)
             if held:
-                self.scenario = as_held(given, q)
+                self.scenario = as_held(given, q, pose)
             else:
                 check_hands(given.chain, q, placed=False)
         self._enter(None, q)
@@ -240,33 +241,31 @@ class Phases:
                 channel.value[:] = 0.0
 
 
-#: Smallest size of a number in a scenario file that is not zero.
-SMALLEST = 1e-30
-
-
-def as_held(scenario: Scenario, q: Array) -> Scenario:
+def as_held(scenario: Scenario, q: Array, pose: Pose | None = None) -> Scenario:
     """The scenario with its start where the robot is, and the grasp as it is held there.
+
+    Args:
+        scenario: as written.
+        q: of the robot, shape (n,) [rad, m].
+        pose: of the object, where it has been measured.
 
     Raises:
         GraspError: as of :func:`coopqp.online.beginning.check_hands`.
         InvalidValueError: q is no n finite numbers.
     """
     chain = scenario.chain
-    q = _without_tiny(finite("q", vector("q", q, chain.n)))
+    q = without_tiny(finite("q", vector("q", q, chain.n)))
     start = dict(zip(chain.joint_names, q.tolist(), strict=True))
     grasps = grasp_of_each(scenario.robot_model, scenario.grasps)
     holders = chain.hold.holders
     placed = scenario.held.pose is not None or any(grasps[arm].object_in_hand for arm in holders)
     check_hands(chain, q, placed=placed)
-    if not placed:
-        return replace(scenario, start=start)
-    X = chain.object_pose(q)
-    place, angles = _without_tiny(X.translation), _without_tiny(pin.rpy.matrixToRpy(X.rotation))
-    pose = Pose(position=tuple(place.tolist()), rpy=tuple(angles.tolist()))
+    if not placed and pose is None:
+        return scenario.changed(start=start)
+    here = chain.object_pose(q)
+    if pose and placed and chain.hold.holders:
+        check_object(here, pose_matrix(pose))
+    pose = pose or pose_at(here)
     without_places = {arm: replace(grasps[arm], object_in_hand=None) for arm in holders}
     held, grasps = replace(scenario.held, pose=pose), {**grasps, **without_places}
-    return replace(scenario, start=start, held=held, grasps=grasps)
-
-
-def _without_tiny(numbers: Array) -> Array:
-    return np.where(np.abs(numbers) < SMALLEST, 0.0, numbers)
+    return scenario.changed(start=start, held=held, grasps=grasps)
