@@ -270,7 +270,7 @@ def _closed(data: Mapping[str, Any], scenario: Scenario, key: str) -> ClosedChai
     except CoopqpError as error:
         argument, *inside = error.keys or ("grasps",)
         grasp = "grasps" if "grasps" in data else "grasp"
-        location = {"passive_start": key, "robot": "robot"}.get(str(argument), grasp)
+        location = {"passive_start": key, "robot": "robot", "object": "object"}.get(str(argument), grasp)
         where = [location] if location == "grasp" else [location, *inside]
         raise MisplacedError([Wrong(where, str(error))]) from None
 
@@ -321,8 +321,6 @@ def _released(scenario: Scenario) -> Iterator[Wrong]:
         for name in phase.released:
             if name not in arms:
                 yield Wrong(place, unknown_name("arm", name, arms))
-        if arms.issubset(phase.released):
-            yield Wrong(place, "no arm is left that holds the object; keep at least one")
 
 
 def _broken_tasks(tasks: Sequence[Placed], places: Mapping[str, Places]) -> Iterator[Wrong]:

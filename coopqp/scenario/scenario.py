@@ -94,7 +94,7 @@ class Phase:
     duration: Positive
     """Length [s]; time begins anew in each phase."""
     released: tuple[str, ...] = ()
-    """Arms that do not hold the object; all others do."""
+    """Arms that do not hold the object; all others do. Where none does it stands."""
     tasks: Annotated[Sequence[Task], Key(form=Tasks)]
     """What shall happen."""
 
@@ -279,6 +279,12 @@ class Scenario:
         return tuple(itertools.accumulate(ticks[:-1], initial=0))
 
     @property
+    def stands(self) -> bool:
+        """Whether no arm holds the object in some phase."""
+        arms = {arm.name for arm in self.robot_model.arms}
+        return any(arms.issubset(phase.released) for phase in self.phases)
+
+    @property
     def ticks(self) -> int:
         """Number of control periods."""
         return self.first_ticks[-1] + self.schedule[-1].ticks(self.dt)
@@ -322,9 +328,10 @@ class Scenario:
         self, phase: Phase | None = None, chain: ClosedChain | None = None
     ) -> ControlProblem:
         """What controllers are built for, in a phase and its first chain; by default the first."""
-        tasks = (phase or self.schedule[0]).tasks
+        phase = phase or self.schedule[0]
+        tasks = phase.tasks
         return ControlProblem(
-            chain=chain or self.chain,
+            chain=(chain or self.chain).keeping_away(self._away(phase)),
             tasks=tuple(task for task in tasks if not task.of_forces),
             wrenches=tuple(task for task in tasks if task.of_forces),
             secondary=self.secondary,
@@ -336,6 +343,12 @@ class Scenario:
             on_infeasible=self.on_infeasible,
             observer=self.observer,
         )
+
+    def _away(self, phase: Phase) -> tuple[str, ...]:
+        """Arms that are released in a phase, the one before and the one after."""
+        i = [one.name for one in self.schedule].index(phase.name)
+        near = self.schedule[max(0, i - 1) : i + 2]
+        return tuple(a for a in phase.released if all(a in one.released for one in near))
 
     def simulated(self, problem: ControlProblem) -> PlantModel:
         """The plant of one of its problems, with the faults of sensors and motors."""
