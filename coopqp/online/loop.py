@@ -384,10 +384,12 @@ class OnlineLoop:
             q: measured joints, shape (n,) [rad, m], or those of the robot alone without the
                 grasps' passive joints; None without a measurement.
             inputs: what has arrived since the last tick, by name: a value, or a value and when it
-                was sent by the loop's clock [s]; ``hand_wrench`` for internal force control.
+                was sent by the loop's clock [s]; ``hand_wrench`` for internal force control,
+                ``object_pose`` for where the object stands that no arm holds (docs/phases.md).
 
         Returns:
             The command for the next period, whose arrays are reused; it leads to :attr:`setpoint`.
+            ``command.grippers`` says which hands shall be open and which closed.
         """
         before, now = time.perf_counter_ns(), self._time.tick()
         if left := self.watch.left(now):
@@ -460,6 +462,7 @@ class OnlineLoop:
 
     def _tick(self, q: Any, inputs: Any, now: float) -> Command:
         self._advance()
+        self._phases.look(inputs)
         if self._stops.look():
             self._readings.forget()
         if self._forgives:  # it may have been slowed down, not stopped
@@ -492,7 +495,7 @@ class OnlineLoop:
             return self._refuse(self._wrong, self._time.wrong or self._readings.note)
         if not self._stops.why:
             try:
-                self._begin()
+                self._begin(self._phases.seen)
                 return None
             except CoopqpError as error:  # not again by itself, when somebody moves the robot
                 self._stops.halt(str(error))
@@ -603,5 +606,6 @@ class OnlineLoop:
         return self._say(held)
 
     def _say(self, command: Command) -> Command:
+        command.grippers = self._phases.grippers
         self.command, self.status = command, command.status
         return command

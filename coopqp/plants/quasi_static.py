@@ -178,8 +178,8 @@ class QuasiStaticModel(DynamicModel):
         """No kinetic energy, and the potential one of weight; updates the signals as well."""
         self.true.update()
         X, chain = self._X_WO, self.true.chain
-        at_origin = [moved(w, p, X.translation) for w, p in zip(self._wrench, self._at, strict=True)]
-        by_arm = np.reshape(at_origin, (-1, 6))
+        at_hands = zip(self._wrench, self._at, strict=True)
+        by_arm = np.reshape([moved(w, p, X.translation) for w, p in at_hands], (-1, 6))
         internal = self.signals["internal_wrench"].reshape(-1, 6)
         internal[:] = 0.0
         share = chain.alpha[: len(by_arm)]

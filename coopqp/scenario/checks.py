@@ -6,7 +6,7 @@ Checks yield what is wrong and where; :meth:`coopqp.scenario.yaml.YamlFile.lines
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import fields
 from functools import partial
 from typing import Any
@@ -29,7 +29,7 @@ from coopqp.scenario.scenario import Phase, Scenario
 from coopqp.scenario.start import joints_outside, passive_outside, start_of
 from coopqp.scenario.trial import Places, blamed, try_limit, try_task
 from coopqp.scenario.yaml import MisplacedError, Wrong
-from coopqp.task import Task
+from coopqp.task import Task, TaskStack
 
 Placed = tuple[Location, Task, Phase]
 """A task with its place in the file, and its phase."""
@@ -270,7 +270,8 @@ def _closed(data: Mapping[str, Any], scenario: Scenario, key: str) -> ClosedChai
     except CoopqpError as error:
         argument, *inside = error.keys or ("grasps",)
         grasp = "grasps" if "grasps" in data else "grasp"
-        location = {"passive_start": key, "robot": "robot", "object": "object"}.get(str(argument), grasp)
+        own = {"passive_start": key, "robot": "robot", "object": "object"}
+        location = own.get(str(argument), grasp)
         where = [location] if location == "grasp" else [location, *inside]
         raise MisplacedError([Wrong(where, str(error))]) from None
 
@@ -329,6 +330,24 @@ def _broken_tasks(tasks: Sequence[Placed], places: Mapping[str, Places]) -> Iter
             try_task(task, places[phase.name], phase.duration)
         except CoopqpError as error:
             yield Wrong(place, str(error), error.keys)
+            continue
+        if place[0] != "secondary" and _moves_nothing(task, places[phase.name].start):
+            yield Wrong(
+                place,
+                f"'{task.name}' asks nothing of the hands, and no arm holds the object in this "
+                "phase; bring hands to it by relative_motion, or release fewer arms",
+            )
+
+
+def _moves_nothing(task: Task, start: State) -> bool:
+    """Whether a task is of an object that stands alone."""
+    if not start.chain.standing or task.of_forces:
+        return False
+    with suppress(Exception):  # of a task that waits for an input; the run tells
+        stack = TaskStack([task], start)
+        stack.update(start)
+        return not stack.J.any()
+    return False
 
 
 def _alike(scenario: Scenario, places: Mapping[str, Places]) -> Iterator[Wrong]:
