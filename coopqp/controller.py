@@ -191,6 +191,7 @@ class Command:
         scale: least share of its rate at which a hard or scaled task runs; 1 where there are none.
         drift: share of the Baumgarte correction that is done.
         told: of the note: texts, such as what a task raised, and a :class:`Why`.
+        grippers: of the loop for robots: "open" or "close" by arm; those that hold are closed.
     """
 
     def __init__(self, n: int, *, torques: bool = False) -> None:
@@ -199,6 +200,7 @@ class Command:
         self.causes: tuple[Status, ...] = (Status.OPTIMAL,)
         self.scale = self.drift = 1.0
         self.told: tuple[str | Why, ...] = ()
+        self.grippers: Mapping[str, str] = {}
 
     @property
     def note(self) -> str:
@@ -234,6 +236,7 @@ class Command:
         other.tau = None if self.tau is None else self.tau.copy()
         other.causes = self.causes
         other.scale, other.drift, other.told = self.scale, self.drift, self.told
+        other.grippers = self.grippers
         return other
 
 
