@@ -38,6 +38,9 @@ def run_node(scenario: Scenario, arguments: Sequence[str] = ()) -> Ended:
         given = ("reference", "grasp", "silent_after", "patience")
         options = {key: getattr(settings, key) for key in given}
         loop = OnlineLoop(scenario, settings.law, out=settings.out or None, **options)
+        if loop.by_torques:
+            words = "commands torques; ros2_control is sent velocities, such as qp's"
+            raise InvalidValueError(f"law: '{settings.law}' {words}")
         joints = joints_of(scenario.chain, settings.controllers, orders)
         kinds = scenario.followed()
         topics = _Topics(node, settings.controllers)
