@@ -72,7 +72,8 @@ class ControlProblem:
         limits: hard bounds, for controllers that support them.
         dt: control period [s].
         kappa: gain of the Baumgarte stabilisation, J_c v = -kappa e [1/s]; 1/dt when omitted, which
-            removes the linearisation error of each step in the next; 0 is the paper's law.
+            removes the linearisation error of each step in the next, and 10 for torques; 0 is the
+            paper's law.
         budget: tolerances of a usable solution.
         on_infeasible: what to do in a tick in which not everything can hold: "scale" meets hard and
             scaled tasks as nearly as possible, and where loops and limits alone clash corrects

@@ -100,9 +100,6 @@ def _of_problems(scenario: Scenario) -> Iterator[Wrong]:
     tasks = list(placed_tasks(scenario))
     for place, task, phase in tasks:
         yield from _of_end(place, task, phase.duration)
-        if task.of_forces and not scenario.plant.takes_torques:
-            words = f"asks '{task.name}' for a force, and this plant has none"
-            yield Wrong(place, f"{words}; use plant: rigid_body or mujoco")
     forces = [task.name for _, task, _ in tasks if task.of_forces]
     for i, controller in enumerate(scenario.controllers.values()):
         if forces and isinstance(controller, QPController) and not controller.admittance:
