@@ -267,6 +267,7 @@ class ChunkFilter:
 
     def _nearest(self, q: Array, x: Array, gap: Array, hold: _Hold | None) -> Array:
         """Where a frame's step leads from q towards x."""
+        x = np.minimum(np.maximum(x, self.lower), self.upper)  # as near, and of a law's size
         for goal in self._goals(q, x, gap, hold):
             if self._goes(q, goal):
                 return goal
@@ -342,13 +343,15 @@ class ChunkFilter:
         """Bodies that are too near at x, or else on the way to it."""
         goal = self._clipped(q, x)
         for place in (x, *_way(q, goal)):
+            if self._space.is_free(place[None])[0]:
+                continue
             told, d = self._space.measure(place)[:, :2].T
-            near = (told != Told.BEYOND) & ~(d >= self.settings.distance)
+            near = (told == Told.INSIDE) | ((told != Told.BEYOND) & (d < self.settings.distance))
+            near |= not near.any() and told != Told.BEYOND  # where nothing is proved
             for i in np.flatnonzero(near).tolist():
                 by = np.nan if told[i] == Told.INSIDE else self.settings.distance - d[i]
                 yield Change(k, "self_collision", tuple(self.watched[i]), float(by))
-            if near.any():
-                return
+            return
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import null_space
 
 from adapters.so101_oracle import LOWER, START, UPPER, Oracle, broken
 from coopqp.adapters.chunk_filter import ChunkFilter
@@ -19,7 +20,11 @@ KINDS = "noise", "jumps", "waves", "into each other", "drift", "holes", "out of 
 
 @dataclass
 class Judged:
-    """What came of one chunk: what is broken, frames without a reason, time [ms]."""
+    """What came of one chunk.
+
+    What is broken; frames without a reason, changed, at rest although asked to move, and those of
+    them that could have moved; time [ms].
+    """
 
     kind: str
     held: bool
@@ -27,6 +32,7 @@ class Judged:
     unnamed: int
     changed: int
     still: int
+    frozen: int
     cpu: float
     wall: float
 
@@ -98,6 +104,34 @@ class Trial:
         other = ~np.isclose(found.actions, chunk, rtol=0.0, atol=1e-9).all(axis=1)
         unnamed = len(set(np.flatnonzero(other).tolist()) ^ named)
         moves = np.abs(np.diff(q, axis=0, prepend=q0[None])).max(axis=1)
-        asks = np.nan_to_num(np.abs(np.radians(chunk[:, ARMS]) - q)).max(axis=1) > 0.01
-        still = int((asks & (moves < 1e-6)).sum())
-        return Judged(kind, held, faults, unnamed, int(other.sum()), still, 1e3 * cpu, 1e3 * wall)
+        x, holding = np.radians(chunk[:, ARMS]), closed[1:] & closed[:-1]
+        asks = np.isfinite(x).all(axis=1) & (np.abs(x - q).max(axis=1) > 0.01)
+        still = [
+            self._could_move(q[k], x[k], holds=bool(holding[k]))
+            for k in np.flatnonzero(asks & (moves < 1e-6)).tolist()
+        ]
+        return Judged(
+            kind,
+            held,
+            faults,
+            unnamed,
+            int(other.sum()),
+            len(still),
+            sum(still),
+            1e3 * cpu,
+            1e3 * wall,
+        )
+
+    def _could_move(self, q: Array, x: Array, *, holds: bool) -> bool:
+        """Whether a milliradian nearer to x is possible: in range, the loop closed, arms apart."""
+        wish, stays = np.clip(x, LOWER, UPPER) - q, np.zeros(10, bool)
+        for _ in range(10):
+            rows = np.eye(10)[stays]
+            free = null_space(np.vstack([self.oracle.loop_slope(q), rows]) if holds else rows)
+            way = free @ (free.T @ wish) if len(rows) or holds else wish
+            out = ((q <= LOWER + 1e-6) & (way < -1e-9)) | ((q >= UPPER - 1e-6) & (way > 1e-9))
+            if not (out & ~stays).any():
+                break
+            stays |= out
+        size = float(np.linalg.norm(way))
+        return size > 0.01 and not self.oracle.too_near(q + 1e-3 * way / size)

@@ -96,6 +96,12 @@ class Oracle:
         X_L, X_R = self.placed_hands(q)
         return X_L.actInv(X_R)
 
+    def loop_slope(self, q: Array) -> Array:
+        """By how much each joint moves one hand in the other, shape (6, 10), by differences."""
+        here = self.in_each_other(q)
+        moved = [self.in_each_other(q + 1e-6 * row) for row in np.eye(10)]
+        return np.array([pin.log6(here.actInv(X)).vector for X in moved]).T / 1e-6
+
     def opened(self, q: Array, taken: pin.SE3) -> tuple[float, float]:
         """How far the hands are off from how they held an object in their middle [m], [rad]."""
         X_L, X_R = self.placed_hands(q)
