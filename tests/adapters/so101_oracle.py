@@ -7,6 +7,8 @@ are nearer than they may be.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import coal
 import numpy as np
 import pinocchio as pin
@@ -35,7 +37,7 @@ class Oracle:
         distance: that they keep [m].
     """
 
-    def __init__(self, pairs: list[tuple[str, str]], distance: float) -> None:
+    def __init__(self, pairs: Sequence[tuple[str, ...]], distance: float) -> None:
         path = robots()["so101"]
         one, share = pin.buildModelFromUrdf(str(path)), str(path.parents[4])
         shapes = pin.buildGeomFromUrdf(one, str(path), pin.COLLISION, package_dirs=share)
@@ -59,19 +61,26 @@ class Oracle:
         X_L, X_R = self.placed_hands(START)
         self.middle = X_L.actInv(pin.SE3(np.eye(3), 0.5 * (X_L.translation + X_R.translation)))
 
-    def _watch(self, pairs: list[tuple[str, str]]) -> None:
-        links: dict[str, list[int]] = {}
-        for i, shape in enumerate(self.shapes.geometryObjects):
-            if isinstance(shape.geometry, coal.BVHModelBase):
-                shape.geometry.buildConvexHull(False, "Qt")
-                shape.geometry = shape.geometry.convex
-            shape.geometry.computeLocalAABB()
-            links.setdefault(self.model.frames[shape.parentFrame].name, []).append(i)
-        self.shapes.removeAllCollisionPairs()
+    def _watch(self, pairs: Sequence[tuple[str, ...]]) -> None:
+        """One hull round all meshes of a link."""
+        links: dict[str, list[pin.GeometryObject]] = {}
+        for shape in self.shapes.geometryObjects:
+            links.setdefault(self.model.frames[shape.parentFrame].name, []).append(shape)
+        self.shapes, at = pin.GeometryModel(), {}
+        for link, parts in links.items():
+            points = [part.geometry.vertices() @ part.placement.rotation.T
+                      + part.placement.translation for part in parts]  # fmt: skip
+            mesh = coal.BVHModelOBBRSS()
+            mesh.beginModel(0, sum(map(len, points)))
+            mesh.addVertices(np.concatenate(points))
+            mesh.endModel()
+            mesh.buildConvexHull(False, "Qt")
+            mesh.convex.computeLocalAABB()
+            joint = parts[0].parentJoint
+            body = pin.GeometryObject(link, joint, pin.SE3.Identity(), mesh.convex)
+            at[link] = self.shapes.addGeometryObject(body)
         for one, other in pairs:
-            for i in links[one]:
-                for j in links[other]:
-                    self.shapes.addCollisionPair(pin.CollisionPair(i, j))
+            self.shapes.addCollisionPair(pin.CollisionPair(at[one], at[other]))
 
     def _q(self, q: Array) -> Array:
         whole = pin.neutral(self.model)
