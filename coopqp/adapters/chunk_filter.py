@@ -164,6 +164,11 @@ class ChunkFilter:
         self._grips = np.full(2, OPEN)
         self._hold: _Hold | None = None
 
+    @property
+    def begun(self) -> bool:
+        """Whether it knows where the arms are, so that a chunk needs no start."""
+        return self._q is not None
+
     def filter_chunk(self, chunk: Any, start: Any = None) -> FilteredChunk:
         """The nearest chunk that keeps all limits.
 
