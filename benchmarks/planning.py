@@ -105,7 +105,8 @@ def shelves(asked: argparse.Namespace) -> None:
 def _measured(found: Plan, wall: float, cpu: float) -> dict[str, float]:
     seen = found.verification
     return {
-        "found": float(found.found), "wall": wall, "cpu": cpu, "length": found.length,
+        "found": float(found.found), "proven": float(found.proven), "wall": wall,
+        "cpu": cpu, "length": found.length,
         "search": found.seconds.get("search", 0.0), "verify": found.seconds.get("verify", 0.0),
         "open": seen.open if seen else np.nan,
     }  # fmt: skip
@@ -120,7 +121,8 @@ def _line(name: str, rows: list[dict[str, float]]) -> str:
         return float(np.percentile([row[key] for row in among], share))
 
     return (
-        f"{name:16s} solved {len(good)}/{len(rows)}  "
+        f"{name:16s} solved {len(good)}/{len(rows)}, proven impossible "
+        f"{sum(row['proven'] for row in rows):.0f}  "
         f"wall {of('wall'):.3f} / {of('wall', 95):.3f} s  "
         f"CPU {of('cpu'):.3f} / {of('cpu', 95):.3f} s  search {of('search'):.3f} s  "
         f"verify {of('verify'):.3f} s  "

@@ -15,8 +15,9 @@ from coopqp.base.table import csv_text
 from coopqp.base.wording import counted
 from coopqp.controller import ControlProblem
 from coopqp.planning.closed_space import Budget, ClosedSpace, Path
-from coopqp.planning.reach import MOST, Goals, Progress, explained, too_far
+from coopqp.planning.reach import MOST, PROVEN, Goals, Progress, explained, too_far
 from coopqp.planning.timing import timed
+from coopqp.planning.turns import CUT_OFF, cut_off
 from coopqp.planning.verification import Verification, Verifier, lengths
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import TURN_COLUMNS, quaternion_of
@@ -54,6 +55,7 @@ class Plan:
         verification: the second look; None without a path.
         seconds: wall time of goals, search and second look [s].
         path: of the search, with its costs.
+        proven: whether it is proven that there is no path.
     """
 
     found: bool
@@ -66,6 +68,7 @@ class Plan:
     verification: Verification | None = None
     seconds: dict[str, float] = field(default_factory=dict)
     path: Path | None = None
+    proven: bool = False
 
     @property
     def length(self) -> float:
@@ -210,7 +213,9 @@ class Planner:
         """Goal configurations, the nearest that are off the joints' limits first, or why none."""
         n = self.chain.n
         if given is not None:
-            return self._given(np.atleast_2d(np.array(given, float))), ""
+            q = self._given(np.atleast_2d(np.array(given, float)))
+            away = cut_off(self.chain, q)
+            return q[~away], f"{PROVEN}: no motion leads there: {CUT_OFF}"
         if proof := too_far(self.problem, self._t):
             return np.zeros((0, n)), proof
         goals, why = Goals(self.problem, self._t, budget.seed), ""
@@ -222,9 +227,14 @@ class Planner:
                 break
             if goals.found and goals.tried >= MOST // 4:
                 break
-        if not goals.found:
+        if not goals.found and not goals.cut_off:
             why = why or explained(goals).sentence
         if not goals.found:
+            if goals.cut_off:
+                all_of_them = (
+                    f"all {len(goals.cut_off)} goal configurations from {goals.tried} starts"
+                )
+                why = f"not found: {all_of_them} are where no motion leads: {CUT_OFF}"
             return np.zeros((0, n)), why
         found = np.array(goals.found)
         found = found[self._holds(found)]
@@ -297,6 +307,7 @@ class Planner:
         return Plan(
             found=False, sentence=why, joints=self.chain.joint_names, q=np.zeros((0, n)),
             t=np.zeros(0), timed=np.zeros((0, n)), object=np.zeros((0, 7)), seconds=took, path=path,
+            proven=why.startswith(PROVEN),
         )  # fmt: skip
 
 
