@@ -196,6 +196,7 @@ class Holding:
         state.memory, state.inputs = own
         return command
 
+
 Gripper = Literal["open", "close"]
 
 #: Name of the input with the readings of force sensors; ``State.hand_wrench``.
