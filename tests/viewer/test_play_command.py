@@ -25,11 +25,7 @@ COMMAND = """
 
     os.setsid()
     os.chdir(sys.argv[1])
-    try:
-        main(["play", *sys.argv[2:]])
-    except SystemExit as end:
-        sys.stdout.flush()
-        os._exit(end.code)
+    main(["play", *sys.argv[2:]])
 """
 PATIENCE = 60.0  # [s], where the machine is busy
 
