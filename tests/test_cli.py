@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from command_line import refused, typed
+from forking import program
 from scenario_files import LOADABLE
 
 from coopqp.scenario.loader import shipped
@@ -153,8 +154,15 @@ def test_explain_replay_and_what_has_moved_refuse_in_words(
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is full")
 def test_where_what_is_printed_cannot_be_written_it_is_said() -> None:
-    words = [sys.executable, "-c", "from coopqp.cli import main; main()", "list", "tasks", "--json"]
-    with open("/dev/full", "w") as full:
-        done = subprocess.run(words, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
-    assert done.returncode == 2
-    assert done.stderr == ("error: cannot write what the command prints: No space left on device\n")
+    code = """
+        import sys
+        from coopqp.cli import main
+
+        sys.stdout = open("/dev/full", "w")
+        main(["list", "tasks", "--json"])
+    """
+    with program(code) as listing:
+        assert listing.out.read() == (
+            "error: cannot write what the command prints: No space left on device\n"
+        )
+        assert listing.ended() == 2
