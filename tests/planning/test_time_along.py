@@ -14,7 +14,7 @@ from dynamics_by_hand import PinocchioOracle, relative
 from random_ways import random_way
 from scenario_files import needs_robots
 
-from coopqp.base.errors import InvalidValueError
+from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.spec import Array, Positive, spec
 from coopqp.closed_loop.grasp_matrix import COMPONENTS
 from coopqp.controllers import TorqueQp
@@ -24,6 +24,7 @@ from coopqp.limits import JointAcceleration, JointPosition, JointVelocity, Objec
 from coopqp.model.held_object import HeldObject
 from coopqp.model.profile import Profile
 from coopqp.planning.closed_path import CLOSED
+from coopqp.planning.fastest_profile import SHARE, with_fastest_profiles
 from coopqp.planning.time_along import LIGHTER, MORE, TOLERATED, TimedPath, time_along, would_do
 from coopqp.planning.timing import timed
 from coopqp.plants import RigidBody
@@ -376,6 +377,44 @@ def test_torques_that_follow_it_squeeze_as_planned(tmp_path: Path) -> None:
     planned = [np.linalg.norm(found.at(t).internal[0, :3]) for t in trace.t[:-1]]
     assert np.median(np.abs(forces[0] - planned)) < 0.01 * np.max(planned)
     assert np.median(forces[1]) < 0.2 * np.median(planned)
+
+
+def test_the_fastest_profile_takes_the_time_of_closed_forms() -> None:
+    """Of sliders from rest to rest; the law keeps up and reaches both limits."""
+    task = Posture(goal=[1.2, 1.2], profile=Profile(kind="fastest", delay=0.1))
+    made = replace(
+        sliders(push=PUSH, speed=SPEED), tasks=(task,), secondary=(), duration=3.0,
+        limits=(JointPosition(), JointVelocity(), JointAcceleration(max=PUSH)),
+    )  # fmt: skip
+    with pytest.raises(InvalidValueError, match=r"fastest is found when a file is read"):
+        made.problem()
+    found = with_fastest_profiles(made)
+    assert found.tasks[0].way
+    v, a = SHARE * SPEED, SHARE * PUSH
+    assert found.tasks[0].way.duration == pytest.approx(1.2 / v + v / a, abs=made.dt)
+    trace = run(found, controller="qp", timed=False)
+    arrived = round(found.tasks[0].end / made.dt)
+    assert np.abs(trace.q[arrived] - 1.2).max() < 1e-3
+    assert SHARE * SPEED - 1e-6 < np.abs(trace.v).max() <= SPEED * (1.0 + 1e-9)
+    with pytest.raises(InvalidValueError, match=r"arrives at 2\.\d+ s, after the end at 2 s"):
+        with_fastest_profiles(replace(made, duration=2.0))
+
+
+def test_a_file_may_ask_for_the_fastest_profile(tmp_path: Path) -> None:
+    text = Path("scenarios/point_on_point.yaml").read_text(encoding="utf-8")
+    file = tmp_path / "fast.yaml"
+    file.write_text(text.replace("kind: quintic, duration: 2.0", "kind: fastest"), encoding="utf-8")
+    scenario = load(file)
+    trace = run(scenario, controller="qp", timed=False)
+    arrived = round(scenario.tasks[0].end / scenario.dt)
+    assert arrived < 20  # of 200 ticks
+    goal = [0.13, 0.05, 0.03]
+    assert np.linalg.norm(scenario.chain.object_pose(trace.q[arrived]).translation - goal) < 5e-3
+    used = np.abs(trace.v[:arrived] / scenario.chain.velocity).max(axis=1)
+    assert np.median(used) > 0.9
+    file.write_text(text.replace("duration: 2.0", "shares: [0, 1]"), encoding="utf-8")
+    with pytest.raises(CoopqpError, match=r"fast.yaml:15: .* needs shares, the first 0"):
+        load(file)
 
 
 REFUSED = {
