@@ -100,6 +100,37 @@ def test_two_sliders_go_from_speed_to_speed() -> None:
         time_along(LINE, sliders(push=PUSH), points=100, speed=(3.0, 0.0))
 
 
+@pytest.mark.parametrize("rise", [0.05, 0.2])
+def test_two_sliders_with_bounded_jerk_take_the_time_of_the_closed_form(rise: float) -> None:
+    """A bang-bang motion's mean over the rise: so much longer, with jerk 2 a / rise."""
+    found = time_along(LINE, sliders(push=PUSH), points=100, rise=rise)
+    quickest = 2.0 * np.sqrt(LINE[-1, 0] / PUSH)
+    assert found.duration == pytest.approx(quickest + rise, rel=1e-3)
+    assert (
+        f"takes {rise:g} s more; the joints' jerk is at most {2 * PUSH / rise:.3g} r"
+        in found.notes[0]
+    )
+    t = np.linspace(0.0, found.duration, 4001)
+    v = np.array([found.where(now)[1] for now in t]) / ROOT
+    a = np.diff(v) / np.diff(t)
+    assert np.abs(a).max() < PUSH * 1.001
+    window = len(t) // 20  # longer than the steps in which accelerations change
+    dt = window * (t[1] - t[0])
+    assert np.abs(a[window:] - a[:-window]).max() / dt < 2.0 * PUSH / rise * (1.0 + rise / dt / 6)
+    with pytest.raises(InvalidValueError, match=r"rise: found .* needs a speed of 0 at both ends"):
+        time_along(LINE, sliders(push=PUSH), points=100, rise=rise, speed=(0.5, 0.0))
+
+
+def test_a_motion_with_bounded_jerk_keeps_speeds_and_torques() -> None:
+    found, jumps = nao(0, rise=0.02), nao(0)
+    assert max(limits_used(found, 501)) < 1.001
+    assert jumps.duration + 0.02 < found.duration < jumps.duration + 0.06
+    for motion, most in ((found, 0.5), (jumps, 2.0)):  # of what the motors can, within 2 ms
+        tau = np.array([motion.at(t).tau for t in np.arange(0.0, motion.duration - 2e-3, 2e-3)])
+        steps = np.abs(np.diff(tau, axis=0) / motion.path.chain.model.effortLimit).max()
+        assert 0.5 * most < steps < most
+
+
 def test_each_moment_is_the_derivative_of_the_one_before() -> None:
     found = nao(1)
     h = 1e-5
@@ -457,6 +488,7 @@ def test_a_load_that_cannot_be_held_is_refused_with_place_and_motor() -> None:
         ({"points": 20.5}, "points: found 20.5, needs a whole number from 8 to 20000"),
         ({"points": 3}, "points: found 3, needs a whole number from 8 to 20000"),
         ({"points": "all"}, "points: found 'all', needs numbers"),
+        ({"rise": -1.0}, "rise: found -1.0, needs a time of at least 0 s"),
         ({"torque": 1.5}, r"torque: found 1.5, needs a share in \(0, 1\]"),
         ({"safety": 0.5}, "safety: found 0.5, needs a number of at least 1"),
         ({"wrench": (-1.0, 1.0)}, r"wrench: found \(-1.0, 1.0\), needs two numbers of at least 0"),
