@@ -172,11 +172,12 @@ def tracked(
     return trace, np.abs(trace.measured - np.array(planned)).max(axis=1)
 
 
-def followed() -> Iterator[str]:
+def followed(rise: float) -> Iterator[str]:
     """What torque_qp makes of five timed paths in MuJoCo, and of one with a box between pads."""
     for robot, torque, seed in FOLLOWED:
         scenario = load(robot)
-        found = time_along(random_way(scenario.chain, seed), scenario, torque=torque)
+        way = random_way(scenario.chain, seed)
+        found = time_along(way, scenario, torque=torque, rise=rise)
         moments = [found.at(float(t)) for t in np.linspace(0.0, found.duration, 50)]
         planned = max(np.abs(now.internal[:, :3]).max() for now in moments)
         for mass in (1.0, 1.2, 0.8):
@@ -193,7 +194,7 @@ def followed() -> Iterator[str]:
     scenario = load("press_and_lift")
     way = random_way(scenario.chain, 1, count=3, step=0.4)
     for safety in (SAFETY, 1.0):
-        found = time_along(way, scenario, safety=safety)
+        found = time_along(way, scenario, safety=safety, rise=rise)
         for friction in (1.0, 0.7, 0.6):
             trace, _ = tracked(scenario, found, Disturbance(friction=friction), safety)
             slip = np.nanmax(trace.signals["slip"])
@@ -230,9 +231,10 @@ def main() -> None:
     parser.add_argument("--paths", type=int, default=5, help="a robot")
     parser.add_argument("--toppra", default="", help="interpreter that has toppra")
     parser.add_argument("--follow", action="store_true", help="in MuJoCo instead")
+    parser.add_argument("--rise", type=float, default=0.0, help="of accelerations [s], to follow")
     options = parser.parse_args()
     if options.follow:
-        print("\n".join(followed()))
+        print("\n".join(followed(options.rise)))
         return
     results = [
         measured(robot, torque, seed, options.toppra)

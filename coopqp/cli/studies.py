@@ -40,6 +40,7 @@ FORMATS = ("mcap", "rosbag2", "parquet")
     "--speed", type=(float, float), default=(0.0, 0.0), metavar="FROM TO",
     help="Of the joints at the beginning and the end [rad/s].",
 )  # fmt: skip
+@click.option("--rise", type=float, default=0.0, help="Time in which accelerations change [s].")
 @click.option("--points", type=int, default=200, help="Intervals of the grid.")
 @catalogued
 @JSON

@@ -57,6 +57,8 @@ SLIGHT = 1e-6
 STANDS = 1.0001
 #: Shares of a limit by which the program of an instant is loosened until a point is found.
 LOOSER = (1e-7, 1e-5, 1e-3)
+#: Steps in which accelerations change; how often, and by how much at least, a motion is slowed.
+RISE_STEPS, SLOWER, EASIER = 12, 40, 1.001
 #: What would do: how much more of a limit is tried, of how many, and what a lighter load is called.
 MORE, TRIED, LIGHTER = 1.2, 6, "load 20 % lighter"
 NOTHING, KINDS = "nothing", ("speed", "acceleration", "force")
@@ -106,6 +108,7 @@ class TimedPath:
         hold: largest share of a motor, a contact or the wrench that holding still somewhere takes.
         notes: sentences on places that are passed slowly.
         speed: along the path at its beginning and its end, |v| [rad/s].
+        rise: time over which accelerations change [s].
     """
 
     maker: RowMaker
@@ -115,6 +118,7 @@ class TimedPath:
     hold: float
     notes: tuple[str, ...]
     speed: tuple[float, float] = (0.0, 0.0)
+    rise: float = 0.0
 
     @property
     def path(self) -> ClosedPath:
@@ -227,6 +231,7 @@ def time_along(
     wrench: tuple[float, float] | None = None,
     safety: float = SAFETY,
     speed: tuple[float, float] = (0.0, 0.0),
+    rise: float = 0.0,
     controller: str | None = None,
 ) -> TimedPath:
     """The fastest motion along a path of closed configurations.
@@ -241,6 +246,8 @@ def time_along(
             ``WRENCH`` if omitted, ``PRESSING`` where hands press.
         safety: by which the friction of hands that press is divided.
         speed: along the path at its beginning and its end, the joints' speed |v| [rad/s].
+        rise: time over which accelerations change [s], since servos do not follow jumps; from rest
+            to rest.
         controller: of a recorded run; the first if omitted.
 
     Raises:
@@ -252,10 +259,11 @@ def time_along(
     if wrench is None:
         pressing = any(grasp.contact for grasp in chain.grasps.values())
         wrench = PRESSING if pressing else WRENCH
-    _check(points=points, torque=torque, wrench=wrench, safety=safety, speed=speed)
+    _check(points=points, torque=torque, wrench=wrench, safety=safety, speed=speed, rise=rise)
     points = int(points)
     smooth = closed_path(chain, _points(path, scenario, controller))
-    return fastest(RowMaker(smooth, bounds_of(scenario, torque, wrench, safety)), points, speed)
+    maker = RowMaker(smooth, bounds_of(scenario, torque, wrench, safety))
+    return eased(fastest(maker, points, speed), rise)
 
 
 def fastest(maker: RowMaker, points: int, speed: tuple[float, float] = (0.0, 0.0)) -> TimedPath:
@@ -281,6 +289,49 @@ def fastest(maker: RowMaker, points: int, speed: tuple[float, float] = (0.0, 0.0
     return TimedPath(maker, profile, active, uses.largest, hold, notes, speed)
 
 
+def eased(found: TimedPath, rise: float) -> TimedPath:
+    """The motion with s(t) averaged over a time, and slowed down until it keeps all limits.
+
+    Accelerations then change over the time ``rise`` [s], and a note says what that costs.
+
+    Raises:
+        InvalidValueError: the motion is not from rest to rest, or no pace keeps the limits.
+    """
+    if not rise:
+        return found
+    if any(found.speed):
+        raise InvalidValueError(f"rise: found {rise:g} s, needs a speed of 0 at both ends")
+    path, maker, count = found.path, found.maker, int(np.ceil(found.duration / rise)) + 1
+    t = rise / RISE_STEPS * np.arange(min(RISE_STEPS * count, MOST) + 1)
+    t *= (found.duration + rise) / t[-1]
+    s, before = (np.array([found.where(float(now))[0] for now in t - gone]) for gone in (0.0, rise))
+    x = ((s - before) / rise) ** 2
+    s = np.concatenate([[0.0], np.cumsum(0.5 * np.diff(t) * (np.sqrt(x[1:]) + np.sqrt(x[:-1])))])
+    s *= path.length / s[-1]
+    most = np.interp(s, found.profile.s, found.profile.most)
+    fine = maker.at(np.repeat(s, 2)[1:-1])
+    share, wrench = Share(fine), np.zeros((len(s) - 1, 2, fine.Rl.shape[2]))
+    for _ in range(SLOWER):
+        profile = Profile(s, x, np.diff(x) / (2.0 * np.diff(s)), most, wrench)
+        uses = _uses(fine, share, profile)
+        if uses.largest < TOLERATED:
+            break
+        x = x / max(uses.largest, EASIER)
+    else:
+        raise InvalidValueError(f"rise: found {rise:g} s, needs less: no pace keeps all limits")
+    a = fine.along.dq * np.repeat(profile.u, 2)[:, None]
+    a += fine.along.ddq * np.repeat(x, 2)[1:-1, None]
+    jerk = np.abs(np.diff(0.5 * (a[::2] + a[1::2]), axis=0)) / np.diff(profile.t)[1:, None]
+    longer = float(profile.t[-1]) - found.duration
+    words = f"Accelerations change over {rise:g} s, which takes {longer:.3g} s more; "
+    words += f"the joints' jerk is at most {jerk.max():.3g} rad/s3."
+    active = tuple(_active(fine, share, uses))
+    return replace(
+        found, profile=profile, active=active, exceeded=uses.largest, rise=rise,
+        notes=(*found.notes, words),
+    )  # fmt: skip
+
+
 def would_do(found: TimedPath, scenario: Scenario) -> dict[str, float]:
     """Durations with a fifth more of each active limit, or a lighter load: tried, not guessed [s].
 
@@ -291,11 +342,12 @@ def would_do(found: TimedPath, scenario: Scenario) -> dict[str, float]:
     tried = {}
     for name in [name for name in found.shares if name != NOTHING][:TRIED]:
         more = RowMaker(maker.path, _raised(maker, name))
-        tried[name] = fastest(more, points, found.speed).duration
+        tried[name] = eased(fastest(more, points, found.speed), found.rise).duration
     held = replace(scenario.held, mass=(2.0 - MORE) * scenario.held.mass)
     chain = replace(scenario, held=held).chain
     lighter = RowMaker(replace(maker.path, chain=chain), maker.bounds)
-    return tried | {LIGHTER: fastest(lighter, points, found.speed).duration}
+    eased_too = eased(fastest(lighter, points, found.speed), found.rise)
+    return tried | {LIGHTER: eased_too.duration}
 
 
 def _raised(maker: RowMaker, name: str) -> Bounds:
@@ -331,6 +383,7 @@ _ASKED: dict[str, tuple[tuple[int, ...], float, float, str]] = {
     "safety": ((), 1.0, 1e9, "a number of at least 1"),
     "wrench": ((2,), 0.0, 1e9, "two numbers of at least 0"),
     "speed": ((2,), 0.0, 1e9, "two numbers of at least 0"),
+    "rise": ((), 0.0, 1e3, "a time of at least 0 s"),
 }
 
 
@@ -422,7 +475,8 @@ class _Uses(NamedTuple):
 
 def _uses(fine: Rows, share: Share, profile: Profile) -> _Uses:
     """The best wrench is looked for only where that between the ends' takes more than is there."""
-    part, N, made = np.linspace(0.0, 1.0, FINER + 1), len(profile.u), fine.maker
+    N, made = len(profile.u), fine.maker
+    part = np.linspace(0.0, 1.0, len(fine.s) // N)
     u = np.repeat(profile.u, len(part))
     x = np.outer(profile.x[:-1], 1.0 - part) + np.outer(profile.x[1:], part)
     x = np.maximum(x, 0.0).ravel()
@@ -448,9 +502,10 @@ def _active(fine: Rows, share: Share, uses: _Uses) -> Iterator[str]:
         for use, called in zip(by_kind, (of_speed, names), strict=True):
             if use.size:
                 best.append((float(use.max()), called[int(use.max(axis=0).argmax())]))
-        for i in (0, FINER, int(uses.force[k].argmax())):  # passes keep the rows of both ends
+        count = uses.force.shape[1]
+        for i in (0, count - 1, int(uses.force[k].argmax())):  # passes keep the rows of both ends
             if max(best)[1] == NOTHING and uses.force[k, i] >= ACTIVE:
-                use, name = share.of(k * (FINER + 1) + i, uses.u[k, i], uses.x[k, i])
+                use, name = share.of(k * count + i, uses.u[k, i], uses.x[k, i])
                 best.append((use, name) if use >= ACTIVE else best[0])
         yield max(best)[1]
 
