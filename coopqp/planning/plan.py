@@ -137,7 +137,8 @@ class Planner:
         self.problem, self.chain, self._t = problem, problem.chain, t
         kept = _kept(problem, keep)
         self.space = ClosedSpace(problem, kept, t)
-        self.verifier = Verifier(problem, self.space.room.lower, self.space.room.upper)
+        room, programs = self.space.room, self.space.programs
+        self.verifier = Verifier(problem, room.lower, room.upper, programs)
         self._check_start(kept)
 
     def _check_start(self, kept: Sequence[Task]) -> None:
@@ -169,6 +170,13 @@ class Planner:
         self, budget: Budget, goals: ArrayLike | None = None, progress: Progress = lambda x: None
     ) -> Plan:
         """As :func:`plan`."""
+        found = self.path(budget, goals, progress)
+        return self._timed(found) if found.found else found
+
+    def path(
+        self, budget: Budget, goals: ArrayLike | None = None, progress: Progress = lambda x: None
+    ) -> Plan:
+        """The same without times, which have no rows then."""
         begun = time.perf_counter()
         took: dict[str, float] = {}
         ends, why = self._goals(budget, goals, begun)
@@ -193,7 +201,7 @@ class Planner:
             seen = self.verifier.look(q, VERIFIED)
             took["verify"] = took.get("verify", 0.0) + time.perf_counter() - at
             if seen.good:
-                return self._made(path, q, seen, len(ends), took)
+                return self._found(path, q, seen, len(ends), took)
             # What the finer look has seen, the next search looks for as finely.
             seed += 1
             budget = replace(budget, fine=0.5 * budget.fine)
@@ -278,22 +286,23 @@ class Planner:
             q = np.insert(q, far + 1, middle, axis=0)
         return q
 
-    def _made(
+    def _found(
         self, path: Path, q: Array, seen: Verification, goals: int, took: dict[str, float]
     ) -> Plan:
-        t, ticks = timed(self.problem, q, self._allowed)
+        sentence = (
+            f"found in {sum(took.values()):.2g} s: {lengths(q)[-1]:.3g} rad to one of "
+            f"{counted(goals, 'goal configuration')}; {seen.points} points verified, loops closed "
+            f"within {1e3 * seen.open:.1g} mm"
+        )
+        nothing = self._nothing(sentence, took, path)
+        return replace(nothing, found=True, q=q, verification=seen)
+
+    def _timed(self, found: Plan) -> Plan:
+        t, ticks = timed(self.problem, found.q, self._allowed)
         poses = [self.chain.object_pose(row) for row in ticks]
         at = [[*X.translation, *quaternion_of(X.rotation)] for X in poses]
-        whole = sum(took.values())
-        sentence = (
-            f"found in {whole:.2g} s: {lengths(q)[-1]:.3g} rad to one of "
-            f"{counted(goals, 'goal configuration')}, {t[-1]:.3g} s at the joints' speeds; "
-            f"{seen.points} points verified, loops closed within {1e3 * seen.open:.1g} mm"
-        )
-        return Plan(
-            found=True, sentence=sentence, joints=self.chain.joint_names, q=q, t=t, timed=ticks,
-            object=np.array(at), verification=seen, seconds=took, path=path,
-        )  # fmt: skip
+        sentence = f"{found.sentence}; {t[-1]:.3g} s at the joints' speeds"
+        return replace(found, sentence=sentence, t=t, timed=ticks, object=np.array(at))
 
     def _allowed(self, q: Array) -> Array | None:
         """Rows near the path on the manifold; None where one is not, or something is in the way."""

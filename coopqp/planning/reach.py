@@ -20,7 +20,10 @@ import pinocchio as pin
 from coopqp.base.errors import InvalidValueError, under
 from coopqp.base.spec import Array, seeded
 from coopqp.base.wording import counted
+from coopqp.closed_loop.forces import Bound, StaticHold
+from coopqp.closed_loop.hands import hands
 from coopqp.controller import ControlProblem
+from coopqp.grasp import SAFETY
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.planning.closed_space import ClosedSpace
@@ -139,6 +142,7 @@ class Goals:
         space: of the tasks' manifold.
         found: configurations, shape (n,) each.
         cut_off: those to which no motion leads from the start.
+        lost: at others nothing that hands may press with holds the object; the most they carry.
         tried: random starts so far.
     """
 
@@ -147,6 +151,8 @@ class Goals:
         self.space = ClosedSpace(problem, self.goal.tasks, t)
         self.found: list[Array] = []
         self.cut_off: list[Array] = []
+        self.lost: list[Bound] = []
+        self._presses = any(hand.contact for hand in hands(problem.chain))
         self.tried = 0
         self._rng = seeded(seed)
 
@@ -165,8 +171,17 @@ class Goals:
             return
         q = q[self.space.is_free(q)]
         for row, away in zip(q, cut_off(self.space.chain, q), strict=True):
-            if not self.goal.missed(row):
+            if not self.goal.missed(row) and self._holds(row):
                 (self.cut_off if away else self.found).append(row.copy())
+
+    def _holds(self, q: Array) -> bool:
+        """Whether motors and friction, with the laws' safety, hold the object where hands press."""
+        if not self._presses:
+            return True
+        most = StaticHold(self.space.chain, q, safety=SAFETY).load()
+        if most.value < 1.0:
+            self.lost.append(most)
+        return most.value >= 1.0
 
 
 def explained(goals: Goals, progress: Progress = lambda share: None) -> Reach:
@@ -174,6 +189,15 @@ def explained(goals: Goals, progress: Progress = lambda share: None) -> Reach:
 
     What these find is among ``goals.found`` then.
     """
+    if goals.lost:
+        most = max(goals.lost, key=lambda bound: bound.value)
+        there = counted(len(goals.lost), "configuration")
+        sentence = (
+            f"not found from {goals.tried} starts: inside the other limits {there} found, but "
+            f"hands hold at most {100.0 * most.value:.0f} % of the object's weight there, as "
+            f"{most.holds}"
+        )
+        return Reach((), False, sentence, goals.tried)
     goal, space = goals.goal, goals.space
     q = space.chain.q_start
     missed = goal.missed(q)
