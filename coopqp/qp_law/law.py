@@ -194,6 +194,7 @@ class QPLaw(Law):
         missed, hard, self._shares = self._missed(v), self._hard_rows, level.shares[:-1]
         wanted[hard] += missed
         aside[hard] -= wanted[hard]
+        aside *= SLOW / min(max(norm(aside), MET), SLOW)
         leaves, most = min(norm(missed) / SLOW, 1.0), np.abs(missed).max(initial=0.0)
         asked = self._scaled or 0.0 < most < 2.0 * MET
         if leaves < 1.0 and asked and np.isfinite(aside @ self.exact.wanted):

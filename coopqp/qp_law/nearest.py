@@ -8,11 +8,13 @@ They are levels of least squares (:mod:`coopqp.qp_law.law`) above all soft ones:
 with the answer v_h; then, with J_i v of these fixed, the scaled ones: v_n is the nearest to all
 they want, v_s has the largest shares s_k of it and the least part t of v_h, by an exact penalty:
 
-    J_k v_s = s_k wanted_k + t J_k v_h,   at the cost W (t^2 / 2 + ASIDE t) more
+    J_k v_s = s_k wanted_k + t a_k,   at the cost W (t^2 / 2 + ASIDE t) more
     v = (1 - r) v_s + r v_n,   r = max_k (1 - s_k |wanted_k| / (LITTLE p_k))+ (1 - s_k / WHOLE)+
 
-p_k is what v_n has along a direction; r is at least t and, where hard tasks lack a speed, that over
-SLOW, up to 1. Later levels keep v. The damping of v_n is that of a soft task
+a is J v_h of all scaled tasks, made as long as SLOW where it is shorter: next to no motion takes
+neither t = 1 nor multipliers that cost the answer its digits. p_k is what v_n has along a
+direction, LEAST_SPEED at least; r is at least t and, where hard tasks lack a speed, that over SLOW,
+up to 1. Later levels keep v. The damping of v_n is that of a soft task
 (:class:`coopqp.qp_law.equations.Damping`); that of the hard tasks grows from almost nothing with
 what their rows lacked in the last tick, m_i: d = c dt sum_i w_i |m_i| L_i.
 """
@@ -26,7 +28,7 @@ import numpy as np
 from coopqp.base.rank import null_space
 from coopqp.base.spec import Array
 from coopqp.model.state import State
-from coopqp.qp_law.equations import SCALE_WEIGHT
+from coopqp.qp_law.equations import LEAST_SPEED, SCALE_WEIGHT
 from coopqp.qp_law.level import Given, Level, Step
 from coopqp.qp_law.priorities import LaterLevel, Order
 from coopqp.solver import Status, norm
@@ -83,5 +85,5 @@ class Nearest:
 def blocked(share: float, wanted: Array, near: Array) -> float:
     """How far a task with a share of what is wanted may leave that direction for the nearest, r."""
     size = norm(wanted)
-    along = max(float(wanted @ near), MET * size, 1e-300)  # times the size of what is wanted
+    along = max(float(wanted @ near), LEAST_SPEED * size, 1e-300)  # times size
     return max(1.0 - share * size * size / (LITTLE * along), 0.0) * max(1.0 - share / WHOLE, 0.0)

@@ -118,6 +118,8 @@ class Cascade {
     const Shares& shares() const { return shares_; }
     Check& check() { return check_; }
     const Check& check() const { return check_; }
+    // Of the level that was decided last.
+    const Outcome& outcome() const { return outcome_; }
     // What a later level pulls at the rows before it, Outcome::pull.
     double pull(int l) const { return pulls_[std::size_t(l)]; }
 
@@ -159,6 +161,7 @@ class Cascade {
             if (!(outcome.off < off)) break;
         }
         pulls_[std::size_t(l)] = outcome.pull;
+        outcome_ = outcome;
         if (outcome.status != Status::Inaccurate || l > 0) return outcome.status;
         // Where rows give way so far that the answer is another, they clash.
         if (clash_) return Status::Clashing;
@@ -369,6 +372,7 @@ class Cascade {
     bool clash_ = false;  // whether rows, if they gave way by less, would leave no motion
     std::vector<double> residual_;
     SmallLeastSquares small_;
+    Outcome outcome_{};
     std::vector<double> pulls_;
     bool sees_twist_ = false;  // whether there are rows that see the object's twist
 };

@@ -26,7 +26,11 @@ struct Outcome {
     double off;   // estimate of |v - v*|
     double gap;   // by how much rows that must hold do not, but for what levels before left
     double astray = 0.0;  // the part of off that comes from these rows
+    double firm = 0.0;    // least multiplier that keeps a share at a bound
 };
+
+// Whether a share is at a bound, but for rounding.
+inline bool at_bound(double share) { return share < LAST_DIGITS || share > 1.0 - LAST_DIGITS; }
 
 class Check {
   public:
@@ -94,6 +98,7 @@ class Check {
         else if (!(astray <= s_.budget.accuracy && off <= s_.budget.accuracy))
             outcome.status = Status::Inaccurate;
         outcome.off = off + astray;
+        if (l == 0) outcome.firm = firm();
         outcome.astray = astray;
         return outcome;
     }
@@ -190,6 +195,17 @@ class Check {
             squares += off * off;
         }
         return squares * SCALE_WEIGHT / mu;
+    }
+
+    // Least multiplier that keeps a share at one of its bounds.
+    double firm() const {
+        double least = std::numeric_limits<double>::infinity();
+        for (int k = 0; k < shares_.count(); k++) {
+            const double s = shares_.share(k);
+            const double slope = SCALE_WEIGHT * (s - levels_[0].best_share(k)) - y_.at_share(k);
+            if (at_bound(s)) least = std::min(least, std::max(s < 0.5 ? slope : -slope, 0.0));
+        }
+        return least;
     }
 
     // Put v between its bounds; by how much it was not, squared.

@@ -308,6 +308,7 @@ class Kernel {
     Status come_near(Status whole, bool tried) {
         const bool optimal = whole == Status::Optimal;
         bool scales = levels[0].shares > 0;
+        off_ = off_in_shares_ = off_at_bounds_ = least_leaves_ = aside_ = 0.0;
         copy(near_, tasks_.v(), m_->blocks);
         if (optimal) {
             nearest_.accept_hard(b_.data(), near_);
@@ -322,17 +323,20 @@ class Kernel {
             if (scales && leaves_ < 1.0) nearest_.accept_hard(b_.data(), near_);
             if (status != Status::Optimal) return status;
         }
-        if (scales && (leaves_ > 0.0 || least_share() < WHOLE)) {
+        if (scales && (leaves_ > 0.0 || off_ > 0.0 || least_share() < WHOLE)) {
             const Status status = nearest_.of_scaled(damping_, bound.scaled_pull[0]);
             if (optimal && status != Status::Optimal) return whole;  // the shares hold
             near_scaled_ = true;
             if (status != Status::Optimal) return status;
-            if (leaves_ < 1.0) leaves_ = std::max(leaves_, leaves_direction(nearest_.v()));
+            if (leaves_ < 1.0) leaves_ = leaves(nearest_.v(), 0.0);
+            if (!is_sure(nearest_.v())) return Status::Inaccurate;
             if (optimal && leaves_ == 0.0) return status;
             for (int b = 0; b < m_->blocks; b++)
                 lanes(near_)[b] = smaller(
                     larger(lanes(near_)[b] + leaves_ * (lanes(nearest_.v())[b] - lanes(near_)[b]),
                            lanes(limits.lb)[b]), lanes(limits.ub)[b]);
+        } else if (off_ > 0.0) {
+            return Status::Inaccurate;
         }
         tasks_.begin(b_.data(), set_out_);
         tasks_.accept(near_);
@@ -347,7 +351,7 @@ class Kernel {
         for (int s = 0; s < level.exact; s++) got_[std::size_t(s)] = rows_.times(level, s, v, V_);
         double missed2 = 0.0;
         for (double missed : missed_) missed2 += missed * missed;
-        leaves_ = std::min(std::sqrt(missed2) / SLOW, 1.0);
+        leaves_ = least_leaves_ = std::min(std::sqrt(missed2) / SLOW, 1.0);
         if (leaves_ == 1.0) return Status::Optimal;
         const double d = s_.damping + damping_.of(0, level, bound);
         const Status status =
@@ -355,17 +359,46 @@ class Kernel {
         shares_ = &nearest_.beside().shares();
         if (status == Status::Infeasible || status == Status::Unproven || status == Status::Clashing)
             leaves_ = 1.0;
-        else if (status != Status::Optimal)
-            return status;
         else {
+            const Outcome& found = nearest_.beside().outcome();
+            if (status == Status::Inaccurate && found.astray <= s_.budget.accuracy)
+                off_ = found.off;  // which may matter little, is_sure
+            else if (status != Status::Optimal)
+                return status;
+            off_in_shares_ = off_ * std::sqrt(std::min(d / SCALE_WEIGHT, 1.0));
+            off_at_bounds_ = std::min(off_in_shares_, off_ * off_ * d / (4.0 * found.firm));
             copy(v, nearest_.beside().v(), m_->blocks);
-            leaves_ = level.shares ? std::max(leaves_, nearest_.aside()) : 0.0;
+            aside_ = nearest_.aside();
+            leaves_ = level.shares ? std::max(leaves_, aside_) : 0.0;
         }
         return Status::Optimal;
     }
 
-    // As coopqp.qp_law.nearest.blocked; near: the nearest motion, in lanes.
-    double leaves_direction(const double* near) {
+    // Whether the command is sure, although the motion with the largest shares is off by off_: the
+    // more scaled tasks leave it for the nearest motion, in lanes, the less it is in the command.
+    bool is_sure(const double* near) {
+        if (off_ == 0.0) return true;
+        const double least = leaves(near, -1.0), most = leaves(near, 1.0);
+        double apart2 = 0.0;
+        for (int i = 0; i < stride(); i++) apart2 += (near[i] - near_[i]) * (near[i] - near_[i]);
+        return (1.0 - least) * off_ + (most - least) * std::sqrt(apart2) <= s_.budget.accuracy;
+    }
+
+    // How far scaled tasks leave their directions for the nearest motion, in lanes.
+    //   by: 1, with t as large as it may be, and the shares as small; -1, the other way round; or 0.
+    double leaves(const double* near, double by) {
+        const double direction = leaves_direction(near, by);
+        return std::max(std::max(least_leaves_, moved(aside_, by)), direction);
+    }
+
+    // A share that is larger by as much as it may be.
+    double moved(double share, double by) const {
+        const double most = at_bound(share) ? off_at_bounds_ : off_in_shares_;
+        return std::min(std::max(share + by * most, 0.0), 1.0);
+    }
+
+    // As coopqp.qp_law.nearest.blocked.
+    double leaves_direction(const double* near, double by) {
         const Level& level = levels[0];
         double most = 0.0;
         rows_.object_twist(near, V_);
@@ -377,8 +410,8 @@ class Kernel {
                 wanted2 += wanted * wanted;
                 along += wanted * rows_.times(level, s, near, V_);
             }
-            along = std::max(along, MET * std::sqrt(wanted2));
-            const double share = shares_->share(k);
+            along = std::max(along, LEAST_SPEED * std::sqrt(wanted2));
+            const double share = moved(shares_->share(k), -by);
             const double left = along > 0.0 ? std::max(1.0 - share * wanted2 / (LITTLE * along), 0.0) : 0.0;
             most = std::max(most, left * std::max(1.0 - share / WHOLE, 0.0));
         }
@@ -448,6 +481,10 @@ class Kernel {
     std::vector<double> missing_;          // of shares
     std::vector<double> speed_;            // of joints, up to which bodies were looked at
     double leaves_ = 0.0;                  // how far scaled tasks leave their directions
+    double least_leaves_ = 0.0, aside_ = 0.0;  // what of it hard tasks ask for: by what they lack, t
+    // By how much the motion with the largest shares beside them may be off, and t and these shares, by
+    // strong convexity: W ds^2 + d dv^2 + firm |ds| <= d off |dv|, firm where a bound holds a share.
+    double off_ = 0.0, off_in_shares_ = 0.0, off_at_bounds_ = 0.0;
     bool near_scaled_ = false;             // whether their nearest motion was looked for
     double *set_out_, *v_, *last_, *near_, *V_, *t_;
     bool comes_back_ = false;

@@ -44,11 +44,15 @@ class Nearest {
     Status of_shares(const double* missed, const double* got, double d, const double* b,
                      const double* v) {
         Level& level = beside_[0];
+        double size2 = 0.0;
         for (std::size_t s = 0; s < std::size_t(level.exact); s++) {
             const bool hard = int(s) < given_.hard;
             level.wanted[s] = given_.wanted[s] + (hard ? missed[s] : 0.0);
             level.aside[s] = got[s] - (hard ? level.wanted[s] : 0.0);
+            size2 += level.aside[s] * level.aside[s];
         }
+        const double size = std::min(std::max(std::sqrt(size2), MET), SLOW);
+        for (double& aside : level.aside) aside *= SLOW / size;
         shares_.begin(b, v);
         return shares_.decide(0, d);
     }
