@@ -266,8 +266,16 @@ def time_along(
     return eased(fastest(maker, points, speed), rise)
 
 
-def fastest(maker: RowMaker, points: int, speed: tuple[float, float] = (0.0, 0.0)) -> TimedPath:
-    """The fastest motion along a closed path by its rows; see :func:`time_along`."""
+def fastest(
+    maker: RowMaker,
+    points: int,
+    speed: tuple[float, float] = (0.0, 0.0),
+    most: Array | None = None,
+) -> TimedPath:
+    """The fastest motion along a closed path by its rows, with sdot^2 <= most at the places.
+
+    Else as :func:`time_along`.
+    """
     path = maker.path
     rows = maker.at(np.linspace(0.0, path.length, points + 1))
     held = _held(rows)
@@ -275,6 +283,8 @@ def fastest(maker: RowMaker, points: int, speed: tuple[float, float] = (0.0, 0.0
     fine = rows.finer(FINER + 1)
     share = Share(fine)
     limits = {kind: np.ones(points + 1) for kind in KINDS}
+    if most is not None:
+        limits["speed"] = np.minimum(1.0, np.sqrt(most / rows.x_max))
     for _ in range(1 + REPEATS):
         profile = _profile(rows, limits, ends.tolist(), speed)
         uses = _uses(fine, share, profile)
@@ -301,7 +311,12 @@ def eased(found: TimedPath, rise: float) -> TimedPath:
         return found
     if any(found.speed):
         raise InvalidValueError(f"rise: found {rise:g} s, needs a speed of 0 at both ends")
-    path, maker, count = found.path, found.maker, int(np.ceil(found.duration / rise)) + 1
+    path, maker, x, hold = found.path, found.maker, found.profile.x, found.profile.most.copy()
+    for k in np.flatnonzero((x[1:-1] <= x[:-2]) & (x[1:-1] <= x[2:])) + 1:
+        near = np.abs(found.profile.t - found.profile.t[k]) <= 0.5 * rise
+        hold[near] = np.minimum(hold[near], x[k])  # where it slows down, the mean would not
+    duration, found = found.duration, fastest(maker, len(x) - 1, most=hold)
+    count = int(np.ceil(found.duration / rise)) + 1
     t = rise / RISE_STEPS * np.arange(min(RISE_STEPS * count, MOST) + 1)
     t *= (found.duration + rise) / t[-1]
     s, before = (np.array([found.where(float(now))[0] for now in t - gone]) for gone in (0.0, rise))
@@ -322,7 +337,7 @@ def eased(found: TimedPath, rise: float) -> TimedPath:
     a = fine.along.dq * np.repeat(profile.u, 2)[:, None]
     a += fine.along.ddq * np.repeat(x, 2)[1:-1, None]
     jerk = np.abs(np.diff(0.5 * (a[::2] + a[1::2]), axis=0)) / np.diff(profile.t)[1:, None]
-    longer = float(profile.t[-1]) - found.duration
+    longer = float(profile.t[-1]) - duration
     words = f"Accelerations change over {rise:g} s, which takes {longer:.3g} s more; "
     words += f"the joints' jerk is at most {jerk.max():.3g} rad/s3."
     active = tuple(_active(fine, share, uses))

@@ -18,6 +18,7 @@ from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.spec import Array, Positive, spec
 from coopqp.closed_loop.grasp_matrix import COMPONENTS
 from coopqp.controllers import TorqueQp
+from coopqp.execution.comparison import compare
 from coopqp.execution.controller_run import run
 from coopqp.grasps import Rigid
 from coopqp.limits import JointAcceleration, JointPosition, JointVelocity, ObjectSpeed
@@ -27,7 +28,8 @@ from coopqp.planning.closed_path import CLOSED
 from coopqp.planning.fastest_profile import SHARE, with_fastest_profiles
 from coopqp.planning.time_along import LIGHTER, MORE, TOLERATED, TimedPath, time_along, would_do
 from coopqp.planning.timing import timed
-from coopqp.plants import RigidBody
+from coopqp.plant import Disturbance
+from coopqp.plants import Mujoco, RigidBody
 from coopqp.robot import Arm, Robot, RobotModel
 from coopqp.robots import PlanarPair
 from coopqp.scenario.loader import load
@@ -408,6 +410,35 @@ def test_torques_that_follow_it_squeeze_as_planned(tmp_path: Path) -> None:
     planned = [np.linalg.norm(found.at(t).internal[0, :3]) for t in trace.t[:-1]]
     assert np.median(np.abs(forces[0] - planned)) < 0.01 * np.max(planned)
     assert np.median(forces[1]) < 0.2 * np.median(planned)
+
+
+@needs_robots
+@pytest.mark.parametrize(("safety", "rest"), [(1.5, 0.2), (1.0, 1.0)])
+def test_a_box_between_pads_is_held_or_lost_with_less_friction_and_said(
+    safety: float, rest: float, tmp_path: Path
+) -> None:
+    """In MuJoCo, with friction 30 % less than told."""
+    pytest.importorskip("mujoco")
+    scenario = load("press_and_lift")
+    way = random_way(scenario.chain, 1, count=3, step=0.4)
+    found = time_along(way, scenario, safety=safety)
+    file = tmp_path / "timed.csv"
+    file.write_text(found.csv(0.002), encoding="utf-8")
+    task = Posture(goal=Waypoints(file=file), gain=40.0, profile=Profile(kind="step"))
+    carried = replace(
+        scenario, tasks=(task,), secondary=(), plant=Mujoco(), dt=0.002, kappa=100.0,
+        controllers={"torque_qp": TorqueQp(safety=safety)}, duration=found.duration + rest,
+        disturbance=Disturbance(friction=0.7),
+    )  # fmt: skip
+    compared = compare(carried)
+    slip = float(np.nanmax(compared.traces["torque_qp"].signals["slip"]))
+    said = compared.verdicts["torque_qp"]
+    if safety > 1.0:
+        assert slip < 2e-3
+        assert said.startswith("Holds the object")
+    else:
+        assert slip > 0.05
+        assert said.startswith("Loses the object at ")
 
 
 def test_the_fastest_profile_takes_the_time_of_closed_forms() -> None:
