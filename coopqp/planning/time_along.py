@@ -19,21 +19,30 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import pinocchio as pin
 
 from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.reading import open_bytes
 from coopqp.base.spec import Array, array
-from coopqp.base.table import csv_text, read_table
+from coopqp.base.table import Table, csv_text, read_table
 from coopqp.closed_loop.grasp_matrix import COMPONENTS, moved, section
 from coopqp.closed_loop.hands import hands, points
+from coopqp.execution.controller_run import run
 from coopqp.grasp import SAFETY
 from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.profile import Profile as Motion
 from coopqp.planning.closed_path import FINER, STILL, ClosedPath, closed_path, relative
 from coopqp.planning.forward_backward_pass import FORCE, Passes, Profile, Share, Stuck, program
 from coopqp.planning.path_constraints import AXES, Bounds, RowMaker, Rows, bounds_of
+from coopqp.plant import Disturbance
+from coopqp.plants import Kinematic
 from coopqp.recordings.known import read, trace_in
 from coopqp.scenario.scenario import Scenario
-from coopqp.signal import TURN_COLUMNS, quaternion_of
+from coopqp.signal import POSE, TURN_COLUMNS, matrix, quaternion_of
+from coopqp.signals import Waypoints
+from coopqp.task import Task
+from coopqp.tasks import Pose
+from coopqp.trace import Trace
 
 #: Largest component of an internal wrench; 20 N buy two thirds and more of what any buys.
 WRENCH = (40.0, 4.0)  # [N, N m]
@@ -59,6 +68,8 @@ STANDS = 1.0001
 LOOSER = (1e-7, 1e-5, 1e-3)
 #: Steps in which accelerations change; how often, and by how much at least, a motion is slowed.
 RISE_STEPS, SLOWER, EASIER = 12, 40, 1.001
+#: Of a run along poses of the object: its duration [s], its law, and how near it comes [m, rad].
+SLOW, LAW, CARRIED, CARRIED_ANGLE = 10.0, "qp", 1e-3, 1e-2
 #: What would do: how much more of a limit is tried, of how many, and what a lighter load is called.
 MORE, TRIED, LIGHTER = 1.2, 6, "load 20 % lighter"
 NOTHING, KINDS = "nothing", ("speed", "acceleration", "force")
@@ -238,7 +249,8 @@ def time_along(
 
     Args:
         path: configurations, shape (N, n) [rad, m]; what has them as ``q``; or a file: a recorded
-            run, or a CSV file with a column a joint, such as a plan's; or the folder of these.
+            run, or a CSV file with a column a joint, such as a plan's, or with way-points of the
+            object alone (x, y, z, qx, qy, qz, qw); or the folder of these.
         scenario: whose robot, start, grasps, object and limits count.
         points: intervals of the grid.
         torque: share of each motor's limit that may be planned with; the rest is for the loop.
@@ -408,10 +420,43 @@ def _points(path: Any, scenario: Scenario, controller: str | None) -> Any:
         return getattr(path, "q", path)
     joints = scenario.chain.joint_names
     if file := table_of(Path(path)):
-        return read_table(file).take(joints)
+        table = read_table(file)
+        if set(POSE.columns) <= set(table.columns) and not set(joints) & set(table.columns):
+            return _carried(scenario, table)
+        return table.take(joints)
     run = read(trace_in(Path(path)))
     name = controller or run.controllers[0]
     return run.of(name).joints("q", joints)
+
+
+def calm_run(scenario: Scenario, tasks: tuple[Task, ...], seconds: float, law: str = LAW) -> Trace:
+    """A law's run with other tasks, by kinematics alone."""
+    calm = {"plant": Kinematic(), "disturbance": Disturbance(), "duration": seconds}
+    return run(replace(scenario, tasks=tasks, **calm), controller=law, timed=False)
+
+
+def _carried(scenario: Scenario, table: Table) -> Array:
+    """Configurations along poses of the object, as the law brings it there slowly.
+
+    Raises:
+        InvalidValueError: a pose from which it stays farther than ``CARRIED``; says which.
+    """
+    chain, poses = scenario.chain, table.take(POSE.columns)
+    first = chain.object_pose(chain.q_start)
+    values = [[*first.translation, *quaternion_of(first.rotation)], *poses.tolist()]
+    t = SLOW * np.linspace(0.0, 1.0, len(values))
+    task = Pose(goal=Waypoints(times=t.tolist(), values=values), profile=Motion(kind="step"))
+    q = calm_run(scenario, (task,), SLOW).q[np.rint(t[1] / scenario.dt).astype(int) :]
+    for k, (now, pose) in enumerate(zip(t[1:] - t[1], poses, strict=True)):
+        X = chain.object_pose(q[round(float(now) / scenario.dt)])
+        off = float(np.linalg.norm(X.translation - pose[:3]))
+        angle = float(np.linalg.norm(pin.log3(X.rotation.T @ matrix(pose[3:]))))
+        if off > CARRIED or angle > CARRIED_ANGLE:
+            raise InvalidValueError(
+                f"{table.place(k)}: the law brings the object no nearer than {1e3 * off:.3g} mm "
+                f"and {1e3 * angle:.3g} mrad; lead it elsewhere, or plan a way"
+            )
+    return np.asarray(q, float)
 
 
 def table_of(path: Path) -> Path | None:

@@ -16,6 +16,7 @@ from scenario_files import needs_robots
 
 from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.spec import Array, Positive, spec
+from coopqp.base.table import csv_text
 from coopqp.closed_loop.grasp_matrix import COMPONENTS
 from coopqp.controllers import TorqueQp
 from coopqp.execution.comparison import compare
@@ -477,6 +478,22 @@ def test_a_file_may_ask_for_the_fastest_profile(tmp_path: Path) -> None:
     file.write_text(text.replace("duration: 2.0", "shares: [0, 1]"), encoding="utf-8")
     with pytest.raises(CoopqpError, match=r"fast.yaml:15: .* needs shares, the first 0"):
         load(file)
+
+
+def test_way_points_of_the_object_are_a_path(tmp_path: Path) -> None:
+    found, scenario, file = nao(0), load("point_on_point"), tmp_path / "object.csv"
+    poses = found.table(0.01)
+    wanted = {name: poses[name][::4] for name in POSE.columns}
+    file.write_text(csv_text(wanted), encoding="utf-8")
+    along = time_along(file, scenario)
+    at = [scenario.chain.object_pose(along.path.spline(s)) for s in along.path.points]
+    places = np.array([X.translation for X in at])
+    for p in np.array([wanted[name] for name in "xyz"]).T:
+        assert np.linalg.norm(places - p, axis=1).min() < 2e-3
+    assert max(limits_used(along, 201)) < 1.001
+    file.write_text(csv_text({**wanted, "z": wanted["z"] + 0.5}), encoding="utf-8")
+    with pytest.raises(InvalidValueError, match=r"object.csv:2: the law brings the object no near"):
+        time_along(file, scenario)
 
 
 REFUSED = {
