@@ -19,8 +19,8 @@ from coopqp.planning.time_along import LAW, POINTS, SLOW, calm_run, fastest
 from coopqp.scenario.scenario import Scenario
 from coopqp.task import Task
 
-#: Runs of the law, and how much slower than the fastest they are: what else moves, such as joints to
-#: their middle, is then about as far as it is in the fastest.
+#: Runs of the law, and how much slower than the fastest they are: what else moves, such as joints
+#: to their middle, is then about as far as it is in the fastest.
 LOOKS, CALM = 3, 1.25
 #: Share of the limits that the timing uses: the rest is for what the law corrects.
 SHARE = 0.99

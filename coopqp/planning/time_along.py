@@ -431,8 +431,10 @@ def _points(path: Any, scenario: Scenario, controller: str | None) -> Any:
 
 def calm_run(scenario: Scenario, tasks: tuple[Task, ...], seconds: float, law: str = LAW) -> Trace:
     """A law's run with other tasks, by kinematics alone."""
-    calm = {"plant": Kinematic(), "disturbance": Disturbance(), "duration": seconds}
-    return run(replace(scenario, tasks=tasks, **calm), controller=law, timed=False)
+    calm = replace(
+        scenario, tasks=tasks, plant=Kinematic(), disturbance=Disturbance(), duration=seconds
+    )
+    return run(calm, controller=law, timed=False)
 
 
 def _carried(scenario: Scenario, table: Table) -> Array:
