@@ -47,7 +47,7 @@ def reach_json(found: Reach) -> str:
     rows = [
         {
             "q": one.q.tolist(), "bends": one.bends, "joint_margin": one.joint_margin,
-            "clearance": one.clearance,
+            "clearance": one.clearance, "cut_off": one.cut_off,
         }
         for one in found.found
     ]  # fmt: skip
@@ -61,8 +61,9 @@ def plan_json(found: Plan) -> str:
     """A plan without its points."""
     seen = found.verification
     data: dict[str, Any] = {
-        "found": found.found, "sentence": found.sentence, "length": found.length,
-        "duration": float(found.t[-1]) if len(found.t) else 0.0, "seconds": found.seconds,
+        "found": found.found, "proven_unreachable": found.proven, "sentence": found.sentence,
+        "length": found.length, "duration": float(found.t[-1]) if len(found.t) else 0.0,
+        "seconds": found.seconds,
         "verified": {"points": seen.points, "open": seen.open} if seen else None,
     }  # fmt: skip
     return strict_json.text(data)

@@ -25,7 +25,8 @@ from coopqp.scenario.checks import (
 )
 from coopqp.scenario.form import SOLVE, check, chosen, fields_of, given
 from coopqp.scenario.planned import following
-from coopqp.scenario.scenario import Scenario, Start, from_degrees
+from coopqp.scenario.scenario import Scenario
+from coopqp.scenario.start import Start, from_degrees
 from coopqp.scenario.start_solver import Progress, StartSolution, close_start, solve_start
 from coopqp.scenario.yaml import YamlFile, parsed, read_yaml
 from coopqp.solver import Solver
@@ -62,11 +63,11 @@ def load_file(file: YamlFile, catalog: Catalog, known: Known | None = None) -> S
         scenario = _read(file, catalog)
         known.lend_robot(file.data, scenario)
         if file.data.get("start") == SOLVE:
-            scenario = _starting(scenario, _solved(file, scenario, scenario.seed, None).start)
+            scenario = scenario.changed(start=_solved(file, scenario, scenario.seed, None).start)
         elif file.data.get("start_deg") is not None:
             with at(["robot"]):
                 robot = scenario.robot_model
-            scenario = _starting(scenario, from_degrees(robot, scenario.grasps, scenario.start))
+            scenario = scenario.changed(start=from_degrees(robot, scenario.grasps, scenario.start))
         if planned := file.data.get("reference"):
             with at(["reference"]):
                 scenario = following(scenario, file.folder / planned["plan"])
@@ -95,13 +96,6 @@ def _read(file: YamlFile, catalog: Catalog, *, needs_start: bool = True) -> Scen
     )
     refuse(contradictions(keys, scenario, needs_start=needs_start))
     return scenario
-
-
-def _starting(scenario: Scenario, start: Start) -> Scenario:
-    """The scenario with a start; its robot, which is built by now, is not built again."""
-    changed = replace(scenario, start=start)
-    vars(changed)["robot_model"] = scenario.robot_model
-    return changed
 
 
 def load_and_solve(
