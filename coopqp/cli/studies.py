@@ -49,7 +49,8 @@ def time_(
 ) -> None:
     """Find the fastest motion along a path that speeds, accelerations and torques allow.
 
-    PATH is a recorded run, a CSV file with a column for each joint, or the folder of one.
+    PATH is a recorded run, a CSV file with a column for each joint, or with the object's x, y, z,
+    qx, qy, qz and qw, or the folder of one.
     """
     from coopqp.planning.time_along import table_of, time_along, would_do
     from coopqp.report import files, strict_json

@@ -12,20 +12,15 @@ from typing import Any
 import numpy as np
 
 from coopqp.base.errors import InvalidValueError
-from coopqp.execution.controller_run import run
 from coopqp.model.profile import FASTEST, Profile
 from coopqp.planning.closed_path import closed_path
 from coopqp.planning.path_constraints import Bounds, RowMaker, joint_bounds, twist_bounds
-from coopqp.planning.time_along import POINTS, fastest
-from coopqp.plant import Disturbance
-from coopqp.plants import Kinematic
+from coopqp.planning.time_along import LAW, POINTS, SLOW, calm_run, fastest
 from coopqp.scenario.scenario import Scenario
 from coopqp.task import Task
 
-#: Duration of the slow run [s], and the law of those whose controllers command torques.
-SLOW, LAW = 10.0, "qp"
-#: Runs: what else moves, such as joints to their middle, is then as far as it is in the fast one;
-#: and how much slower than the fastest they are.
+#: Runs of the law, and how much slower than the fastest they are: what else moves, such as joints
+#: to their middle, is then about as far as it is in the fastest.
 LOOKS, CALM = 3, 1.25
 #: Share of the limits that the timing uses: the rest is for what the law corrects.
 SHARE = 0.99
@@ -60,11 +55,7 @@ def with_fastest_profiles(scenario: Scenario) -> Scenario:
 
 def _along(scenario: Scenario, law: str, way: Profile) -> Profile:
     """The fastest along where a law's run has the joints by its share of the way."""
-    calm = replace(
-        _with(scenario, way, delay=0.0), duration=way.duration, plant=Kinematic(),
-        disturbance=Disturbance(),
-    )  # fmt: skip
-    trace = run(calm, controller=law, timed=False)
+    trace = calm_run(scenario, _with(scenario, way, delay=0.0).tasks, way.duration, law)
     speed, push = joint_bounds(scenario)
     none, twist = np.full(len(speed), np.inf), SHARE * twist_bounds(scenario)
     bounds = Bounds(SHARE * speed, SHARE * push, none, twist, np.zeros(6), forces=False)

@@ -19,21 +19,30 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import pinocchio as pin
 
 from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.reading import open_bytes
 from coopqp.base.spec import Array, array
-from coopqp.base.table import csv_text, read_table
+from coopqp.base.table import Table, csv_text, read_table
 from coopqp.closed_loop.grasp_matrix import COMPONENTS, moved, section
 from coopqp.closed_loop.hands import hands, points
+from coopqp.execution.controller_run import run
 from coopqp.grasp import SAFETY
 from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.profile import Profile as Motion
 from coopqp.planning.closed_path import FINER, STILL, ClosedPath, closed_path, relative
 from coopqp.planning.forward_backward_pass import FORCE, Passes, Profile, Share, Stuck, program
 from coopqp.planning.path_constraints import AXES, Bounds, RowMaker, Rows, bounds_of
+from coopqp.plant import Disturbance
+from coopqp.plants import Kinematic
 from coopqp.recordings.known import read, trace_in
 from coopqp.scenario.scenario import Scenario
-from coopqp.signal import TURN_COLUMNS, quaternion_of
+from coopqp.signal import POSE, TURN_COLUMNS, matrix, quaternion_of
+from coopqp.signals import Waypoints
+from coopqp.task import Task
+from coopqp.tasks import Pose
+from coopqp.trace import Trace
 
 #: Largest component of an internal wrench; 20 N buy two thirds and more of what any buys.
 WRENCH = (40.0, 4.0)  # [N, N m]
@@ -59,6 +68,8 @@ STANDS = 1.0001
 LOOSER = (1e-7, 1e-5, 1e-3)
 #: Steps in which accelerations change; how often, and by how much at least, a motion is slowed.
 RISE_STEPS, SLOWER, EASIER = 12, 40, 1.001
+#: Of a run along poses of the object: its duration [s], its law, and how near it comes [m, rad].
+SLOW, LAW, CARRIED, CARRIED_ANGLE = 10.0, "qp", 1e-3, 1e-2
 #: What would do: how much more of a limit is tried, of how many, and what a lighter load is called.
 MORE, TRIED, LIGHTER = 1.2, 6, "load 20 % lighter"
 NOTHING, KINDS = "nothing", ("speed", "acceleration", "force")
@@ -238,7 +249,8 @@ def time_along(
 
     Args:
         path: configurations, shape (N, n) [rad, m]; what has them as ``q``; or a file: a recorded
-            run, or a CSV file with a column a joint, such as a plan's; or the folder of these.
+            run, or a CSV file with a column a joint, such as a plan's, or with way-points of the
+            object alone (x, y, z, qx, qy, qz, qw); or the folder of these.
         scenario: whose robot, start, grasps, object and limits count.
         points: intervals of the grid.
         torque: share of each motor's limit that may be planned with; the rest is for the loop.
@@ -266,8 +278,16 @@ def time_along(
     return eased(fastest(maker, points, speed), rise)
 
 
-def fastest(maker: RowMaker, points: int, speed: tuple[float, float] = (0.0, 0.0)) -> TimedPath:
-    """The fastest motion along a closed path by its rows; see :func:`time_along`."""
+def fastest(
+    maker: RowMaker,
+    points: int,
+    speed: tuple[float, float] = (0.0, 0.0),
+    most: Array | None = None,
+) -> TimedPath:
+    """The fastest motion along a closed path by its rows, with sdot^2 <= most at the places.
+
+    Else as :func:`time_along`.
+    """
     path = maker.path
     rows = maker.at(np.linspace(0.0, path.length, points + 1))
     held = _held(rows)
@@ -275,6 +295,8 @@ def fastest(maker: RowMaker, points: int, speed: tuple[float, float] = (0.0, 0.0
     fine = rows.finer(FINER + 1)
     share = Share(fine)
     limits = {kind: np.ones(points + 1) for kind in KINDS}
+    if most is not None:
+        limits["speed"] = np.minimum(1.0, np.sqrt(most / rows.x_max))
     for _ in range(1 + REPEATS):
         profile = _profile(rows, limits, ends.tolist(), speed)
         uses = _uses(fine, share, profile)
@@ -301,7 +323,12 @@ def eased(found: TimedPath, rise: float) -> TimedPath:
         return found
     if any(found.speed):
         raise InvalidValueError(f"rise: found {rise:g} s, needs a speed of 0 at both ends")
-    path, maker, count = found.path, found.maker, int(np.ceil(found.duration / rise)) + 1
+    path, maker, x, hold = found.path, found.maker, found.profile.x, found.profile.most.copy()
+    for k in np.flatnonzero((x[1:-1] <= x[:-2]) & (x[1:-1] <= x[2:])) + 1:
+        near = np.abs(found.profile.t - found.profile.t[k]) <= 0.5 * rise
+        hold[near] = np.minimum(hold[near], x[k])  # where it slows down, the mean would not
+    duration, found = found.duration, fastest(maker, len(x) - 1, most=hold)
+    count = int(np.ceil(found.duration / rise)) + 1
     t = rise / RISE_STEPS * np.arange(min(RISE_STEPS * count, MOST) + 1)
     t *= (found.duration + rise) / t[-1]
     s, before = (np.array([found.where(float(now))[0] for now in t - gone]) for gone in (0.0, rise))
@@ -322,7 +349,7 @@ def eased(found: TimedPath, rise: float) -> TimedPath:
     a = fine.along.dq * np.repeat(profile.u, 2)[:, None]
     a += fine.along.ddq * np.repeat(x, 2)[1:-1, None]
     jerk = np.abs(np.diff(0.5 * (a[::2] + a[1::2]), axis=0)) / np.diff(profile.t)[1:, None]
-    longer = float(profile.t[-1]) - found.duration
+    longer = float(profile.t[-1]) - duration
     words = f"Accelerations change over {rise:g} s, which takes {longer:.3g} s more; "
     words += f"the joints' jerk is at most {jerk.max():.3g} rad/s3."
     active = tuple(_active(fine, share, uses))
@@ -393,10 +420,45 @@ def _points(path: Any, scenario: Scenario, controller: str | None) -> Any:
         return getattr(path, "q", path)
     joints = scenario.chain.joint_names
     if file := table_of(Path(path)):
-        return read_table(file).take(joints)
+        table = read_table(file)
+        if set(POSE.columns) <= set(table.columns) and not set(joints) & set(table.columns):
+            return _carried(scenario, table)
+        return table.take(joints)
     run = read(trace_in(Path(path)))
     name = controller or run.controllers[0]
     return run.of(name).joints("q", joints)
+
+
+def calm_run(scenario: Scenario, tasks: tuple[Task, ...], seconds: float, law: str = LAW) -> Trace:
+    """A law's run with other tasks, by kinematics alone."""
+    calm = replace(
+        scenario, tasks=tasks, plant=Kinematic(), disturbance=Disturbance(), duration=seconds
+    )
+    return run(calm, controller=law, timed=False)
+
+
+def _carried(scenario: Scenario, table: Table) -> Array:
+    """Configurations along poses of the object, as the law brings it there slowly.
+
+    Raises:
+        InvalidValueError: a pose from which it stays farther than ``CARRIED``; says which.
+    """
+    chain, poses = scenario.chain, table.take(POSE.columns)
+    first = chain.object_pose(chain.q_start)
+    values = [[*first.translation, *quaternion_of(first.rotation)], *poses.tolist()]
+    t = SLOW * np.linspace(0.0, 1.0, len(values))
+    task = Pose(goal=Waypoints(times=t.tolist(), values=values), profile=Motion(kind="step"))
+    q = calm_run(scenario, (task,), SLOW).q[np.rint(t[1] / scenario.dt).astype(int) :]
+    for k, (now, pose) in enumerate(zip(t[1:] - t[1], poses, strict=True)):
+        X = chain.object_pose(q[round(float(now) / scenario.dt)])
+        off = float(np.linalg.norm(X.translation - pose[:3]))
+        angle = float(np.linalg.norm(pin.log3(X.rotation.T @ matrix(pose[3:]))))
+        if off > CARRIED or angle > CARRIED_ANGLE:
+            raise InvalidValueError(
+                f"{table.place(k)}: the law brings the object no nearer than {1e3 * off:.3g} mm "
+                f"and {1e3 * angle:.3g} mrad; lead it elsewhere, or plan a way"
+            )
+    return np.asarray(q, float)
 
 
 def table_of(path: Path) -> Path | None:

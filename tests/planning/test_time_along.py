@@ -16,8 +16,10 @@ from scenario_files import needs_robots
 
 from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.spec import Array, Positive, spec
+from coopqp.base.table import csv_text
 from coopqp.closed_loop.grasp_matrix import COMPONENTS
 from coopqp.controllers import TorqueQp
+from coopqp.execution.comparison import compare
 from coopqp.execution.controller_run import run
 from coopqp.grasps import Rigid
 from coopqp.limits import JointAcceleration, JointPosition, JointVelocity, ObjectSpeed
@@ -27,7 +29,8 @@ from coopqp.planning.closed_path import CLOSED
 from coopqp.planning.fastest_profile import SHARE, with_fastest_profiles
 from coopqp.planning.time_along import LIGHTER, MORE, TOLERATED, TimedPath, time_along, would_do
 from coopqp.planning.timing import timed
-from coopqp.plants import RigidBody
+from coopqp.plant import Disturbance
+from coopqp.plants import Mujoco, RigidBody
 from coopqp.robot import Arm, Robot, RobotModel
 from coopqp.robots import PlanarPair
 from coopqp.scenario.loader import load
@@ -410,6 +413,35 @@ def test_torques_that_follow_it_squeeze_as_planned(tmp_path: Path) -> None:
     assert np.median(forces[1]) < 0.2 * np.median(planned)
 
 
+@needs_robots
+@pytest.mark.parametrize(("safety", "rest"), [(1.5, 0.2), (1.0, 1.0)])
+def test_a_box_between_pads_is_held_or_lost_with_less_friction_and_said(
+    safety: float, rest: float, tmp_path: Path
+) -> None:
+    """In MuJoCo, with friction 30 % less than told."""
+    pytest.importorskip("mujoco")
+    scenario = load("press_and_lift")
+    way = random_way(scenario.chain, 1, count=3, step=0.4)
+    found = time_along(way, scenario, safety=safety)
+    file = tmp_path / "timed.csv"
+    file.write_text(found.csv(0.002), encoding="utf-8")
+    task = Posture(goal=Waypoints(file=file), gain=40.0, profile=Profile(kind="step"))
+    carried = replace(
+        scenario, tasks=(task,), secondary=(), plant=Mujoco(), dt=0.002, kappa=100.0,
+        controllers={"torque_qp": TorqueQp(safety=safety)}, duration=found.duration + rest,
+        disturbance=Disturbance(friction=0.7),
+    )  # fmt: skip
+    compared = compare(carried)
+    slip = float(np.nanmax(compared.traces["torque_qp"].signals["slip"]))
+    said = compared.verdicts["torque_qp"]
+    if safety > 1.0:
+        assert slip < 2e-3
+        assert said.startswith("Holds the object")
+    else:
+        assert slip > 0.05
+        assert said.startswith("Loses the object at ")
+
+
 def test_the_fastest_profile_takes_the_time_of_closed_forms() -> None:
     """Of sliders from rest to rest; the law keeps up and reaches both limits."""
     task = Posture(goal=[1.2, 1.2], profile=Profile(kind="fastest", delay=0.1))
@@ -446,6 +478,22 @@ def test_a_file_may_ask_for_the_fastest_profile(tmp_path: Path) -> None:
     file.write_text(text.replace("duration: 2.0", "shares: [0, 1]"), encoding="utf-8")
     with pytest.raises(CoopqpError, match=r"fast.yaml:15: .* needs shares, the first 0"):
         load(file)
+
+
+def test_way_points_of_the_object_are_a_path(tmp_path: Path) -> None:
+    found, scenario, file = nao(0), load("point_on_point"), tmp_path / "object.csv"
+    poses = found.table(0.01)
+    wanted = {name: poses[name][::4] for name in POSE.columns}
+    file.write_text(csv_text(wanted), encoding="utf-8")
+    along = time_along(file, scenario)
+    at = [scenario.chain.object_pose(along.path.spline(s)) for s in along.path.points]
+    places = np.array([X.translation for X in at])
+    for p in np.array([wanted[name] for name in "xyz"]).T:
+        assert np.linalg.norm(places - p, axis=1).min() < 2e-3
+    assert max(limits_used(along, 201)) < 1.001
+    file.write_text(csv_text({**wanted, "z": wanted["z"] + 0.5}), encoding="utf-8")
+    with pytest.raises(InvalidValueError, match=r"object.csv:2: the law brings the object no near"):
+        time_along(file, scenario)
 
 
 REFUSED = {
