@@ -248,9 +248,9 @@ class Trace:
         lower, upper, velocity, effort: the limits, shape (n,) [rad or m; rad/s or m/s; N m or N];
             no effort for passive joints.
         tasks: in the order of task_error.
-        leverage: directional manipulability: how much of what is missed of each task in the end
-            joints with closed loops can still bring about, over the start's, shape (K,); 0 where
-            singular, 1 if none is missed.
+        manipulability: directional: how much of what is missed of each task in the end joints with
+            closed loops can still bring about, over the start's, shape (K,); 0 where singular, 1 if
+            none is missed.
         t: shape (T + 1,) [s].
         q: positions of the plant's joints, before noise, shape (T + 1, n) [rad or m].
         v: commanded velocity, or the plant's after the tick when torques were commanded, shape (T,
@@ -304,7 +304,7 @@ class Trace:
     velocity: Array = field(metadata={"join": _same})
     effort: Array = field(metadata={"join": _same})
     tasks: tuple[TaskInfo, ...] = field(metadata={"join": _tasks})
-    leverage: Array = field(metadata={"join": _ticks})
+    manipulability: Array = field(metadata={"join": _ticks})
     t: Array = field(metadata={"join": _times})
     q: Array = field(metadata={"join": _instants})
     v: Array = field(metadata={"join": _ticks})

@@ -94,7 +94,7 @@ def held_body(chain: ClosedChain) -> Body:
 
 def bodies_of(chain: ClosedChain) -> tuple[list[Body], list[str]]:
     """The robot's bodies (InvalidValueError: none) and the object, and what cannot be watched."""
-    bodies, faults = robot_bodies(chain.robot, chain.model)
+    bodies, faults = chain.once(_of_the_robot)
     if not bodies:
         why = f": {faults[0]}" if faults else ""
         raise InvalidValueError(
@@ -102,6 +102,10 @@ def bodies_of(chain: ClosedChain) -> tuple[list[Body], list[str]]:
             "use a file with it, or add capsules to RobotModel.capsules"
         )
     return [*bodies, held_body(chain)], faults
+
+
+def _of_the_robot(chain: ClosedChain) -> tuple[list[Body], list[str]]:
+    return robot_bodies(chain.robot, chain.model)
 
 
 def unseen(kind: str, chain: ClosedChain) -> tuple[str, ...]:

@@ -10,7 +10,8 @@ When braking, all joints slow down as fast as they may, and the loops stay close
     minimise |v|^2   subject to   J_c v = -kappa e,  limits,  |v - v_before| <= a dt
 
 by the QP law of the same problem without its tasks. Where one tick is enough to stop, v = 0, which
-without acceleration limits is at once.
+without acceleration limits is at once. Arms that are moved by torques come to rest and stay by the
+torque QP, see :class:`Holding`.
 """
 
 from __future__ import annotations
@@ -28,7 +29,9 @@ from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.spec import Array, Pose, finite, vector
 from coopqp.base.wording import said
 from coopqp.controller import Command, Controller, ControlProblem, InternalForceControl, Law
-from coopqp.controllers import QPController
+from coopqp.controllers import QPController, TorqueQp
+from coopqp.controllers.passive_grasp_pid import TorquePid
+from coopqp.controllers.torque_qp import TorqueQpLaw
 from coopqp.execution.phase_run import Measured, PhaseRun, begin_phase
 from coopqp.grasp import pose_matrix
 from coopqp.limit import Limit
@@ -42,7 +45,10 @@ from coopqp.online.faults import FaultMonitor
 from coopqp.scenario.input import Arrival
 from coopqp.scenario.scenario import Scenario
 from coopqp.scenario.start import pose_at, pose_of, without_tiny
+from coopqp.signal import InputValues, Trajectory, of_joints
+from coopqp.signals import Input
 from coopqp.solver import Status
+from coopqp.tasks import Posture
 
 #: Acceleration limit of joints without a motor, which bounds nothing [rad/s2].
 PASSIVE = 1e4
@@ -119,6 +125,78 @@ class Braking:
         return still
 
 
+#: Gain of the joints on their way to rest and there, at most, and its share of 1/dt [1/s].
+HOLD, HOLD_SHARE = 10.0, 0.1
+#: Joints that are held rest below this speed [rad/s, m/s], and after so long, however noisy [s].
+RESTS, SURELY = 0.01, 2.0
+#: The input by which the held pose reaches its task.
+HELD = "held"
+
+
+class Holding:
+    """Brings arms that are moved by torques to rest, and holds their pose there.
+
+    It is the torque QP of the same problem, in which one task leads all joints, by its reference
+    model with gain g, to where
+
+        v' = -g v,   q_rest = q + v/g
+
+    brings them, so that none turns back, and keeps them there; gravity, cones, limits and wanted
+    internal wrenches are those of the problem. It goes on with what the integral of the law has
+    learned, such as a heavier object. While nothing is measured the joints are taken to move like
+    that, too.
+    """
+
+    def __init__(self, own: Law) -> None:
+        assert isinstance(own, TorqueQpLaw | TorquePid)
+        self._own = own
+        problem, n = own.problem, own.problem.chain.n
+        self._gain, self._dt = min(HOLD, HOLD_SHARE / problem.dt), problem.dt
+        pose = Posture(name=HELD, goal=Input(name=HELD), gain=self._gain)
+        settings = own.settings if isinstance(own, TorqueQpLaw) else TorqueQp()
+        settings = replace(
+            settings, external_wrench="unknown", observer_gain=TorqueQp.observer_gain
+        )
+        self._law = settings.build(replace(problem, tasks=(pose,), secondary=()))
+        self._memory = Memory(self._law.memory_sizes)
+        self._integral_gain = settings.integral * self._gain**3
+        kind = of_joints(problem.chain.joint_names)
+        self._pose, self._inputs = Trajectory(kind, np.zeros(n)), InputValues()
+        self._inputs[HELD] = self._pose
+        self._ticks = 0
+
+    def can_stop(self, state: State) -> bool:
+        """The next phase begins at whatever speed."""
+        return True
+
+    def let_go(self) -> None:
+        """The next tick begins to hold anew."""
+        self._ticks = 0
+
+    def rests(self, state: State) -> bool:
+        slow = bool((np.abs(state.v) <= RESTS).all())
+        return self._ticks > 0 and (slow or self._ticks * self._dt > SURELY)
+
+    def foresee(self, state: State, *, moved: bool) -> None:
+        """Go on to the next tick, where nothing may be measured."""
+        state.advance(state.v if moved else (1.0 - self._gain * self._dt) * state.v, self._dt)
+
+    def tick(self, state: State) -> Command:
+        """The torques of a tick; the state's kinematics are up to date after it."""
+        own = state.memory, state.inputs
+        if not self._ticks:
+            self._memory.numbers[:] = 0.0
+            self._memory["model_rate"][:] = state.v
+            if self._integral_gain and own[0].sizes == self._own.memory_sizes:
+                self._memory["integral"][:] = -self._own.learned(state) / self._integral_gain
+            np.copyto(self._pose.value, state.q + state.v / self._gain)
+        self._ticks += 1
+        state.memory, state.inputs = self._memory, self._inputs
+        command = self._law.tick(state)
+        state.memory, state.inputs = own
+        return command
+
+
 Gripper = Literal["open", "close"]
 
 #: Name of the input with the readings of force sensors; ``State.hand_wrench``.
@@ -139,8 +217,8 @@ class Phases:
     Attributes:
         scenario: as begun.
         done: the phases so far, the running one last; none before the beginning.
-        now: the running phase. arrivals: at its inputs. braking: brings it to rest. monitor: of
-            the robot's faults.
+        now: the running phase. arrivals: at its inputs. braking: brings it to rest. holding: the
+            same of torques, else None. monitor: of the robot's faults.
         fault: why the next phase could not begin; empty if it could.
         grippers: what each arm's gripper shall do in this phase, "open" or "close".
         seen: where the object was last seen in this phase; None where it was not.
@@ -184,7 +262,8 @@ class Phases:
         }
         names = {*self.scenario.inputs, HAND_WRENCH, OBJECT_POSE}
         self.arrivals = Arrivals(now.inputs, names, now.since)
-        self.braking = Braking(now.law)
+        self.holding = Holding(now.law) if self._controller.commands_torques else None
+        self.braking = self.holding or Braking(now.law)
         monitor = FaultMonitor(now.law, observed=self._observed)
         if before is not None:
             monitor.take_over(self.monitor)
@@ -227,6 +306,8 @@ class Phases:
         now.state = Measured(q, self._observed).start(now.law)
         now.state.t, now.state.inputs = before.t, before.inputs
         now.state.felt[0] = before.felt[0]
+        if self.holding and before.memory.sizes == now.state.memory.sizes:
+            now.state.memory["integral"][:] = before.memory["integral"]
         self.rest_inputs()
         self.monitor.forget()
 

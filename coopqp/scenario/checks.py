@@ -100,9 +100,6 @@ def _of_problems(scenario: Scenario) -> Iterator[Wrong]:
     tasks = list(placed_tasks(scenario))
     for place, task, phase in tasks:
         yield from _of_end(place, task, phase.duration)
-        if task.of_forces and not scenario.plant.takes_torques:
-            words = f"asks '{task.name}' for a force, and this plant has none"
-            yield Wrong(place, f"{words}; use plant: rigid_body or mujoco")
     forces = [task.name for _, task, _ in tasks if task.of_forces]
     for i, controller in enumerate(scenario.controllers.values()):
         if forces and isinstance(controller, QPController) and not controller.admittance:
@@ -417,8 +414,8 @@ def _broken_limits(scenario: Scenario, places: Places) -> Iterator[Wrong]:
             continue
         rows = set(names_of(limit.rows(scenario.chain)))
         if twice := sorted(rows & taken):
-            cure = TELL_APART if hasattr(limit, "name") else "leave one of them out"
-            yield Wrong(["limits", i], f"another limit has a row '{twice[0]}' too; {cure}")
+            advice = TELL_APART if hasattr(limit, "name") else "leave one of them out"
+            yield Wrong(["limits", i], f"another limit has a row '{twice[0]}' too; {advice}")
         taken |= rows
     # Joints that would brake for a bound behind the one that they must not pass.
     margin = max((k.margin for k in scenario.limits if isinstance(k, JointPosition)), default=0.0)

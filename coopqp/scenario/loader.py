@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +12,17 @@ from coopqp.base.errors import Fault, ScenarioError, UnknownNameError, unknown_n
 from coopqp.base.reading import absolute
 from coopqp.grasps import Rigid
 from coopqp.model.grasp_configuration import grasp_of_each
+from coopqp.model.profile import FASTEST
 from coopqp.robot import RobotModel
 from coopqp.scenario.catalog import Catalog
-from coopqp.scenario.checks import Known, at, check_start, contradictions, refuse
+from coopqp.scenario.checks import (
+    Known,
+    at,
+    check_start,
+    contradictions,
+    placed_tasks,
+    refuse,
+)
 from coopqp.scenario.form import SOLVE, check, chosen, fields_of, given
 from coopqp.scenario.planned import following
 from coopqp.scenario.scenario import Scenario
@@ -25,6 +34,8 @@ from coopqp.solvers import qpsolvers
 
 #: Keys whose values are paths, of robots, obstacles, way-points, plans and what was sent.
 FILE_KEYS = {"path", "mesh", "file", "feed_file", "plan"}
+#: Where the fastest profiles are found. It lies above, so it is found by name, as plug-ins are.
+TIMING = "coopqp.planning.fastest_profile"
 
 
 def load(path: str | Path, catalog: Catalog | None = None) -> Scenario:
@@ -60,6 +71,8 @@ def load_file(file: YamlFile, catalog: Catalog, known: Known | None = None) -> S
         if planned := file.data.get("reference"):
             with at(["reference"]):
                 scenario = following(scenario, file.folder / planned["plan"])
+        if any(task.way and task.way.kind == FASTEST for _, task, _ in placed_tasks(scenario)):
+            scenario = import_module(TIMING).with_fastest_profiles(scenario)
         check_start(file.data, scenario, known)
         return scenario
 

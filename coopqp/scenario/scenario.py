@@ -171,7 +171,8 @@ class Scenario:
     duration: Annotated[float, Key(form=Positive | None, default=None)] = 0.0
     """Length of the run [s]."""
     kappa: Annotated[float, Key(form=NonNegative | None, default=None)] = math.inf
-    """Baumgarte gain, J_c v = -kappa e [1/s]; at most 1/dt, the default; 0 is the paper's law."""
+    """Baumgarte gain, J_c v = -kappa e [1/s]; at most 1/dt, the default, and 10 by torques; 0 is
+    the paper's law."""
     on_infeasible: OnInfeasible = "scale"
     """scale, hold or stop when not all can hold."""
     observer: Observer = field(default_factory=Observer)
