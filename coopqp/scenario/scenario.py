@@ -347,9 +347,11 @@ class Scenario:
 
     def _away(self, phase: Phase) -> tuple[str, ...]:
         """Arms that are released in a phase, the one before and the one after."""
-        i = [one.name for one in self.schedule].index(phase.name)
-        near = self.schedule[max(0, i - 1) : i + 2]
-        return tuple(a for a in phase.released if all(a in one.released for one in near))
+        for i, one in enumerate(self.schedule):
+            if one is phase or (phase.name and one.name == phase.name):
+                near = self.schedule[max(0, i - 1) : i + 2]
+                return tuple(a for a in phase.released if all(a in x.released for x in near))
+        return ()
 
     def simulated(self, problem: ControlProblem) -> PlantModel:
         """The plant of one of its problems, with the faults of sensors and motors."""

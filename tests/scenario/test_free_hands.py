@@ -246,3 +246,19 @@ def test_a_driver_with_a_gripper_is_told_when_it_changes(tmp_path: Path) -> None
 
 def test_commands_of_other_loops_have_no_grippers() -> None:
     assert not Command(2).grippers
+
+
+def test_the_loop_rests_on_the_way_to_the_object_and_goes_on(tmp_path: Path) -> None:
+    scenario = phased(tmp_path, NAO)
+    loop = coopqp.OnlineLoop(scenario, clock=None)
+    robot = SimulatedRobot(loop)
+    for k in range(scenario.ticks + 60):
+        if k == 10:
+            loop.stop("somebody is near")
+        if k == 50:
+            assert loop.at_rest
+            loop.resume()
+        command = loop.tick(robot.read())
+        robot.write(loop.setpoint, command.v)
+    assert loop.phase.name == "leave"
+    assert loop.state.p_WO == pytest.approx([0.16, 0.0, 0.07], abs=1e-4)
