@@ -20,6 +20,7 @@ from coopqp.planning.plan import Plan, Planner, plan
 from coopqp.planning.reach import reach
 from coopqp.planning.turns import cut_off
 from coopqp.planning.verification import along
+from coopqp.report.planning import write_plan
 from coopqp.scenario.loader import load, load_text
 from coopqp.scenario.scenario import Scenario
 from coopqp.tasks import PointOnPoint
@@ -119,6 +120,14 @@ def test_a_way_that_was_made_shorter_is_a_way() -> None:
         _check(found, problem.chain, found.q[-1])
         lengths[shortcuts] = found.length
     assert lengths[150] < 0.9 * lengths[0]
+
+
+def test_a_start_at_the_goal_is_a_plan_that_is_read_back(tmp_path: Path) -> None:
+    scenario = load("planar_pair")
+    found = plan(scenario, goals=scenario.chain.q_start, budget=AMPLE)
+    assert found.length < 1e-6
+    _, path = write_plan(found, scenario, tmp_path)
+    assert [phase.name for phase in load(path).schedule] == ["way", "goal"]
 
 
 def test_a_goal_in_something_is_refused() -> None:
