@@ -138,8 +138,8 @@ def pairs_that_can_meet(chain: ClosedChain) -> list[Pair]:
         if not (tree.neighbours(a, b) or {a.joint, b.joint} <= firm)
         and frozenset((a.name, b.name)) not in joined
     ]
-    hands = tree.hands(chain)
-    return pairs + [(held, body) for body in bodies if body.joint not in hands]
+    touching = tree.hands(chain) | {held.joint}
+    return pairs + [(held, body) for body in bodies if body.joint not in touching]
 
 
 @lru_cache(maxsize=16)
@@ -223,9 +223,12 @@ class _Tree:
         return str(self._roots[bisect.bisect(self._root_ids, at) - 1])
 
     def hands(self, chain: ClosedChain) -> set[int]:
-        """Joints whose bodies may touch the object: hands, what follows and what is before them."""
+        """Joints whose bodies may touch the object: hands, what follows and what is before them.
+
+        Not of arms that neither hold it nor are about to.
+        """
         model, found = self._model, set[int]()
-        for arm in chain.robot.arms:
+        for arm in (arm for arm in chain.robot.arms if arm.name not in chain.hold.away):
             tip = model.frames[model.getFrameId(arm.tip)].parentJoint
             found |= {j for j in range(model.njoints) if tip in model.supports[j]}
             hand = tip if tip in self._occupied else self.before(tip)

@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -23,12 +24,17 @@ from numpy.typing import ArrayLike
 from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.spec import Array
 from coopqp.base.wording import raised
+from coopqp.controller import Command
 from coopqp.online.loop import OnlineLoop
 from coopqp.online.options import time_fault
 
 
 class Robot(Protocol):
-    """A driver of a robot; any class with these two methods."""
+    """A driver of a robot; any class with these two methods.
+
+    A third, ``grip(grippers)``, is called after ``write`` where it is there, whenever an arm's
+    gripper shall "open" or "close": :attr:`coopqp.controller.Command.grippers`.
+    """
 
     def read(self) -> ArrayLike | None:
         """Measured joints, shape (n,) [rad, m], in the chain's order; None without a measurement.
@@ -47,6 +53,19 @@ class Robot(Protocol):
         """
 
 
+class TorqueRobot(Protocol):
+    """A driver of a robot whose motors take torques."""
+
+    def read(self) -> ArrayLike | None:
+        """As of :class:`Robot`, joints and their velocities, shape (2, n) [rad, m; rad/s, m/s]."""
+
+    def apply(self, tau: Array) -> None:
+        """Command torques, shape (n,) [N m, N], gravity's among them.
+
+        The last one, at the loop's end, holds the arms at rest; nothing corrects it after that.
+        """
+
+
 #: Busy wait at the end of a period [s].
 AWAKE = 1.5e-4
 #: Time between garbage collections and between writings of the session [s]; the rest of a period
@@ -54,7 +73,7 @@ AWAKE = 1.5e-4
 EVERY, LEFT = 0.25, 0.4
 #: From a tick so late, as a share of a period, the next is a whole period away.
 BEHIND = 0.4
-#: A period by the loop's clock is waited for no longer than so many by the machine's.
+#: A period by the loop's clock is waited for no longer than so many by the machine's, unless told.
 LONGEST = 2.0
 
 InputsNow = Callable[[], Mapping[str, Any] | None]
@@ -80,10 +99,11 @@ class Ended:
 
 def real_time(
     loop: OnlineLoop,
-    robot: Robot,
+    robot: Robot | TorqueRobot,
     *,
     inputs: InputsNow | None = None,
     duration: float | None = None,
+    slowest: float | None = None,
 ) -> Ended:
     """Run a loop on a robot until something ends it; the robot is then commanded to stand still.
 
@@ -96,6 +116,8 @@ def real_time(
         robot: its driver.
         inputs: what has arrived; nothing does when omitted.
         duration: [s]; without an end when omitted.
+        slowest: what a period by the loop's clock may take of the machine's time, where that is the
+            clock of a slow simulation; two periods when omitted [s].
 
     Raises:
         InvalidValueError: an argument is none; the loop counts ticks, or has ended.
@@ -103,8 +125,8 @@ def real_time(
         Exception: what the robot, or ``inputs``, has raised, after the robot came to rest; at once
             where it was ``write``.
     """
-    _check(loop, robot, inputs, duration)
-    run = _Run(loop, robot, inputs, np.inf if duration is None else duration)
+    _check(loop, robot, inputs, duration, slowest)
+    run = _Run(loop, robot, inputs, np.inf if duration is None else duration, slowest)
     with loop:
         try:
             run.begin()
@@ -112,29 +134,30 @@ def real_time(
                 run.until_the_end()
         finally:
             with suppress(Exception):  # nobody is left to be told
-                robot.write(loop.setpoint, np.zeros_like(loop.setpoint))
+                run.stand()
     if run.user.fault:
         raise run.user.fault
     watch = loop.watch
     return Ended(loop.stopped, loop.ticks, watch.late, watch.longest, watch.longest_tick)
 
 
-def check_driver(robot: Any) -> None:
+def check_driver(robot: Any, *, by_torques: bool = False) -> None:
     """InvalidValueError where it lacks a method."""
-    for name in ("read", "write"):
+    for name in ("read", "apply" if by_torques else "write"):
         if not callable(getattr(robot, name, None)):
             raise InvalidValueError(f"robot: a {type(robot).__name__} has no method {name}")
 
 
-def _check(loop: Any, robot: Any, inputs: Any, duration: Any) -> None:
+def _check(loop: Any, robot: Any, inputs: Any, duration: Any, slowest: Any) -> None:
     if not isinstance(loop, OnlineLoop):
         raise InvalidValueError(f"loop: found a {type(loop).__name__}, needs an OnlineLoop")
-    check_driver(robot)
+    check_driver(robot, by_torques=loop.by_torques)
     if not (inputs is None or callable(inputs)):
         words = "needs a function that says what has arrived"
         raise InvalidValueError(f"inputs: found a {type(inputs).__name__}, {words}")
-    if fault := time_fault(duration, none=True):
-        raise InvalidValueError(f"duration: {fault}")
+    for name, given in (("duration", duration), ("slowest", slowest)):
+        if fault := time_fault(given, none=True):
+            raise InvalidValueError(f"{name}: {fault}")
     if loop.simulated:
         raise InvalidValueError("the loop counts ticks; give it a clock to run in real time")
     if loop.ticks and not loop.running:
@@ -165,13 +188,21 @@ class UserCode:
 
 class _Run:
     def __init__(
-        self, loop: OnlineLoop, robot: Robot, inputs: InputsNow | None, duration: float
+        self,
+        loop: OnlineLoop,
+        robot: Any,
+        inputs: InputsNow | None,
+        duration: float,
+        slowest: float | None,
     ) -> None:
         self._loop, self._robot, self._inputs = loop, robot, inputs
         self._dt = loop.problem.dt
         self._duration = duration
+        self._slowest = LONGEST * self._dt if slowest is None else slowest
         self.user = UserCode(loop.end)
         self._flushed = self._collected = 0.0
+        self._grip: Callable[[Any], Any] | None = getattr(robot, "grip", None)
+        self._gripped: Mapping[str, str] = {}
 
     def begin(self) -> None:
         """Wait for the first measurement, and begin there."""
@@ -190,7 +221,10 @@ class _Run:
         while loop.running:
             q, given = self.user.ask(self._robot.read), self.user.ask(self._inputs)
             command = loop.tick(q, given)
-            self._robot.write(loop.setpoint, command.v)
+            self._write(command)
+            if self._grip and command.grippers != self._gripped:
+                self._gripped = command.grippers
+                self.user.ask(partial(self._grip, dict(command.grippers)))
             if loop.stopped_by_itself and loop.at_rest:
                 loop.end(loop.stopped)
             elif loop.now >= until:
@@ -199,6 +233,21 @@ class _Run:
             due = max((began if began - due > BEHIND * self._dt else due) + self._dt, loop.now)
             self._use_what_is_left(due)
             self._wait(due)
+
+    def _write(self, command: Command) -> None:
+        if not self._loop.by_torques:
+            self._robot.write(self._loop.setpoint, command.v)
+        elif command.tau is not None:
+            self._robot.apply(command.tau)
+
+    def stand(self) -> None:
+        """The last command: to stand still; of torques, those that hold the arms where they are."""
+        loop = self._loop
+        if not loop.by_torques:
+            self._robot.write(loop.setpoint, np.zeros_like(loop.setpoint))
+        elif loop.begun:
+            loop.law.hold_still(loop.state)
+            self._robot.apply(loop.law.command.tau)
 
     def _use_what_is_left(self, due: float) -> None:
         """Collect garbage, or write the session, if the period leaves time for one of them."""
@@ -213,12 +262,10 @@ class _Run:
             self._loop.flush()
 
     def _wait(self, due: float) -> None:
-        until = time.monotonic() + LONGEST * self._dt  # the loop's clock may stand, or go back
-        asleep = due - self._loop.now - AWAKE
-        if asleep > 0.0:
-            time.sleep(min(asleep, self._dt))
-        while self._loop.now < due and time.monotonic() < until:
-            pass
+        until = time.monotonic() + self._slowest  # the loop's clock may stand, or go back
+        while (left := due - self._loop.now) > 0.0 and time.monotonic() < until:
+            if left > AWAKE:
+                time.sleep(min(left - AWAKE, self._dt))
 
 
 @contextmanager

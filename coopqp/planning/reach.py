@@ -248,7 +248,9 @@ def described(goals: Goals) -> tuple[Configuration, ...]:
 def _bends(chain: ClosedChain, found: Sequence[Array]) -> list[str]:
     data, model = chain.model.createData(), chain.model
     labels: list[list[str]] = [[] for _ in found]
-    for arm, frame in zip(chain.arms, chain.frames, strict=True):
+    for arm, frame in zip(
+        chain.arms[chain.standing :], chain.frames[chain.standing :], strict=True
+    ):
         names = chain.robot.arm_joints(arm)
         columns = [chain.joint_names.index(name) for name in names]
         base = model.getJointId(names[0])
@@ -275,7 +277,9 @@ def too_far(problem: ControlProblem, t: float) -> str:
             if primitive.kind is not Kind.POINT or len(primitive.rows) < 3:
                 continue
             primitive.reference.update(at)
-            for arm, frame in zip(chain.arms[: chain.holding], chain.frames, strict=False):
+            for arm, frame in zip(
+                chain.arms[: len(chain.hold.holders)], chain.frames, strict=False
+            ):
                 base, length = _length(chain, frame, np.array(primitive.point, float))
                 away = float(np.linalg.norm(primitive.reference.c - base))
                 beyond = away - length - max(part.tolerance for part in task.parts(chain))
