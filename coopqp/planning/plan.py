@@ -299,6 +299,8 @@ class Planner:
 
     def _timed(self, found: Plan) -> Plan:
         t, ticks = timed(self.problem, found.q, self._allowed)
+        if len(t) < 2:  # the start is a goal: a file of it is read back as others
+            t, ticks = np.array([0.0, self.problem.dt]), np.repeat(ticks, 2, axis=0)
         poses = [self.chain.object_pose(row) for row in ticks]
         at = [[*X.translation, *quaternion_of(X.rotation)] for X in poses]
         sentence = f"{found.sentence}; {t[-1]:.3g} s at the joints' speeds"

@@ -216,6 +216,7 @@ def explained(goals: Goals, progress: Progress = lambda share: None) -> Reach:
         sentence = f"{tried}: {near}; {words.holding(found.shares)}"
         return Reach((), False, sentence, goals.tried)
     sentence = words.geometry(found, missed, space.chain, ordered=False)
+    sentence = sentence.replace(" is unreachable by ", " stays off by ")  # nothing proves more
     return Reach((), False, f"{tried}: {sentence}", goals.tried)
 
 

@@ -1,0 +1,140 @@
+"""Ways of chains that planners elsewhere refuse, and what is said where there is none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from unittest.mock import patch
+
+import numpy as np
+import pytest
+from command_line import typed
+from scenario_files import needs_robots
+from side_by_side import needs_kernel
+from stress import arrangements
+
+from coopqp.base.errors import CoopqpError
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.planning.closed_space import Budget
+from coopqp.planning.plan import Plan, Planner, plan
+from coopqp.planning.reach import reach
+from coopqp.planning.turns import cut_off
+from coopqp.planning.verification import along
+from coopqp.report.planning import write_plan
+from coopqp.scenario.loader import load, load_text
+from coopqp.scenario.scenario import Scenario
+from coopqp.tasks import PointOnPoint
+
+pytestmark = [needs_kernel, needs_robots]
+
+AMPLE = Budget(seconds=60.0)
+
+
+def _check(found: Plan, chain: ClosedChain, end: np.ndarray) -> None:
+    """By pinocchio: closed on the straight lines, inside the limits, from the start to the end."""
+    points = along(found.q, 0.004)
+    assert max(np.abs(chain.loop_error(q)).max() for q in points) < 1e-5
+    assert (points >= chain.lower - 1e-9).all()
+    assert (points <= chain.upper + 1e-9).all()
+    np.testing.assert_allclose(found.q[0], chain.q_start, atol=1e-6)
+    np.testing.assert_allclose(found.q[-1], end, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "name", ["passive_grasp_pose", "tiago_torso", "three_ur", "two_so101", "planar_pair"]
+)
+def test_passive_joints_shared_torso_three_arms_and_few_joints(name: str) -> None:
+    problem = load(name).problem()
+    planner = Planner(problem, 0.0)
+    q = planner.space.sample(np.random.default_rng(2), 300)
+    q = q[planner.space.project(q)]
+    q = q[planner.space.is_free(q) & ~cut_off(problem.chain, q)]
+    end = q[np.linalg.norm(q - problem.chain.q_start, axis=1).argmin()]
+    found = planner.plan(AMPLE, end)
+    assert found.found, found.sentence
+    _check(found, problem.chain, end)
+
+
+@pytest.mark.parametrize("name", arrangements.names())
+def test_loops_with_more_rows_than_are_independent(name: str) -> None:
+    """Planar and Bennett linkages among them: a walk along the loops ends at the goal."""
+    chain = arrangements.chain(name, arrangements.grasps_of(name)[-1])
+    walk = list(chain.closed_walk(5)) if chain.loops.closed else []
+    base = load("planar_pair").problem()
+    bare = type(base)(**{**vars(base), "chain": chain, "tasks": (), "limits": ()})
+    planner = Planner(bare, 0.0)
+    end = np.array(walk[-1:] or [chain.q_start])
+    assert planner.space.project(end)[0]
+    found = planner.path(AMPLE, end)
+    assert found.found, found.sentence
+    if chain.loops.closed:
+        assert max(np.abs(chain.loop_error(q)).max() for q in along(found.q, 0.004)) < 1e-5
+
+
+def test_a_goal_at_which_loops_cannot_be_closed_is_not_found() -> None:
+    scenario = load("two_pandas")
+    far = replace(scenario, tasks=(PointOnPoint(name="far", goal=[0.05, 0.0, 0.35]),))
+    found = reach(far)
+    assert not found.found
+    assert not found.proven
+    assert found.sentence.startswith("not found from 4096 starts: left/panda_joint6")
+    assert "beyond that it stays off by 108 mm along -x" in found.sentence
+    assert "unreachable" not in found.sentence
+    assert not plan(far, budget=AMPLE).found
+
+
+def _pressed(mass: float) -> Scenario:
+    scenario = load("nao_presses")
+    text = scenario.source.replace("mass: 0.2", f"mass: {mass}")
+    return load_text(Path("heavier.yaml"), text, scenario.catalog)
+
+
+def test_hands_have_to_hold_the_object_where_it_is_to_go() -> None:
+    assert reach(_pressed(0.2)).found
+    found = reach(_pressed(0.8))
+    assert not found.found
+    assert not found.proven
+    assert "found, but hands hold at most" in found.sentence
+    assert "of the object's weight there, as motor" in found.sentence
+
+
+def test_ctrl_c_leaves_nothing_behind(tmp_path: Path) -> None:
+    kept = tmp_path / "kept"
+    kept.mkdir()
+    with patch("coopqp.planning.closed_space.ClosedSpace.way", side_effect=KeyboardInterrupt):
+        for out in (tmp_path / "new" / "way", kept):
+            assert typed("plan", "planar_pair", "--out", out).exit_code != 0
+    assert not (tmp_path / "new" / "way").exists()
+    assert not [path for path in kept.iterdir() if not path.name.startswith(".")]
+
+
+def test_a_way_that_was_made_shorter_is_a_way() -> None:
+    problem = load("shelves").problem()
+    planner = Planner(problem, 4.0)
+    end = reach(load("shelves")).found[0].q
+    lengths = {}
+    for shortcuts in (0, 150):
+        found = planner.path(replace(AMPLE, shortcuts=shortcuts), end)
+        assert found.verification is not None
+        assert found.verification.good
+        _check(found, problem.chain, found.q[-1])
+        lengths[shortcuts] = found.length
+    assert lengths[150] < 0.9 * lengths[0]
+
+
+def test_a_start_at_the_goal_is_a_plan_that_is_read_back(tmp_path: Path) -> None:
+    scenario = load("planar_pair")
+    found = plan(scenario, goals=scenario.chain.q_start, budget=AMPLE)
+    assert found.length < 1e-6
+    _, path = write_plan(found, scenario, tmp_path)
+    assert [phase.name for phase in load(path).schedule] == ["way", "goal"]
+
+
+def test_a_goal_in_something_is_refused() -> None:
+    problem = load("shelves").problem()
+    planner = Planner(problem, 4.0)
+    q = planner.space.sample(np.random.default_rng(0), 400)
+    q = q[planner.space.project(q)]
+    hit = q[~planner.space.is_free(q)][0]
+    with pytest.raises(CoopqpError, match=r"goals\[0\]: is open, outside a limit, or in something"):
+        planner.plan(AMPLE, hit)
