@@ -91,6 +91,7 @@ class RobosuiteWorld:
         """Take the handles anew, which a reset of the environment changes."""
         sim, robots = self.env.sim, self.env.robots
         self.model, self.data = sim.model._model, sim.data._data
+        sim.forward()  # make leaves the poses of bodies as they were before it placed them
         single = len(robots) == 1
         self._of = {(a if single else f"robot{i}"): (i, a)
                     for i, robot in enumerate(robots) for a in robot.arms}  # fmt: skip
