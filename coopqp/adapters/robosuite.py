@@ -156,7 +156,10 @@ class RobosuiteWorld:
         import mujoco
 
         full, M = np.zeros((self.model.nv, self.model.nv)), np.zeros((len(self._v),) * 2)
-        mujoco.mj_fullM(self.model, full, self.data.qM)
+        if hasattr(self.data, "qM"):
+            mujoco.mj_fullM(self.model, full, self.data.qM)
+        else:  # MuJoCo 4, which robosuite 1.5.2 does not take
+            mujoco.mj_fullM(self.model, self.data, full)
         for half in self._halves:
             M[np.ix_(half, half)] = full[np.ix_(self._v[half], self._v[half])]
         return M
