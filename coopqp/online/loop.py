@@ -17,7 +17,7 @@ import functools
 import threading
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from types import TracebackType
@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from coopqp.assessment.thresholds import SPEED_UP
 from coopqp.base.errors import CoopqpError, InvalidValueError
-from coopqp.base.spec import Array
+from coopqp.base.spec import Array, Pose
 from coopqp.base.wording import raised
 from coopqp.controller import Command, ControlProblem, Law
 from coopqp.execution.controller_run import controller_of
@@ -46,6 +46,7 @@ from coopqp.online.session import Keeper, Record, scenario_text
 from coopqp.online.stops import Clock as Clock
 from coopqp.online.stops import Interrupts, LoopTime, Stops, Waiting, Watch
 from coopqp.scenario.scenario import Phase, Scenario
+from coopqp.scenario.start import pose_of
 from coopqp.solver import Status
 
 #: Share of its speed at which a loop goes on that a fault slows down, and its ramp [s].
@@ -223,7 +224,7 @@ class OnlineLoop:
         own, self.controller = scenario.held_by(controller), controller
         self.by_torques = torques = self._chosen.commands_torques
         limits = own.limits if torques else with_acceleration(own.limits, own.chain, speed_up)
-        self._given = replace(own, limits=limits, observer=observer or own.observer)
+        self._given = own.changed(limits=limits, observer=observer or own.observer)
         self._observed = reference == "commanded" and not torques
         self._as_held = grasp == "as_held"
         self._time = LoopTime(clock or (lambda: self.ticks * own.dt), own.dt)
@@ -356,18 +357,24 @@ class OnlineLoop:
         self._phases.ask()
 
     @in_turn
-    def begin(self, q: ArrayLike) -> None:
+    def begin(self, q: ArrayLike, object_pose: Pose | ArrayLike | None = None) -> None:
         """Take hold at measured joints, as in :meth:`tick`; else the first tick does it.
 
+        Args:
+            q: measured joints, as in :meth:`tick`.
+            object_pose: where the object was measured, as in :meth:`Scenario.placed`.
+
         Raises:
-            CoopqpError: q is none, the object cannot be held so, or nothing can be written.
+            CoopqpError: q or the pose is none, the object cannot be held so, or nothing can be
+                written.
         """
+        pose = None if object_pose is None else pose_of(object_pose)
         if self.begun:
             raise InvalidValueError("the loop has begun; reset it first")
         wrong = self._readings.take(q, self._given.chain.q_start, self.now)
         if wrong:
             raise InvalidValueError(f"q: {self._readings.note or wrong.value}")
-        self._begin()
+        self._begin(pose)
 
     @in_turn
     def tick(self, q: Any, inputs: Mapping[str, Any] | None = None) -> Command:
@@ -381,10 +388,12 @@ class OnlineLoop:
                 grasps' passive joints; where torques are commanded joints and their velocities,
                 shape (2, n). None without a measurement.
             inputs: what has arrived since the last tick, by name: a value, or a value and when it
-                was sent by the loop's clock [s]; ``hand_wrench`` for internal force control.
+                was sent by the loop's clock [s]; ``hand_wrench`` for internal force control,
+                ``object_pose`` for where the object stands that no arm holds (docs/phases.md).
 
         Returns:
             The command for the next period, whose arrays are reused; it leads to :attr:`setpoint`.
+            ``command.grippers`` says which hands shall be open and which closed.
             Torques are in ``tau``, which is None before the loop has begun.
         """
         before, now = time.perf_counter_ns(), self._time.tick()
@@ -451,13 +460,14 @@ class OnlineLoop:
         self._interrupts.give_back()
         self.close()
 
-    def _begin(self) -> None:
-        self._phases.begin(self._readings.q.copy(), held=self._as_held)
+    def _begin(self, pose: Pose | None = None) -> None:
+        self._phases.begin(self._readings.q.copy(), pose, held=self._as_held)
         self._keeper.begin(self._given)
         self.begun = self._built = True
 
     def _tick(self, q: Any, inputs: Any, now: float) -> Command:
         self._advance()
+        self._phases.look(inputs)
         if self._stops.look():
             self._readings.forget()
         if self._forgives:  # it may have been slowed down, not stopped
@@ -490,7 +500,7 @@ class OnlineLoop:
             return self._refuse(self._wrong, self._time.wrong or self._readings.note)
         if not self._stops.why:
             try:
-                self._begin()
+                self._begin(self._phases.seen)
                 return None
             except CoopqpError as error:  # not again by itself, when somebody moves the robot
                 self._stops.halt(str(error))
@@ -614,5 +624,6 @@ class OnlineLoop:
         return self._say(held)
 
     def _say(self, command: Command) -> Command:
+        command.grippers = self._phases.grippers
         self.command, self.status = command, command.status
         return command

@@ -19,30 +19,32 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
-import pinocchio as pin
 
 from coopqp.assessment.assessment import allowed_acceleration
 from coopqp.assessment.thresholds import ACCELERATION_UNLIMITED
 from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.spec import Array, Pose, finite, vector
+from coopqp.base.wording import said
 from coopqp.controller import Command, Controller, ControlProblem, InternalForceControl, Law
 from coopqp.controllers import QPController, TorqueQp
 from coopqp.controllers.passive_grasp_pid import TorquePid
 from coopqp.controllers.torque_qp import TorqueQpLaw
 from coopqp.execution.phase_run import Measured, PhaseRun, begin_phase
+from coopqp.grasp import pose_matrix
 from coopqp.limit import Limit
 from coopqp.limits import JointAcceleration, JointPosition
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.grasp_configuration import grasp_of_each
 from coopqp.model.state import Memory, State
 from coopqp.online.arrivals import Arrivals
-from coopqp.online.beginning import check_hands, check_range, check_resumed
+from coopqp.online.beginning import check_hands, check_object, check_range, check_resumed
 from coopqp.online.faults import FaultMonitor
 from coopqp.scenario.input import Arrival
 from coopqp.scenario.scenario import Scenario
+from coopqp.scenario.start import pose_at, pose_of, without_tiny
 from coopqp.signal import InputValues, Trajectory, of_joints
 from coopqp.signals import Input
 from coopqp.solver import Status
@@ -195,8 +197,12 @@ class Holding:
         return command
 
 
+Gripper = Literal["open", "close"]
+
 #: Name of the input with the readings of force sensors; ``State.hand_wrench``.
 HAND_WRENCH = "hand_wrench"
+#: Name of the input that says where the object stands, :func:`coopqp.scenario.start.pose_of`.
+OBJECT_POSE = "object_pose"
 
 
 class Phases:
@@ -214,6 +220,8 @@ class Phases:
         now: the running phase. arrivals: at its inputs. braking: brings it to rest. holding: the
             same of torques, else None. monitor: of the robot's faults.
         fault: why the next phase could not begin; empty if it could.
+        grippers: what each arm's gripper shall do in this phase, "open" or "close".
+        seen: where the object was last seen in this phase; None where it was not.
     """
 
     def __init__(
@@ -223,25 +231,36 @@ class Phases:
         self._controller, self._observed, self._by_time = controller, observed, by_time
         self._asked, self.fault = False, ""
         self.done: tuple[PhaseRun, ...] = ()
+        self.seen: Pose | None = None
+        self._unseen: tuple[str, ...] = ()
         self._enter(None, None)
 
-    def begin(self, q: Array, *, held: bool) -> None:
+    def begin(self, q: Array, pose: Pose | None, *, held: bool) -> None:
         given = self._given
-        if not np.array_equal(q, given.chain.q_start):
+        if pose and not held:
+            raise InvalidValueError(
+                'object_pose: needs grasp="as_held"; "as_written" has the object where the '
+                "scenario says"
+            )
+        if pose or not np.array_equal(q, given.chain.q_start):
             if not given.start_outside:
                 check_range(given.chain, q)
             if held:
-                self.scenario = as_held(given, q)
+                self.scenario = as_held(given, q, pose)
             else:
                 check_hands(given.chain, q, placed=False)
         self._enter(None, q)
         self.done = (self.now,)
 
     def _enter(self, before: PhaseRun | None, q: Array | None) -> None:
-        robot = Measured(q, self._observed)
+        X_WO = None if self.seen is None else pose_matrix(self.seen)
+        robot = Measured(q, self._observed, X_WO)
         self.now = now = begin_phase(self.scenario, self._controller, before, robot=robot)
-        self._is_last = now.is_last
-        names = {*self.scenario.inputs, HAND_WRENCH}
+        self._is_last, self.seen, hold = now.is_last, None, now.problem.chain.hold
+        self.grippers: dict[str, Gripper] = {
+            arm.name: "close" if arm.name in hold.holders else "open" for arm in hold.robot.arms
+        }
+        names = {*self.scenario.inputs, HAND_WRENCH, OBJECT_POSE}
         self.arrivals = Arrivals(now.inputs, names, now.since)
         self.holding = Holding(now.law) if self._controller.commands_torques else None
         self.braking = self.holding or Braking(now.law)
@@ -298,20 +317,35 @@ class Phases:
         if inputs is None and not self.now.inputs.channels:
             state.hand_wrench, state.inputs.refused = None, ()
             return []
-        arrivals = self.arrivals.read(self._without_wrench(inputs), state.t, now, ahead)
+        arrivals = self.arrivals.read(self._without_sensed(inputs), state.t, now, ahead)
         self.now.inputs.step(state, arrivals)
-        state.inputs.refused = (*self.arrivals.refused, *state.inputs.refused)
+        state.inputs.refused = (*self._unseen, *self.arrivals.refused, *state.inputs.refused)
+        self._unseen = ()
         return arrivals
 
-    def _without_wrench(self, inputs: Any) -> Any:
+    def _without_sensed(self, inputs: Any) -> Any:
         """Move the readings of force sensors to the state."""
         self.now.state.hand_wrench = None
         with suppress(Exception):  # a mapping of a user's class may fail; who reads it says so
             inputs = dict(inputs)
-        if type(inputs) is not dict or HAND_WRENCH not in inputs:
+        if type(inputs) is not dict or not inputs.keys() & {HAND_WRENCH, OBJECT_POSE}:
             return inputs
-        self.now.state.hand_wrench = inputs[HAND_WRENCH]  # anything; the law looks at it
-        return {name: given for name, given in inputs.items() if name != HAND_WRENCH}
+        self.now.state.hand_wrench = inputs.pop(HAND_WRENCH, None)  # anything; the law looks at it
+        inputs.pop(OBJECT_POSE, None)
+        return inputs
+
+    def look(self, inputs: Any) -> None:
+        """Take where the object was seen, before a phase may begin by it."""
+        try:
+            seen = inputs[OBJECT_POSE] if inputs and OBJECT_POSE in inputs else None
+        except Exception:  # noqa: BLE001 - a mapping of a user's class; who reads it says so
+            return
+        if seen is None:
+            return
+        try:
+            self.seen = pose_of(seen[0] if type(seen) is tuple and len(seen) == 2 else seen)
+        except Exception as error:  # noqa: BLE001 - anything can come from a camera
+            self._unseen = (said(error) or f"object_pose: found a {type(seen).__name__}",)
 
     def rest_inputs(self) -> None:
         """Hold the references that follow inputs where they are."""
@@ -321,33 +355,31 @@ class Phases:
                 channel.value[:] = 0.0
 
 
-#: Smallest size of a number in a scenario file that is not zero.
-SMALLEST = 1e-30
-
-
-def as_held(scenario: Scenario, q: Array) -> Scenario:
+def as_held(scenario: Scenario, q: Array, pose: Pose | None = None) -> Scenario:
     """The scenario with its start where the robot is, and the grasp as it is held there.
+
+    Args:
+        scenario: as written.
+        q: of the robot, shape (n,) [rad, m].
+        pose: of the object, where it has been measured.
 
     Raises:
         GraspError: as of :func:`coopqp.online.beginning.check_hands`.
         InvalidValueError: q is no n finite numbers.
     """
     chain = scenario.chain
-    q = _without_tiny(finite("q", vector("q", q, chain.n)))
+    q = without_tiny(finite("q", vector("q", q, chain.n)))
     start = dict(zip(chain.joint_names, q.tolist(), strict=True))
     grasps = grasp_of_each(scenario.robot_model, scenario.grasps)
     holders = chain.hold.holders
     placed = scenario.held.pose is not None or any(grasps[arm].object_in_hand for arm in holders)
     check_hands(chain, q, placed=placed)
-    if not placed:
-        return replace(scenario, start=start)
-    X = chain.object_pose(q)
-    place, angles = _without_tiny(X.translation), _without_tiny(pin.rpy.matrixToRpy(X.rotation))
-    pose = Pose(position=tuple(place.tolist()), rpy=tuple(angles.tolist()))
+    if not placed and pose is None:
+        return scenario.changed(start=start)
+    here = chain.object_pose(q)
+    if pose and placed and chain.hold.holders:
+        check_object(here, pose_matrix(pose))
+    pose = pose or pose_at(here)
     without_places = {arm: replace(grasps[arm], object_in_hand=None) for arm in holders}
     held, grasps = replace(scenario.held, pose=pose), {**grasps, **without_places}
-    return replace(scenario, start=start, held=held, grasps=grasps)
-
-
-def _without_tiny(numbers: Array) -> Array:
-    return np.where(np.abs(numbers) < SMALLEST, 0.0, numbers)
+    return scenario.changed(start=start, held=held, grasps=grasps)

@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -29,7 +30,11 @@ from coopqp.online.options import time_fault
 
 
 class Robot(Protocol):
-    """A driver of a robot; any class with these two methods."""
+    """A driver of a robot; any class with these two methods.
+
+    A third, ``grip(grippers)``, is called after ``write`` where it is there, whenever an arm's
+    gripper shall "open" or "close": :attr:`coopqp.controller.Command.grippers`.
+    """
 
     def read(self) -> ArrayLike | None:
         """Measured joints, shape (n,) [rad, m], in the chain's order; None without a measurement.
@@ -196,6 +201,8 @@ class _Run:
         self._slowest = LONGEST * self._dt if slowest is None else slowest
         self.user = UserCode(loop.end)
         self._flushed = self._collected = 0.0
+        self._grip: Callable[[Any], Any] | None = getattr(robot, "grip", None)
+        self._gripped: Mapping[str, str] = {}
 
     def begin(self) -> None:
         """Wait for the first measurement, and begin there."""
@@ -215,6 +222,9 @@ class _Run:
             q, given = self.user.ask(self._robot.read), self.user.ask(self._inputs)
             command = loop.tick(q, given)
             self._write(command)
+            if self._grip and command.grippers != self._gripped:
+                self._gripped = command.grippers
+                self.user.ask(partial(self._grip, dict(command.grippers)))
             if loop.stopped_by_itself and loop.at_rest:
                 loop.end(loop.stopped)
             elif loop.now >= until:

@@ -103,6 +103,11 @@ def require_motor_freedom(problem: ControlProblem, controller: str) -> None:
         GraspError: with the object motions that are missing.
     """
     start = State(problem.chain)
+    if problem.chain.standing:
+        raise GraspError(
+            f"{controller}: no arm holds the object in one of the phases, and this law moves hands "
+            "by the object alone; use one that commands velocities, such as qp"
+        )
     tasks = TaskStack([task for task in problem.tasks if not task.joint_space], start)
     tasks.update(start)
     found = mobility(problem.chain, task_rows=[("all", tasks.J)], samples=1)
