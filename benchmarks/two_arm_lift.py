@@ -1,4 +1,4 @@
-"""robosuite's TwoArmLift by five laws in nine variants, on seeds of robosuite's own: a table.
+"""robosuite's TwoArmLift by six laws in nine variants, on seeds of robosuite's own: a table.
 
     sh benchmarks/robosuite_env.sh                                           # once
     .robosuite/bin/python benchmarks/two_arm_lift.py --seeds 5
@@ -11,6 +11,8 @@ grip and of the tilt, at worst; share of steps with a motor at its limit, or a j
 range.
 
     qp, pseudoinverse  the loop on joint servos (JOINT_POSITION, kp 300)
+    qp, no observer    without the observer of the loop-closure offset, which takes what soft servos
+                       yield for a model's error and lets hands slide
     torque_qp          the loop on motors (JOINT_TORQUE), 200 times a second
     IK                 each arm by damped least squares, on the same servos
     OSC                robosuite's own, kp 150, each hand's path given
@@ -43,8 +45,10 @@ from robosuite_two_arm_lift import DT, minimum_jerk, reaching, scenario_of, take
 import coopqp
 from coopqp.adapters.robosuite import KP, RobosuiteWorld, controllers
 from coopqp.base.spec import Array
+from coopqp.model.loop_observer import Observer
 
-LAWS = ("qp", "torque_qp", "pseudoinverse", "IK", "OSC")
+NO_OBSERVER = "qp, no observer"
+LAWS = ("qp", NO_OBSERVER, "torque_qp", "pseudoinverse", "IK", "OSC")
 VARIANTS = {
     "as shipped": {}, "pot x4, told": {"heavy": 4.0, "told": True},
     "pot x4, not told": {"heavy": 4.0}, "friction 0.3": {"friction": 0.3},
@@ -258,8 +262,10 @@ def follower(
 ) -> Any:
     """A function that does one step of a law at a time."""
     q = np.atleast_2d(world.read())[0].copy()
-    if law in ("qp", "pseudoinverse", "torque_qp"):
-        loop = coopqp.OnlineLoop(scenario, law, clock=None)
+    if law in ("qp", NO_OBSERVER, "pseudoinverse", "torque_qp"):
+        observer = Observer(enabled=law != NO_OBSERVER)
+        law = law.removesuffix(", no observer")
+        loop = coopqp.OnlineLoop(scenario, law, clock=None, observer=observer)
 
         def ours(t: float) -> None:
             command = loop.tick(world.read())

@@ -3,8 +3,7 @@
     sh benchmarks/robosuite_env.sh                                  # once, 1.8 GB
     .robosuite/bin/python examples/robosuite_two_arm_lift.py --robots Panda Panda --seed 0
 
-The hands go to the handles each by itself; from there on the QP moves the pot, with both arms.
-robosuite's own servos follow the joints, 100 times a second.
+The hands go to the handles each by itself; from there on the QP moves both arms, on its servos.
 """
 
 from __future__ import annotations
@@ -28,7 +27,6 @@ from coopqp.tasks import Pose as PoseTask
 DT = 0.01  # s
 ABOVE = 0.08  # m, from where the hands go down
 LAWS = QPController(name="qp"), TorqueQp(name="torque_qp"), Pseudoinverse(name="pseudoinverse")
-#: Where the object shall be at a time [s].
 Way = Callable[[float], pin.SE3]
 
 
@@ -97,8 +95,7 @@ def scenario_of(
     ways = [Pose(position=tuple(X.translation), rpy=tuple(pin.rpy.matrixToRpy(X.rotation)))
             for X in map(way, times)]  # fmt: skip
     R = pin.Quaternion(*pot.iquat).matrix()
-    J = mass / pot.mass[0] * R @ np.diag(pot.inertia) @ R.T
-    q = np.atleast_2d(world.read())[0]
+    J, q = mass / pot.mass[0] * R @ np.diag(pot.inertia) @ R.T, np.atleast_2d(world.read())[0]
     return Scenario(
         name="two_arm_lift", robot=robot, grasps=Rigid(),
         start=dict(zip(world.joints, q.tolist(), strict=True)),

@@ -91,6 +91,7 @@ class RobosuiteWorld:
         """Take the handles anew, which a reset of the environment changes."""
         sim, robots = self.env.sim, self.env.robots
         self.model, self.data = sim.model._model, sim.data._data
+        sim.forward()  # make leaves the poses of bodies as they were before it placed them
         single = len(robots) == 1
         self._of = {(a if single else f"robot{i}"): (i, a)
                     for i, robot in enumerate(robots) for a in robot.arms}  # fmt: skip
@@ -155,7 +156,10 @@ class RobosuiteWorld:
         import mujoco
 
         full, M = np.zeros((self.model.nv, self.model.nv)), np.zeros((len(self._v),) * 2)
-        mujoco.mj_fullM(self.model, full, self.data.qM)
+        if hasattr(self.data, "qM"):
+            mujoco.mj_fullM(self.model, full, self.data.qM)
+        else:  # MuJoCo 4, which robosuite 1.5.2 does not take
+            mujoco.mj_fullM(self.model, self.data, full)
         for half in self._halves:
             M[np.ix_(half, half)] = full[np.ix_(self._v[half], self._v[half])]
         return M

@@ -1,0 +1,104 @@
+"""The adapter of robosuite on a stand-in for its environments: an object lies on two hands."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from coopqp.adapters.robosuite import RobosuiteWorld
+
+MASS = 2.0
+HAND = """
+<body name="robot{i}_base" pos="0 {y} 0">
+  <body name="robot{i}_link"><joint name="robot{i}_joint1" type="slide" axis="0 0 1" range="-1 1"/>
+    <body name="gripper{i}"><geom type="box" size=".1 .1 .01" mass="1"/>
+      <site name="gripper{i}_grip_site"/></body></body></body>
+"""
+SCENE = f"""
+<mujoco><option timestep="0.002" cone="elliptic"/><worldbody>
+  {HAND.format(i=0, y=-0.3)}{HAND.format(i=1, y=0.3)}
+  <body name="pot_root" pos="0 0.1 0.06"><freejoint/>
+    <geom type="box" size=".05 .45 .05" mass="{MASS}"/></body>
+</worldbody><actuator>
+  <motor name="m0" joint="robot0_joint1" ctrlrange="-50 50"/>
+  <motor name="m1" joint="robot1_joint1" ctrlrange="-70 70"/>
+</actuator></mujoco>
+"""
+
+
+class _Env:
+    """What the adapter uses of an environment with two one-armed robots, by torques."""
+
+    def __init__(self) -> None:
+        self.mujoco: Any = pytest.importorskip("mujoco")
+        model = self.mujoco.MjModel.from_xml_string(SCENE)
+        data = self.mujoco.MjData(model)
+        self.sim = SimpleNamespace(
+            model=SimpleNamespace(_model=model, get_xml=lambda: SCENE),
+            data=SimpleNamespace(_data=data),
+            forward=lambda: self.mujoco.mj_forward(model, data),
+        )
+        self.robots = [self._robot(i) for i in range(2)]
+        self.grips: list[float] = []
+
+    def _robot(self, i: int) -> Any:
+        sites = {"grip_site": f"gripper{i}_grip_site"}
+        gripper = SimpleNamespace(root_body=f"gripper{i}", important_sites=sites, dof=1)
+        return SimpleNamespace(
+            arms=["right"],
+            gripper={"right": gripper},
+            robot_model=SimpleNamespace(joints=[f"robot{i}_joint1"]),
+            create_action_vector=lambda a: np.concatenate([a["right"], a["right_gripper"]]),
+        )
+
+    def step(self, action: Any) -> tuple[dict[str, Any], float, bool, dict[str, Any]]:
+        model, data = self.sim.model._model, self.sim.data._data
+        data.ctrl[:], self.grips = action[::2], action[1::2].tolist()
+        for _ in range(5):
+            self.mujoco.mj_step(model, data)
+        return {}, 0.0, False, {}
+
+
+@pytest.fixture
+def world() -> RobosuiteWorld:
+    return RobosuiteWorld(_Env(), by_torques=True, kp=900.0)
+
+
+def test_hands_bear_the_weight_by_their_contacts(world: RobosuiteWorld) -> None:
+    weight = MASS * 9.81
+    share = weight * np.array([0.2, 0.4]) / 0.6  # of an object that lies 0.1 m off the middle
+    for _ in range(300):
+        world.write(np.zeros(2), np.zeros(2), share)
+    w = world.hand_wrench().reshape(2, 6)
+    np.testing.assert_allclose(w[:, :3].sum(axis=0), [0.0, 0.0, weight], atol=0.02 * weight)
+    moment = sum(np.cross(world.hand(arm).translation - world.object.translation, f[:3]) + f[3:]
+                 for arm, f in zip(world.arms, w, strict=True))  # fmt: skip
+    np.testing.assert_allclose(moment, 0.0, atol=0.1)
+    assert np.abs(world.read()).max() < 5e-3
+
+
+def test_the_robot_has_the_motors_limits_and_robosuites_names(
+    world: RobosuiteWorld, tmp_path: Path
+) -> None:
+    robot = world.robot(tmp_path, speed=1.5).build()
+    assert robot.joint_names == world.joints == ("robot0_joint1", "robot1_joint1")
+    assert [arm.name for arm in robot.arms] == list(world.arms) == ["robot0", "robot1"]
+    np.testing.assert_allclose(robot.model.effortLimit, [50.0, 70.0])
+    np.testing.assert_allclose(robot.model.velocityLimit, 1.5)
+
+
+def test_each_gripper_is_told_its_own(world: RobosuiteWorld) -> None:
+    world.grip["robot1"] = 1.0
+    world.apply(np.zeros(2))
+    assert world.env.grips == [-1.0, 1.0]
+
+
+def test_robosuite_is_not_imported() -> None:
+    code = "import coopqp.adapters.robosuite, sys; sys.exit('robosuite' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
