@@ -179,11 +179,9 @@ def plan(
     from coopqp.planning import plan as find
     from coopqp.report import files
     from coopqp.report import planning as report
-    from coopqp.scenario.planned import refuse_phases
 
     loaded = read_scenario(scenario, catalog)
     if out:
-        refuse_phases(loaded)
         files.check_folder(out)
     budget = Budget(seconds=seconds, seed=loaded.seed if seed is None else seed)
     with bar("planning") as progress:

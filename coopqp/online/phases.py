@@ -214,7 +214,7 @@ class Phases:
     def take(self, inputs: Any, now: float, ahead: float) -> list[Arrival]:
         """Pass on what has come since the last tick, as :meth:`Arrivals.read` takes it."""
         state = self.now.state
-        if inputs is None and not self.now.inputs.channels:
+        if inputs is None and not self.now.inputs.move:
             state.hand_wrench, state.inputs.refused = None, ()
             return []
         arrivals = self.arrivals.read(self._without_wrench(inputs), state.t, now, ahead)
@@ -238,6 +238,8 @@ class Phases:
             channel.rate[:] = channel.acceleration[:] = 0.0
             if channel.kind.velocity:
                 channel.value[:] = 0.0
+        for clock in self.now.inputs.clocks.values():
+            clock.rate[:] = 0.0
 
 
 #: Smallest size of a number in a scenario file that is not zero.

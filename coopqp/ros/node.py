@@ -39,7 +39,8 @@ def run_node(scenario: Scenario, arguments: Sequence[str] = ()) -> Ended:
         options = {key: getattr(settings, key) for key in given}
         loop = OnlineLoop(scenario, settings.law, out=settings.out or None, **options)
         joints = joints_of(scenario.chain, settings.controllers, orders)
-        kinds = scenario.followed()
+        followed = scenario.followed()
+        kinds = {name: kind for name, kind in followed.items() if name in scenario.inputs}
         topics = _Topics(node, settings.controllers)
         bridge = Bridge(loop, joints, kinds, settings, topics)
         topics.subscribe(JOINT_STATE, settings.joint_states, partial(bridge.take, ""))

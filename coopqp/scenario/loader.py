@@ -15,7 +15,7 @@ from coopqp.robot import RobotModel
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.checks import Known, at, check_start, contradictions, refuse
 from coopqp.scenario.form import SOLVE, check, chosen, fields_of, given
-from coopqp.scenario.planned import following
+from coopqp.scenario.planned import Followed, following
 from coopqp.scenario.scenario import Scenario, Start, from_degrees
 from coopqp.scenario.start_solver import Progress, StartSolution, close_start, solve_start
 from coopqp.scenario.yaml import YamlFile, parsed, read_yaml
@@ -48,7 +48,7 @@ def load_file(file: YamlFile, catalog: Catalog, known: Known | None = None) -> S
     """The same from a file that has been read; ``known`` is shared by variants of one file."""
     known = known or Known()
     with file.lines():
-        scenario = _read(file, catalog)
+        scenario, planned = _read(file, catalog)
         known.lend_robot(file.data, scenario)
         if file.data.get("start") == SOLVE:
             scenario = _starting(scenario, _solved(file, scenario, scenario.seed, None).start)
@@ -56,15 +56,17 @@ def load_file(file: YamlFile, catalog: Catalog, known: Known | None = None) -> S
             with at(["robot"]):
                 robot = scenario.robot_model
             scenario = _starting(scenario, from_degrees(robot, scenario.grasps, scenario.start))
-        if planned := file.data.get("reference"):
+        if planned:
             with at(["reference"]):
-                scenario = following(scenario, file.folder / planned["plan"])
+                scenario = following(scenario, planned)
         check_start(file.data, scenario, known)
         return scenario
 
 
-def _read(file: YamlFile, catalog: Catalog, *, needs_start: bool = True) -> Scenario:
-    """The scenario as the file says it, of which nothing is built yet."""
+def _read(
+    file: YamlFile, catalog: Catalog, *, needs_start: bool = True
+) -> tuple[Scenario, Followed | None]:
+    """The scenario as the file says it, of which nothing is built yet, and what it follows."""
     read: Any = check(file, catalog)
     keys = given(read)
     scenario = Scenario(
@@ -81,7 +83,7 @@ def _read(file: YamlFile, catalog: Catalog, *, needs_start: bool = True) -> Scen
         }
     )
     refuse(contradictions(keys, scenario, needs_start=needs_start))
-    return scenario
+    return scenario, keys.get("reference")
 
 
 def _starting(scenario: Scenario, start: Start) -> Scenario:
@@ -105,7 +107,7 @@ def load_and_solve(
     """
     file = read_yaml(find(path))
     with file.lines():
-        scenario = _read(file, catalog or Catalog(), needs_start=False)
+        scenario, _ = _read(file, catalog or Catalog(), needs_start=False)
         return _solved(file, scenario, scenario.seed if seed is None else seed, progress)
 
 
