@@ -96,6 +96,9 @@ def test_nothing_is_run_from_nowhere_or_for_no_time() -> None:
         ({"starts": np.zeros((2, 9))}, "starts: found shape"),
         ({"starts": np.full((2, 10), np.nan)}, "starts: found"),
         ({"starts": "here"}, "starts: found 'here', needs numbers"),
+        ({"starts": np.zeros((2, 10), complex)}, "starts: found array"),
+        ({"ticks": 10**7, "starts": np.zeros((1000, 10))}, "they do not fit into memory"),
+        ({"scenario": "point_on_point"}, "scenario: found str, needs one from coopqp.load"),
         ({"threads": 0}, "threads: found 0, needs a whole number"),
         ({"ticks": -1}, "ticks: found -1, needs a whole number"),
         ({"ticks": 1.5}, "ticks: found 1.5, needs a whole number"),
@@ -105,7 +108,7 @@ def test_nothing_is_run_from_nowhere_or_for_no_time() -> None:
 )
 def test_what_it_cannot_do_is_said(given: dict[str, Any], words: str) -> None:
     with pytest.raises(CoopqpError, match=words):
-        run_many(load("point_on_point"), **{"starts": np.zeros((2, 10)), **given})
+        run_many(**{"scenario": load("point_on_point"), "starts": np.zeros((2, 10)), **given})
 
 
 def test_phases_are_refused() -> None:

@@ -124,10 +124,12 @@ def numbers(value: Any, count: int) -> Any:
 
 
 def array(name: str, values: ArrayLike) -> Array:
-    """Numbers given in Python, NaN and infinities too, as a new array, or InvalidValueError."""
+    """Real numbers from Python, NaN and infinities too, as a new array, or InvalidValueError."""
     try:
-        return np.array(values, float)
-    except (TypeError, ValueError):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # numpy only warns of imaginary parts that it drops
+            return np.array(values, float)
+    except (TypeError, ValueError, Warning):
         raise InvalidValueError(f"{name}: found {values!r}, needs numbers") from None
 
 

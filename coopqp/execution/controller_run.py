@@ -86,7 +86,7 @@ def controller_of(scenario: Scenario, name: str) -> Controller:
         return scenario.controllers[name]
     known = scenario.catalog.entries("controllers")
     if name not in known:
-        raise UnknownNameError("controller", name, {*known, *scenario.controllers})
+        raise UnknownNameError("controller", str(name), {*known, *scenario.controllers})
     chosen = known[name].cls()
     assert isinstance(chosen, Controller)  # what the catalogue holds there
     return chosen

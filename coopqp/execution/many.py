@@ -72,6 +72,9 @@ def run_many(
         InvalidValueError: an argument is none of these, or the controller commands torques.
         CoopqpError: the controller cannot be built for this scenario.
     """
+    if not isinstance(scenario, Scenario):
+        found = type(scenario).__name__
+        raise InvalidValueError(f"scenario: found {found}, needs one from coopqp.load")
     chosen, n = controller_of(scenario, controller), scenario.chain.n
     if scenario.phases or chosen.commands_torques:
         what = "phases" if scenario.phases else "torques"
@@ -89,11 +92,12 @@ def run_many(
 def _run_all(laws: Sequence[Law], starts: Array, ticks: int) -> Motions:
     """A law a thread."""
     m, n = starts.shape
-    q, v, said = (
-        np.empty((m, ticks + 1, n)),
-        np.empty((m, ticks, n)),
-        np.zeros((m, ticks), np.uint8),
-    )
+    try:
+        q, v = np.empty((m, ticks + 1, n)), np.empty((m, ticks, n))
+        said = np.zeros((m, ticks), np.uint8)
+    except MemoryError:
+        words = f"found {m} motions of {ticks} ticks, needs fewer: they do not fit into memory"
+        raise InvalidValueError(f"starts: {words}") from None
     size = max(1, min(CHUNK, AT_ONCE // max(ticks, 1)))
     left, plain = deque(range(0, m, size)), dict[int, TickBatch]()
     with ThreadPoolExecutor(len(laws)) as pool:

@@ -117,7 +117,6 @@ class Outcome(IntEnum):
 
 #: A dictionary, a key, and what is there; None where nothing is.
 Entry = tuple[dict[str, Any], str, object]
-"""An input by name, and the arrays of its value and rate that the kernel reads."""
 
 
 class Compiled:

@@ -54,7 +54,7 @@ AWAKE = 1.5e-4
 EVERY, LEFT = 0.25, 0.4
 #: From a tick so late, as a share of a period, the next is a whole period away.
 BEHIND = 0.4
-#: A period by the loop's clock is waited for no longer than so many by the machine's.
+#: A period by the loop's clock is waited for no longer than so many by the machine's, unless told.
 LONGEST = 2.0
 
 InputsNow = Callable[[], Mapping[str, Any] | None]
@@ -84,6 +84,7 @@ def real_time(
     *,
     inputs: InputsNow | None = None,
     duration: float | None = None,
+    slowest: float | None = None,
 ) -> Ended:
     """Run a loop on a robot until something ends it; the robot is then commanded to stand still.
 
@@ -96,6 +97,8 @@ def real_time(
         robot: its driver.
         inputs: what has arrived; nothing does when omitted.
         duration: [s]; without an end when omitted.
+        slowest: what a period by the loop's clock may take of the machine's time, where that is the
+            clock of a slow simulation; two periods when omitted [s].
 
     Raises:
         InvalidValueError: an argument is none; the loop counts ticks, or has ended.
@@ -103,8 +106,8 @@ def real_time(
         Exception: what the robot, or ``inputs``, has raised, after the robot came to rest; at once
             where it was ``write``.
     """
-    _check(loop, robot, inputs, duration)
-    run = _Run(loop, robot, inputs, np.inf if duration is None else duration)
+    _check(loop, robot, inputs, duration, slowest)
+    run = _Run(loop, robot, inputs, np.inf if duration is None else duration, slowest)
     with loop:
         try:
             run.begin()
@@ -126,15 +129,16 @@ def check_driver(robot: Any) -> None:
             raise InvalidValueError(f"robot: a {type(robot).__name__} has no method {name}")
 
 
-def _check(loop: Any, robot: Any, inputs: Any, duration: Any) -> None:
+def _check(loop: Any, robot: Any, inputs: Any, duration: Any, slowest: Any) -> None:
     if not isinstance(loop, OnlineLoop):
         raise InvalidValueError(f"loop: found a {type(loop).__name__}, needs an OnlineLoop")
     check_driver(robot)
     if not (inputs is None or callable(inputs)):
         words = "needs a function that says what has arrived"
         raise InvalidValueError(f"inputs: found a {type(inputs).__name__}, {words}")
-    if fault := time_fault(duration, none=True):
-        raise InvalidValueError(f"duration: {fault}")
+    for name, given in (("duration", duration), ("slowest", slowest)):
+        if fault := time_fault(given, none=True):
+            raise InvalidValueError(f"{name}: {fault}")
     if loop.simulated:
         raise InvalidValueError("the loop counts ticks; give it a clock to run in real time")
     if loop.ticks and not loop.running:
@@ -165,11 +169,17 @@ class UserCode:
 
 class _Run:
     def __init__(
-        self, loop: OnlineLoop, robot: Robot, inputs: InputsNow | None, duration: float
+        self,
+        loop: OnlineLoop,
+        robot: Robot,
+        inputs: InputsNow | None,
+        duration: float,
+        slowest: float | None,
     ) -> None:
         self._loop, self._robot, self._inputs = loop, robot, inputs
         self._dt = loop.problem.dt
         self._duration = duration
+        self._slowest = LONGEST * self._dt if slowest is None else slowest
         self.user = UserCode(loop.end)
         self._flushed = self._collected = 0.0
 
@@ -213,12 +223,10 @@ class _Run:
             self._loop.flush()
 
     def _wait(self, due: float) -> None:
-        until = time.monotonic() + LONGEST * self._dt  # the loop's clock may stand, or go back
-        asleep = due - self._loop.now - AWAKE
-        if asleep > 0.0:
-            time.sleep(min(asleep, self._dt))
-        while self._loop.now < due and time.monotonic() < until:
-            pass
+        until = time.monotonic() + self._slowest  # the loop's clock may stand, or go back
+        while (left := due - self._loop.now) > 0.0 and time.monotonic() < until:
+            if left > AWAKE:
+                time.sleep(min(left - AWAKE, self._dt))
 
 
 @contextmanager

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 from pydantic import Field
 
@@ -31,6 +32,7 @@ from coopqp.solver import Status, written
 JOINT_STATE = "sensor_msgs/msg/JointState"
 POSE = "geometry_msgs/msg/PoseStamped"
 TWIST = "geometry_msgs/msg/TwistStamped"
+Commanded = Literal["velocity", "position", "trajectory"]
 #: Messages that wait for a tick at most; older ones are dropped.
 QUEUE_SIZE = 1000
 #: Nanoseconds in a second.
@@ -47,7 +49,9 @@ class RosSettings:
     """Parameters of the node."""
 
     controllers: Annotated[list[str], Field(min_length=1)]
-    """Of ros2_control; each is sent velocities on /NAME/commands."""
+    """Of ros2_control; each is sent its joints' commands."""
+    command: Commanded = "velocity"
+    """Velocities or positions on /NAME/commands, or a point each tick on /NAME/joint_trajectory."""
     law: str = "qp"
     """The scenario's controller that decides."""
     reference: Literal["commanded", "measured"] = "commanded"
@@ -58,12 +62,14 @@ class RosSettings:
     """Topic of the measured joint positions."""
     frame: str = "world"
     """The scenario's world in ROS; targets in another frame are refused."""
+    object_frame: str = ""
+    """The object's frame on /tf, as commanded; not published if empty."""
     silent_after: Positive = 0.1
     """How long joint states may fail to come before the robot counts as silent [s]."""
     patience: Positive = 0.25
     """How long after that the loop stops [s]."""
     position_gain: NonNegative = 1.0
-    """Gain on each joint's distance from its commanded position [1/s]."""
+    """Gain on each joint's distance from its commanded position, of velocity commands [1/s]."""
     diagnostics_every: Positive = 0.1
     """Time between two messages on /diagnostics [s]."""
     out: str = ""
@@ -81,10 +87,12 @@ class Joints:
 
     Attributes:
         names: in ROS, in the loop's order.
-        ordered: indices in q of each controller's joints, in the controller's order.
+        orders: of each controller's joints, in its order.
+        ordered: their indices in q.
     """
 
     names: tuple[str, ...]
+    orders: Mapping[str, Sequence[str]]
     ordered: Mapping[str, NDArray[np.intp]]
 
 
@@ -99,6 +107,7 @@ def joints_of(
     own = np.setdiff1d(np.arange(chain.n), chain.passive)
     index = {ros_name(chain.joint_names[i]): int(i) for i in own}
     ordered: dict[str, NDArray[np.intp]] = {}
+    named: dict[str, Sequence[str]] = {}
     moved: list[str] = []
     for name in controllers:
         given = orders.get(name) or (list(index) if len(controllers) == 1 else [])
@@ -111,10 +120,10 @@ def joints_of(
             if joint in moved:
                 raise InvalidValueError(f"{name}.joints: '{joint}' is there twice")
             moved.append(joint)
-        ordered[name] = np.array([index[joint] for joint in given])
+        named[name], ordered[name] = given, np.array([index[joint] for joint in given])
     if left := [joint for joint in index if joint not in moved]:
         raise InvalidValueError(f"joints: no controller moves {', '.join(left)}")
-    return Joints(tuple(index), ordered)
+    return Joints(tuple(index), named, ordered)
 
 
 def message_of(kind: Kind) -> str:
@@ -250,8 +259,14 @@ class Transport(Protocol):
     def now(self) -> int:
         """By the clock of stamps [ns]."""
 
-    def command(self, controller: str, velocities: list[float]) -> None:
-        """Send velocities of joints [rad/s, m/s], in the order of the controller."""
+    def command(self, controller: str, q: list[float], v: list[float]) -> None:
+        """Send joint positions at the end of the period [rad, m], and velocities until then.
+
+        Both are in the order of the controller.
+        """
+
+    def place(self, position: list[float], quaternion: list[float]) -> None:
+        """Send the object's position in the world [m] and its orientation (x, y, z, w)."""
 
     def diagnose(self, remarks: Sequence[Remark]) -> None:
         """Send diagnostics."""
@@ -311,10 +326,14 @@ class Bridge:
         return arrived
 
     def write(self, q: Array, v: Array) -> None:
-        """Send velocities to the controllers, and diagnostics when they are due."""
-        velocity = self._with_position_gain(v)
+        """Send commands to the controllers, and diagnostics when they are due."""
+        settings, state = self._settings, self._loop.state
+        velocity = self._with_position_gain(v) if settings.command == "velocity" else v
         for name, indices in self._joints.ordered.items():
-            self._transport.command(name, velocity[indices].tolist())
+            self._transport.command(name, q[indices].tolist(), velocity[indices].tolist())
+        if settings.object_frame:
+            turned = pin.Quaternion(state.R_WO).coeffs()
+            self._transport.place(state.p_WO.tolist(), turned.tolist())
         command = self._loop.command
         self._causes |= dict.fromkeys(command.causes)
         self._told = command.told or self._told

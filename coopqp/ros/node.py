@@ -14,13 +14,24 @@ from coopqp.base.errors import CoopqpError, InvalidValueError, MissingDependency
 from coopqp.online.loop import OnlineLoop
 from coopqp.online.real_time import Ended, real_time
 from coopqp.recordings.messages import Remark
-from coopqp.ros.bridge import JOINT_STATE, Bridge, RosSettings, joints_of, message_of
+from coopqp.ros.bridge import (
+    JOINT_STATE,
+    NS,
+    Bridge,
+    Joints,
+    RosSettings,
+    joints_of,
+    message_of,
+)
 from coopqp.scenario.scenario import Scenario
 
 NAME = "coopqp"
-VELOCITIES, DIAGNOSTICS = "std_msgs/msg/Float64MultiArray", "diagnostic_msgs/msg/DiagnosticArray"
+NUMBERS, DIAGNOSTICS = "std_msgs/msg/Float64MultiArray", "diagnostic_msgs/msg/DiagnosticArray"
+POINT = "trajectory_msgs/msg/JointTrajectoryPoint"
+TRAJECTORY, TRANSFORMS = "trajectory_msgs/msg/JointTrajectory", "tf2_msgs/msg/TFMessage"
 FAREWELL = 1.0  # for the last messages to be received [s]
 WAITING = 0.1  # between checks for the first joint states [s]
+SLOWEST = 0.2  # of the machine's time that a period of simulated time may take [s]
 
 
 def run_node(scenario: Scenario, arguments: Sequence[str] = ()) -> Ended:
@@ -36,12 +47,14 @@ def run_node(scenario: Scenario, arguments: Sequence[str] = ()) -> Ended:
     with _node(arguments) as node:
         settings, orders = _parameters(node)
         given = ("reference", "grasp", "silent_after", "patience")
-        options = {key: getattr(settings, key) for key in given}
-        loop = OnlineLoop(scenario, settings.law, out=settings.out or None, **options)
+        options: dict[str, Any] = {key: getattr(settings, key) for key in given}
         joints = joints_of(scenario.chain, settings.controllers, orders)
         followed = scenario.followed()
         kinds = {name: kind for name, kind in followed.items() if name in scenario.inputs}
-        topics = _Topics(node, settings.controllers)
+        topics = _Topics(node, settings, joints, scenario.dt)
+        if topics.simulated:
+            options["clock"] = topics.seconds
+        loop = OnlineLoop(scenario, settings.law, out=settings.out or None, **options)
         bridge = Bridge(loop, joints, kinds, settings, topics)
         topics.subscribe(JOINT_STATE, settings.joint_states, partial(bridge.take, ""))
         for name, kind in kinds.items():
@@ -55,7 +68,7 @@ def _run(loop: OnlineLoop, bridge: Bridge, topics: _Topics) -> Ended:
     why = "the node was cut off"
     try:
         with loop:  # so that Ctrl-C and SIGTERM end the waiting, too
-            ended = _when_measured(loop, bridge)
+            ended = _when_measured(loop, bridge, topics)
         why = str(ended)
         return ended
     except CoopqpError as error:
@@ -67,12 +80,13 @@ def _run(loop: OnlineLoop, bridge: Bridge, topics: _Topics) -> Ended:
             topics.wait()
 
 
-def _when_measured(loop: OnlineLoop, bridge: Bridge) -> Ended:
+def _when_measured(loop: OnlineLoop, bridge: Bridge, topics: _Topics) -> Ended:
     while loop.running:
         q = bridge.read()
-        if q is not None:
+        if q is not None and topics.now():  # simulated time is zero until it has come
             loop.begin(q)
-            return real_time(loop, bridge, inputs=bridge.inputs)
+            slowest = SLOWEST if topics.simulated else None
+            return real_time(loop, bridge, inputs=bridge.inputs, slowest=slowest)
         bridge.say()
         time.sleep(WAITING)
     return Ended(loop.stopped, 0, 0, 0.0, -1)
@@ -146,13 +160,24 @@ def _type(name: str) -> Any:
 
 
 class _Topics:
-    """The node's publishers and subscriptions."""
+    """The node's publishers and subscriptions.
 
-    def __init__(self, node: Any, controllers: Sequence[str]) -> None:
-        self._node = node
-        kind = self._velocities = _type(VELOCITIES)
-        self._commands = {x: node.create_publisher(kind, f"/{x}/commands", 1) for x in controllers}
+    Attributes:
+        simulated: whether time is that of /clock.
+    """
+
+    def __init__(self, node: Any, settings: RosSettings, joints: Joints, dt: float) -> None:
+        self._node, self._settings, self._joints, self._dt = node, settings, joints, dt
+        self.simulated = bool(node.get_parameter("use_sim_time").value)
+        trajectories = settings.command == "trajectory"
+        kind, topic = (TRAJECTORY, "joint_trajectory") if trajectories else (NUMBERS, "commands")
+        self._commands = {
+            name: node.create_publisher(_type(kind), f"/{name}/{topic}", 1)
+            for name in settings.controllers
+        }
         self._diagnostics = node.create_publisher(_type(DIAGNOSTICS), "/diagnostics", 10)
+        places = settings.object_frame
+        self._tf = node.create_publisher(_type(TRANSFORMS), "/tf", 10) if places else None
 
     def subscribe(self, kind: str, topic: str, take: Any) -> None:
         """Subscribe, with the QoS of sensors: lost messages are not sent again.
@@ -171,8 +196,33 @@ class _Topics:
     def now(self) -> int:
         return int(self._node.get_clock().now().nanoseconds)
 
-    def command(self, controller: str, velocities: list[float]) -> None:
-        self._commands[controller].publish(self._velocities(data=velocities))
+    def seconds(self) -> float:
+        """The same in seconds."""
+        return 1e-9 * self.now()
+
+    def command(self, controller: str, q: list[float], v: list[float]) -> None:
+        if self._settings.command == "trajectory":
+            # A header without a stamp: the point is to be reached a period after it has come.
+            point = _type(POINT)(positions=q, velocities=v)
+            after = point.time_from_start
+            after.sec, after.nanosec = divmod(round(self._dt * NS), NS)
+            names = self._joints.orders[controller]
+            message = _type(TRAJECTORY)(joint_names=names, points=[point])
+        else:
+            message = _type(NUMBERS)(data=v if self._settings.command == "velocity" else q)
+        self._commands[controller].publish(message)
+
+    def place(self, position: list[float], quaternion: list[float]) -> None:
+        transform = _type("geometry_msgs/msg/TransformStamped")()
+        transform.header.stamp = self._node.get_clock().now().to_msg()
+        transform.header.frame_id = self._settings.frame
+        transform.child_frame_id = self._settings.object_frame
+        for axis, x in zip("xyz", position, strict=True):
+            setattr(transform.transform.translation, axis, x)
+        for axis, x in zip("xyzw", quaternion, strict=True):
+            setattr(transform.transform.rotation, axis, x)
+        assert self._tf is not None  # the bridge asks for it where there is a frame
+        self._tf.publish(_type(TRANSFORMS)(transforms=[transform]))
 
     def diagnose(self, remarks: Sequence[Remark]) -> None:
         array = _type(DIAGNOSTICS)(status=[_status(remark) for remark in remarks])

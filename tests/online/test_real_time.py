@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import math
 import os
 import signal
 import time
@@ -19,6 +20,7 @@ from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.online.loop import OnlineLoop
 from coopqp.online.real_time import real_time
 from coopqp.scenario.scenario import Scenario
+from coopqp.solver import Status
 
 TARGET = {"target": [0.15, 0.01, 0.05]}
 
@@ -135,7 +137,7 @@ def test_a_late_tick_is_not_made_up_for(scenario: Scenario) -> None:
     class Slow(Scripted):
         def read(self) -> Any:
             times.append(time.monotonic())
-            if len(times) == 20:
+            if len(times) == 5:
                 time.sleep(0.05)
             return super().read()
 
@@ -143,8 +145,27 @@ def test_a_late_tick_is_not_made_up_for(scenario: Scenario) -> None:
     real_time(loop, Slow(scenario.chain.q_start), duration=0.4)
     assert loop.watch.late >= 1
     assert loop.watch.longest > 0.045
-    rest = np.array(times[20:]) - times[20]
+    rest = np.array(times[5:]) - times[5]
     assert (rest > (np.arange(len(rest)) - 1.5) * scenario.dt).all()
+
+
+def test_a_simulation_slower_than_time_is_waited_for(scenario: Scenario) -> None:
+    """Its clock steps by 10 ms, ten times slower: without ``slowest`` it counts as standing."""
+
+    def statuses(**given: float) -> set[Status]:
+        began, said = time.monotonic(), set[Status]()
+        clock = lambda: 0.01 * math.floor(10.0 * (time.monotonic() - began))  # noqa: E731
+        loop, robot = OnlineLoop(scenario, clock=clock), Scripted(scenario.chain.q_start)
+
+        def inputs() -> Any:
+            said.update(loop.command.causes)
+            return TARGET
+
+        real_time(loop, robot, inputs=inputs, duration=0.1, **given)
+        return said
+
+    assert Status.CLOCK_WRONG in statuses()
+    assert not statuses(slowest=5.0) & {Status.CLOCK_WRONG, Status.EARLY}
 
 
 def test_counting_ticks_is_no_clock(scenario: Scenario) -> None:

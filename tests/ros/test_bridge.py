@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from online_loops import Told, follows
 from ros_messages import JOINT_STATE, STORE, joint_state, pose
@@ -37,6 +38,8 @@ class World:
         self.clock, self.behind = Told(), 0
         self.every, self.share, self.ticks, self.silent = every, share, 0, False
         self.sent: dict[str, list[float]] = {}
+        self.positions: dict[str, list[float]] = {}
+        self.object: list[float] = []
         self.said: list[Sequence[Remark]] = []
         given = RosSettings(**{"controllers": ["left", "right"], **settings})
         chain = self.chain = scenario.chain
@@ -55,9 +58,13 @@ class World:
         """By ROS's clock [ns]."""
         return EPOCH + round(1e9 * self.clock.t) - self.behind
 
-    def command(self, controller: str, velocities: list[float]) -> None:
+    def command(self, controller: str, q: list[float], v: list[float]) -> None:
         """What a controller is sent."""
-        self.sent[controller] = velocities
+        self.positions[controller], self.sent[controller] = q, v
+
+    def place(self, position: list[float], quaternion: list[float]) -> None:
+        """Where the object is."""
+        self.object = position + quaternion
 
     def diagnose(self, remarks: Sequence[Remark]) -> None:
         """What is said."""
@@ -317,6 +324,22 @@ def test_targets_that_cannot_be_read_are_refused_and_said(scenario: Scenario, ca
     level, said = world.words("input target")
     assert level == 1
     assert words in said
+
+
+def test_positions_are_where_velocities_lead_and_the_object_is_where_the_joints_hold_it(
+    scenario: Scenario,
+) -> None:
+    """No gain is added to velocities that are sent beside positions."""
+    world = World(scenario, share=0.9, command="position", object_frame="box")
+    world.go(50, world.near)
+    loop = world.loop
+    q = dict(zip(world.names, (loop.state.q + 0.01 * loop.command.v).tolist(), strict=True))
+    v = dict(zip(world.names, loop.command.v.tolist(), strict=True))
+    for arm, order in world.orders.items():
+        np.testing.assert_allclose(world.positions[arm], [q[name] for name in order], atol=1e-12)
+        np.testing.assert_allclose(world.sent[arm], [v[name] for name in order], atol=1e-12)
+    X = world.chain.object_pose(loop.state.q)
+    np.testing.assert_allclose(world.object, pin.SE3ToXYZQUAT(X), atol=1e-6)
 
 
 @pytest.mark.parametrize("gain", [0.0, 1.0])

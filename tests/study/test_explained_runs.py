@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -19,6 +20,7 @@ from scenario_files import HEAD, PHASES, TAIL, phased
 
 from coopqp.assessment import assess
 from coopqp.base.qp import Row
+from coopqp.base.spec import spec
 from coopqp.execution.controller_run import run
 from coopqp.execution.phase_run import begin_phase
 from coopqp.limits import (
@@ -28,6 +30,7 @@ from coopqp.limits import (
     Obstacle,
     Obstacles,
 )
+from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario
@@ -35,6 +38,7 @@ from coopqp.solver import Budget
 from coopqp.study.explanation import explain_run, insufficient_time, words
 from coopqp.study.explanation.explained_phase import _Wider, explained_phases
 from coopqp.study.explanation.goal import Room, Share
+from coopqp.task import Evaluate, Task, TaskRows
 from coopqp.tasks import Twist
 
 # Speed, time, budget
@@ -285,3 +289,24 @@ def test_damaged_traces_are_refused_in_one_line(damage: str, written: Path, tmp_
     assert len(result.stderr.strip().splitlines()) == 1
     assert str(trace) in result.stderr
     assert "damaged" in result.stderr or "is not a trace.csv" in result.stderr
+
+
+def test_rows_that_python_fills_are_named_with_what_they_take() -> None:
+    """As the law for robots says of the same problem."""
+
+    @spec
+    class Looks(Task):
+        def rows(self, chain: ClosedChain) -> tuple[str, ...]:
+            return ("z",)
+
+        def bind(self, start: State) -> Evaluate:
+            def evaluate(state: State, rows: TaskRows) -> None:
+                rows.e[0], rows.J[0] = state.p_WO[2] - start.p_WO[2], state.J_task[2]
+
+            return evaluate
+
+    scenario = replace(load("point_on_point"), limits=LIMITS)
+    assert "Python" not in explained(scenario).sentence
+    own = replace(scenario, tasks=(*scenario.tasks, Looks(name="mine", priority=1)))
+    said = r"the rows of mine are computed in Python, [1-9]\d* us of a tick"
+    assert re.search(said, explained(own).sentence)

@@ -34,11 +34,12 @@ from coopqp.study.explanation.suggested_relaxation import (
     with_suggestion,
 )
 from coopqp.study.explanation.tick import relaxed
-from coopqp.study.explanation.words import MissedPart, RunExplanation
+from coopqp.study.explanation.words import MissedPart, RunExplanation, listed
 from coopqp.task import Task
 from coopqp.trace import Trace
 
 Report = Callable[[float], None]
+TIMED = 100  # ticks by which the rows that Python fills are timed
 
 
 def explain_run(
@@ -54,10 +55,26 @@ def explain_run(
     found, phases = assess(trace), list(explained_phases(scenario.held_by(trace.controller), trace))
     leg = next((leg for leg in phases if leg.missed), phases[-1])
     explained = _explained(found, phases, leg, report)
-    saturated = saturation_words(found)
-    if not saturated or explained.kind == "motors":
-        return explained
-    return replace(explained, sentence=f"{explained.sentence}; it saturates {saturated}")
+    saturated = saturation_words(found) if explained.kind != "motors" else ""
+    more = f"it saturates {saturated}" if saturated else ""
+    clauses = [explained.sentence, more, _rows_in_python(leg)]
+    return replace(explained, sentence="; ".join(filter(None, clauses)))
+
+
+def _rows_in_python(leg: ExplainedPhase) -> str:
+    """Tasks and limits whose rows Python fills for the kernel, with what that takes of a tick."""
+    law = leg.controller.unprepared(leg.problem)
+    if not law.rows_in_python:
+        return ""
+    state, times = law.start(leg.q[0]), []
+    for k in range(min(len(leg.v), TIMED)):
+        state.q[:], state.t, state.inputs = leg.q[k], k * law.problem.dt, leg.followed(k)
+        law.tick(state)
+        times.append(law.rows_us)
+    return (
+        f"the rows of {listed(law.rows_in_python)} are computed in Python, "
+        f"{np.median(times):.0f} us of a tick"
+    )
 
 
 def _explained(
