@@ -22,6 +22,7 @@ from coopqp.base.table import Table, read_table
 from coopqp.scenario.scenario import Phase, Scenario
 from coopqp.signal import POSE
 from coopqp.signals import Waypoints
+from coopqp.task import Task
 from coopqp.tasks import Pose, Posture
 
 #: How fast what is left of an error goes to zero along the path [1/s].
@@ -61,19 +62,24 @@ def following(scenario: Scenario, followed: Followed) -> Scenario:
         else:
             table = _found(scenario, followed.seconds)
         ways = list(_ways(scenario, table))
-    gain = min(GAIN, 1.0 / scenario.dt)
     phases = list[Phase]()
     for phase, (t, q, X) in zip(scenario.schedule, ways, strict=True):
-        along: dict[str, Any] = {"times": t, "between": "linear", "clock": CLOCK}
-        tasks = (
-            Posture(name="planned joints", goal=Waypoints(values=q, **along), gain=gain),
-            Pose(name="planned object", goal=Waypoints(values=X, **along), gain=gain),
-        )
+        tasks = way_tasks(t, q, X, scenario.dt)
         before = f"{phase.name} {WAY}" if phase.name else WAY
         lasts = t[-1] + followed.late
         phases.append(Phase(name=before, duration=lasts, released=phase.released, tasks=tasks))
         phases.append(replace(phase, name=phase.name or GOAL))
     return replace(scenario, tasks=(), duration=0.0, phases=tuple(phases))
+
+
+def way_tasks(t: Array, q: Array, X: Array, dt: float) -> tuple[Task, ...]:
+    """Joints q (T, n) and the object's poses X (T, 7) as references, whose clock waits."""
+    along: dict[str, Any] = {"times": t.tolist(), "between": "linear", "clock": CLOCK}
+    gain = min(GAIN, 1.0 / dt)
+    return (
+        Posture(name="planned joints", goal=Waypoints(values=q.tolist(), **along), gain=gain),
+        Pose(name="planned object", goal=Waypoints(values=X.tolist(), **along), gain=gain),
+    )
 
 
 def follows(scenario: Scenario) -> bool:
@@ -90,7 +96,7 @@ def _found(scenario: Scenario, seconds: float) -> Table:
     return Table(Path("plan"), way.columns, 0)
 
 
-def _ways(scenario: Scenario, table: Table) -> Iterator[tuple[list[float], Any, Any]]:
+def _ways(scenario: Scenario, table: Table) -> Iterator[tuple[Array, Array, Array]]:
     """Times, joints and object's poses of the way to each phase's goals."""
     t, q = table.times(), table.take(scenario.chain.joint_names)
     X, phases = table.take(POSE.columns), len(scenario.schedule)
@@ -105,4 +111,4 @@ def _ways(scenario: Scenario, table: Table) -> Iterator[tuple[list[float], Any, 
         raise InvalidValueError(f"{table.path}: {words}; plan the way anew")
     for k in range(1, phases + 1):
         rows = to == k
-        yield (t[rows] - t[rows][0]).tolist(), q[rows].tolist(), X[rows].tolist()
+        yield t[rows] - t[rows][0], q[rows], X[rows]
