@@ -189,7 +189,7 @@ def plan(
     if not found.found:
         raise CoopqpError(found.sentence)
     click.echo(report.plan_json(found)) if as_json else say(found.sentence, aside=False)
-    for path in report.write_plan(found, loaded, out) if out else ():
+    for path in report.write_plan(found, loaded, out, keep) if out else ():
         say(f"wrote {path}", aside=as_json)
 
 

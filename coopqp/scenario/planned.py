@@ -17,7 +17,7 @@ import numpy as np
 
 from coopqp.base.errors import InvalidValueError, under
 from coopqp.base.reading import FilePath
-from coopqp.base.spec import Array, NonNegative, Positive, spec
+from coopqp.base.spec import Array, Name, NonNegative, Positive, spec
 from coopqp.base.table import Table, read_table
 from coopqp.scenario.scenario import Phase, Scenario
 from coopqp.signal import POSE
@@ -42,6 +42,8 @@ class Followed:
 
     plan: FilePath | Literal[True]
     """The file that coopqp plan has written; or true, to find a way when the scenario is read."""
+    keep: tuple[Name, ...] = ()
+    """Names of tasks that are met at the start and stay so along the way, as hard tasks."""
     seconds: Positive = 10.0
     """Time within which it is found, where plan is true [s]."""
     late: NonNegative = 2.0
@@ -60,11 +62,12 @@ def following(scenario: Scenario, followed: Followed) -> Scenario:
             table = read_table(followed.plan)
             Waypoints(file=followed.plan)._table(POSE)
         else:
-            table = _found(scenario, followed.seconds)
+            table = _found(scenario, followed)
         ways = list(_ways(scenario, table))
     phases = list[Phase]()
     for phase, (t, q, X) in zip(scenario.schedule, ways, strict=True):
-        tasks = way_tasks(t, q, X, scenario.dt)
+        kept = [replace(task, mode="hard") for task in phase.tasks if task.name in followed.keep]
+        tasks = (*way_tasks(t, q, X, scenario.dt), *kept)
         before = f"{phase.name} {WAY}" if phase.name else WAY
         lasts = t[-1] + followed.late
         phases.append(Phase(name=before, duration=lasts, released=phase.released, tasks=tasks))
@@ -87,10 +90,10 @@ def follows(scenario: Scenario) -> bool:
     return any(phase.name.split()[-1:] == [WAY] for phase in scenario.phases)
 
 
-def _found(scenario: Scenario, seconds: float) -> Table:
-    planner = import_module(PLANNER)
+def _found(scenario: Scenario, followed: Followed) -> Table:
+    planner, seconds = import_module(PLANNER), followed.seconds
     budget = planner.Budget(seconds=seconds, seed=scenario.seed)
-    way = planner.plan(scenario, budget=budget)
+    way = planner.plan(scenario, keep=followed.keep, budget=budget)
     if not way.found:
         raise InvalidValueError(f"{way.sentence}; it had 'seconds: {seconds:g}'")
     return Table(Path("plan"), way.columns, 0)

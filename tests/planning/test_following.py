@@ -170,3 +170,24 @@ def test_ticks_in_which_the_clock_waits_can_be_repeated(tmp_path: Path) -> None:
     for tick in (10, 220):
         assert off_the_record(run, recorded_tick(run, held, "qp", tick)) < 1e-6
     assert run.columns["followed[way].t"][220] < 2.19
+
+
+def test_a_tray_that_is_kept_level_is_so_on_the_way_round_a_beam(tmp_path: Path) -> None:
+    scenario = load("tray_round_beam")
+    alone = coopqp.run(scenario, controller="qp")
+    assert not assess(alone).reached
+    found = plan(scenario, keep=["level"], budget=AMPLE)
+    _, path = write_plan(found, scenario, tmp_path, ["level"])
+    follows = load(path)
+    assert [task.mode for task in follows.schedule[0].tasks] == ["soft", "soft", "hard"]
+    trace = coopqp.run(follows, controller="qp")
+    assert assess(trace).succeeds
+    tilt = np.arccos(np.clip(trace.rotation[:, 2, 2], -1.0, 1.0))
+    assert tilt.max() < 1e-3
+    way = np.linalg.norm(np.diff(trace.position, axis=0), axis=1).sum()
+    assert way > 1.5 * np.linalg.norm(trace.position[-1] - trace.position[0])
+
+
+def test_a_task_to_keep_has_to_be_there() -> None:
+    with pytest.raises(ScenarioError, match="did you mean 'level'"):
+        in_one_go("tray_round_beam", keep="[levl]")
