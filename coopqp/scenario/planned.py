@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from coopqp.base.errors import InvalidValueError, under
+from coopqp.base.errors import InvalidValueError, UnknownNameError, under
 from coopqp.base.reading import FilePath
 from coopqp.base.spec import Array, Name, NonNegative, Positive, spec
 from coopqp.base.table import Table, read_table
@@ -44,6 +44,9 @@ class Followed:
     """The file that coopqp plan has written; or true, to find a way when the scenario is read."""
     keep: tuple[Name, ...] = ()
     """Names of tasks that are met at the start and stay so along the way, as hard tasks."""
+    by: tuple[Name, ...] = ()
+    """Names of the controllers that follow it, all if omitted; others do the tasks alone, in the
+    same phases."""
     seconds: Positive = 10.0
     """Time within which it is found, where plan is true [s]."""
     late: NonNegative = 2.0
@@ -64,15 +67,22 @@ def following(scenario: Scenario, followed: Followed) -> Scenario:
         else:
             table = _found(scenario, followed)
         ways = list(_ways(scenario, table))
-    phases = list[Phase]()
+    for name in followed.by:
+        if name not in scenario.controllers:
+            raise UnknownNameError("controller", name, scenario.controllers, "by: ")
+    phases, alone = list[Phase](), list[Phase]()
     for phase, (t, q, X) in zip(scenario.schedule, ways, strict=True):
         kept = [replace(task, mode="hard") for task in phase.tasks if task.name in followed.keep]
         tasks = (*way_tasks(t, q, X, scenario.dt), *kept)
         before = f"{phase.name} {WAY}" if phase.name else WAY
         lasts = t[-1] + followed.late
-        phases.append(Phase(name=before, duration=lasts, released=phase.released, tasks=tasks))
-        phases.append(replace(phase, name=phase.name or GOAL))
-    return replace(scenario, tasks=(), duration=0.0, phases=tuple(phases))
+        first = Phase(name=before, duration=lasts, released=phase.released, tasks=tasks)
+        then = replace(phase, name=phase.name or GOAL)
+        phases += [first, then]
+        alone += [replace(first, tasks=phase.tasks), then]
+    others = [name for name in scenario.controllers if followed.by and name not in followed.by]
+    phases_of = dict.fromkeys(others, tuple(alone))
+    return replace(scenario, tasks=(), duration=0.0, phases=tuple(phases), phases_of=phases_of)
 
 
 def way_tasks(t: Array, q: Array, X: Array, dt: float) -> tuple[Task, ...]:

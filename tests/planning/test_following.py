@@ -191,3 +191,30 @@ def test_a_tray_that_is_kept_level_is_so_on_the_way_round_a_beam(tmp_path: Path)
 def test_a_task_to_keep_has_to_be_there() -> None:
     with pytest.raises(ScenarioError, match="did you mean 'level'"):
         in_one_go("tray_round_beam", keep="[levl]")
+
+
+def beside(shipped: Scenario, by: str) -> Scenario:
+    """Laws alone, and one that follows a plan."""
+    text = shipped.source.replace("pseudoinverse_null_space", "{qp: {name: planned}}")
+    more = f"reference: {{plan: true, by: [{by}]}}\n"
+    return load_text(Path("beside.yaml"), f"{text}\n{more}", shipped.catalog)
+
+
+def test_laws_alone_stand_beside_the_one_that_follows_a_plan(tmp_path: Path) -> None:
+    """The QP is stuck at the board, the pseudoinverse goes through it, the plan goes round."""
+    scenario = beside(load("shelves"), "planned")
+    names = ["qp", "pseudoinverse", "planned"]
+    compared = coopqp.compare(scenario, controllers=names)
+    alone, through, planned = (assess(compared.traces[name]) for name in names)
+    assert not alone.reached
+    assert not alone.broken
+    assert "obstacles" in " ".join(through.broken)
+    assert planned.succeeds
+    assert len({len(one.trace.t) for one in (alone, through, planned)}) == 1
+    paths = write(compared, tmp_path)
+    assert "report.html" in [path.name for path in paths]
+    run = read(tmp_path / "trace.csv")
+    for name in ("qp", "planned"):
+        assert off_the_record(run, recorded_tick(run, scenario, name, 300)) < 1e-6
+    with pytest.raises(ScenarioError, match="did you mean 'planned'"):
+        beside(load("shelves"), "planed")
