@@ -82,7 +82,7 @@ def following(scenario: Scenario, followed: Followed) -> Scenario:
         alone += [replace(first, tasks=phase.tasks), then]
     others = [name for name in scenario.controllers if followed.by and name not in followed.by]
     phases_of = dict.fromkeys(others, tuple(alone))
-    return replace(scenario, tasks=(), duration=0.0, phases=tuple(phases), phases_of=phases_of)
+    return scenario.changed(tasks=(), duration=0.0, phases=tuple(phases), phases_of=phases_of)
 
 
 def way_tasks(t: Array, q: Array, X: Array, dt: float) -> tuple[Task, ...]:

