@@ -47,13 +47,15 @@ from coopqp.planning.plan import Plan, Planner
 from coopqp.planning.reach import look
 from coopqp.report.planning import write_plan
 from coopqp.scenario.loader import load
-from coopqp.scenario.planned import SETTLES, following, tasks_along
+from coopqp.scenario.planned import Followed, following, way_tasks
 from coopqp.scenario.scenario import Scenario
 from coopqp.tasks import PointOnPoint
 
 ROBOTS = ("point_on_point", "two_so101", "baxter_tray", "two_pandas", "three_ur")
 #: Kept between bodies, so that nothing touches between the points that are looked at [m].
 KEPT = 1e-3
+#: How long a run stays where its plan ends [s].
+SETTLED = 0.5
 DH_ALPHA, DH_D = np.deg2rad([-90, 90, 90, -90, -90, 90, 0]), (0.36, 0, 0.42, 0, 0.4, 0, 0.081)
 
 
@@ -282,7 +284,7 @@ def goals(name: str, asked: argparse.Namespace) -> None:
         count["alone"] += _reaches(scenario)
         if way.found:
             path, *_ = write_plan(way, replace(scenario, source=""), asked.out)
-            count["followed"] += _reaches(following(scenario, path))
+            count["followed"] += _reaches(following(scenario, Followed(plan=path)))
     told = ", ".join(f"{key} {count[key]}" for key in ("reachable", "planned", "followed", "alone"))
     half, p95 = np.percentile(seconds, [50, 95])
     print(f"{name}: {asked.goals} goals: {told}; plan {half:.3f} / {p95:.3f} CPU s", flush=True)
@@ -362,12 +364,11 @@ def blocked(asked: argparse.Namespace) -> None:
         if not way.found:
             count[re.sub(r"[0-9.]+", "#", way.sentence)[:80]] += 1
             continue
-        file = asked.out / "blocked.csv"
-        file.write_text(way.csv)
-        followed = replace(problem, tasks=tasks_along(file, problem.dt), secondary=())
+        tasks = way_tasks(way.t, way.timed, way.object, problem.dt)
+        followed = replace(problem, tasks=tasks, secondary=())
         law = QPController().unprepared(followed)
         state = law.start()
-        law.run(state, len(way.t) + round(SETTLES / problem.dt))
+        law.run(state, len(way.t) + round(SETTLED / problem.dt))
         at_goal = replace(problem, chain=problem.chain.moved(state.q))
         count[f"found, and the run that follows it ends {_ends(at_goal)}"] += 1
     for words, number in count.most_common():

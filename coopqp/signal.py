@@ -150,6 +150,7 @@ POINT = Kind("point", 3, columns=("x", "y", "z"))
 ROTATION = Kind("rotation", 0, turns=True, columns=TURN_COLUMNS)
 DIRECTION = Kind("direction", 0, turns=True, columns=POINT.columns, axis=True)
 POSE = Kind("pose", 3, turns=True, columns=(*POINT.columns, *TURN_COLUMNS))
+CLOCK = Kind("time along a way", 1, columns=("t",))
 
 
 def of_joints(names: tuple[str, ...]) -> Kind:
@@ -198,6 +199,7 @@ class InputValues(dict[str, Trajectory]):
         refused: of which what arrived could not be used, and why.
         arrived: by name, what has arrived for this tick and is used: when sent [s], and the value,
             shape (values,).
+        ways: of joints, by the name of the clock that waits for them and the joints' names.
     """
 
     def __init__(self) -> None:
@@ -206,6 +208,7 @@ class InputValues(dict[str, Trajectory]):
         self.stale: tuple[str, ...] = ()
         self.refused: tuple[str, ...] = ()
         self.arrived: dict[str, tuple[float, Array]] = {}
+        self.ways: dict[tuple[str, tuple[str, ...]], Trajectory] = {}
 
     def want(self, name: str, kind: Kind, here: Array | None) -> Trajectory | None:
         """The input of a name, if there is one yet; InvalidValueError where kinds differ."""

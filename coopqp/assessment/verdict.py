@@ -11,6 +11,7 @@ from coopqp.assessment import thresholds
 from coopqp.assessment.assessment import Assessment, TaskEnd, pushed
 from coopqp.assessment.limits import LimitViolation, beyond
 from coopqp.assessment.thresholds import matters, resolved
+from coopqp.signal import CLOCK
 from coopqp.solver import Status
 from coopqp.trace import Trace
 
@@ -32,8 +33,8 @@ def verdict(found: Assessment, metrics: Mapping[str, Any], unseen: Sequence[str]
     ``unseen`` is what the limits ought to bound and cannot, one sentence each.
     """
     parts = [
-        *_broken(found.trace), _hold(found, metrics), _arrival(found), _motion(found),
-        _limits(found, unseen), _speed(found), _acceleration(found), _loop(found),
+        *_broken(found.trace), _hold(found, metrics), _arrival(found), _waits(found),
+        _motion(found), _limits(found, unseen), _speed(found), _acceleration(found), _loop(found),
         _gap(metrics), _motors(found), _oscillation(found), _ticks(found, metrics),
     ]  # fmt: skip
     text = "; ".join(part for part in parts if part)
@@ -95,6 +96,21 @@ def _motion(found: Assessment) -> str:
     return f"still moves when the run ends, {joint} at {_amount(speed, unit)}"
 
 
+def _waits(found: Assessment) -> str:
+    """How far each phase has come along a way whose clock waits, if not to its end."""
+    trace, said = found.trace, list[str]()
+    ends = [*(phase.first for phase in trace.phases[1:]), trace.ticks]
+    for name in (name for name, kept in trace.inputs.items() if kept.kind == CLOCK):
+        gone = trace.inputs[name].value[:, 0]
+        for phase, end in zip(trace.phases, ends, strict=True):
+            tasks = [task.end for task in trace.tasks if task.rows.start == phase.first]
+            whole = max(tasks, default=0.0) - float(trace.t[phase.first])
+            if end and gone[end - 1] < whole - trace.dt:
+                words = f"the joints are held back at {gone[end - 1]:.2f} of the {whole:.2f} s"
+                said.append(f"{words} of '{phase.name}'")
+    return "; ".join(said)
+
+
 def _far(error: float, unit: str) -> str:
     """One digit behind the point of millimetres, two digits of less than a tenth."""
     if unit != "m":
@@ -124,11 +140,17 @@ def not_followed(found: Assessment) -> str:
 
 
 def _where(found: Assessment, k: int) -> str:
-    """What can be seen where task k is missed; ``coopqp explain`` finds out why."""
+    """What can be seen where task k is missed; ``coopqp explain`` finds out why.
+
+    A way round is not tried here, where it would make every comparison wait, but named.
+    """
     if found.trace.manipulability[k] < thresholds.SINGULAR:
         return ", at a pose in which the arms can hardly move it that way"
     names = found.at_limits(k)
-    return f", with {listed_limits(names)} at the limit" if names else ""
+    planned = any(kept.kind == CLOCK for kept in found.trace.inputs.values())
+    no_place = planned or found.tasks[k].unit.startswith("N")
+    tries = "" if no_place else "; 'coopqp plan' looks for a way round"
+    return f", with {listed_limits(names)} at the limit{tries}" if names else ""
 
 
 def listed_limits(names: Sequence[str]) -> str:

@@ -179,18 +179,15 @@ def plan(
     from coopqp.planning import plan as find
     from coopqp.report import files
     from coopqp.report import planning as report
-    from coopqp.scenario.planned import refuse_phases
 
     loaded = read_scenario(scenario, catalog)
-    if out:
-        refuse_phases(loaded)
     budget = Budget(seconds=seconds, seed=loaded.seed if seed is None else seed)
     with files.checked_folder(out), bar("planning") as progress:
         found = find(loaded, keep=keep, budget=budget, progress=progress)
         if not found.found:
             raise CoopqpError(found.sentence)
     click.echo(report.plan_json(found)) if as_json else say(found.sentence, aside=False)
-    for path in report.write_plan(found, loaded, out) if out else ():
+    for path in report.write_plan(found, loaded, out, keep) if out else ():
         say(f"wrote {path}", aside=as_json)
 
 

@@ -98,7 +98,7 @@ class PhaseRun:
         Raises:
             CoopqpError: a signal or a file cannot feed its input.
         """
-        return Feed(self.scenario.inputs, self.inputs, self.since) if self.inputs.channels else None
+        return Feed(self.scenario.inputs, self.inputs, self.since) if self.inputs.move else None
 
 
 def begin_phase(

@@ -314,7 +314,7 @@ class Phases:
     def take(self, inputs: Any, now: float, ahead: float) -> list[Arrival]:
         """Pass on what has come since the last tick, as :meth:`Arrivals.read` takes it."""
         state = self.now.state
-        if inputs is None and not self.now.inputs.channels:
+        if inputs is None and not self.now.inputs.move:
             state.hand_wrench, state.inputs.refused = None, ()
             return []
         arrivals = self.arrivals.read(self._without_sensed(inputs), state.t, now, ahead)
@@ -353,6 +353,8 @@ class Phases:
             channel.rate[:] = channel.acceleration[:] = 0.0
             if channel.kind.velocity:
                 channel.value[:] = 0.0
+        for clock in self.now.inputs.clocks.values():
+            clock.rate[:] = 0.0
 
 
 def as_held(scenario: Scenario, q: Array, pose: Pose | None = None) -> Scenario:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from coopqp.base.errors import CoopqpError, InvalidValueError, UnknownNameError
+from coopqp.base.errors import CoopqpError, InvalidValueError, UnknownNameError, under
 from coopqp.base.spec import Array
 from coopqp.base.table import csv_text
 from coopqp.base.wording import counted
@@ -19,6 +19,7 @@ from coopqp.planning.reach import MOST, PROVEN, Goals, Progress, explained, too_
 from coopqp.planning.timing import timed
 from coopqp.planning.turns import CUT_OFF, cut_off
 from coopqp.planning.verification import Verification, Verifier, lengths
+from coopqp.scenario.planned import PHASE, follows
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import TURN_COLUMNS, quaternion_of
 from coopqp.study.explanation.goal import Goal, placed
@@ -33,6 +34,8 @@ VERIFIED = 0.01
 GOALS, NEAREST = 48, 12
 #: Goals nearer to a joint's limit are planned to where there are not enough others [rad, m].
 OFF = 0.05
+#: How often a phase is planned anew where no way leads on from where it ended.
+AGAIN = 3
 #: How long an explanation looks for a way round [s].
 TRIED = 2.0
 #: How far a start moves when its loops are closed exactly [rad, m].
@@ -54,7 +57,8 @@ class Plan:
         object: of the object then: place, and quaternion x, y, z, w, shape (T, 7).
         verification: the second look; None without a path.
         seconds: wall time of goals, search and second look [s].
-        path: of the search, with its costs.
+        path: of the search, with its costs; of phases the last's.
+        phase: number of the phase that each tick leads to, shape (T,); empty without phases.
         proven: whether it is proven that there is no path.
     """
 
@@ -68,6 +72,7 @@ class Plan:
     verification: Verification | None = None
     seconds: dict[str, float] = field(default_factory=dict)
     path: Path | None = None
+    phase: Array = field(default_factory=lambda: np.zeros(0))
     proven: bool = False
 
     @property
@@ -76,11 +81,17 @@ class Plan:
         return float(lengths(self.q)[-1]) if len(self.q) else 0.0
 
     @property
-    def csv(self) -> str:
-        """The path tick by tick, as ``way-points: {file: ...}`` reads it."""
+    def columns(self) -> dict[str, Array]:
+        """The path tick by tick, as ``way-points: {file: ...}`` names its columns."""
         names = ("t", *self.joints, "x", "y", "z", *TURN_COLUMNS)
         rows = np.column_stack([self.t, self.timed, self.object])
-        return csv_text(dict(zip(names, rows.T, strict=True)))
+        phases = {PHASE: self.phase} if len(self.phase) else {}
+        return dict(zip(names, rows.T, strict=True)) | phases
+
+    @property
+    def csv(self) -> str:
+        """The same as text."""
+        return csv_text(self.columns)
 
 
 def plan(
@@ -94,9 +105,12 @@ def plan(
     """Find a path of closed configurations that keeps all limits.
 
     Args:
-        scenario: whose first phase counts.
-        goals: closed configurations, shape (k, n); those that meet the tasks when omitted.
-        keep: names of tasks that are met at the start and stay so along the way.
+        scenario: whose phases are planned one after the other, each from where the one before ends,
+            with the arms that hold the object then.
+        goals: closed configurations of the first phase, shape (k, n), which is planned for alone;
+            those that meet the tasks when omitted.
+        keep: names of tasks that are met at the start and stay so along the way; in phases, where
+            they are.
         budget: what it may cost; ten seconds and the scenario's seed when omitted.
         progress: called with the share of the time that is gone.
 
@@ -106,7 +120,61 @@ def plan(
     """
     budget = budget or Budget(seed=scenario.seed)
     problem, t = scenario.problem(), scenario.schedule[0].duration
+    if scenario.phases and goals is None:
+        return _joined(scenario, _through(scenario, keep, budget, progress))
     return Planner(problem, t, keep).plan(budget, goals, progress)
+
+
+def _through(
+    scenario: Scenario, keep: Sequence[str], budget: Budget, progress: Progress
+) -> list[Plan]:
+    """A plan for each phase; the last is that of a phase to which none was found.
+
+    Where the one after it has none, a phase is planned again, to goals of other random numbers.
+    """
+    begun, most = time.perf_counter(), len(scenario.phases)
+    made: list[Plan] = []
+    chains, again, best = [scenario.chain], [0] * most, list[Plan]()
+    unknown = set(keep) - {task.name for phase in scenario.phases for task in phase.tasks}
+    while len(made) < most:
+        k, left = len(made), budget.seconds - (time.perf_counter() - begun)
+        phase = scenario.phases[k]
+        names = [x for x in keep if x in unknown or x in [task.name for task in phase.tasks]]
+        with under("phases", k):
+            planner = Planner(scenario.problem(phase, chains[k]), phase.duration, names)
+            now = replace(budget, seconds=max(left, 1e-3), seed=budget.seed + again[k])
+            found = planner.plan(now, progress=progress)
+        if found.found:
+            made.append(found)
+            if len(made) < most:
+                released = scenario.phases[k + 1].released
+                chains = [*chains[: k + 1], chains[k].handed_over(found.q[-1], released)]
+            continue
+        best = max([*made, found], best, key=len)
+        if not k or left <= 0.0 or again[k - 1] >= AGAIN:
+            return best
+        again[k - 1 :] = [again[k - 1] + 1] + [0] * (most - k)
+        made.pop()
+    return made
+
+
+def _joined(scenario: Scenario, parts: Sequence[Plan]) -> Plan:
+    """The plans of phases one after the other; none where one has none."""
+    last, names = parts[-1], [phase.name for phase in scenario.phases]
+    keys = dict.fromkeys(key for part in parts for key in part.seconds)
+    took = {key: sum(part.seconds.get(key, 0.0) for part in parts) for key in keys}
+    said = [f"phase '{name}': {part.sentence}" for name, part in zip(names, parts, strict=False)]
+    if not last.found:
+        return replace(last, sentence=said[-1], seconds=took)
+    ends = np.cumsum([0.0, *(part.t[-1] + scenario.dt for part in parts)])
+    return replace(
+        last, sentence="\n".join(said), seconds=took,
+        q=np.concatenate([part.q for part in parts]),
+        t=np.concatenate([part.t + end for part, end in zip(parts, ends, strict=False)]),
+        timed=np.concatenate([part.timed for part in parts]),
+        object=np.concatenate([part.object for part in parts]),
+        phase=np.repeat(np.arange(1.0, len(parts) + 1.0), [len(part.t) for part in parts]),
+    )  # fmt: skip
 
 
 def way_round(
@@ -117,7 +185,7 @@ def way_round(
     Tried so long, where a configuration is known at the goal and a run may follow a plan. ``named``
     is what the command line calls the scenario.
     """
-    if not found.elsewhere or scenario.phases:
+    if not found.elsewhere or follows(scenario):
         return found
     command = f"coopqp plan {named}"
     try:

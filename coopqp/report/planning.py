@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -69,8 +69,10 @@ def plan_json(found: Plan) -> str:
     return strict_json.text(data)
 
 
-def write_plan(found: Plan, scenario: Scenario, folder: Path) -> list[Path]:
-    """Write the path, and the scenario with it as its reference.
+def write_plan(
+    found: Plan, scenario: Scenario, folder: Path, keep: Sequence[str] = ()
+) -> list[Path]:
+    """Write the path, and the scenario with it, and the tasks to keep, as its reference.
 
     Raises:
         CoopqpError: it cannot be written.
@@ -81,15 +83,16 @@ def write_plan(found: Plan, scenario: Scenario, folder: Path) -> list[Path]:
         return [path]
     follows = folder / f"{scenario.name}.yaml"
     named = PATH if scenario.folder is None else str(absolute(path))
-    write_one(follows, _with_reference(scenario.portable, named))
+    keys = {"plan": named, **({"keep": list(keep)} if keep else {})}
+    write_one(follows, _with_reference(scenario.portable, keys))
     return [path, follows]
 
 
-def _with_reference(text: str, path: str) -> str:
+def _with_reference(text: str, keys: dict[str, Any]) -> str:
     if text.lstrip().startswith("{"):
-        return json.dumps({**json.loads(text), "reference": {"plan": path}}, indent=2) + "\n"
+        return json.dumps({**json.loads(text), "reference": keys}, indent=2) + "\n"
     end = "" if text.endswith("\n") else "\n"
-    return f"{text}{end}reference: {{plan: {json.dumps(path)}}}\n"
+    return f"{text}{end}reference: {json.dumps(keys)}\n"
 
 
 def limits_table(found: TimedPath, tried: dict[str, float]) -> Table:

@@ -49,7 +49,8 @@ def run_node(scenario: Scenario, arguments: Sequence[str] = ()) -> Ended:
         given = ("reference", "grasp", "silent_after", "patience")
         options: dict[str, Any] = {key: getattr(settings, key) for key in given}
         joints = joints_of(scenario.chain, settings.controllers, orders)
-        kinds = scenario.followed()
+        followed = scenario.followed()
+        kinds = {name: kind for name, kind in followed.items() if name in scenario.inputs}
         topics = _Topics(node, settings, joints, scenario.dt)
         if topics.simulated:
             options["clock"] = topics.seconds

@@ -29,6 +29,7 @@ from coopqp.scenario.scenario import Phase, Scenario
 from coopqp.scenario.start import joints_outside, passive_outside, start_of
 from coopqp.scenario.trial import Places, blamed, try_limit, try_task
 from coopqp.scenario.yaml import MisplacedError, Wrong
+from coopqp.signal import CLOCK
 from coopqp.task import Task, TaskStack
 
 Placed = tuple[Location, Task, Phase]
@@ -372,7 +373,9 @@ def _broken_inputs(
     """Inputs that are not there, or cannot be what the tasks want, and files that feed others."""
     for place, task, phase in tasks:
         start, used = State(places[phase.name].start.chain), partial(_used, data, place)
-        for name, (_, here) in wanted([task], start).items():
+        for name, (kind, here) in wanted([task], start).items():
+            if kind == CLOCK:
+                continue
             if name not in scenario.inputs:
                 yield Wrong(used(name), unknown_name("input", name, scenario.inputs))
                 continue

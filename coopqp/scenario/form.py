@@ -121,7 +121,7 @@ class FileKeys:
     """Joint values by arm (base first), joint or passive joint [rad, m]; or solve, to find them
     from object.pose and the grasps' object_in_hand."""
     reference: Followed | None = None
-    """A plan that is followed before the tasks are, {plan: FILE}."""
+    """A plan that is followed before the tasks are, {plan: FILE} or {plan: true}."""
     start_near: Joints | None = None
     """Posture that a solved start is to be near, by arm or joint [rad, m]; far from all limits if
     omitted."""

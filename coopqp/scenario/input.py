@@ -1,7 +1,8 @@
 """Inputs: values that arrive from outside while the arms move, and what is made of them.
 
 What arrives goes through ``TrajectoryFilter``, so that a jump becomes a bounded motion,
-and is stale when nothing new has come for a while. What is followed stands in ``state.inputs``.
+and is stale when nothing new has come for a while. What is followed stands in ``state.inputs``,
+and with it the clocks of ways that wait for the joints.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from coopqp.base.table import read_table
 from coopqp.base.wording import counted
 from coopqp.model.state import State
 from coopqp.model.trajectory_filter import MotionLimits, TrajectoryFilter
-from coopqp.signal import InputValues, Kind, Moment, Reads, Signal, Trajectory
+from coopqp.signal import CLOCK, InputValues, Kind, Moment, Reads, Signal, Trajectory
 from coopqp.task import Task
 
 Arrival = tuple[str, Any, float]
@@ -31,6 +32,10 @@ FARTHEST = 1e6
 AHEAD = 1e-3
 #: What the loop's clock may be off by, which is summed up tick by tick [s].
 SUMMED = 1e-6
+#: How far a joint may be from its way before the clock goes slower, and where it stands [rad, m].
+BEHIND, STANDS = 0.03, 0.15
+#: How long the clock takes at least from full speed to rest and back [s].
+BRAKES = 0.3
 
 
 @spec
@@ -101,11 +106,47 @@ class Channel(TrajectoryFilter):
         return self.step(None if brakes else self.target)
 
 
+class Clock(Trajectory):
+    """Time along ways of joints, which goes slower the farther one of these is from its way.
+
+    With the largest distance d, and the pace changing by at most dt / ``BRAKES`` a tick,
+
+        t <- t + pace dt,   pace -> (STANDS - d) / (STANDS - BEHIND), between 0 and 1
+
+    so what follows the ways stays continuous, and goes on from where it has waited.
+    """
+
+    moves = True
+
+    def __init__(self, ways: Sequence[Trajectory], joints: Sequence[str], dt: float) -> None:
+        super().__init__(CLOCK, np.zeros(1))
+        self._dt = dt
+        self._ways = [(way, [joints.index(name) for name in way.kind.columns]) for way in ways]
+        self.rate[0] = 1.0
+
+    def advance(self) -> None:
+        """Go on for one dt at the pace of the last tick."""
+        self.value[0] += self._dt * self.rate[0]
+
+    def look(self, q: Array) -> None:
+        """Take the pace that joints at q (n,) allow; the last where q has NaN."""
+        away = 0.0
+        for way, at in self._ways:
+            way.update(Moment(float(self.value[0])))
+            away = max(away, float(np.abs(q[at] - way.value).max()))
+        pace, change = (STANDS - away) / (STANDS - BEHIND), self._dt / BRAKES
+        if pace == pace:
+            before = float(self.rate[0])
+            self.rate[0] = min(max(pace, before - change, 0.0), before + change, 1.0)
+
+
 def wanted(tasks: Sequence[Task], start: State) -> dict[str, tuple[Kind, Array | None]]:
-    """Kind and start of each input that tasks follow; CoopqpError if wanted as two kinds."""
+    """Kind and start of each input and clock that tasks follow; CoopqpError if wanted as two."""
     start.inputs = InputValues()
     for task in tasks:
         task.bind(start)
+    for name, _ in start.inputs.ways:
+        start.inputs.want(name, CLOCK, CLOCK.zero)
     return start.inputs.wanted
 
 
@@ -117,11 +158,22 @@ class Inputs:
     ) -> None:
         self._now = -math.inf
         self.channels: dict[str, Channel] = {}
+        self.clocks: dict[str, Clock] = {}
         for name, (kind, here) in wanted(tasks, start).items():
+            if kind == CLOCK:
+                ways = [way for (of, _), way in start.inputs.ways.items() if of == name]
+                self.clocks[name] = Clock(ways, start.chain.joint_names, dt)
+                continue
             if name not in settings:
                 raise UnknownNameError("input", name, settings)
             self.channels[name] = open_channel(kind, here, settings[name], dt)
         start.inputs.update(self.channels)
+        start.inputs.update(self.clocks)
+
+    @property
+    def move(self) -> bool:
+        """Whether there is anything that :meth:`step` changes."""
+        return bool(self.channels or self.clocks)
 
     def step(self, state: State, arrivals: Iterable[Arrival] = ()) -> None:
         """Take arrivals, oldest first by the state's clock [s], and go on to the state's time."""
@@ -135,7 +187,14 @@ class Inputs:
                 refused.append(f"{name}: {why}")
             elif channel:
                 arrived[name] = channel.sent, channel.target
-        if now > self._now > -math.inf:
+        goes_on = now > self._now > -math.inf
+        reading = state.reading
+        for name, clock in self.clocks.items():
+            if goes_on:
+                clock.advance()
+            clock.look(state.q if reading is None else reading)
+            arrived[name] = now, clock.value
+        if goes_on:
             for name, channel in self.channels.items():
                 if not channel.advance(now):
                     refused.append(f"{name}: no way there within its bounds")

@@ -24,7 +24,7 @@ from coopqp.scenario.checks import (
     refuse,
 )
 from coopqp.scenario.form import SOLVE, check, chosen, fields_of, given
-from coopqp.scenario.planned import following
+from coopqp.scenario.planned import Followed, following
 from coopqp.scenario.scenario import Scenario
 from coopqp.scenario.start import Start, from_degrees
 from coopqp.scenario.start_solver import Progress, StartSolution, close_start, solve_start
@@ -60,7 +60,7 @@ def load_file(file: YamlFile, catalog: Catalog, known: Known | None = None) -> S
     """The same from a file that has been read; ``known`` is shared by variants of one file."""
     known = known or Known()
     with file.lines():
-        scenario = _read(file, catalog)
+        scenario, planned = _read(file, catalog)
         known.lend_robot(file.data, scenario)
         if file.data.get("start") == SOLVE:
             scenario = scenario.changed(start=_solved(file, scenario, scenario.seed, None).start)
@@ -68,17 +68,19 @@ def load_file(file: YamlFile, catalog: Catalog, known: Known | None = None) -> S
             with at(["robot"]):
                 robot = scenario.robot_model
             scenario = scenario.changed(start=from_degrees(robot, scenario.grasps, scenario.start))
-        if planned := file.data.get("reference"):
+        if planned:
             with at(["reference"]):
-                scenario = following(scenario, file.folder / planned["plan"])
+                scenario = following(scenario, planned)
         if any(task.way and task.way.kind == FASTEST for _, task, _ in placed_tasks(scenario)):
             scenario = import_module(TIMING).with_fastest_profiles(scenario)
         check_start(file.data, scenario, known)
         return scenario
 
 
-def _read(file: YamlFile, catalog: Catalog, *, needs_start: bool = True) -> Scenario:
-    """The scenario as the file says it, of which nothing is built yet."""
+def _read(
+    file: YamlFile, catalog: Catalog, *, needs_start: bool = True
+) -> tuple[Scenario, Followed | None]:
+    """The scenario as the file says it, of which nothing is built yet, and what it follows."""
     read: Any = check(file, catalog)
     keys = given(read)
     scenario = Scenario(
@@ -95,7 +97,7 @@ def _read(file: YamlFile, catalog: Catalog, *, needs_start: bool = True) -> Scen
         }
     )
     refuse(contradictions(keys, scenario, needs_start=needs_start))
-    return scenario
+    return scenario, keys.get("reference")
 
 
 def load_and_solve(
@@ -112,7 +114,7 @@ def load_and_solve(
     """
     file = read_yaml(find(path))
     with file.lines():
-        scenario = _read(file, catalog or Catalog(), needs_start=False)
+        scenario, _ = _read(file, catalog or Catalog(), needs_start=False)
         return _solved(file, scenario, scenario.seed if seed is None else seed, progress)
 
 

@@ -1,20 +1,24 @@
-"""A scenario that follows a plan: its path first, then the tasks where they are met.
+"""A scenario that follows a plan: before each phase's own tasks the way to where they are met.
 
 The path is the reference of joints and object, with its rates as feed-forward; all limits stay in
-force. Where the plan ends begins the phase of the scenario's own tasks.
+force. Its clock waits for joints that are pushed off (``scenario.input.Clock``). Where the plan of
+a phase ends begin the phase's own tasks.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 
-from coopqp.base.errors import InvalidValueError, under
+from coopqp.base.errors import InvalidValueError, UnknownNameError, under
 from coopqp.base.reading import FilePath
-from coopqp.base.spec import spec
-from coopqp.base.table import read_table
+from coopqp.base.spec import Array, Name, NonNegative, Positive, spec
+from coopqp.base.table import Table, read_table
 from coopqp.scenario.scenario import Phase, Scenario
 from coopqp.signal import POSE
 from coopqp.signals import Waypoints
@@ -24,56 +28,100 @@ from coopqp.tasks import Pose, Posture
 #: How fast what is left of an error goes to zero along the path [1/s].
 GAIN = 10.0
 WAY, GOAL = "way", "goal"
-#: How long the reference stays where the plan ends [s].
-SETTLES = 0.5
+#: Column with the number of the phase that a row leads to, from 1 on; and the name of the clock.
+PHASE, CLOCK = "phase", "way"
 #: How far a plan may begin from the start [rad, m].
 NEAR = 1e-3
+#: Where ways are found. It lies above, so it is found by name, as plug-ins are.
+PLANNER = "coopqp.planning.plan"
 
 
 @spec
 class Followed:
     """A plan that is followed."""
 
-    plan: FilePath
-    """The file that coopqp plan has written."""
+    plan: FilePath | Literal[True]
+    """The file that coopqp plan has written; or true, to find a way when the scenario is read."""
+    keep: tuple[Name, ...] = ()
+    """Names of tasks that are met at the start and stay so along the way, as hard tasks."""
+    by: tuple[Name, ...] = ()
+    """Names of the controllers that follow it, all if omitted; others do the tasks alone, in the
+    same phases."""
+    seconds: Positive = 10.0
+    """Time within which it is found, where plan is true [s]."""
+    late: NonNegative = 2.0
+    """How much later than planned each way may end, as where the joints are pushed off it [s]."""
 
 
-def refuse_phases(scenario: Scenario) -> None:
-    """InvalidValueError where a scenario has phases, and no plan can come before its tasks."""
-    if scenario.phases:
-        raise InvalidValueError(
-            "a plan comes before tasks, and this scenario has phases, or a plan, already; "
-            "plan for a scenario without"
-        )
-
-
-def following(scenario: Scenario, path: Path) -> Scenario:
-    """The scenario with the plan of a file before its tasks.
+def following(scenario: Scenario, followed: Followed) -> Scenario:
+    """The scenario with a plan before the tasks of each phase.
 
     Raises:
-        CoopqpError: the file is none that 'coopqp plan' writes for such a robot and start, or the
-            scenario has phases of its own.
+        CoopqpError: no way is found, or the file is none that 'coopqp plan' writes for such a
+            robot, start and phases.
     """
-    refuse_phases(scenario)
     with under("plan"):
-        table = read_table(path)
-        q = table.take(scenario.chain.joint_names)
-        table.take(POSE.columns)
-        end = float(table.times()[-1])
-        off = np.abs(q[0] - scenario.chain.q_start)
-        if off.max() > NEAR:
-            joint = scenario.chain.joint_names[int(off.argmax())]
-            words = f"begins {off.max():.3g} from the start of {joint}; plan the way anew from here"
-            raise InvalidValueError(f"{path}: {words}")
-    first = Phase(name=WAY, duration=end + SETTLES, tasks=tasks_along(path, scenario.dt))
-    then = Phase(name=GOAL, duration=scenario.duration, tasks=scenario.tasks)
-    return replace(scenario, tasks=(), duration=0.0, phases=(first, then))
+        if isinstance(followed.plan, Path):
+            table = read_table(followed.plan)
+            Waypoints(file=followed.plan)._table(POSE)
+        else:
+            table = _found(scenario, followed)
+        ways = list(_ways(scenario, table))
+    for name in followed.by:
+        if name not in scenario.controllers:
+            raise UnknownNameError("controller", name, scenario.controllers, "by: ")
+    phases, alone = list[Phase](), list[Phase]()
+    for phase, (t, q, X) in zip(scenario.schedule, ways, strict=True):
+        kept = [replace(task, mode="hard") for task in phase.tasks if task.name in followed.keep]
+        tasks = (*way_tasks(t, q, X, scenario.dt), *kept)
+        before = f"{phase.name} {WAY}" if phase.name else WAY
+        lasts = t[-1] + followed.late
+        first = Phase(name=before, duration=lasts, released=phase.released, tasks=tasks)
+        then = replace(phase, name=phase.name or GOAL)
+        phases += [first, then]
+        alone += [replace(first, tasks=phase.tasks), then]
+    others = [name for name in scenario.controllers if followed.by and name not in followed.by]
+    phases_of = dict.fromkeys(others, tuple(alone))
+    return scenario.changed(tasks=(), duration=0.0, phases=tuple(phases), phases_of=phases_of)
 
 
-def tasks_along(path: Path, dt: float) -> tuple[Task, ...]:
-    """Joints and object follow the plan of a file, with ticks of dt [s]."""
-    way, gain = Waypoints(file=path, between="linear"), min(GAIN, 1.0 / dt)
+def way_tasks(t: Array, q: Array, X: Array, dt: float) -> tuple[Task, ...]:
+    """Joints q (T, n) and the object's poses X (T, 7) as references, whose clock waits."""
+    along: dict[str, Any] = {"times": t.tolist(), "between": "linear", "clock": CLOCK}
+    gain = min(GAIN, 1.0 / dt)
     return (
-        Posture(name="planned joints", goal=way, gain=gain),
-        Pose(name="planned object", goal=way, gain=gain),
+        Posture(name="planned joints", goal=Waypoints(values=q.tolist(), **along), gain=gain),
+        Pose(name="planned object", goal=Waypoints(values=X.tolist(), **along), gain=gain),
     )
+
+
+def follows(scenario: Scenario) -> bool:
+    """Whether a scenario follows a plan."""
+    return any(phase.name.split()[-1:] == [WAY] for phase in scenario.phases)
+
+
+def _found(scenario: Scenario, followed: Followed) -> Table:
+    planner, seconds = import_module(PLANNER), followed.seconds
+    budget = planner.Budget(seconds=seconds, seed=scenario.seed)
+    way = planner.plan(scenario, keep=followed.keep, budget=budget)
+    if not way.found:
+        raise InvalidValueError(f"{way.sentence}; it had 'seconds: {seconds:g}'")
+    return Table(Path("plan"), way.columns, 0)
+
+
+def _ways(scenario: Scenario, table: Table) -> Iterator[tuple[Array, Array, Array]]:
+    """Times, joints and object's poses of the way to each phase's goals."""
+    t, q = table.times(), table.take(scenario.chain.joint_names)
+    X, phases = table.take(POSE.columns), len(scenario.schedule)
+    off = np.abs(q[0] - scenario.chain.q_start)
+    if off.max() > NEAR:
+        joint = scenario.chain.joint_names[int(off.argmax())]
+        words = f"begins {off.max():.3g} from the start of {joint}; plan the way anew from here"
+        raise InvalidValueError(f"{table.path}: {words}")
+    to: Array = table.take([PHASE])[:, 0] if PHASE in table.columns else np.ones(len(t))
+    if not np.array_equal(np.unique(to), np.arange(1.0, phases + 1.0)) or (np.diff(to) < 0.0).any():
+        words = f"leads to {len(np.unique(to))} phases, and the scenario has {phases}"
+        raise InvalidValueError(f"{table.path}: {words}; plan the way anew")
+    for k in range(1, phases + 1):
+        rows = to == k
+        yield t[rows] - t[rows][0], q[rows], X[rows]

@@ -115,6 +115,7 @@ class Scenario:
         name: of its file.
         start: where it begins, by arm, joint or passive joint [rad, m].
         grasps: how the arms hold the object; one for all, or by arm.
+        phases_of: those of controllers that do not follow the plan of the others, by name.
         source: text of the file it was read from.
         folder: in which relative paths of the source begin; None where it has none.
         catalog: what it can name; its metrics are measured.
@@ -143,6 +144,7 @@ class Scenario:
     ] = ()
     """One after the other, instead of tasks and duration, when arms let go of the object or take
     hold of it."""
+    phases_of: Annotated[Mapping[str, tuple[Phase, ...]], NO_KEY] = field(default_factory=dict)
     secondary: tuple[Task, ...] = ()
     """Objectives for what the tasks leave free."""
     limits: tuple[Limit, ...] = field(default_factory=lambda: (JointPosition(), JointVelocity()))
@@ -220,12 +222,14 @@ class Scenario:
         return json.dumps(moved, indent=2) + "\n"
 
     def held_by(self, controller: str) -> Scenario:
-        """The scenario with the grasp that this controller uses."""
+        """The scenario with the grasp that this controller uses, and its phases."""
+        phases = self.phases_of.get(controller)
+        own = self if phases is None else self.changed(phases=phases, phases_of={})
         grasp = self.grasp_of.get(controller)
         if grasp is None:
-            return self
+            return own
         start = start_of(self.robot_model, self.start)[0]  # other grasps, other passive joints
-        return self.changed(grasps=grasp, grasp_of={}, start=start)
+        return own.changed(grasps=grasp, grasp_of={}, start=start)
 
     def changed(self, **changes: Any) -> Scenario:
         """With other fields than these; robot and chain that do not change are not built again."""

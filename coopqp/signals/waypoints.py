@@ -69,6 +69,9 @@ class Waypoints(Signal):
     """linear; minimum_jerk, at rest at each; or cubic, smoothly through them."""
     repeat: Literal["once", "back_and_forth", "round"] = "once"
     """What comes after the last: nothing, the same way back, or the first again."""
+    clock: str = ""
+    """Name of a clock that waits where joints are far behind their way, for all ways that name it;
+    without one the time goes on."""
 
     def __post_init__(self) -> None:
         inside = self.times is not None and self.values is not None
@@ -89,7 +92,10 @@ class Waypoints(Signal):
         round_trip = self.repeat == "round"
         if round_trip and not _same(kind, values):
             raise InvalidValueError("waypoints: repeat: round needs the last value to be the first")
-        return _Way(kind, t, values, self)
+        way = _Way(kind, t, values, self)
+        if self.clock and kind.each:
+            start.inputs.ways[self.clock, kind.columns] = way
+        return way
 
     @property
     def rest(self) -> float:
@@ -183,6 +189,7 @@ class _Way(Trajectory):
         super().__init__(kind, values[0])
         k, between = kind.numbers, waypoints.between
         self._repeat, self._begin, self._length = waypoints.repeat, t[0], float(t[-1] - t[0])
+        self._clock = waypoints.clock
         round_trip = self._repeat == "round"
         if kind.turns:
             values[:, k:] = same_side(values[:, k:])
@@ -200,13 +207,15 @@ class _Way(Trajectory):
         self._parts = self.value[:k], self.value[k:], self.rate[:k], self.rate[k:]
 
     def update(self, at: Instant) -> None:
-        gone, direction = self._gone(at.t - self._begin)
+        clock = at.inputs.get(self._clock)
+        t, pace = (at.t, 1.0) if clock is None else (float(clock.value[0]), float(clock.rate[0]))
+        gone, direction = self._gone(t - self._begin)
         numbers, quaternion, rate, omega = self._parts
         if self._pieces is not None:
             self._pieces.at(self._begin + gone, numbers, rate)
         if self._turns is not None:
             self._turns.at(self._begin + gone, quaternion, omega)
-        np.multiply(self.rate, direction, self.rate)
+        np.multiply(self.rate, direction * pace, self.rate)
 
     def _gone(self, t: float) -> tuple[float, float]:
         """Time along the way, and its rate: 1, 0 at rest, -1 on the way back."""

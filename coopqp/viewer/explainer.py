@@ -9,7 +9,7 @@ from dataclasses import replace
 from itertools import islice
 
 from coopqp.base.errors import CoopqpError
-from coopqp.controller import Law
+from coopqp.controller import ControlProblem, Law
 from coopqp.controllers import QPController
 from coopqp.execution.controller_run import controller_of
 from coopqp.model.state import State
@@ -33,16 +33,19 @@ def serve(peer: Peer, scenario: Scenario) -> None:
         peer.send(explainer.explain(snapshot))
 
 
+def problem_of(scenario: Scenario, snapshot: Snapshot) -> ControlProblem:
+    """What the controller of a snapshot was built for in its phase."""
+    held = with_dials(scenario, snapshot.dials).held_by(snapshot.law)
+    begun = dict(zip(held.first_ticks[1:], snapshot.starts, strict=False))
+    return next(islice(held.problems(begun.__getitem__), len(snapshot.starts), None))
+
+
 class _Explainer:
     """Explains the controller of a snapshot in its phase."""
 
     def __init__(self, scenario: Scenario, snapshot: Snapshot) -> None:
-        self._name, starts = snapshot.law, snapshot.starts
-        held = with_dials(scenario, snapshot.dials).held_by(self._name)
-        controller = controller_of(held, self._name)
-        begun = dict(zip(held.first_ticks[1:], starts, strict=False))
-        problems = held.problems(begun.__getitem__)
-        self._problem = next(islice(problems, len(starts), None))
+        self._name, self._problem = snapshot.law, problem_of(scenario, snapshot)
+        controller = controller_of(scenario, self._name)
         build = controller.plain if isinstance(controller, QPController) else controller.build
         self._law = build(self._problem)
         # A controller that keeps no limits is held back by none.

@@ -7,7 +7,7 @@ Letters: b bodies, n joints, s segments. Poses are x, y, z, qx, qy, qz, qw.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -113,6 +113,7 @@ class Frame:
         explained: whether the explainer is alive.
         recorded: duration of the recording [s]. note: remarks on it.
         tick_us: longest tick of the last second [us].
+        ghost: somewhere along the way round that is offered; None where none is.
     """
 
     t: float
@@ -131,6 +132,7 @@ class Frame:
     recorded: float
     note: str
     tick_us: float
+    ghost: ControllerFrame | None = None
 
 
 @dataclass(frozen=True)
@@ -138,7 +140,7 @@ class Action:
     """What somebody has done on the page.
 
     Attributes:
-        what: play, pause, step, reset, speed, drag, carry, dial, knob, main or save.
+        what: play, pause, step, reset, speed, drag, carry, dial, knob, main, save or follow.
         which: index of a gizmo or controller, key of a dial or knob.
         value: a pose, a position, or one number.
     """
@@ -171,6 +173,24 @@ class Snapshot:
     inputs: Mapping[str, tuple[Kind, Array, Array]]
     targets: Mapping[str, Array]
     rests: bool
+
+
+def _no_rows() -> Array:
+    return np.zeros((0, 1))
+
+
+@dataclass(frozen=True)
+class Way:
+    """A way round tick by tick, and what is said of it; without rows where there is none.
+
+    Attributes:
+        t: shape (T,) [s]. q: joints, shape (T, n) [rad, m]. object: poses, shape (T, 7).
+    """
+
+    sentence: str
+    t: Array = field(default_factory=_no_rows)
+    q: Array = field(default_factory=_no_rows)
+    object: Array = field(default_factory=_no_rows)
 
 
 @dataclass(frozen=True)

@@ -83,6 +83,8 @@ class _Panel:
         self._gui, self._setup, self._send, self._arrange = gui, setup, send, arrange
         self._texts: dict[int, str] = {}
         self._gui.add_html(_head(setup))
+        self._round = self._gui.add_button("Go round", visible=False, hint="along the ghost's way")
+        self._on(self._round.on_click, lambda: Action("follow"))
         self._verdict = self._gui.add_html("")
         self._buttons()
         self._status = self._gui.add_html("")
@@ -99,6 +101,8 @@ class _Panel:
     def draw(self, frame: Frame) -> None:
         self._set(self._verdict, _verdict(frame))
         self._set(self._status, _status(frame, self._setup))
+        if self._round.visible != (frame.ghost is not None):
+            self._round.visible = frame.ghost is not None
         self._set(self._table, _table(frame, self._setup))
         self._set(self._recorded, _recorded(frame, self._setup))
 

@@ -75,6 +75,15 @@ def drawn(controller: SimulatedController, bodies: Sequence[Surface]) -> Control
     )
 
 
+def still(state: State, bodies: Sequence[Surface]) -> ControllerFrame:
+    """Arms and object at a state, without a controller."""
+    places = [pin.SE3ToXYZQUAT(_joint_pose(state, body.joint)) for body in bodies]
+    held = np.concatenate([state.p_WO, quaternion_of(state.R_WO)])
+    none = np.zeros((0, 2, 3))
+    bodies_at = np.array(places).reshape(-1, 7)
+    return ControllerFrame(bodies_at, held, _left(state), none, none, False, "", "")
+
+
 def outlines(controller: SimulatedController, place: Place) -> Array:
     """The tasks' markers as line segments, shape (s, 2, 3) [m]."""
     state, segments = controller.state, [np.zeros((0, 2, 3))]

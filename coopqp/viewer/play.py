@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from coopqp.base.errors import CoopqpError, InternalError, InvalidValueError, MissingDependencyError
-from coopqp.viewer import explainer, page
+from coopqp.viewer import explainer, page, planner
 from coopqp.viewer.gate import checked_origins
 from coopqp.viewer.messages import Explanation
 from coopqp.viewer.player import Player
@@ -69,12 +69,13 @@ def play(
     server = Worker(page.serve, player.show(), host, port, allowed)
     # A copy leaves behind what was built of it: not every model can be sent.
     thinker = Worker(explainer.serve, replace(player.scenario))
+    clock = _Clock(player, server, thinker)
     try:
         opened(_address(server, host))
-        _Clock(player, server, thinker).run(goes_on)
+        clock.run(goes_on)
     finally:
-        server.end()
-        thinker.end()
+        for worker in filter(None, (server, thinker, clock.planner)):
+            worker.end()
 
 
 def _address(server: Worker, host: str) -> str:
@@ -93,6 +94,7 @@ class _Clock:
 
     def __init__(self, player: Player, server: Worker, thinker: Worker) -> None:
         self._player, self._page, self._explainer = player, server, thinker
+        self.planner: Worker | None = None  # until it is needed
         self._next_tick = self._next_frame = self._next_explanation = 0.0
         self._done: list[tuple[float, float]] = []  # end of ticks [s], and their duration [us]
 
@@ -101,6 +103,7 @@ class _Clock:
             now = time.perf_counter()
             self._receive()
             self._explain(now)
+            self._plan()
             self._tick(now)
             self._draw(now)
             now = time.perf_counter()
@@ -129,6 +132,21 @@ class _Clock:
         if self._explainer.ready and now >= self._next_explanation:
             self._explainer.send(self._player.snapshot())
             self._next_explanation = now + EXPLANATION
+
+    def _plan(self) -> None:
+        """Let the planner look for a way round where the arms are stuck."""
+        player = self._player
+        if self.planner is None:
+            if player.is_stuck:
+                self.planner = Worker(planner.serve, replace(player.scenario))
+            return
+        try:
+            for message in self.planner.received():
+                player.way = message
+        except EOFError:
+            player.has_planner = False
+        if player.has_planner and self.planner.ready and player.is_stuck:
+            self.planner.send(player.ask_way())
 
     def _tick(self, now: float) -> None:
         player = self._player

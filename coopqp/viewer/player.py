@@ -15,6 +15,7 @@ from coopqp.assessment.thresholds import rests
 from coopqp.base.errors import CoopqpError
 from coopqp.base.spec import Array
 from coopqp.execution.controller_run import check_plant, controller_of
+from coopqp.model.state import State
 from coopqp.report.scene.markers import Place
 from coopqp.report.style import chosen_styles
 from coopqp.scenario.input import FARTHEST
@@ -28,6 +29,10 @@ from coopqp.viewer.steering import Handle, dials_of, handles, with_dials, with_i
 SLOWEST, FASTEST = 0.05, 4.0
 #: Range of the slider of a force whose input has no bounds [N, N m].
 MAX_FORCE = 100.0
+#: Arms that are blocked and slower are stuck [rad/s, m/s].
+STUCK = 0.02
+#: How far a ghost goes between two frames [s], and ticks that it stays at the end.
+GHOST_STEP, GHOST_RESTS = 1.0 / 30.0, 50
 ENDED = "explanations have ended with their process; begin coopqp play anew to have them"
 
 
@@ -42,6 +47,8 @@ class Player:
         controllers: that are played. refused: those that are left out, and why.
         explanation: the explainer's last one. has_explainer: whether it is alive.
         recording: since the last reset. note: a remark for the page.
+        way: round what the arms are stuck at, for where the goals are; None where none is known.
+        has_planner: whether the one who looks for ways is alive.
     """
 
     def __init__(
@@ -54,7 +61,7 @@ class Player:
         self._values: dict[str, float] = {}
         self._hands: dict[str, list[float]] = {}
         self.playing, self.speed = False, 1.0
-        self._main, self.has_explainer = 0, True
+        self._main, self.has_explainer, self.has_planner = 0, True, True
         self.refused: dict[str, str] = {}
         self._names = self._playable(tuple(names))
         self._bodies, self.faults = picture.surfaces(self.scenario)
@@ -70,6 +77,9 @@ class Player:
         self.controllers = [SimulatedController(scenario, n, self._hands) for n in self._names]
         self.recording = Recording(self._read, self._steered, self._names, self._values)
         self.explanation, self._changed, self.note = messages.Explanation(), False, ""
+        self.way: messages.Way | None = None
+        self._asked: object = None
+        self._ghost = 0
         self.tick()
 
     @property
@@ -108,6 +118,8 @@ class Player:
             self.explanation = messages.Explanation()
         elif what == "save":
             self.save()
+        elif what == "follow":
+            self._follow()
         else:
             self._steer(action)
 
@@ -172,7 +184,53 @@ class Player:
             recorded=self.recording.seconds,
             note="; ".join(filter(None, (recorded, self.note))),
             tick_us=tick_us,
+            ghost=self._ghost_frame(),
         )
+
+    @property
+    def is_stuck(self) -> bool:
+        """Whether a way round is due, and nobody looks for one yet."""
+        controller = self._controller
+        if not self.explanation.blocked or controller.follows or not controller.at_targets:
+            return False
+        slow = np.abs(controller.state.v).max(initial=0.0) < STUCK
+        return bool(slow) and self._asked != self._goals()
+
+    def ask_way(self) -> messages.Snapshot:
+        """The state from which a way round is looked for."""
+        self._asked, self.way = self._goals(), None
+        return self.snapshot()
+
+    def _goals(self) -> object:
+        """What a way round is for; the way is of no use for other goals."""
+        controller = self._controller
+        targets = {name: value.tolist() for name, value in controller.targets().items()}
+        return self._main, controller.run.index, targets
+
+    def _offered(self) -> messages.Way | None:
+        """The way round that can be followed now."""
+        if self._controller.follows or self._asked != self._goals():
+            self._asked, self.way = None, None
+        return self.way if self.way is not None and len(self.way.t) else None
+
+    def _follow(self) -> None:
+        if (way := self._offered()) is None:
+            return
+        try:
+            self._controller.follow(way)
+        except CoopqpError as error:
+            self.note = str(error)
+        else:
+            self.playing = True
+            self.recording.end("ends where a way round was followed; reset begins another")
+
+    def _ghost_frame(self) -> messages.ControllerFrame | None:
+        """Some frames farther along the way that is offered, again and again."""
+        if (way := self._offered()) is None:
+            return None
+        self._ghost += max(1, round(GHOST_STEP / self.scenario.dt))
+        q = way.q[min(self._ghost % (len(way.q) + GHOST_RESTS), len(way.q) - 1)]
+        return picture.still(State(self._controller.run.problem.chain, q), self._bodies)
 
     def snapshot(self) -> messages.Snapshot:
         controller, state = self._controller, self._controller.state
@@ -296,8 +354,13 @@ class Player:
             return "waiting", _sentence(f"nothing arrives at {', '.join(stale)}; {how}")
         if drawn.reached and controller.at_targets:
             return "reached", _sentence("at the goal", drawn.words)
+        if controller.follows:
+            return "moving", _sentence("on the way round", drawn.words)
         if self.explanation.blocked:
-            return "blocked", _sentence(self.explanation.sentence)
+            way = (
+                self.way.sentence if self.way else "looking for a way round" if self._asked else ""
+            )
+            return "blocked", _sentence(self.explanation.sentence, way)
         if not self.has_explainer:
             return "waiting", _sentence("not at the goal", drawn.words, ENDED)
         if not self.playing:

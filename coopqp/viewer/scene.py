@@ -93,7 +93,11 @@ class Scene:
         self._setup, self._send, self._server, self._scene = setup, send, server, server.scene
         self._size = max(setup.size)
         self._look_around()
-        self._drawn = [_Controller(server, setup, i, send) for i in range(len(setup.laws))]
+        self._drawn = [
+            _Controller(server, setup, (f"/law{i}", rgb(color)), send)
+            for i, color in enumerate(setup.laws.values())
+        ]
+        self._ghost = _Controller(server, setup, ("/ghost", GOAL), send)
         self._gizmos = [self._gizmo(i) for i in range(len(setup.gizmos))]
         self._dragged = [0.0] * len(setup.gizmos)
         look: Any = {"thickness": THIN * self._size, "visible": False}
@@ -120,6 +124,7 @@ class Scene:
     def draw(self, frame: Frame) -> None:
         for drawn, each in zip(self._drawn, frame.laws, strict=True):
             drawn.draw(each)
+        self._ghost.show(frame.ghost)
         now = time.monotonic()
         for handle, pose, touched in zip(self._gizmos, frame.gizmos, self._dragged, strict=True):
             if handle.visible != (pose is not None):
@@ -177,25 +182,25 @@ class _Controller:
     """What is drawn of one controller."""
 
     def __init__(
-        self, server: Any, setup: PageSetup, i: int, send: Callable[[Action], None]
+        self, server: Any, setup: PageSetup, drawn: tuple[str, Rgb], send: Callable[[Action], None]
     ) -> None:
-        scene = server.scene
-        self._bodies, self._color = setup.bodies, rgb(list(setup.laws.values())[i])
-        self._send, self._root = send, scene.add_frame(f"/law{i}", show_axes=False)
+        scene, (name, self._color) = server.scene, drawn
+        self._bodies = setup.bodies
+        self._send, self._root = send, scene.add_frame(name, show_axes=False)
         look: Any = {"color": LINK, "side": "double", "flat_shading": True}
         self._links = [
-            scene.add_mesh_simple(f"/law{i}/link{k}", body.vertices, body.corners, **look)
+            scene.add_mesh_simple(f"{name}/link{k}", body.vertices, body.corners, **look)
             for k, body in enumerate(setup.bodies)
         ]
-        self._held = scene.add_box(f"/law{i}/object", color=self._color, dimensions=setup.size)
+        self._held = scene.add_box(f"{name}/object", color=self._color, dimensions=setup.size)
         size = max(setup.size)
         self._arrows, self._weight = (
             scene.add_arrows(
-                f"/law{i}/{name}", np.zeros((1, 2, 3)), color,
+                f"{name}/{what}", np.zeros((1, 2, 3)), color,
                 shaft_radius=0.03 * size, head_radius=0.07 * size, head_length=0.14 * size,
                 visible=False,
             )
-            for name, color in (("forces", FORCE), ("weight", WEIGHT))
+            for what, color in (("forces", FORCE), ("weight", WEIGHT))
         )  # fmt: skip
         self._colors = [LINK] * len(self._links)
         self._base, self._shown, self._draggable = LINK, True, False
@@ -214,6 +219,16 @@ class _Controller:
         self._base = mixed(LINK, self._color, 0.45) if ghost else LINK
         for node in (*self._links, self._held):
             node.opacity = GHOST if ghost else None
+
+    def show(self, drawn: ControllerFrame | None) -> None:
+        """Draw it as a ghost, or not at all."""
+        if self._shown != (drawn is not None):
+            nothing = np.zeros(3)
+            self.place(shown=drawn is not None, ghost=True, shift=nothing, draggable=False)
+            for body, node in zip(self._bodies, self._links, strict=True):
+                node.visible = body.joint is not None
+        if drawn is not None:
+            self.draw(drawn)
 
     def draw(self, drawn: ControllerFrame) -> None:
         if not self._shown:

@@ -18,9 +18,11 @@ from coopqp.execution.phase_run import PhaseRun, begin_phase
 from coopqp.execution.rollout import GuardedPlant, drive
 from coopqp.model.state import State
 from coopqp.online.arrivals import in_columns
-from coopqp.scenario.input import Arrival, Feed, Inputs, InputSettings
+from coopqp.scenario.input import Arrival, Clock, Feed, Inputs, InputSettings
+from coopqp.scenario.planned import CLOCK, way_tasks
 from coopqp.scenario.scenario import Scenario
 from coopqp.task import TaskStack
+from coopqp.viewer.messages import Way
 
 ARRIVED = 1e-6  # an input nearer to its target has arrived
 Hands = Mapping[str, list[float]]
@@ -61,6 +63,7 @@ class SimulatedController:
         command: of the last tick. us: time that it took [us].
         torn: whether the hands were once too far apart for one object, or have lost it.
         goals: error of each task to its goal, by the tasks' rows.
+        follows: tells the time along a way round; None where the phase's own tasks count.
     """
 
     command: Command
@@ -71,6 +74,7 @@ class SimulatedController:
         self.name, self._hands, self.us = name, hands, 0.0
         self.starts: list[Array] = []
         self._ending = self.torn = False
+        self.follows: Clock | None = None
         self._enter(begin_phase(scenario.held_by(name), controller_of(scenario, name)))
 
     @property
@@ -96,7 +100,9 @@ class SimulatedController:
 
     def tick(self) -> None:
         """Carry out the last command, and compute the next one."""
-        if self.run.over and not self.run.is_last:
+        if self.follows and self.follows.value[0] > self._way_ends:
+            self._leave_way()
+        if self.run.over and not self.run.is_last and not self.follows:
             self._end()
             self.starts.append(self.run.q.copy())
             self._enter(begin_phase(self.run.scenario, self.run.controller, self.run))
@@ -115,12 +121,38 @@ class SimulatedController:
         Raises:
             CoopqpError: it cannot be built.
         """
+        if self.follows is not None:
+            self._leave_way()
         run, other = self.run, scenario.held_by(self.name)
         problem = other.problem(other.schedule[run.index], run.problem.chain)
         law = run.controller.build(problem)
         self._end()
         self.run = replace(run, scenario=other, problem=problem, law=law)
         self._start_driving()
+
+    def follow(self, way: Way) -> None:
+        """Go along a way, from where its clock waits for the joints, then on with the own tasks.
+
+        Raises:
+            CoopqpError: the controller cannot be built for it.
+        """
+        self._leave_way()
+        run, tasks = self.run, way_tasks(way.t, way.q, way.object, self.run.problem.dt)
+        start = State(run.problem.chain, run.state.q)
+        law = run.controller.build(replace(run.problem, tasks=tasks))
+        self.follows = Inputs({}, tasks, start, run.problem.dt).clocks[CLOCK]
+        run.inputs.clocks[CLOCK] = run.state.inputs[CLOCK] = self.follows
+        self._way_ends = float(way.t[-1])
+        self._end()
+        self.run = replace(run, law=law)
+        self._start_driving()
+
+    def _leave_way(self) -> None:
+        """Go on with the phase's own tasks."""
+        if self.follows is not None:
+            self.follows = None
+            del self.run.inputs.clocks[CLOCK], self.run.state.inputs[CLOCK]
+            self.change(self.run.scenario)
 
     def _enter(self, run: PhaseRun) -> None:
         assert run.plant is not None  # no robot takes its place

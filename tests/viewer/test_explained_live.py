@@ -8,6 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scenario_files import needs_robots
+from side_by_side import needs_kernel
 
 from coopqp.assessment import assess
 from coopqp.execution.controller_run import run
@@ -15,7 +17,8 @@ from coopqp.model.profile import Profile
 from coopqp.scenario.loader import load
 from coopqp.study.explanation import explain_standing
 from coopqp.viewer.explainer import serve
-from coopqp.viewer.messages import Action, Explanation
+from coopqp.viewer.messages import Action, Explanation, Way
+from coopqp.viewer.planner import found
 from coopqp.viewer.player import Player
 from coopqp.viewer.worker import Peer
 
@@ -51,6 +54,51 @@ def dragged(to: tuple[float, float, float], ticks: int, law: str = "qp") -> Play
     for _ in range(ticks):
         player.tick()
     return player
+
+
+@needs_kernel
+@needs_robots
+def test_where_it_is_stuck_a_way_round_is_offered_and_followed() -> None:
+    player = Player(load("shelves"), ("qp",))
+    for _ in range(900):
+        player.tick()
+    assert not player.is_stuck  # as far as anybody has explained
+    player.explanation = told(player)
+    assert player.is_stuck
+    asked = player.ask_way()
+    assert player.frame().sentence.endswith("looking for a way round.")
+    player.way = found(player.scenario, asked)
+    assert not player.is_stuck  # it is known
+    ghosts = [player.frame().ghost for _ in range(30)]
+    assert all(ghost is not None for ghost in ghosts)
+    assert np.ptp([ghost.held[2] for ghost in ghosts if ghost], axis=0) > 0.01  # it moves
+    player.do(Action("follow"))
+    assert player.way is not None
+    for _ in range(len(player.way.t) - 100):
+        player.tick()
+        assert player.frame().tone == "moving"
+    for _ in range(400):
+        player.tick()
+    assert player.controllers[0].follows is None
+    assert player.frame().tone == "reached"
+    assert player.frame().ghost is None
+    assert "a way round was followed" in player.recording.note
+    player.reset()
+    assert player.frame().tone != "reached"
+
+
+@needs_kernel
+@needs_robots
+def test_no_way_round_is_offered_for_goals_that_have_moved_since() -> None:
+    player = Player(load("shelves"), ("qp",))
+    way = Way("found", np.arange(3.0), np.tile(player.snapshot().q, (3, 1)), np.zeros((3, 7)))
+    player.ask_way()
+    player.way = way
+    assert player.frame().ghost is not None
+    player.do(Action("drag", 0, (0.5, 0.4, 0.3, 0.0, 0.0, 0.0, 1.0)))
+    assert player.frame().ghost is None
+    player.do(Action("follow"))
+    assert player.controllers[0].follows is None
 
 
 def test_the_limit_that_stops_it_is_named_with_what_it_would_have_to_give() -> None:
