@@ -136,8 +136,8 @@ def _times(parts: list[Array], phases: Phases) -> Array:
     return _instants([t + begin for t, begin in zip(parts, begins, strict=True)], phases)
 
 
-def _memories(parts: list[Array], phases: Phases) -> Array:
-    """A row a tick; the laws of some phases remember less."""
+def _padded(parts: list[Array], phases: Phases) -> Array:
+    """A row a tick; the laws of some phases remember less, and others have a loop less."""
     most = max(rows.shape[1] for rows in parts)
     return np.concatenate([np.pad(rows, ((0, 0), (0, most - rows.shape[1]))) for rows in parts])
 
@@ -310,8 +310,8 @@ class Trace:
     v: Array = field(metadata={"join": _ticks})
     commanded: Array = field(metadata={"join": _ticks})
     measured: Array = field(metadata={"join": _ticks})
-    gap: Array = field(metadata={"join": _ticks})
-    memory: Array = field(metadata={"join": _memories})
+    gap: Array = field(metadata={"join": _padded})
+    memory: Array = field(metadata={"join": _padded})
     position: Array = field(metadata={"join": _instants})
     rotation: Array = field(metadata={"join": _instants})
     loop_position: Array = field(metadata={"join": _instants})

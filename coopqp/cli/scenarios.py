@@ -184,15 +184,62 @@ def plan(
     loaded = read_scenario(scenario, catalog)
     if out:
         refuse_phases(loaded)
-        files.check_folder(out)
     budget = Budget(seconds=seconds, seed=loaded.seed if seed is None else seed)
-    with bar("planning") as progress:
+    with files.checked_folder(out), bar("planning") as progress:
         found = find(loaded, keep=keep, budget=budget, progress=progress)
-    if not found.found:
-        raise CoopqpError(found.sentence)
+        if not found.found:
+            raise CoopqpError(found.sentence)
     click.echo(report.plan_json(found)) if as_json else say(found.sentence, aside=False)
     for path in report.write_plan(found, loaded, out) if out else ():
         say(f"wrote {path}", aside=as_json)
+
+
+@click.command(name="check-robot")
+@SCENARIO
+@click.option(
+    "--driver", type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="Python file with robot(scenario), a driver with read and write; else one is simulated.",
+)  # fmt: skip
+@click.option("--posed", is_flag=True, help="Its arms are put by hand as at the scenario's start.")
+@catalogued
+def check_robot(scenario: str, driver: Path | None, posed: bool, catalog: Any) -> None:
+    """Move each joint of a robot by a degree before it holds anything, and name what is wrong.
+
+    Wrong signs, swapped joints and arms, degrees, dead sensors. The hands must be empty, with room
+    of 50 mm all round. With --posed nothing moves before all joints read as they are put, which
+    shows what reading and commanding have wrong alike.
+    """
+    from coopqp.online.joint_check import check_joints, pose_faults
+    from coopqp.online.loop import OnlineLoop
+
+    loaded = read_scenario(scenario, catalog)
+    simulated = driver is None
+    loop = OnlineLoop(loaded, next(iter(loaded.controllers)), clock=None) if simulated else (
+        OnlineLoop(loaded, next(iter(loaded.controllers)))
+    )  # fmt: skip
+    robot = _driver(driver, loaded) if driver else _obedient(loop)
+    if posed and (faults := pose_faults(loaded.chain, robot.read())):
+        raise CoopqpError("\n".join(f"{joint} {words}" for joint, words in faults.items()))
+    found = check_joints(loop, robot)
+    if not found.ok:
+        raise CoopqpError(str(found))
+    say(str(found), aside=False)
+
+
+def _driver(file: Path, scenario: Any) -> Any:
+    """What robot(scenario) of a user's file makes."""
+    import runpy
+
+    make = runpy.run_path(str(file)).get("robot")
+    if not callable(make):
+        raise CoopqpError(f"{file}: has no function robot(scenario)")
+    return make(scenario)
+
+
+def _obedient(loop: Any) -> Any:
+    from coopqp.online.simulated import SimulatedRobot
+
+    return SimulatedRobot(loop)
 
 
 @click.command()

@@ -13,6 +13,7 @@ import itertools
 from collections.abc import Iterator
 
 import numpy as np
+import pinocchio as pin
 
 from coopqp.base.errors import GraspError, InvalidValueError
 from coopqp.base.spec import Array
@@ -25,6 +26,8 @@ from coopqp.model.loop_observer import MOST_ORIENTATION, MOST_POSITION
 OFF, OFF_SLIDING = 0.05, 0.005  # [rad], [m]
 #: Hands that are so near to where they belong are there, with encoders 2 mrad off [m], [rad].
 FITS_POSITION, FITS_ORIENTATION = 10e-3, 30e-3
+#: Least cosine between the way that joints go and one that explains it.
+ALIKE = 0.9
 #: Changes that fit are all named if there are so many, and none if there are more.
 MOST_NAMED = 2
 
@@ -65,6 +68,18 @@ def check_hands(chain: ClosedChain, q: Array, *, placed: bool) -> None:
     if hint:
         words = "With that they are as there; if the joints are right, give the scenario this start"
         raise GraspError(f"{where} the scenario starts: {hint} {words}")
+
+
+def check_object(held: pin.SE3, measured: pin.SE3) -> None:
+    """Refuse an object that was measured farther from the hands than a model's error."""
+    apart = float(np.linalg.norm(measured.translation - held.translation))
+    turned = float(np.linalg.norm(pin.log3(held.rotation.T @ measured.rotation)))
+    if apart > MOST_POSITION or turned > MOST_ORIENTATION:
+        raise GraspError(
+            f"object_pose: {1e3 * apart:.0f} mm and {1e3 * turned:.0f} mrad from where the hands "
+            "hold the object by the scenario, more than a model's error; is it of the object's "
+            "frame, in the scenario's world?"
+        )
 
 
 def check_resumed(chain: ClosedChain, q: Array, *, outside: bool) -> None:
@@ -115,6 +130,22 @@ def likely_mistake(chain: ClosedChain, q: Array) -> str:
     if not found and turns.any() and not (_beyond(chain, degrees) > 0.0).any():
         found = ["degrees"]
     return f"{' or '.join(found)}?" if 0 < len(found) <= MOST_NAMED else ""
+
+
+def posed_mistake(chain: ClosedChain, q: Array, off: float) -> str:
+    """The one mistake without which joints q are within ``off`` of the start; empty if none is."""
+    near = [words for words, x in _changes(chain, q) if (np.abs(x - chain.q_start) <= off).all()]
+    return " or ".join(near[:MOST_NAMED])
+
+
+def staying_mistake(chain: ClosedChain, q: Array, gone: Array) -> str:
+    """The one mistake with which a command to stay at q moves joints the way they have gone."""
+    found, best = "", ALIKE * float(np.linalg.norm(gone))
+    for words, x in _changes(chain, q):
+        way = x - q
+        if (along := float(gone @ way) / max(float(np.linalg.norm(way)), 1e-9)) > best + 1e-9:
+            found, best = words, along
+    return found
 
 
 def _beyond(chain: ClosedChain, q: Array) -> Array:

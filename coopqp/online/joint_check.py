@@ -19,8 +19,9 @@ import numpy as np
 
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array
+from coopqp.model.closed_chain import ClosedChain
 from coopqp.online.arrivals import Readings
-from coopqp.online.beginning import check_range
+from coopqp.online.beginning import check_range, posed_mistake, staying_mistake
 from coopqp.online.loop import OnlineLoop
 from coopqp.online.phases import acceleration_limits
 from coopqp.online.real_time import Robot, UserCode, check_driver
@@ -28,6 +29,9 @@ from coopqp.online.stops import Interrupts
 
 #: How far joints go [rad], [m]; less where half of the range is less.
 WAY, WAY_SLIDING = 0.02, 0.01
+#: A joint that seems not to follow goes again, so many times as far: backlash of a degree takes up
+#: most of the way of a sound one.
+AGAIN = 5.0
 #: A joint with less of a range is locked.
 LOCKED = 1e-4
 #: How fast at most [rad/s; half as much in metres], and as shares of the limits.
@@ -36,6 +40,10 @@ SPEED, ACCELERATION, SHARE = 0.1, 1.0, 0.5
 SETTLE, MEAN, READINGS = 0.3, 0.15, 10
 #: A joint farther off than so many ways has gone astray, and is called back.
 ASTRAY = 3.0
+#: A joint that rests elsewhere than before by more ways than backlash explains does not stay.
+ELSEWHERE = 1.5
+#: By so much a joint may be off where arms are put by hand [rad]; metres slide by as much.
+POSED = 0.2
 #: Largest r of a joint that counts as still; least and largest r of one that follows.
 STILL, LEAST, MOST = 0.3, 0.7, 1.3
 #: So many standard errors of r must be less than STILL, or noise is too large to tell.
@@ -87,9 +95,13 @@ def check_joints(loop: OnlineLoop, robot: Robot) -> JointCheck:
         robot: its driver, as of :func:`coopqp.real_time`.
 
     Raises:
-        InvalidValueError: the loop has begun; joints are out of their range; no driver.
+        InvalidValueError: the loop has begun, or commands torques; joints are out of their range;
+            no driver.
     """
     check_driver(robot)
+    if loop.by_torques:
+        words = "commands torques; check joints by a loop of a controller that commands velocities"
+        raise InvalidValueError(f"controller '{loop.controller}' {words}, such as qp")
     if loop.begun:
         raise InvalidValueError("the loop has begun, and its hands hold the object; reset it first")
     check = _Check(loop, robot)
@@ -106,6 +118,22 @@ def check_joints(loop: OnlineLoop, robot: Robot) -> JointCheck:
     return found
 
 
+def pose_faults(chain: ClosedChain, q: Array) -> dict[str, str]:
+    """What joints q (n,) of arms that are put by hand as at the chain's start have wrong, by joint.
+
+    It sees what reading and commanding have wrong alike, to which :func:`check_joints` is blind, of
+    joints that are :data:`POSED` and more from zero there, and from each other.
+    """
+    start, whole = chain.q_start, posed_mistake(chain, q, POSED)
+    faults = dict[str, str]()
+    for i in np.flatnonzero(~(np.abs(q - start) <= POSED)).tolist():
+        own = "its sign" if abs(q[i] + start[i]) <= POSED else "its zero, units or place"
+        unit = chain.joint_units[i]
+        words = f"reads {q[i]:.3g} {unit} where it is put to {start[i]:.3g} {unit}"
+        faults[chain.joint_names[i]] = f"{words}: {whole or own}?"
+    return faults
+
+
 class _Check:
     def __init__(self, loop: OnlineLoop, robot: Robot) -> None:
         self.loop, self.robot, self.stopped = loop, robot, ""
@@ -115,6 +143,7 @@ class _Check:
         scale = np.where(np.array(chain.joint_units) == "m", WAY_SLIDING / WAY, 1.0)
         self._way = np.minimum(WAY * scale, 0.5 * (chain.upper - chain.lower))
         self._own = np.setdiff1d(np.flatnonzero(self._way > LOCKED), chain.passive)
+        self._ours = np.isin(np.arange(chain.n), self._own)
         self._speed = np.minimum(SPEED * scale, SHARE * np.abs(chain.velocity))
         most = SHARE * acceleration_limits(loop.problem)
         self._step = np.minimum(ACCELERATION * scale, most) * dt
@@ -153,10 +182,27 @@ class _Check:
                 self._period(i, self._toward(i, 0.0))
         return JointCheck(tuple(names[i] for i in own), response, self.faults, self.stopped)
 
-    def _ask(self, i: int, before: Array, error: Array) -> tuple[Array, tuple[Array, Array]]:
+    def _ask(self, i: int, *rest: Array) -> tuple[Array, tuple[Array, Array]]:
         """The answer r of the robot's joints to one that is moved, and the rest after it."""
+        moved, error, rest = self._moved(i, *rest)
+        if not self.stopped and self._lags(i, moved):
+            moved, error, rest = self._moved(i, *rest, times=AGAIN)
+        if not self.stopped and (words := self._judge(i, moved, error)):
+            self.faults[self._chain.joint_names[i]] = words
+        return moved[self._own], rest
+
+    def _lags(self, i: int, moved: Array) -> bool:
+        """Whether a joint follows too little, and none does instead: maybe for its backlash."""
+        others = np.abs(np.delete(moved, i))
+        return bool(-STILL < moved[i] < LEAST and others.max(initial=0.0) < STILL)
+
+    def _moved(
+        self, i: int, before: Array, error: Array, *, times: float = 1.0
+    ) -> tuple[Array, Array, tuple[Array, Array]]:
+        """How far all joints go by the way of one, the standard error, and the rest after it."""
         home, lower, upper = self._q[i], self._chain.lower[i], self._chain.upper[i]
-        way = -self._way[i] if home - lower > upper - home else self._way[i]
+        far = min(times * self._way[i], 0.5 * (upper - lower))
+        way = -far if home - lower > upper - home else far
         self._rest, self._gone[:] = before, 0.0
         farthest = self._go(i, home + way)
         there = None if self._astray() else self._look(SETTLE)
@@ -169,9 +215,7 @@ class _Check:
         else:
             moved = (there[0] - 0.5 * (before + after)) / way
             error = np.sqrt(there[1] ** 2 + 0.5 * (error**2 + error_after**2)) / abs(way)
-        if not self.stopped and (words := self._judge(i, moved, error)):
-            self.faults[self._chain.joint_names[i]] = words
-        return moved[self._own], rest
+        return moved, error, rest
 
     def _judge(self, i: int, moved: Array, error: Array) -> str:
         """What is wrong with a joint, by r of all joints and its standard error."""
@@ -201,10 +245,12 @@ class _Check:
         """Stop where a joint is elsewhere than it was told to stay."""
         off = mean - self._rest
         k = int(self._own[np.argmax(np.abs(off / self._way)[self._own])])
-        if not self.stopped and abs(off[k]) > self._way[k]:
+        if not self.stopped and abs(off[k]) > ELSEWHERE * self._way[k]:
             name, unit = self._chain.joint_names[k], self._chain.joint_units[k]
-            words = f"moves by {off[k]:+.2g} {unit} although it is told to stay: its sign, units or"
-            self.faults[name] = f"{words} place in the order of joints are wrong"
+            words = "its sign, units or place in the order of joints"
+            hint = staying_mistake(self._chain, self._rest, np.where(self._ours, off, 0.0))
+            told = f"moves by {off[k]:+.2g} {unit} although it is told to stay"
+            self.faults[name] = f"{told}: {f'{hint}?' if hint else f'{words} are wrong'}"
             self.end(f"{name} does not stay; the arm may go on moving: switch its motors off")
 
     def _go(self, i: int, goal: float, *, back: bool = False) -> float:

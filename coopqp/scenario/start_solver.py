@@ -42,7 +42,7 @@ from coopqp.model.grasp_configuration import (
 from coopqp.model.held_object import HeldObject
 from coopqp.robot import RobotModel
 from coopqp.scenario.bounded_steps import LEAST_DAMPING, BoundedSteps, Stop
-from coopqp.scenario.scenario import Start, by_arm, start_of
+from coopqp.scenario.start import Start, by_arm, start_of
 
 #: How far a joint without limits is turned at random [rad or m].
 UNLIMITED = np.pi
