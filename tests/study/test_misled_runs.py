@@ -76,7 +76,7 @@ def test_a_law_that_knows_no_priorities_puts_nobody_first(tmp_path: Path) -> Non
 def test_a_load_heavier_than_told_asks_for_its_mass(tmp_path: Path) -> None:
     scenario = replace(
         coopqp.load("two_pandas"),
-        plant=RigidBody(time_step=0.002),
+        plant=RigidBody(time_step=0.005),
         disturbance=Disturbance(object_mass=6.0),
     )
     sentence = explained(scenario, tmp_path).sentence

@@ -106,7 +106,8 @@ def started(tmp_path: Path) -> Iterator[tuple[Program, str]]:
     pytest.importorskip("viser", reason="needs coopqp[viewer]")
     words = ["point_on_point", "--controller", "qp", "--port", "0", "--record", "out"]
     with program(COMMAND, tmp_path, *words, "--speed", "4") as playing:
-        yield playing, playing.out.readline().split()[0]
+        ready = next(line for line in playing.out if not line.startswith("note:"))
+        yield playing, ready.split()[0]
 
 
 def test_two_browsers_one_goes_and_comes_back_and_the_end_is_one_line(
