@@ -2,6 +2,7 @@
 
     python benchmarks/planning.py shelves --data shelves.json --scene CLONE [--seeds 100]
     python benchmarks/planning.py goals [--goals 300] [--runs]
+    python benchmarks/planning.py blocked [--blocked 50]
 
 The shelves are those of Cohn et al. (ICRA 2024): two iiwa14 hold an object between bottom, middle
 and top, six ordered pairs and 20 random ones. CLONE is a checkout of
@@ -12,6 +13,9 @@ at 0.01 rad; the paths are written to --out, one file for each of the first ten 
 Goals are drawn from closed configurations inside the limits and free, with a ball in the way in
 half of those of robots that watch bodies: how many ``reach`` finds, how many ``plan`` finds a way
 to and, with --runs, how many a run that follows it reaches, and how many the QP alone does.
+
+Blocked are rollouts of ``tests.stress`` that end so: to how many goals ``plan`` finds a way from
+the start, and how many a run that follows it reaches.
 """
 
 from __future__ import annotations
@@ -20,6 +24,7 @@ import argparse
 import itertools
 import json
 import re
+import sys
 import time
 from collections import Counter
 from dataclasses import replace
@@ -30,7 +35,10 @@ import numpy as np
 
 import coopqp
 from coopqp.assessment import assess
+from coopqp.base.errors import CoopqpError
 from coopqp.base.spec import Array
+from coopqp.controller import ControlProblem
+from coopqp.controllers import QPController
 from coopqp.limits import JointAcceleration, Obstacles, SelfCollision
 from coopqp.limits.obstacles import Obstacle
 from coopqp.model.profile import Profile
@@ -39,7 +47,7 @@ from coopqp.planning.plan import Plan, Planner
 from coopqp.planning.reach import look
 from coopqp.report.planning import write_plan
 from coopqp.scenario.loader import load
-from coopqp.scenario.planned import following
+from coopqp.scenario.planned import SETTLES, following, tasks_along
 from coopqp.scenario.scenario import Scenario
 from coopqp.tasks import PointOnPoint
 
@@ -51,12 +59,13 @@ DH_ALPHA, DH_D = np.deg2rad([-90, 90, 90, -90, -90, 90, 0]), (0.36, 0, 0.42, 0, 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=("shelves", "goals"))
+    parser.add_argument("what", choices=("shelves", "goals", "blocked"))
     parser.add_argument("--data", type=Path, help="shelves.json")
     parser.add_argument("--scene", type=Path, help="the checkout with the meshes")
     parser.add_argument("--seeds", type=int, default=100)
     parser.add_argument("--random-seeds", type=int, default=10)
     parser.add_argument("--goals", type=int, default=300)
+    parser.add_argument("--blocked", type=int, default=50)
     parser.add_argument("--robots", nargs="*", default=ROBOTS)
     parser.add_argument(
         "--runs", action="store_true", help="run what was planned, and the QP alone"
@@ -66,6 +75,8 @@ def main() -> None:
     asked.out.mkdir(parents=True, exist_ok=True)
     if asked.what == "shelves":
         shelves(asked)
+    elif asked.what == "blocked":
+        blocked(asked)
     else:
         for name in asked.robots:
             goals(name, asked)
@@ -88,7 +99,7 @@ def shelves(asked: argparse.Namespace) -> None:
             begun, cpu = time.perf_counter(), time.process_time()
             problem = scene.problem(chain=scene.chain.moved(start))
             ready = time.perf_counter() - begun
-            found = Planner(problem, scene.duration).plan(Budget(seed=seed), goals=goal)
+            found = Planner(problem, scene.duration).path(Budget(seed=seed), goals=goal)
             wall, spent = time.perf_counter() - begun, time.process_time() - cpu
             rows.setdefault(name, []).append(_measured(found, wall - ready, spent))
             if found.found and seed < 10:
@@ -105,7 +116,8 @@ def shelves(asked: argparse.Namespace) -> None:
 def _measured(found: Plan, wall: float, cpu: float) -> dict[str, float]:
     seen = found.verification
     return {
-        "found": float(found.found), "wall": wall, "cpu": cpu, "length": found.length,
+        "found": float(found.found), "proven": float(found.proven), "wall": wall,
+        "cpu": cpu, "length": found.length,
         "search": found.seconds.get("search", 0.0), "verify": found.seconds.get("verify", 0.0),
         "open": seen.open if seen else np.nan,
     }  # fmt: skip
@@ -120,7 +132,8 @@ def _line(name: str, rows: list[dict[str, float]]) -> str:
         return float(np.percentile([row[key] for row in among], share))
 
     return (
-        f"{name:16s} solved {len(good)}/{len(rows)}  "
+        f"{name:16s} solved {len(good)}/{len(rows)}, proven impossible "
+        f"{sum(row['proven'] for row in rows):.0f}  "
         f"wall {of('wall'):.3f} / {of('wall', 95):.3f} s  "
         f"CPU {of('cpu'):.3f} / {of('cpu', 95):.3f} s  search {of('search'):.3f} s  "
         f"verify {of('verify'):.3f} s  "
@@ -322,6 +335,57 @@ def _with_ball(scenario: Scenario, rng: np.random.Generator) -> Scenario:
     return replace(
         scenario, limits=(*scenario.limits, Obstacles(name="ball", shapes={"ball": ball}))
     )
+
+
+# Blocked runs.
+
+
+def blocked(asked: argparse.Namespace) -> None:
+    sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+    from stress.draw import draw
+
+    count, seconds = Counter[str](), list[float]()
+    for seed in itertools.count():
+        if count.total() == asked.blocked:
+            break
+        problem = draw(seed).problem
+        if _ends(problem) != "blocked":
+            continue
+        end = max(task.end for task in problem.tasks)
+        begun = time.process_time()
+        try:
+            way = Planner(problem, end).plan(Budget(seed=seed))
+        except CoopqpError as error:
+            count[f"no plan: {str(error).partition(':')[0]}"] += 1
+            continue
+        seconds.append(time.process_time() - begun)
+        if not way.found:
+            count[re.sub(r"[0-9.]+", "#", way.sentence)[:80]] += 1
+            continue
+        file = asked.out / "blocked.csv"
+        file.write_text(way.csv)
+        followed = replace(problem, tasks=tasks_along(file, problem.dt), secondary=())
+        law = QPController().unprepared(followed)
+        state = law.start()
+        law.run(state, len(way.t) + round(SETTLES / problem.dt))
+        at_goal = replace(problem, chain=problem.chain.moved(state.q))
+        count[f"found, and the run that follows it ends {_ends(at_goal)}"] += 1
+    for words, number in count.most_common():
+        print(f"{number:4d} {words}")
+    half, p95 = np.percentile(seconds, [50, 95])
+    print(f"of seeds 0 to {seed - 1}; plan {half:.3f} / {p95:.3f} CPU s", flush=True)
+
+
+def _ends(problem: ControlProblem) -> str:
+    """How a rollout of the stress ends."""
+    from stress.driving import drive_on, record_of
+    from stress.ending import PartErrors, ending
+
+    law = QPController().unprepared(problem)
+    state = law.start()
+    record, errors = record_of(problem), PartErrors(problem, state)
+    drive_on(law, state, record, errors)
+    return str(ending(law, state, record, errors).outcome)
 
 
 if __name__ == "__main__":

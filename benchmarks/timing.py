@@ -8,8 +8,8 @@ what is exceeded between places. Then the whole call, with the default box: shar
 an active limit, largest use of any limit at ten times the resolution by rows made there, closure at
 1,000 random places, and CPU time. With --toppra PYTHON, an interpreter that has toppra, its timing
 of the weighted sharing's rows stands beside ours. With --follow, torque_qp follows five of them in
-MuJoCo, with the mass as told and 20 % off: it knows the joints' reference and its rate, shares the
-load by itself, and has the torque that the plan leaves.
+MuJoCo, with the mass as told and 20 % off: it knows the joints' reference and the wrench between
+the hands, and has the torque that the plan leaves.
 """
 
 from __future__ import annotations
@@ -27,20 +27,21 @@ from statistics import median
 import numpy as np
 
 from coopqp.base.spec import Array
+from coopqp.closed_loop.grasp_matrix import COMPONENTS
 from coopqp.controllers import TorqueQp
 from coopqp.execution.controller_run import run
 from coopqp.grasp import SAFETY
 from coopqp.model.profile import Profile
 from coopqp.planning.closed_path import Loops
-from coopqp.planning.passes import Passes, Share, Stuck
-from coopqp.planning.rows import RowMaker, Rows
+from coopqp.planning.forward_backward_pass import Passes, Share, Stuck
+from coopqp.planning.path_constraints import RowMaker, Rows
 from coopqp.planning.time_along import TimedPath, time_along
 from coopqp.plant import Disturbance
 from coopqp.plants import Mujoco
 from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario
 from coopqp.signals import Waypoints
-from coopqp.tasks import Posture
+from coopqp.tasks import InternalWrench, Posture
 from coopqp.trace import Trace
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
@@ -77,13 +78,13 @@ class Result:
     seconds: float
 
 
-def seconds(rows: Rows) -> tuple[float, Array]:
-    """Duration and x of one pair of passes; NaN where there is none."""
+def seconds(rows: Rows) -> float:
+    """Duration of one pair of passes; NaN where there is none."""
     try:
-        x = Passes(rows, np.ones(rows.Rc.shape), np.ones(len(rows.s))).profile().x
+        found = Passes(rows, np.ones(rows.R[2].shape), np.ones(len(rows.s))).profile()
     except Stuck:
-        return np.nan, np.zeros(0)
-    return float((2.0 * np.diff(rows.s) / (np.sqrt(x[1:]) + np.sqrt(x[:-1]))).sum()), x
+        return np.nan
+    return float(found.t[-1])
 
 
 def shared(rows: Rows, weighted: bool) -> Rows:
@@ -91,38 +92,38 @@ def shared(rows: Rows, weighted: bool) -> Rows:
     nothing = rows.Rl[:, :, :0]
     if not weighted:
         return replace(rows, Rl=nothing)
-    motors = np.flatnonzero((rows.kinds == "torque") & (rows.size > 0.0))
-    R = rows.Rl[:, motors] / rows.size[motors, None]
+    size = rows.maker.size
+    motors = np.flatnonzero((rows.maker.kinds == "torque") & (size > 0.0))
+    R = rows.Rl[:, motors] / size[motors, None]
     to_wrench = -np.linalg.pinv(R)
     made = []
-    for part in (rows.Ru, rows.Rx, rows.Rc):
-        scaled = part[:, motors] / rows.size[motors]
+    for part in rows.R:
+        scaled = part[:, motors] / size[motors]
         lam = (to_wrench @ scaled[:, :, None])[..., 0]
         made.append(part + (rows.Rl @ lam[:, :, None])[..., 0])
-    return replace(rows, Ru=made[0], Rx=made[1], Rc=made[2], Rl=nothing)
+    return replace(rows, R=np.array(made), Rl=nothing)
 
 
 def exceeded(found: TimedPath) -> float:
     """Largest use of a limit at the finer places, by rows that are made there."""
-    count = FINER + 1
-    part = np.linspace(0.0, 1.0, count)
-    s = (found.s[:-1, None] + np.diff(found.s)[:, None] * part).ravel()
-    rows = found.maker.at(s)
-    u = np.repeat(found.u, count)
-    x = ((1.0 - part) * found.x[:-1, None] + part * found.x[1:, None]).ravel()
-    speed = np.abs(rows.rates) * np.sqrt(np.maximum(x, 0.0))[:, None] / rows.speeds
-    force, _ = Share(rows).of_all(u, x, 1.0)
-    quick = rows.kinds == "acceleration"
-    a = np.abs(rows.Ru[:, quick] * u[:, None] + rows.Rx[:, quick] * x[:, None]) / rows.size[quick]
-    return float(max(speed.max(), force.max(), a.max(initial=0.0)))
+    part, way = np.linspace(0.0, 1.0, FINER + 1), found.profile
+    s = (way.s[:-1, None] + np.diff(way.s)[:, None] * part).ravel()
+    rows, u = found.maker.at(s), np.repeat(way.u, len(part))
+    x = np.maximum((1.0 - part) * way.x[:-1, None] + part * way.x[1:, None], 0.0).ravel()
+    speed = np.abs(rows.rates) * np.sqrt(x)[:, None] / found.maker.speeds
+    share = Share(rows)
+    force = max(share.of(i, u[i], x[i])[0] for i in range(len(s)))
+    quick = found.maker.kinds == "acceleration"
+    a = np.abs(rows.felt(u, x)[:, quick]) / found.maker.size[quick]
+    return float(max(speed.max(), force, a.max(initial=0.0)))
 
 
 def by_toppra(rows: Rows, python: str) -> float:
     """Duration by toppra with the same rows."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "rows.npz"
-        lo, up = rows.lo_up(np.ones(rows.Rc.shape))
-        np.savez(file, s=rows.s, a=rows.Ru, b=rows.Rx, lo=lo, up=up, x_max=rows.x_max)
+        lo, up = rows.lo_up(np.ones(rows.R[2].shape))
+        np.savez(file, s=rows.s, a=rows.R[0], b=rows.R[1], lo=lo, up=up, x_max=rows.x_max)
         done = subprocess.run(
             [python, str(TOPPRA), str(file)], check=True, capture_output=True, text=True
         )
@@ -138,14 +139,14 @@ def measured(robot: str, torque: float, seed: int, python: str) -> Result:
     took = time.process_time() - begun
     bounds = replace(whole.maker.bounds, wrench=np.full(6, UNBOUND))
     maker = RowMaker(whole.path, bounds)
-    rows = maker.at(whole.s)
-    free, _ = seconds(rows)
+    rows = maker.at(whole.profile.s)
+    free = seconds(rows)
     weighted = shared(rows, weighted=True)
     places = np.random.default_rng(seed).uniform(0.0, whole.path.length, 1000)
     gaps = Loops(scenario.chain).gaps(whole.path.spline(places))
     return Result(
-        robot, seed, free, seconds(weighted)[0],
-        seconds(shared(rows, weighted=False))[0],
+        robot, seed, free, seconds(weighted),
+        seconds(shared(rows, weighted=False)),
         by_toppra(weighted, python) if python else np.nan,
         whole, exceeded(whole), float(gaps[:, 0].max()), took,
     )  # fmt: skip
@@ -159,8 +160,10 @@ def tracked(
         file = Path(folder) / "timed.csv"
         file.write_text(found.csv(DT), encoding="utf-8")
         task = Posture(goal=Waypoints(file=file), gain=40.0, profile=Profile(kind="step"))
+        between = {part: Waypoints(file=file, column=part, between="linear") for part in COMPONENTS}
+        tasks = task, InternalWrench(**between)
         other = replace(
-            scenario, tasks=(task,), secondary=(), plant=Mujoco(), dt=DT, kappa=100.0,
+            scenario, tasks=tasks, secondary=(), plant=Mujoco(), dt=DT, kappa=100.0,
             controllers={"torque_qp": TorqueQp(safety=safety)}, duration=found.duration + REST,
             disturbance=disturbance,
         )  # fmt: skip
@@ -169,27 +172,29 @@ def tracked(
     return trace, np.abs(trace.measured - np.array(planned)).max(axis=1)
 
 
-def followed() -> Iterator[str]:
+def followed(rise: float) -> Iterator[str]:
     """What torque_qp makes of five timed paths in MuJoCo, and of one with a box between pads."""
     for robot, torque, seed in FOLLOWED:
         scenario = load(robot)
-        found = time_along(random_way(scenario.chain, seed), scenario, torque=torque)
+        way = random_way(scenario.chain, seed)
+        found = time_along(way, scenario, torque=torque, rise=rise)
         moments = [found.at(float(t)) for t in np.linspace(0.0, found.duration, 50)]
         planned = max(np.abs(now.internal[:, :3]).max() for now in moments)
         for mass in (1.0, 1.2, 0.8):
             trace, off = tracked(scenario, found, Disturbance(object_mass=mass))
-            used = (np.abs(trace.signals["tau"]) / trace.effort).max()
+            used = (np.abs(trace.signals["tau"]) / trace.effort).max(axis=1)
             force = np.abs(trace.signals["internal_wrench"]).reshape(-1, 6)[:, :3].max()
             yield (
                 f"{robot} {seed}, {mass:g} of the mass, {found.duration:.3f} s: error "
                 f"{1e3 * off.max():.1f} mrad, at the end {1e3 * off[-1]:.2f}; motors up to "
-                f"{100.0 * used:.0f} % (planned {100.0 * torque:.0f}), internal force "
+                f"{100.0 * used.max():.0f} %, {100.0 * np.quantile(used, 0.95):.0f} in 95 % of the "
+                f"time (planned {100.0 * torque:.0f}), internal force "
                 f"{force:.1f} N (planned {planned:.1f}); {len(trace.failures)} failures"
             )
     scenario = load("press_and_lift")
     way = random_way(scenario.chain, 1, count=3, step=0.4)
     for safety in (SAFETY, 1.0):
-        found = time_along(way, scenario, safety=safety)
+        found = time_along(way, scenario, safety=safety, rise=rise)
         for friction in (1.0, 0.7, 0.6):
             trace, _ = tracked(scenario, found, Disturbance(friction=friction), safety)
             slip = np.nanmax(trace.signals["slip"])
@@ -226,9 +231,10 @@ def main() -> None:
     parser.add_argument("--paths", type=int, default=5, help="a robot")
     parser.add_argument("--toppra", default="", help="interpreter that has toppra")
     parser.add_argument("--follow", action="store_true", help="in MuJoCo instead")
+    parser.add_argument("--rise", type=float, default=0.0, help="of accelerations [s], to follow")
     options = parser.parse_args()
     if options.follow:
-        print("\n".join(followed()))
+        print("\n".join(followed(options.rise)))
         return
     results = [
         measured(robot, torque, seed, options.toppra)

@@ -24,6 +24,7 @@ from coopqp.limit import Limit, LimitRows
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.loop_observer import LoopObserver, Observer
 from coopqp.model.notes import Why, note_of
+from coopqp.model.profile import FASTEST
 from coopqp.model.state import Memory, State
 from coopqp.signal import Signal
 from coopqp.solver import Budget, Solver, Status
@@ -72,7 +73,8 @@ class ControlProblem:
         limits: hard bounds, for controllers that support them.
         dt: control period [s].
         kappa: gain of the Baumgarte stabilisation, J_c v = -kappa e [1/s]; 1/dt when omitted, which
-            removes the linearisation error of each step in the next; 0 is the paper's law.
+            removes the linearisation error of each step in the next, and 10 for torques; 0 is the
+            paper's law.
         budget: tolerances of a usable solution.
         on_infeasible: what to do in a tick in which not everything can hold: "scale" meets hard and
             scaled tasks as nearly as possible, and where loops and limits alone clash corrects
@@ -103,6 +105,9 @@ class ControlProblem:
             object.__setattr__(self, "kappa", 1.0 / self.dt)
         asked = (*self.tasks, *self.wrenches)
         found = list(problem_faults(self.dt, self.kappa, asked, self.secondary))
+        if any(task.way and task.way.kind == FASTEST for task in asked):
+            words = "fastest is found when a file is read; call coopqp.planning"
+            found.append((("profile",), f"{words}.with_fastest_profiles for other scenarios"))
         if self.on_infeasible not in get_args(OnInfeasible):
             known = unknown_name("choice", str(self.on_infeasible), get_args(OnInfeasible))
             found.append((("on_infeasible",), known))
@@ -191,6 +196,7 @@ class Command:
         scale: least share of its rate at which a hard or scaled task runs; 1 where there are none.
         drift: share of the Baumgarte correction that is done.
         told: of the note: texts, such as what a task raised, and a :class:`Why`.
+        grippers: of the loop for robots: "open" or "close" by arm; those that hold are closed.
     """
 
     def __init__(self, n: int, *, torques: bool = False) -> None:
@@ -199,6 +205,7 @@ class Command:
         self.causes: tuple[Status, ...] = (Status.OPTIMAL,)
         self.scale = self.drift = 1.0
         self.told: tuple[str | Why, ...] = ()
+        self.grippers: Mapping[str, str] = {}
 
     @property
     def note(self) -> str:
@@ -234,6 +241,7 @@ class Command:
         other.tau = None if self.tau is None else self.tau.copy()
         other.causes = self.causes
         other.scale, other.drift, other.told = self.scale, self.drift, self.told
+        other.grippers = self.grippers
         return other
 
 

@@ -104,7 +104,7 @@ class Primitive:
     @property
     def compiles(self) -> bool:
         """Whether the kernel can evaluate it: it reads no rotation that follows a signal."""
-        return self.goal is None or not self.goal.moves
+        return self.profile.compiles and (self.goal is None or not self.goal.moves)
 
     def flat(self) -> dict[str, Any]:
         return {

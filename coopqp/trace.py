@@ -136,8 +136,8 @@ def _times(parts: list[Array], phases: Phases) -> Array:
     return _instants([t + begin for t, begin in zip(parts, begins, strict=True)], phases)
 
 
-def _memories(parts: list[Array], phases: Phases) -> Array:
-    """A row a tick; the laws of some phases remember less."""
+def _padded(parts: list[Array], phases: Phases) -> Array:
+    """A row a tick; the laws of some phases remember less, and others have a loop less."""
     most = max(rows.shape[1] for rows in parts)
     return np.concatenate([np.pad(rows, ((0, 0), (0, most - rows.shape[1]))) for rows in parts])
 
@@ -248,9 +248,9 @@ class Trace:
         lower, upper, velocity, effort: the limits, shape (n,) [rad or m; rad/s or m/s; N m or N];
             no effort for passive joints.
         tasks: in the order of task_error.
-        leverage: directional manipulability: how much of what is missed of each task in the end
-            joints with closed loops can still bring about, over the start's, shape (K,); 0 where
-            singular, 1 if none is missed.
+        manipulability: directional: how much of what is missed of each task in the end joints with
+            closed loops can still bring about, over the start's, shape (K,); 0 where singular, 1 if
+            none is missed.
         t: shape (T + 1,) [s].
         q: positions of the plant's joints, before noise, shape (T + 1, n) [rad or m].
         v: commanded velocity, or the plant's after the tick when torques were commanded, shape (T,
@@ -304,14 +304,14 @@ class Trace:
     velocity: Array = field(metadata={"join": _same})
     effort: Array = field(metadata={"join": _same})
     tasks: tuple[TaskInfo, ...] = field(metadata={"join": _tasks})
-    leverage: Array = field(metadata={"join": _ticks})
+    manipulability: Array = field(metadata={"join": _ticks})
     t: Array = field(metadata={"join": _times})
     q: Array = field(metadata={"join": _instants})
     v: Array = field(metadata={"join": _ticks})
     commanded: Array = field(metadata={"join": _ticks})
     measured: Array = field(metadata={"join": _ticks})
-    gap: Array = field(metadata={"join": _ticks})
-    memory: Array = field(metadata={"join": _memories})
+    gap: Array = field(metadata={"join": _padded})
+    memory: Array = field(metadata={"join": _padded})
     position: Array = field(metadata={"join": _instants})
     rotation: Array = field(metadata={"join": _instants})
     loop_position: Array = field(metadata={"join": _instants})

@@ -5,42 +5,36 @@ from __future__ import annotations
 import numpy as np
 from laws import DT
 
+from coopqp import limits
 from coopqp.base.qp import Row
 from coopqp.base.spec import Array
 from coopqp.limit import Limit, LimitRows
-from coopqp.limits import (
-    FollowingError,
-    JointAcceleration,
-    JointPosition,
-    JointVelocity,
-    ObjectSpeed,
-    Obstacle,
-    Obstacles,
-    SelfCollision,
-    Workspace,
-)
 from coopqp.limits.obstacles import RoundSize
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.trace import Trace
 
-TABLE = Workspace(name="table", normal=(0, 0, 1), through=(0, 0, -0.02), frames=("RHand", "LHand"))
-SHELF = Obstacles(
+TABLE = limits.Workspace(
+    name="table", normal=(0, 0, 1), through=(0, 0, -0.02), frames=("RHand", "LHand")
+)
+SHELF = limits.Obstacles(
     shapes={
-        "shelf": Obstacle(
+        "shelf": limits.Obstacle(
             box=(0.3, 0.1, 0.02), position=(0.2, 0.25, 0.1), rpy_deg=(10.0, 0.0, 0.0)
         ),
-        "post": Obstacle(cylinder=RoundSize(radius=0.03, length=0.4), position=(0.3, 0.0, 0.0)),
-        "ball": Obstacle(sphere=0.04, position=(0.2, -0.25, 0.1)),
+        "post": limits.Obstacle(
+            cylinder=RoundSize(radius=0.03, length=0.4), position=(0.3, 0.0, 0.0)
+        ),
+        "ball": limits.Obstacle(sphere=0.04, position=(0.2, -0.25, 0.1)),
     }
 )
 EXAMPLES: tuple[Limit, ...] = (
-    JointPosition(),
-    JointVelocity(),
-    JointAcceleration(max=60.0),
-    ObjectSpeed(linear=0.15, angular=1.0),
+    limits.JointPosition(),
+    limits.JointVelocity(),
+    limits.JointAcceleration(max=60.0),
+    limits.ObjectSpeed(linear=0.15, angular=1.0),
     TABLE,
-    SelfCollision(),
-    FollowingError(),
+    limits.SelfCollision(),
+    limits.FollowingError(),
     SHELF,
 )
 #: What a limit may be off by after a step: second order in the step for curved things.

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from coopqp import tasks
 from coopqp.base.spec import Array
 from coopqp.base.spec import Pose as PoseValue
 from coopqp.model.closed_chain import ClosedChain
@@ -14,31 +15,6 @@ from coopqp.model.geometry import Turn
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.task import Task, TaskStack
-from coopqp.tasks import (
-    Distance,
-    Impedance,
-    InternalWrench,
-    JointCentering,
-    JointLimitBarrier,
-    LineOnLine,
-    LineOnPlane,
-    Manipulability,
-    MinimumKineticEnergy,
-    MinimumVelocity,
-    Orientation,
-    PlaneOnPlane,
-    Pointing,
-    PointOnCircle,
-    PointOnLine,
-    PointOnPlane,
-    PointOnPoint,
-    Pose,
-    Posture,
-    Prismatic,
-    RelativeMotion,
-    Revolute,
-    Twist,
-)
 
 H = 1e-5  # step of the central differences [s]
 POINT = (0.03, -0.02, 0.05)  # away from the object's origin [m]
@@ -51,77 +27,91 @@ TILTED = (1, -1, 3)  # direction of lines, normals
 MOVES = {"point": POINT, "velocity": MOVING, "turn": TURN, "profile": SMOOTH}
 #: At least one of every class; a new task needs a line here.
 EXAMPLES: dict[str, Task] = {
-    "pose": Pose(goal=PoseValue(position=(0.2, 0.02, 0.08), rpy_deg=(20, -10, 30)), profile=SMOOTH),
-    "impedance": Impedance(
+    "pose": tasks.Pose(
+        goal=PoseValue(position=(0.2, 0.02, 0.08), rpy_deg=(20, -10, 30)), profile=SMOOTH
+    ),
+    "impedance": tasks.Impedance(
         goal=PoseValue(position=(0.2, 0.02, 0.08), rpy_deg=(20, -10, 30)),
         stiffness={"rot_z": 5.0, "x": 300.0, "z": 500.0},
         profile=SMOOTH,
     ),
-    "origin on point": PointOnPoint(goal=(0.2, 0.02, 0.08), profile=SMOOTH),
-    "point on point": PointOnPoint(goal=(0.2, 0.02, 0.08), point=POINT, profile=SMOOTH),
-    "step to a point": PointOnPoint(
+    "origin on point": tasks.PointOnPoint(goal=(0.2, 0.02, 0.08), profile=SMOOTH),
+    "point on point": tasks.PointOnPoint(goal=(0.2, 0.02, 0.08), point=POINT, profile=SMOOTH),
+    "step to a point": tasks.PointOnPoint(
         goal=(0.2, 0.02, 0.08), point=POINT, profile=Profile(kind="step")
     ),
-    "origin on plane": PointOnPlane(normal=(0, 0, 2), through=THROUGH, profile=SMOOTH),
-    "point on plane": PointOnPlane(normal=(1, -1, 3), through=THROUGH, point=POINT, profile=SMOOTH),
-    "plane turns": PointOnPlane(
+    "origin on plane": tasks.PointOnPlane(normal=(0, 0, 2), through=THROUGH, profile=SMOOTH),
+    "point on plane": tasks.PointOnPlane(
+        normal=(1, -1, 3), through=THROUGH, point=POINT, profile=SMOOTH
+    ),
+    "plane turns": tasks.PointOnPlane(
         normal=(1, -1, 3), through=THROUGH, point=POINT, turn=TURN, profile=SMOOTH
     ),
-    "plane moves": PointOnPlane(
+    "plane moves": tasks.PointOnPlane(
         normal=(1, -1, 3), through=THROUGH, velocity=MOVING, profile=SMOOTH
     ),
-    "plane moves and turns": PointOnPlane(
+    "plane moves and turns": tasks.PointOnPlane(
         normal=(1, -1, 3), through=THROUGH, point=POINT, velocity=MOVING, turn=TURN, profile=SMOOTH
     ),
-    "point on line": PointOnLine(direction=TILTED, through=THROUGH, profile=SMOOTH),
-    "line moves": PointOnLine(direction=TILTED, through=THROUGH, **MOVES),
-    "point on circle": PointOnCircle(center=THROUGH, normal=TILTED, radius=0.03, profile=SMOOTH),
-    "circle moves": PointOnCircle(center=THROUGH, normal=TILTED, radius=0.03, **MOVES),
-    "distance": Distance(to=THROUGH, length=0.1, profile=SMOOTH),
-    "distance to what moves": Distance(
+    "point on line": tasks.PointOnLine(direction=TILTED, through=THROUGH, profile=SMOOTH),
+    "line moves": tasks.PointOnLine(direction=TILTED, through=THROUGH, **MOVES),
+    "point on circle": tasks.PointOnCircle(
+        center=THROUGH, normal=TILTED, radius=0.03, profile=SMOOTH
+    ),
+    "circle moves": tasks.PointOnCircle(center=THROUGH, normal=TILTED, radius=0.03, **MOVES),
+    "distance": tasks.Distance(to=THROUGH, length=0.1, profile=SMOOTH),
+    "distance to what moves": tasks.Distance(
         to=THROUGH, length=0.1, point=POINT, velocity=MOVING, profile=SMOOTH
     ),
-    "pointing": Pointing(direction=TILTED, axis=AXIS, profile=SMOOTH),
-    "pointing at once": Pointing(direction=TILTED, axis=AXIS, profile=Profile(kind="step")),
-    "pointing turns": Pointing(direction=TILTED, axis=AXIS, turn=TURN, profile=SMOOTH),
-    "pointing the opposite way": Pointing(direction=(-1, 0, 0), axis=(1, 0, 0), profile=SMOOTH),
-    "orientation": Orientation(rpy_deg=(20, -10, 30), profile=SMOOTH),
-    "orientation at once": Orientation(rpy=(2.0, -1.0, 1.5), profile=Profile(kind="step")),
-    "line on plane": LineOnPlane(normal=TILTED, through=THROUGH, axis=AXIS, profile=SMOOTH),
-    "line on plane that moves": LineOnPlane(normal=TILTED, through=THROUGH, axis=AXIS, **MOVES),
-    "plane on plane": PlaneOnPlane(normal=TILTED, through=THROUGH, axis=AXIS, profile=SMOOTH),
-    "plane on plane that moves": PlaneOnPlane(normal=TILTED, through=THROUGH, axis=AXIS, **MOVES),
-    "line on line": LineOnLine(direction=TILTED, through=THROUGH, axis=AXIS, profile=SMOOTH),
-    "line on line that moves": LineOnLine(
+    "pointing": tasks.Pointing(direction=TILTED, axis=AXIS, profile=SMOOTH),
+    "pointing at once": tasks.Pointing(direction=TILTED, axis=AXIS, profile=Profile(kind="step")),
+    "pointing turns": tasks.Pointing(direction=TILTED, axis=AXIS, turn=TURN, profile=SMOOTH),
+    "pointing the opposite way": tasks.Pointing(
+        direction=(-1, 0, 0), axis=(1, 0, 0), profile=SMOOTH
+    ),
+    "orientation": tasks.Orientation(rpy_deg=(20, -10, 30), profile=SMOOTH),
+    "orientation at once": tasks.Orientation(rpy=(2.0, -1.0, 1.5), profile=Profile(kind="step")),
+    "line on plane": tasks.LineOnPlane(normal=TILTED, through=THROUGH, axis=AXIS, profile=SMOOTH),
+    "line on plane that moves": tasks.LineOnPlane(
+        normal=TILTED, through=THROUGH, axis=AXIS, **MOVES
+    ),
+    "plane on plane": tasks.PlaneOnPlane(normal=TILTED, through=THROUGH, axis=AXIS, profile=SMOOTH),
+    "plane on plane that moves": tasks.PlaneOnPlane(
+        normal=TILTED, through=THROUGH, axis=AXIS, **MOVES
+    ),
+    "line on line": tasks.LineOnLine(direction=TILTED, through=THROUGH, axis=AXIS, profile=SMOOTH),
+    "line on line that moves": tasks.LineOnLine(
         direction=TILTED, through=THROUGH, axis=(-2, 1, 0), either_way=True, **MOVES
     ),
-    "revolute": Revolute(direction=TILTED, through=THROUGH, axis=AXIS, profile=SMOOTH),
-    "revolute that moves": Revolute(direction=TILTED, through=THROUGH, axis=AXIS, **MOVES),
-    "prismatic": Prismatic(direction=TILTED, through=THROUGH, profile=SMOOTH),
-    "prismatic that moves": Prismatic(
+    "revolute": tasks.Revolute(direction=TILTED, through=THROUGH, axis=AXIS, profile=SMOOTH),
+    "revolute that moves": tasks.Revolute(direction=TILTED, through=THROUGH, axis=AXIS, **MOVES),
+    "prismatic": tasks.Prismatic(direction=TILTED, through=THROUGH, profile=SMOOTH),
+    "prismatic that moves": tasks.Prismatic(
         direction=TILTED, through=THROUGH, rpy_deg=(20, -10, 30), **MOVES
     ),
-    "relative motion": RelativeMotion(
+    "relative motion": tasks.RelativeMotion(
         goal=PoseValue(position=(0.02, -0.05, 0.01), rpy_deg=(20, -10, 30)), profile=SMOOTH
     ),
-    "twist": Twist(velocity={"rot_y": 0.2, "x": 0.01, "z": -0.02}, point=POINT, profile=SMOOTH),
-    "twist in the object's axes": Twist(
+    "twist": tasks.Twist(
+        velocity={"rot_y": 0.2, "x": 0.01, "z": -0.02}, point=POINT, profile=SMOOTH
+    ),
+    "twist in the object's axes": tasks.Twist(
         velocity={"y": 0.01, "rot_z": 0.0}, axes="object", point=POINT, profile=SMOOTH
     ),
-    "spin": Twist(velocity={"rot_x": 0.1}),
-    "least energy": MinimumKineticEnergy(),
-    "joints to the middle": JointCentering(),
-    "joints off their limits": JointLimitBarrier(),
-    "able to move": Manipulability(),
-    "able to rise": Manipulability(axes=("z",)),
-    "least velocity": MinimumVelocity(),
-    "posture": Posture(goal={"right": [0.5, -0.3, 1.0, 0.8, 0.0], "LElbowRoll": -0.7}),
-    "whole posture": Posture(goal=[0.1 * i for i in range(10)], profile=SMOOTH),
+    "spin": tasks.Twist(velocity={"rot_x": 0.1}),
+    "least energy": tasks.MinimumKineticEnergy(),
+    "joints to the middle": tasks.JointCentering(),
+    "joints off their limits": tasks.JointLimitBarrier(),
+    "able to move": tasks.Manipulability(),
+    "able to rise": tasks.Manipulability(axes=("z",)),
+    "least velocity": tasks.MinimumVelocity(),
+    "posture": tasks.Posture(goal={"right": [0.5, -0.3, 1.0, 0.8, 0.0], "LElbowRoll": -0.7}),
+    "whole posture": tasks.Posture(goal=[0.1 * i for i in range(10)], profile=SMOOTH),
 }
 #: These ask for wrenches of the hands.
 OF_FORCES: dict[str, Task] = {
-    "squeeze": InternalWrench(squeeze=15.0),
-    "squeeze alone": InternalWrench(
+    "squeeze": tasks.InternalWrench(squeeze=15.0),
+    "squeeze alone": tasks.InternalWrench(
         squeeze=15.0, shear_up=0.0, shear_side=0.0, twist=0.1, bend_up=0.0, bend_side=0.0,
         mode="hard",
     ),
@@ -129,7 +119,7 @@ OF_FORCES: dict[str, Task] = {
 IN_SPACE = {name: task for name, task in EXAMPLES.items() if not task.joint_space}
 IN_JOINTS = {name: task for name, task in EXAMPLES.items() if task.joint_space}
 #: These wish a velocity and have no error that could change.
-OF_VELOCITY = (Twist, MinimumKineticEnergy)
+OF_VELOCITY = (tasks.Twist, tasks.MinimumKineticEnergy)
 PLACED = {name: task for name, task in IN_SPACE.items() if not isinstance(task, OF_VELOCITY)}
 AT_ONCE = [name for name in PLACED if name.endswith("at once") or name.startswith("step")]
 TIMES = (0.05, 0.7, 1.2, 1.9, 2.2, 5.0)  # before, during and after the motions, off their corners

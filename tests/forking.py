@@ -12,7 +12,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import TextIO
+from typing import Any, TextIO
 
 PATIENCE = 60.0
 """After which a program is killed [s]."""
@@ -61,11 +61,13 @@ def program(code: str, *arguments: object) -> Iterator[Program]:
     def work() -> None:
         os.close(read)
         sys.argv = ["program", *map(str, arguments)]
-        code_of_exit = 0
+        code_of_exit: Any = 0
         with os.fdopen(write, "w", encoding="utf-8") as stream:
             sys.stdout = sys.stderr = stream
             try:
                 exec(compile(textwrap.dedent(code), "program", "exec"), {"__name__": "__main__"})
+            except SystemExit as end:
+                code_of_exit = end.code or 0
             except BaseException:  # noqa: BLE001 - as Python tells of it
                 code_of_exit = 1
                 traceback.print_exc()

@@ -16,6 +16,22 @@ vary:
 samples: {sobol: 8, seed: 1}
 metrics: [loop_error_max]
 """
+METRIC = '''"""A metric of one's own."""
+import os
+from pathlib import Path
+
+from coopqp import Metric, Trace, spec
+
+{first}
+
+
+@spec
+class {name}(Metric):
+    """Of the ticks."""
+
+    def measure(self, trace: Trace) -> int:
+        {measures}
+'''
 SHORT = (("duration: 3.0", "duration: 0.1"), ("duration: 2.0", "duration: 0.1"))
 
 
@@ -33,6 +49,16 @@ def written(folder: Path, text: str) -> Path:
     path = folder / "study.yaml"
     path.write_text(text, encoding="utf-8")
     return path
+
+
+def own_metric(folder: Path, name: str, measures: str, *first: str) -> Path:
+    """A folder of plug-ins with a metric of one's own; first are lines that run when it is read."""
+    metrics = folder / "metrics"
+    metrics.mkdir(parents=True)
+    lines = "\n".join(first)
+    text = METRIC.format(name=name.capitalize(), measures=measures, first=lines)
+    (metrics / f"{name}.py").write_text(text, encoding="utf-8")
+    return folder
 
 
 def table_of(folder: Path) -> list[dict[str, object]]:

@@ -81,8 +81,15 @@ WRONG: dict[str, tuple[Callable[[], object], list[str]]] = {
     "a choice": (
         lambda: Profile(kind="jump"),  # type: ignore[arg-type]
         [
-            "Profile.kind: found \"jump\"; needs 'step', 'constant_velocity', 'trapezoid' "
-            "or 'quintic'"
+            "Profile.kind: found \"jump\"; needs 'step', 'constant_velocity', 'trapezoid', "
+            "'quintic', 'fastest' or 'table'"
+        ],
+    ),
+    "a table without shares": (
+        lambda: Profile(kind="table"),
+        [
+            'Profile: found {"kind": "table"}; needs shares, the first 0 and the last 1, where its '
+            "kind is table, and only there"
         ],
     ),
     "two at once": (

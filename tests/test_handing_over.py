@@ -7,7 +7,7 @@ import pinocchio as pin
 import pytest
 from chains import three_arms
 
-from coopqp.base.errors import GraspError, UnknownNameError
+from coopqp.base.errors import UnknownNameError
 from coopqp.base.spec import Array
 from coopqp.grasps import Revolute, Rigid
 from coopqp.model.closed_chain import ClosedChain
@@ -121,8 +121,28 @@ def test_a_released_hand_leaves_its_hinge_alone(nao: RobotModel, chain: ClosedCh
     assert poses(alone, turned)["left"].isApprox(poses(held, turned)["left"], 1e-12)
 
 
-def test_someone_must_hold_the_object(chain: ClosedChain) -> None:
-    with pytest.raises(GraspError, match="no arm is left that holds"):
-        chain.handed_over(chain.q_start, ["left", "right"])
+def test_where_no_arm_holds_the_object_it_stands(
+    chain: ClosedChain, rng: np.random.Generator
+) -> None:
+    there = chain.object_pose(chain.q_start)
+    alone = chain.handed_over(chain.q_start, ["left", "right"])
+    assert alone.standing
+    assert alone.loops.closed == 0
+    q = chain.q_start + rng.normal(0.0, 0.2, chain.n)
+    state = State(alone, q)
+    assert pin.SE3(state.R_WO, state.p_WO).isApprox(there, 1e-12)
+    assert not state.J_task.any()
+    # Each hand's object frame relative to the object, by pinocchio on the chain that held it.
+    relative = [there.actInv(X) for X in poses(chain, q).values()]
+    for X, error in zip(relative, state.loop_error.reshape(-1, 6), strict=True):
+        assert error[:3] == pytest.approx(there.rotation @ X.translation, abs=1e-12)
+        assert error[3:] == pytest.approx(there.rotation @ pin.log3(X.rotation), abs=1e-9)
+    again = alone.handed_over(q)
+    assert again.object_pose(q).isApprox(there, 1e-12)
+    assert np.abs(again.loop_error(q)).max() < 1e-12
+    seen = pin.SE3(there.rotation, there.translation + np.array([0.01, 0.0, 0.0]))
+    assert alone.handed_over(q, [], seen).object_pose(q).isApprox(seen, 1e-12)
+    held = chain.handed_over(chain.q_start, [], seen)  # who holds it knows better
+    assert held.object_pose(chain.q_start).isApprox(there, 1e-12)
     with pytest.raises(UnknownNameError, match="unknown arm 'lefft'; did you mean 'left'"):
         chain.handed_over(chain.q_start, ["lefft"])

@@ -58,7 +58,7 @@ SETTLED = Threshold(
     0.2, "s", "A force stays within its tolerance for so long: an oscillation only passes it."
 )
 SINGULAR = Threshold(
-    0.02, "share", "With less of its leverage at the start a task is at a singular pose."
+    0.02, "share", "With less of its manipulability at the start a task is at a singular pose."
 )
 SATURATED = Threshold(0.01, "of ticks", "A motor at its limit in less of them is only passing.")
 AT_EFFORT = Threshold(0.999, "share", "From this share of its torque on a motor is at its limit.")

@@ -7,24 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from coopqp.assessment import thresholds
 from coopqp.assessment.assessment import Assessment, TaskEnd, pushed
 from coopqp.assessment.limits import LimitViolation, beyond
-from coopqp.assessment.thresholds import (
-    CALIBRATE,
-    CALIBRATE_ANGLE,
-    FRICTION_LEFT,
-    LOOP_CLOSED,
-    LOOP_CLOSED_ANGLE,
-    MODEL_OFF,
-    MODEL_OFF_ANGLE,
-    ON_EDGE,
-    OUTSIDE,
-    SETTLED,
-    SINGULAR,
-    SLIPPED,
-    matters,
-    resolved,
-)
+from coopqp.assessment.thresholds import matters, resolved
 from coopqp.solver import Status
 from coopqp.trace import Trace
 
@@ -57,8 +43,8 @@ def verdict(found: Assessment, metrics: Mapping[str, Any], unseen: Sequence[str]
 def _arrival(found: Assessment) -> str:
     if found.ended or found.held is False:
         return "reaches no goal"
-    if unheard := not_followed(found):
-        return f"reaches no goal: {unheard}"
+    if unfollowed := not_followed(found):
+        return f"reaches no goal: {unfollowed}"
     if not found.missed and (yielded := _gives_way(found)):
         return yielded
     if not found.missed:
@@ -139,7 +125,7 @@ def not_followed(found: Assessment) -> str:
 
 def _where(found: Assessment, k: int) -> str:
     """What can be seen where task k is missed; ``coopqp explain`` finds out why."""
-    if found.trace.leverage[k] < SINGULAR:
+    if found.trace.manipulability[k] < thresholds.SINGULAR:
         return ", at a pose in which the arms can hardly move it that way"
     names = found.at_limits(k)
     return f", with {listed_limits(names)} at the limit" if names else ""
@@ -222,9 +208,9 @@ def _recovery(found: Assessment, worst: LimitViolation) -> str:
     far = _amount(worst.at_start, worst.row.unit)
     start = f"starts with {worst.name} {far} beyond its limit"
     outside = beyond(trace).max(axis=1)
-    if outside[-1] > OUTSIDE:
+    if outside[-1] > thresholds.OUTSIDE:
         return f"{start} and ends outside"
-    back = float(trace.t[1 + int(np.flatnonzero(outside > OUTSIDE)[-1])] - trace.t[0])
+    back = float(trace.t[1 + int(np.flatnonzero(outside > thresholds.OUTSIDE)[-1])] - trace.t[0])
     return f"{start}, is inside after {back:.2g} s and stays there"
 
 
@@ -249,10 +235,10 @@ def _acceleration(found: Assessment) -> str:
         if share >= HARDLY
         else f"{_round(100.0 * (share - 1.0))} % more than"
     )
-    cure = ": add joint_acceleration to limits" if found.acceleration_free else ""
+    advice = ": add joint_acceleration to limits" if found.acceleration_free else ""
     return (
         f"accelerates {worst.joint} by {_amount(worst.value, worst.unit)}, {beyond} what the "
-        f"loop for robots allows{cure}"
+        f"loop for robots allows{advice}"
     )
 
 
@@ -266,23 +252,23 @@ def loop_words(found: Assessment) -> str:
     """How far the loops were open at most."""
     position, orientation = found.loop
     sizes = []
-    if resolved(position, LOOP_CLOSED):
+    if resolved(position, thresholds.LOOP_CLOSED):
         sizes.append(f"{_round(1e3 * position)} mm")
-    if resolved(orientation, LOOP_CLOSED_ANGLE):
+    if resolved(orientation, thresholds.LOOP_CLOSED_ANGLE):
         sizes.append(f"{_round(np.degrees(orientation))} degrees")
     return _listed(sizes)
 
 
 def _gap(metrics: Mapping[str, Any]) -> str:
     position, orientation = metrics["gap"]["position"], metrics["gap"]["orientation"]
-    if position <= MODEL_OFF and orientation <= MODEL_OFF_ANGLE:
+    if position <= thresholds.MODEL_OFF and orientation <= thresholds.MODEL_OFF_ANGLE:
         return ""
-    apart = [f"{_round(1e3 * position)} mm"] if resolved(position, MODEL_OFF) else []
-    if resolved(orientation, MODEL_OFF_ANGLE):
+    apart = [f"{_round(1e3 * position)} mm"] if resolved(position, thresholds.MODEL_OFF) else []
+    if resolved(orientation, thresholds.MODEL_OFF_ANGLE):
         apart.append(f"{_round(1e3 * orientation)} mrad")
-    off = position > CALIBRATE or orientation > CALIBRATE_ANGLE
-    cure = ": calibrate" if off else ""
-    return f"the hands are {_listed(apart)} apart from what the model says{cure}"
+    off = position > thresholds.CALIBRATE or orientation > thresholds.CALIBRATE_ANGLE
+    advice = ": calibrate" if off else ""
+    return f"the hands are {_listed(apart)} apart from what the model says{advice}"
 
 
 def _motors(found: Assessment) -> str:
@@ -328,15 +314,17 @@ def _hold(found: Assessment, metrics: Mapping[str, Any]) -> str:
     )
     if margin is None:  # a run that was over before they pressed
         return "holds the object so far"
-    lately = found.trace.signals["slip"][-1 - round(SETTLED / found.trace.dt) :]
-    if (lately[-1] - lately[0]).max() > SLIPPED:  # whether friction holds it yet is not known
+    lately = found.trace.signals["slip"][-1 - round(thresholds.SETTLED / found.trace.dt) :]
+    if (
+        lately[-1] - lately[0]
+    ).max() > thresholds.SLIPPED:  # whether friction holds it yet is not known
         return f"lets the object slip, by {_round(1e3 * slip)} mm and still at the end"
     said = "at the edge of its friction"
-    if margin >= FRICTION_LEFT:
+    if margin >= thresholds.FRICTION_LEFT:
         said = f"with {100.0 * margin:.0f} % of the friction unused"
-    if edge is not None and edge <= ON_EDGE:
+    if edge is not None and edge <= thresholds.ON_EDGE:
         said += " and a pad on its edge"
-    slipped = f"; it slips {_round(1e3 * slip)} mm" if slip > SLIPPED else ""
+    slipped = f"; it slips {_round(1e3 * slip)} mm" if slip > thresholds.SLIPPED else ""
     return f"holds the object {said}{slipped}"
 
 

@@ -92,7 +92,7 @@ def _csv(path: Path) -> Table:
                 raise InvalidValueError(f"{place}: {words}")
             rows.append([_number(place, *pair) for pair in zip(names, cells, strict=True)])
     except csv.Error as error:
-        raise InvalidValueError(f"{path}:{reader.line_num}: is no CSV: {error}") from None
+        raise InvalidValueError(f"{path}:{reader.line_num}: is not CSV: {error}") from None
     return _table(path, names, np.array(rows, float), 2)
 
 
@@ -117,7 +117,7 @@ def _parquet(path: Path) -> Table:
         columns = [np.asarray(read[name].to_numpy(), float) for name in read.column_names]
     except (arrow.ArrowException, TypeError, ValueError) as error:
         words = " ".join(str(error).split())
-        raise InvalidValueError(f"{path}: is no Parquet file of numbers: {words}") from None
+        raise InvalidValueError(f"{path}: is not a Parquet file of numbers: {words}") from None
     return _table(path, read.column_names, np.array(columns, float).T, 0)
 
 

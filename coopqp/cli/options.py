@@ -152,7 +152,7 @@ def _refuse_other(path: Path) -> None:
         words = f"holds a study; 'coopqp sweep {path} --show ROW' runs one of its rows"
         raise CoopqpError(f"'{path}' {words}, in {path / 'rows' / 'ROW'}")
     if path.suffix in (".yaml", ".yml") or (str(path) in shipped() and not path.exists()):
-        words = f"is no recorded run; 'coopqp compare {path} --out DIR' writes one, in DIR"
+        words = f"is not a recorded run; 'coopqp compare {path} --out DIR' writes one, in DIR"
         raise CoopqpError(f"'{path}' {words}")
 
 

@@ -185,12 +185,11 @@ def plan(
     loaded = read_scenario(scenario, catalog)
     if out:
         refuse_phases(loaded)
-        files.check_folder(out)
     budget = Budget(seconds=seconds, seed=loaded.seed if seed is None else seed)
-    with bar("planning") as progress:
+    with files.checked_folder(out), bar("planning") as progress:
         found = find(loaded, keep=keep, budget=budget, progress=progress)
-    if not found.found:
-        raise CoopqpError(found.sentence)
+        if not found.found:
+            raise CoopqpError(found.sentence)
     click.echo(report.plan_json(found)) if as_json else say(found.sentence, aside=False)
     for path in report.write_plan(found, loaded, out) if out else ():
         say(f"wrote {path}", aside=as_json)

@@ -23,8 +23,6 @@ from coopqp.cli.options import (
     say,
 )
 
-#: What coopqp time writes.
-TIMED = "timed.csv"
 FORMATS = ("mcap", "rosbag2", "parquet")
 
 
@@ -42,6 +40,7 @@ FORMATS = ("mcap", "rosbag2", "parquet")
     "--speed", type=(float, float), default=(0.0, 0.0), metavar="FROM TO",
     help="Of the joints at the beginning and the end [rad/s].",
 )  # fmt: skip
+@click.option("--rise", type=float, default=0.0, help="Time in which accelerations change [s].")
 @click.option("--points", type=int, default=200, help="Intervals of the grid.")
 @catalogued
 @JSON
@@ -52,9 +51,10 @@ def time_(
 
     PATH is a recorded run, a CSV file with a column for each joint, or the folder of one.
     """
-    from coopqp.planning.time_along import table_of, time_along
+    from coopqp.planning.time_along import table_of, time_along, would_do
     from coopqp.report import files, strict_json
-    from coopqp.report.table import console, shares_table
+    from coopqp.report.planning import PICTURE, TIMED, limits_table, timed_svg
+    from coopqp.report.table import console
 
     if scenario is None:
         if table := table_of(path):
@@ -64,17 +64,20 @@ def time_(
     else:
         loaded = read_scenario(scenario, catalog)
     found = time_along(path, loaded, **how)
-    text = found.csv(loaded.dt)
+    tried = would_do(found, loaded)
+    if out:
+        files.write_one(out / TIMED, found.csv(loaded.dt))
+        files.write_one(out / PICTURE, timed_svg(found))
     if as_json:
         keys = ("duration", "hold", "exceeded", "shares", "notes")
-        click.echo(strict_json.text({key: getattr(found, key) for key in keys}))
+        data = {key: getattr(found, key) for key in keys} | {"would_do": tried}
+        click.echo(strict_json.text(data))
     else:
         for line in found.sentences:
             say(line, aside=False)
-        console().print(shares_table(found.shares, found.duration))
+        console().print(limits_table(found, tried))
     if out:
-        files.write_one(out / TIMED, text)
-        say(f"wrote {out / TIMED}", aside=as_json)
+        say(f"wrote {out / TIMED} and {PICTURE}", aside=as_json)
 
 
 @click.command()

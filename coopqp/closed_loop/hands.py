@@ -45,20 +45,19 @@ class Hand:
 
 def hands(chain: ClosedChain) -> tuple[Hand, ...]:
     """The hands that hold the object, in the order of ``chain.arms``."""
-    grasps = [chain.grasps[arm.name] for arm in chain.arms]
-    found = zip(chain.arms, chain.hand_poses(), grasps, strict=False)
-    return tuple(Hand(arm.name, X_OC, grasp.contact) for arm, X_OC, grasp in found)
+    found = zip(chain.hold.holders, chain.hand_poses(), strict=True)
+    return tuple(Hand(arm, X_OC, chain.grasps[arm].contact) for arm, X_OC in found)
 
 
 def robot_indices(chain: ClosedChain) -> list[int]:
     """Indices of the arms that hold the object, in the robot's order of arms."""
     names = [arm.name for arm in chain.robot.arms]
-    return [names.index(arm.name) for arm in chain.arms[: chain.holding]]
+    return [names.index(arm) for arm in chain.hold.holders]
 
 
 def points(hands: Sequence[Hand], p_WO: Array, R_WO: Array) -> Array:
     """Contact points in the world for the object's position and rotation, shape (N, 3) [m]."""
-    return np.array([p_WO + R_WO @ hand.X_OC.translation for hand in hands])
+    return np.reshape([p_WO + R_WO @ hand.X_OC.translation for hand in hands], (-1, 3))
 
 
 def into_contacts(hands: Sequence[Hand], R_WO: Array) -> Array:

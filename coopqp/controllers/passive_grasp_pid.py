@@ -122,6 +122,11 @@ class TorquePid(Law):
         self._model.advance(memory, level.e_dot, integrate=integrate)
         return command
 
+    def learned(self, state: State) -> Array:
+        """Accelerations of the joints that the integral adds, by wrong masses and pushes, (n,)."""
+        level, (_, ki, _) = self._level, self._gains
+        return -level.inverse_inertia() @ (level.tasks.J.T @ (ki * state.memory["integral"]))
+
     def hold_still(self, state: State) -> None:
         assert self.command.tau is not None
         self._level.dynamics.update(state.q, state.v)

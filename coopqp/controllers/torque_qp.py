@@ -200,7 +200,7 @@ class TorqueQpLaw(Law):
         return np.asarray(-self._level.dynamics.drift - self._correction(state), float)
 
     def _correction(self, state: State) -> Array:
-        return self.hands.loop_correction(state, self._level.dynamics, self.problem.kappa)
+        return self.hands.loop_correction(state, self._level.dynamics, self.problem)
 
     def _limits(self, state: State) -> tuple[Array, Array, Array, Array]:
         """The limits on v + a dt as bounds and rows on a."""
@@ -212,6 +212,13 @@ class TorqueQpLaw(Law):
         upper_rows = (bounds.h - bounds.G.dot(v)) / dt
         upper_rows = np.maximum(upper_rows, -max_a * np.abs(bounds.G).sum(axis=1))
         return np.minimum(lower, upper), upper, bounds.G, upper_rows
+
+    def learned(self, state: State) -> Array:
+        """Accelerations of the joints that the integral adds, by wrong masses and pushes, (n,)."""
+        wanted, followed = np.zeros_like(self._gains), self._followed
+        g = self._gains[followed]
+        wanted[followed] = -(g**2) * self._integral_gains * state.memory["integral"]
+        return self._level.moving(wanted)
 
     def hold_still(self, state: State) -> None:
         assert self.command.tau is not None

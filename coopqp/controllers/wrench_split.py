@@ -67,7 +67,7 @@ class WrenchSplitLaw(Law):
 
     def _acceleration(self, state: State) -> Array:
         level, dynamics = self._level, self._level.dynamics
-        back = self._hands.loop_correction(state, dynamics, self.problem.kappa)
+        back = self._hands.loop_correction(state, dynamics, self.problem)
         closing = least_squares(dynamics.J, -dynamics.drift - back)
         gains, tasks = level.gains, level.tasks
         wanted = -level.drift - gains * (2.0 * level.e_dot + gains * tasks.e)

@@ -218,12 +218,11 @@ def _springs(task: Task) -> tuple[tuple[int, int, float], ...]:
 
 def arm_points(chain: ClosedChain, q: Array) -> dict[str, Array]:
     """Joint origins and hand of each arm, base first, shape (T, p, 3) [m], at q (T, n)."""
-    model, data = chain.model, chain.model.createData()
+    model, data, arms = chain.model, chain.model.createData(), chain.arms[chain.standing :]
     joints = {
-        arm.name: [model.getJointId(name) for name in chain.robot.arm_joints(arm)]
-        for arm in chain.arms
+        arm.name: [model.getJointId(name) for name in chain.robot.arm_joints(arm)] for arm in arms
     }
-    tips = {arm.name: model.getFrameId(arm.tip) for arm in chain.arms}
+    tips = {arm.name: model.getFrameId(arm.tip) for arm in arms}
     points = {name: np.zeros((len(q), len(ids) + 1, 3)) for name, ids in joints.items()}
     # Views into pinocchio's data, which stay valid, instead of asking in each row.
     places = [

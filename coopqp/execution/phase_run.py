@@ -10,6 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import pinocchio as pin
+
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array
 from coopqp.controller import Controller, ControlProblem, Law
@@ -25,10 +27,12 @@ class Measured(NamedTuple):
     Attributes:
         q: as measured, shape (n,) [rad, m]; the chain's start when None.
         observed: whether q stays a measurement, from which commands may differ.
+        X_WO: where the object that stands was seen; where it has been put when None.
     """
 
     q: Array | None
     observed: bool
+    X_WO: pin.SE3 | None = None
 
     def start(self, law: Law) -> State:
         """The state of a law's first tick there."""
@@ -122,7 +126,8 @@ def begin_phase(
     phase, chain = scenario.schedule[index], None
     if before:
         where = before.q if robot is None or robot.q is None else robot.q
-        chain = before.problem.chain.handed_over(where, phase.released)
+        seen = robot.X_WO if robot else None
+        chain = before.problem.chain.handed_over(where, phase.released, seen)
     problem = scenario.problem(phase, chain)
     law = controller.build(problem) if timed else controller.unprepared(problem)
     if robot:

@@ -331,7 +331,7 @@ class _Recorder:
             loop_position=instants.loop[:, 0],
             loop_orientation=instants.loop[:, 1],
             task_error=instants.task_error,
-            leverage=self._directional_manipulability(instants.task_error[-1]),
+            manipulability=self._directional_manipulability(instants.task_error[-1]),
             goal_error=instants.goal_error,
             task_rows=rows_of((*problem.tasks, *problem.wrenches), chain),
             e=instants.e,

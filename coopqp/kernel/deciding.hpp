@@ -33,13 +33,10 @@ class Engine {
     explicit Engine(const nb::dict& d) {
         auto arena = std::make_unique<coopqp::Arena>();
         auto model = model_of(nb::cast<nb::dict>(d["model"]), *arena);
-        std::vector<coopqp::Level> levels;
-        for (nb::handle level : nb::cast<nb::list>(d["levels"]))
-            levels.push_back(level_of(nb::cast<nb::dict>(level), *model, *arena));
+        auto levels = levels_of(d, *model, *arena);
         const auto settings = settings_of(nb::cast<nb::dict>(d["settings"]));
-        for (nb::handle primitive : nb::cast<nb::list>(d["primitives"])) {
-            program_.primitives.push_back(primitive_of(nb::cast<nb::dict>(primitive)));
-            const auto& p = program_.primitives.back();
+        program_.primitives = primitives_of(d);
+        for (const auto& p : program_.primitives) {
             if (p.kind != coopqp::Kind::Posture) continue;
             const std::size_t stride = std::size_t(model->blocks) * coopqp::LANES;
             double* J = levels[std::size_t(p.level)].J + std::size_t(p.at) * stride;

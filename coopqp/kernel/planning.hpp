@@ -33,12 +33,8 @@ class Planner {
     explicit Planner(const nb::dict& d) {
         auto arena = std::make_unique<coopqp::Arena>();
         auto model = model_of(nb::cast<nb::dict>(d["model"]), *arena);
-        std::vector<coopqp::Level> levels;
-        for (nb::handle level : nb::cast<nb::list>(d["levels"]))
-            levels.push_back(level_of(nb::cast<nb::dict>(level), *model, *arena));
-        std::vector<coopqp::Primitive> primitives;
-        for (nb::handle primitive : nb::cast<nb::list>(d["primitives"]))
-            primitives.push_back(primitive_of(nb::cast<nb::dict>(primitive)));
+        auto levels = levels_of(d, *model, *arena);
+        auto primitives = primitives_of(d);
         manifold_ = std::make_unique<coopqp::Manifold>(
             std::move(arena), std::move(model), numbers(d, "kept"), int(number(d, "rank")),
             std::move(levels), std::move(primitives), number(d, "t"), numbers(d, "lower"),

@@ -118,6 +118,14 @@ coopqp::Level level_of(const nb::dict& d, const coopqp::Model& m, coopqp::Arena&
     return level;
 }
 
+std::vector<coopqp::Level> levels_of(const nb::dict& d, const coopqp::Model& m,
+                                     coopqp::Arena& arena) {
+    std::vector<coopqp::Level> found;
+    for (nb::handle level : nb::cast<nb::list>(d["levels"]))
+        found.push_back(level_of(nb::cast<nb::dict>(level), m, arena));
+    return found;
+}
+
 coopqp::Profile profile_of(const double* x) {
     return {static_cast<coopqp::Profile::Kind>(int(x[0])), x[1], x[2]};
 }
@@ -159,6 +167,13 @@ coopqp::Primitive primitive_of(const nb::dict& d) {
     p.gain = number(d, "gain");
     p.numbers = numbers(d, "numbers");
     return p;
+}
+
+std::vector<coopqp::Primitive> primitives_of(const nb::dict& d) {
+    std::vector<coopqp::Primitive> found;
+    for (nb::handle primitive : nb::cast<nb::list>(d["primitives"]))
+        found.push_back(primitive_of(nb::cast<nb::dict>(primitive)));
+    return found;
 }
 
 coopqp::Bounds bounds_of(const nb::list& limits, std::size_t n, double dt) {

@@ -12,12 +12,8 @@ class TrajectoryEvaluation {
     explicit TrajectoryEvaluation(const nb::dict& d) {
         auto arena = std::make_unique<coopqp::Arena>();
         auto model = model_of(nb::cast<nb::dict>(d["model"]), *arena);
-        std::vector<coopqp::Level> levels;
-        for (nb::handle level : nb::cast<nb::list>(d["levels"]))
-            levels.push_back(level_of(nb::cast<nb::dict>(level), *model, *arena));
-        std::vector<coopqp::Primitive> primitives;
-        for (nb::handle primitive : nb::cast<nb::list>(d["primitives"]))
-            primitives.push_back(primitive_of(nb::cast<nb::dict>(primitive)));
+        auto levels = levels_of(d, *model, *arena);
+        auto primitives = primitives_of(d);
         const auto joints = integers(d, "joints");
         const auto places = numbers(d, "places");
         std::vector<coopqp::Fixed> points;

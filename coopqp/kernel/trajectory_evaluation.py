@@ -108,7 +108,7 @@ def survey(
 def joint_points(chain: ClosedChain) -> dict[str, list[tuple[int, Array]]]:
     """Joint origins and hand of each arm, base first, as :func:`survey` takes them."""
     found: dict[str, list[tuple[int, Any]]] = {}
-    for arm in chain.arms:
+    for arm in chain.arms[chain.standing :]:
         joints = [chain.model.getJointId(name) for name in chain.robot.arm_joints(arm)]
         tip = chain.model.frames[chain.model.getFrameId(arm.tip)]
         hand = int(tip.parentJoint), tip.placement.translation.copy()

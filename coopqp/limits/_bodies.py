@@ -94,7 +94,7 @@ def held_body(chain: ClosedChain) -> Body:
 
 def bodies_of(chain: ClosedChain) -> tuple[list[Body], list[str]]:
     """The robot's bodies (InvalidValueError: none) and the object, and what cannot be watched."""
-    bodies, faults = robot_bodies(chain.robot, chain.model)
+    bodies, faults = chain.once(_of_the_robot)
     if not bodies:
         why = f": {faults[0]}" if faults else ""
         raise InvalidValueError(
@@ -102,6 +102,10 @@ def bodies_of(chain: ClosedChain) -> tuple[list[Body], list[str]]:
             "use a file with it, or add capsules to RobotModel.capsules"
         )
     return [*bodies, held_body(chain)], faults
+
+
+def _of_the_robot(chain: ClosedChain) -> tuple[list[Body], list[str]]:
+    return robot_bodies(chain.robot, chain.model)
 
 
 def unseen(kind: str, chain: ClosedChain) -> tuple[str, ...]:
@@ -134,8 +138,8 @@ def pairs_that_can_meet(chain: ClosedChain) -> list[Pair]:
         if not (tree.neighbours(a, b) or {a.joint, b.joint} <= firm)
         and frozenset((a.name, b.name)) not in joined
     ]
-    hands = tree.hands(chain)
-    return pairs + [(held, body) for body in bodies if body.joint not in hands]
+    touching = tree.hands(chain) | {held.joint}
+    return pairs + [(held, body) for body in bodies if body.joint not in touching]
 
 
 @lru_cache(maxsize=16)
@@ -219,9 +223,12 @@ class _Tree:
         return str(self._roots[bisect.bisect(self._root_ids, at) - 1])
 
     def hands(self, chain: ClosedChain) -> set[int]:
-        """Joints whose bodies may touch the object: hands, what follows and what is before them."""
+        """Joints whose bodies may touch the object: hands, what follows and what is before them.
+
+        Not of arms that neither hold it nor are about to.
+        """
         model, found = self._model, set[int]()
-        for arm in chain.robot.arms:
+        for arm in (arm for arm in chain.robot.arms if arm.name not in chain.hold.away):
             tip = model.frames[model.getFrameId(arm.tip)].parentJoint
             found |= {j for j in range(model.njoints) if tip in model.supports[j]}
             hand = tip if tip in self._occupied else self.before(tip)

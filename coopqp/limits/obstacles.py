@@ -186,6 +186,8 @@ class Obstacles(Limit):
                     named += named_bodies(f"{self.name}.bodies: ", name, bodies, faults)
             bodies = list(dict.fromkeys(named))
         moved = [body for body in bodies if body.joint]
+        if not moved and chain.standing:  # the object alone
+            moved = bodies
         if not moved:
             words = "no body that moves is named, so that nothing is watched"
             raise InvalidValueError(f"{self.name}.bodies: {words}").at("bodies")

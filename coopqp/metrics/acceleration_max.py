@@ -1,5 +1,3 @@
-"""The worst acceleration of a joint, beside what the loop for robots allows it."""
-
 from typing import Any, ClassVar
 
 from coopqp.assessment import assess

@@ -1,5 +1,3 @@
-"""How far the pressure kept off the pads' edges."""
-
 from coopqp.base.spec import spec
 from coopqp.metric import Metric
 from coopqp.metrics._hands import by_hand, margin

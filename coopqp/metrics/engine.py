@@ -1,5 +1,3 @@
-"""What solved the QPs: the compiled kernel or Python; null for laws without a QP."""
-
 from typing import Any
 
 import numpy as np

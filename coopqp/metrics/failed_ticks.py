@@ -1,5 +1,3 @@
-"""Ticks whose answer failed the check, so that the joints held still."""
-
 from coopqp.assessment import assess
 from coopqp.base.spec import spec
 from coopqp.metric import Metric

@@ -1,5 +1,3 @@
-"""The failed ticks, each with its cause."""
-
 from typing import Any
 
 from coopqp.base.spec import spec

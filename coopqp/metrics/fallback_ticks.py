@@ -1,5 +1,3 @@
-"""Ticks in which constraints were relaxed to have a solution, by cause."""
-
 from collections import Counter
 
 from coopqp.base.spec import spec

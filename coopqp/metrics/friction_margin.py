@@ -1,5 +1,3 @@
-"""How much of the friction was never used."""
-
 from coopqp.base.spec import spec
 from coopqp.metric import Metric
 from coopqp.metrics._hands import by_hand, margin

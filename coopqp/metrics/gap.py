@@ -1,5 +1,3 @@
-"""How far the hands end apart from what the model says: its calibration error."""
-
 from typing import ClassVar
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""Whether hands that press held the object to the end."""
-
 from coopqp.assessment import assess
 from coopqp.base.spec import spec
 from coopqp.metric import Metric

@@ -1,5 +1,3 @@
-"""Ticks that were feasible but not optimal to the declared accuracy."""
-
 from coopqp.base.spec import spec
 from coopqp.metric import Metric
 from coopqp.trace import Trace

@@ -1,5 +1,3 @@
-"""How hard the hands squeeze and twist the object against each other, where the plant tells it."""
-
 from typing import ClassVar
 
 import numpy as np
@@ -14,7 +12,7 @@ END = 0.5
 
 @spec
 class InternalForce(Metric):
-    """How hard the hands squeeze and twist the object, where the plant tells it."""
+    """How hard the hands squeeze and twist the object against each other, if the plant tells it."""
 
     unit: ClassVar[str] = "N, N m"
 

@@ -1,5 +1,3 @@
-"""Least distance of a joint to its position limit; negative beyond it."""
-
 from typing import ClassVar
 
 from coopqp.assessment.limits import beyond

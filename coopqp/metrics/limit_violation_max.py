@@ -1,5 +1,3 @@
-"""How far the worst joint went beyond its position limit."""
-
 from typing import ClassVar
 
 from coopqp.assessment.limits import beyond

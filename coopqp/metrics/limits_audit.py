@@ -1,5 +1,3 @@
-"""What every limit had left: least margin, ticks at the bound, share of time."""
-
 from coopqp.assessment.thresholds import AT_LIMIT
 from coopqp.base.spec import spec
 from coopqp.metric import Metric

@@ -1,5 +1,3 @@
-"""Which share of the object's weight each arm carries."""
-
 import numpy as np
 
 from coopqp.base.spec import spec

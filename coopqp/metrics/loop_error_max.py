@@ -1,5 +1,3 @@
-"""Largest distance and angle between where two arms carry the object."""
-
 from typing import ClassVar
 
 from coopqp.assessment import assess

@@ -1,5 +1,3 @@
-"""How far the object has slipped along the hands that press on it."""
-
 from typing import ClassVar
 
 from coopqp.base.spec import spec

@@ -1,5 +1,3 @@
-"""Name of the QP solver; null for laws without one."""
-
 from coopqp.base.spec import spec
 from coopqp.metric import Metric
 from coopqp.trace import Trace

@@ -1,5 +1,3 @@
-"""How hard the hands press on the object."""
-
 from typing import ClassVar
 
 import numpy as np

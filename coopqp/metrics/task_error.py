@@ -1,5 +1,3 @@
-"""Each task's error at its end."""
-
 from typing import ClassVar
 
 from coopqp.assessment import assess

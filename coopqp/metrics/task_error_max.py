@@ -1,5 +1,3 @@
-"""Each task row's largest error on the way."""
-
 from typing import ClassVar
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""Time from reading the joints to the verified command."""
-
 from typing import ClassVar
 
 import numpy as np

@@ -1,5 +1,3 @@
-"""Number of control periods."""
-
 from coopqp.base.spec import spec
 from coopqp.metric import Metric
 from coopqp.trace import Trace

@@ -1,5 +1,3 @@
-"""How much of their torque the motors never used."""
-
 from typing import Any
 
 import numpy as np

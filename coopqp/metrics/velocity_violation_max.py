@@ -1,5 +1,3 @@
-"""How far the worst joint's speed went beyond its limit."""
-
 from typing import ClassVar
 
 import numpy as np

@@ -11,6 +11,9 @@ and J_c v = 0 with J_c = J_rel is the loop closure, eq. (9), (14). alpha_i = 1/N
 eq. (30) for two arms; alpha = (1, 0) is leader and follower: the object is where arm 0 carries it,
 after the extended cooperative task space of Park and Lee 2015.
 
+Where no arm holds the object, the world does (``SUPPORT``): it is arm 0, no loop is closed, and the
+relative rows of each arm are those of its hand to the object, which stands.
+
 An arm that has let go is released: its loop is open, its six rows bind nothing and its weight is
 zero, but it still has an object frame, where the object would be if it held it.
 """
@@ -32,7 +35,7 @@ from coopqp.base.qp import Row, names_of
 from coopqp.base.rank import independent_rows, matrix_rank
 from coopqp.base.spec import Array, vector
 from coopqp.grasp import Grasp
-from coopqp.model.grasp_configuration import GraspConfiguration, attach
+from coopqp.model.grasp_configuration import SUPPORT, GraspConfiguration, attach
 from coopqp.model.held_object import HeldObject
 from coopqp.robot import RobotModel, joint_units
 from coopqp.signal import ENDLESS
@@ -103,7 +106,8 @@ class ClosedChain:
 
     Attributes:
         arms: those that hold the object, then the released ones; each in the robot's order.
-        holding: how many hold the object.
+        holding: how many hold the object; one where it stands, which is ``SUPPORT``.
+        standing: whether no arm of the robot holds it.
         model: pinocchio model with the grasps' passive joints; massless object (its inertia matters
             to the dynamics alone, which add it).
         q_start: configuration with the passive joints in it, shape (n,).
@@ -121,7 +125,8 @@ class ClosedChain:
     def __init__(self, hold: GraspConfiguration) -> None:
         self.hold = hold
         self.robot, self.grasps, self.held = hold.robot, hold.grasps, hold.held
-        self.arms, self.holding, self.alpha = hold.arms, len(hold.holders), hold.alpha
+        self.arms, self.alpha = hold.arms, hold.alpha
+        self.holding, self.standing = max(1, len(hold.holders)), not hold.holders
         self.mixing = _mixing_matrix(self.alpha)
         self.model, self.frames = hold.model()
         self.n: int = self.model.nv
@@ -175,6 +180,10 @@ class ClosedChain:
         other.held = held
         return other
 
+    def keeping_away(self, arms: tuple[str, ...]) -> ClosedChain:
+        """The same chain with other arms ``GraspConfiguration.away`` from the object."""
+        return self if arms == self.hold.away else self._with(away=arms)
+
     def _with(self, **changes: Any) -> ClosedChain:
         other = copy.copy(self)
         other._made, other.hold = self._made, replace(self.hold, **changes)
@@ -190,21 +199,27 @@ class ClosedChain:
         made: Made = self._made[make]
         return made
 
-    def handed_over(self, q: Array, released: Collection[str] = ()) -> ClosedChain:
+    def handed_over(
+        self, q: Array, released: Collection[str] = (), measured: pin.SE3 | None = None
+    ) -> ClosedChain:
         """The same robot at q, shape (n,), with all arms but the released holding the object.
 
         An arm that holds on holds it as before. One that takes hold does so where its hand is, so
-        that every loop closes. One that lets go keeps its object frame, fixed to its tip.
-        UnknownNameError: no such arm. GraspError: no arm is left that holds the object.
+        that every loop closes. One that lets go keeps its object frame, fixed to its tip. Where the
+        object stood it may have been ``measured`` elsewhere; where all let go it stays.
+        UnknownNameError: no such arm.
         """
         q = vector("q", q, self.n)
         X_WO, data = self.object_pose(q), self.model.createData()
         pin.framesForwardKinematics(self.model, data, q)
+        if measured and not self.hold.holders:
+            X_WO = measured
         carried = {a.name: data.oMf[f] for a, f in zip(self.arms, self.frames, strict=True)}
         X_by_arm = {
             arm: X if arm in self.hold.holders or arm in released else X_WO
             for arm, X in carried.items()
         }
+        X_by_arm[SUPPORT.name] = X_WO
         p_WO = X_WO.translation.copy()
         return ClosedChain(self.hold.handed_over(q, released, p_WO, X_by_arm))
 
@@ -223,7 +238,7 @@ class ClosedChain:
         found = []
         with self._data() as data:
             pin.framesForwardKinematics(self.model, data, self.q_start)
-            for arm, frame in zip(self.arms[: self.holding], self.frames, strict=False):
+            for arm, frame in zip(self.arms[: len(self.hold.holders)], self.frames, strict=False):
                 X_OC = data.oMf[frame].actInv(data.oMf[self.model.getFrameId(arm.tip)])
                 contact = self.grasps[arm.name].contact
                 found.append(X_OC * contact.placement if contact else X_OC)

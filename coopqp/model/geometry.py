@@ -51,6 +51,8 @@ class Turn:
 
     def __post_init__(self) -> None:
         one_angle("angle", self.angle, self.angle_deg, needed=True)
+        if not self.profile.compiles:
+            raise ValueError(f"profile: found {self.profile.kind}, which is for a task's own way")
 
     @property
     def radians(self) -> float:

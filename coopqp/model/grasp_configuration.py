@@ -3,6 +3,10 @@
 Letters: n joints (passive ones included), W the world, O the object, E the frame of an arm that
 carries the object: its tip, or what comes after its grasp's passive joints.
 
+Where no arm holds the object, the world does, as a table that it stands on: an arm without joints,
+``SUPPORT``, comes first and is the one that holds, so that no loop is closed and each hand has a
+pose relative to the object.
+
 A grasp configuration never changes. When arms let go or take hold there is another one, and another
 :class:`coopqp.model.closed_chain.ClosedChain` built from it.
 """
@@ -21,6 +25,9 @@ from coopqp.grasp import Grasp, PassiveJoint, pose_matrix
 from coopqp.model.held_object import HeldObject
 from coopqp.robot import Arm, RobotModel, copy_per_velocity
 
+#: What holds the object where no arm does, fixed to the world.
+SUPPORT = Arm(name="the world", tip="universe")
+
 #: Largest gap of given grasps at the start that still counts as closed.
 CLOSED_POSITION, CLOSED_ORIENTATION = 1e-4, 1e-3  # [m], [rad]
 
@@ -38,6 +45,8 @@ class GraspConfiguration:
         released: names of the arms that do not hold the object.
         q: configuration when this began, passive joints included, shape (n,) [rad, m].
         p_WO: where the object was then, shape (3,) [m].
+        away: names of released arms that do not hold it just before or after either; their hands
+            keep away from the object where a limit has bodies keep apart.
         X_EO: pose of the object in the frame that carries it, by arm; fixed to the tip of an arm
             that has let go.
     """
@@ -51,25 +60,28 @@ class GraspConfiguration:
     q: Array
     p_WO: Array
     X_EO: Mapping[str, pin.SE3]
+    away: tuple[str, ...] = ()
 
     @property
     def arms(self) -> tuple[Arm, ...]:
-        """Those that hold the object, then the released ones; each in the robot's order."""
-        return tuple(sorted(self.robot.arms, key=lambda arm: arm.name in self.released))
+        """Those that hold the object, or ``SUPPORT``, then the released; in the robot's order."""
+        arms = tuple(sorted(self.robot.arms, key=lambda arm: arm.name in self.released))
+        return arms if self.holders else (SUPPORT, *arms)
 
     @property
     def holders(self) -> tuple[str, ...]:
-        """Names of the arms that hold the object."""
-        return tuple(arm.name for arm in self.arms if arm.name not in self.released)
+        """Names of the robot's arms that hold the object; none where it stands."""
+        return tuple(arm.name for arm in self.robot.arms if arm.name not in self.released)
 
     @property
     def alpha(self) -> Array:
         """Weights of :attr:`arms`: zero for those that have let go, with sum 1, shape (N,)."""
         names = [arm.name for arm in self.robot.arms]
         weight = dict(zip(names, self.weights, strict=True))
-        alpha = np.array([weight[a.name] if a.name in self.holders else 0.0 for a in self.arms])
+        holders = self.holders
+        alpha = np.array([weight[a.name] if a.name in holders else 0.0 for a in self.arms])
         if not alpha.any():  # the leader has let go
-            alpha[: len(self.holders)] = 1.0
+            alpha[: max(1, len(self.holders))] = 1.0
         return np.asarray(alpha / alpha.sum(), float)
 
     def model(self) -> tuple[pin.Model, tuple[int, ...]]:
@@ -82,7 +94,7 @@ class GraspConfiguration:
 
     def _end(self, arm: Arm, ends: Mapping[str, str]) -> str:
         """The frame that carries the object; of a released arm the one before its joints."""
-        return arm.tip if arm.name in self.released else ends[arm.name]
+        return arm.tip if arm.name in (SUPPORT.name, *self.released) else ends[arm.name]
 
     def handed_over(
         self, q: Array, released: Collection[str], p_WO: Array, X_WO: Mapping[str, pin.SE3]
@@ -125,7 +137,8 @@ def attach(
         released: names of the arms that do not hold the object.
 
     Raises:
-        GraspError: fewer than two arms, none that holds, or grasps that do not close at the start.
+        GraspError: fewer than two arms, grasps that do not close at the start, or no arm that holds
+            and no pose of the object.
         UnknownNameError: a grasp, weight or passive joint that the robot does not have.
         InvalidValueError: q_start of a wrong shape; weights that are negative or do not sum to 1.
     """
@@ -159,13 +172,11 @@ def attach(
 
 
 def check_released(robot: RobotModel, released: Collection[str]) -> None:
-    """UnknownNameError for arms that do not exist; GraspError where none is left that holds."""
+    """UnknownNameError for arms that do not exist."""
     names = [arm.name for arm in robot.arms]
     for name in released:
         if name not in names:
             raise UnknownNameError("arm", name, names)
-    if not set(names) - set(released):
-        raise GraspError("no arm is left that holds the object; keep at least one")
 
 
 def _with_passive_start(
@@ -201,10 +212,14 @@ def _object_at_start(hold: GraspConfiguration) -> tuple[Array, dict[str, pin.SE3
             given[arm] = data.oMf[end] * object_at_end(model, end, tips[arm], grasp)
     _check_reach(hold, model, data)
     held_at = _agreed_pose(hold, {arm: X for arm, X in given.items() if arm in hold.holders})
+    if held_at is None and not hold.holders:
+        words = "no arm holds the object at the start; say where it is"
+        raise GraspError(f"{words}, such as pose: {{position: [0.5, 0, 0.2]}}").at("object")
     if held_at is None:
         middle = np.mean([data.oMf[tips[arm]].translation for arm in hold.holders], axis=0)
         held_at = pin.SE3(np.eye(3), middle)
-    return held_at.translation.copy(), {arm: given.get(arm, held_at) for arm in hold.grasps}
+    X_WO = {arm: given.get(arm, held_at) for arm in hold.grasps}
+    return held_at.translation.copy(), {**X_WO, SUPPORT.name: held_at}
 
 
 def _check_reach(hold: GraspConfiguration, model: pin.Model, data: pin.Data) -> None:

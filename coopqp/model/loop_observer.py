@@ -243,9 +243,8 @@ class WeightSag:
         self.up = self.up / max(float(np.linalg.norm(self.up)), 1e-12)
         com = pin.skew(np.array(chain.held.com))
         self.at_origin = at_origin = np.zeros((6 * len(chain.arms), 3))
-        at_origin[: 6 * chain.holding] = _shares(
-            [X.translation for X in chain.hand_poses()]
-        ) @ np.vstack([np.eye(3), com])
+        if places := [X.translation for X in chain.hand_poses()]:
+            at_origin[: 6 * len(places)] = _shares(places) @ np.vstack([np.eye(3), com])
         # Of J_ext = M [J_0; J_1; ...], so that sum_i J_i' h_i = J_ext' M^-T h.
         self._to_rows = np.linalg.solve(chain.mixing.T, at_origin)
 

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import field
 from typing import Literal
 
 from coopqp.base.spec import NonNegative, Positive, spec
 
 #: Share of a trapezoid's duration spent speeding up, and again slowing down.
 RAMP = 0.25
+#: Share of an interval of a table by which times are rounded.
+ROUNDING = 1e-6
 #: The kinds, in the order in which the kernel numbers them.
 KINDS = ("step", "constant_velocity", "trapezoid", "quintic")
+FASTEST, TABLE = "fastest", "table"
 
 
 @spec
@@ -17,15 +21,34 @@ class Profile:
     """A motion law for references.
 
     ``step`` jumps at once; ``constant_velocity`` starts and stops with a jerk; ``trapezoid`` has
-    a quarter of its time to speed up and to slow down; ``quintic`` has no jump in acceleration.
+    a quarter of its time to speed up and to slow down; ``quintic`` has no jump in acceleration;
+    ``fastest`` takes the least time that limits on speeds and accelerations allow along the way of
+    the first law, found when the scenario is read; ``table`` has shares of its own.
     """
 
-    kind: Literal["step", "constant_velocity", "trapezoid", "quintic"] = "quintic"
-    """step, constant_velocity, trapezoid or quintic."""
+    kind: Literal["step", "constant_velocity", "trapezoid", "quintic", "fastest", "table"] = (
+        "quintic"
+    )
+    """step, constant_velocity, trapezoid, quintic, fastest or table."""
     duration: Positive = 1.0
-    """Time from start to goal [s]; a step ignores it."""
+    """Time from start to goal [s]; step and fastest ignore it."""
     delay: NonNegative = 0.0
     """Time before the motion begins [s]."""
+
+    shares: list[float] = field(default_factory=list)
+    """Of a table: shares of the way at equal times of the duration, from 0 to 1."""
+
+    def __post_init__(self) -> None:
+        ends = self.shares[:1] + self.shares[-1:]
+        if (self.kind == TABLE) != bool(self.shares) or (ends and ends != [0.0, 1.0]):
+            raise ValueError(
+                "needs shares, the first 0 and the last 1, where its kind is table, and only there"
+            )
+
+    @property
+    def compiles(self) -> bool:
+        """Whether the kernel has it."""
+        return self.kind in KINDS
 
     @property
     def numbers(self) -> tuple[float, float, float]:
@@ -35,7 +58,8 @@ class Profile:
     @property
     def end(self) -> float:
         """When the goal is reached [s]."""
-        return self.delay if self.kind == "step" else self.delay + self.duration
+        at_once = self.kind in ("step", FASTEST)
+        return self.delay if at_once else self.delay + self.duration
 
     def at(self, t: float) -> tuple[float, float]:
         """Share of the way and its rate [1, 1/s] at time t [s]."""
@@ -51,6 +75,11 @@ class Profile:
             )
         if self.kind == "constant_velocity":
             return x, 1.0 / self.duration
+        if self.kind == TABLE:
+            count = len(self.shares) - 1
+            k = min(int(x * count + ROUNDING), count - 1)
+            way = self.shares[k + 1] - self.shares[k]
+            return self.shares[k] + way * (x * count - k), way * count / self.duration
         return self._trapezoid(x)
 
     def _trapezoid(self, x: float) -> tuple[float, float]:

@@ -155,12 +155,16 @@ class Readings:
     Attributes:
         q: of all joints, shape (n,) [rad, m]; NaN before the first. Passive joints that are not
             measured have their commanded values.
+        v: their velocities, shape (n,) [rad/s, m/s]; None where they are not asked for (``rates``).
         note: what was wrong with the last reading; empty if nothing was.
     """
 
-    def __init__(self, chain: ClosedChain, silent_after: float = 0.0) -> None:
+    def __init__(
+        self, chain: ClosedChain, silent_after: float = 0.0, *, rates: bool = False
+    ) -> None:
         self._chain, n, self._silent_after = chain, chain.n, silent_after
         self.q, self.note = np.full(n, np.nan), ""
+        self.v: Array | None = np.zeros(n) if rates else None
         self._reading, self._step = np.zeros((2, n))
         self._own = np.setdiff1d(np.arange(n), chain.passive)
         self._max_speed = FASTER * np.nan_to_num(np.abs(chain.velocity), posinf=UNLIMITED)
@@ -185,8 +189,26 @@ class Readings:
             self.note = "read() gave None"
             return Status.ROBOT_SILENT
         self.note = ""
-        self._read_at, self._fault = now, self._judge(q, commanded, now)
+        q, v = (q, None) if self.v is None else self._with_rates(q)
+        self._read_at = now
+        self._fault = Status.NOT_MEASURED if self.note else self._judge(q, commanded, now)
+        if self.v is not None and not self._fault:
+            self.v[:] = v
         return self._fault
+
+    def _with_rates(self, given: Any) -> tuple[Any, Any]:
+        """Joints and their velocities."""
+        try:
+            found = real(given)
+        except Exception as error:  # noqa: BLE001 - anything can come from a driver
+            self.note = said(error) or f"found {type(given).__name__}, needs numbers"
+            return None, None
+        if found.shape != (2, len(self.q)):
+            words = "joints and their velocities, by which torques are computed"
+            self.note = f"found shape {found.shape}, needs {(2, len(self.q))}: {words}"
+        elif not np.isfinite(found[1]).all():
+            self.note = "the velocities of joints are NaN or infinite"
+        return (None, None) if self.note else (found[0], found[1])
 
     def _judge(self, q: Any, commanded: Array, now: float) -> Status | None:
         usual = self._quick and type(q) is np.ndarray and q.dtype == FLOAT

@@ -13,6 +13,7 @@ import itertools
 from collections.abc import Iterator
 
 import numpy as np
+import pinocchio as pin
 
 from coopqp.base.errors import GraspError, InvalidValueError
 from coopqp.base.spec import Array
@@ -67,6 +68,18 @@ def check_hands(chain: ClosedChain, q: Array, *, placed: bool) -> None:
     if hint:
         words = "With that they are as there; if the joints are right, give the scenario this start"
         raise GraspError(f"{where} the scenario starts: {hint} {words}")
+
+
+def check_object(held: pin.SE3, measured: pin.SE3) -> None:
+    """Refuse an object that was measured farther from the hands than a model's error."""
+    apart = float(np.linalg.norm(measured.translation - held.translation))
+    turned = float(np.linalg.norm(pin.log3(held.rotation.T @ measured.rotation)))
+    if apart > MOST_POSITION or turned > MOST_ORIENTATION:
+        raise GraspError(
+            f"object_pose: {1e3 * apart:.0f} mm and {1e3 * turned:.0f} mrad from where the hands "
+            "hold the object by the scenario, more than a model's error; is it of the object's "
+            "frame, in the scenario's world?"
+        )
 
 
 def check_resumed(chain: ClosedChain, q: Array, *, outside: bool) -> None:

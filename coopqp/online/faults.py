@@ -99,7 +99,8 @@ class FaultMonitor:
 
     def update(self, state: State, q_m: Array | None) -> Fault | None:
         """The fault that is new in this tick, if any; q_m are measured joints, None without."""
-        forces = None if state.hand_wrench is None else self._forces.update(state)
+        silent = state.hand_wrench is None or state.chain.standing
+        forces = None if silent else self._forces.update(state)
         findings = [forces, self._observed()]
         if self._joints and q_m is not None and not self._misled:
             if suspect := self._joints.update(state, state.q, q_m):

@@ -95,9 +95,13 @@ def check_joints(loop: OnlineLoop, robot: Robot) -> JointCheck:
         robot: its driver, as of :func:`coopqp.real_time`.
 
     Raises:
-        InvalidValueError: the loop has begun; joints are out of their range; no driver.
+        InvalidValueError: the loop has begun, or commands torques; joints are out of their range;
+            no driver.
     """
     check_driver(robot)
+    if loop.by_torques:
+        words = "commands torques; check joints by a loop of a controller that commands velocities"
+        raise InvalidValueError(f"controller '{loop.controller}' {words}, such as qp")
     if loop.begun:
         raise InvalidValueError("the loop has begun, and its hands hold the object; reset it first")
     check = _Check(loop, robot)

@@ -17,7 +17,7 @@ import functools
 import threading
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from types import TracebackType
@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from coopqp.assessment.thresholds import SPEED_UP
 from coopqp.base.errors import CoopqpError, InvalidValueError
-from coopqp.base.spec import Array
+from coopqp.base.spec import Array, Pose
 from coopqp.base.wording import raised
 from coopqp.controller import Command, ControlProblem, Law
 from coopqp.execution.controller_run import controller_of
@@ -46,6 +46,7 @@ from coopqp.online.session import Keeper, Record, scenario_text
 from coopqp.online.stops import Clock as Clock
 from coopqp.online.stops import Interrupts, LoopTime, Stops, Waiting, Watch
 from coopqp.scenario.scenario import Phase, Scenario
+from coopqp.scenario.start import pose_of
 from coopqp.solver import Status
 
 #: Share of its speed at which a loop goes on that a fault slows down, and its ramp [s].
@@ -169,11 +170,11 @@ class OnlineLoop:
         reference: configuration that commands are computed from. "commanded": the last command's,
             for robots that hold one object firmly (docs/real_robots.md); measurements update the
             estimated loop-closure offset. "measured": for joints that track exactly, and for
-            compliant arms that must be followed.
+            compliant arms that must be followed. Torques are always computed from measured joints.
         grasp: "as_held": each hand holds the object where it is at the first tick; "as_written":
             as at the scenario's own start; the difference counts as model error.
         speed_up: time in which a joint may get from rest to its velocity limit [s], which is an
-            acceleration limit where the scenario has none; None for none.
+            acceleration limit where the scenario has none; None for none, as by torques.
         clock: of ticks and of what is sent to inputs; None counts ticks, as in simulation, where
             none is late or early.
         silent_after: how long the last reading counts where a robot sends less often [s].
@@ -191,10 +192,11 @@ class OnlineLoop:
         setpoint: joints at the end of the period, shape (n,) [rad, m].
         history: the last ticks. watch: counts late and early ticks, and has the longest period.
         ticks, begun: number of ticks without early calls; whether the object is held.
+        by_torques: whether commands are torques, ``command.tau``.
         patience, simulated: as given; whether without a clock. measured: last accepted reading.
 
     Raises:
-        CoopqpError: an option is none; the controller cannot be built, or commands torques.
+        CoopqpError: an option is none, or the controller cannot be built.
     """
 
     def __init__(
@@ -219,19 +221,18 @@ class OnlineLoop:
         self._turn = threading.RLock()
         self._reactions = checked_reactions(reactions)
         self._chosen = controller_of(scenario, controller)
-        if self._chosen.commands_torques:
-            words = "commands torques; the loop for robots commands velocities and positions"
-            raise InvalidValueError(f"controller '{controller}' {words}")
         own, self.controller = scenario.held_by(controller), controller
-        limits = with_acceleration(own.limits, own.chain, speed_up)
-        self._given = replace(own, limits=limits, observer=observer or own.observer)
-        self._observed, self._as_held = reference == "commanded", grasp == "as_held"
+        self.by_torques = torques = self._chosen.commands_torques
+        limits = own.limits if torques else with_acceleration(own.limits, own.chain, speed_up)
+        self._given = own.changed(limits=limits, observer=observer or own.observer)
+        self._observed = reference == "commanded" and not torques
+        self._as_held = grasp == "as_held"
         self._time = LoopTime(clock or (lambda: self.ticks * own.dt), own.dt)
         self._by_time = phases == "by_time"
         self.patience, self.simulated = patience, clock is None
         chain, dt = self._given.chain, self._given.dt
         self.history = History(chain, max(1, round(keep / dt)), dt)
-        self._readings, self._stops = Readings(chain, silent_after), Stops(patience)
+        self._readings, self._stops = Readings(chain, silent_after, rates=torques), Stops(patience)
         self.measured = self._readings.q
         self.setpoint, self._no_reading = chain.q_start.copy(), np.full(chain.n, np.nan)
         self._refusal, self._holding = Command(chain.n), Command(chain.n)
@@ -314,6 +315,9 @@ class OnlineLoop:
     @property
     def at_rest(self) -> bool:
         """Whether the last command was to stand still."""
+        holding = self._phases.holding
+        if holding and self.begun:
+            return not self._moved and holding.rests(self.state)
         return not self.command.v.any()
 
     @property
@@ -353,18 +357,24 @@ class OnlineLoop:
         self._phases.ask()
 
     @in_turn
-    def begin(self, q: ArrayLike) -> None:
+    def begin(self, q: ArrayLike, object_pose: Pose | ArrayLike | None = None) -> None:
         """Take hold at measured joints, as in :meth:`tick`; else the first tick does it.
 
+        Args:
+            q: measured joints, as in :meth:`tick`.
+            object_pose: where the object was measured, as in :meth:`Scenario.placed`.
+
         Raises:
-            CoopqpError: q is none, the object cannot be held so, or nothing can be written.
+            CoopqpError: q or the pose is none, the object cannot be held so, or nothing can be
+                written.
         """
+        pose = None if object_pose is None else pose_of(object_pose)
         if self.begun:
             raise InvalidValueError("the loop has begun; reset it first")
         wrong = self._readings.take(q, self._given.chain.q_start, self.now)
         if wrong:
             raise InvalidValueError(f"q: {self._readings.note or wrong.value}")
-        self._begin()
+        self._begin(pose)
 
     @in_turn
     def tick(self, q: Any, inputs: Mapping[str, Any] | None = None) -> Command:
@@ -375,12 +385,16 @@ class OnlineLoop:
 
         Args:
             q: measured joints, shape (n,) [rad, m], or those of the robot alone without the
-                grasps' passive joints; None without a measurement.
+                grasps' passive joints; where torques are commanded joints and their velocities,
+                shape (2, n). None without a measurement.
             inputs: what has arrived since the last tick, by name: a value, or a value and when it
-                was sent by the loop's clock [s]; ``hand_wrench`` for internal force control.
+                was sent by the loop's clock [s]; ``hand_wrench`` for internal force control,
+                ``object_pose`` for where the object stands that no arm holds (docs/phases.md).
 
         Returns:
             The command for the next period, whose arrays are reused; it leads to :attr:`setpoint`.
+            ``command.grippers`` says which hands shall be open and which closed.
+            Torques are in ``tau``, which is None before the loop has begun.
         """
         before, now = time.perf_counter_ns(), self._time.tick()
         if left := self.watch.left(now):
@@ -446,13 +460,14 @@ class OnlineLoop:
         self._interrupts.give_back()
         self.close()
 
-    def _begin(self) -> None:
-        self._phases.begin(self._readings.q.copy(), held=self._as_held)
+    def _begin(self, pose: Pose | None = None) -> None:
+        self._phases.begin(self._readings.q.copy(), pose, held=self._as_held)
         self._keeper.begin(self._given)
         self.begun = self._built = True
 
     def _tick(self, q: Any, inputs: Any, now: float) -> Command:
         self._advance()
+        self._phases.look(inputs)
         if self._stops.look():
             self._readings.forget()
         if self._forgives:  # it may have been slowed down, not stopped
@@ -485,7 +500,7 @@ class OnlineLoop:
             return self._refuse(self._wrong, self._time.wrong or self._readings.note)
         if not self._stops.why:
             try:
-                self._begin()
+                self._begin(self._phases.seen)
                 return None
             except CoopqpError as error:  # not again by itself, when somebody moves the robot
                 self._stops.halt(str(error))
@@ -497,7 +512,10 @@ class OnlineLoop:
         if self.begun:
             now = self._phases.now
             state, t, dt = now.state, now.state.t, now.problem.dt
-            state.advance(self._last.v, dt)
+            if holding := self._phases.holding:
+                holding.foresee(state, moved=self._moved)
+            else:
+                state.advance(self._last.v, dt)
             state.t = t + self._pace * dt if self._moved else t
 
     def _go_by_measurement(self) -> None:
@@ -505,12 +523,14 @@ class OnlineLoop:
         measured, stops = None if self._wrong else self._readings.q, self._stops
         if stops.goes_on_again and measured is not None and not stops.why:
             stops.goes_on_again = False
-            if not self._last.v.any():
+            if self._phases.holding or not self._last.v.any():
                 self._take_up(measured.copy())
         if self._observed:
             self.state.q_measured = self._no_reading if measured is None else measured
         elif measured is not None:
             self.state.q[:] = measured
+            if self.by_torques:
+                self.state.v[:] = self._readings.v
         if measured is None or stops.why or not self._phases.over:
             return
         self._built = self._phases.hand_over(measured.copy())
@@ -560,12 +580,17 @@ class OnlineLoop:
         if not monitor.found and self._pace == 1.0:
             return
         slow = any(self._reactions[fault.kind] == "slow_down" for fault in monitor.found)
+        if slow and self.by_torques:  # a torque has no pace
+            slow = False
+            self._stops.halt(monitor.found[-1].note)
         step = self.problem.dt / SLOWING
         self._pace = max(SLOW, self._pace - step) if slow else min(1.0, self._pace + step)
 
     def _at_pace(self, run: PhaseRun) -> Command:
         """The law's command; slowed down, the same path in more time, references with it."""
         pace, state = self._pace, run.state
+        if holding := self._phases.holding:
+            holding.let_go()
         self._behind += pace
         if self._behind >= 1.0:
             self._behind -= 1.0
@@ -583,6 +608,9 @@ class OnlineLoop:
         command, self._moved = self._refusal, False
         self._last, self._wrong = command, why
         command.v[:] = 0.0
+        if self.by_torques and self.begun:
+            self.law.hold_still(self.state)
+            command.tau = self.law.command.tau
         command.say(why)
         command.note = note
         return command
@@ -590,11 +618,12 @@ class OnlineLoop:
     def _hold(self, left: float) -> Command:
         """Hold the last command: early calls must not move the robot faster."""
         held = self._holding
-        held.v[:] = self._last.v
+        held.v[:], held.tau = self._last.v, self._last.tau
         held.say(Status.EARLY)
         held.note = f"{1e3 * left:.3g} ms of the period are left; wait for its end"
         return self._say(held)
 
     def _say(self, command: Command) -> Command:
+        command.grippers = self._phases.grippers
         self.command, self.status = command, command.status
         return command

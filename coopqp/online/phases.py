@@ -10,7 +10,8 @@ When braking, all joints slow down as fast as they may, and the loops stay close
     minimise |v|^2   subject to   J_c v = -kappa e,  limits,  |v - v_before| <= a dt
 
 by the QP law of the same problem without its tasks. Where one tick is enough to stop, v = 0, which
-without acceleration limits is at once.
+without acceleration limits is at once. Arms that are moved by torques come to rest and stay by the
+torque QP, see :class:`Holding`.
 """
 
 from __future__ import annotations
@@ -18,29 +19,36 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
-import pinocchio as pin
 
 from coopqp.assessment.assessment import allowed_acceleration
 from coopqp.assessment.thresholds import ACCELERATION_UNLIMITED
 from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.spec import Array, Pose, finite, vector
+from coopqp.base.wording import said
 from coopqp.controller import Command, Controller, ControlProblem, InternalForceControl, Law
-from coopqp.controllers import QPController
+from coopqp.controllers import QPController, TorqueQp
+from coopqp.controllers.passive_grasp_pid import TorquePid
+from coopqp.controllers.torque_qp import TorqueQpLaw
 from coopqp.execution.phase_run import Measured, PhaseRun, begin_phase
+from coopqp.grasp import pose_matrix
 from coopqp.limit import Limit
 from coopqp.limits import JointAcceleration, JointPosition
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.grasp_configuration import grasp_of_each
 from coopqp.model.state import Memory, State
 from coopqp.online.arrivals import Arrivals
-from coopqp.online.beginning import check_hands, check_range, check_resumed
+from coopqp.online.beginning import check_hands, check_object, check_range, check_resumed
 from coopqp.online.faults import FaultMonitor
 from coopqp.scenario.input import Arrival
 from coopqp.scenario.scenario import Scenario
+from coopqp.scenario.start import pose_at, pose_of, without_tiny
+from coopqp.signal import InputValues, Trajectory, of_joints
+from coopqp.signals import Input
 from coopqp.solver import Status
+from coopqp.tasks import Posture
 
 #: Acceleration limit of joints without a motor, which bounds nothing [rad/s2].
 PASSIVE = 1e4
@@ -117,8 +125,84 @@ class Braking:
         return still
 
 
+#: Gain of the joints on their way to rest and there, at most, and its share of 1/dt [1/s].
+HOLD, HOLD_SHARE = 10.0, 0.1
+#: Joints that are held rest below this speed [rad/s, m/s], and after so long, however noisy [s].
+RESTS, SURELY = 0.01, 2.0
+#: The input by which the held pose reaches its task.
+HELD = "held"
+
+
+class Holding:
+    """Brings arms that are moved by torques to rest, and holds their pose there.
+
+    It is the torque QP of the same problem, in which one task leads all joints, by its reference
+    model with gain g, to where
+
+        v' = -g v,   q_rest = q + v/g
+
+    brings them, so that none turns back, and keeps them there; gravity, cones, limits and wanted
+    internal wrenches are those of the problem. It goes on with what the integral of the law has
+    learned, such as a heavier object. While nothing is measured the joints are taken to move like
+    that, too.
+    """
+
+    def __init__(self, own: Law) -> None:
+        assert isinstance(own, TorqueQpLaw | TorquePid)
+        self._own = own
+        problem, n = own.problem, own.problem.chain.n
+        self._gain, self._dt = min(HOLD, HOLD_SHARE / problem.dt), problem.dt
+        pose = Posture(name=HELD, goal=Input(name=HELD), gain=self._gain)
+        settings = own.settings if isinstance(own, TorqueQpLaw) else TorqueQp()
+        settings = replace(
+            settings, external_wrench="unknown", observer_gain=TorqueQp.observer_gain
+        )
+        self._law = settings.build(replace(problem, tasks=(pose,), secondary=()))
+        self._memory = Memory(self._law.memory_sizes)
+        self._integral_gain = settings.integral * self._gain**3
+        kind = of_joints(problem.chain.joint_names)
+        self._pose, self._inputs = Trajectory(kind, np.zeros(n)), InputValues()
+        self._inputs[HELD] = self._pose
+        self._ticks = 0
+
+    def can_stop(self, state: State) -> bool:
+        """The next phase begins at whatever speed."""
+        return True
+
+    def let_go(self) -> None:
+        """The next tick begins to hold anew."""
+        self._ticks = 0
+
+    def rests(self, state: State) -> bool:
+        slow = bool((np.abs(state.v) <= RESTS).all())
+        return self._ticks > 0 and (slow or self._ticks * self._dt > SURELY)
+
+    def foresee(self, state: State, *, moved: bool) -> None:
+        """Go on to the next tick, where nothing may be measured."""
+        state.advance(state.v if moved else (1.0 - self._gain * self._dt) * state.v, self._dt)
+
+    def tick(self, state: State) -> Command:
+        """The torques of a tick; the state's kinematics are up to date after it."""
+        own = state.memory, state.inputs
+        if not self._ticks:
+            self._memory.numbers[:] = 0.0
+            self._memory["model_rate"][:] = state.v
+            if self._integral_gain and own[0].sizes == self._own.memory_sizes:
+                self._memory["integral"][:] = -self._own.learned(state) / self._integral_gain
+            np.copyto(self._pose.value, state.q + state.v / self._gain)
+        self._ticks += 1
+        state.memory, state.inputs = self._memory, self._inputs
+        command = self._law.tick(state)
+        state.memory, state.inputs = own
+        return command
+
+
+Gripper = Literal["open", "close"]
+
 #: Name of the input with the readings of force sensors; ``State.hand_wrench``.
 HAND_WRENCH = "hand_wrench"
+#: Name of the input that says where the object stands, :func:`coopqp.scenario.start.pose_of`.
+OBJECT_POSE = "object_pose"
 
 
 class Phases:
@@ -133,9 +217,11 @@ class Phases:
     Attributes:
         scenario: as begun.
         done: the phases so far, the running one last; none before the beginning.
-        now: the running phase. arrivals: at its inputs. braking: brings it to rest. monitor: of
-            the robot's faults.
+        now: the running phase. arrivals: at its inputs. braking: brings it to rest. holding: the
+            same of torques, else None. monitor: of the robot's faults.
         fault: why the next phase could not begin; empty if it could.
+        grippers: what each arm's gripper shall do in this phase, "open" or "close".
+        seen: where the object was last seen in this phase; None where it was not.
     """
 
     def __init__(
@@ -145,27 +231,39 @@ class Phases:
         self._controller, self._observed, self._by_time = controller, observed, by_time
         self._asked, self.fault = False, ""
         self.done: tuple[PhaseRun, ...] = ()
+        self.seen: Pose | None = None
+        self._unseen: tuple[str, ...] = ()
         self._enter(None, None)
 
-    def begin(self, q: Array, *, held: bool) -> None:
+    def begin(self, q: Array, pose: Pose | None, *, held: bool) -> None:
         given = self._given
-        if not np.array_equal(q, given.chain.q_start):
+        if pose and not held:
+            raise InvalidValueError(
+                'object_pose: needs grasp="as_held"; "as_written" has the object where the '
+                "scenario says"
+            )
+        if pose or not np.array_equal(q, given.chain.q_start):
             if not given.start_outside:
                 check_range(given.chain, q)
             if held:
-                self.scenario = as_held(given, q)
+                self.scenario = as_held(given, q, pose)
             else:
                 check_hands(given.chain, q, placed=False)
         self._enter(None, q)
         self.done = (self.now,)
 
     def _enter(self, before: PhaseRun | None, q: Array | None) -> None:
-        robot = Measured(q, self._observed)
+        X_WO = None if self.seen is None else pose_matrix(self.seen)
+        robot = Measured(q, self._observed, X_WO)
         self.now = now = begin_phase(self.scenario, self._controller, before, robot=robot)
-        self._is_last = now.is_last
-        names = {*self.scenario.inputs, HAND_WRENCH}
+        self._is_last, self.seen, hold = now.is_last, None, now.problem.chain.hold
+        self.grippers: dict[str, Gripper] = {
+            arm.name: "close" if arm.name in hold.holders else "open" for arm in hold.robot.arms
+        }
+        names = {*self.scenario.inputs, HAND_WRENCH, OBJECT_POSE}
         self.arrivals = Arrivals(now.inputs, names, now.since)
-        self.braking = Braking(now.law)
+        self.holding = Holding(now.law) if self._controller.commands_torques else None
+        self.braking = self.holding or Braking(now.law)
         monitor = FaultMonitor(now.law, observed=self._observed)
         if before is not None:
             monitor.take_over(self.monitor)
@@ -208,6 +306,8 @@ class Phases:
         now.state = Measured(q, self._observed).start(now.law)
         now.state.t, now.state.inputs = before.t, before.inputs
         now.state.felt[0] = before.felt[0]
+        if self.holding and before.memory.sizes == now.state.memory.sizes:
+            now.state.memory["integral"][:] = before.memory["integral"]
         self.rest_inputs()
         self.monitor.forget()
 
@@ -217,20 +317,35 @@ class Phases:
         if inputs is None and not self.now.inputs.channels:
             state.hand_wrench, state.inputs.refused = None, ()
             return []
-        arrivals = self.arrivals.read(self._without_wrench(inputs), state.t, now, ahead)
+        arrivals = self.arrivals.read(self._without_sensed(inputs), state.t, now, ahead)
         self.now.inputs.step(state, arrivals)
-        state.inputs.refused = (*self.arrivals.refused, *state.inputs.refused)
+        state.inputs.refused = (*self._unseen, *self.arrivals.refused, *state.inputs.refused)
+        self._unseen = ()
         return arrivals
 
-    def _without_wrench(self, inputs: Any) -> Any:
+    def _without_sensed(self, inputs: Any) -> Any:
         """Move the readings of force sensors to the state."""
         self.now.state.hand_wrench = None
         with suppress(Exception):  # a mapping of a user's class may fail; who reads it says so
             inputs = dict(inputs)
-        if type(inputs) is not dict or HAND_WRENCH not in inputs:
+        if type(inputs) is not dict or not inputs.keys() & {HAND_WRENCH, OBJECT_POSE}:
             return inputs
-        self.now.state.hand_wrench = inputs[HAND_WRENCH]  # anything; the law looks at it
-        return {name: given for name, given in inputs.items() if name != HAND_WRENCH}
+        self.now.state.hand_wrench = inputs.pop(HAND_WRENCH, None)  # anything; the law looks at it
+        inputs.pop(OBJECT_POSE, None)
+        return inputs
+
+    def look(self, inputs: Any) -> None:
+        """Take where the object was seen, before a phase may begin by it."""
+        try:
+            seen = inputs[OBJECT_POSE] if inputs and OBJECT_POSE in inputs else None
+        except Exception:  # noqa: BLE001 - a mapping of a user's class; who reads it says so
+            return
+        if seen is None:
+            return
+        try:
+            self.seen = pose_of(seen[0] if type(seen) is tuple and len(seen) == 2 else seen)
+        except Exception as error:  # noqa: BLE001 - anything can come from a camera
+            self._unseen = (said(error) or f"object_pose: found a {type(seen).__name__}",)
 
     def rest_inputs(self) -> None:
         """Hold the references that follow inputs where they are."""
@@ -240,33 +355,31 @@ class Phases:
                 channel.value[:] = 0.0
 
 
-#: Smallest size of a number in a scenario file that is not zero.
-SMALLEST = 1e-30
-
-
-def as_held(scenario: Scenario, q: Array) -> Scenario:
+def as_held(scenario: Scenario, q: Array, pose: Pose | None = None) -> Scenario:
     """The scenario with its start where the robot is, and the grasp as it is held there.
+
+    Args:
+        scenario: as written.
+        q: of the robot, shape (n,) [rad, m].
+        pose: of the object, where it has been measured.
 
     Raises:
         GraspError: as of :func:`coopqp.online.beginning.check_hands`.
         InvalidValueError: q is no n finite numbers.
     """
     chain = scenario.chain
-    q = _without_tiny(finite("q", vector("q", q, chain.n)))
+    q = without_tiny(finite("q", vector("q", q, chain.n)))
     start = dict(zip(chain.joint_names, q.tolist(), strict=True))
     grasps = grasp_of_each(scenario.robot_model, scenario.grasps)
     holders = chain.hold.holders
     placed = scenario.held.pose is not None or any(grasps[arm].object_in_hand for arm in holders)
     check_hands(chain, q, placed=placed)
-    if not placed:
-        return replace(scenario, start=start)
-    X = chain.object_pose(q)
-    place, angles = _without_tiny(X.translation), _without_tiny(pin.rpy.matrixToRpy(X.rotation))
-    pose = Pose(position=tuple(place.tolist()), rpy=tuple(angles.tolist()))
+    if not placed and pose is None:
+        return scenario.changed(start=start)
+    here = chain.object_pose(q)
+    if pose and placed and chain.hold.holders:
+        check_object(here, pose_matrix(pose))
+    pose = pose or pose_at(here)
     without_places = {arm: replace(grasps[arm], object_in_hand=None) for arm in holders}
     held, grasps = replace(scenario.held, pose=pose), {**grasps, **without_places}
-    return replace(scenario, start=start, held=held, grasps=grasps)
-
-
-def _without_tiny(numbers: Array) -> Array:
-    return np.where(np.abs(numbers) < SMALLEST, 0.0, numbers)
+    return scenario.changed(start=start, held=held, grasps=grasps)

@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -23,12 +24,17 @@ from numpy.typing import ArrayLike
 from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.spec import Array
 from coopqp.base.wording import raised
+from coopqp.controller import Command
 from coopqp.online.loop import OnlineLoop
 from coopqp.online.options import time_fault
 
 
 class Robot(Protocol):
-    """A driver of a robot; any class with these two methods."""
+    """A driver of a robot; any class with these two methods.
+
+    A third, ``grip(grippers)``, is called after ``write`` where it is there, whenever an arm's
+    gripper shall "open" or "close": :attr:`coopqp.controller.Command.grippers`.
+    """
 
     def read(self) -> ArrayLike | None:
         """Measured joints, shape (n,) [rad, m], in the chain's order; None without a measurement.
@@ -44,6 +50,19 @@ class Robot(Protocol):
         Args:
             q: at the end of the period, shape (n,) [rad, m].
             v: until then, shape (n,) [rad/s, m/s]; zero to stand still.
+        """
+
+
+class TorqueRobot(Protocol):
+    """A driver of a robot whose motors take torques."""
+
+    def read(self) -> ArrayLike | None:
+        """As of :class:`Robot`, joints and their velocities, shape (2, n) [rad, m; rad/s, m/s]."""
+
+    def apply(self, tau: Array) -> None:
+        """Command torques, shape (n,) [N m, N], gravity's among them.
+
+        The last one, at the loop's end, holds the arms at rest; nothing corrects it after that.
         """
 
 
@@ -80,7 +99,7 @@ class Ended:
 
 def real_time(
     loop: OnlineLoop,
-    robot: Robot,
+    robot: Robot | TorqueRobot,
     *,
     inputs: InputsNow | None = None,
     duration: float | None = None,
@@ -115,16 +134,16 @@ def real_time(
                 run.until_the_end()
         finally:
             with suppress(Exception):  # nobody is left to be told
-                robot.write(loop.setpoint, np.zeros_like(loop.setpoint))
+                run.stand()
     if run.user.fault:
         raise run.user.fault
     watch = loop.watch
     return Ended(loop.stopped, loop.ticks, watch.late, watch.longest, watch.longest_tick)
 
 
-def check_driver(robot: Any) -> None:
+def check_driver(robot: Any, *, by_torques: bool = False) -> None:
     """InvalidValueError where it lacks a method."""
-    for name in ("read", "write"):
+    for name in ("read", "apply" if by_torques else "write"):
         if not callable(getattr(robot, name, None)):
             raise InvalidValueError(f"robot: a {type(robot).__name__} has no method {name}")
 
@@ -132,7 +151,7 @@ def check_driver(robot: Any) -> None:
 def _check(loop: Any, robot: Any, inputs: Any, duration: Any, slowest: Any) -> None:
     if not isinstance(loop, OnlineLoop):
         raise InvalidValueError(f"loop: found a {type(loop).__name__}, needs an OnlineLoop")
-    check_driver(robot)
+    check_driver(robot, by_torques=loop.by_torques)
     if not (inputs is None or callable(inputs)):
         words = "needs a function that says what has arrived"
         raise InvalidValueError(f"inputs: found a {type(inputs).__name__}, {words}")
@@ -171,7 +190,7 @@ class _Run:
     def __init__(
         self,
         loop: OnlineLoop,
-        robot: Robot,
+        robot: Any,
         inputs: InputsNow | None,
         duration: float,
         slowest: float | None,
@@ -182,6 +201,8 @@ class _Run:
         self._slowest = LONGEST * self._dt if slowest is None else slowest
         self.user = UserCode(loop.end)
         self._flushed = self._collected = 0.0
+        self._grip: Callable[[Any], Any] | None = getattr(robot, "grip", None)
+        self._gripped: Mapping[str, str] = {}
 
     def begin(self) -> None:
         """Wait for the first measurement, and begin there."""
@@ -200,7 +221,10 @@ class _Run:
         while loop.running:
             q, given = self.user.ask(self._robot.read), self.user.ask(self._inputs)
             command = loop.tick(q, given)
-            self._robot.write(loop.setpoint, command.v)
+            self._write(command)
+            if self._grip and command.grippers != self._gripped:
+                self._gripped = command.grippers
+                self.user.ask(partial(self._grip, dict(command.grippers)))
             if loop.stopped_by_itself and loop.at_rest:
                 loop.end(loop.stopped)
             elif loop.now >= until:
@@ -209,6 +233,21 @@ class _Run:
             due = max((began if began - due > BEHIND * self._dt else due) + self._dt, loop.now)
             self._use_what_is_left(due)
             self._wait(due)
+
+    def _write(self, command: Command) -> None:
+        if not self._loop.by_torques:
+            self._robot.write(self._loop.setpoint, command.v)
+        elif command.tau is not None:
+            self._robot.apply(command.tau)
+
+    def stand(self) -> None:
+        """The last command: to stand still; of torques, those that hold the arms where they are."""
+        loop = self._loop
+        if not loop.by_torques:
+            self._robot.write(loop.setpoint, np.zeros_like(loop.setpoint))
+        elif loop.begun:
+            loop.law.hold_still(loop.state)
+            self._robot.apply(loop.law.command.tau)
 
     def _use_what_is_left(self, due: float) -> None:
         """Collect garbage, or write the session, if the period leaves time for one of them."""

@@ -103,7 +103,7 @@ class LiveRecording:
         self.dropped = self._filled = self._emptied = self._ticks = 0  # rows in and out
         layout = Layout(
             joints=law.problem.chain.joint_names,
-            loops=len(start.gap) // 6,
+            loops=len(start.gap) // 6 + (held.stands and not start.chain.standing),
             memory=max(memory, len(start.memory.numbers)),
             inputs=held.followed(),
         )
@@ -192,7 +192,10 @@ class LiveRecording:
     def _fill(self, state: State, command: Command, us: float) -> None:
         self._t[0], self._us[0] = self._since + state.t, us
         for part, of in self._fields:
-            part[:] = of(state, command)
+            value = of(state, command)
+            if part.shape != np.shape(value) != ():  # another phase, with another number of loops
+                part[:], part = 0.0, part[: len(value)]
+            part[:] = value
         for name, value, rate in self._followed:
             followed = state.inputs.get(name)
             value[:] = np.nan if followed is None else followed.value

@@ -27,10 +27,19 @@ class SimulatedRobot:
         self._command = Command(loop.problem.chain.n)
 
     def read(self) -> Array:
-        """Measured joints, shape (n,) [rad, m]; NaN where readings are lost."""
+        """Measured joints, shape (n,) [rad, m]; NaN where readings are lost.
+
+        Where torques are commanded joints and their velocities, shape (2, n).
+        """
         state = self.state
         measured = self.plant.measured if state.q_measured is None else state.q_measured
-        return state.q.copy() if measured is None else measured.copy()
+        q = state.q.copy() if measured is None else measured.copy()
+        return np.stack([q, state.v]) if self._loop.by_torques else q
+
+    def apply(self, tau: Array) -> None:
+        """Simulate one period with torques, shape (n,) [N m]."""
+        self._command.tau = tau
+        self.write(self.state.q, np.zeros_like(tau))
 
     def write(self, q: Array, v: Array) -> None:
         """Simulate one period."""

@@ -34,8 +34,8 @@ GIVEN_POSITION, GIVEN_ORIENTATION = 10.0 * CLOSED_POSITION, 10.0 * CLOSED_ORIENT
 SPACING, FEWEST, HALVINGS = 0.05, 12, 5
 #: Places an interval at which closure and limits are looked at.
 FINER = 10
-#: Points that are nearer to the one before only add their rounding [rad, m].
-THINNED = 0.1 * SPACING
+#: Points that are nearer to the one before, as a share of the knots' distance, add their rounding.
+THINNED = 0.1
 #: A step from point to point, and what projection adds to it, that is no path [rad, m].
 JUMP, MOVED = 1.5, 0.3
 #: A step beside so much smaller ones is a jump, too.
@@ -202,8 +202,10 @@ class ClosedPath:
         return f"{100.0 * s / self.length:.0f} % of the path, {_between(self.points, s)}"
 
 
-def closed_path(chain: ClosedChain, points: Array) -> ClosedPath:
+def closed_path(chain: ClosedChain, points: Array, spacing: float = SPACING) -> ClosedPath:
     """A path through closed configurations, shape (N, n) [rad, m].
+
+    Corners are rounded over about ``spacing``, the distance of its knots [rad, m].
 
     Raises:
         InvalidValueError: points that are no numbers, outside the limits, not closed or too far
@@ -212,10 +214,10 @@ def closed_path(chain: ClosedChain, points: Array) -> ClosedPath:
     loops = Loops(chain)
     Q = _checked(chain, loops, points)
     _refuse_jumps(np.linalg.norm(np.diff(Q, axis=0), axis=1))
-    way, s, smooth = _thinned(Q)
+    way, s, smooth = _thinned(Q, THINNED * spacing)
     length = float(s[-1])
     guess = _spline(s, smooth, 3)
-    intervals = max(FEWEST, int(np.ceil(length / SPACING)))
+    intervals = max(FEWEST, int(np.ceil(length / spacing)))
     for _ in range(HALVINGS):
         at = np.linspace(0.0, length, intervals + 1)
         straight = knots = guess(at)
@@ -286,31 +288,31 @@ def _refuse_outside(chain: ClosedChain, Q: Array, most: float, place: Callable[[
         )
 
 
-def _thinned(Q: Array) -> tuple[Array, Array, Array]:
+def _thinned(Q: Array, near: float) -> tuple[Array, Array, Array]:
     """The way of the joints up to each point, and of points that are kept, with the points."""
     gone = lengths(Q)
     if not gone[-1] > ROUNDING or np.ptp(Q, axis=0).max() <= ROUNDING:
         raise InvalidValueError(
             "path: its points are all the same, so nothing moves; needs at least 2 that differ"
         )
-    kept = _apart(Q)
+    kept = _apart(Q, near)
     s, Q = gone[kept], Q[kept]
-    if len(kept) > 2 * DENSE and np.median(np.diff(s)) < 2.0 * THINNED:
-        even = np.linspace(0.0, s[-1], int(s[-1] / THINNED) + 2)
+    if len(kept) > 2 * DENSE and np.median(np.diff(s)) < 2.0 * near:
+        even = np.linspace(0.0, s[-1], int(s[-1] / near) + 2)
         Q = _averaged(np.array([np.interp(even, s, column) for column in Q.T]).T)
-        kept = _apart(Q)
+        kept = _apart(Q, near)
         s, Q = even[kept], Q[kept]
     way = lengths(Q)
     return np.interp(gone, s, way), way, Q
 
 
-def _apart(Q: Array) -> list[int]:
-    """Points that are at least ``THINNED`` from the one before, with both ends."""
+def _apart(Q: Array, near: float) -> list[int]:
+    """Points that are at least so far from the one before, with both ends."""
     kept = [0]
     for k in range(1, len(Q) - 1):
-        if np.linalg.norm(Q[k] - Q[kept[-1]]) >= THINNED:
+        if np.linalg.norm(Q[k] - Q[kept[-1]]) >= near:
             kept.append(k)
-    if len(kept) > 1 and np.linalg.norm(Q[-1] - Q[kept[-1]]) < THINNED:
+    if len(kept) > 1 and np.linalg.norm(Q[-1] - Q[kept[-1]]) < near:
         kept.pop()
     return [*kept, len(Q) - 1]
 
@@ -319,13 +321,9 @@ def _averaged(Q: Array) -> Array:
     """The moving average, twice; the ends stay. It rounds corners and takes jitter out."""
     k = min(DENSE, len(Q) - 1)
     first, last = 2.0 * Q[0] - Q[k:0:-1], 2.0 * Q[-1] - Q[-2 : -k - 2 : -1]
-    return smoothed(np.vstack([first, Q, last]), k + 1)
-
-
-def smoothed(Q: Array, window: int) -> Array:
-    """The moving average of so many rows, twice; 2 (window - 1) rows fewer."""
-    weights = np.convolve(np.ones(window), np.ones(window)) / window**2
-    return np.array([np.convolve(column, weights, "valid") for column in Q.T]).T
+    weights = np.convolve(np.ones(k + 1), np.ones(k + 1)) / (k + 1) ** 2
+    padded = np.vstack([first, Q, last])
+    return np.array([np.convolve(column, weights, "valid") for column in padded.T]).T
 
 
 def _refuse_jumps(steps: Array) -> None:

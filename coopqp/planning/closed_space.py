@@ -63,7 +63,7 @@ class Budget:
     step: float = 0.1
     fine: float = 0.02
     reach: float = 1.5
-    shortcuts: int = 500
+    shortcuts: int = 150
 
 
 @dataclass(frozen=True)
@@ -87,6 +87,7 @@ class ClosedSpace:
     Attributes:
         room: the position limits.
         lower, upper: of the joints, shape (n,) [rad, m].
+        programs: of the limits, as the kernel has them.
 
     Raises:
         CoopqpError: the kernel is not built, or cannot do such joints or tasks.
@@ -102,10 +103,10 @@ class ClosedSpace:
         self.room = Room(problem)
         self.lower = np.maximum(self.room.lower, -LARGE)
         self.upper = np.minimum(self.room.upper, LARGE)
-        programs = [limit.program(chain, problem.dt) for limit in problem.limits]
+        programs = self.programs = [limit.program(chain, problem.dt) for limit in problem.limits]
         distances = [program for program in programs if isinstance(program, DistanceBounds)]
         self._apart = FreeSpace(chain, distances)
-        self._others = others(problem)
+        self._others = others(problem, programs)
         levels = Levels([Group((), hard=tasks)], Programs(State(chain)))
         if not levels.compiled or levels.arriving or levels.followed:
             raise CoopqpError("\n".join(filter(None, (_unfit(chain, task) for task in tasks))))

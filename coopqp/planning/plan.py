@@ -15,8 +15,9 @@ from coopqp.base.table import csv_text
 from coopqp.base.wording import counted
 from coopqp.controller import ControlProblem
 from coopqp.planning.closed_space import Budget, ClosedSpace, Path
-from coopqp.planning.reach import MOST, Goals, Progress, explained, too_far
+from coopqp.planning.reach import MOST, PROVEN, Goals, Progress, explained, too_far
 from coopqp.planning.timing import timed
+from coopqp.planning.turns import CUT_OFF, cut_off
 from coopqp.planning.verification import Verification, Verifier, lengths
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import TURN_COLUMNS, quaternion_of
@@ -54,6 +55,7 @@ class Plan:
         verification: the second look; None without a path.
         seconds: wall time of goals, search and second look [s].
         path: of the search, with its costs.
+        proven: whether it is proven that there is no path.
     """
 
     found: bool
@@ -66,6 +68,7 @@ class Plan:
     verification: Verification | None = None
     seconds: dict[str, float] = field(default_factory=dict)
     path: Path | None = None
+    proven: bool = False
 
     @property
     def length(self) -> float:
@@ -134,7 +137,8 @@ class Planner:
         self.problem, self.chain, self._t = problem, problem.chain, t
         kept = _kept(problem, keep)
         self.space = ClosedSpace(problem, kept, t)
-        self.verifier = Verifier(problem, self.space.room.lower, self.space.room.upper)
+        room, programs = self.space.room, self.space.programs
+        self.verifier = Verifier(problem, room.lower, room.upper, programs)
         self._check_start(kept)
 
     def _check_start(self, kept: Sequence[Task]) -> None:
@@ -166,6 +170,13 @@ class Planner:
         self, budget: Budget, goals: ArrayLike | None = None, progress: Progress = lambda x: None
     ) -> Plan:
         """As :func:`plan`."""
+        found = self.path(budget, goals, progress)
+        return self._timed(found) if found.found else found
+
+    def path(
+        self, budget: Budget, goals: ArrayLike | None = None, progress: Progress = lambda x: None
+    ) -> Plan:
+        """The same without times, which have no rows then."""
         begun = time.perf_counter()
         took: dict[str, float] = {}
         ends, why = self._goals(budget, goals, begun)
@@ -190,7 +201,7 @@ class Planner:
             seen = self.verifier.look(q, VERIFIED)
             took["verify"] = took.get("verify", 0.0) + time.perf_counter() - at
             if seen.good:
-                return self._made(path, q, seen, len(ends), took)
+                return self._found(path, q, seen, len(ends), took)
             # What the finer look has seen, the next search looks for as finely.
             seed += 1
             budget = replace(budget, fine=0.5 * budget.fine)
@@ -210,7 +221,9 @@ class Planner:
         """Goal configurations, the nearest that are off the joints' limits first, or why none."""
         n = self.chain.n
         if given is not None:
-            return self._given(np.atleast_2d(np.array(given, float))), ""
+            q = self._given(np.atleast_2d(np.array(given, float)))
+            away = cut_off(self.chain, q)
+            return q[~away], f"{PROVEN}: no motion leads there: {CUT_OFF}"
         if proof := too_far(self.problem, self._t):
             return np.zeros((0, n)), proof
         goals, why = Goals(self.problem, self._t, budget.seed), ""
@@ -222,9 +235,14 @@ class Planner:
                 break
             if goals.found and goals.tried >= MOST // 4:
                 break
-        if not goals.found:
+        if not goals.found and not goals.cut_off:
             why = why or explained(goals).sentence
         if not goals.found:
+            if goals.cut_off:
+                all_of_them = (
+                    f"all {len(goals.cut_off)} goal configurations from {goals.tried} starts"
+                )
+                why = f"not found: {all_of_them} are where no motion leads: {CUT_OFF}"
             return np.zeros((0, n)), why
         found = np.array(goals.found)
         found = found[self._holds(found)]
@@ -268,22 +286,23 @@ class Planner:
             q = np.insert(q, far + 1, middle, axis=0)
         return q
 
-    def _made(
+    def _found(
         self, path: Path, q: Array, seen: Verification, goals: int, took: dict[str, float]
     ) -> Plan:
-        t, ticks = timed(self.problem, q, self._allowed)
+        sentence = (
+            f"found in {sum(took.values()):.2g} s: {lengths(q)[-1]:.3g} rad to one of "
+            f"{counted(goals, 'goal configuration')}; {seen.points} points verified, loops closed "
+            f"within {1e3 * seen.open:.1g} mm"
+        )
+        nothing = self._nothing(sentence, took, path)
+        return replace(nothing, found=True, q=q, verification=seen)
+
+    def _timed(self, found: Plan) -> Plan:
+        t, ticks = timed(self.problem, found.q, self._allowed)
         poses = [self.chain.object_pose(row) for row in ticks]
         at = [[*X.translation, *quaternion_of(X.rotation)] for X in poses]
-        whole = sum(took.values())
-        sentence = (
-            f"found in {whole:.2g} s: {lengths(q)[-1]:.3g} rad to one of "
-            f"{counted(goals, 'goal configuration')}, {t[-1]:.3g} s at the joints' speeds; "
-            f"{seen.points} points verified, loops closed within {1e3 * seen.open:.1g} mm"
-        )
-        return Plan(
-            found=True, sentence=sentence, joints=self.chain.joint_names, q=q, t=t, timed=ticks,
-            object=np.array(at), verification=seen, seconds=took, path=path,
-        )  # fmt: skip
+        sentence = f"{found.sentence}; {t[-1]:.3g} s at the joints' speeds"
+        return replace(found, sentence=sentence, t=t, timed=ticks, object=np.array(at))
 
     def _allowed(self, q: Array) -> Array | None:
         """Rows near the path on the manifold; None where one is not, or something is in the way."""
@@ -297,6 +316,7 @@ class Planner:
         return Plan(
             found=False, sentence=why, joints=self.chain.joint_names, q=np.zeros((0, n)),
             t=np.zeros(0), timed=np.zeros((0, n)), object=np.zeros((0, 7)), seconds=took, path=path,
+            proven=why.startswith(PROVEN),
         )  # fmt: skip
 
 

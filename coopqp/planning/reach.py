@@ -20,10 +20,14 @@ import pinocchio as pin
 from coopqp.base.errors import InvalidValueError, under
 from coopqp.base.spec import Array, seeded
 from coopqp.base.wording import counted
+from coopqp.closed_loop.forces import Bound, StaticHold
+from coopqp.closed_loop.hands import hands
 from coopqp.controller import ControlProblem
+from coopqp.grasp import SAFETY
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.planning.closed_space import ClosedSpace
+from coopqp.planning.turns import CUT_OFF, cut_off
 from coopqp.program import Kind, Programs
 from coopqp.scenario.scenario import Scenario
 from coopqp.study.explanation import words
@@ -36,6 +40,8 @@ BATCH, MOST = 64, 4096
 ENOUGH, LEAST = 64, 512
 #: The sum of lengths proves only what is farther off than rounding [m].
 ROUNDING = 1e-6
+
+PROVEN = "proven unreachable"
 
 Progress = Callable[[float], None]
 """Called now and then with the share that is done; raises to end the search."""
@@ -50,12 +56,14 @@ class Configuration:
         joint_margin: least distance of a joint from its limit [rad, m]; infinite without limits.
         clearance: least distance left by limits in space [m]; infinite where there are none.
         bends: which way each arm bends, such as ``left LElbowRoll +``.
+        cut_off: whether it is proven that no motion leads there from the start.
     """
 
     q: Array
     joint_margin: float
     clearance: float
     bends: str
+    cut_off: bool
 
 
 @dataclass(frozen=True)
@@ -115,12 +123,15 @@ def look(
         progress(max(goals.tried / MOST, min(len(goals.found) / ENOUGH, goals.tried / LEAST)))
         if len(goals.found) >= ENOUGH and goals.tried >= LEAST:
             break
-    if goals.found:
-        found = described(goals.space, goals.found)
+    if goals.found or goals.cut_off:
+        found = described(goals)
         groups = len({one.bends for one in found})
         sentence = f"reachable: {counted(len(found), 'configuration')} found"
-        ways = f", which bend the arms in {counted(groups, 'way')}"
-        return Reach(found, False, sentence + ways, goals.tried)
+        sentence += f", which bend the arms in {counted(groups, 'way')}"
+        if goals.cut_off:
+            of_them = f"{len(goals.cut_off)} of them" if goals.found else "all of them"
+            sentence += f"; {of_them} no motion leads to: {CUT_OFF}"
+        return Reach(found, False, sentence, goals.tried)
     return explained(goals, progress)
 
 
@@ -130,6 +141,8 @@ class Goals:
     Attributes:
         space: of the tasks' manifold.
         found: configurations, shape (n,) each.
+        cut_off: those to which no motion leads from the start.
+        lost: at others nothing that hands may press with holds the object; the most they carry.
         tried: random starts so far.
     """
 
@@ -137,6 +150,9 @@ class Goals:
         self.goal = Goal(problem.chain, placed(problem.tasks, problem.chain), t)
         self.space = ClosedSpace(problem, self.goal.tasks, t)
         self.found: list[Array] = []
+        self.cut_off: list[Array] = []
+        self.lost: list[Bound] = []
+        self._presses = any(hand.contact for hand in hands(problem.chain))
         self.tried = 0
         self._rng = seeded(seed)
 
@@ -151,9 +167,21 @@ class Goals:
 
     def take(self, q: Array) -> None:
         """Keep of closed configurations, (k, n), those that are free and meet the tasks."""
-        if len(q):
-            q = q[self.space.is_free(q)]
-        self.found += [row.copy() for row in q if not self.goal.missed(row)]
+        if not len(q):
+            return
+        q = q[self.space.is_free(q)]
+        for row, away in zip(q, cut_off(self.space.chain, q), strict=True):
+            if not self.goal.missed(row) and self._holds(row):
+                (self.cut_off if away else self.found).append(row.copy())
+
+    def _holds(self, q: Array) -> bool:
+        """Whether motors and friction, with the laws' safety, hold the object where hands press."""
+        if not self._presses:
+            return True
+        most = StaticHold(self.space.chain, q, safety=SAFETY).load()
+        if most.value < 1.0:
+            self.lost.append(most)
+        return most.value >= 1.0
 
 
 def explained(goals: Goals, progress: Progress = lambda share: None) -> Reach:
@@ -161,6 +189,15 @@ def explained(goals: Goals, progress: Progress = lambda share: None) -> Reach:
 
     What these find is among ``goals.found`` then.
     """
+    if goals.lost:
+        most = max(goals.lost, key=lambda bound: bound.value)
+        there = counted(len(goals.lost), "configuration")
+        sentence = (
+            f"not found from {goals.tried} starts: inside the other limits {there} found, but "
+            f"hands hold at most {100.0 * most.value:.0f} % of the object's weight there, as "
+            f"{most.holds}"
+        )
+        return Reach((), False, sentence, goals.tried)
     goal, space = goals.goal, goals.space
     q = space.chain.q_start
     missed = goal.missed(q)
@@ -168,10 +205,8 @@ def explained(goals: Goals, progress: Progress = lambda share: None) -> Reach:
     progress(1.0)
     for place in _places(found):
         goals.take(place.q[None].copy())
-    if goals.found:
-        return Reach(
-            described(space, goals.found), False, "reachable: 1 configuration found", goals.tried
-        )
+    if goals.found or goals.cut_off:
+        return Reach(described(goals), False, "reachable: 1 configuration found", goals.tried)
     tried = f"not found from {goals.tried} starts"
     if isinstance(found, NotBlocked):
         return Reach((), False, f"{tried}: it is met only where limits just touch", goals.tried)
@@ -192,14 +227,15 @@ def _places(found: object) -> Iterator[Place]:
         yield found.elsewhere
 
 
-def described(space: ClosedSpace, found: Sequence[Array]) -> tuple[Configuration, ...]:
+def described(goals: Goals) -> tuple[Configuration, ...]:
     """Configurations with their margins and bends, groups together, the largest margins first."""
+    space, found = goals.space, [*goals.found, *goals.cut_off]
     bends = _bends(space.chain, found)
     all_of_them = []
-    for q, bend in zip(found, bends, strict=True):
+    for i, (q, bend) in enumerate(zip(found, bends, strict=True)):
         joints = float(np.minimum(q - space.room.lower, space.room.upper - q).min(initial=np.inf))
         clearance = float(space.room.at(q).min(initial=np.inf))
-        all_of_them.append(Configuration(q, joints, clearance, bend))
+        all_of_them.append(Configuration(q, joints, clearance, bend, i >= len(goals.found)))
     best: dict[str, float] = {}
     for one in all_of_them:
         best[one.bends] = max(best.get(one.bends, -np.inf), one.joint_margin)
@@ -211,7 +247,9 @@ def described(space: ClosedSpace, found: Sequence[Array]) -> tuple[Configuration
 def _bends(chain: ClosedChain, found: Sequence[Array]) -> list[str]:
     data, model = chain.model.createData(), chain.model
     labels: list[list[str]] = [[] for _ in found]
-    for arm, frame in zip(chain.arms, chain.frames, strict=True):
+    for arm, frame in zip(
+        chain.arms[chain.standing :], chain.frames[chain.standing :], strict=True
+    ):
         names = chain.robot.arm_joints(arm)
         columns = [chain.joint_names.index(name) for name in names]
         base = model.getJointId(names[0])
@@ -238,13 +276,15 @@ def too_far(problem: ControlProblem, t: float) -> str:
             if primitive.kind is not Kind.POINT or len(primitive.rows) < 3:
                 continue
             primitive.reference.update(at)
-            for arm, frame in zip(chain.arms[: chain.holding], chain.frames, strict=False):
+            for arm, frame in zip(
+                chain.arms[: len(chain.hold.holders)], chain.frames, strict=False
+            ):
                 base, length = _length(chain, frame, np.array(primitive.point, float))
                 away = float(np.linalg.norm(primitive.reference.c - base))
                 beyond = away - length - max(part.tolerance for part in task.parts(chain))
                 if beyond > ROUNDING:
                     return (
-                        f"proven unreachable: the goal of {task.name} is {away:.3f} m from the "
+                        f"{PROVEN}: the goal of {task.name} is {away:.3f} m from the "
                         f"base of {arm.name}, which is {length:.3f} m long up to the object's point"
                     )
     return ""

@@ -12,8 +12,8 @@ A linear program's wrench jumps from vertex to vertex, so the torques of an inst
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -24,10 +24,13 @@ from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.reading import open_bytes
 from coopqp.base.spec import Array, array
 from coopqp.base.table import csv_text, read_table
+from coopqp.closed_loop.grasp_matrix import COMPONENTS, moved, section
+from coopqp.closed_loop.hands import hands, points
 from coopqp.grasp import SAFETY
+from coopqp.model.closed_chain import ClosedChain
 from coopqp.planning.closed_path import FINER, STILL, ClosedPath, closed_path, relative
-from coopqp.planning.passes import FORCE, Passes, Profile, Share, Stuck, program
-from coopqp.planning.rows import AXES, RowMaker, Rows, bounds_of
+from coopqp.planning.forward_backward_pass import FORCE, Passes, Profile, Share, Stuck, program
+from coopqp.planning.path_constraints import AXES, Bounds, RowMaker, Rows, bounds_of
 from coopqp.recordings.known import read, trace_in
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import TURN_COLUMNS, quaternion_of
@@ -54,7 +57,11 @@ SLIGHT = 1e-6
 STANDS = 1.0001
 #: Shares of a limit by which the program of an instant is loosened until a point is found.
 LOOSER = (1e-7, 1e-5, 1e-3)
-NOTHING = "nothing"
+#: Steps in which accelerations change; how often, and by how much at least, a motion is slowed.
+RISE_STEPS, SLOWER, EASIER = 12, 40, 1.001
+#: What would do: how much more of a limit is tried, of how many, and what a lighter load is called.
+MORE, TRIED, LIGHTER = 1.2, 6, "load 20 % lighter"
+NOTHING, KINDS = "nothing", ("speed", "acceleration", "force")
 
 
 class Moment(NamedTuple):
@@ -64,8 +71,8 @@ class Moment(NamedTuple):
         s: where on the path, and q, v, a: shape (n,) [rad, rad/s, rad/s2; m].
         p_WO, R_WO: pose of the object.
         tau: of the motors, 0 at passive joints, shape (n,) [N m, N].
-        internal: wrench of each hand on the object that cancels, shape (A, 6), at the object's
-            origin, world axes [N, N m].
+        load: wrench that moves the object, shape (6,), and internal: what of each hand's wrench
+            cancels, shape (A, 6), both at the object's origin, world axes [N, N m].
     """
 
     s: float
@@ -75,7 +82,18 @@ class Moment(NamedTuple):
     p_WO: Array
     R_WO: Array
     tau: Array
+    load: Array
     internal: Array
+
+    def section(self, chain: ClosedChain) -> Array:
+        """Squeeze, shear, twist and bend between two hands that share the load alike, (6,)."""
+        pair = hands(chain)
+        at = points(pair, self.p_WO, self.R_WO)
+        at_hands = [
+            moved(0.5 * self.load + part, self.p_WO, place)
+            for part, place in zip(self.internal, at, strict=True)
+        ]
+        return section(*at).of(np.array(at_hands))
 
 
 @dataclass(frozen=True, repr=False)
@@ -83,39 +101,39 @@ class TimedPath:
     """A path and when to be where on it.
 
     Attributes:
-        path: the closed path.
-        maker: of its rows.
-        s, x: places and sdot^2 there, shape (N,). u: sddot between them, shape (N - 1,).
-        t: when it is there, shape (N,) [s].
-        most: largest sdot^2 from which the path can be followed, shape (N,).
+        maker: of the path's rows.
+        profile: when to be where on it.
         active: by interval, the limit that is active, such as "torque of elbow" or "nothing".
         exceeded: largest share of a limit between the grid's places.
         hold: largest share of a motor, a contact or the wrench that holding still somewhere takes.
         notes: sentences on places that are passed slowly.
+        speed: along the path at its beginning and its end, |v| [rad/s].
+        rise: time over which accelerations change [s].
     """
 
-    path: ClosedPath
     maker: RowMaker
-    s: Array
-    x: Array
-    u: Array
-    t: Array
-    most: Array
+    profile: Profile
     active: tuple[str, ...]
     exceeded: float
     hold: float
     notes: tuple[str, ...]
+    speed: tuple[float, float] = (0.0, 0.0)
+    rise: float = 0.0
+
+    @property
+    def path(self) -> ClosedPath:
+        return self.maker.path
 
     @property
     def duration(self) -> float:
         """How long it takes [s]."""
-        return float(self.t[-1])
+        return float(self.profile.t[-1])
 
     @cached_property
     def shares(self) -> dict[str, float]:
         """Share of the time in which each limit is active, longest first."""
         found: dict[str, float] = {}
-        for name, dt in zip(self.active, np.diff(self.t).tolist(), strict=True):
+        for name, dt in zip(self.active, np.diff(self.profile.t).tolist(), strict=True):
             found[name] = found.get(name, 0.0) + dt / self.duration
         return dict(sorted(found.items(), key=lambda pair: -pair[1]))
 
@@ -127,20 +145,21 @@ class TimedPath:
             f"The fastest motion along the path takes {self.duration:.4g} s.",
             f"Holding still along it takes up to {100.0 * self.hold:.0f} % of a motor, "
             "a contact or the internal wrench.",
-            f"Between the {len(self.s)} places a limit is used to {100.0 * self.exceeded:.2f} % at "
-            f"most, and the loops stand open by {1e3 * path.gap:.1g} mm; the path is up to "
-            f"{path.deviation:.1g} rad from the points.",
+            f"Between the {len(self.profile.s)} places a limit is used to "
+            f"{100.0 * self.exceeded:.2f} % at most, and the loops stand open by "
+            f"{1e3 * path.gap:.1g} mm; the path is up to {path.deviation:.1g} rad from the points.",
             *self.notes,
         ]
 
     def where(self, t: float) -> tuple[float, float, float]:
-        """s, sdot and sddot at a time [s]; at rest before the path and after it."""
-        i = min(max(int(np.searchsorted(self.t, t, side="right")) - 1, 0), len(self.u) - 1)
-        since, sdot = min(max(t - self.t[i], 0.0), self.t[i + 1] - self.t[i]), np.sqrt(self.x[i])
-        s = self.s[i] + sdot * since + 0.5 * self.u[i] * since**2
-        gone = t < 0.0 or t > self.duration
-        rate, u = (0.0, 0.0) if gone else (max(0.0, sdot + self.u[i] * since), self.u[i])
-        return float(min(max(s, self.s[0]), self.s[-1])), float(rate), float(u)
+        """s, sdot and sddot at a time [s]; at rest before the path, and from its end on."""
+        s, x, u, times = self.profile.s, self.profile.x, self.profile.u, self.profile.t
+        i = min(max(int(np.searchsorted(times, t, side="right")) - 1, 0), len(u) - 1)
+        since, rate = min(max(t - times[i], 0.0), times[i + 1] - times[i]), np.sqrt(x[i])
+        place = s[i] + rate * since + 0.5 * u[i] * since**2
+        gone = t < 0.0 or t > self.duration or (t == self.duration and x[-1] == 0.0)
+        rate, push = (0.0, 0.0) if gone else (max(0.0, rate + u[i] * since), u[i])
+        return float(min(max(place, s[0]), s[-1])), float(rate), float(push)
 
     def at(self, t: float) -> Moment:
         """The motion at a time [s], with torques shared by the program of this instant."""
@@ -158,12 +177,14 @@ class TimedPath:
         internal = np.vstack([by_arm.sum(axis=0), -by_arm])
         q, dq, ddq = along.q[0], along.dq[0], along.ddq[0]
         p, R = along.moved.p[0, 0], along.moved.R[0, 0]
-        return Moment(s, q, dq * rate, dq * u + ddq * x, p, R, tau, internal)
+        load = np.array([u, x, 1.0]) @ self.maker.loads(along)[:, 0]
+        return Moment(s, q, dq * rate, dq * u + ddq * x, p, R, tau, load, internal)
 
     def table(self, dt: float) -> dict[str, Array]:
         """Columns by name every dt [s] and at the end: t, joints, pose, speeds, torques, wrenches.
 
-        ``waypoints: {file: ...}`` reads the first three.
+        ``waypoints: {file: ...}`` reads the first three, and of two hands the wrench between them,
+        ``waypoints: {file: ..., column: squeeze}``.
         """
         if not 0.0 < dt < np.inf:
             raise InvalidValueError(f"dt: found {dt:g}, needs more than 0")
@@ -185,6 +206,9 @@ class TimedPath:
             ([f"tau[{name}]" for name in joints], np.array([m.tau for m in moments])),
             (wrench, np.array([m.internal.ravel() for m in moments])),
         ]
+        if self.maker.arms == 2:
+            between = np.array([m.section(self.path.chain) for m in moments])
+            blocks.append((COMPONENTS, between))
         found: dict[str, Array] = {}
         for names, values in blocks:
             found |= dict(zip(names, values.T, strict=True))
@@ -207,6 +231,7 @@ def time_along(
     wrench: tuple[float, float] | None = None,
     safety: float = SAFETY,
     speed: tuple[float, float] = (0.0, 0.0),
+    rise: float = 0.0,
     controller: str | None = None,
 ) -> TimedPath:
     """The fastest motion along a path of closed configurations.
@@ -221,6 +246,8 @@ def time_along(
             ``WRENCH`` if omitted, ``PRESSING`` where hands press.
         safety: by which the friction of hands that press is divided.
         speed: along the path at its beginning and its end, the joints' speed |v| [rad/s].
+        rise: time over which accelerations change [s], since servos do not follow jumps; from rest
+            to rest.
         controller: of a recorded run; the first if omitted.
 
     Raises:
@@ -232,19 +259,24 @@ def time_along(
     if wrench is None:
         pressing = any(grasp.contact for grasp in chain.grasps.values())
         wrench = PRESSING if pressing else WRENCH
-    _check(points=points, torque=torque, wrench=wrench, safety=safety, speed=speed)
+    _check(points=points, torque=torque, wrench=wrench, safety=safety, speed=speed, rise=rise)
     points = int(points)
     smooth = closed_path(chain, _points(path, scenario, controller))
     maker = RowMaker(smooth, bounds_of(scenario, torque, wrench, safety))
-    s = np.linspace(0.0, smooth.length, points + 1)
-    rows = maker.at(s)
-    held = _held(smooth, rows)
+    return eased(fastest(maker, points, speed), rise)
+
+
+def fastest(maker: RowMaker, points: int, speed: tuple[float, float] = (0.0, 0.0)) -> TimedPath:
+    """The fastest motion along a closed path by its rows; see :func:`time_along`."""
+    path = maker.path
+    rows = maker.at(np.linspace(0.0, path.length, points + 1))
+    held = _held(rows)
     ends = (np.array(speed) / np.linalg.norm(rows.along.dq[[0, -1]], axis=1)) ** 2
     fine = rows.finer(FINER + 1)
     share = Share(fine)
-    limits = {kind: np.ones(points + 1) for kind in ("speed", "acceleration", "force")}
+    limits = {kind: np.ones(points + 1) for kind in KINDS}
     for _ in range(1 + REPEATS):
-        profile = _profile(smooth, rows, limits, ends.tolist(), speed)
+        profile = _profile(rows, limits, ends.tolist(), speed)
         uses = _uses(fine, share, profile)
         if uses.largest < TOLERATED:
             break
@@ -252,11 +284,88 @@ def time_along(
             over = np.maximum(1.0, use)
             limits[kind] /= np.maximum(np.append(over, 1.0), np.append(1.0, over))
         limits["force"] = np.maximum(limits["force"], np.minimum(STANDS * held, 1.0))
-    t = np.concatenate([[0.0], np.cumsum(_steps(s, profile.x))])
-    return TimedPath(
-        smooth, maker, s, profile.x, profile.u, t, profile.most,
-        uses.active, uses.largest, float(held.max()), tuple(_slow(smooth, rows)),
+    active = tuple(_active(fine, share, uses))
+    hold, notes = float(held.max()), tuple(_slow(rows))
+    return TimedPath(maker, profile, active, uses.largest, hold, notes, speed)
+
+
+def eased(found: TimedPath, rise: float) -> TimedPath:
+    """The motion with s(t) averaged over a time, and slowed down until it keeps all limits.
+
+    Accelerations then change over the time ``rise`` [s], and a note says what that costs.
+
+    Raises:
+        InvalidValueError: the motion is not from rest to rest, or no pace keeps the limits.
+    """
+    if not rise:
+        return found
+    if any(found.speed):
+        raise InvalidValueError(f"rise: found {rise:g} s, needs a speed of 0 at both ends")
+    path, maker, count = found.path, found.maker, int(np.ceil(found.duration / rise)) + 1
+    t = rise / RISE_STEPS * np.arange(min(RISE_STEPS * count, MOST) + 1)
+    t *= (found.duration + rise) / t[-1]
+    s, before = (np.array([found.where(float(now))[0] for now in t - gone]) for gone in (0.0, rise))
+    x = ((s - before) / rise) ** 2
+    s = np.concatenate([[0.0], np.cumsum(0.5 * np.diff(t) * (np.sqrt(x[1:]) + np.sqrt(x[:-1])))])
+    s *= path.length / s[-1]
+    most = np.interp(s, found.profile.s, found.profile.most)
+    fine = maker.at(np.repeat(s, 2)[1:-1])
+    share, wrench = Share(fine), np.zeros((len(s) - 1, 2, fine.Rl.shape[2]))
+    for _ in range(SLOWER):
+        profile = Profile(s, x, np.diff(x) / (2.0 * np.diff(s)), most, wrench)
+        uses = _uses(fine, share, profile)
+        if uses.largest < TOLERATED:
+            break
+        x = x / max(uses.largest, EASIER)
+    else:
+        raise InvalidValueError(f"rise: found {rise:g} s, needs less: no pace keeps all limits")
+    a = fine.along.dq * np.repeat(profile.u, 2)[:, None]
+    a += fine.along.ddq * np.repeat(x, 2)[1:-1, None]
+    jerk = np.abs(np.diff(0.5 * (a[::2] + a[1::2]), axis=0)) / np.diff(profile.t)[1:, None]
+    longer = float(profile.t[-1]) - found.duration
+    words = f"Accelerations change over {rise:g} s, which takes {longer:.3g} s more; "
+    words += f"the joints' jerk is at most {jerk.max():.3g} rad/s3."
+    active = tuple(_active(fine, share, uses))
+    return replace(
+        found, profile=profile, active=active, exceeded=uses.largest, rise=rise,
+        notes=(*found.notes, words),
     )  # fmt: skip
+
+
+def would_do(found: TimedPath, scenario: Scenario) -> dict[str, float]:
+    """Durations with a fifth more of each active limit, or a lighter load: tried, not guessed [s].
+
+    An active limit promises nothing, since the next one may be near. By the name that the limit has
+    in ``TimedPath.shares``, those that are active longest first, then by ``LIGHTER``.
+    """
+    maker, points = found.maker, len(found.profile.u)
+    tried = {}
+    for name in [name for name in found.shares if name != NOTHING][:TRIED]:
+        more = RowMaker(maker.path, _raised(maker, name))
+        tried[name] = eased(fastest(more, points, found.speed), found.rise).duration
+    held = replace(scenario.held, mass=(2.0 - MORE) * scenario.held.mass)
+    chain = replace(scenario, held=held).chain
+    lighter = RowMaker(replace(maker.path, chain=chain), maker.bounds)
+    eased_too = eased(fastest(lighter, points, found.speed), found.rise)
+    return tried | {LIGHTER: eased_too.duration}
+
+
+def _raised(maker: RowMaker, name: str) -> Bounds:
+    """The bounds with more of an active limit."""
+    bounds, joints = maker.bounds, list(maker.chain.joint_names)
+    kind, _, who = name.partition(" of ")
+    if kind == "internal wrench":
+        return replace(bounds, wrench=MORE * bounds.wrench)
+    if kind not in ("speed", "acceleration", "torque"):
+        return replace(bounds, safety=bounds.safety / MORE)
+    if who in joints:
+        at = joints.index(who)
+    else:
+        kind, at = "twist", [f"the object ({axis})" for axis in AXES].index(who)
+    found = getattr(bounds, kind).copy()
+    found[at] *= MORE
+    raised: Bounds = replace(bounds, **{kind: found})
+    return raised
 
 
 def _check(**given: Any) -> None:
@@ -274,6 +383,7 @@ _ASKED: dict[str, tuple[tuple[int, ...], float, float, str]] = {
     "safety": ((), 1.0, 1e9, "a number of at least 1"),
     "wrench": ((2,), 0.0, 1e9, "two numbers of at least 0"),
     "speed": ((2,), 0.0, 1e9, "two numbers of at least 0"),
+    "rise": ((), 0.0, 1e3, "a time of at least 0 s"),
 }
 
 
@@ -300,11 +410,11 @@ def table_of(path: Path) -> Path | None:
     return None
 
 
-def _held(path: ClosedPath, rows: Rows) -> Array:
+def _held(rows: Rows) -> Array:
     """Share of the limits that holding still takes, (N,); refused where that is all."""
     share = Share(rows)
     found, names = zip(*(share.of(i, 0.0, 0.0) for i in range(len(rows.s))), strict=True)
-    i = int(np.argmax(found))
+    path, i = rows.maker.path, int(np.argmax(found))
     use, name = found[i], names[i]
     if use <= 1.0:
         return np.array(found)
@@ -321,13 +431,9 @@ def _held(path: ClosedPath, rows: Rows) -> Array:
 
 
 def _profile(
-    path: ClosedPath,
-    rows: Rows,
-    limits: dict[str, Array],
-    ends: Sequence[float],
-    speed: Sequence[float],
+    rows: Rows, limits: dict[str, Array], ends: Sequence[float], speed: Sequence[float]
 ) -> Profile:
-    quick = rows.kinds == "acceleration"
+    path, quick = rows.maker.path, rows.maker.kinds == "acceleration"
     of = np.where(quick, limits["acceleration"][:, None], limits["force"][:, None])
     try:
         return Passes(rows, of, limits["speed"]).profile(*ends)
@@ -348,10 +454,19 @@ def _profile(
 
 
 class _Uses(NamedTuple):
-    """By interval, the largest share of the limits of a kind and the limit that is active."""
+    """What a profile takes of its limits at the finer places; a row an interval in each array."""
 
-    by_kind: dict[str, Array]
-    active: tuple[str, ...]
+    u: Array
+    x: Array
+    speed: Array
+    acceleration: Array
+    force: Array
+
+    @property
+    def by_kind(self) -> dict[str, Array]:
+        """By interval, the largest share of the limits of a kind."""
+        of_joints = self.speed.max(axis=(1, 2)), self.acceleration.max(axis=(1, 2), initial=0.0)
+        return dict(zip(KINDS, (*of_joints, self.force.max(axis=1)), strict=True))
 
     @property
     def largest(self) -> float:
@@ -359,53 +474,45 @@ class _Uses(NamedTuple):
 
 
 def _uses(fine: Rows, share: Share, profile: Profile) -> _Uses:
-    """What a profile takes of its limits at the finer places."""
-    count = FINER + 1
-    u = np.repeat(profile.u, count)
-    part = np.tile(np.linspace(0.0, 1.0, count), len(profile.u))
-    x = (1.0 - part) * np.repeat(profile.x[:-1], count) + part * np.repeat(profile.x[1:], count)
-    speed = np.abs(fine.rates) * np.sqrt(np.maximum(x, 0.0))[:, None] / fine.speeds
-    quick = np.flatnonzero(fine.kinds == "acceleration")
-    a = np.abs(fine.Ru[:, quick] * u[:, None] + fine.Rx[:, quick] * x[:, None]) / fine.size[quick]
-    force, names = share.of_all(u, x, ACTIVE)
-    by_kind = {
-        "speed": speed.max(axis=1).reshape(-1, count).max(axis=1),
-        "acceleration": a.max(axis=1, initial=0.0).reshape(-1, count).max(axis=1),
-        "force": force.reshape(-1, count).max(axis=1),
-    }
-    return _Uses(by_kind, tuple(_active(fine, speed, a, force, names, count)))
+    """The best wrench is looked for only where that between the ends' takes more than is there."""
+    N, made = len(profile.u), fine.maker
+    part = np.linspace(0.0, 1.0, len(fine.s) // N)
+    u = np.repeat(profile.u, len(part))
+    x = np.outer(profile.x[:-1], 1.0 - part) + np.outer(profile.x[1:], part)
+    x = np.maximum(x, 0.0).ravel()
+    speed = np.abs(fine.rates) * np.sqrt(x)[:, None] / made.speeds
+    quick = made.kinds == "acceleration"
+    a = np.abs(fine.felt(u, x)[:, quick]) / made.size[quick]
+    ends = np.stack([1.0 - part, part], axis=1)
+    force = share.with_wrench((ends @ profile.wrench).reshape(len(u), -1), u, x)
+    for i in np.flatnonzero(force > TOLERATED).tolist():
+        force[i] = share.of(i, u[i], x[i])[0]
+    return _Uses(
+        *(found.reshape(N, len(part), *found.shape[1:]) for found in (u, x, speed, a, force))
+    )
 
 
-def _active(
-    fine: Rows, speed: Array, a: Array, force: Array, names: Sequence[str], count: int
-) -> list[str]:
+def _active(fine: Rows, share: Share, uses: _Uses) -> Iterator[str]:
     """The limit that is used most in each interval, if any is active."""
-    of_speed = [f"speed of {name}" for name in fine.joints]
+    joints, names = fine.maker.chain.joint_names, fine.maker.names
+    of_speed = [f"speed of {name}" for name in joints]
     of_speed += [f"speed of the object ({axis})" for axis in AXES]
-    found = []
-    for k in range(0, len(speed), count):
-        part = slice(k, k + count)
-        best = [(ACTIVE_SPEED, ACTIVE, NOTHING)]
-        for uses, least, called in ((speed, ACTIVE_SPEED, of_speed), (a, ACTIVE, fine.names)):
-            if uses.shape[1] and (use := float(uses[part].max())) >= least:
-                best.append((use, least, called[int(uses[part].max(axis=0).argmax())]))
-        if (use := float(force[part].max())) >= ACTIVE:
-            best.append((use, ACTIVE, names[k + int(force[part].argmax())]))
-        found.append(max(best)[2])
-    return found
+    for k, by_kind in enumerate(zip(uses.speed, uses.acceleration, strict=True)):
+        best = [(ACTIVE_SPEED, NOTHING)]
+        for use, called in zip(by_kind, (of_speed, names), strict=True):
+            if use.size:
+                best.append((float(use.max()), called[int(use.max(axis=0).argmax())]))
+        count = uses.force.shape[1]
+        for i in (0, count - 1, int(uses.force[k].argmax())):  # passes keep the rows of both ends
+            if max(best)[1] == NOTHING and uses.force[k, i] >= ACTIVE:
+                use, name = share.of(k * count + i, uses.u[k, i], uses.x[k, i])
+                best.append((use, name) if use >= ACTIVE else best[0])
+        yield max(best)[1]
 
 
-def _steps(s: Array, x: Array) -> Array:
-    rate = np.sqrt(np.maximum(x, 0.0))
-    both = rate[1:] + rate[:-1]
-    if not both.all():
-        raise CoopqpError("the path cannot be followed: the motion stands still between its ends")
-    return np.asarray(2.0 * np.diff(s) / both, float)
-
-
-def _slow(path: ClosedPath, rows: Rows) -> list[str]:
+def _slow(rows: Rows) -> list[str]:
     """Sentences on places where the path turns back or the loops are singular."""
-    found = []
+    path, found = rows.maker.path, []
     pace = np.linalg.norm(rows.along.dq, axis=1)
     if (k := int(pace.argmin())) is not None and pace[k] < STILL * float(np.median(pace)):
         place = path.place(float(rows.s[k]))
@@ -423,24 +530,24 @@ def _slow(path: ClosedPath, rows: Rows) -> list[str]:
 
 def _wrench(rows: Rows, u: float, x: float) -> Array:
     """The internal wrench of one instant, shape (m,), that is easiest on the motors."""
-    m = rows.Rl.shape[2]
+    m, made = rows.Rl.shape[2], rows.maker
     if not m:
         return np.zeros(0)
-    felt = rows.Ru[0] * u + rows.Rx[0] * x + rows.Rc[0]
+    felt = rows.felt(np.array([u]), np.array([x]))[0]
     use, _ = Share(rows).of(0, u, x)
     beyond = max(0.0, use - 1.0 if np.isfinite(use) else 0.0)
-    motors = np.flatnonzero((rows.kinds == "torque") & (rows.size > 0.0))
-    bound = np.flatnonzero(rows.kinds != "acceleration")
-    W = FORCE * rows.Rl[0, motors] / rows.size[motors, None]
+    motors = np.flatnonzero((made.kinds == "torque") & (made.size > 0.0))
+    bound = np.flatnonzero(made.kinds != "acceleration")
+    W = FORCE * rows.Rl[0, motors] / made.size[motors, None]
     P = W.T @ W + SLIGHT * np.eye(m)
-    q = W.T @ (felt[motors] / rows.size[motors])
-    unit = np.maximum(rows.unit[bound], 1e-3)
+    q = W.T @ (felt[motors] / made.size[motors])
+    unit = np.maximum(made.unit[bound], 1e-3)
     A = np.ascontiguousarray(FORCE * rows.Rl[0, bound] / unit[:, None])
     free = np.full(m, np.inf)
     for looser in LOOSER:
-        size = rows.size[bound] + (beyond + looser) * rows.unit[bound]
+        size = made.size[bound] + (beyond + looser) * made.unit[bound]
         upper = np.concatenate([free, (size - felt[bound]) / unit])
-        low = np.where(rows.two_sided[bound], (-size - felt[bound]) / unit, -np.inf)
+        low = np.where(made.two_sided[bound], (-size - felt[bound]) / unit, -np.inf)
         found = program(P, q, A, upper, np.concatenate([-free, low]))
         if found is not None:
             return np.asarray(FORCE * found[0], float)

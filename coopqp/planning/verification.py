@@ -6,7 +6,7 @@ looked at whether loops are closed, joints inside their limits and bodies as far
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +14,7 @@ import pinocchio as pin
 
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
-from coopqp.limit import DistanceBounds
+from coopqp.limit import DistanceBounds, Program
 from coopqp.model.state import State
 
 #: What a loop may be open by between the points of a path [m, rad], and a joint beyond its limit.
@@ -58,18 +58,22 @@ class Verifier:
     Args:
         problem: whose limits count.
         lower, upper: of the joints, shape (n,) [rad, m].
+        programs: of the limits; asked anew when omitted.
     """
 
-    def __init__(self, problem: ControlProblem, lower: Array, upper: Array) -> None:
+    def __init__(
+        self, problem: ControlProblem, lower: Array, upper: Array,
+        programs: Sequence[Program | None] = (),
+    ) -> None:  # fmt: skip
         chain = self._chain = problem.chain
         self._lower, self._upper = lower, upper
         self._data, margins = chain.model.createData(), list[float]()
         self._geometry = geometry = pin.GeometryModel()
-        for limit in problem.limits:
-            program = limit.program(chain, problem.dt)
+        programs = programs or [limit.program(chain, problem.dt) for limit in problem.limits]
+        for program in programs:
             if isinstance(program, DistanceBounds):
                 margins += list(_add(geometry, program))
-        self._others = others(problem)
+        self._others = others(problem, programs)
         self._placed = pin.GeometryData(geometry)
         for i, margin in enumerate(margins):
             request = self._placed.collisionRequests[i]
@@ -100,14 +104,15 @@ class Verifier:
         return self._others is None or self._others(q)
 
 
-def others(problem: ControlProblem) -> Callable[[Array], bool] | None:
+def others(
+    problem: ControlProblem, programs: Sequence[Program | None]
+) -> Callable[[Array], bool] | None:
     """Whether limits in space that are no distances are kept; None where there are none."""
     chain, state = problem.chain, State(problem.chain)
     left = [
         clearance
-        for limit in problem.limits
-        if not isinstance(limit.program(chain, problem.dt), DistanceBounds)
-        and (clearance := limit.clearance(chain))
+        for limit, program in zip(problem.limits, programs, strict=True)
+        if not isinstance(program, DistanceBounds) and (clearance := limit.clearance(chain))
     ]
 
     def kept(q: Array) -> bool:

@@ -80,7 +80,7 @@ class HandSignals:
             if name not in ("held", "slip"):
                 signal[:] = 0.0
         by_arm = self.signals["hand_wrench"].reshape(-1, 6)
-        by_arm[self.at] = wrenches
+        by_arm[self.at] = wrenches.reshape(-1, 6)
         self.signals["hand_point"].reshape(-1, 3)[self.at] = points
         for k, _, contact, i in self._pressing:
             w = in_contacts[k]

@@ -52,6 +52,8 @@ def true_chain(chain: ClosedChain, seed: int, disturbance: Disturbance) -> Close
 
 def slipped(chain: ClosedChain, seed: int, distance: float) -> ClosedChain:
     """The chain after the object has moved by a distance [m] in the hand of the last holder."""
+    if chain.standing:
+        return chain
     hold, arm = chain.hold, chain.hold.holders[-1]
     direction = _direction(np.random.default_rng([seed, STREAM + 1]))
     X = hold.X_EO[arm].copy()
@@ -88,7 +90,7 @@ def _misplaced(
     hold: GraspConfiguration, rng: np.random.Generator, disturbance: Disturbance
 ) -> Mapping[str, pin.SE3]:
     """The object's pose in each hand, with an error."""
-    X_EO = {}
+    X_EO = dict(hold.X_EO)
     for arm in hold.robot.arms:
         shift = disturbance.grasp_offset * _direction(rng)
         turn = disturbance.grasp_offset_angle * _direction(rng)

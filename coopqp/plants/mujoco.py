@@ -99,7 +99,8 @@ def mjcf(chain: ClosedChain, time_step: float, settings: Mujoco, disturbance: Di
     welds, pairs = [], []
     for arm, index in zip(chain.arms[: chain.holding], chain.frames, strict=False):
         frame = model.frames[index]
-        if contact := chain.grasps[arm.name].contact:
+        grasp = chain.grasps.get(arm.name)
+        if grasp and (contact := grasp.contact):
             tip = model.frames[model.getFrameId(arm.tip)]
             mu = disturbance.friction * contact.friction
             geom, pair = _contact(arm.name, contact, tip.placement, mu, contact_time)
@@ -107,7 +108,9 @@ def mjcf(chain: ClosedChain, time_step: float, settings: Mujoco, disturbance: Di
             pairs.append(pair)
             continue
         body, X = model.names[frame.parentJoint], frame.placement
-        if spring:
+        if not grasp:
+            body = "world"
+        elif spring:
             body, X = hand_name(arm.name), pin.SE3.Identity()
         else:
             ends.setdefault(frame.parentJoint, []).append(_end(arm.name, X))
@@ -117,7 +120,7 @@ def mjcf(chain: ClosedChain, time_step: float, settings: Mujoco, disturbance: Di
             f'solimp="{FIRM}"/>'
         )
     if spring:  # of all arms, so that the bodies are the same whoever holds the object
-        for arm, index in zip(chain.arms, chain.frames, strict=True):
+        for arm, index in list(zip(chain.arms, chain.frames, strict=True))[chain.standing :]:
             frame = model.frames[index]
             hand = _spring_hand(arm.name, frame.placement, spring)
             ends.setdefault(frame.parentJoint, []).append(hand)
@@ -480,7 +483,7 @@ class MujocoModel(DynamicModel):
 def _balls(chain: ClosedChain) -> Iterator[tuple[Any, Array, Array, str]]:
     """Joints that stand for a fingertip: indices, rotation of the tip, object, and their body."""
     model = chain.model
-    for arm in chain.arms[: chain.holding]:
+    for arm in chain.arms[: len(chain.hold.holders)]:
         passive = chain.hold.passive[arm.name]
         if chain.grasps[arm.name].contact and passive:
             names = [f"{arm.name}.{joint.name}" for joint in passive]

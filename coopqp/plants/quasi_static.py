@@ -151,6 +151,8 @@ class QuasiStaticModel(DynamicModel):
             A[:n, :n] = (J * B) @ J.T
             A[range(n), range(n)] += unit / settings.grip + creeps + slips
             b[:n] = strained + J @ (B * push)
+            if not n:  # the object stands
+                A[:], b[:] = np.eye(6), 0.0
             found = np.asarray(np.linalg.solve(A, b), float)
             wrench, turn = found[:n], found[n:]
             step = B * (push - J.T @ wrench)
@@ -176,12 +178,11 @@ class QuasiStaticModel(DynamicModel):
         """No kinetic energy, and the potential one of weight; updates the signals as well."""
         self.true.update()
         X, chain = self._X_WO, self.true.chain
-        by_arm = np.array([
-            moved(w, p, X.translation) for w, p in zip(self._wrench, self._at, strict=True)
-        ])  # fmt: skip
+        at_hands = zip(self._wrench, self._at, strict=True)
+        by_arm = np.reshape([moved(w, p, X.translation) for w, p in at_hands], (-1, 6))
         internal = self.signals["internal_wrench"].reshape(-1, 6)
         internal[:] = 0.0
-        share = chain.alpha[: chain.holding]
+        share = chain.alpha[: len(by_arm)]
         internal[self.hand_signals.at] = by_arm - np.outer(share, by_arm.sum(axis=0))
         turned = into_contacts(self._hands, X.rotation)
         in_contacts = np.array(list(map(in_axes, self._wrench, turned)))
@@ -206,7 +207,7 @@ class QuasiStaticModel(DynamicModel):
             J_own = pin.getFrameJacobian(chain.model, data, frame, pin.LOCAL_WORLD_ALIGNED)
             J_own[:3] -= pin.skew(here.translation - X.translation) @ J_own[3:]
             J.append(J_own)
-        return np.array(d), np.concatenate(J)
+        return np.reshape(d, (-1, 6)), np.reshape(J, (-1, chain.n))
 
     def _on_object(self) -> Array:
         """The hands' points as the object has them, shape (N, 3)."""
@@ -232,7 +233,7 @@ class QuasiStaticModel(DynamicModel):
         own = pin.computeGeneralizedGravity(chain.model, self._data, self.true.q)
         carried, origin = -self._weight(settings.object_compensated), self._X_WO.translation
         at = zip(chain.alpha, self._on_object(), strict=False)
-        wrenches = np.concatenate([a * moved(carried, origin, p) for a, p in at])
+        wrenches = np.ravel([a * moved(carried, origin, p) for a, p in at])
         torque = (settings.arms_compensated - 1.0) * own + J.T @ wrenches
         return np.where(self._moves, torque, 0.0)
 

@@ -52,7 +52,7 @@ class RigidBodyModel(DynamicModel):
         super().__init__(problem, servo, settings.time_step, seed, disturbance)
         chain, self._settings = problem.chain, settings
         self._open()
-        arms = len(chain.arms)
+        arms = len(chain.robot.arms)
         # The trace tells of the arms in the robot's order, whoever holds the object.
         self._order = [chain.arms.index(arm) for arm in chain.robot.arms]
         self.signals["cut_wrench"] = np.zeros(6 * (arms - 1))
@@ -65,7 +65,7 @@ class RigidBodyModel(DynamicModel):
         true = self.true
         self._open()
         # The object comes with the speed of an arm that has held it.
-        carrier = before.true.chain.hold.holders[0]
+        carrier = next(iter(before.true.chain.hold.holders), true.chain.arms[0].name)
         impact = ClosedLoopDynamics(
             true.chain, shares={carrier: 1.0}, mass_scale=self.disturbance.object_mass
         )
@@ -115,7 +115,8 @@ class RigidBodyModel(DynamicModel):
         self._follow(true.q, true.v)
         a = self._accelerated(true.q, true.v, true.t)
         wrenches = dynamics.object_wrenches(a, self._wrench, self.disturbance.wrench(true.t))
-        self.signals["cut_wrench"][:] = -wrenches.by_arm[1:].ravel()
+        cut = self.signals["cut_wrench"]
+        cut[:] = -wrenches.by_arm[1:].ravel()[: len(cut)]
         self.signals["internal_wrench"][:] = wrenches.internal[self._order].ravel()
         self._write_hand_signals(wrenches.by_arm)
         return dynamics.kinetic_energy(true.q, true.v), dynamics.potential_energy(true.q)

@@ -63,7 +63,7 @@ class CsvFile(Format):
                 raise CoopqpError(f"{path}:1: {words}")
             run = _read(path, header, reader)
         except csv.Error as error:
-            raise CoopqpError(f"{path}:{reader.line_num}: is no CSV: {error}") from None
+            raise CoopqpError(f"{path}:{reader.line_num}: is not CSV: {error}") from None
         _check_ticks(run)
         return run
 

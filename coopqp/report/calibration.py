@@ -13,7 +13,8 @@ from rich.table import Table
 
 from coopqp.base.spec import Array
 from coopqp.model.grasp_configuration import with_passive_joints
-from coopqp.scenario.scenario import Scenario, by_arm
+from coopqp.scenario.scenario import Scenario
+from coopqp.scenario.start import by_arm
 from coopqp.scenario.start_solver import DIGITS, start_text
 from coopqp.study.calibration import Calibration, not_shown
 

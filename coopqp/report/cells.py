@@ -198,9 +198,9 @@ def number(value: float) -> str:
     return f"{value:.0f}" if 1e3 <= abs(value) < 1e6 else f"{value:.3g}"
 
 
-def _worst(excess: Array) -> int:
+def _worst(beyond_by: Array) -> int:
     """The joint with the largest of the values, shape (T, n)."""
-    return int(excess.max(axis=0, initial=-np.inf).argmax())
+    return int(beyond_by.max(axis=0, initial=-np.inf).argmax())
 
 
 def _quantity(value: float, unit: str) -> str:

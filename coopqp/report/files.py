@@ -111,6 +111,20 @@ def check_folder(folder: Path) -> None:
         raise CoopqpError(one_line(words)) from error
 
 
+@contextmanager
+def checked_folder(folder: Path | None) -> Iterator[None]:
+    """:func:`check_folder` before the body; a folder made for it goes where the body raises."""
+    made = folder is not None and not os.path.lexists(folder)
+    try:
+        if folder is not None:
+            check_folder(folder)
+        yield
+    except BaseException:
+        if made and folder is not None:
+            shutil.rmtree(folder, ignore_errors=True)
+        raise
+
+
 def metrics_json(comparison: Comparison) -> str:
     """``metrics.json``: what is not finite is null, because JSON has no word for it."""
     return strict_json.text(comparison.as_json()) + "\n"

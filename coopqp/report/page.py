@@ -192,7 +192,7 @@ def how_to_read(comparison: Comparison) -> Iterator[str]:
 
 def _of_motors(comparison: Comparison) -> str:
     """What the acceleration and the time of a tick are beside."""
-    cure = (
+    advice = (
         "the scenario's joint_acceleration bounds it"
         if any(isinstance(limit, JointAcceleration) for limit in comparison.scenario.limits)
         else "joint_acceleration in the scenario's limits bounds it here as well"
@@ -201,7 +201,7 @@ def _of_motors(comparison: Comparison) -> str:
         "The acceleration is how fast the speed of a joint changes from one tick to the next. "
         "The loop for robots, OnlineLoop, allows as much as brings a joint from rest to its full "
         f"speed in {SPEED_UP:g} s, or {ACCELERATION_UNLIMITED:g} rad/s2 without a speed limit; "
-        f"{cure}. The time of a tick has to stay below the control period, "
+        f"{advice}. The time of a tick has to stay below the control period, "
         f"{1e3 * comparison.scenario.dt:g} ms."
     )
 

@@ -1,21 +1,32 @@
-"""Answers of ``coopqp reach`` and ``coopqp plan`` as text, JSON and files."""
+"""Answers of ``coopqp reach``, ``coopqp plan`` and ``coopqp time`` as text, JSON and files."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.markup import escape
 from rich.table import Table
 
 from coopqp.base.reading import absolute
+from coopqp.base.spec import Array
 from coopqp.planning import Plan, Reach
+from coopqp.planning.time_along import NOTHING, TimedPath
 from coopqp.report import strict_json
 from coopqp.report.files import write_one
+from coopqp.report.page import text
+from coopqp.report.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 from coopqp.scenario.scenario import Scenario
 
 PATH = "plan.csv"
+#: Of a timed path: its table, and the picture of what is active where.
+TIMED, PICTURE = "timed.csv", "timed.svg"
+#: Size of that picture, and of its margin [px].
+WIDTH, HEIGHT, MARGIN = 640, 320, 40
+COLORS = (BLUE, VERMILION, GREEN, PURPLE, SKY, ORANGE)
 
 
 def configurations(found: Reach) -> Table:
@@ -36,7 +47,7 @@ def reach_json(found: Reach) -> str:
     rows = [
         {
             "q": one.q.tolist(), "bends": one.bends, "joint_margin": one.joint_margin,
-            "clearance": one.clearance,
+            "clearance": one.clearance, "cut_off": one.cut_off,
         }
         for one in found.found
     ]  # fmt: skip
@@ -50,8 +61,9 @@ def plan_json(found: Plan) -> str:
     """A plan without its points."""
     seen = found.verification
     data: dict[str, Any] = {
-        "found": found.found, "sentence": found.sentence, "length": found.length,
-        "duration": float(found.t[-1]) if len(found.t) else 0.0, "seconds": found.seconds,
+        "found": found.found, "proven_unreachable": found.proven, "sentence": found.sentence,
+        "length": found.length, "duration": float(found.t[-1]) if len(found.t) else 0.0,
+        "seconds": found.seconds,
         "verified": {"points": seen.points, "open": seen.open} if seen else None,
     }  # fmt: skip
     return strict_json.text(data)
@@ -78,3 +90,48 @@ def _with_reference(text: str, path: str) -> str:
         return json.dumps({**json.loads(text), "reference": {"plan": path}}, indent=2) + "\n"
     end = "" if text.endswith("\n") else "\n"
     return f"{text}{end}reference: {{plan: {json.dumps(path)}}}\n"
+
+
+def limits_table(found: TimedPath, tried: dict[str, float]) -> Table:
+    """Which limit is active for how long, and how long the path takes with more of it."""
+    table = Table(box=None, pad_edge=False)
+    for title in ("active limit", "time [s]", "share", "with 20 % more of it [s]"):
+        table.add_column(escape(title), justify="left" if title[0] == "a" else "right")
+    for name in [*found.shares, *(name for name in tried if name not in found.shares)]:
+        share = found.shares.get(name)
+        cells = ("", "") if share is None else (f"{share * found.duration:.3f}", f"{share:.1%}")
+        table.add_row(escape(name), *cells, f"{tried[name]:.4f}" if name in tried else "")
+    return table
+
+
+def timed_svg(found: TimedPath) -> str:
+    """The rate along the path in the colour of what is active there, under what is possible."""
+    way, shown = found.profile, [name for name in found.shares if name != NOTHING]
+    colors = dict(zip(shown, COLORS, strict=False)) | {NOTHING: "#999999"}
+    top = 1.05 * float(np.sqrt(way.most.max()))
+    x = MARGIN + (WIDTH - 2 * MARGIN) * way.s / way.s[-1]
+    low = HEIGHT - MARGIN
+
+    def heights(square: Array) -> list[float]:
+        return list(low - (low - MARGIN) * np.sqrt(np.maximum(square, 0.0)) / top)
+
+    def line(points: Iterable[tuple[float, float]], color: str, width: float) -> str:
+        at = " ".join(f"{a:.1f},{b:.1f}" for a, b in points)
+        return f'<polyline points="{at}" fill="none" stroke="{color}" stroke-width="{width}"/>'
+
+    most, y = heights(way.most), heights(way.x)
+    parts = [line(zip(x, most, strict=True), "#cccccc", 1.5)]
+    parts.append(line([(MARGIN, MARGIN), (MARGIN, low), (WIDTH - MARGIN, low)], BLACK, 1.0))
+    pairs = list(zip(x, y, strict=True))
+    for k, name in enumerate(found.active):
+        parts.append(line(pairs[k : k + 2], colors.get(name, BLACK), 3.0))
+    said = [(MARGIN, HEIGHT - 12, BLACK, f"way of the joints, 0 to {way.s[-1]:.3g} rad")]
+    said += [(MARGIN, MARGIN - 8, BLACK, f"rate along it, up to {top:.3g} rad/s; grey: possible")]
+    for k, (name, color) in enumerate(colors.items()):
+        spent = found.shares.get(name, 0.0) * found.duration
+        said.append((WIDTH, MARGIN + 18 * k, color, f"{name}: {spent:.3f} s"))
+    for a, b, color, words in said:
+        parts.append(f'<text x="{a}" y="{b}" fill="{color}">{text(words)}</text>')
+    look = f'width="{WIDTH + 280}" height="{HEIGHT}" font-family="sans-serif" font-size="13"'
+    head = f'<svg xmlns="http://www.w3.org/2000/svg" {look}>'
+    return "\n".join([head, *parts, "</svg>"]) + "\n"

@@ -68,17 +68,6 @@ def names_table(collections: Mapping[str, Mapping[str, str]]) -> Table:
     return out
 
 
-def shares_table(shares: Mapping[str, float], duration: float) -> Table:
-    """Which limit is active for how long, from a share of a duration [s] by name."""
-    out = Table(box=None, pad_edge=False)
-    out.add_column("active limit")
-    out.add_column("time [s]", justify="right")
-    out.add_column("share", justify="right")
-    for name, share in shares.items():
-        out.add_row(escape(name), f"{share * duration:.3f}", f"{100.0 * share:.1f} %")
-    return out
-
-
 #: Headings of what is shown, narrow enough to leave half of 100 columns to the verdicts.
 SHOWN = {
     "reached": "goal\nreached",

@@ -22,7 +22,14 @@ import numpy as np
 from coopqp.base.errors import InvalidValueError, MissingDependencyError
 from coopqp.base.reading import absolute
 from coopqp.base.spec import FARTHEST
-from coopqp.robot_files.mjcf_model import Geoms, Named, floating, followers, pinocchio_model
+from coopqp.robot_files.mjcf_model import (
+    Geoms,
+    Named,
+    floating,
+    followers,
+    pinocchio_model,
+    row_of,
+)
 from coopqp.robot_files.selection import Description
 from coopqp.robot_files.xml import (
     ALIKE,
@@ -229,10 +236,10 @@ class _Compiled:
             floating=floating(self._model, named),
             shapes=drawn,
             collision_shapes=collide,
-            unseen=self._geoms.unseen(named),
-            warnings=self._geoms.warnings(named, drawn, collide),
+            unseen=self._geoms.unseen(self._model, named),
+            warnings=self._geoms.warnings(self._model, named, drawn, collide),
             places={
-                named.joints[joint.id]: place
+                named.joints[row_of(joint, self._model.joint)]: place
                 for joint in self._spec.joints
                 if (place := getattr(self._element(joint.info or joint.parent.info), "place", ""))
             },

@@ -46,6 +46,11 @@ ALIGNED = {
 UNALIGNED = {SLIDE: pin.JointModelPrismaticUnaligned, HINGE: pin.JointModelRevoluteUnaligned}
 
 
+def row_of(element: Any, compiled: Any) -> int:
+    """A specification's element in the compiled model; before MuJoCo 3.4 it must have a name."""
+    return int(element.id if hasattr(element, "id") else compiled(element.name).id)
+
+
 class Named:
     """Names in a model, in its order; without one such as "body_3".
 
@@ -306,7 +311,7 @@ class Geoms:
         return tuple(drawn), tuple(collide)
 
     def _shape(self, form: _Form, model: Any, named: Named) -> Shape | None:
-        i = form.geom.id
+        i = row_of(form.geom, model.geom)
         if _why_unseen(form, self._files) or form.kind not in (*SIZES, "mesh"):
             return None
         X, kind, mesh = pose(model.geom_pos[i], model.geom_quat[i]), form.kind, None
@@ -322,16 +327,16 @@ class Geoms:
         named_kind: Any = kind
         return Shape(frame=named.geoms[i], placement=X, kind=named_kind, size=size, mesh=mesh)
 
-    def unseen(self, named: Named) -> tuple[str, ...]:
+    def unseen(self, model: Any, named: Named) -> tuple[str, ...]:
         """Collision geoms that are not read, a sentence each."""
         return tuple(
-            f"{named.geoms[form.geom.id]}: {why}"
+            f"{named.geoms[row_of(form.geom, model.geom)]}: {why}"
             for form in self._forms
             if form.collides and (why := _why_unseen(form, self._files))
         )
 
     def warnings(
-        self, named: Named, drawn: Sequence[Shape], collide: Sequence[Shape]
+        self, model: Any, named: Named, drawn: Sequence[Shape], collide: Sequence[Shape]
     ) -> tuple[str, ...]:
         """What is not drawn as it is, or weighs less than it should."""
         missing = [
@@ -339,7 +344,8 @@ class Geoms:
             for name, file in self._files.items()
             if file is None or not os.path.isfile(file)
         ]
-        light = dict.fromkeys(named.geoms[form.geom.id] for form in self._light)
+        rows = [row_of(form.geom, model.geom) for form in self._light]
+        light = dict.fromkeys(named.geoms[row] for row in rows)
         seen = {shape.frame for shape in drawn}
         there = [shape for shape in collide if shape.mesh is None or os.path.isfile(shape.mesh)]
         hidden = dict.fromkeys(shape.frame for shape in there if shape.frame not in seen)

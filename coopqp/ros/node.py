@@ -54,6 +54,9 @@ def run_node(scenario: Scenario, arguments: Sequence[str] = ()) -> Ended:
         if topics.simulated:
             options["clock"] = topics.seconds
         loop = OnlineLoop(scenario, settings.law, out=settings.out or None, **options)
+        if loop.by_torques:
+            words = "commands torques; ros2_control is sent velocities or positions, such as qp's"
+            raise InvalidValueError(f"law: '{settings.law}' {words}")
         bridge = Bridge(loop, joints, kinds, settings, topics)
         topics.subscribe(JOINT_STATE, settings.joint_states, partial(bridge.take, ""))
         for name, kind in kinds.items():

@@ -5,18 +5,15 @@ Checks yield what is wrong and where; :meth:`coopqp.scenario.yaml.YamlFile.lines
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import fields
 from functools import partial
 from typing import Any
 
-import numpy as np
-
 from coopqp.base.errors import CoopqpError, MissingDependencyError, ScenarioError, unknown_name
 from coopqp.base.qp import names_of
-from coopqp.base.spec import Array, taken_names
+from coopqp.base.spec import taken_names
 from coopqp.base.wording import Location
 from coopqp.closed_loop.admittance import unstated
 from coopqp.closed_loop.forces import contact_faults
@@ -27,12 +24,12 @@ from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.grasp_configuration import arm_weights, grasp_of_each
 from coopqp.model.state import State
 from coopqp.plant import Disturbance
-from coopqp.robot import RobotModel
 from coopqp.scenario.input import Feed, Inputs, wanted
-from coopqp.scenario.scenario import Phase, Scenario, Start, start_of
+from coopqp.scenario.scenario import Phase, Scenario
+from coopqp.scenario.start import joints_outside, passive_outside, start_of
 from coopqp.scenario.trial import Places, blamed, try_limit, try_task
 from coopqp.scenario.yaml import MisplacedError, Wrong
-from coopqp.task import Task
+from coopqp.task import Task, TaskStack
 
 Placed = tuple[Location, Task, Phase]
 """A task with its place in the file, and its phase."""
@@ -103,9 +100,6 @@ def _of_problems(scenario: Scenario) -> Iterator[Wrong]:
     tasks = list(placed_tasks(scenario))
     for place, task, phase in tasks:
         yield from _of_end(place, task, phase.duration)
-        if task.of_forces and not scenario.plant.takes_torques:
-            words = f"asks '{task.name}' for a force, and this plant has none"
-            yield Wrong(place, f"{words}; use plant: rigid_body or mujoco")
     forces = [task.name for _, task, _ in tasks if task.of_forces]
     for i, controller in enumerate(scenario.controllers.values()):
         if forces and isinstance(controller, QPController) and not controller.admittance:
@@ -236,7 +230,7 @@ def check_start(data: Mapping[str, Any], scenario: Scenario, known: Known) -> No
         arm_weights(robot, scenario.weights)
     with at(["grasps"]):
         grasp_of_each(robot, scenario.grasps)
-    outside = [] if allowed else _joints_outside(robot, of_robot, q, key)
+    outside = [] if allowed else joints_outside(robot, of_robot, q, key)
     refuse([*_released(scenario), *outside])
     with at(_longest(scenario)):
         scenario.check_size()
@@ -244,9 +238,7 @@ def check_start(data: Mapping[str, Any], scenario: Scenario, known: Known) -> No
     chain = _closed(data, scenario, key)
     refuse([*_too_large(chain), *_unknown_springs(scenario)])
     if not allowed:
-        values = (chain.joint_units, chain.q_start, chain.lower, chain.upper)
-        joints = dict(zip(chain.joint_names, zip(*values, strict=True), strict=True))
-        refuse(wrong for name in passive for wrong in _outside([key, name], name, *joints[name]))
+        refuse(passive_outside(chain, passive, key))
     problems = list(scenario.problems(lambda _: chain.q_start))
     # Later phases are tried where the first begins: nobody knows yet where the motion leads.
     places = {
@@ -275,7 +267,8 @@ def _closed(data: Mapping[str, Any], scenario: Scenario, key: str) -> ClosedChai
     except CoopqpError as error:
         argument, *inside = error.keys or ("grasps",)
         grasp = "grasps" if "grasps" in data else "grasp"
-        location = {"passive_start": key, "robot": "robot"}.get(str(argument), grasp)
+        own = {"passive_start": key, "robot": "robot", "object": "object"}
+        location = own.get(str(argument), grasp)
         where = [location] if location == "grasp" else [location, *inside]
         raise MisplacedError([Wrong(where, str(error))]) from None
 
@@ -326,8 +319,6 @@ def _released(scenario: Scenario) -> Iterator[Wrong]:
         for name in phase.released:
             if name not in arms:
                 yield Wrong(place, unknown_name("arm", name, arms))
-        if arms.issubset(phase.released):
-            yield Wrong(place, "no arm is left that holds the object; keep at least one")
 
 
 def _broken_tasks(tasks: Sequence[Placed], places: Mapping[str, Places]) -> Iterator[Wrong]:
@@ -336,6 +327,24 @@ def _broken_tasks(tasks: Sequence[Placed], places: Mapping[str, Places]) -> Iter
             try_task(task, places[phase.name], phase.duration)
         except CoopqpError as error:
             yield Wrong(place, str(error), error.keys)
+            continue
+        if place[0] != "secondary" and _moves_nothing(task, places[phase.name].start):
+            yield Wrong(
+                place,
+                f"'{task.name}' asks nothing of the hands, and no arm holds the object in this "
+                "phase; bring hands to it by relative_motion, or release fewer arms",
+            )
+
+
+def _moves_nothing(task: Task, start: State) -> bool:
+    """Whether a task is of an object that stands alone."""
+    if not start.chain.standing or task.of_forces:
+        return False
+    with suppress(Exception):  # of a task that waits for an input; the run tells
+        stack = TaskStack([task], start)
+        stack.update(start)
+        return not stack.J.any()
+    return False
 
 
 def _alike(scenario: Scenario, places: Mapping[str, Places]) -> Iterator[Wrong]:
@@ -405,8 +414,8 @@ def _broken_limits(scenario: Scenario, places: Places) -> Iterator[Wrong]:
             continue
         rows = set(names_of(limit.rows(scenario.chain)))
         if twice := sorted(rows & taken):
-            cure = TELL_APART if hasattr(limit, "name") else "leave one of them out"
-            yield Wrong(["limits", i], f"another limit has a row '{twice[0]}' too; {cure}")
+            advice = TELL_APART if hasattr(limit, "name") else "leave one of them out"
+            yield Wrong(["limits", i], f"another limit has a row '{twice[0]}' too; {advice}")
         taken |= rows
     # Joints that would brake for a bound behind the one that they must not pass.
     margin = max((k.margin for k in scenario.limits if isinstance(k, JointPosition)), default=0.0)
@@ -414,42 +423,6 @@ def _broken_limits(scenario: Scenario, places: Places) -> Iterator[Wrong]:
         if isinstance(limit, JointAcceleration) and limit.margin < margin:
             words = f"needs at least joint_position's {margin:g}, so that joints brake in time"
             yield Wrong(["limits", i], f"margin: found {limit.margin:g}, {words}")
-
-
-def _joints_outside(robot: RobotModel, start: Start, q: Array, key: str) -> Iterator[Wrong]:
-    """Where a start leaves the robot's position limits, and by how much."""
-    if key == "start" and _like_degrees(robot, q):
-        words = "found angles of more than a turn, which are inside the limits in degrees"
-        yield Wrong([key], f"{words}; did you mean start_deg?")
-        return
-    lower, upper = robot.model.lowerPositionLimit, robot.model.upperPositionLimit
-    arms = {arm.name: robot.arm_joints(arm) for arm in robot.arms}
-    values = zip(robot.joint_names, robot.joint_units, q, lower, upper, strict=True)
-    for joint, *value in values:
-        location: list[str | int] = [key, joint]
-        for arm, joints in arms.items():
-            if arm in start and joint in joints and joint not in start:
-                location = [key, arm, joints.index(joint)]
-        yield from _outside(location, joint, *value)
-
-
-def _outside(
-    place: Location, joint: str, unit: str, value: float, low: float, high: float
-) -> Iterator[Wrong]:
-    if low <= value <= high:
-        return
-    if unit == "rad" and place[0] == "start_deg":
-        unit, (value, low, high) = "degrees", np.degrees((value, low, high)).tolist()
-    words = f"{joint} starts at {value:.6g} {unit}, outside its limits {low:.6g} to {high:.6g}"
-    yield Wrong(place, f"{words}; or say start_outside: true to see it recover")
-
-
-def _like_degrees(robot: RobotModel, q: Array) -> bool:
-    lower, upper = robot.model.lowerPositionLimit, robot.model.upperPositionLimit
-    turns = np.array([unit == "rad" for unit in robot.joint_units])
-    outside = turns & ((q < lower) | (q > upper))
-    inside = (lower <= np.radians(q)) & (np.radians(q) <= upper)
-    return bool((np.abs(q[outside]) > 2.0 * math.pi).any() and inside[turns].all())
 
 
 def _too_large(chain: ClosedChain) -> Iterator[Wrong]:

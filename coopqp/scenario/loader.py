@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +12,21 @@ from coopqp.base.errors import Fault, ScenarioError, UnknownNameError, unknown_n
 from coopqp.base.reading import absolute
 from coopqp.grasps import Rigid
 from coopqp.model.grasp_configuration import grasp_of_each
+from coopqp.model.profile import FASTEST
 from coopqp.robot import RobotModel
 from coopqp.scenario.catalog import Catalog
-from coopqp.scenario.checks import Known, at, check_start, contradictions, refuse
+from coopqp.scenario.checks import (
+    Known,
+    at,
+    check_start,
+    contradictions,
+    placed_tasks,
+    refuse,
+)
 from coopqp.scenario.form import SOLVE, check, chosen, fields_of, given
 from coopqp.scenario.planned import following
-from coopqp.scenario.scenario import Scenario, Start, from_degrees
+from coopqp.scenario.scenario import Scenario
+from coopqp.scenario.start import Start, from_degrees
 from coopqp.scenario.start_solver import Progress, StartSolution, close_start, solve_start
 from coopqp.scenario.yaml import YamlFile, parsed, read_yaml
 from coopqp.solver import Solver
@@ -24,6 +34,8 @@ from coopqp.solvers import qpsolvers
 
 #: Keys whose values are paths, of robots, obstacles, way-points, plans and what was sent.
 FILE_KEYS = {"path", "mesh", "file", "feed_file", "plan"}
+#: Where the fastest profiles are found. It lies above, so it is found by name, as plug-ins are.
+TIMING = "coopqp.planning.fastest_profile"
 
 
 def load(path: str | Path, catalog: Catalog | None = None) -> Scenario:
@@ -51,14 +63,16 @@ def load_file(file: YamlFile, catalog: Catalog, known: Known | None = None) -> S
         scenario = _read(file, catalog)
         known.lend_robot(file.data, scenario)
         if file.data.get("start") == SOLVE:
-            scenario = _starting(scenario, _solved(file, scenario, scenario.seed, None).start)
+            scenario = scenario.changed(start=_solved(file, scenario, scenario.seed, None).start)
         elif file.data.get("start_deg") is not None:
             with at(["robot"]):
                 robot = scenario.robot_model
-            scenario = _starting(scenario, from_degrees(robot, scenario.grasps, scenario.start))
+            scenario = scenario.changed(start=from_degrees(robot, scenario.grasps, scenario.start))
         if planned := file.data.get("reference"):
             with at(["reference"]):
                 scenario = following(scenario, file.folder / planned["plan"])
+        if any(task.way and task.way.kind == FASTEST for _, task, _ in placed_tasks(scenario)):
+            scenario = import_module(TIMING).with_fastest_profiles(scenario)
         check_start(file.data, scenario, known)
         return scenario
 
@@ -82,13 +96,6 @@ def _read(file: YamlFile, catalog: Catalog, *, needs_start: bool = True) -> Scen
     )
     refuse(contradictions(keys, scenario, needs_start=needs_start))
     return scenario
-
-
-def _starting(scenario: Scenario, start: Start) -> Scenario:
-    """The scenario with a start; its robot, which is built by now, is not built again."""
-    changed = replace(scenario, start=start)
-    vars(changed)["robot_model"] = scenario.robot_model
-    return changed
 
 
 def load_and_solve(

@@ -234,7 +234,7 @@ def _far_hands(chain: ClosedChain) -> Iterator[str]:
     model, X_WO = chain.model, chain.object_pose(chain.q_start)
     data, half = model.createData(), 0.5 * np.array(chain.held.size)
     pin.framesForwardKinematics(model, data, chain.q_start)
-    for arm in chain.arms[: chain.holding]:
+    for arm in chain.arms[: len(chain.hold.holders)]:
         if chain.grasps[arm.name].contact:
             continue
         p_OT = X_WO.actInv(data.oMf[model.getFrameId(arm.tip)]).translation
@@ -271,10 +271,11 @@ def _unmovable(scenario: Scenario) -> Iterator[str]:
 
     Jacobians are analytic: combinations of rows that are 0 at random configurations always are.
     """
-    chain, state = scenario.chain, State(scenario.chain)
-    ways = np.random.default_rng(0).uniform(-1.0, 1.0, (LOOKS, chain.n))
-    for phase in scenario.schedule:
-        for task in () if phase.released else phase.tasks:
+    problems = scenario.problems(lambda _: scenario.chain.q_start)
+    ways = np.random.default_rng(0).uniform(-1.0, 1.0, (LOOKS, scenario.chain.n))
+    for phase, problem in zip(scenario.schedule, problems, strict=True):
+        chain, state = problem.chain, State(problem.chain)
+        for task in () if phase.released and not chain.standing else phase.tasks:
             if task.joint_space or task.of_forces or task.asks_velocity or task.impedance:
                 continue
             seen, at, names = list[Array](), 0, task.rows(chain)

@@ -18,6 +18,7 @@ from coopqp.base.table import read_table
 from coopqp.scenario.scenario import Phase, Scenario
 from coopqp.signal import POSE
 from coopqp.signals import Waypoints
+from coopqp.task import Task
 from coopqp.tasks import Pose, Posture
 
 #: How fast what is left of an error goes to zero along the path [1/s].
@@ -64,12 +65,15 @@ def following(scenario: Scenario, path: Path) -> Scenario:
             joint = scenario.chain.joint_names[int(off.argmax())]
             words = f"begins {off.max():.3g} from the start of {joint}; plan the way anew from here"
             raise InvalidValueError(f"{path}: {words}")
-    way = Waypoints(file=path, between="linear")
-    gain = min(GAIN, 1.0 / scenario.dt)
-    tasks = (
+    first = Phase(name=WAY, duration=end + SETTLES, tasks=tasks_along(path, scenario.dt))
+    then = Phase(name=GOAL, duration=scenario.duration, tasks=scenario.tasks)
+    return replace(scenario, tasks=(), duration=0.0, phases=(first, then))
+
+
+def tasks_along(path: Path, dt: float) -> tuple[Task, ...]:
+    """Joints and object follow the plan of a file, with ticks of dt [s]."""
+    way, gain = Waypoints(file=path, between="linear"), min(GAIN, 1.0 / dt)
+    return (
         Posture(name="planned joints", goal=way, gain=gain),
         Pose(name="planned object", goal=way, gain=gain),
     )
-    first = Phase(name=WAY, duration=end + SETTLES, tasks=tasks)
-    then = Phase(name=GOAL, duration=scenario.duration, tasks=scenario.tasks)
-    return replace(scenario, tasks=(), duration=0.0, phases=(first, then))

@@ -17,10 +17,13 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import Field
 
-from coopqp.base.errors import CoopqpError, InvalidValueError, ScenarioError
-from coopqp.base.spec import Array, Name, NonNegative, Positive, array, near, type_name
+from coopqp.base.errors import CoopqpError, Fault, InvalidValueError, ScenarioError
+from coopqp.base.spec import Array, Name, NonNegative, Pose, Positive, type_name
+from coopqp.base.wording import dotted
+from coopqp.closed_loop.forces import contact_faults
 from coopqp.controller import Controller, ControlProblem, OnInfeasible, period_fault
 from coopqp.grasp import Grasp
 from coopqp.grasps import Rigid
@@ -32,11 +35,18 @@ from coopqp.model.loop_observer import Observer
 from coopqp.model.state import State
 from coopqp.plant import Disturbance, Plant, PlantModel
 from coopqp.plants import Kinematic
-from coopqp.robot import Robot, RobotModel, unit_of
+from coopqp.robot import Robot, RobotModel
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.faulty_plant import FaultyPlant, Injected
 from coopqp.scenario.input import InputSettings, wanted
-from coopqp.scenario.yaml import parsed
+from coopqp.scenario.start import (
+    Start,
+    joints_outside,
+    passive_outside,
+    pose_of,
+    start_of,
+)
+from coopqp.scenario.yaml import Wrong, parsed
 from coopqp.signal import Kind
 from coopqp.solver import Budget, Solver
 from coopqp.solvers import Daqp
@@ -45,7 +55,8 @@ from coopqp.task import Task
 #: Most ticks times joints of all controllers together: traces of 0.6 GB, reports of 2 GB.
 MOST_KEPT = 4_000_000
 
-Start = Mapping[str, float | Sequence[float]]
+#: Fields from which the closed chain follows, beside the robot.
+OF_CHAIN = {"start", "grasps", "grasp_of", "held", "weights", "phases"}
 UNIONS = (typing.Union, types.UnionType)
 
 
@@ -83,7 +94,7 @@ class Phase:
     duration: Positive
     """Length [s]; time begins anew in each phase."""
     released: tuple[str, ...] = ()
-    """Arms that do not hold the object; all others do."""
+    """Arms that do not hold the object; all others do. Where none does it stands."""
     tasks: Annotated[Sequence[Task], Key(form=Tasks)]
     """What shall happen."""
 
@@ -160,7 +171,8 @@ class Scenario:
     duration: Annotated[float, Key(form=Positive | None, default=None)] = 0.0
     """Length of the run [s]."""
     kappa: Annotated[float, Key(form=NonNegative | None, default=None)] = math.inf
-    """Baumgarte gain, J_c v = -kappa e [1/s]; at most 1/dt, the default; 0 is the paper's law."""
+    """Baumgarte gain, J_c v = -kappa e [1/s]; at most 1/dt, the default, and 10 by torques; 0 is
+    the paper's law."""
     on_infeasible: OnInfeasible = "scale"
     """scale, hold or stop when not all can hold."""
     observer: Observer = field(default_factory=Observer)
@@ -213,7 +225,48 @@ class Scenario:
         if grasp is None:
             return self
         start = start_of(self.robot_model, self.start)[0]  # other grasps, other passive joints
-        return replace(self, grasps=grasp, grasp_of={}, start=start)
+        return self.changed(grasps=grasp, grasp_of={}, start=start)
+
+    def changed(self, **changes: Any) -> Scenario:
+        """With other fields than these; robot and chain that do not change are not built again."""
+        other, built = replace(self, **changes), {"robot_model", "chain"} & vars(self).keys()
+        kept = (
+            set() if "robot" in changes else built - {"chain"} if OF_CHAIN & {*changes} else built
+        )
+        vars(other).update({name: vars(self)[name] for name in kept})
+        return other
+
+    def placed(
+        self, *, object_pose: Pose | ArrayLike | None = None, start: Start | None = None
+    ) -> Scenario:
+        """The same scenario with the object elsewhere, the arms, or both, in some milliseconds.
+
+        Args:
+            object_pose: in the world, instead of the file's ``object.pose``: a :class:`Pose`, or x,
+                y, z [m] and a quaternion x, y, z, w.
+            start: by arm or joint, instead of the file's [rad, m].
+
+        Raises:
+            CoopqpError: what a file with this start and pose would be refused for. Tasks are not
+                tried again.
+        """
+        changes: dict[str, Any] = {"source": "", "start": self.start if start is None else start}
+        if object_pose is not None:
+            changes["held"] = replace(self.held, pose=pose_of(object_pose))
+        other, robot = self.changed(**changes), self.robot_model
+        of_robot, passive = start_of(robot, other.start)
+        allowed, q = self.start_outside, robot.configuration(of_robot)
+        wrong = [] if allowed else [*joints_outside(robot, of_robot, q, "start")]
+        if not wrong:
+            chain = other.chain
+            wrong = [Wrong(["grasps", arm], words) for arm, words in contact_faults(chain)]
+            if not allowed:
+                wrong += passive_outside(chain, passive, "start")
+                for i, limit in enumerate(self.limits):
+                    wrong += [Wrong(["limits", i], words) for words in limit.start_faults(chain)]
+        if wrong:
+            raise ScenarioError([Fault(dotted(where), words) for where, words, *_ in wrong])
+        return other
 
     @cached_property
     def schedule(self) -> tuple[Phase, ...]:
@@ -225,6 +278,12 @@ class Scenario:
         """At which tick each phase begins."""
         ticks = [phase.ticks(self.dt) for phase in self.schedule]
         return tuple(itertools.accumulate(ticks[:-1], initial=0))
+
+    @property
+    def stands(self) -> bool:
+        """Whether no arm holds the object in some phase."""
+        arms = {arm.name for arm in self.robot_model.arms}
+        return any(arms.issubset(phase.released) for phase in self.phases)
 
     @property
     def ticks(self) -> int:
@@ -270,9 +329,10 @@ class Scenario:
         self, phase: Phase | None = None, chain: ClosedChain | None = None
     ) -> ControlProblem:
         """What controllers are built for, in a phase and its first chain; by default the first."""
-        tasks = (phase or self.schedule[0]).tasks
+        phase = phase or self.schedule[0]
+        tasks = phase.tasks
         return ControlProblem(
-            chain=chain or self.chain,
+            chain=(chain or self.chain).keeping_away(self._away(phase)),
             tasks=tuple(task for task in tasks if not task.of_forces),
             wrenches=tuple(task for task in tasks if task.of_forces),
             secondary=self.secondary,
@@ -284,6 +344,12 @@ class Scenario:
             on_infeasible=self.on_infeasible,
             observer=self.observer,
         )
+
+    def _away(self, phase: Phase) -> tuple[str, ...]:
+        """Arms that are released in a phase, the one before and the one after."""
+        i = [one.name for one in self.schedule].index(phase.name)
+        near = self.schedule[max(0, i - 1) : i + 2]
+        return tuple(a for a in phase.released if all(a in one.released for one in near))
 
     def simulated(self, problem: ControlProblem) -> PlantModel:
         """The plant of one of its problems, with the faults of sensors and motors."""
@@ -337,46 +403,3 @@ def _stranger(value: Any, hint: Any) -> str:
             return words[0].replace(", needs", " in it, needs") if words else ""
         needed += [called] if option is not type(None) else []
     return f"found {value!r:.60}, needs {' or '.join(needed)}"
-
-
-def start_of(robot: RobotModel, start: Start) -> tuple[Start, dict[str, float]]:
-    """The start of the robot's joints, and of the grasps' passive joints ("right.hinge")."""
-    arms = {arm.name for arm in robot.arms}
-    own, passive = dict(start), {}
-    for key, value in start.items():
-        arm, dot, _ = key.rpartition(".")
-        if dot and arm in arms and key not in robot.joint_names:
-            numbers = np.atleast_1d(near(key, array(key, own.pop(key))))
-            if numbers.shape != (1,):
-                raise InvalidValueError(f"{key}: found {value}, needs one number").at(key)
-            passive[key] = float(numbers[0])
-    return own, passive
-
-
-def by_arm(robot: RobotModel, value: Mapping[str, float]) -> dict[str, float | list[float]]:
-    """A start by arm, and by name for joints of no arm and passive ones, from one by joint."""
-    start: dict[str, float | list[float]] = {
-        arm.name: [value[joint] for joint in robot.arm_joints(arm)] for arm in robot.arms
-    }
-    moved = {joint for arm in robot.arms for joint in robot.arm_joints(arm)}
-    return start | {name: x for name, x in value.items() if name not in moved}
-
-
-def from_degrees(robot: RobotModel, grasps: Grasp | Mapping[str, Grasp], start: Start) -> Start:
-    """A start in radians and metres from one in degrees, metres where a joint slides."""
-    units = dict(zip(robot.joint_names, robot.joint_units, strict=True))
-    for arm in robot.arms:
-        grasp = grasps.get(arm.name) if isinstance(grasps, Mapping) else grasps
-        for passive in grasp.passive_joints(np.eye(3)) if grasp else ():
-            units[f"{arm.name}.{passive.name}"] = unit_of(passive.joint)
-    joints = {arm.name: robot.arm_joints(arm) for arm in robot.arms}
-    converted: dict[str, float | list[float]] = {}
-    for key, value in start.items():
-        # Names and counts that are wrong are refused where the start is used.
-        slides = [units.get(joint) == "m" for joint in joints.get(key, (key,))]
-        if np.size(value) == len(slides):
-            kept = np.reshape(slides, np.shape(value))
-            converted[key] = np.where(kept, value, np.radians(value)).tolist()
-        else:
-            converted[key] = np.radians(value).tolist()
-    return converted

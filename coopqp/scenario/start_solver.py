@@ -42,7 +42,7 @@ from coopqp.model.grasp_configuration import (
 from coopqp.model.held_object import HeldObject
 from coopqp.robot import RobotModel
 from coopqp.scenario.bounded_steps import LEAST_DAMPING, BoundedSteps, Stop
-from coopqp.scenario.scenario import Start, by_arm, start_of
+from coopqp.scenario.start import Start, by_arm, start_of
 
 #: How far a joint without limits is turned at random [rad or m].
 UNLIMITED = np.pi
@@ -254,7 +254,7 @@ def solve_start(
         tries, found = tries + search.tries, [*found, search.found]
         report(TRIES)
     if failed:
-        raise GraspError("; ".join([*failed, _cure(off)]))
+        raise GraspError("; ".join([*failed, _advice(off)]))
     room = np.minimum(q - problem.lower, problem.upper - q)
     return _solution(robot, list(problem.model.names)[1:], q, room, tries, min(found))
 
@@ -313,7 +313,7 @@ def start_text(start: Mapping[str, float | list[float]], remark: str, digits: in
     return "\n".join([*lines, ""])
 
 
-def _cure(off: float) -> str:
+def _advice(off: float) -> str:
     """What to do where arms are off by so much [m]."""
     if off < LOOP_CLOSED:
         return (

@@ -7,6 +7,7 @@ it is written, and its size is known before it is built: an alias counts as all 
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import re
@@ -110,6 +111,15 @@ class YamlFile:
     def changed(self, data: dict[str, Any]) -> YamlFile:
         """What the file would be with other data; places are those of this file."""
         return replace(self, data=data, text=json.dumps(data) + "\n")
+
+
+def as_yaml(data: dict[str, Any]) -> str:
+    """A mapping as YAML for people: its own order, short values in a line."""
+    stream, writer = io.StringIO(), YAML(typ="safe", pure=True)
+    writer.default_flow_style, writer.width = None, 100
+    writer.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
+    writer.dump(data, stream)
+    return stream.getvalue()
 
 
 def read_yaml(path: Path) -> YamlFile:

@@ -63,6 +63,8 @@ class Waypoints(Signal):
     file: FilePath | None = None
     """Instead of both: a CSV or Parquet file with columns t and x, y, z, or x, y, z, qx, qy, qz,
     qw, or names of joints."""
+    column: str = ""
+    """Of a file for a single number, such as a force; its name is ``value`` if omitted."""
     between: Between = "cubic"
     """linear; minimum_jerk, at rest at each; or cubic, smoothly through them."""
     repeat: Literal["once", "back_and_forth", "round"] = "once"
@@ -70,6 +72,8 @@ class Waypoints(Signal):
 
     def __post_init__(self) -> None:
         inside = self.times is not None and self.values is not None
+        if self.column and self.file is None:
+            raise ValueError("column: is one of a file; give file")
         if inside == (self.file is not None) or (self.times is None) != (self.values is None):
             raise ValueError("give times and values, or file, and not both")
         if self.times is None or self.values is None:
@@ -100,7 +104,8 @@ class Waypoints(Signal):
         """Times and values as they are kept, shapes (m,) and (m, values)."""
         if self.file is not None:
             table = read_table(self.file)
-            rows, places = list(table.take(kind.columns)), table.place
+            columns = (self.column,) if self.column else kind.columns
+            rows, places = list(table.take(columns)), table.place
         else:
             rows, places = list(self.values or ()), "waypoints.values[{}]".format
         t = self._times
@@ -116,7 +121,8 @@ class Waypoints(Signal):
         for i, row in enumerate(found):
             check_places(places(i), row[: kind.numbers])
         ways = np.abs(np.diff(found, axis=0)).max(axis=1, initial=0.0) / np.diff(t)
-        check_speed(places(int(ways.argmax()) + 1), float(ways.max()))
+        if not self.column:  # forces may step
+            check_speed(places(int(ways.argmax()) + 1), float(ways.max()))
         if kind.axis:
             _carry_over(found, round_trip=self.repeat == "round")
         return t, found

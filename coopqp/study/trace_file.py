@@ -125,7 +125,7 @@ def _phase(
         controller=run.controllers[0], solver=None, engine=None, dt=dt, kappa=problem.kappa,
         joints=joints, units=chain.joint_units, lower=chain.lower, upper=chain.upper,
         velocity=chain.velocity, effort=chain.model.effortLimit.copy(),
-        tasks=tasks, leverage=np.ones(len(tasks)),
+        tasks=tasks, manipulability=np.ones(len(tasks)),
         t=np.arange(ticks + 1.0) * dt, q=q, v=v, commanded=q[:-1], measured=q[:-1],
         gap=nothing[1:], memory=nothing[1:], position=nothing, rotation=nothing,
         loop_position=loop[:, 0], loop_orientation=loop[:, 1],

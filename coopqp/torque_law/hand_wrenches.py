@@ -154,8 +154,11 @@ class HandWrenches:
             masses = inertias = np.ones(len(masses))
         return virtual_inertia(self.points, state.p_WO, masses, inertias)
 
-    def loop_correction(self, state: State, dynamics: ClosedLoopDynamics, kappa: float) -> Array:
+    def loop_correction(
+        self, state: State, dynamics: ClosedLoopDynamics, problem: ControlProblem
+    ) -> Array:
         """-J_c a that closes open loops, shape (m,); pressing hands are held together by force."""
+        kappa = loop_gain(problem)
         pulls = self._loop_pulls[dynamics.kept]
         back = 2.0 * kappa * dynamics.J.dot(state.v) + kappa**2 * pulls * state.e_loop
         return np.asarray(back, float)
@@ -187,6 +190,20 @@ class HandWrenches:
             found[i] = np.min(np.maximum(left, 0.0) / np.maximum(felt, 1e-9))
         found = np.maximum(found, MIN_RESERVE * max(float(found.max()), 1e-9))
         return np.asarray(found / found.sum(), float)
+
+
+#: Gain by which torques close loops where none is given [1/s].
+LOOP_GAIN = 10.0
+
+
+def loop_gain(problem: ControlProblem) -> float:
+    """The gain kappa of laws by torques, where velocities' default 1/dt is none [1/s].
+
+    A robot's hands and its object close the loops; a law that asks for kappa^2 e on top, with e
+    what sensors, models and grips are off, tears at the object with the arms' mass times that.
+    """
+    by_default = problem.kappa * problem.dt >= 1.0 - 1e-9
+    return min(LOOP_GAIN, problem.kappa) if by_default else problem.kappa
 
 
 def _shares(chain: ClosedChain, shares: Shares) -> Array:

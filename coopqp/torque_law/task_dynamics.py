@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from coopqp.base.errors import GraspError
+from coopqp.base.rank import least_squares
 from coopqp.base.spec import Array
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.closed_loop.mobility import mobility
@@ -62,6 +63,11 @@ class TaskDynamics:
         tau = dynamics.distribute(dynamics.gravity(state.q) - brake).tau
         return np.asarray(np.minimum(np.maximum(tau, -self._effort), self._effort), float)
 
+    def moving(self, e_ddot: Array) -> Array:
+        """Accelerations of the joints by forces of the task rows that give them e_ddot, (n,)."""
+        X, J = self.inverse_inertia(), self.tasks.J
+        return np.asarray(X @ J.T @ least_squares(J @ X @ J.T, e_ddot))
+
     def inverse_inertia(self) -> Array:
         """Acceleration of the joints per torque on them, the loops closed, shape (n, n).
 
@@ -97,6 +103,11 @@ def require_motor_freedom(problem: ControlProblem, controller: str) -> None:
         GraspError: with the object motions that are missing.
     """
     start = State(problem.chain)
+    if problem.chain.standing:
+        raise GraspError(
+            f"{controller}: no arm holds the object in one of the phases, and this law moves hands "
+            "by the object alone; use one that commands velocities, such as qp"
+        )
     tasks = TaskStack([task for task in problem.tasks if not task.joint_space], start)
     tasks.update(start)
     found = mobility(problem.chain, task_rows=[("all", tasks.J)], samples=1)

@@ -6,21 +6,18 @@ OUT/inputs/NAME.csv what has arrived at it, tick by tick: t, sent and the column
 
 from __future__ import annotations
 
-import io
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from ruamel.yaml import YAML
-
 from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.recordings.sent import FOLDER, Sent, fed, file_name
 from coopqp.report.files import write_one
 from coopqp.scenario.input import Arrival
 from coopqp.scenario.scenario import MOST_KEPT, Scenario
-from coopqp.scenario.yaml import parsed
+from coopqp.scenario.yaml import as_yaml, parsed
 from coopqp.signal import Kind
 from coopqp.viewer.steering import KAPPA, SteeredField, dialled_field, input_limits
 
@@ -101,17 +98,10 @@ class Recording:
         for name, sent in self._sent.items():
             names[name] = file_name(name, names.values())
             write_one(folder / FOLDER / names[name], sent.header + sent.lines())
-        write_one(folder / FILE, self._yaml(names, folder))
-        return folder / FILE
-
-    def _yaml(self, names: Mapping[str, str], folder: Path) -> str:
-        stream, writer = io.StringIO(), YAML(typ="safe", pure=True)
-        writer.default_flow_style = None
-        writer.width = 100
-        writer.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
-        writer.dump(self._data(names, folder), stream)
         played = f"{self._scenario.name}, played for {self.seconds:.3f} s"
-        return f"# {played}; coopqp compare replays it.\n{stream.getvalue()}"
+        text = f"# {played}; coopqp compare replays it.\n{as_yaml(self._data(names, folder))}"
+        write_one(folder / FILE, text)
+        return folder / FILE
 
     def _data(self, names: Mapping[str, str], folder: Path) -> dict[str, Any]:
         """The scenario file as a mapping, with what was played."""

@@ -113,10 +113,10 @@ def test_angles_below_their_thresholds_resolution_are_left_out() -> None:
     assert "lets the loop open by 0.11 mm;" in said
 
 
-def test_an_acceleration_is_told_with_its_cure_where_there_is_one() -> None:
-    cure = "times what the loop for robots allows: add joint_acceleration to limits"
+def test_an_acceleration_is_told_with_advice_where_there_is_one() -> None:
+    advice = "times what the loop for robots allows: add joint_acceleration to limits"
     scenario, trace = hurried()
-    assert cure in summarize(scenario, {"qp": trace}).verdicts["qp"]
+    assert advice in summarize(scenario, {"qp": trace}).verdicts["qp"]
     _, deaf = hurried("pseudoinverse")
     assert (
         "add joint_acceleration"

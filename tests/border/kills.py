@@ -13,6 +13,7 @@ import signal
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from random import Random
 
@@ -92,11 +93,11 @@ def old_report(folder: Path) -> None:
         (folder / name).write_text(content, encoding="utf-8")
 
 
-def main() -> int:
+def main(words: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.border.kills", description=__doc__)
     parser.add_argument("--kills", type=int, default=200)
     parser.add_argument("--seed", type=int, default=0)
-    asked = parser.parse_args()
+    asked = parser.parse_args(words)
     rng, versions, steps = Random(asked.seed), 0, 0
     with tempfile.TemporaryDirectory() as outer:
         folder = Path(outer) / "report"

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from laws import NEAR, problem
 from online_loops import follows, go, simulated
+from own_task import Own
 
 from coopqp.base.spec import Array, spec
 from coopqp.controller import Controller, Law
@@ -63,6 +64,10 @@ def _memory(state: Any) -> None:
     state.memory.numbers[...] = np.nan
 
 
+def _lower(state: Any) -> None:
+    state.chain.lower[...] = 5.0
+
+
 def _stopped(state: Any) -> None:
     state.memory["stopped"][0] = 1.0
 
@@ -84,9 +89,12 @@ WRITES: dict[str, Callable[[Any], None]] = {
     "farther": _add,
     "resized": _resize,
     "memory": _memory,
+    "limits of the chain": _lower,
     "stopped": _stopped,
     "advanced": _update,
 }
+#: Which is no fault, as long as it is not kept so.
+READ_ONLY: dict[str, Callable[[Any], None]] = {"read only": lambda state: state.q.setflags(write=0)}
 
 
 @spec
@@ -105,7 +113,7 @@ class Meddling(Task):
         def evaluate(state: State, rows: TaskRows) -> None:
             rows.e[0], rows.J[0] = state.p_WO[2] - 0.05, state.J_task[2]
             if state.t > LATE:
-                WRITES[self.how](state)
+                (WRITES | READ_ONLY)[self.how](state)
 
         return evaluate
 
@@ -177,11 +185,17 @@ BY = [(law, by) for law in LAWS for by in ("task", "limit", "signal")]
 BY.remove(("closed form", "limit"))  # it reads none
 
 
-@pytest.mark.parametrize("how", WRITES)
 @pytest.mark.parametrize(("law", "by"), BY)
 def test_what_a_plug_in_writes_to_the_state_is_named_and_undone(
-    chain: ClosedChain, law: str, by: str, how: str
+    chain: ClosedChain, law: str, by: str
 ) -> None:
+    lower = chain.lower.copy()
+    for how in WRITES:
+        _check_undone(chain, law, by, how)
+    np.testing.assert_array_equal(chain.lower, lower)
+
+
+def _check_undone(chain: ClosedChain, law: str, by: str, how: str) -> None:
     built = _law(chain, law, by, how)
     state = built.start()
     for _ in range(6):
@@ -195,13 +209,23 @@ def test_what_a_plug_in_writes_to_the_state_is_named_and_undone(
         assert np.isfinite(state.gap).all()
         assert np.isfinite(state.memory.numbers).all()
         if state.t > LATE:
-            assert command.causes[0] is Status.RAISED
+            assert command.causes[0] is Status.RAISED, how
             assert not command.v.any()
             assert "test_meddling.py:" in command.note
+            assert how != "another q" or "state.q cannot be replaced" in command.note
         else:
             assert command.status is Status.OPTIMAL
         state.advance(command.v, 0.01)
     assert how != "stopped" or law == "closed form" or not state.memory["stopped"][0]
+
+
+def test_a_state_that_a_task_makes_read_only_is_put_right(chain: ClosedChain) -> None:
+    built = _law(chain, "plain", "task", "read only")
+    state = built.start()
+    for _ in range(6):
+        assert built.tick(state).status is Status.OPTIMAL
+        state.advance(built.command.v, 0.01)
+    assert state.q.flags.writeable
 
 
 @pytest.mark.parametrize("writes", ["value", "rate", "another", "forgotten"])
@@ -246,32 +270,14 @@ class MeddlingInput(Task):
         return evaluate
 
 
-@spec
-class Warning(Task):
-    """Divides by zero, overflows, and takes roots of negative numbers."""
-
-    def rows(self, chain: ClosedChain) -> tuple[str, ...]:
-        """One row."""
-        return ("z",)
-
-    def bind(self, start: State) -> Evaluate:
-        """Nothing to keep."""
-
-        def evaluate(state: State, rows: TaskRows) -> None:
-            rows.e[0], rows.J[0] = state.p_WO[2] - 0.05, state.J_task[2]
-            nothing, much = np.zeros(2), np.full(2, 1e300)
-            all_of_it = (
-                1.0 / nothing,
-                nothing / nothing,
-                much * much,
-                np.sqrt(-much),
-                1.0 / much**1,
-            )
-            if state.t > LATE:
-                rows.e[0] += sum(x[0] for x in all_of_it)
-                rows.J[0] *= much[0] * much[0]
-
-        return evaluate
+def warn(state: State, rows: TaskRows) -> None:
+    """Divide by zero, overflow, and take roots of negative numbers."""
+    rows.e[0], rows.J[0] = state.p_WO[2] - 0.05, state.J_task[2]
+    nothing, much = np.zeros(2), np.full(2, 1e300)
+    all_of_it = 1.0 / nothing, nothing / nothing, much * much, np.sqrt(-much), 1.0 / much**1
+    if state.t > LATE:
+        rows.e[0] += sum(x[0] for x in all_of_it)
+        rows.J[0] *= much[0] * much[0]
 
 
 @spec
@@ -304,7 +310,7 @@ def test_no_warning_of_numpy_leaves_a_tick(
     chain: ClosedChain, law: str, by: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
     controller, more = LAWS[law]
-    tasks = (PointOnPoint(goal=NEAR), *([Warning(name="mine")] if by == "task" else []))
+    tasks = (PointOnPoint(goal=NEAR), *([Own(name="mine", write=warn)] if by == "task" else []))
     limits = (JointPosition(), JointVelocity(), *([WarningLimit()] if by == "limit" else []))
     built = controller.build(problem(chain, *tasks, limits=limits, **more))
     state = built.start()

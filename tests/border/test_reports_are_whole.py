@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from command_line import typed
+from command_line import refused, typed
 from scenario_files import cut
 
 import coopqp
 from coopqp.base.errors import InternalError
 from coopqp.execution.comparison import Comparison
 from coopqp.report import files
+from tests.border import kills
 
 ROOT = Path(__file__).parents[2]
 
@@ -24,13 +23,9 @@ def comparison() -> Comparison:
     return coopqp.compare(cut(coopqp.load("point_on_point"), 3), controllers=["qp"])
 
 
-def test_a_killed_writer_leaves_one_whole_report() -> None:
-    command = [sys.executable, "-m", "tests.border.kills", "--kills", "5"]
-    done = subprocess.run(
-        command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=100
-    )
-    assert done.returncode == 0, done.stderr
-    assert "5 kills" in done.stdout
+def test_a_killed_writer_leaves_one_whole_report(capsys: pytest.CaptureFixture[str]) -> None:
+    assert kills.main(["--kills", "5"]) == 0
+    assert capsys.readouterr().out.startswith("5 kills")
 
 
 def test_files_of_an_earlier_report_do_not_stay(comparison: Comparison, tmp_path: Path) -> None:
@@ -45,9 +40,8 @@ def test_files_of_an_earlier_report_do_not_stay(comparison: Comparison, tmp_path
 
 def test_a_folder_in_the_way_is_said_before_the_run(tmp_path: Path) -> None:
     (tmp_path / "metrics.json").mkdir()
-    result = typed("compare", "point_on_point", "--out", tmp_path)
-    assert result.exit_code == 2
-    assert "metrics.json' is a folder, but a file is to be written there" in result.stderr
+    said = refused("compare", "point_on_point", "--out", tmp_path)
+    assert "metrics.json' is a folder, but a file is to be written there" in said
 
 
 def test_a_page_that_cannot_be_drawn_takes_nothing_else_along(

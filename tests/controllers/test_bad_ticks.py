@@ -10,6 +10,7 @@ import pytest
 from chains import HANDS
 from example_controllers import each_controller
 from laws import DT, LIMITS, NEAR, STEP, problem
+from own_task import Own
 
 from coopqp.base.qp import QP, Row
 from coopqp.base.spec import Array, spec, type_name
@@ -55,18 +56,9 @@ class Lies(Solver):
         return solve
 
 
-@spec
-class NotANumber(Task):
-    """A task whose measurement is broken."""
-
-    def rows(self, chain: ClosedChain) -> tuple[str, ...]:
-        return ("height",)
-
-    def bind(self, start: State) -> Evaluate:
-        def evaluate(state: State, rows: TaskRows) -> None:
-            rows.e[0], rows.J[0] = np.nan, state.J_task[2]
-
-        return evaluate
+def not_a_number(state: State, rows: TaskRows) -> None:
+    """A measurement is broken."""
+    rows.e[0], rows.J[0] = np.nan, state.J_task[2]
 
 
 @pytest.mark.parametrize("status", [status for status in Status if not status.usable])
@@ -143,7 +135,7 @@ def test_tick_raises_nothing_and_commands_only_numbers(
 
 @pytest.mark.parametrize("solver", [Daqp(), Osqp(max_iter=1000), Proxqp(max_iter=10)], ids=str)
 def test_robot_holds_still_when_a_task_is_not_a_number(solver: Solver, chain: ClosedChain) -> None:
-    law = QPController().build(problem(chain, NotANumber(), solver=solver))
+    law = QPController().build(problem(chain, Own(write=not_a_number), solver=solver))
     answer = law.tick(law.start())
     assert not answer.status.usable
     np.testing.assert_array_equal(answer.v, np.zeros(chain.n))

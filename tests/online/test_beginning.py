@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from online_loops import follows
 
@@ -102,6 +103,20 @@ def test_where_the_object_has_a_place_hands_far_off_are_refused_with_the_mistake
     with pytest.raises(GraspError, match=r"more than a model's error; bring the robot near"):
         OnlineLoop(placed, clock=None).begin(_joint(2, lambda x: x - 0.7)(q))
     OnlineLoop(given, clock=None).begin(_joint(2, lambda x: x - 0.7)(q))  # may be held otherwise
+
+
+def test_it_begins_with_the_object_where_it_was_measured(nao: Scenario) -> None:
+    q, middle = nao.chain.q_start, nao.chain.object_pose(nao.chain.q_start)
+    loop = OnlineLoop(nao, clock=None)
+    turned, by = pin.rpy.rpyToMatrix(0.0, 0.0, 0.1), np.array([0.0, 0.01, 0.02])
+    here = pin.SE3ToXYZQUAT(pin.SE3(turned, middle.translation + by))
+    loop.begin(q, object_pose=here)
+    assert loop.state.p_WO == pytest.approx(here[:3])
+    assert pin.log3(loop.state.R_WO) == pytest.approx([0.0, 0.0, 0.1])
+    assert np.abs(loop.state.closed_error).max() < 1e-12
+    placed = replace(nao, held=replace(nao.held, pose=Pose(position=tuple(middle.translation))))
+    with pytest.raises(GraspError, match=r"object_pose: 153 mm and 0 mrad from where the hands"):
+        OnlineLoop(placed, clock=None).begin(q, [*middle.translation[:2], 0.2, 0, 0, 0, 1])
 
 
 @pytest.mark.parametrize("name", ["point_on_point", "two_pandas", "three_ur", "two_so101"])

@@ -362,11 +362,6 @@ def test_what_cannot_be_asked_for_is_refused_at_once() -> None:
     ]
 
 
-def test_controllers_that_command_torques_are_refused() -> None:
-    with pytest.raises(InvalidValueError, match="commands torques"):
-        OnlineLoop(coopqp.load("passive_grasp_pose"), "torque_qp")
-
-
 def test_the_history_is_bounded_and_in_order() -> None:
     loop, robot = simulated(follows(), keep=0.2)
     _, v = go(loop, robot, 50, {"target": NEAR})

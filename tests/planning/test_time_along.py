@@ -14,19 +14,27 @@ from dynamics_by_hand import PinocchioOracle, relative
 from random_ways import random_way
 from scenario_files import needs_robots
 
-from coopqp.base.errors import InvalidValueError
+from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.spec import Array, Positive, spec
+from coopqp.closed_loop.grasp_matrix import COMPONENTS
+from coopqp.controllers import TorqueQp
+from coopqp.execution.controller_run import run
 from coopqp.grasps import Rigid
 from coopqp.limits import JointAcceleration, JointPosition, JointVelocity, ObjectSpeed
 from coopqp.model.held_object import HeldObject
+from coopqp.model.profile import Profile
 from coopqp.planning.closed_path import CLOSED
-from coopqp.planning.time_along import TOLERATED, TimedPath, time_along
+from coopqp.planning.fastest_profile import SHARE, with_fastest_profiles
+from coopqp.planning.time_along import LIGHTER, MORE, TOLERATED, TimedPath, time_along, would_do
+from coopqp.planning.timing import timed
+from coopqp.plants import RigidBody
 from coopqp.robot import Arm, Robot, RobotModel
 from coopqp.robots import PlanarPair
 from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Phase, Scenario
 from coopqp.signal import POSE, Moment
 from coopqp.signals import Waypoints
+from coopqp.tasks import InternalWrench, Posture
 
 MASS, EFFORT, SPEED, PUSH = 2.0, 6.0, 0.7, 1.5
 """Of a slider and what it carries [kg, N, m/s, m/s2]."""
@@ -92,11 +100,42 @@ def test_two_sliders_go_from_speed_to_speed() -> None:
         time_along(LINE, sliders(push=PUSH), points=100, speed=(3.0, 0.0))
 
 
+@pytest.mark.parametrize("rise", [0.05, 0.2])
+def test_two_sliders_with_bounded_jerk_take_the_time_of_the_closed_form(rise: float) -> None:
+    """A bang-bang motion's mean over the rise: so much longer, with jerk 2 a / rise."""
+    found = time_along(LINE, sliders(push=PUSH), points=100, rise=rise)
+    quickest = 2.0 * np.sqrt(LINE[-1, 0] / PUSH)
+    assert found.duration == pytest.approx(quickest + rise, rel=1e-3)
+    assert (
+        f"takes {rise:g} s more; the joints' jerk is at most {2 * PUSH / rise:.3g} r"
+        in found.notes[0]
+    )
+    t = np.linspace(0.0, found.duration, 4001)
+    v = np.array([found.where(now)[1] for now in t]) / ROOT
+    a = np.diff(v) / np.diff(t)
+    assert np.abs(a).max() < PUSH * 1.001
+    window = len(t) // 20  # longer than the steps in which accelerations change
+    dt = window * (t[1] - t[0])
+    assert np.abs(a[window:] - a[:-window]).max() / dt < 2.0 * PUSH / rise * (1.0 + rise / dt / 6)
+    with pytest.raises(InvalidValueError, match=r"rise: found .* needs a speed of 0 at both ends"):
+        time_along(LINE, sliders(push=PUSH), points=100, rise=rise, speed=(0.5, 0.0))
+
+
+def test_a_motion_with_bounded_jerk_keeps_speeds_and_torques() -> None:
+    found, jumps = nao(0, rise=0.02), nao(0)
+    assert max(limits_used(found, 501)) < 1.001
+    assert jumps.duration + 0.02 < found.duration < jumps.duration + 0.06
+    for motion, most in ((found, 0.5), (jumps, 2.0)):  # of what the motors can, within 2 ms
+        tau = np.array([motion.at(t).tau for t in np.arange(0.0, motion.duration - 2e-3, 2e-3)])
+        steps = np.abs(np.diff(tau, axis=0) / motion.path.chain.model.effortLimit).max()
+        assert 0.5 * most < steps < most
+
+
 def test_each_moment_is_the_derivative_of_the_one_before() -> None:
     found = nao(1)
     h = 1e-5
     for t in np.linspace(0.1, 0.9, 7) * found.duration:
-        if np.any(np.abs(found.t - t) < 2 * h):
+        if np.any(np.abs(found.profile.t - t) < 2 * h):
             continue
         before, now, after = (found.at(t + dt) for dt in (-h, 0.0, h))
         np.testing.assert_allclose((after.q - before.q) / (2 * h), now.v, atol=2e-4)
@@ -161,6 +200,40 @@ def test_less_of_anything_takes_longer() -> None:
     moments = [slow.at(float(t)) for t in np.linspace(0.0, slow.duration, 200)]
     steps = np.diff([now.p_WO for now in moments], axis=0) / (slow.duration / 199)
     assert np.abs(steps).max() < 0.1 * 1.001
+
+
+def test_what_would_do_is_what_timing_with_it_takes() -> None:
+    found, scenario = nao(0), load("point_on_point")
+    tried = would_do(found, scenario)
+    assert (
+        list(tried)
+        == [*(name for name in found.shares if name != "nothing"), LIGHTER][-len(tried) :]
+    )
+    assert max(tried.values()) <= found.duration * (1.0 + 1e-3)
+    held = replace(scenario.held, mass=0.8 * scenario.held.mass)
+    lighter = time_along(random_way(scenario.chain, 0), replace(scenario, held=held))
+    assert tried[LIGHTER] == pytest.approx(lighter.duration, rel=1e-9)
+    sliding = sliders(push=PUSH, speed=SPEED)
+    tried = would_do(time_along(LINE, sliding, points=100), sliding)
+    for name, a, v in (("acceleration", MORE * PUSH, SPEED), ("speed", PUSH, MORE * SPEED)):
+        found_by_name = [seconds for key, seconds in tried.items() if key.startswith(name)]
+        assert found_by_name
+        both = LINE[-1, 0] / v + v / a  # of both sliders; of one alone the other still binds
+        assert min(found_by_name) >= both - 1e-6
+
+
+def test_plans_are_timed_within_the_objects_speed_and_accelerations() -> None:
+    scenario = load("point_on_point")
+    limits = (JointPosition(), JointVelocity(), JointAcceleration(max=4.0), ObjectSpeed(linear=0.1))
+    problem = replace(scenario, limits=limits).problem()
+    q = nao(0).path.spline(np.linspace(0.0, nao(0).path.length, 400))
+    _, ticks = timed(problem, q, lambda near: near)
+    np.testing.assert_allclose(ticks[[0, -1]], q[[0, -1]], atol=1e-9)
+    places = np.array([scenario.chain.object_pose(row).translation for row in ticks])
+    speeds = np.abs(np.diff(places, axis=0)) / problem.dt
+    assert 0.079 < speeds.max() < 0.081
+    v = np.diff(ticks, axis=0, prepend=ticks[:1], append=ticks[-1:]) / problem.dt
+    assert 2.0 < np.abs(np.diff(v, axis=0)).max() / problem.dt < 4.0
 
 
 def test_internal_wrenches_stay_in_the_box_and_cancel() -> None:
@@ -312,6 +385,69 @@ def test_the_table_is_a_reference_that_way_points_read(tmp_path: Path) -> None:
     assert again.duration == pytest.approx(found.duration, rel=0.01)
 
 
+def test_torques_that_follow_it_squeeze_as_planned(tmp_path: Path) -> None:
+    """In the rigid-body plant; by itself the controller has less than a fifth of it."""
+    found, dt = nao(0, torque=0.8), 0.002
+    file = tmp_path / "timed.csv"
+    file.write_text(found.csv(dt), encoding="utf-8")
+    posture = Posture(goal=Waypoints(file=file), gain=40.0, profile=Profile(kind="step"))
+    wrench = InternalWrench(
+        **{part: Waypoints(file=file, column=part, between="linear") for part in COMPONENTS}
+    )
+    scenario = replace(
+        load("point_on_point"), plant=RigidBody(), dt=dt, kappa=100.0, duration=found.duration,
+        controllers={"torque_qp": TorqueQp()}, secondary=(),
+    )  # fmt: skip
+    forces = []
+    for tasks in ((posture, wrench), (posture,)):
+        trace = run(replace(scenario, tasks=tasks), controller="torque_qp", timed=False)
+        assert np.abs(trace.q[-1] - found.at(found.duration).q).max() < 0.01
+        assert (np.abs(trace.signals["tau"]) <= trace.effort * (1.0 + 1e-9)).all()
+        between = trace.signals["internal_wrench"].reshape(len(trace.t) - 1, -1, 6)
+        forces.append(np.linalg.norm(between[:, 0, :3], axis=1))
+    planned = [np.linalg.norm(found.at(t).internal[0, :3]) for t in trace.t[:-1]]
+    assert np.median(np.abs(forces[0] - planned)) < 0.01 * np.max(planned)
+    assert np.median(forces[1]) < 0.2 * np.median(planned)
+
+
+def test_the_fastest_profile_takes_the_time_of_closed_forms() -> None:
+    """Of sliders from rest to rest; the law keeps up and reaches both limits."""
+    task = Posture(goal=[1.2, 1.2], profile=Profile(kind="fastest", delay=0.1))
+    made = replace(
+        sliders(push=PUSH, speed=SPEED), tasks=(task,), secondary=(), duration=3.0,
+        limits=(JointPosition(), JointVelocity(), JointAcceleration(max=PUSH)),
+    )  # fmt: skip
+    with pytest.raises(InvalidValueError, match=r"fastest is found when a file is read"):
+        made.problem()
+    found = with_fastest_profiles(made)
+    assert found.tasks[0].way
+    v, a = SHARE * SPEED, SHARE * PUSH
+    assert found.tasks[0].way.duration == pytest.approx(1.2 / v + v / a, abs=made.dt)
+    trace = run(found, controller="qp", timed=False)
+    arrived = round(found.tasks[0].end / made.dt)
+    assert np.abs(trace.q[arrived] - 1.2).max() < 1e-3
+    assert SHARE * SPEED - 1e-6 < np.abs(trace.v).max() <= SPEED * (1.0 + 1e-9)
+    with pytest.raises(InvalidValueError, match=r"arrives at 2\.\d+ s, after the end at 2 s"):
+        with_fastest_profiles(replace(made, duration=2.0))
+
+
+def test_a_file_may_ask_for_the_fastest_profile(tmp_path: Path) -> None:
+    text = Path("scenarios/point_on_point.yaml").read_text(encoding="utf-8")
+    file = tmp_path / "fast.yaml"
+    file.write_text(text.replace("kind: quintic, duration: 2.0", "kind: fastest"), encoding="utf-8")
+    scenario = load(file)
+    trace = run(scenario, controller="qp", timed=False)
+    arrived = round(scenario.tasks[0].end / scenario.dt)
+    assert arrived < 20  # of 200 ticks
+    goal = [0.13, 0.05, 0.03]
+    assert np.linalg.norm(scenario.chain.object_pose(trace.q[arrived]).translation - goal) < 5e-3
+    used = np.abs(trace.v[:arrived] / scenario.chain.velocity).max(axis=1)
+    assert np.median(used) > 0.9
+    file.write_text(text.replace("duration: 2.0", "shares: [0, 1]"), encoding="utf-8")
+    with pytest.raises(CoopqpError, match=r"fast.yaml:15: .* needs shares, the first 0"):
+        load(file)
+
+
 REFUSED = {
     "needs at least 2 configurations of 10 joints": lambda q: q[:1],
     "point 1: no finite number for RShoulderPitch": lambda q: spoiled(q, np.nan),
@@ -352,6 +488,7 @@ def test_a_load_that_cannot_be_held_is_refused_with_place_and_motor() -> None:
         ({"points": 20.5}, "points: found 20.5, needs a whole number from 8 to 20000"),
         ({"points": 3}, "points: found 3, needs a whole number from 8 to 20000"),
         ({"points": "all"}, "points: found 'all', needs numbers"),
+        ({"rise": -1.0}, "rise: found -1.0, needs a time of at least 0 s"),
         ({"torque": 1.5}, r"torque: found 1.5, needs a share in \(0, 1\]"),
         ({"safety": 0.5}, "safety: found 0.5, needs a number of at least 1"),
         ({"wrench": (-1.0, 1.0)}, r"wrench: found \(-1.0, 1.0\), needs two numbers of at least 0"),

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 from command_line import typed
@@ -20,13 +22,17 @@ def test_a_run_becomes_a_reference(slow: Path, tmp_path: Path) -> None:
     result = typed("time", slow, "--out", tmp_path / "fast")
     assert result.exit_code == 0
     assert "The fastest motion along the path takes 0.1" in result.output
-    assert "speed of LElbowRoll" in result.output
+    assert re.search(r"speed of LElbowRoll +0\.07\d +45\.\d% +0\.150\d", result.output)
+    assert re.search(r"load 20 % lighter +0\.159\d", result.output)
+    picture = ElementTree.parse(tmp_path / "fast" / "timed.svg").getroot()
+    assert "speed of LElbowRoll: 0.07" in "".join(picture.itertext())
     file = tmp_path / "fast" / "timed.csv"
     assert file.read_text(encoding="utf-8").startswith("t,RShoulderPitch,")
     again = typed("time", file, "--scenario", "point_on_point", "--json")
     data = json.loads(again.output)
     assert 0.1 < data["duration"] < 0.2
     assert sum(data["shares"].values()) == pytest.approx(1.0)
+    assert 0.1 < min(data["would_do"].values()) < data["duration"]
 
 
 def test_a_table_of_joints_is_found_in_its_folder_and_needs_a_scenario(

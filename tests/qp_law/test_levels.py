@@ -15,8 +15,9 @@ import qpsolvers
 import scipy.linalg
 from chains import Walk
 from laws import DT, LIMITS, NEAR, PLAIN, STEP, WIDE, answer, reach, run
+from own_task import Own
 
-from coopqp.base.spec import Array, spec
+from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.limits import JointPosition, JointVelocity
 from coopqp.model.closed_chain import ClosedChain
@@ -24,7 +25,7 @@ from coopqp.model.state import State
 from coopqp.qp_law.priorities import Order
 from coopqp.scenario.loader import load
 from coopqp.solver import Status
-from coopqp.task import Evaluate, Task, TaskRows
+from coopqp.task import TaskRows
 from coopqp.tasks import JointCentering, MinimumVelocity, PointOnPlane, PointOnPoint
 
 Point = tuple[float, float, float]
@@ -222,25 +223,15 @@ def test_tasks_of_one_level_share_by_weight(
         )
 
 
-@spec
-class Breaks(Task):
-    """A measurement whose Jacobian is not a number after the start."""
-
-    def rows(self, chain: ClosedChain) -> tuple[str, ...]:
-        return ("height",)
-
-    def bind(self, start: State) -> Evaluate:
-        def evaluate(state: State, rows: TaskRows) -> None:
-            rows.e[0], rows.J[0] = 0.0, state.J_task[2] if state.t == 0.0 else np.nan
-
-        return evaluate
-
-
 def test_later_level_that_is_not_a_number_spoils_nothing(chain: ClosedChain) -> None:
     """Level 1 breaks: level 0 goes on, nothing is raised."""
+
+    def write(state: State, rows: TaskRows) -> None:
+        rows.e[0], rows.J[0] = 0.0, state.J_task[2] if state.t == 0.0 else np.nan
+
     reach = PointOnPoint(name="reach", goal=NEAR, profile=STEP)
     given = problem(
-        chain, reach, Breaks(name="b", priority=1), secondary=[JointCentering(name="c")]
+        chain, reach, Own(name="b", write=write, priority=1), secondary=[JointCentering(name="c")]
     )
     law = PLAIN.build(given)
     state = law.start()

@@ -71,7 +71,7 @@ def test_arms_do_not_freeze_at_the_loop_budget(name: str, kappa: str) -> None:
 
 
 @pytest.mark.parametrize("name", RATTLED)
-def test_no_joint_rattles(name: str) -> None:
+def test_no_joint_oscillates(name: str) -> None:
     trace = ran(name)
     assert flips(trace, 0.3) == 0.0
     assert flips(trace, 0.02) == 0.0
@@ -92,7 +92,7 @@ def test_joints_that_start_outside_come_back_before_any_task(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["outside_yaw", "outside_roll"])
-def test_joints_that_cannot_come_back_do_not_rattle(name: str) -> None:
+def test_joints_that_cannot_recover_do_not_oscillate(name: str) -> None:
     """Both arms alike, so that the loops leave hardly a way: at first order, none."""
     trace = ran(name)
     assert flips(trace, 0.3) == 0.0

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_line import typed
+from command_line import refused, refused_in_one_line, typed
 from scenario_files import HEAD
 
 from coopqp.execution.comparison import compare
@@ -85,10 +85,7 @@ def test_a_damaged_file_is_refused_in_one_line(name: str, written: Any, tmp_path
             (damaged / part.name).write_bytes(content[:cut])
     else:
         damaged.write_bytes(path.read_bytes()[:-100])
-    result = typed("explain", damaged)
-    assert result.exit_code == 2
-    assert len(result.stderr.strip().splitlines()) == 1
-    assert str(damaged) in result.stderr
+    assert str(damaged) in refused_in_one_line("explain", damaged)
 
 
 @every_format
@@ -104,9 +101,7 @@ def test_a_missing_package_is_named_with_its_extra(
         ["export", written.trace_csv, "--to", name, "--controller", "qp", "--out", tmp_path / "x"],
         ["explain", written.exported[name]],
     ):
-        result = typed(*arguments)
-        assert result.exit_code == 2
-        assert "needs: pip install 'coopqp[recordings]'" in result.stderr
+        assert "needs: pip install 'coopqp[recordings]'" in refused(*arguments)
     assert not list(tmp_path.iterdir())
 
 
@@ -134,10 +129,7 @@ def test_what_cannot_be_exported_is_refused_in_one_line(
 ) -> None:
     folder = written.trace_csv.parent
     filled = [argument.format(folder=folder) for argument in arguments]
-    result = typed("export", folder, "--to", "mcap", *filled)
-    assert result.exit_code == 2
-    assert words in result.stderr
-    assert len(result.stderr.strip().splitlines()) == 1
+    assert words in refused_in_one_line("export", folder, "--to", "mcap", *filled)
     assert not list(folder.glob(".*mcap*"))
 
 
@@ -180,8 +172,5 @@ def test_a_run_that_is_none_of_its_scenario_is_not_exported(
     for one in ("trace.csv", "scenario.yaml"):
         text = (short / one).read_text(encoding="utf-8")
         (tmp_path / one).write_text(damage(text) if one == name else text, encoding="utf-8")
-    result = typed("export", tmp_path, "--to", "parquet")
-    assert result.exit_code == 2
-    assert words in result.stderr
-    assert len(result.stderr.strip().splitlines()) == 1
+    assert words in refused_in_one_line("export", tmp_path, "--to", "parquet")
     assert not list(tmp_path.glob("*parquet*"))

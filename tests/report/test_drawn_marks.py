@@ -16,13 +16,9 @@ import coopqp.tasks
 from coopqp.base.spec import Pose as PoseValue
 from coopqp.base.spec import spec
 from coopqp.limits import Obstacle, Obstacles, Workspace
+from coopqp.model import marker
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.marker import (
-    LineMarker,
-    Marker,
-    PoseMarker,
-    TrackedMarker,
-)
+from coopqp.model.marker import Marker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.report.page import render
@@ -72,9 +68,11 @@ class Own(Task):
     def marks(self, at: Instant) -> tuple[Marker, ...]:
         if self.wrong:
             return (np.zeros(3),)  # type: ignore[return-value]
-        line = LineMarker(direction=np.array([0, 0, 1.0]), through=np.array([0.2 + at.t, 0, 0]))
-        axes = PoseMarker(rotation=np.eye(3), position=np.array([0.1, 0.0, 0.1]))
-        return (line, TrackedMarker(point=POINT), *([axes] if 0.095 < at.t < 0.205 else []))
+        line = marker.LineMarker(
+            direction=np.array([0, 0, 1.0]), through=np.array([0.2 + at.t, 0, 0])
+        )
+        axes = marker.PoseMarker(rotation=np.eye(3), position=np.array([0.1, 0.0, 0.1]))
+        return (line, marker.TrackedMarker(point=POINT), *([axes] if 0.095 < at.t < 0.205 else []))
 
 
 def drawn(*tasks: Task, limits: tuple[coopqp.Limit, ...] = ()) -> Any:

@@ -15,6 +15,7 @@ from scenario_files import cut, needs_robots, write
 import coopqp
 from coopqp.assessment import assess
 from coopqp.assessment.verdict import verdict
+from coopqp.base.errors import InvalidValueError
 from coopqp.execution.comparison import Comparison, compare
 from coopqp.metrics.edge_margin import EdgeMargin
 from coopqp.metrics.friction_margin import FrictionMargin
@@ -121,14 +122,17 @@ def test_mobility_says_how_hard_the_hands_can_squeeze(tmp_path: Path) -> None:
     assert 4.16 < counted["most"]["value"] < squeeze["most"]["value"]
 
 
-def test_a_force_on_a_plant_without_forces_is_refused(tmp_path: Path) -> None:
+def test_a_force_on_a_plant_without_forces_is_refused_where_it_is_simulated(
+    tmp_path: Path,
+) -> None:
     scenario = coopqp.load("nao_presses")
     text = scenario.source.replace("plant: mujoco", "plant: kinematic").replace(
         "tasks:\n", "tasks:\n  - internal_wrench: {squeeze: 9}\n"
     )
-    path = write(tmp_path, text)
-    with pytest.raises(coopqp.ScenarioError, match="asks 'internal_wrench' for a force"):
-        coopqp.load(path)
+    told = coopqp.load(write(tmp_path, text))
+    assert not coopqp.OnlineLoop(told, "torque_qp").begun  # a robot has forces
+    with pytest.raises(InvalidValueError, match="torques, which this plant does not take"):
+        coopqp.run(told, controller="torque_qp")
 
 
 def test_the_page_explains_forces_where_there_are_some_and_laws_where_they_are_compared(

@@ -14,42 +14,18 @@ from numpy.typing import NDArray
 
 import coopqp
 import coopqp.tasks
+from coopqp import tasks
 from coopqp.base.spec import Pose as PoseValue
 from coopqp.limits import Workspace
+from coopqp.model import marker
 from coopqp.model.closed_chain import AXES, ClosedChain
 from coopqp.model.geometry import Turn
-from coopqp.model.marker import (
-    CircleMarker,
-    LineMarker,
-    Marker,
-    PlaneMarker,
-    PointMarker,
-    PoseMarker,
-    SphereMarker,
-    TrackedMarker,
-)
+from coopqp.model.marker import Marker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.scenario.catalog import Catalog
 from coopqp.signal import Moment
 from coopqp.task import Task, TaskStack
-from coopqp.tasks import (
-    Distance,
-    Impedance,
-    LineOnLine,
-    LineOnPlane,
-    Orientation,
-    PlaneOnPlane,
-    Pointing,
-    PointOnCircle,
-    PointOnLine,
-    PointOnPlane,
-    PointOnPoint,
-    Pose,
-    Prismatic,
-    Revolute,
-    Twist,
-)
 
 Array = NDArray[np.float64]
 Walk = Callable[[ClosedChain, int], list[Array]]
@@ -73,34 +49,34 @@ def off(mark: Any, p: Array) -> float:
 
 
 @off.register
-def _(mark: PointMarker, p: Array) -> float:
+def _(mark: marker.PointMarker, p: Array) -> float:
     return math.dist(p, mark.at)
 
 
 @off.register
-def _(mark: LineMarker, p: Array) -> float:
+def _(mark: marker.LineMarker, p: Array) -> float:
     return float(np.linalg.norm(np.cross(p - mark.through, mark.direction)))
 
 
 @off.register
-def _(mark: PlaneMarker, p: Array) -> float:
+def _(mark: marker.PlaneMarker, p: Array) -> float:
     return abs(float((p - mark.through) @ mark.normal))
 
 
 @off.register
-def _(mark: CircleMarker, p: Array) -> float:
+def _(mark: marker.CircleMarker, p: Array) -> float:
     height = float((p - mark.center) @ mark.normal)
     beside = np.linalg.norm(p - mark.center - height * mark.normal)
     return math.hypot(float(beside) - mark.radius, height)
 
 
 @off.register
-def _(mark: SphereMarker, p: Array) -> float:
+def _(mark: marker.SphereMarker, p: Array) -> float:
     return abs(math.dist(p, mark.center) - mark.radius)
 
 
 @off.register
-def _(mark: PoseMarker, p: Array) -> float:
+def _(mark: marker.PoseMarker, p: Array) -> float:
     return math.dist(p, mark.position)
 
 
@@ -111,12 +87,12 @@ def angle(a: Array, b: Array) -> float:
 
 def turned_off(mark: Marker, state: State) -> float:
     """Angle of the rotation from the orientation shown to the object's, by its trace."""
-    assert isinstance(mark, PoseMarker)
+    assert isinstance(mark, marker.PoseMarker)
     return math.acos(0.5 * (float(np.trace(state.R_WO @ mark.rotation.T)) - 1.0))
 
 
 def tracked(marks: tuple[Marker, ...], state: State) -> Array:
-    (mark,) = (mark for mark in marks if isinstance(mark, TrackedMarker))
+    (mark,) = (mark for mark in marks if isinstance(mark, marker.TrackedMarker))
     return state.p_WO + state.R_WO @ np.array(mark.point)
 
 
@@ -128,43 +104,43 @@ def axis_in_world(state: State) -> Array:
 #: By name: the task, and for each mark in turn the norm of which rows says how far the tracked
 #: point is from it.
 PLACED: dict[str, tuple[Task, tuple[slice | None, ...]]] = {
-    "point_on_point": (PointOnPoint(goal=AT, point=POINT, profile=AT_ONCE), (slice(3), None)),
-    "point_on_plane": (PointOnPlane(normal=ALONG, through=AT, **MOVES), (slice(1), None)),
-    "point_on_line": (PointOnLine(direction=ALONG, through=AT, **MOVES), (slice(2), None)),
+    "point_on_point": (tasks.PointOnPoint(goal=AT, point=POINT, profile=AT_ONCE), (slice(3), None)),
+    "point_on_plane": (tasks.PointOnPlane(normal=ALONG, through=AT, **MOVES), (slice(1), None)),
+    "point_on_line": (tasks.PointOnLine(direction=ALONG, through=AT, **MOVES), (slice(2), None)),
     "point_on_circle": (
-        PointOnCircle(center=AT, normal=ALONG, radius=0.03, **MOVES),
+        tasks.PointOnCircle(center=AT, normal=ALONG, radius=0.03, **MOVES),
         (slice(2), None),
     ),
     "distance": (
-        Distance(to=AT, length=0.1, point=POINT, velocity=VELOCITY, profile=AT_ONCE),
+        tasks.Distance(to=AT, length=0.1, point=POINT, velocity=VELOCITY, profile=AT_ONCE),
         (slice(1), None),
     ),
     "line_on_plane": (
-        LineOnPlane(normal=ALONG, through=AT, axis=AXIS, **MOVES),
+        tasks.LineOnPlane(normal=ALONG, through=AT, axis=AXIS, **MOVES),
         (slice(1), None),
     ),
     "plane_on_plane": (
-        PlaneOnPlane(normal=ALONG, through=AT, axis=AXIS, **MOVES),
+        tasks.PlaneOnPlane(normal=ALONG, through=AT, axis=AXIS, **MOVES),
         (slice(1), None),
     ),
     "line_on_line": (
-        LineOnLine(direction=ALONG, through=AT, axis=AXIS, **MOVES),
+        tasks.LineOnLine(direction=ALONG, through=AT, axis=AXIS, **MOVES),
         (slice(2), None),
     ),
     "revolute": (
-        Revolute(direction=ALONG, through=AT, axis=AXIS, **MOVES),
+        tasks.Revolute(direction=ALONG, through=AT, axis=AXIS, **MOVES),
         (slice(2), slice(3), None),
     ),
     "prismatic": (
-        Prismatic(direction=ALONG, through=AT, rpy=RPY, **MOVES),
+        tasks.Prismatic(direction=ALONG, through=AT, rpy=RPY, **MOVES),
         (slice(2), None, None),
     ),
     "pose": (
-        Pose(goal=PoseValue(position=AT, rpy=RPY), profile=AT_ONCE),
+        tasks.Pose(goal=PoseValue(position=AT, rpy=RPY), profile=AT_ONCE),
         (slice(3), None),
     ),
     "impedance": (
-        Impedance(
+        tasks.Impedance(
             goal=PoseValue(position=AT, rpy=RPY),
             stiffness=dict.fromkeys(AXES, 100.0),  # type: ignore[arg-type]
             profile=AT_ONCE,
@@ -196,7 +172,7 @@ TURNED: dict[str, tuple[Task, slice, Callable[[tuple[Marker, ...], State], float
         lambda marks, state: angle(axis_in_world(state), marks[0].direction),  # type: ignore[union-attr]
     ),
     "pointing": (
-        Pointing(direction=ALONG, axis=AXIS, turn=TURN, profile=AT_ONCE),
+        tasks.Pointing(direction=ALONG, axis=AXIS, turn=TURN, profile=AT_ONCE),
         slice(0, 2),
         lambda marks, state: angle(axis_in_world(state), marks[0].direction),  # type: ignore[union-attr]
     ),
@@ -206,7 +182,7 @@ TURNED: dict[str, tuple[Task, slice, Callable[[tuple[Marker, ...], State], float
         lambda marks, state: turned_off(marks[-1], state),
     ),
     "orientation": (
-        Orientation(rpy=RPY, profile=AT_ONCE),
+        tasks.Orientation(rpy=RPY, profile=AT_ONCE),
         slice(0, 3),
         lambda marks, state: turned_off(marks[0], state),
     ),
@@ -278,31 +254,35 @@ def test_marks_are_where_the_reference_is_then(name: str) -> None:
     task = replace(PLACED[name][0], profile=Profile(duration=2.0))
     for t in TIMES:
         mark: Any = task.marks(Moment(t))[0]
-        place = mark.center if isinstance(mark, CircleMarker | SphereMarker) else mark.through
+        place = (
+            mark.center
+            if isinstance(mark, marker.CircleMarker | marker.SphereMarker)
+            else mark.through
+        )
         np.testing.assert_allclose(place, np.array(AT) + t * np.array(VELOCITY), atol=1e-15)
 
 
 def test_a_turning_plane_is_drawn_turned() -> None:
     quarter = Turn(axis=(3, 0, 0), angle_deg=90.0, profile=Profile(duration=3.0))
-    task = PointOnPlane(normal=(0, 0, 2), through=AT, turn=quarter)
+    task = tasks.PointOnPlane(normal=(0, 0, 2), through=AT, turn=quarter)
     begin, middle, end = (task.marks(Moment(t))[0] for t in (0.0, 1.5, 3.0))
-    assert isinstance(begin, PlaneMarker)
-    assert isinstance(middle, PlaneMarker)
-    assert isinstance(end, PlaneMarker)
+    assert isinstance(begin, marker.PlaneMarker)
+    assert isinstance(middle, marker.PlaneMarker)
+    assert isinstance(end, marker.PlaneMarker)
     np.testing.assert_allclose(begin.normal, (0, 0, 1), atol=1e-15)
     np.testing.assert_allclose(middle.normal, np.array((0, -1, 1)) / math.sqrt(2), atol=1e-15)
     np.testing.assert_allclose(end.normal, (0, -1, 0), atol=1e-15)
 
 
 def test_a_slide_without_an_orientation_shows_its_line_alone() -> None:
-    marks = Prismatic(direction=ALONG, through=AT, point=POINT).marks(Moment(0.5))
-    assert [type(mark) for mark in marks] == [LineMarker, TrackedMarker]
+    marks = tasks.Prismatic(direction=ALONG, through=AT, point=POINT).marks(Moment(0.5))
+    assert [type(mark) for mark in marks] == [marker.LineMarker, marker.TrackedMarker]
 
 
 def test_twist_shows_the_point_whose_velocity_it_asks_for(
     chain: ClosedChain, closed_loop_walk: Walk, rng: np.random.Generator
 ) -> None:
-    task, h = Twist(velocity={"x": 0.1, "y": 0.0, "z": 0.2}, point=POINT), 1e-5
+    task, h = tasks.Twist(velocity={"x": 0.1, "y": 0.0, "z": 0.2}, point=POINT), 1e-5
     stack = TaskStack([task], State(chain))
     for state in states(chain, closed_loop_walk, 0.5):
         v = rng.normal(size=chain.n)
@@ -328,7 +308,7 @@ def test_the_plane_of_a_workspace_is_as_near_as_its_margin_says(
 ) -> None:
     wall = Workspace(normal=ALONG, through=(0.1, 0.0, -0.1), points=(POINT,))
     (mark,) = wall.marks(0.7)
-    assert isinstance(mark, PlaneMarker)
+    assert isinstance(mark, marker.PlaneMarker)
     q = np.array([chain.q_start, *closed_loop_walk(chain, 3)])
     (margin,) = wall.margins(chain, q, np.zeros((3, chain.n)), 0.01).values()
     for row, left in zip(q[1:], margin, strict=True):
@@ -354,7 +334,7 @@ def test_limits_without_a_place_show_nothing() -> None:
 
 def test_marks_take_any_length_and_keep_a_copy() -> None:
     through = np.array([1.0, 2.0, 3.0])
-    mark = PlaneMarker(normal=np.array([0.0, 3.0, 4.0]), through=through)
+    mark = marker.PlaneMarker(normal=np.array([0.0, 3.0, 4.0]), through=through)
     through[:] = 0.0
     np.testing.assert_allclose(mark.normal, (0.0, 0.6, 0.8))
     np.testing.assert_allclose(mark.through, (1.0, 2.0, 3.0))
@@ -363,13 +343,13 @@ def test_marks_take_any_length_and_keep_a_copy() -> None:
 @pytest.mark.parametrize(
     ("build", "words"),
     [
-        (lambda: PointMarker(at=np.zeros(2)), "at"),
-        (lambda: PointMarker(at=np.array([0.0, math.nan, 0.0])), "3 finite numbers"),
-        (lambda: PointMarker(at=None), "3 finite numbers"),  # type: ignore[arg-type]
-        (lambda: LineMarker(direction=np.zeros(3)), "needs a direction"),
-        (lambda: PoseMarker(rotation=np.diag([1.0, 1.0, -1.0])), "needs a rotation matrix"),
-        (lambda: PoseMarker(rotation=2.0 * np.eye(3)), "needs a rotation matrix"),
-        (lambda: SphereMarker(center=np.zeros(3), radius=-1.0), "radius"),
+        (lambda: marker.PointMarker(at=np.zeros(2)), "at"),
+        (lambda: marker.PointMarker(at=np.array([0.0, math.nan, 0.0])), "3 finite numbers"),
+        (lambda: marker.PointMarker(at=None), "3 finite numbers"),  # type: ignore[arg-type]
+        (lambda: marker.LineMarker(direction=np.zeros(3)), "needs a direction"),
+        (lambda: marker.PoseMarker(rotation=np.diag([1.0, 1.0, -1.0])), "needs a rotation matrix"),
+        (lambda: marker.PoseMarker(rotation=2.0 * np.eye(3)), "needs a rotation matrix"),
+        (lambda: marker.SphereMarker(center=np.zeros(3), radius=-1.0), "radius"),
     ],
 )
 def test_marks_that_cannot_be_drawn_are_refused(build: Callable[[], Marker], words: str) -> None:

@@ -16,15 +16,8 @@ from scipy.spatial.transform import Rotation, Slerp
 import coopqp
 from coopqp.base.spec import Pose as PoseValue
 from coopqp.execution.comparison import Comparison
-from coopqp.model.marker import (
-    CircleMarker,
-    LineMarker,
-    Marker,
-    PlaneMarker,
-    PointMarker,
-    PoseMarker,
-    TrackedMarker,
-)
+from coopqp.model import marker
+from coopqp.model.marker import Marker
 from coopqp.model.profile import Profile
 from coopqp.report.curves import Figure
 from coopqp.report.figures.chart import Chart
@@ -111,15 +104,21 @@ def test_tilt_is_the_angle_to_the_vertical(rng: np.random.Generator) -> None:
 
 #: A mark, and the coordinates x, y, z that it fixes.
 FIXED: dict[str, tuple[Marker, tuple[Any, Any, Any]]] = {
-    "point": (PointMarker(at=AT), AT),
-    "pose": (PoseMarker(rotation=np.eye(3), position=AT), AT),
-    "orientation": (PoseMarker(rotation=np.eye(3)), (None, None, None)),
-    "level plane": (PlaneMarker(normal=(0, 0, -2), through=AT), (None, None, 0.06)),
-    "slanted plane": (PlaneMarker(normal=(0, 1, 1), through=AT), (None, None, None)),
-    "upright line": (LineMarker(direction=(0, 0, 3), through=AT), (0.17, 0.01, None)),
-    "line in a level plane": (LineMarker(direction=(1, 1, 0), through=AT), (None, None, 0.06)),
-    "direction": (LineMarker(direction=(0, 0, 1)), (None, None, None)),
-    "level circle": (CircleMarker(center=AT, normal=(0, 0, 1), radius=0.1), (None, None, 0.06)),
+    "point": (marker.PointMarker(at=AT), AT),
+    "pose": (marker.PoseMarker(rotation=np.eye(3), position=AT), AT),
+    "orientation": (marker.PoseMarker(rotation=np.eye(3)), (None, None, None)),
+    "level plane": (marker.PlaneMarker(normal=(0, 0, -2), through=AT), (None, None, 0.06)),
+    "slanted plane": (marker.PlaneMarker(normal=(0, 1, 1), through=AT), (None, None, None)),
+    "upright line": (marker.LineMarker(direction=(0, 0, 3), through=AT), (0.17, 0.01, None)),
+    "line in a level plane": (
+        marker.LineMarker(direction=(1, 1, 0), through=AT),
+        (None, None, 0.06),
+    ),
+    "direction": (marker.LineMarker(direction=(0, 0, 1)), (None, None, None)),
+    "level circle": (
+        marker.CircleMarker(center=AT, normal=(0, 0, 1), radius=0.1),
+        (None, None, 0.06),
+    ),
 }
 
 
@@ -127,12 +126,12 @@ FIXED: dict[str, tuple[Marker, tuple[Any, Any, Any]]] = {
 def test_a_mark_fixes_what_all_its_points_have_in_common(name: str) -> None:
     mark, expected = FIXED[name]
     for i, value in enumerate(expected):
-        found = Coordinate(axis=i).goal([mark, TrackedMarker()])
+        found = Coordinate(axis=i).goal([mark, marker.TrackedMarker()])
         assert np.isnan(found) if value is None else found == value
 
 
 def test_a_goal_of_another_point_is_none_of_this_one() -> None:
-    marks = [PointMarker(at=AT), TrackedMarker(point=POINT)]
+    marks = [marker.PointMarker(at=AT), marker.TrackedMarker(point=POINT)]
     assert np.isnan(Coordinate(axis=0).goal(marks))
     assert Coordinate(axis=0, point=POINT).goal(marks) == AT[0]
 

@@ -31,7 +31,7 @@ def test_every_scenario_can_be_drawn_within_the_budget(name: str) -> None:
     json.dumps(drawn, allow_nan=False)
     assert len(json.dumps(drawn["bodies"])) < PAGE
     assert drawn["bodies"]
-    for arm in range(len(scenario.chain.arms)):
+    for arm in range(len(scenario.robot_model.arms)):
         assert any(body["arm"] == arm for body in drawn["bodies"])
     triangles = sum(len(body["triangles"]) for body in drawn["bodies"]) // 3
     assert 100 < triangles <= MAX_TRIANGLES * (len(scenario.chain.arms) + 1)

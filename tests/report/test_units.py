@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from explained import ADVICE
 from rich.console import Console
 from scenario_files import needs_robots
 
@@ -30,25 +31,12 @@ from coopqp.scenario.form import file_model
 from coopqp.scenario.loader import find, load
 from coopqp.trace import Trace
 
-RAIL = """
-  <joint name="rail" type="prismatic"><parent link="world"/><child link="cart"/>
-    <axis xyz="1 0 0"/><limit lower="-0.3" upper="0.3" velocity="0.5" effort="100"/></joint>
-"""
-LINK = """
-  <link name="{link}"><inertial><origin xyz="0.1 0 0"/><mass value="1"/>
-    <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial></link>
-"""
-HINGE = """
-  <joint name="{child}" type="revolute"><parent link="{parent}"/><child link="link_{child}"/>
-    <origin xyz="{x} {y} 0"/><axis xyz="0 0 1"/>
-    <limit lower="-2.5" upper="2.5" velocity="2" effort="30"/></joint>
-"""
 SCENARIO = """
-robot: {urdf: {path: gantry.urdf, arms: {right: link_r3, left: link_l3}}}
+robot: {urdf: {path: GANTRY, arms: {right: r_tip, left: l_tip}}}
 grasp: GRASP
 object: {size: [0.1, 0.3, 0.1], mass: 0.5}
 START
-tasks: [point_on_point: {goal: [0.5, 0.0, 0.0], profile: {duration: 0.2}}]
+tasks: [point_on_point: {goal: [0.65, 0.0, 0.0], profile: {duration: 0.2}}]
 controllers: [qp, pseudoinverse]
 plant: PLANT
 dt: 0.01
@@ -58,33 +46,23 @@ kappa: 100.0
 #: Both hands in front of the cart, in degrees.
 BEND = {"right": [-20, 60, -40], "left": [20, -60, 40]}
 BY_ARM = "start_deg: {right: [RAIL, -20, 60, -40], left: [RAIL, 20, -60, 40]}"
-BY_JOINT = "start_deg: {rail: RAIL, r1: -20, r2: 60, r3: -40, l1: 20, l2: -60, l3: 40}"
+BY_JOINT = "start_deg: {rail: RAIL, r_j1: -20, r_j2: 60, r_j3: -40, l_j1: 20, l_j2: -60, l_j3: 40}"
 IN_RADIANS = (
-    "start: {rail: RAIL, r1: -0.349066, r2: 1.047198, r3: -0.698132, l1: 0.349066, l2: -1.047198, "
-    "l3: 0.698132}"
+    "start: {rail: RAIL, r_j1: -0.349066, r_j2: 1.047198, r_j3: -0.698132, l_j1: 0.349066, "
+    "l_j2: -1.047198, l_j3: 0.698132}"
 )
 Write = Callable[..., Path]
 
 
 @pytest.fixture
 def write(tmp_path: Path) -> Write:
-    """A function that writes two arms of three hinges on a cart that slides, and a scenario."""
-    parts = [LINK.format(link="cart"), RAIL]
-    for side, y in (("r", -0.2), ("l", 0.2)):
-        parents = ["cart", f"link_{side}1", f"link_{side}2"]
-        for i, parent in enumerate(parents, 1):
-            at = {"x": 0.3 if i > 1 else 0.0, "y": y if i == 1 else 0.0}
-            parts += [
-                LINK.format(link=f"link_{side}{i}"),
-                HINGE.format(child=f"{side}{i}", parent=parent, **at),
-            ]
-    urdf = f'<robot name="gantry"><link name="world"/>{"".join(parts)}</robot>'
-    (tmp_path / "gantry.urdf").write_text(urdf, encoding="utf-8")
+    """A function that writes a scenario of two arms of three hinges on a cart that slides."""
 
     def write(
         start: str = BY_ARM, rail: float = 0.1, grasp: str = "rigid", plant: str = "kinematic"
     ) -> Path:
         text = SCENARIO.replace("START", start.replace("RAIL", str(rail)))
+        text = text.replace("GANTRY", str(ADVICE / "gantry.urdf"))
         path = tmp_path / "gantry.yaml"
         path.write_text(text.replace("GRASP", grasp).replace("PLANT", plant), encoding="utf-8")
         return path
@@ -129,7 +107,7 @@ def test_sliding_joints_keep_metres_in_start_deg(write: Write, start: str) -> No
     chain = load(write(start)).chain
     expected = {"rail": 0.1}
     for side, angles in BEND.items():
-        expected |= {f"{side[0]}{i}": np.radians(a) for i, a in enumerate(angles, 1)}
+        expected |= {f"{side[0]}_j{i}": np.radians(a) for i, a in enumerate(angles, 1)}
     for name, q in zip(chain.joint_names, chain.q_start, strict=True):
         assert q == pytest.approx(expected[name], abs=1e-15)
 
@@ -153,9 +131,9 @@ def test_a_slide_outside_its_limits_is_told_in_metres(write: Write, start: str) 
 
 def test_a_hinge_outside_its_limits_is_told_as_it_was_given(write: Write) -> None:
     found = faults(write(BY_ARM.replace("60, -40]", "150, -40]", 1)))
-    assert "r2 starts at 150 degrees, outside its limits -143.239 to 143.239" in found
+    assert "r_j2 starts at 150 degrees, outside its limits -143.239 to 143.239" in found
     found = faults(write(IN_RADIANS.replace("1.047198", "2.6", 1)))
-    assert "r2 starts at 2.6 rad, outside its limits -2.5 to 2.5" in found
+    assert "r_j2 starts at 2.6 rad, outside its limits -2.5 to 2.5" in found
 
 
 @pytest.mark.parametrize("start", [BY_ARM, IN_RADIANS])
@@ -213,7 +191,7 @@ def with_limits(comparison: Comparison, joint: str, room: float) -> Comparison:
     return summarize(comparison.scenario, traces)
 
 
-@pytest.mark.parametrize(("joint", "unit"), [("rail", "m"), ("r2", "rad")])
+@pytest.mark.parametrize(("joint", "unit"), [("rail", "m"), ("r_j2", "rad")])
 def test_margins_and_overruns_have_the_unit_of_the_worst_joint(
     compared: Comparison, joint: str, unit: str
 ) -> None:
@@ -233,7 +211,7 @@ def test_margins_and_overruns_have_the_unit_of_the_worst_joint(
         assert f"{joint} {far} beyond" in beyond.verdicts[name]
 
 
-@pytest.mark.parametrize(("joint", "unit"), [("rail", "m/s"), ("l3", "rad/s")])
+@pytest.mark.parametrize(("joint", "unit"), [("rail", "m/s"), ("l_j3", "rad/s")])
 def test_speeds_have_the_unit_of_the_worst_joint(
     compared: Comparison, joint: str, unit: str
 ) -> None:
@@ -299,7 +277,7 @@ def test_a_motor_that_slides_has_a_force(write: Write) -> None:
     found = torques(Chart(coopqp.compare(load(write(plant="rigid_body")), controllers=["qp"])))
     units = {figure.title: figure.unit for figure in found}
     assert units["Force of rail"] == "N"
-    assert units["Torque of r1"] == "N m"
+    assert units["Torque of r_j1"] == "N m"
 
 
 def test_the_audit_tells_each_limit_in_its_unit(write: Write) -> None:
@@ -315,7 +293,7 @@ def test_the_audit_tells_each_limit_in_its_unit(write: Write) -> None:
         per_unit = 1e3 if units[row.name] == "mm" else 1.0
         margin = per_unit * trace.margins[row].min()
         assert float(least) == pytest.approx(margin, rel=1e-2, abs=1e-9)
-    for joint, unit, place in (("rail", "m", "mm"), ("r2", "rad", "rad")):
+    for joint, unit, place in (("rail", "m", "mm"), ("r_j2", "rad", "rad")):
         for kind, per in (("velocity", "/s"), ("acceleration", "/s2")):
             assert units[f"limit.{kind}[{joint}].upper"] == f"{unit}{per}"
         assert units[f"limit.position[{joint}].upper"] == place

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+from command_line import typed
 
 from coopqp import Catalog, CoopqpError, cli, compare, load
 from coopqp.scenario.catalog import COLLECTIONS, Entry
@@ -21,11 +21,6 @@ ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "examples" / "plugins"
 FILES = sorted(EXAMPLES.glob("*/[!_]*.py"))
 EXAMPLE = {file.parent.name: file for file in FILES}
-
-
-def coopqp(*words: str | Path) -> Result:
-    """The outcome of a command; an exception that is not an exit is raised."""
-    return CliRunner().invoke(cli.main, [str(w) for w in words], catch_exceptions=False)
 
 
 def write(folder: Path, name: str, text: str) -> Path:
@@ -38,7 +33,7 @@ def write(folder: Path, name: str, text: str) -> Path:
 
 def refused(*words: str | Path) -> list[str]:
     """The lines with which a command refuses."""
-    result = coopqp(*words)
+    result = typed(*words)
     assert result.exit_code == 2
     assert "Traceback" not in result.output
     return result.stderr.splitlines()
@@ -71,7 +66,7 @@ def test_the_code_on_a_page_is_the_example(kind: str) -> None:
 def test_a_scenario_of_plug_ins_alone_runs_and_its_metric_is_measured(tmp_path: Path) -> None:
     out = tmp_path / "out"
     scenario = EXAMPLES / "own.yaml"
-    result = coopqp("compare", scenario, "--plugins", EXAMPLES, "--out", out)
+    result = typed("compare", scenario, "--plugins", EXAMPLES, "--out", out)
     assert result.exit_code == 0
     measured = json.loads((out / "metrics.json").read_text(encoding="utf-8"))["controllers"]
     assert set(measured) == {"qp", "jacobian_transpose"}
@@ -84,11 +79,11 @@ def test_a_scenario_of_plug_ins_alone_runs_and_its_metric_is_measured(tmp_path: 
 
 def test_a_written_run_is_explained_and_replayed_with_the_same_plug_ins(tmp_path: Path) -> None:
     out, saved, own = tmp_path / "out", tmp_path / "tick.json", ("--plugins", EXAMPLES)
-    assert coopqp("compare", short(tmp_path), *own, "--out", out).exit_code == 0
-    explained = coopqp("explain", out, *own, "--tick", "0", "--save", saved)
+    assert typed("compare", short(tmp_path), *own, "--out", out).exit_code == 0
+    explained = typed("explain", out, *own, "--tick", "0", "--save", saved)
     assert explained.exit_code == 0
     assert "slow start of " in explained.output
-    answers = json.loads(coopqp("replay", saved, *own, "--json").stdout)
+    answers = json.loads(typed("replay", saved, *own, "--json").stdout)
     assert answers["active_set"]["difference"] < 1e-9
     assert answers["daqp"]["difference"] < 1e-6
 
@@ -97,7 +92,7 @@ def test_explaining_without_the_plug_ins_says_which_name_is_unknown_and_what_to_
     tmp_path: Path,
 ) -> None:
     out = tmp_path / "out"
-    assert coopqp("compare", short(tmp_path), "--plugins", EXAMPLES, "--out", out).exit_code == 0
+    assert typed("compare", short(tmp_path), "--plugins", EXAMPLES, "--out", out).exit_code == 0
     lines = refused("explain", out)
     assert len(lines) == 9 - 1  # a metric is not named in a scenario
     assert any("unknown task 'hold_height'" in line for line in lines)
@@ -126,7 +121,7 @@ def test_every_command_that_reads_scenarios_takes_plug_ins(
 ) -> None:
     file = short(tmp_path)
     command = [file if word == "SHORT" else word for word in words]
-    result = coopqp(*command, "--plugins", EXAMPLES)
+    result = typed(*command, "--plugins", EXAMPLES)
     assert result.exit_code == 0
     if len(words) == 1 or words[0] == "list":
         assert "hold_height" in result.output
@@ -199,7 +194,7 @@ def test_an_installed_package_needs_no_flag(site: Path) -> None:
     entry = Catalog().entries("metrics")["says"]
     assert (entry.name, entry.help) == ("says", "Says something.")
     assert entry.cls().measure(None) == "from a package"
-    assert "says" in coopqp("list", "metrics").output
+    assert "says" in typed("list", "metrics").output
 
 
 @pytest.mark.parametrize(
@@ -383,7 +378,7 @@ def test_a_folder_given_twice_counts_once() -> None:
 def test_results_are_not_written_into_a_folder_of_plugins(tmp_path: Path, out: str) -> None:
     """They would be a collection that nobody knows, from then on."""
     (tmp_path / "tasks").mkdir()
-    found = coopqp("compare", "point_on_point", "--plugins", tmp_path, "--out", tmp_path / out)
+    found = typed("compare", "point_on_point", "--plugins", tmp_path, "--out", tmp_path / out)
     assert found.exit_code == 2
     assert "folder of plug-ins" in found.output
     assert [path.name for path in tmp_path.rglob("*")] == ["tasks"]

@@ -14,28 +14,12 @@ import numpy as np
 import pinocchio as pin
 from walks import vector
 
+from coopqp import tasks
 from coopqp.base.spec import Array, cross
 from coopqp.base.spec import Pose as PoseValue
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.profile import KINDS, Profile
 from coopqp.task import Task
-from coopqp.tasks import (
-    Distance,
-    LineOnLine,
-    LineOnPlane,
-    Orientation,
-    PlaneOnPlane,
-    Pointing,
-    PointOnCircle,
-    PointOnLine,
-    PointOnPlane,
-    PointOnPoint,
-    Pose,
-    Prismatic,
-    RelativeMotion,
-    Revolute,
-    Twist,
-)
 
 Vector = tuple[float, float, float]
 T = TypeVar("T")
@@ -100,7 +84,7 @@ Build = Callable[[Aim, Common], Task]
 def _point_on_circle(aim: Aim, common: Common) -> Task:
     radius = float(aim.rng.uniform(0.02, 0.2))
     middle = np.array(aim.there) + radius * np.array(aim.across)
-    return PointOnCircle(
+    return tasks.PointOnCircle(
         center=vector(middle), normal=aim.along, radius=radius, point=aim.point, **common
     )
 
@@ -108,21 +92,21 @@ def _point_on_circle(aim: Aim, common: Common) -> Task:
 def _distance(aim: Aim, common: Common) -> Task:
     length = float(aim.rng.uniform(0.05, 0.4))
     to = np.array(aim.there) + length * np.array(aim.along)
-    return Distance(to=vector(to), length=length, point=aim.point, **common)
+    return tasks.Distance(to=vector(to), length=length, point=aim.point, **common)
 
 
 def _twist(aim: Aim, common: Common) -> Task:
     axes = ("x", "y", "z", "rot_x", "rot_y", "rot_z")
     some = aim.rng.choice(axes, size=int(aim.rng.integers(1, 4)), replace=False)
     velocity: Any = {str(axis): float(aim.rng.uniform(-SPEED, SPEED)) for axis in some}
-    return Twist(velocity=velocity, point=aim.point, **common)
+    return tasks.Twist(velocity=velocity, point=aim.point, **common)
 
 
 def _relative_motion(aim: Aim, common: Common) -> Task:
     goal = PoseValue(
         position=vector(aim.rng.uniform(-0.1, 0.1, 3)), rpy=vector(aim.rng.uniform(-0.5, 0.5, 3))
     )
-    return RelativeMotion(goal=goal, **common)
+    return tasks.RelativeMotion(goal=goal, **common)
 
 
 def _of(kind: Callable[..., Task], *, point: str = "point", **names: str) -> Build:
@@ -132,18 +116,18 @@ def _of(kind: Callable[..., Task], *, point: str = "point", **names: str) -> Bui
 
 
 BUILDERS: dict[str, Build] = {
-    "point_on_point": _of(PointOnPoint, goal="there"),
-    "point_on_plane": _of(PointOnPlane, normal="along", through="there"),
-    "point_on_line": _of(PointOnLine, direction="along", through="there"),
+    "point_on_point": _of(tasks.PointOnPoint, goal="there"),
+    "point_on_plane": _of(tasks.PointOnPlane, normal="along", through="there"),
+    "point_on_line": _of(tasks.PointOnLine, direction="along", through="there"),
     "point_on_circle": _point_on_circle,
-    "line_on_line": _of(LineOnLine, direction="along", through="there", axis="own_axis"),
-    "line_on_plane": _of(LineOnPlane, normal="across", through="there", axis="own_axis"),
-    "plane_on_plane": _of(PlaneOnPlane, normal="along", through="there", axis="own_axis"),
-    "revolute": _of(Revolute, direction="along", through="there", axis="own_axis"),
-    "prismatic": _of(Prismatic, direction="along", through="there", rpy="rpy"),
-    "pointing": _of(Pointing, direction="along", axis="own_axis", point=""),
-    "orientation": _of(Orientation, rpy="rpy", point=""),
-    "pose": _of(Pose, goal="pose", point=""),
+    "line_on_line": _of(tasks.LineOnLine, direction="along", through="there", axis="own_axis"),
+    "line_on_plane": _of(tasks.LineOnPlane, normal="across", through="there", axis="own_axis"),
+    "plane_on_plane": _of(tasks.PlaneOnPlane, normal="along", through="there", axis="own_axis"),
+    "revolute": _of(tasks.Revolute, direction="along", through="there", axis="own_axis"),
+    "prismatic": _of(tasks.Prismatic, direction="along", through="there", rpy="rpy"),
+    "pointing": _of(tasks.Pointing, direction="along", axis="own_axis", point=""),
+    "orientation": _of(tasks.Orientation, rpy="rpy", point=""),
+    "pose": _of(tasks.Pose, goal="pose", point=""),
     "distance": _distance,
     "twist": _twist,
     "relative_motion": _relative_motion,

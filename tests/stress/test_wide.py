@@ -8,7 +8,6 @@ import json
 import math
 import os
 import signal
-import subprocess
 import sys
 import time
 from dataclasses import replace
@@ -18,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
+from forking import program
 from numpy.typing import NDArray
 from rich.console import Console
 from scenario_files import needs_robots
@@ -286,30 +286,33 @@ def test_the_command_says_as_json_what_came_of_it() -> None:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks for the workers in /proc")
 @pytest.mark.parametrize(
-    ("sent", "code", "word"),
+    ("sent", "code_of_exit", "word"),
     [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "terminated")],
 )
-def test_an_interrupt_ends_in_one_line(sent: signal.Signals, code: int, word: str) -> None:
+def test_an_interrupt_ends_in_one_line(sent: signal.Signals, code_of_exit: int, word: str) -> None:
     """As from a terminal: every process of the group gets it."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "tests.stress", "--rollouts", "100000", "--jobs", "2"],
-        cwd=ROOT,
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
-    )  # fmt: skip
-    children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
-    try:
+    code = """
+        import os
+        from joblib.externals.loky import reusable_executor
+        from stress.__main__ import main
+
+        os.setsid()
+        reusable_executor._executor = None  # of the process that was forked
+        main(["--rollouts", "100000", "--jobs", "2"])
+    """
+    with program(code) as running:
+        children = Path(f"/proc/{running.pid}/task/{running.pid}/children")
         for _ in range(600):
             if len(children.read_text().split()) >= 2:
                 break
             time.sleep(0.1)
-        os.killpg(process.pid, sent)
-        out, err = process.communicate(timeout=60)
-    finally:
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(process.pid, signal.SIGKILL)
-    assert process.returncode == code
-    assert out == ""
-    assert err.strip() == word
+        try:
+            os.killpg(running.pid, sent)
+            assert running.out.read() == f"{word}\n"
+            assert running.ended() == code_of_exit
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(running.pid, signal.SIGKILL)
 
 
 def test_pinocchio_sees_loops_that_the_kernels_kinematics_do_not(

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import gc
-import os
 import pickle
-import signal
 import time
-from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
+from work_that_dies import refuses, squares
 
 from coopqp.base.errors import (
     CoopqpError,
@@ -22,29 +20,6 @@ from coopqp.base.errors import (
 )
 from coopqp.study.engine import Engine, Lost, Share
 from coopqp.study.engine.workers import Batches
-
-
-def squares(items: Sequence[int]) -> list[int]:
-    """A number of -1 ends the process; other negative ones do the first time."""
-    found = []
-    for item in items:
-        if item == -1 or (isinstance(item, int) and item < 0 and _first(item)):
-            os.kill(os.getpid(), signal.SIGKILL)
-        found.append(item * item)
-    return found
-
-
-def _first(item: int) -> bool:
-    """Whether no process has had this item before."""
-    try:
-        Path(os.environ["COOPQP_TEST_MARKS"], str(item)).touch(exist_ok=False)
-    except FileExistsError:
-        return False
-    return True
-
-
-def refuses(items: Sequence[int]) -> list[int]:
-    raise MissingDependencyError("solver 'x'", "extra")
 
 
 @pytest.fixture

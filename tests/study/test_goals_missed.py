@@ -164,6 +164,6 @@ def test_a_pose_asks_for_more_than_firm_hands_leave() -> None:
 def test_arms_that_go_on_are_not_said_to_rest(speed: float, said: str, chain: ClosedChain) -> None:
     """As after a reference that goes round for ever."""
     problem: Any = SimpleNamespace(chain=chain, limits=(JointPosition(),))
-    leg: Any = SimpleNamespace(problem=problem, v=np.array([chain.q_start * 0.0 + speed]))
+    phase: Any = SimpleNamespace(problem=problem, v=np.array([chain.q_start * 0.0 + speed]))
     place: Any = SimpleNamespace(q=chain.q_start)
-    assert _rests(leg, place, ()).startswith(f"{said} although this is inside the limits: ")
+    assert _rests(phase, place, ()).startswith(f"{said} although this is inside the limits: ")

@@ -50,6 +50,7 @@ def test_what_the_model_gets_wrong_is_not_blamed_on_the_law(tmp_path: Path) -> N
     assert "what the model gets wrong" in found.sentence
 
 
+@pytest.mark.usefixtures("hurried_reruns")
 def test_a_run_that_an_injected_fault_keeps_from_its_goal_is_told_of_it(tmp_path: Path) -> None:
     fault = Fault(kind="motor_reversed", joint="LElbowRoll", start=0.5)
     plant = RigidBody(time_step=0.002)
@@ -71,6 +72,7 @@ def test_a_law_that_knows_no_priorities_puts_nobody_first(tmp_path: Path) -> Non
     assert "first" not in other.sentence
 
 
+@pytest.mark.usefixtures("hurried_reruns")
 def test_a_load_heavier_than_told_asks_for_its_mass(tmp_path: Path) -> None:
     scenario = replace(
         coopqp.load("two_pandas"),

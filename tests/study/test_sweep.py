@@ -158,7 +158,7 @@ def test_shipped_studies_can_be_read(path: Path) -> None:
             "'tasks[0]' is a point_on_point; write tasks[0].point_on_point.gain",
         ),
         ("object.mass", "object.size.0", 4, "'object.size' is a list of values; needs a place"),
-        ("object.mass", "''", 4, "'' is no path; needs one such as tasks.reach.goal"),
+        ("object.mass", "''", 4, "'' is not a path; needs one such as tasks.reach.goal"),
         ("log: [0.1, 2.0]", "choice: [1.0, true]", 4, "found true; needs a number"),
         ("log: [0.1, 2.0]", "choice: [1.0, 2020-01-01]", 4, 'found "2020-01-01"; needs a number'),
         ("log: [0.1, 2.0]", "values: [1.0,\n  -1.0]", 5, "found -1"),

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 from command_line import typed
 from forking import forked
-from plate_study import HERE, STUDY, plate_in, table_of, written
+from plate_study import HERE, STUDY, own_metric, plate_in, table_of, written
 
 from coopqp.base.errors import CoopqpError
 from coopqp.scenario.catalog import Catalog
@@ -136,25 +136,12 @@ def test_two_commands_do_not_write_to_one_journal(whole: Study, undisturbed: Pat
 
 
 def test_plugins_of_a_users_own_are_part_of_a_study(plate: Path) -> None:
-    plugins = plate / "plugins" / "metrics"
-    plugins.mkdir(parents=True)
-    source = '''"""How many ticks."""
-from coopqp import Metric, Trace, spec
-
-
-@spec
-class Twice(Metric):
-    """Ticks, twice."""
-
-    def measure(self, trace: Trace) -> int:
-        return 2 * trace.ticks
-'''
-    (plugins / "twice.py").write_text(source, encoding="utf-8")
+    own_metric(plate / "plugins", "twice", "return 2 * trace.ticks")
     catalog = Catalog((), (plate / "plugins",))
     study = read_study(written(plate, STUDY.replace("[loop_error_max]", "[twice]")), catalog)
     sweep(study, plate / "out", engine=HERE)
     assert {row["twice"] for row in table_of(plate / "out")} == {20}
     assert kept_study(plate / "out").metrics[-1] == "twice"
-    (plugins / "_helper.py").write_text("x = 1\n", encoding="utf-8")
+    (plate / "plugins" / "metrics" / "_helper.py").write_text("x = 1\n", encoding="utf-8")
     with pytest.raises(CoopqpError, match="the plug-ins differs"):
         sweep(study, plate / "out", engine=HERE)

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import typed
-from plate_study import HERE, STUDY, plate_in, table_of, written
+from plate_study import HERE, STUDY, own_metric, plate_in, table_of, written
 
 from coopqp.assessment import assess
 from coopqp.execution.controller_run import run
@@ -308,26 +308,8 @@ def test_reasons_that_only_differ_in_numbers_are_one(plate: Path) -> None:
 def test_what_plugins_print_does_not_stand_in_the_json(
     plate: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    metrics = plate / "loud" / "metrics"
-    metrics.mkdir(parents=True)
-    source = '''"""A metric that talks."""
-import os
-
-from coopqp import Metric, Trace, spec
-
-print("imported")
-
-
-@spec
-class Talks(Metric):
-    """Ticks."""
-
-    def measure(self, trace: Trace) -> int:
-        print("measured")
-        os.system("echo below")
-        return trace.ticks
-'''
-    (metrics / "talks.py").write_text(source, encoding="utf-8")
+    measures = 'print("measured"); os.system("echo below"); return trace.ticks'
+    own_metric(plate / "loud", "talks", measures, 'print("imported")')
     path = study_in(plate, ("[loop_error_max]", "[talks]"), ("sobol: 8", "sobol: 2"))
     options = ("--out", plate / "out", "--plugins", plate / "loud", "--jobs", "1")
     done = typed("sweep", path, "--json", *options)
@@ -348,32 +330,14 @@ def test_a_study_file_is_no_folder(kept: Path) -> None:
 
 def test_opening_a_study_runs_none_of_its_code(plate: Path) -> None:
     """Somebody's folder names plug-ins that leave a mark when they are read."""
-    source = '''"""How many ticks."""
-from pathlib import Path
-
-from coopqp import Metric, Trace, spec
-
-Path(__file__).with_suffix(".mark").touch()
-
-
-@spec
-class Thrice(Metric):
-    """Ticks, thrice."""
-
-    def measure(self, trace: Trace) -> int:
-        return 3 * trace.ticks
-'''
-    folders = []
     for name in ("own", "theirs"):
-        metrics = plate / name / "metrics"
-        metrics.mkdir(parents=True)
-        (metrics / "thrice.py").write_text(source, encoding="utf-8")
-        folders.append(metrics)
+        mark = 'Path(__file__).with_suffix(".mark").touch()'
+        own_metric(plate / name, "thrice", "return 3 * trace.ticks", mark)
     path, out = study_in(plate, ("[loop_error_max]", "[thrice]")), plate / "out"
     assert (
         typed("sweep", path, "--out", out, "--jobs", "1", "--plugins", plate / "own").exit_code == 0
     )
-    assert (folders[0] / "thrice.mark").exists()
+    assert (plate / "own" / "metrics" / "thrice.mark").exists()
     head = {**head_of(out / "journal.sqlite3"), "folders": [[], [str(plate / "theirs")]]}
     with Journal.opened(out / "journal.sqlite3", {}) as journal:
         journal.append([(HEAD, head)])
@@ -381,7 +345,7 @@ class Thrice(Metric):
     assert typed("sweep", out, "--watch").exit_code == 0
     told = refused("sweep", out, "--show", "1")
     assert f"add --plugins {plate / 'theirs'}" in told
-    assert not (folders[1] / "thrice.mark").exists()
+    assert not (plate / "theirs" / "metrics" / "thrice.mark").exists()
     shown = typed("sweep", out, "--show", "1", "--plugins", plate / "own")
     assert shown.exit_code == 0
     assert "warning" not in shown.stderr

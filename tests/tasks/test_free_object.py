@@ -12,21 +12,11 @@ import pytest
 from example_tasks import AXIS, EXAMPLES, MOVING, POINT, THROUGH, TILTED, object_point, plane_at
 from free_body import FreeBody, block_of
 
+from coopqp import tasks
 from coopqp.base.spec import Array
 from coopqp.model.profile import Profile
 from coopqp.signal import axes_along
 from coopqp.task import Task
-from coopqp.tasks import (
-    Distance,
-    LineOnLine,
-    LineOnPlane,
-    Orientation,
-    PlaneOnPlane,
-    Pointing,
-    PointOnCircle,
-    Prismatic,
-    Revolute,
-)
 
 
 def angle_between(a: Array, b: Array) -> float:
@@ -84,21 +74,21 @@ def test_object_on_a_slide_turns_with_it(rng: np.random.Generator) -> None:
 def test_object_on_a_slide_keeps_its_orientation_unless_told(rng: np.random.Generator) -> None:
     body = FreeBody(rng)
     before = body.state.R_WO.copy()
-    body.follow(Prismatic(direction=TILTED, through=THROUGH, point=POINT), 1.5)
+    body.follow(tasks.Prismatic(direction=TILTED, through=THROUGH, point=POINT), 1.5)
     np.testing.assert_allclose(body.state.R_WO, before, atol=1e-12)
 
 
 @pytest.mark.parametrize("goal", [(20, -10, 30), (180, 0, 0), (0, 0, 179.9)])
 def test_free_object_turns_to_its_orientation(goal: tuple[float, float, float]) -> None:
     body = FreeBody()
-    block, errors = body.follow(Orientation(rpy_deg=goal), 2.0)
+    block, errors = body.follow(tasks.Orientation(rpy_deg=goal), 2.0)
     assert max(errors) < 0.02
     np.testing.assert_allclose(body.state.R_WO, pin.rpy.rpyToMatrix(*np.radians(goal)), atol=1e-3)
     np.testing.assert_allclose(block.e, 0, atol=1e-3)
 
 
 def test_half_a_turn_at_once_is_finite_and_done(rng: np.random.Generator) -> None:
-    task = Orientation(rpy_deg=(180, 0, 0), profile=Profile(kind="step"))
+    task = tasks.Orientation(rpy_deg=(180, 0, 0), profile=Profile(kind="step"))
     block, errors = FreeBody().follow(task, 3.0)
     assert errors[0] == pytest.approx(math.pi)
     assert errors[-1] < 1e-4
@@ -107,17 +97,19 @@ def test_half_a_turn_at_once_is_finite_and_done(rng: np.random.Generator) -> Non
 
 @pytest.mark.parametrize("off", [0.0, 1e-15, 1e-9, 1e-4, 0.01, 0.1])
 @pytest.mark.parametrize("kind", ["step", "quintic"])
-@pytest.mark.parametrize("task", [Pointing, PlaneOnPlane, LineOnLine, Revolute])
+@pytest.mark.parametrize(
+    "task", [tasks.Pointing, tasks.PlaneOnPlane, tasks.LineOnLine, tasks.Revolute]
+)
 def test_axis_leaves_the_opposite_direction(task: type[Task], kind: Any, off: float) -> None:
     """From straight against the direction, or nearly so, it turns round all the same."""
     body = FreeBody()
     body.turn_to(pin.exp3(np.array([0.6, -0.8, 0.0]) * (math.pi - off)))
-    along = {} if task is Pointing else {"through": (0.1, 0.2, 0.3)}
-    keys: Any = {("normal" if task is PlaneOnPlane else "direction"): (0, 0, 1), **along}
+    along = {} if task is tasks.Pointing else {"through": (0.1, 0.2, 0.3)}
+    keys: Any = {("normal" if task is tasks.PlaneOnPlane else "direction"): (0, 0, 1), **along}
     _, errors = body.follow(task(axis=(0, 0, 2), profile=Profile(kind=kind), **keys), 4.0)
     assert errors[-1] < 1e-3
     assert body.state.R_WO[2, 2] > 1.0 - 1e-6
-    if kind == "step" and task is Pointing:
+    if kind == "step" and task is tasks.Pointing:
         assert errors[0] == pytest.approx(math.pi - off)
         assert all(np.diff(errors) <= 1e-12)
 
@@ -126,7 +118,7 @@ def test_direction_error_is_exact_up_to_the_cone_about_the_opposite(
     rng: np.random.Generator,
 ) -> None:
     """Jacobian against central differences from zero to all but half a turn; rows stay bounded."""
-    task = Pointing(direction=(0, 0, 1), axis=(0, 0, 1), profile=Profile(kind="step"))
+    task = tasks.Pointing(direction=(0, 0, 1), axis=(0, 0, 1), profile=Profile(kind="step"))
     for lean in (0.0, 1e-13, 1e-10, 1e-6, 1e-3, 0.5, 1.57, 2.5, 3.0, 3.1):
         for _ in range(5):
             way, omega = rng.uniform(0, 2 * math.pi), rng.normal(size=3)
@@ -152,7 +144,7 @@ def test_direction_error_is_exact_up_to_the_cone_about_the_opposite(
 def test_line_may_end_either_way_when_allowed() -> None:
     for sign, axis in ((1, (1, 0, 0.3)), (-1, (1, 0, -0.3))):
         body = FreeBody()
-        task = LineOnLine(direction=(0, 0, 1), through=(0, 0, 0), axis=axis, either_way=True)
+        task = tasks.LineOnLine(direction=(0, 0, 1), through=(0, 0, 0), axis=axis, either_way=True)
         body.follow(task, 1.5)
         a = body.state.R_WO @ np.array(axis) / np.linalg.norm(axis)
         assert a[2] == pytest.approx(sign, abs=1e-5)
@@ -162,7 +154,7 @@ def test_line_may_end_either_way_when_allowed() -> None:
 @pytest.mark.parametrize("kind", ["step", "quintic"])
 def test_line_normal_to_the_plane_falls_into_it(kind: Any, sign: int) -> None:
     body = FreeBody()
-    task = LineOnPlane(
+    task = tasks.LineOnPlane(
         normal=(0, 0, 1), through=(0, 0, 0), axis=(0, 0, sign), profile=Profile(kind=kind)
     )
     block, errors = body.follow(task, 4.0)
@@ -175,19 +167,19 @@ def test_line_normal_to_the_plane_falls_into_it(kind: Any, sign: int) -> None:
 def test_point_leaves_the_circles_axis_and_the_middle_of_the_sphere(kind: Any) -> None:
     profile = Profile(kind=kind)
     body = FreeBody()
-    circle = PointOnCircle(center=(0, 0, 0.1), normal=(0, 0, 1), radius=0.05, profile=profile)
+    circle = tasks.PointOnCircle(center=(0, 0, 0.1), normal=(0, 0, 1), radius=0.05, profile=profile)
     block, errors = body.follow(circle, 4.0)
     assert errors[-1] < 1e-5
     assert np.linalg.norm(body.state.p_WO[:2]) == pytest.approx(0.05, abs=1e-5)
     body = FreeBody()
-    block, errors = body.follow(Distance(to=(0, 0, 0), length=0.05, profile=profile), 4.0)
+    block, errors = body.follow(tasks.Distance(to=(0, 0, 0), length=0.05, profile=profile), 4.0)
     assert errors[-1] < 1e-5
     assert np.linalg.norm(block.J) == pytest.approx(1.0)
     assert np.linalg.norm(body.state.p_WO) == pytest.approx(0.05, abs=1e-5)
 
 
 def test_lines_that_are_parallel_already_ask_for_no_turn() -> None:
-    task = LineOnLine(direction=(0, 0, 3), through=(0, 0.1, 0), axis=(0, 0, 1))
+    task = tasks.LineOnLine(direction=(0, 0, 3), through=(0, 0.1, 0), axis=(0, 0, 1))
     block = block_of(task, FreeBody().state, cast(Any, None))
     np.testing.assert_allclose(block.J[2:], [[0, 0, 0, 0, 1, 0], [0, 0, 0, -1, 0, 0]], atol=1e-12)
     np.testing.assert_allclose(block.e, 0, atol=1e-12)

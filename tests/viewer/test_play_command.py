@@ -6,8 +6,6 @@ import os
 import re
 import signal
 import socket
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,12 +13,20 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_line import typed
+from command_line import refused, typed
+from forking import Program, program
 
 from coopqp.execution.controller_run import run
 from coopqp.scenario.loader import load
 
-COMMAND = [sys.executable, "-c", "from coopqp.cli import main; main()", "play"]
+COMMAND = """
+    import os, sys
+    from coopqp.cli import main
+
+    os.setsid()
+    os.chdir(sys.argv[1])
+    main(["play", *sys.argv[2:]])
+"""
 PATIENCE = 60.0  # [s], where the machine is busy
 
 
@@ -95,25 +101,18 @@ def _decoded(data: bytes | str) -> list[dict[str, Any]]:
 
 
 @pytest.fixture
-def started(tmp_path: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
+def started(tmp_path: Path) -> Iterator[tuple[Program, str]]:
     """The command with one law, on any port that is free, and the page's address."""
     pytest.importorskip("viser", reason="needs coopqp[viewer]")
     words = ["point_on_point", "--controller", "qp", "--port", "0", "--record", "out"]
-    words += ["--speed", "4"]
-    process = subprocess.Popen(
-        [*COMMAND, *words], cwd=tmp_path, text=True,
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True,
-    )  # fmt: skip
-    assert process.stdout
-    yield process, process.stdout.readline().split()[0]
-    process.kill()
-    process.communicate()
+    with program(COMMAND, tmp_path, *words, "--speed", "4") as playing:
+        yield playing, playing.out.readline().split()[0]
 
 
 def test_two_browsers_one_goes_and_comes_back_and_the_end_is_one_line(
-    started: tuple[subprocess.Popen[str], str], tmp_path: Path
+    started: tuple[Program, str], tmp_path: Path
 ) -> None:
-    process, url = started
+    playing, url = started
     first, second = Browser(url), Browser(url)
     first.until(lambda: "On its way" in first.words)  # it plays as soon as somebody looks
     first.drag(0.15, 0.03, 0.04)
@@ -123,12 +122,10 @@ def test_two_browsers_one_goes_and_comes_back_and_the_end_is_one_line(
     back = Browser(url)
     back.until(lambda: "LElbowRoll (lower" in back.words and "rad more" in back.words)
     assert back.gizmo == pytest.approx((0.13, 0.05, 0.13))
-    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to all processes
-    out, err = process.communicate(timeout=PATIENCE)
-    assert process.returncode == 0, err
+    os.killpg(playing.pid, signal.SIGINT)  # as a terminal does: to all processes
     back.until(lambda: "coopqp play has ended" in back.words)
-    assert re.fullmatch(r"ended after [\d.]+ s; wrote out/scenario.yaml\n", out)
-    assert err == ""
+    assert re.fullmatch(r"ended after [\d.]+ s; wrote out/scenario.yaml\n", playing.out.read())
+    assert playing.ended() == 0
     trace = run(load(tmp_path / "out" / "scenario.yaml"), controller="qp")
     sent = np.loadtxt(tmp_path / "out/inputs/reach.csv", delimiter=",", skiprows=1)[:, 2:]
     assert sent[-1].tolist() == pytest.approx([0.13, 0.05, 0.13])
@@ -179,12 +176,12 @@ def _connection(url: str, **headers: str) -> Any:
 
 
 def test_malformed_messages_end_neither_the_page_nor_the_run(
-    started: tuple[subprocess.Popen[str], str], rng: np.random.Generator
+    started: tuple[Program, str], rng: np.random.Generator
 ) -> None:
     import msgspec
     from websockets.exceptions import ConnectionClosed
 
-    process, url = started
+    playing, url = started
     for batch in _malformed(rng):
         with _connection(url) as bad:
             camera = _camera()
@@ -198,13 +195,12 @@ def test_malformed_messages_end_neither_the_page_nor_the_run(
     good.drag(0.15, 0.03, 0.04)
     other.until(lambda: other.gizmo == pytest.approx((0.15, 0.03, 0.04)))
     other.until(lambda: "playing at" in other.words)
-    os.killpg(process.pid, signal.SIGINT)
-    out, err = process.communicate(timeout=PATIENCE)
-    assert (process.returncode, err) == (0, "")
-    assert "wrote out/scenario.yaml" in out
+    os.killpg(playing.pid, signal.SIGINT)
+    assert re.fullmatch(r"ended after [\d.]+ s; wrote out/scenario.yaml\n", playing.out.read())
+    assert playing.ended() == 0
 
 
-def test_pages_of_other_sites_are_refused(started: tuple[subprocess.Popen[str], str]) -> None:
+def test_pages_of_other_sites_are_refused(started: tuple[Program, str]) -> None:
     import urllib.error
     import urllib.request
 
@@ -253,16 +249,14 @@ def test_a_port_that_is_taken_is_one_line() -> None:
 )
 def test_what_cannot_be_played_is_one_line(words: list[str], said: str) -> None:
     pytest.importorskip("viser", reason="needs coopqp[viewer]")
-    result = typed("play", "point_on_point", *words)
-    assert result.exit_code == 2
-    assert said in result.stderr
-    assert len([x for x in result.stderr.splitlines() if not x.startswith("note:")]) == 1
+    told = refused("play", "point_on_point", *words)
+    assert said in told
+    assert len([x for x in told.splitlines() if not x.startswith("note:")]) == 1
 
 
 def test_a_speed_that_is_no_number_is_refused() -> None:
-    result = typed("play", "point_on_point", "--port", "0", "--speed", "nan")
-    assert result.exit_code == 2
-    assert "'--speed': nan is not in the range 0.05<=x<=4.0" in result.stderr
+    said = refused("play", "point_on_point", "--port", "0", "--speed", "nan")
+    assert "'--speed': nan is not in the range 0.05<=x<=4.0" in said
 
 
 @pytest.mark.parametrize("there", ["scenario.yaml", "inputs/target.csv"])
@@ -270,10 +264,9 @@ def test_a_session_that_is_there_is_left_alone(there: str, tmp_path: Path) -> No
     pytest.importorskip("viser", reason="needs coopqp[viewer]")
     (tmp_path / there).parent.mkdir(exist_ok=True)
     (tmp_path / there).write_text("mine")
-    result = typed("play", "point_on_point", "--port", "0", "--record", str(tmp_path))
-    assert result.exit_code == 2
+    said = refused("play", "point_on_point", "--port", "0", "--record", str(tmp_path))
     words = "holds a session already; name another folder"
-    assert result.stderr == f"error: --record: '{tmp_path}' {words}\n"
+    assert said == f"error: --record: '{tmp_path}' {words}\n"
     assert (tmp_path / there).read_text() == "mine"
 
 
@@ -291,6 +284,5 @@ def test_without_viser_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> No
     from coopqp.viewer import play
 
     monkeypatch.setattr(play.importlib.util, "find_spec", lambda name: None)
-    result = typed("play", "point_on_point")
-    assert result.exit_code == 2
-    assert result.stderr == "error: coopqp play needs: pip install 'coopqp[viewer]'\n"
+    said = refused("play", "point_on_point")
+    assert said == "error: coopqp play needs: pip install 'coopqp[viewer]'\n"

@@ -69,10 +69,13 @@ class Way {
 
   private:
     using Clock = std::chrono::steady_clock;
-    static constexpr int NEWTON = 12;        // steps of a projection along an edge
+    static constexpr int NEWTON = 6;         // steps of a projection along an edge
     static constexpr double STRETCH = 2.0;   // of a step, how much longer it may become
     static constexpr double SAME = 1e-6;     // configurations that are one [rad, m]
-    static constexpr int PASSES = 20;        // of smoothing
+    static constexpr double NEARLY = 0.999;  // of a part's length, above which it is straight
+    static constexpr double WHOLE = 0.5, JOINTS = 0.2;  // shares of shortcuts, of joints in others
+    static constexpr int PASSES = 10;        // of smoothing
+    static constexpr double RELAXED = 1.2;   // of a step to the middle
     static constexpr double LEAST = 1.0 / 16;  // share of a step below which none is tried
 
     struct Tree {
@@ -128,23 +131,33 @@ class Way {
         return std::chrono::duration<double>(now - begun_).count() > s_.seconds;
     }
 
-    // Between two configurations by halves, each looked at; both ends are left out of `out`.
-    bool between(const double* a, const double* b, double fine, Points& out, int depth = 0) {
-        const double whole = apart(a, b);
-        if (whole <= fine) return true;
-        if (depth > 16) return false;
-        Points middle(static_cast<std::size_t>(n_));
-        for (int j = 0; j < n_; j++) middle[std::size_t(j)] = 0.5 * (a[j] + b[j]);
-        if (!project(middle.data(), nullptr)) return false;
-        const double most = 0.75 * whole;
-        if (apart(a, middle.data()) > most || apart(middle.data(), b) > most) return false;
-        if (!free(middle.data())) return false;
-        Points later;
-        if (!between(a, middle.data(), fine, out, depth + 1) ||
-            !between(middle.data(), b, fine, later, depth + 1))
-            return false;
-        out.insert(out.end(), middle.begin(), middle.end());
-        out.insert(out.end(), later.begin(), later.end());
+    // Between two configurations by halves, the farthest apart first, each looked at; both ends are
+    // left out of `out`.
+    bool between(const double* a, const double* b, double fine, Points& out) {
+        const auto n = std::size_t(n_);
+        Points now(a, a + n_), next, middle(n);
+        now.insert(now.end(), b, b + n_);
+        for (int depth = 0;; depth++) {
+            const std::size_t last = now.size() - n;
+            next.clear();
+            for (std::size_t at = 0; at < last; at += n) {
+                const double *one = &now[at], *other = one + n_;
+                next.insert(next.end(), one, other);
+                const double whole = apart(one, other), most = 0.75 * whole;
+                if (whole <= fine) continue;
+                if (depth > 16) return false;
+                for (std::size_t j = 0; j < n; j++) middle[j] = 0.5 * (one[j] + other[j]);
+                if (!project(middle.data(), nullptr) || apart(one, middle.data()) > most ||
+                    apart(middle.data(), other) > most || !free(middle.data()))
+                    return false;
+                next.insert(next.end(), middle.begin(), middle.end());
+            }
+            next.insert(next.end(), now.begin() + long(last), now.end());
+            const bool done = next.size() == now.size();
+            now.swap(next);
+            if (done) break;
+        }
+        out.insert(out.end(), now.begin() + n_, now.end() - n_);
         return true;
     }
 
@@ -294,63 +307,123 @@ class Way {
         return false;
     }
 
-    // Ways between two points of the path at random, where they are shorter.
+    // Ways between two points of the path at random, where they are shorter: straight ones, and ones
+    // on which some joints go straight and the others as they went (partial shortcuts after
+    // Geraerts and Overmars 2007).
     void shorten(Points& path) {
         const auto n = std::size_t(n_);
         std::vector<double> at;  // length up to each point
         for (int i = 0; i < s_.shortcuts && !late(); i++) {
             const std::size_t count = path.size() / n;
             if (count < 3) return;
-            at.assign(count, 0.0);
-            for (std::size_t k = 1; k < count; k++)
-                at[k] = at[k - 1] + apart(&path[k * n], &path[(k - 1) * n]);
+            if (at.size() != count) {
+                at.assign(count, 0.0);
+                for (std::size_t k = 1; k < count; k++)
+                    at[k] = at[k - 1] + apart(&path[k * n], &path[(k - 1) * n]);
+            }
             const double u = random() * at.back(), v = random() * at.back();
             const auto index = [&](double x) {
                 return std::size_t(std::lower_bound(at.begin(), at.end(), x) - at.begin());
             };
             const std::size_t a = index(std::min(u, v)), b = index(std::max(u, v));
-            if (b < a + 2 || apart(&path[a * n], &path[b * n]) > 0.999 * (at[b] - at[a])) continue;
-            Points inner, made(path.begin(), path.begin() + long((a + 1) * n));
-            if (!between(&path[a * n], &path[b * n], s_.fine, inner)) continue;
+            if (b < a + 2 || apart(&path[a * n], &path[b * n]) > NEARLY * (at[b] - at[a])) continue;
+            Points inner;
+            if (random() < WHOLE ? !between(&path[a * n], &path[b * n], s_.fine, inner)
+                                 : !partly(path, at, a, b, inner))
+                continue;
+            Points made(path.begin(), path.begin() + long((a + 1) * n));
             made.insert(made.end(), inner.begin(), inner.end());
             made.insert(made.end(), path.begin() + long(b * n), path.end());
-            if (length(made) < at.back() - SAME) path = std::move(made);
+            if (length(made) > at.back() - SAME) continue;
+            path = std::move(made);
+            at.clear();
         }
     }
 
+    // From point a to point b of a path with some joints nearer to straight lines, a few points
+    // before those between them.
+    bool partly(const Points& path, const std::vector<double>& at, std::size_t a, std::size_t b,
+                Points& inner) {
+        const auto n = std::size_t(n_);
+        const double most = at[b] - at[a], by = random() < 0.5 ? 1.0 : random();
+        std::vector<double> share(n);
+        for (double& x : share) x = random() < JOINTS ? by : 0.0;
+        Points now(path.begin() + long(a * n), path.begin() + long((b + 1) * n));
+        const std::size_t last = b - a;
+        const double *first = &now[0], *end = &now[last * n];
+        for (std::size_t stride = 16; stride > 0; stride /= 2) {
+            const double* before = first;
+            double gone = 0.0;
+            for (std::size_t k = stride; k < last; k += stride) {
+                double* q = &now[k * n];
+                if (stride == 16 || k / stride % 2) {
+                    const double part = (at[a + k] - at[a]) / most;
+                    for (std::size_t j = 0; j < n; j++)
+                        q[j] += share[j] * (first[j] + part * (end[j] - first[j]) - q[j]);
+                    if (!project(q, nullptr) || !free(q)) return false;
+                }
+                gone += apart(before, q);
+                before = q;
+            }
+            if (gone + apart(before, end) > most - SAME) return false;
+        }
+        for (const double* q = first; q < end; q += n) {
+            if (!between(q, q + n, s_.fine, inner)) return false;
+            if (q + n < end) inner.insert(inner.end(), q + n, q + 2 * n);
+        }
+        return true;
+    }
+
     // Round the corners that shortcuts leave: points at a step's distance go to the middle between
-    // their neighbours. What the finer look does not stand stays as it was.
+    // their neighbours. What the finer look does not stand goes back to where it was.
     void smooth(Points& path) {
         const auto n = std::size_t(n_);
-        Points rough(path.begin(), path.begin() + n_), q(n);
-        for (std::size_t at = n; at < path.size(); at += n)
-            if (at + n == path.size() || apart(&path[at], &rough[rough.size() - n]) > s_.step)
-                rough.insert(rough.end(), path.begin() + long(at), path.begin() + long(at + n));
-        const std::size_t count = rough.size() / n;
+        std::vector<std::size_t> index{0};
+        for (std::size_t k = 1; k < path.size() / n; k++)
+            if ((k + 1) * n == path.size() || apart(&path[k * n], &path[index.back() * n]) > s_.step)
+                index.push_back(k);
+        const std::size_t count = index.size();
+        Points rough, q(n);
+        for (std::size_t k : index)
+            rough.insert(rough.end(), path.begin() + long(k * n), path.begin() + long((k + 1) * n));
         for (int pass = 0; pass < PASSES && !late(); pass++)
             for (std::size_t i = 1; i + 1 < count; i++) {
                 double* here = &rough[i * n];
                 for (std::size_t j = 0; j < n; j++)
-                    q[j] = 0.5 * here[j] + 0.25 * (here[j - n] + here[j + n]);
+                    q[j] = here[j] + RELAXED * (0.5 * (here[j - n] + here[j + n]) - here[j]);
                 if (project(q.data(), nullptr) && free(q.data()))
                     std::copy(q.begin(), q.end(), here);
             }
-        Points made;
-        if (refined(rough, made)) path = std::move(made);
-    }
-
-    // Halved to the finer step; false where something is in the way.
-    bool refined(const Points& rough, Points& made) {
-        const auto n = std::size_t(n_);
-        made.assign(rough.begin(), rough.begin() + n_);
-        for (std::size_t at = n; at < rough.size(); at += n) {
-            if (!between(&rough[at - n], &rough[at], s_.fine, emptied())) {
-                inner_.clear();
-                return false;
+        std::vector<Points> inner(count);
+        std::vector<char> good(count, 0), old(count, 0);
+        old[0] = old[count - 1] = 1;
+        for (bool again = true; again;) {
+            again = false;
+            for (std::size_t i = 0; i + 1 < count; i++) {
+                if (good[i]) continue;
+                inner[i].clear();
+                good[i] = 1;
+                if (between(&rough[i * n], &rough[(i + 1) * n], s_.fine, inner[i])) continue;
+                if (old[i] && old[i + 1]) {
+                    inner[i].assign(path.begin() + long((index[i] + 1) * n),
+                                    path.begin() + long(index[i + 1] * n));
+                    continue;
+                }
+                again = true;
+                for (std::size_t k : {i, i + 1}) {
+                    if (old[k]) continue;
+                    old[k] = 1;
+                    std::copy_n(&path[index[k] * n], n, &rough[k * n]);
+                    good[k - 1] = good[k] = 0;
+                }
             }
-            append(made, &rough[at]);
         }
-        return true;
+        Points made;
+        for (std::size_t i = 0; i < count; i++) {
+            made.insert(made.end(), rough.begin() + long(i * n), rough.begin() + long((i + 1) * n));
+            made.insert(made.end(), inner[i].begin(), inner[i].end());
+        }
+        if (length(made) < length(path)) path = std::move(made);
     }
 
     Manifold& m_;

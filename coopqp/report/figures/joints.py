@@ -60,12 +60,12 @@ def joint_figures(chart: Chart) -> tuple[list[Figure], list[Figure], list[Figure
 def joint_rows(chain: ClosedChain) -> list[JointRow]:
     """The joints as they are shown: those that arms share first, two equal arms side by side."""
     model, arms = chain.model, []
-    for frame in chain.frames:
+    for frame in chain.frames[chain.standing :]:
         support = model.supports[model.frames[frame].parentJoint]
         arms.append([j - 1 for j in support if j > 0])
     counts = {j: sum(j in arm for arm in arms) for j in joined(*arms)}
     own = [[j for j in arm if counts[j] == 1] for arm in arms]
-    names = [arm.name for arm in chain.arms]
+    names = [arm.name for arm in chain.arms[chain.standing :]]
     captions = {
         j: f"{'passive joint' if j in chain.passive else f'q{k}'} of the {name} arm"
         for name, joints in zip(names, own, strict=True)

@@ -20,16 +20,8 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.base.spec import Array
-from coopqp.model.marker import (
-    CircleMarker,
-    LineMarker,
-    Marker,
-    PlaneMarker,
-    PointMarker,
-    PoseMarker,
-    TrackedMarker,
-    asked,
-)
+from coopqp.model import marker
+from coopqp.model.marker import Marker, asked
 from coopqp.report import curves
 from coopqp.report.curves import Figure, Json
 from coopqp.report.figures.chart import Chart
@@ -69,7 +61,7 @@ class Coordinate:
 
     def goal(self, marks: Sequence[Marker]) -> float:
         """The goal of a task with these markers [m]; NaN if it is free or of another point."""
-        if any(isinstance(m, TrackedMarker) and m.point != self.point for m in marks):
+        if any(isinstance(m, marker.TrackedMarker) and m.point != self.point for m in marks):
             return np.nan
         return next((x for x in map(self._fixed, marks) if not np.isnan(x)), np.nan)
 
@@ -84,15 +76,15 @@ class Coordinate:
         """The coordinate that all points of a marker have in common, or NaN."""
         i, place, normal = self.axis, None, None
         match mark:
-            case PointMarker():
+            case marker.PointMarker():
                 place = mark.at
-            case PoseMarker():
+            case marker.PoseMarker():
                 place = mark.position
-            case LineMarker() if abs(mark.direction[i]) < ALIGNED:
+            case marker.LineMarker() if abs(mark.direction[i]) < ALIGNED:
                 place = mark.through
-            case PlaneMarker():
+            case marker.PlaneMarker():
                 place, normal = mark.through, mark.normal
-            case CircleMarker():
+            case marker.CircleMarker():
                 place, normal = mark.center, mark.normal
         across = normal is not None and np.abs(np.delete(normal, i)).max() > ALIGNED
         return np.nan if place is None or across else float(place[i])
@@ -115,12 +107,14 @@ class Tilt:
 
     def goal(self, marks: Sequence[Marker]) -> float:
         """The goal of a task with an orientation [degrees], or NaN."""
-        poses = [mark for mark in marks if isinstance(mark, PoseMarker)]
+        poses = [mark for mark in marks if isinstance(mark, marker.PoseMarker)]
         return float(self.of(np.zeros((1, 3)), poses[0].rotation[None])[0]) if poses else np.nan
 
     def reference(self, start: pin.SE3, marks: Sequence[Sequence[Marker]], share: Array) -> Array:
         """About one axis to the goal [degrees]; NaN for a goal that turns."""
-        goals = [mark.rotation for then in marks for mark in then if isinstance(mark, PoseMarker)]
+        goals = [
+            mark.rotation for then in marks for mark in then if isinstance(mark, marker.PoseMarker)
+        ]
         if any(not np.array_equal(R, goals[0]) for R in goals):
             return np.full(len(share), np.nan)
         turn = pin.log3(goals[0] @ start.rotation.T)
@@ -179,7 +173,7 @@ def _points(chart: Chart) -> list[tuple[float, float, float]]:
     """Points of the object that tasks steer, the origin first if it is one of them."""
     tasks = [task for phase in chart.comparison.scenario.schedule for task in phase.tasks]
     marks = [m for task in tasks for m in asked(task.name, partial(task.marks, Moment()), [])]
-    points = dict.fromkeys(mark.point for mark in marks if isinstance(mark, TrackedMarker))
+    points = dict.fromkeys(mark.point for mark in marks if isinstance(mark, marker.TrackedMarker))
     return sorted(points, key=lambda point: point != ORIGIN) or [ORIGIN]
 
 

@@ -16,20 +16,8 @@ from numpy.typing import NDArray
 
 from coopqp.base.spec import Array, type_name
 from coopqp.execution.instants import arm_points
-from coopqp.model.marker import (
-    CircleMarker,
-    LineMarker,
-    Marker,
-    PlaneMarker,
-    PointMarker,
-    PoseMarker,
-    PostureMarker,
-    RelativeMarker,
-    SolidMarker,
-    SphereMarker,
-    TrackedMarker,
-    asked,
-)
+from coopqp.model import marker
+from coopqp.model.marker import Marker, asked
 from coopqp.scenario.scenario import Scenario
 from coopqp.tasks.posture import posture
 from coopqp.trace import Trace
@@ -54,8 +42,8 @@ TRACKED, POSTURE, RELATIVE = "tracked", "posture", "relative"
 SOLID = "solid"
 #: Kinds of markers whose fields are drawn as they are.
 AS_THEY_ARE: dict[type, str] = {
-    PointMarker: "goals", CircleMarker: "circles", SphereMarker: "spheres",
-    TrackedMarker: TRACKED, PostureMarker: POSTURE,
+    marker.PointMarker: "goals", marker.CircleMarker: "circles", marker.SphereMarker: "spheres",
+    marker.TrackedMarker: TRACKED, marker.PostureMarker: POSTURE,
 }  # fmt: skip
 
 
@@ -131,20 +119,20 @@ class Place:
     def drawn(self, mark: Marker) -> tuple[str, Json]:
         """The kind and what is drawn."""
         match mark:
-            case LineMarker():
+            case marker.LineMarker():
                 return self._line(mark)
-            case PlaneMarker():
+            case marker.PlaneMarker():
                 return "planes", {"corners": self._patch(mark)}
-            case SolidMarker():
+            case marker.SolidMarker():
                 return SOLID, {"solid": mark}
-            case PoseMarker(position=None):
+            case marker.PoseMarker(position=None):
                 return "orientations", {"axes": self._axes(mark.rotation)}
-            case PoseMarker() | RelativeMarker():
-                kind = "poses" if isinstance(mark, PoseMarker) else RELATIVE
+            case marker.PoseMarker() | marker.RelativeMarker():
+                kind = "poses" if isinstance(mark, marker.PoseMarker) else RELATIVE
                 return kind, {"at": mark.position, "axes": self._axes(mark.rotation)}
         return AS_THEY_ARE[type(mark)], vars(mark)
 
-    def _line(self, line: LineMarker) -> tuple[str, Json]:
+    def _line(self, line: marker.LineMarker) -> tuple[str, Json]:
         """Ends of a piece of it, or a vector from the object."""
         d = line.direction
         way = LINE_SHARE * self._size * d
@@ -157,7 +145,7 @@ class Place:
         axes: Array = AXES_SHARE * self._size * rotation.T
         return axes
 
-    def _patch(self, plane: PlaneMarker) -> Array:
+    def _patch(self, plane: marker.PlaneMarker) -> Array:
         """Corners of a patch of a plane, shape (4, 3) [m]."""
         n = plane.normal
         middle = self._start - n * (n @ (self._start - plane.through))

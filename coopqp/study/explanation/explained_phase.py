@@ -45,7 +45,7 @@ class ExplainedPhase:
     Attributes:
         scenario: as the controller holds it, :meth:`Scenario.held_by`. name: the controller's.
         problem: without limits where the controller supports none.
-        index, first: in the schedule; its first tick. phase: its name, empty if it is the only one.
+        index, first: in the schedule; its first tick. phase_name: empty if it is the only one.
         q: shape (K + 1, n). v: shape (K, n). tau: shape (K, n), or empty.
         inputs: values of the whole run, by name.
         parts, errors: of all tasks; at the end [the part's unit].
@@ -58,7 +58,7 @@ class ExplainedPhase:
     name: str
     problem: ControlProblem
     index: int
-    phase: str
+    phase_name: str
     first: int
     q: Array
     v: Array
@@ -122,7 +122,7 @@ def explained_phases(scenario: Scenario, trace: Trace) -> Iterator[ExplainedPhas
             raise InvalidValueError(f"no error of '{strange[0]}' in the trace; {words}")
         ticks = slice(first, end)
         yield ExplainedPhase(
-            scenario=scenario, name=trace.controller, index=i, phase=phase.name, first=first,
+            scenario=scenario, name=trace.controller, index=i, phase_name=phase.name, first=first,
             problem=problem if "limits" in controller.supports else replace(problem, limits=()),
             q=trace.q[first : end + 1], v=trace.v[ticks], tau=tau[ticks],
             causes=tuple(causes_of(word) for word in trace.status[ticks]),
@@ -149,7 +149,7 @@ class _Wider(Scenario):
 
 
 def rerun(
-    leg: ExplainedPhase,
+    phase: ExplainedPhase,
     *,
     longer: bool = False,
     wider: Mapping[Row, float] | None = None,
@@ -158,31 +158,33 @@ def rerun(
     """A phase rerun.
 
     Args:
-        leg: as recorded.
+        phase: as recorded.
         longer: whether it gets more time.
         wider: by the row of a position limit's side, how much wider it is [rad, m].
         changed: fields of the scenario.
     """
-    end = leg.scenario.schedule[leg.index]
+    end = phase.scenario.schedule[phase.index]
     if longer:
-        end = replace(end, duration=end.duration + TIMES * leg.t_end + MORE)
-    if leg.scenario.phases:
-        changed["phases"] = (*leg.scenario.phases[: leg.index], end)
+        end = replace(end, duration=end.duration + TIMES * phase.t_end + MORE)
+    if phase.scenario.phases:
+        changed["phases"] = (*phase.scenario.phases[: phase.index], end)
     else:
         changed["duration"] = end.duration
-    other = replace(leg.scenario, grasp_of={}, **changed)
+    other = replace(phase.scenario, grasp_of={}, **changed)
     if wider:
         known = {name: getattr(other, name) for name in Scenario.__dataclass_fields__}
         other = _Wider(**known, wider=wider)
-    return list(explained_phases(other, run(other, controller=leg.name, timed=False)))[leg.index]
+    return list(explained_phases(other, run(other, controller=phase.name, timed=False)))[
+        phase.index
+    ]
 
 
-def arrival(goal: Goal, leg: ExplainedPhase) -> float:
+def arrival(goal: Goal, phase: ExplainedPhase) -> float:
     """When a phase that reached a goal arrived there for good [s]."""
-    dt = leg.problem.dt
-    for k in range(len(leg.v), 0, -1):
+    dt = phase.problem.dt
+    for k in range(len(phase.v), 0, -1):
         goal.state.t = k * dt
-        goal.look(leg.q[k])
+        goal.look(phase.q[k])
         if goal.miss > 1.0:
             return (k + 1) * dt
     return dt

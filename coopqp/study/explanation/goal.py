@@ -22,8 +22,10 @@ is mu_i |Z' n_i|.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -61,10 +63,8 @@ class Room:
         self._dt = problem.dt
         self.lower, self.upper = np.full(chain.n, -np.inf), np.full(chain.n, np.inf)
         self.sides: dict[tuple[int, str], Row] = {}
-        self.rows: tuple[Row, ...] = ()
-        self.owners: list[int] = []
         self.limits: list[Limit] = []
-        self._left: list[tuple[Clearance, Callable[[State], Array]]] = []
+        self._left: list[Clearance] = []
         self._state = State(chain)
         self._kept: tuple[Array, Array, Array] | None = None
         for limit in problem.limits:
@@ -73,11 +73,8 @@ class Room:
     def _add(self, limit: Limit) -> None:
         left = limit.clearance(self.chain)
         if left is not None:
-            rows = limit.rows(self.chain)[: len(left(self._state))]
-            self.owners += [len(self.limits)] * len(rows)
-            self.rows += rows
             self.limits.append(limit)
-            self._left.append((left, _slope(limit, self.chain, self._dt, len(rows))))
+            self._left.append(left)
             return
         q, v = np.vstack([self.chain.q_start] * 2), np.zeros((1, self.chain.n))
         for row, margin in audit([limit], self.chain, q, v, self._dt).margins.items():
@@ -95,15 +92,33 @@ class Room:
             label = row.label.rpartition(" of ")[2]
             self.sides[i, str(row.side)] = replace(row, label=label)
 
+    @cached_property
+    def _rows(self) -> list[tuple[Row, ...]]:
+        left = zip(self.limits, self._left, strict=True)
+        return [limit.rows(self.chain)[: len(each(self._state))] for limit, each in left]
+
+    @cached_property
+    def rows(self) -> tuple[Row, ...]:
+        return tuple(itertools.chain(*self._rows))
+
+    @cached_property
+    def owners(self) -> list[int]:
+        return [i for i, rows in enumerate(self._rows) for _ in rows]
+
+    @cached_property
+    def _slopes(self) -> list[Callable[[State], Array]]:
+        counts = zip(self.limits, map(len, self._rows), strict=True)
+        return [_slope(limit, self.chain, self._dt, count) for limit, count in counts]
+
     def at(self, q: Array) -> Array:
         """Clearances of the limits in space at a configuration, shape (p,) [m]."""
         self._look(q)
-        return np.concatenate([np.zeros(0), *(left(self._state) for left, _ in self._left)])
+        return np.concatenate([np.zeros(0), *(left(self._state) for left in self._left)])
 
     def gradient(self, q: Array) -> Array:
         """Gradient of the clearances, shape (p, n)."""
         self._look(q)
-        slopes = (slope(self._state) for _, slope in self._left)
+        slopes = (slope(self._state) for slope in self._slopes)
         return np.vstack([np.zeros((0, self.chain.n)), *slopes])
 
     def both(self, q: Array) -> tuple[Array, Array]:
@@ -113,7 +128,7 @@ class Room:
         return self._kept[:2]
 
     def _look(self, q: Array) -> None:
-        if self.rows and not np.array_equal(self._state.q, q):
+        if self._left and not np.array_equal(self._state.q, q):
             self._state.q[:] = q
             self._state.update()
 

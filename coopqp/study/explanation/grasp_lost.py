@@ -35,29 +35,29 @@ SETTINGS = ("squeeze", "safety")
 SPARE = 1.05
 
 
-def lost(leg: ExplainedPhase, base: RunExplanation) -> RunExplanation | None:
+def lost(phase: ExplainedPhase, base: RunExplanation) -> RunExplanation | None:
     """How the object was lost until the end of a phase; None where it was held."""
-    presses = any(grasp.contact for grasp in leg.problem.chain.grasps.values())
-    if not presses or not leg.scenario.plant.takes_torques:
+    presses = any(grasp.contact for grasp in phase.problem.chain.grasps.values())
+    if not presses or not phase.scenario.plant.takes_torques:
         return None
-    trace = run(leg.scenario, controller=leg.name)
+    trace = run(phase.scenario, controller=phase.name)
     tick = assess(trace).lost_tick
-    if tick is None or tick >= leg.first + len(leg.v):
+    if tick is None or tick >= phase.first + len(phase.v):
         return None
-    time, why = float(trace.t[tick + 1]), _culprits(leg, trace, tick)
+    time, why = float(trace.t[tick + 1]), _culprits(phase, trace, tick)
     sentence = f"the object is lost at {time:.3g} s{': ' if why else ''}{why}"
-    holds = " or ".join(f"with {text}" for text in (_friction(leg), _pressing(leg)) if text)
+    holds = " or ".join(f"with {text}" for text in (_friction(phase), _pressing(phase)) if text)
     if holds:
         sentence += f"; {holds} it is held (tried)"
     return base.because("lost", sentence, tried=True if holds else None, time=time)
 
 
-def _culprits(leg: ExplainedPhase, trace: Trace, tick: int) -> str:
+def _culprits(phase: ExplainedPhase, trace: Trace, tick: int) -> str:
     """Which hands were at the limit of their contacts first, and by what."""
     slipped = np.flatnonzero((trace.signals["slip"][: tick + 1] > SLIPPED).any(axis=1))
     k = int(slipped[0]) if len(slipped) else tick
-    found = _used_up(leg, trace, k)
-    while k > 0 and (before := _used_up(leg, trace, k - 1)):
+    found = _used_up(phase, trace, k)
+    while k > 0 and (before := _used_up(phase, trace, k - 1)):
         k, found = k - 1, before
     by_why: dict[str, list[str]] = {}
     for arm, why in found:
@@ -65,18 +65,18 @@ def _culprits(leg: ExplainedPhase, trace: Trace, tick: int) -> str:
     return words.listed([f"{why} at {words.listed(arms)}" for why, arms in by_why.items()])
 
 
-def _used_up(leg: ExplainedPhase, trace: Trace, k: int) -> list[tuple[str, str]]:
+def _used_up(phase: ExplainedPhase, trace: Trace, k: int) -> list[tuple[str, str]]:
     """Hands with a contact at its limit in a tick, and why."""
-    robot, found = [arm.name for arm in leg.scenario.robot_model.arms], []
+    robot, found = [arm.name for arm in phase.scenario.robot_model.arms], []
     friction, edge = (trace.signals[name][k] for name in ("friction_use", "edge_use"))
-    for hand in hands(leg.problem.chain):
+    for hand in hands(phase.problem.chain):
         if hand.contact is None:
             continue
         i = robot.index(hand.arm)
         if edge[i] >= TIPS:
             found.append((hand.arm, "the pressure reaches the pad's edge"))
         elif not friction[i] < TIPS:  # NaN: nothing presses there
-            modelled, factor = hand.contact.friction, leg.scenario.disturbance.friction
+            modelled, factor = hand.contact.friction, phase.scenario.disturbance.friction
             there = f"friction of {modelled:g}"
             if factor != 1.0:
                 believed = f"where the controller is told {modelled:g}"
@@ -85,14 +85,14 @@ def _used_up(leg: ExplainedPhase, trace: Trace, k: int) -> list[tuple[str, str]]
     return found
 
 
-def _friction(leg: ExplainedPhase) -> str:
+def _friction(phase: ExplainedPhase) -> str:
     """The friction that would do, where the controller expects more than there is."""
-    there = leg.scenario.disturbance.friction
+    there = phase.scenario.disturbance.friction
     if there >= 1.0:
         return ""
 
     def tried(friction: float) -> Trace | None:
-        return _again(leg, disturbance=replace(leg.scenario.disturbance, friction=friction))
+        return _again(phase, disturbance=replace(phase.scenario.disturbance, friction=friction))
 
     known = tried(1.0)
     margin = FrictionMargin().measure(known) if known else None
@@ -102,10 +102,10 @@ def _friction(leg: ExplainedPhase) -> str:
     return f"{needed:g} of the modelled friction instead of {there:g}"
 
 
-def _pressing(leg: ExplainedPhase) -> str:
-    for other, setting in _firmer(leg.controller):
-        if _again(leg, controllers={**leg.scenario.controllers, leg.name: other}) is not None:
-            return f"{leg.name}: {{{setting}}}"
+def _pressing(phase: ExplainedPhase) -> str:
+    for other, setting in _firmer(phase.controller):
+        if _again(phase, controllers={**phase.scenario.controllers, phase.name: other}) is not None:
+            return f"{phase.name}: {{{setting}}}"
     return ""
 
 
@@ -119,10 +119,10 @@ def _firmer(chosen: Controller) -> Iterator[tuple[Controller, str]]:
             return
 
 
-def _again(leg: ExplainedPhase, **changed: Any) -> Trace | None:
+def _again(phase: ExplainedPhase, **changed: Any) -> Trace | None:
     """The run with something changed; None where the object is still lost."""
     try:
-        trace = run(replace(leg.scenario, **changed), controller=leg.name)
+        trace = run(replace(phase.scenario, **changed), controller=phase.name)
     except CoopqpError:
         return None
     return trace if assess(trace).lost_tick is None else None

@@ -43,38 +43,40 @@ FALLS = 0.1
 WORTH_TELLING = 0.02
 
 
-def explain(leg: ExplainedPhase, goal: Goal, place: Place, base: RunExplanation) -> RunExplanation:
+def explain(
+    phase: ExplainedPhase, goal: Goal, place: Place, base: RunExplanation
+) -> RunExplanation:
     """Why, with a rerun that shows it, although there is a place at the goal inside the limits."""
-    goal.look(leg.q[-1])
+    goal.look(phase.q[-1])
     if goal.miss <= 1.0:
         sentence = "by its model it has arrived; the rest is what the model gets wrong"
         return base.because("model", sentence)
-    if leg.causes[-1][0] is Status.INFEASIBLE:
-        sentence = f"{leg.stands_still}: not all could hold in them; --tick says what"
+    if phase.causes[-1][0] is Status.INFEASIBLE:
+        sentence = f"{phase.stands_still}: not all could hold in them; --tick says what"
         return base.because("failed", sentence)
-    if _out_of_budget(leg):
-        return _budget(leg, base)
-    torques = leg.controller.commands_torques
-    if torques and (motors := _motors(leg)):
+    if _out_of_budget(phase):
+        return _budget(phase, base)
+    torques = phase.controller.commands_torques
+    if torques and (motors := _motors(phase)):
         return base.because("motors", motors)
-    if given_way := _yields_to_push(leg, goal):
+    if given_way := _yields_to_push(phase, goal):
         return base.because("springs", given_way)
-    limits = () if torques else held_up(leg)
-    held = tuple(_with_nearest_pair(share, leg.room, leg.q[-1]) for share in limits)
+    limits = () if torques else held_up(phase)
+    held = tuple(_with_nearest_pair(share, phase.room, phase.q[-1]) for share in limits)
     slow = speed_share(held) > MOSTLY
-    if not slow and (waits := _waits_for_measured(leg)):
+    if not slow and (waits := _waits_for_measured(phase)):
         return base.because("speed", waits, tried=True)
-    after = rerun(leg, longer=True)
-    if after.missed and not _falls(leg, after):
-        if misled := _misled_by_model(leg):
+    after = rerun(phase, longer=True)
+    if after.missed and not _falls(phase, after):
+        if misled := _misled_by_model(phase):
             return base.because("model", misled, tried=True)
         at = tuple(place.q.tolist())
-        return base.because("rest", _rests(leg, place, held), held, tried=False, elsewhere=at)
-    return _too_short(leg, goal, after, held, base, slow=slow)
+        return base.because("rest", _rests(phase, place, held), held, tried=False, elsewhere=at)
+    return _too_short(phase, goal, after, held, base, slow=slow)
 
 
 def _too_short(
-    leg: ExplainedPhase,
+    phase: ExplainedPhase,
     goal: Goal,
     after: ExplainedPhase,
     held: Sequence[Share],
@@ -83,11 +85,11 @@ def _too_short(
     slow: bool,
 ) -> RunExplanation:
     why = words.slow(held) if slow else "nothing is in the way; the run ends too early"
-    task = leg.missed[0][0].task
+    task = phase.missed[0][0].task
     gain = "" if slow or task.impedance else f" (gain {task.gain:g} 1/s)"
     time = None if after.missed else arrival(goal, after)
     then = (
-        f"{time:.3g} s instead of {leg.t_end:.3g} s would do (tried: reached)"
+        f"{time:.3g} s instead of {phase.t_end:.3g} s would do (tried: reached)"
         if time is not None
         else f"after {after.t_end:.3g} s {words.stops(after)}"
     )
@@ -95,33 +97,33 @@ def _too_short(
     return base.because(kind, f"{why}{gain}; {then}", held, tried=time is not None, time=time)
 
 
-def behind(leg: ExplainedPhase, found: TooFar) -> str:
+def behind(phase: ExplainedPhase, found: TooFar) -> str:
     """What lack of time adds to an unreachable goal, where a rerun comes to rest nearer to it."""
     part, unit = found.part, found.part.part.unit
-    error = _error_of(leg, part.name)
+    error = _error_of(phase, part.name)
     if error - found.distance - found.cost <= max(part.part.tolerance, FALLS * error):
         return ""
-    after = rerun(leg, longer=True)
+    after = rerun(phase, longer=True)
     then = _error_of(after, part.name)
     if error - then <= part.part.tolerance or not rests(after.v[-1]):
         return ""
-    moves = "" if rests(leg.v[-1]) else ", still moving"
+    moves = "" if rests(phase.v[-1]) else ", still moving"
     lacks = f"{words.ends_off(part, error)}{moves}, {words.size(error - then, unit)} of it"
     later = f"after {after.t_end:.3g} s {words.size(then, unit)} are left (tried)"
     return f"; {lacks} for lack of time: {later}"
 
 
-def _error_of(leg: ExplainedPhase, name: str) -> float:
+def _error_of(phase: ExplainedPhase, name: str) -> float:
     """What a part of a task ends off by."""
-    return next(e for p, e in zip(leg.parts, leg.errors, strict=True) if p.name == name)
+    return next(e for p, e in zip(phase.parts, phase.errors, strict=True) if p.name == name)
 
 
-def _rests(leg: ExplainedPhase, place: Place, held: Sequence[Share]) -> str:
-    if not leg.problem.limits:
+def _rests(phase: ExplainedPhase, place: Place, held: Sequence[Share]) -> str:
+    if not phase.problem.limits:
         return "it rests there, although the goal is in reach"
-    ends = "it rests" if rests(leg.v[-1]) else "it keeps moving"  # as where a reference goes on
+    ends = "it rests" if rests(phase.v[-1]) else "it keeps moving"  # as where a reference goes on
     why = f"{words.holding(held)}, and {ends}" if held else ends
-    at = words.start(place.q, leg.problem.chain)
+    at = words.start(place.q, phase.problem.chain)
     return f"{why} although this is inside the limits: {at}"
 
 
@@ -134,70 +136,70 @@ def _with_nearest_pair(share: Share, room: Room, q: Array) -> Share:
     return replace(share, row=replace(row, label=f"{row.words} ({1e3 * distance:.1f} mm)"))
 
 
-def _waits_for_measured(leg: ExplainedPhase) -> str:
+def _waits_for_measured(phase: ExplainedPhase) -> str:
     """Which limits made commands wait for the measured joints; empty where none did."""
-    limits = leg.scenario.limits
+    limits = phase.scenario.limits
     leash = [limit for limit in limits if limit.uses_measurements]
     free = tuple(limit for limit in limits if limit not in leash)
-    if not leash or rerun(leg, limits=free).missed:
+    if not leash or rerun(phase, limits=free).missed:
         return ""
     names = words.listed([type_name(type(limit)) for limit in leash])
     sentence = f"{names} keeps the commands near the measured joints"
     return f"{sentence}; without it the goal is reached (tried)"
 
 
-def _misled_by_model(leg: ExplainedPhase) -> str:
+def _misled_by_model(phase: ExplainedPhase) -> str:
     """Whether the disturbance keeps it from the goal, in words; empty where it does not."""
     perfect = Disturbance()
-    if leg.scenario.disturbance == perfect or rerun(leg, disturbance=perfect).missed:
+    if phase.scenario.disturbance == perfect or rerun(phase, disturbance=perfect).missed:
         return ""
-    if faults := leg.scenario.disturbance.faults:
+    if faults := phase.scenario.disturbance.faults:
         named = words.listed([fault.words for fault in faults])
         return f"it has faults ({named}): without the disturbance the goal is reached (tried)"
-    if mass := _true_mass(leg):
+    if mass := _true_mass(phase):
         told = f"the object is heavier than told: with object.mass {mass:.3g}"
         return f"{told} the goal is reached (tried)"
     why = "this is what the model gets wrong: without the disturbance the goal is reached (tried)"
     return f"{why}; 'coopqp calibrate' may find out what"
 
 
-def _true_mass(leg: ExplainedPhase) -> float:
+def _true_mass(phase: ExplainedPhase) -> float:
     """The object's mass [kg], where the goal is reached once the model knows it; else zero."""
-    known, held = leg.scenario.disturbance, leg.scenario.held
+    known, held = phase.scenario.disturbance, phase.scenario.held
     mass = known.object_mass * held.mass
     if known.object_mass <= 1.0:
         return 0.0
     told = replace(held, mass=mass)
     light = replace(known, object_mass=1.0)
-    return 0.0 if rerun(leg, disturbance=light, held=told).missed else mass
+    return 0.0 if rerun(phase, disturbance=light, held=told).missed else mass
 
 
-def _out_of_budget(leg: ExplainedPhase) -> bool:
+def _out_of_budget(phase: ExplainedPhase) -> bool:
     cut = {Status.STEP_SHORTENED, Status.LOOP_BUDGET}
-    return sum(bool(cut & set(causes)) for causes in leg.causes[-LAST:]) > MANY
+    return sum(bool(cut & set(causes)) for causes in phase.causes[-LAST:]) > MANY
 
 
-def _budget(leg: ExplainedPhase, base: RunExplanation) -> RunExplanation:
-    kappa, most = leg.problem.kappa, 1.0 / leg.problem.dt
+def _budget(phase: ExplainedPhase, base: RunExplanation) -> RunExplanation:
+    kappa, most = phase.problem.kappa, 1.0 / phase.problem.dt
     text = f"the loops' budget is used up (kappa {kappa:g})"
     if kappa >= most * (1.0 - 1e-9):
         return base.because("budget", f"{text}, although kappa is as large as it can be")
-    after = rerun(leg, kappa=most)
+    after = rerun(phase, kappa=most)
     sentence = f"{text}; kappa: {most:g} would do (tried: reached)"
     if after.missed:
         sentence = f"{text}; with kappa: {most:g} {words.stops(after)}"
     return base.because("budget", sentence, tried=not after.missed)
 
 
-def _motors(leg: ExplainedPhase) -> str:
+def _motors(phase: ExplainedPhase) -> str:
     """Motors at their limits; empty where none was."""
-    effort = leg.problem.chain.model.effortLimit
-    tau = leg.tau[-LAST:]
+    effort = phase.problem.chain.model.effortLimit
+    tau = phase.tau[-LAST:]
     if not tau.size:
         return ""
     often = (np.abs(tau) >= AT_EFFORT * effort).mean(axis=0)
     often[~np.isfinite(effort) | (effort <= 0.0)] = 0.0
-    names = [leg.problem.chain.joint_names[i] for i in np.flatnonzero(often > HELD_UP)]
+    names = [phase.problem.chain.joint_names[i] for i in np.flatnonzero(often > HELD_UP)]
     if not names:
         return ""
     verb = "is at its torque limit" if len(names) == 1 else "are at their torque limits"
@@ -210,11 +212,11 @@ def _falls(before: ExplainedPhase, after: ExplainedPhase) -> bool:
     return bool(_error_of(after, part.name) < (1.0 - FALLS) * error)
 
 
-def _yields_to_push(leg: ExplainedPhase, goal: Goal) -> str:
+def _yields_to_push(phase: ExplainedPhase, goal: Goal) -> str:
     """What else than the scenario's push holds an impedance away; empty where it still moves."""
-    task = leg.missed[0][0].task
+    task = phase.missed[0][0].task
     springs = task.impedance
-    if springs is None or not rests(leg.v[-1]):
+    if springs is None or not rests(phase.v[-1]):
         return ""
     forces = springs.stiffness * goal.stack.e[goal.stack.slices[goal.tasks.index(task)]]
     loads = _by_axis(tuple(AXES[axis] for axis in springs.axes), forces)
@@ -245,11 +247,11 @@ CUT = 1e-4
 EVALUATED = 50
 
 
-def explain_velocity(leg: ExplainedPhase, base: RunExplanation) -> RunExplanation:
+def explain_velocity(phase: ExplainedPhase, base: RunExplanation) -> RunExplanation:
     """Why a velocity was missed, at the last tick."""
-    part = next(part for part, _ in leg.missed if part.task.asks_velocity)
-    look, k = PhaseTicks(leg), len(leg.v) - 1
-    if tasks := contradicting(leg):
+    part = next(part for part, _ in phase.missed if part.task.asks_velocity)
+    look, k = PhaseTicks(phase), len(phase.v) - 1
+    if tasks := contradicting(phase):
         names = tuple(task.name for task in tasks)
         sentence = f"{words.listed(names)} cannot hold together: they ask for different motions"
         return base.because("contradiction", sentence, tasks=names)
@@ -259,9 +261,9 @@ def explain_velocity(leg: ExplainedPhase, base: RunExplanation) -> RunExplanatio
     look.look(0)
     if now < SINGULAR * _freedom(look, part, u) or needed > BEYOND:
         return _at_the_edge(part, axes, u, base)
-    held = held_up(leg, range(max(0, k - EVALUATED), k + 1))
+    held = held_up(phase, range(max(0, k - EVALUATED), k + 1))
     if held and speed_share(held) <= MOSTLY:
-        return with_suggestion(base, held, by_rerun(leg, None))
+        return with_suggestion(base, held, by_rerun(phase, None))
     why = words.slow(held) if held else "the law does not follow it"
     more = f"; it asks for {needed:.2g} times the speed there is" if needed > 1.0 else ""
     return base.because("speed", why + more, held, tasks=(part.task.name,))
@@ -311,10 +313,10 @@ def _freedom(look: PhaseTicks, part: PartOfTask, u: Array) -> float:
     return float(np.linalg.norm(Z.T @ look.stack.J[part.rows].T @ (u / np.linalg.norm(u))))
 
 
-def contradicting(leg: ExplainedPhase) -> tuple[Task, ...]:
+def contradicting(phase: ExplainedPhase) -> tuple[Task, ...]:
     """Tasks whose velocities at the last tick rule each other out; none where they do not."""
-    look = PhaseTicks(leg)
-    look.look(len(leg.v) - 1)
+    look = PhaseTicks(phase)
+    look.look(len(phase.v) - 1)
     Z, stack = null_space(look.state.J_loop), look.stack
     rows = dict(zip((task.name for task in stack.tasks), stack.slices, strict=True))
 

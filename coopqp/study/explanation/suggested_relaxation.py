@@ -199,27 +199,27 @@ class SuggestedRelaxation:
 
 
 def by_geometry(
-    leg: ExplainedPhase, goal: Goal, found: BlockedByLimits, report: Callable[[float], None]
+    phase: ExplainedPhase, goal: Goal, found: BlockedByLimits, report: Callable[[float], None]
 ) -> SuggestedRelaxation | None:
     """Relaxations where limits keep a phase from its goal; None where none were found."""
-    needs = minimal_relaxations(goal, leg.room, found)
+    needs = minimal_relaxations(goal, phase.room, found)
     report(0.5)
-    first = _tried(leg, needs, goal)
+    first = _tried(phase, needs, goal)
     if first and first.reached:
         return first
     report(0.7)
-    return by_rerun(leg, goal) or first
+    return by_rerun(phase, goal) or first
 
 
-def by_rerun(leg: ExplainedPhase, goal: Goal | None) -> SuggestedRelaxation | None:
+def by_rerun(phase: ExplainedPhase, goal: Goal | None) -> SuggestedRelaxation | None:
     """The violations of a run without position limits; with a goal more time is tried as well."""
-    limits = without_position_limits(leg.scenario)
-    free = rerun(leg, limits=limits)
+    limits = without_position_limits(phase.scenario)
+    free = rerun(phase, limits=limits)
     if free.missed and goal:
-        free = rerun(leg, longer=True, limits=limits)
+        free = rerun(phase, longer=True, limits=limits)
     if free.missed:
         return None
-    return _tried(leg, _rounded(violations_along(leg.room, free.q)), goal)
+    return _tried(phase, _rounded(violations_along(phase.room, free.q)), goal)
 
 
 def minimal_relaxations(goal: Goal, room: Room, found: BlockedByLimits) -> tuple[Violation, ...]:
@@ -236,23 +236,23 @@ def minimal_relaxations(goal: Goal, room: Room, found: BlockedByLimits) -> tuple
 
 
 def _tried(
-    leg: ExplainedPhase, needs: tuple[Violation, ...], goal: Goal | None
+    phase: ExplainedPhase, needs: tuple[Violation, ...], goal: Goal | None
 ) -> SuggestedRelaxation | None:
     if not needs:
         return None
-    limits = leg.scenario.limits
+    limits = phase.scenario.limits
     for need in needs:
         if need.space is not None:
-            limit = leg.room.limits[need.space]
+            limit = phase.room.limits[need.space]
             relaxed = limit.relaxed(need.amount)
             if relaxed is None:
                 own = type(limit).relaxed is not Limit.relaxed
                 return SuggestedRelaxation(needs, None, untried="" if own else need.row.owner)
             limits = tuple(relaxed if other is limit else other for other in limits)
     wider = {need.row: need.amount for need in needs if need.space is None}
-    after = rerun(leg, wider=wider, limits=limits)
+    after = rerun(phase, wider=wider, limits=limits)
     if after.missed and goal:
-        late = rerun(leg, longer=True, wider=wider, limits=limits)
+        late = rerun(phase, longer=True, wider=wider, limits=limits)
         if not late.missed:
             return SuggestedRelaxation(needs, late, arrival(goal, late))
     return SuggestedRelaxation(needs, after)

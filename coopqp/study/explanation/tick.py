@@ -121,38 +121,38 @@ class PhaseTicks:
     ``state`` and ``stack`` of tasks are those of the last one.
     """
 
-    def __init__(self, leg: ExplainedPhase) -> None:
-        self._leg, problem = leg, leg.problem
+    def __init__(self, phase: ExplainedPhase) -> None:
+        self._phase, problem = phase, phase.problem
         self.state = State(problem.chain)
         self.stack = TaskStack(problem.tasks, State(problem.chain))
 
     def look(self, k: int) -> Array:
         """Evaluate tick k; what its tasks missed, wanted - J v."""
-        state, leg = self.state, self._leg
-        state.q[:], state.t = leg.q[k], k * leg.problem.dt
-        state.v[:] = leg.v[k - 1] if k else 0.0
-        state.inputs = leg.followed(k)
+        state, phase = self.state, self._phase
+        state.q[:], state.t = phase.q[k], k * phase.problem.dt
+        state.v[:] = phase.v[k - 1] if k else 0.0
+        state.inputs = phase.followed(k)
         state.update()
         self.stack.update(state)
-        return np.asarray(self.stack.wanted - self.stack.J @ leg.v[k], float)
+        return np.asarray(self.stack.wanted - self.stack.J @ phase.v[k], float)
 
     @cached_property
     def _limits(self) -> NamedBounds:
-        return NamedBounds(self._leg.problem, self.state)
+        return NamedBounds(self._phase.problem, self.state)
 
     def forces(self, k: int) -> list[tuple[Row, float]]:
         """What held tick k back, each limit with its force; their sum is what was missed."""
-        missed, leg, limits = self.look(k), self._leg, self._limits
+        missed, phase, limits = self.look(k), self._phase, self._limits
         if np.abs(missed).max(initial=0.0) <= BEHIND:
             return []
         limits.update(self.state)
-        state, stack, problem = self.state, self.stack, leg.problem
+        state, stack, problem = self.state, self.stack, phase.problem
         tick = Asked(
-            causes=leg.causes[k], dt=problem.dt,
+            causes=phase.causes[k], dt=problem.dt,
             A=state.J_loop, b=state.e_loop * -drift_gain(problem, state),
             lb=limits.lb, ub=limits.ub, G=limits.G, h=limits.h,
             J=stack.J, wanted=stack.wanted, task_rows=stack.rows,
-            modes={task.name: task.mode for task in problem.tasks}, v=leg.v[k],
+            modes={task.name: task.mode for task in problem.tasks}, v=phase.v[k],
             limit_rows=limits.rows,
         )  # fmt: skip
         held = tick.forces(AT_LIMIT, self.stack.weights)
@@ -160,9 +160,9 @@ class PhaseTicks:
         return [(row, amount / total * size) for row, amount in held if total > 0.0]
 
 
-def held_up(leg: ExplainedPhase, ticks: range | None = None) -> tuple[Share, ...]:
+def held_up(phase: ExplainedPhase, ticks: range | None = None) -> tuple[Share, ...]:
     """Which limits slowed a run in some ticks or all, the largest share first."""
-    look, ticks = PhaseTicks(leg), ticks or range(len(leg.v))
+    look, ticks = PhaseTicks(phase), ticks or range(len(phase.v))
     some = ticks[:: max(1, len(ticks) // TICKS)]
     return shares(force for k in some for force in look.forces(k))
 
@@ -196,26 +196,26 @@ def relaxed(explained_phases: Sequence[ExplainedPhase]) -> tuple[Relaxed, ...]:
     """Tasks not met in full in relaxed ticks, the most frequent first; none under torque laws."""
     modes: dict[str, Mode] = {}
     ticks, missing = Counter[str](), dict[str, float]()
-    for leg in explained_phases:
-        if leg.controller.commands_torques:
+    for phase in explained_phases:
+        if phase.controller.commands_torques:
             break
         missing = {}
-        modes |= {task.name: task.mode for task in leg.problem.tasks}
-        for k, lacks in _lacks(leg):
+        modes |= {task.name: task.mode for task in phase.problem.tasks}
+        for k, lacks in _lacks(phase):
             ticks.update(lacks.keys())
-            missing = lacks if k == len(leg.v) - 1 else {}
+            missing = lacks if k == len(phase.v) - 1 else {}
     return tuple(
         Relaxed(task=name, mode=modes[name], ticks=count, missing=missing.get(name, 0.0))
         for name, count in ticks.most_common()
     )
 
 
-def _lacks(leg: ExplainedPhase) -> Iterator[tuple[int, dict[str, float]]]:
+def _lacks(phase: ExplainedPhase) -> Iterator[tuple[int, dict[str, float]]]:
     """Relaxed ticks of a phase, with the share that each task lacks."""
-    look = PhaseTicks(leg)
-    every = zip(leg.problem.tasks, look.stack.slices, strict=True)
+    look = PhaseTicks(phase)
+    every = zip(phase.problem.tasks, look.stack.slices, strict=True)
     firm = [(task.name, rows) for task, rows in every if task.mode != "soft"]
-    for k in (k for k, causes in enumerate(leg.causes) if Status.TASKS_RELAXED in causes):
+    for k in (k for k, causes in enumerate(phase.causes) if Status.TASKS_RELAXED in causes):
         off, wanted = look.look(k), look.stack.wanted
         got = wanted - off
         lacks = {name: 1.0 - part_of_rate(got[rows], wanted[rows]) for name, rows in firm}

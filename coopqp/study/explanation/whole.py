@@ -53,22 +53,22 @@ def explain_run(
         CoopqpError: no such controller, or the scenario cannot be run again.
     """
     found, phases = assess(trace), list(explained_phases(scenario.held_by(trace.controller), trace))
-    leg = next((leg for leg in phases if leg.missed), phases[-1])
-    explained = _explained(found, phases, leg, report)
+    phase = next((phase for phase in phases if phase.missed), phases[-1])
+    explained = _explained(found, phases, phase, report)
     saturated = saturation_words(found) if explained.kind != "motors" else ""
     more = f"it saturates {saturated}" if saturated else ""
-    clauses = [explained.sentence, more, _rows_in_python(leg)]
+    clauses = [explained.sentence, more, _rows_in_python(phase)]
     return replace(explained, sentence="; ".join(filter(None, clauses)))
 
 
-def _rows_in_python(leg: ExplainedPhase) -> str:
+def _rows_in_python(phase: ExplainedPhase) -> str:
     """Tasks and limits whose rows Python fills for the kernel, with what that takes of a tick."""
-    law = leg.controller.unprepared(leg.problem)
+    law = phase.controller.unprepared(phase.problem)
     if not law.rows_in_python:
         return ""
-    state, times = law.start(leg.q[0]), []
-    for k in range(min(len(leg.v), TIMED)):
-        state.q[:], state.t, state.inputs = leg.q[k], k * law.problem.dt, leg.followed(k)
+    state, times = law.start(phase.q[0]), []
+    for k in range(min(len(phase.v), TIMED)):
+        state.q[:], state.t, state.inputs = phase.q[k], k * law.problem.dt, phase.followed(k)
         law.tick(state)
         times.append(law.rows_us)
     return (
@@ -78,33 +78,35 @@ def _rows_in_python(leg: ExplainedPhase) -> str:
 
 
 def _explained(
-    found: Assessment, phases: Sequence[ExplainedPhase], leg: ExplainedPhase, report: Report
+    found: Assessment, phases: Sequence[ExplainedPhase], phase: ExplainedPhase, report: Report
 ) -> RunExplanation:
     missed = tuple(
-        MissedPart(task=part.name, error=error, unit=part.part.unit) for part, error in leg.missed
+        MissedPart(task=part.name, error=error, unit=part.part.unit) for part, error in phase.missed
     )
-    last = leg.first + len(leg.v) - 1
-    base = RunExplanation(controller=leg.name, phase=leg.phase, tick=last, missed=missed)
+    last = phase.first + len(phase.v) - 1
+    base = RunExplanation(controller=phase.name, phase=phase.phase_name, tick=last, missed=missed)
     torn = any(task.torn for task in found.tasks)
-    suspect = leg.missed or torn or found.held is False
-    if suspect and (gone := lost(leg, base)):
+    suspect = phase.missed or torn or found.held is False
+    if suspect and (gone := lost(phase, base)):
         return gone
-    if unheard := not_followed(found):
-        return base.because("input", f"no goal counts as reached: {unheard}")
-    if torn and not leg.missed:
+    if unfollowed := not_followed(found):
+        return base.because("input", f"no goal counts as reached: {unfollowed}")
+    if torn and not phase.missed:
         why = f"no goal counts as reached: the loop came open by {loop_words(found)} on the way"
         return base.because("open", why)
-    stops = replace(base, sentence=words.stops(leg)) if leg.missed else base
-    if (leg.missed or not found.reached) and (failed := _failed(leg)):
+    stops = replace(base, sentence=words.stops(phase)) if phase.missed else base
+    if (phase.missed or not found.reached) and (failed := _failed(phase)):
         return stops.because("failed", failed)
-    if strange := [words.stops_short(part, error) for part, error in leg.missed if np.isnan(error)]:
+    if strange := [
+        words.stops_short(part, error) for part, error in phase.missed if np.isnan(error)
+    ]:
         sentence = "; ".join(dict.fromkeys((stops.sentence, *strange)))
         return replace(base, kind="failed", sentence=sentence)
-    given_up = relaxed([leg] if leg.missed else phases)
-    if not leg.missed:
+    given_up = relaxed([phase] if phase.missed else phases)
+    if not phase.missed:
         return _kept(found, phases, replace(base, relaxed=given_up))
-    answer = _blocked(leg, replace(stops, relaxed=given_up), report)
-    clauses = [answer.sentence, *_gave_way(leg, answer), *(task.words for task in given_up)]
+    answer = _blocked(phase, replace(stops, relaxed=given_up), report)
+    clauses = [answer.sentence, *_gave_way(phase, answer), *(task.words for task in given_up)]
     clauses += [_at_limits(found, answer), *_violated(found, phases)]
     return replace(answer, sentence="; ".join(filter(None, clauses)))
 
@@ -117,15 +119,15 @@ def _at_limits(found: Assessment, answer: RunExplanation) -> str:
     return f"it ends with {listed_limits(names)} at the limit"
 
 
-def _gave_way(leg: ExplainedPhase, answer: RunExplanation) -> Iterator[str]:
+def _gave_way(phase: ExplainedPhase, answer: RunExplanation) -> Iterator[str]:
     """Errors of tasks that come after the first that is missed, where that is not said yet."""
-    goal = leg.goal()
-    for part, error in leg.gave_way:
+    goal = phase.goal()
+    for part, error in phase.gave_way:
         if part.task.name in answer.tasks:
             continue
         alone = [task for task in goal.tasks if task is part.task]
-        free = alone and Search(goal.only(alone), leg.room).best(leg.q[-1]).reached
-        yield words.gave_way(part, error, leg.missed[0][0], because=bool(free))
+        free = alone and Search(goal.only(alone), phase.room).best(phase.q[-1]).reached
+        yield words.gave_way(part, error, phase.missed[0][0], because=bool(free))
 
 
 def _violated(found: Assessment, phases: Sequence[ExplainedPhase]) -> list[str]:
@@ -142,7 +144,7 @@ def _kept(
         kind = "broken" if found.loop_closed else "open"
         clauses = _violated(found, phases)
     clauses = [text for text in clauses if text] + [task.words for task in base.relaxed]
-    count = sum(Status.TASKS_RELAXED in causes for leg in phases for causes in leg.causes)
+    count = sum(Status.TASKS_RELAXED in causes for phase in phases for causes in phase.causes)
     if base.relaxed:
         clauses.append("--tick says why")
     elif count:
@@ -151,59 +153,59 @@ def _kept(
     return base.because(kind, f"{goals}{', but ' if clauses else ''}{'; '.join(clauses)}")
 
 
-def _failed(leg: ExplainedPhase) -> str:
+def _failed(phase: ExplainedPhase) -> str:
     """Why the last tick stood still, where geometry is not the reason."""
-    last = leg.causes[-1][0]
+    last = phase.causes[-1][0]
     if last.usable or last in (Status.INFEASIBLE, Status.LOOP_BUDGET):
-        return "" if np.isfinite(leg.q[-1]).all() else "the joints are no finite numbers any more"
-    return f"{leg.stands_still}: {last.value.removeprefix('stands still: ')}"
+        return "" if np.isfinite(phase.q[-1]).all() else "the joints are no finite numbers any more"
+    return f"{phase.stands_still}: {last.value.removeprefix('stands still: ')}"
 
 
-def _blocked(leg: ExplainedPhase, base: RunExplanation, report: Report) -> RunExplanation:
-    first = leg.missed[0][0].task
-    if leg.ordered and first.mode == "soft" and not first.weight:
+def _blocked(phase: ExplainedPhase, base: RunExplanation, report: Report) -> RunExplanation:
+    first = phase.missed[0][0].task
+    if phase.ordered and first.mode == "soft" and not first.weight:
         return base.because("weight", f"{first.name} has weight: 0, so nothing moves for it")
-    goal = leg.goal()
-    places = [part for part, _ in leg.missed if part.task in goal.tasks]
-    velocities = [part for part, _ in leg.missed if part.task.asks_velocity]
-    if velocities and (not places or insufficient_time.contradicting(leg)):
-        return insufficient_time.explain_velocity(leg, base)
-    if not places and Status.SQUEEZE_GIVEN_UP in leg.causes[-1]:
+    goal = phase.goal()
+    places = [part for part, _ in phase.missed if part.task in goal.tasks]
+    velocities = [part for part, _ in phase.missed if part.task.asks_velocity]
+    if velocities and (not places or insufficient_time.contradicting(phase)):
+        return insufficient_time.explain_velocity(phase, base)
+    if not places and Status.SQUEEZE_GIVEN_UP in phase.causes[-1]:
         why = "the hands stand at admittance.most_way; raise it, unless the force sensor is dead"
         return base.because("way", why)
     if not places:
         return base.because("unplaced", "it asks for no place")
-    goal, found = _diagnosed(leg, goal)
+    goal, found = _diagnosed(phase, goal)
     report(0.4)
     if isinstance(found, NotBlocked):
         if velocities:
-            return insufficient_time.explain_velocity(leg, base)
-        return insufficient_time.explain(leg, goal, found.place, base)
+            return insufficient_time.explain_velocity(phase, base)
+        return insufficient_time.explain(phase, goal, found.place, base)
     if isinstance(found, BlockedByLimits):
-        suggestion = by_geometry(leg, goal, found, report)
+        suggestion = by_geometry(phase, goal, found, report)
         other = found.elsewhere
         more = [words.elsewhere(other, goal.chain)] if other else []
         if other:
             base = replace(base, elsewhere=tuple(other.q.tolist()))
         return with_suggestion(base, found.shares, suggestion, *more)
-    return _by_geometry(leg, found, base)
+    return _by_geometry(phase, found, base)
 
 
-def _diagnosed(leg: ExplainedPhase, goal: Goal) -> tuple[Goal, Diagnosis]:
+def _diagnosed(phase: ExplainedPhase, goal: Goal) -> tuple[Goal, Diagnosis]:
     """Of hard and scaled tasks alone where geometry keeps these already from their goals."""
-    modes = {part.task.mode for part, _ in leg.missed} if leg.ordered else {"soft"}
+    modes = {part.task.mode for part, _ in phase.missed} if phase.ordered else {"soft"}
     first_modes = {"hard"} if "hard" in modes else {"hard", "scaled"}
     first = [task for task in goal.tasks if task.mode in first_modes]
     if first and modes != {"soft"}:
         before = goal.only(first)
-        found = diagnose(before, leg.room, leg.q[-1])
+        found = diagnose(before, phase.room, phase.q[-1])
         if not isinstance(found, NotBlocked):
             return before, found
-    return goal, diagnose(goal, leg.room, leg.q[-1])
+    return goal, diagnose(goal, phase.room, phase.q[-1])
 
 
-def _by_geometry(leg: ExplainedPhase, found: Unreachable, base: RunExplanation) -> RunExplanation:
-    sentence = words.geometry(found, leg.missed, leg.problem.chain, ordered=leg.ordered)
+def _by_geometry(phase: ExplainedPhase, found: Unreachable, base: RunExplanation) -> RunExplanation:
+    sentence = words.geometry(found, phase.missed, phase.problem.chain, ordered=phase.ordered)
     base = replace(base, sentence="")
     if isinstance(found, Elsewhere):
         at = tuple(found.place.q.tolist())
@@ -212,7 +214,7 @@ def _by_geometry(leg: ExplainedPhase, found: Unreachable, base: RunExplanation) 
         names = tuple(task.name for task in found.tasks)
         return base.because("contradiction", sentence, tasks=names, any_robot=found.any_robot)
     if isinstance(found, TooFar):
-        sentence += insufficient_time.behind(leg, found)
+        sentence += insufficient_time.behind(phase, found)
         way = tuple((found.gap / max(found.distance, 1e-300)).tolist()) if found.in_world else ()
         tasks = (found.part.task.name,)
         return base.because(

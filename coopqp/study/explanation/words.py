@@ -44,9 +44,9 @@ def with_note(row: Row, note: str) -> str:
     return f"{words[:-1]}, {note})" if words.endswith(")") else f"{words} ({note})"
 
 
-def stops(leg: ExplainedPhase) -> str:
+def stops(phase: ExplainedPhase) -> str:
     """The same of the worst part of all tasks."""
-    return stops_short(*leg.missed[0])
+    return stops_short(*phase.missed[0])
 
 
 def ends_off(part: PartOfTask, error: float) -> str:

@@ -6,16 +6,14 @@ What makes two folders the same study is a hash of each part that results follow
 from __future__ import annotations
 
 import inspect
-import io
 import json
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
 from shlex import quote
 from typing import Any
-
-from ruamel.yaml import YAML
 
 import coopqp
 from coopqp.base.errors import CoopqpError, ScenarioError
@@ -23,7 +21,7 @@ from coopqp.base.reading import absolute
 from coopqp.base.wording import dotted
 from coopqp.scenario.catalog import COLLECTIONS, Catalog
 from coopqp.scenario.loader import FILE_KEYS, has_files
-from coopqp.scenario.yaml import parsed
+from coopqp.scenario.yaml import as_yaml, parsed
 from coopqp.study.sweep.journal import PATTERN, head_of, journals
 from coopqp.study.sweep.reader import study_text
 from coopqp.study.sweep.results import NAME
@@ -238,14 +236,8 @@ def scenario_of_row(study: Study, row: int) -> tuple[str, str]:
 
 def _yaml(study: Study, data: dict[str, Any]) -> str:
     """As YAML for people; as JSON where that would not be read back as it was."""
-    stream = io.StringIO()
-    writer = YAML(typ="safe", pure=True)
-    writer.default_flow_style, writer.sort_base_mapping_type_on_output = None, False  # type: ignore[assignment]
-    writer.dump(data, stream)
-    text = stream.getvalue()
-    try:
+    text = as_yaml(data)
+    with suppress(ScenarioError):
         if parsed(study.scenario.path, text).data == data:
             return text
-    except ScenarioError:
-        pass
     return study.scenario.changed(data).text

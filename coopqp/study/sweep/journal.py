@@ -56,7 +56,7 @@ def head_of(path: Path) -> dict[str, Any] | None:
     """What the study is; None where its writer was killed before it said so.
 
     Raises:
-        CoopqpError: it cannot be read, is no journal, or one of another form, or is damaged.
+        CoopqpError: it cannot be read, is not a journal, or one of another form, or is damaged.
     """
     with _reading(path) as database:
         return _head(path, database)
@@ -104,7 +104,7 @@ def _reading(path: Path) -> Iterator[sqlite3.Connection]:
         raise CoopqpError(f"'{path}' cannot be read: {error}") from None
     except sqlite3.DatabaseError as error:
         words = "move it away; what is whole, sqlite3's .recover brings back"
-        raise CoopqpError(f"'{path}' is no journal, or is damaged ({error}); {words}") from None
+        raise CoopqpError(f"'{path}' is not a journal, or is damaged ({error}); {words}") from None
 
 
 def _connected(path: Path, mode: str) -> sqlite3.Connection:

@@ -67,7 +67,7 @@ def _step(here: Mapping[str, Any], rest: str, path: str) -> tuple[str | int, str
             return key, after
     found = _STEP.match(rest)
     if not found:
-        raise InvalidValueError(f"'{path}' is no path; needs names with dots between them")
+        raise InvalidValueError(f"'{path}' is not a path; needs names with dots between them")
     index, name = found.groups()
     return (int(index) if index is not None else name), rest[found.end() :]
 

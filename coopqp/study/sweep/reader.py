@@ -230,7 +230,7 @@ def _study(file: YamlFile, catalog: Catalog, scenario: YamlFile | None) -> Study
     notes = []
     if form.sampled[0] == "sobol" and count & (count - 1):
         even = 1 << round(math.log2(count))
-        words = f"{count} is no power of two; {even} points would fill the space more evenly"
+        words = f"{count} is not a power of two; {even} points would fill the space more evenly"
         notes.append(f"{file.place(['samples', 'sobol'])}: {words}")
     listed = base.data.get(CONTROLLERS) or defaults[CONTROLLERS]
     return Study(
@@ -268,7 +268,7 @@ def _located(
 ) -> Iterator[Varied]:
     for path, over in vary.items():
         if not path:
-            words = "'' is no path; needs one such as tasks.reach.goal"
+            words = "'' is not a path; needs one such as tasks.reach.goal"
             wrong.append(Wrong(["vary"], words, [path]))
             continue
         try:
@@ -375,8 +375,8 @@ def _points(form: StudyFile, varied: Sequence[Varied]) -> tuple[Points, Sequence
         own = one.over.levels(count)
         if not all(own):
             some = all(one.over.levels(1))
-            cure = "levels, or say samples: {grid: LEVELS}" if some else "values: [...]"
-            wrong.append(Wrong(["vary", one.path], f"has no levels for a grid; give it {cure}"))
+            advice = "levels, or say samples: {grid: LEVELS}" if some else "values: [...]"
+            wrong.append(Wrong(["vary", one.path], f"has no levels for a grid; give it {advice}"))
         levels += own
         found.append(replace(one, over=one.over.gridded(own)))
     if math.prod(levels) > MOST:

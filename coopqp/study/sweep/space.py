@@ -218,7 +218,7 @@ def drawn(method: str, count: int, dimensions: int, seed: int) -> Points:
 
     sampler = {"sobol": qmc.Sobol, "latin_hypercube": qmc.LatinHypercube}[method]
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # counts that are no power of two; the reader notes it
+        warnings.simplefilter("ignore")  # counts that are not a power of two; the reader notes it
         return Points(count, (), sampler(dimensions, seed=rng).random(count))
 
 

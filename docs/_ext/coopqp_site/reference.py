@@ -54,7 +54,8 @@ def _entry(entry: Entry, idea: type, used: Mapping[str, list[str]]) -> str:
     if unit := getattr(entry.cls, "unit", ""):
         text += f"\nUnit: {unit}.\n"
     text += f"\n{own_keys(entry.cls, idea)}"
-    text += f"\n{plain(module.__doc__)}\n\nSource: [{file}](../../{file})."
+    about = f"\n{plain(module.__doc__)}\n" if module.__doc__ else ""
+    text += f"{about}\nSource: [{file}](../../{file})."
     if scenarios := used.get(entry.name):
         links = ", ".join(f"[{name}](../../scenarios/{name}.yaml)" for name in scenarios)
         text += f" Used in: {links}."

@@ -11,13 +11,15 @@ the coefficient of u passes zero. Each step is a linear program, solved by daqp'
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import daqp
 import numpy as np
 
+from coopqp.base.errors import CoopqpError
 from coopqp.base.spec import Array
-from coopqp.planning.rows import Rows
+from coopqp.planning.path_constraints import Rows
 
 #: daqp's settings, and those of further tries where it cycles or finds nothing by rounding.
 TRIES: tuple[dict[str, float], ...] = (
@@ -75,11 +77,29 @@ def _by_simplex(q: Array, A: Array, upper: Array, lower: Array) -> Any:
 
 @dataclass(frozen=True)
 class Profile:
-    """At the places x and the most x that leads to the end, (N,); u in the intervals, (N - 1,)."""
+    """A motion along a path.
 
+    Attributes:
+        s, x: places and sdot^2 there, shape (N,). u: sddot between them, shape (N - 1,).
+        most: largest sdot^2 from which the path can be followed, shape (N,).
+        wrench: that keeps the rows at both ends of each interval, shape (N - 1, 2, m) [N, N m].
+    """
+
+    s: Array
     x: Array
     u: Array
     most: Array
+    wrench: Array
+
+    @cached_property
+    def t(self) -> Array:
+        """When it is at each place, shape (N,) [s]; a CoopqpError where it would stay at one."""
+        rate = np.sqrt(np.maximum(self.x, 0.0))
+        both = rate[1:] + rate[:-1]
+        if not both.all():
+            words = "the path cannot be followed: the motion stands still between its ends"
+            raise CoopqpError(words)
+        return np.concatenate([[0.0], np.cumsum(2.0 * np.diff(self.s) / both)])
 
 
 class Passes:
@@ -97,9 +117,10 @@ class Passes:
         x_max = speed**2 * rows.x_max
         lo, up = rows.lo_up(share)
         wide = np.where(np.isfinite(lo), 0.5 * (up - lo), np.abs(up))
-        scale = np.maximum(wide, NARROW * np.maximum(wide.max(axis=0), rows.unit))[:, :, None]
+        usual = np.maximum(wide.max(axis=0, initial=0.0), rows.maker.unit)
+        scale = np.maximum(wide, NARROW * usual)[:, :, None]
         scale[scale == 0.0] = 1.0
-        Ru, Rx = rows.Ru[:, :, None] * self._x / scale, rows.Rx[:, :, None] * self._x / scale
+        Ru, Rx = rows.R[:2, :, :, None] * self._x / scale
         Rl = rows.Rl * FORCE / scale
         lo, up = lo / scale[:, :, 0], up / scale[:, :, 0]
         self._A = np.zeros((N - 1, 1 + 2 * r, 2 + 2 * m))
@@ -117,7 +138,7 @@ class Passes:
             out[:, 3 + 2 * m : 3 + 2 * m + r], out[:, 3 + 2 * m + r :] = ends[:-1], ends[1:]
         self._upper[:, 1], self._lower[:, 1] = x_max[:-1] / self._x, 0.0
         self._next, self._x_max = 2 + 2 * m, x_max / self._x
-        self._ds = ds
+        self._s, self._ds = rows.s, ds
 
     def profile(self, start: float = 0.0, end: float = 0.0) -> Profile:
         """The fastest one, from sdot^2 = start to end.
@@ -129,9 +150,12 @@ class Passes:
         first = start / self._x
         if not least[0] - 1e-9 <= first <= most[0] * (1.0 + 1e-9):
             raise Stuck(0, least[0] * self._x, most[0] * self._x)
-        x = self._forward(min(max(first, least[0]), most[0]), least, most)
+        x, wrench = self._forward(min(max(first, least[0]), most[0]), least, most)
         u = np.diff(x) / (2.0 * self._ds)
-        return Profile(x * self._x, u * self._x, most * self._x)
+        shape = len(u), 2, wrench.shape[1] // 2
+        return Profile(
+            self._s, x * self._x, u * self._x, most * self._x, FORCE * wrench.reshape(shape)
+        )
 
     def _backward(self, end: float) -> tuple[Array, Array]:
         N = len(self._x_max)
@@ -152,8 +176,9 @@ class Passes:
                 least[i] = max(0.0, found[1]) if found is not None else most[i]
         return least, most
 
-    def _forward(self, first: float, least: Array, most: Array) -> Array:
+    def _forward(self, first: float, least: Array, most: Array) -> tuple[Array, Array]:
         x, cost = np.empty(len(most)), np.zeros(self._A.shape[2])
+        wrench = np.empty((len(most) - 1, len(cost) - 2))
         x[0], cost[0] = first, -1.0
         for i in range(len(most) - 1):
             for less in (0.0, *LESS):
@@ -163,9 +188,9 @@ class Passes:
                     break
             else:
                 raise Stuck(i)
-            x[i] = x_i
+            x[i], wrench[i] = x_i, found[2:]
             x[i + 1] = min(max(x_i + 2.0 * self._ds[i] * found[0], least[i + 1]), most[i + 1])
-        return x
+        return x, wrench
 
     def _solve(
         self, i: int, cost: Array, least: float, most: float, fixed: float | None = None
@@ -187,68 +212,49 @@ class Share:
     """
 
     def __init__(self, rows: Rows) -> None:
-        self._rows = rows
-        self.at = np.flatnonzero(rows.kinds != "acceleration")
-        at, m = self.at, rows.Rl.shape[2]
-        self._sided = rows.two_sided[at]
-        self._count = int(self._sided.sum())
-        unit = rows.unit[at]
-        self._scale = np.maximum(unit, NARROW * np.median(unit)) if len(at) else unit
-        k = len(at)
-        self._A = np.zeros((len(rows.s), k + self._count, m + 1))
-        self._A[:, :k, :m] = rows.Rl[:, at] * (FORCE / self._scale)[:, None]
-        self._A[:, :k, m] = -unit / self._scale
-        self._A[np.abs(self._A) < ROUNDING] = 0.0
-        self._A[:, k:, :m] = -self._A[:, :k, :m][:, self._sided]
-        self._A[:, k:, m] = self._A[:, :k, m][:, self._sided]
-        self._upper = np.full(m + 1 + k + self._count, np.inf)
-        self._upper[m] = MOST
-        self._lower = np.full(len(self._upper), -np.inf)
-        self._lower[m] = 0.0
-        self._cost = np.zeros(m + 1)
-        self._cost[m] = 1.0
-        self._m = m
+        self._rows, made = rows, rows.maker
+        self._at = np.flatnonzero(made.kinds != "acceleration")
+        self._unit, self._sided = made.unit[self._at], made.two_sided[self._at]
+        self._room = made.size[self._at] - self._unit
+        typical = np.median(self._unit) if len(self._at) else 0.0
+        self._scale = np.maximum(self._unit, NARROW * typical)
+        k, self._m = len(self._at), rows.Rl.shape[2]
+        self._A = np.empty((k + self._sided.sum(), self._m + 1))
+        self._A[:k, -1] = -self._unit / self._scale
+        self._A[k:, -1] = self._A[:k, -1][self._sided]
+        self._upper = np.full(self._m + 1 + len(self._A), np.inf)
+        self._lower, self._cost = -self._upper, np.zeros(self._m + 1)
+        self._upper[self._m], self._lower[self._m], self._cost[self._m] = MOST, 0.0, 1.0
 
     def of(self, i: int, u: float, x: float) -> tuple[float, str]:
         """t, and the row that holds it back most; infinite where no wrench will do."""
-        rows, at, m, k = self._rows, self.at, self._m, len(self.at)
+        rows, m, k, sided = self._rows, self._m, len(self._at), self._sided
         if not k:
             return 0.0, ""
-        felt = rows.Ru[i, at] * u + rows.Rx[i, at] * x + rows.Rc[i, at]
-        room = rows.size[at] - rows.unit[at]
-        self._upper[m + 1 : m + 1 + k] = (room - felt) / self._scale
-        self._upper[m + 1 + k :] = ((room + felt) / self._scale)[self._sided]
-        solved = program(None, self._cost, self._A[i], self._upper, self._lower)
+        by_u, by_x, felt = rows.R[:, i, self._at] / self._scale
+        felt = felt + by_u * u + by_x * x
+        A, room = self._A, self._room / self._scale
+        by_wrench = rows.Rl[i, self._at] * (FORCE / self._scale)[:, None]
+        by_wrench[np.abs(by_wrench) < ROUNDING] = 0.0
+        A[:k, :m], A[k:, :m] = by_wrench, -by_wrench[sided]
+        self._upper[m + 1 : m + 1 + k], self._upper[m + 1 + k :] = room - felt, (room + felt)[sided]
+        solved = program(None, self._cost, A, self._upper, self._lower)
         if solved is None:
             return np.inf, ""
         found, multipliers = solved
         pull = np.abs(multipliers[m + 1 :])
-        pull[:k][self._sided] += pull[k:]
-        return float(found[m]), rows.names[at[int(pull[:k].argmax())]]
+        pull[:k][sided] += pull[k:]
+        return float(found[m]), rows.maker.names[self._at[int(pull[:k].argmax())]]
 
-    def of_all(self, u: Array, x: Array, least: float) -> tuple[Array, list[str]]:
-        """Of all places; where a fixed wrench leaves less than ``least``, its t.
-
-        That is the wrench of least |tau / tau_max|^2, all places at once: it spares the programs
-        where torques are far from their limits.
-        """
-        found, names = self._fixed(u, x), [""] * len(u)
-        for i in np.flatnonzero(found >= least).tolist():
-            found[i], names[i] = self.of(i, float(u[i]), float(x[i]))
-        return found, names
-
-    def _fixed(self, u: Array, x: Array) -> Array:
-        rows, at, unit = self._rows, self.at, self._rows.unit[self.at]
-        if not len(at):
+    def with_wrench(self, lam: Array, u: Array, x: Array) -> Array:
+        """The same of all places, (N,), with wrenches near lam, (N, m), that keep hinges free."""
+        if not len(self._at):
             return np.zeros(len(u))
-        if not self._sided.all() or not unit.all():  # cones and hinges need the program
-            return np.full(len(u), np.inf)
-        felt = rows.Ru[:, at] * u[:, None] + rows.Rx[:, at] * x[:, None] + rows.Rc[:, at]
-        R = rows.Rl[:, at] / unit[:, None]
-        motors = rows.kinds[at] == "torque"
-        felt /= unit
-        W = R[:, motors]
-        RR = W.transpose(0, 2, 1) @ W
-        RR += 1e-9 * np.eye(self._m) * (1e-9 + np.trace(RR, axis1=1, axis2=2))[:, None, None]
-        lam = -np.linalg.solve(RR, W.transpose(0, 2, 1) @ felt[:, motors, None])[..., 0]
-        return np.asarray(np.abs(felt + (R @ lam[:, :, None])[..., 0]).max(axis=1), float)
+        R, hinged = self._rows.Rl[:, self._at], self._unit == 0.0
+        felt = self._rows.felt(u, x)[:, self._at]
+        felt += (R @ lam[:, :, None])[..., 0]
+        if hinged.any():
+            off = np.linalg.pinv(R[:, hinged]) @ felt[:, hinged, None]
+            felt -= (R @ off)[..., 0]
+        used = np.where(self._sided, np.abs(felt), felt) - self._room
+        return np.asarray((used[:, ~hinged] / self._unit[~hinged]).max(axis=1, initial=0.0), float)

@@ -17,6 +17,7 @@ The bounds of lambda are rows, too.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -48,6 +49,7 @@ class Bounds:
         twist: of the object's components in world axes, shape (6,) [m/s, rad/s].
         wrench: largest component of the internal wrench of each hand, shape (6,) [N, N m].
         safety: by which friction is divided.
+        forces: False where speeds and accelerations alone are looked at.
     """
 
     speed: Array
@@ -55,7 +57,8 @@ class Bounds:
     torque: Array
     twist: Array
     wrench: Array
-    safety: float
+    safety: float = 1.0
+    forces: bool = True
 
 
 def joint_bounds(of: Scenario | ControlProblem) -> tuple[Array, Array]:
@@ -70,17 +73,23 @@ def joint_bounds(of: Scenario | ControlProblem) -> tuple[Array, Array]:
     return speed, acceleration
 
 
-def bounds_of(
-    scenario: Scenario, torque: float, wrench: tuple[float, float], safety: float
-) -> Bounds:
-    """The bounds of a scenario's robot and limits, of which motors use a share."""
-    chain, twist = scenario.chain, np.full(6, np.inf)
-    speed, acceleration = joint_bounds(scenario)
-    for limit in scenario.limits:
-        program = limit.program(chain, scenario.dt)
+def twist_bounds(of: Scenario | ControlProblem) -> Array:
+    """Components of the object's speed that limits allow, shape (6,)."""
+    twist = np.full(6, np.inf)
+    for limit in of.limits:
+        program = limit.program(of.chain, of.dt)
         if isinstance(program, TwistBounds):
             at = list(program.components)
             twist[at] = np.minimum(twist[at], program.bounds)
+    return twist
+
+
+def bounds_of(
+    scenario: Scenario, torque: float, wrench: tuple[float, float], safety: float
+) -> Bounds:
+    """The bounds of a robot and of limits, of which motors use a share."""
+    chain, twist = scenario.chain, twist_bounds(scenario)
+    speed, acceleration = joint_bounds(scenario)
     effort = torque * np.array(chain.model.effortLimit)
     effort[chain.passive] = 0.0
     box = np.repeat(np.array(wrench, float), 3)
@@ -92,35 +101,29 @@ class Rows:
     """The rows at N places.
 
     Attributes:
+        maker: of what is the same at all of them.
         s: the places, shape (N,).
         along: the path there.
-        Ru, Rx, Rc: shape (N, r); Rl, shape (N, r, m). Rc is what is there at rest.
-        names: such as "torque of elbow"; joints: those of the chain.
-        kinds: "acceleration", "torque", "wrench" or "contact", by row.
-        size: of what bounds a row, shape (r,); lo = -size - Rc (-inf at contacts), up = size - Rc.
-        unit: what a row's use is counted in, shape (r,): its size, at contacts the weight [N].
-        rates: of joints and of the object by s, (N, n + 6), which speeds bound, shape (n + 6,).
+        R: by u, by x and at rest, shape (3, N, r); Rl, shape (N, r, m).
+        rates: of joints and of the object by s, (N, n + 6), which speeds bound.
     """
 
+    maker: RowMaker
     s: Array
     along: Along
-    Ru: Array
-    Rx: Array
-    Rc: Array
+    R: Array
     Rl: Array
-    names: tuple[str, ...]
-    joints: tuple[str, ...]
-    kinds: Array
-    size: Array
-    unit: Array
     rates: Array
-    speeds: Array
+
+    def felt(self, u: Array, x: Array) -> Array:
+        """The rows' left sides without lambda, shape (N, r), for u and x of shape (N,)."""
+        return np.asarray(self.R[0] * u[:, None] + self.R[1] * x[:, None] + self.R[2])
 
     @property
     def x_max(self) -> Array:
         """Largest x that the speeds allow, shape (N,); finite where a joint stands still, too."""
         with np.errstate(divide="ignore", invalid="ignore"):
-            most = np.square(self.speeds / np.abs(self.rates)).min(axis=1)
+            most = np.square(self.maker.speeds / np.abs(self.rates)).min(axis=1)
         finite = most[np.isfinite(most)]
         usual = float(np.median(finite)) if len(finite) else 1.0
         return np.asarray(np.fmin(most, FASTEST * usual), float)
@@ -132,32 +135,33 @@ class Rows:
         """
         from scipy.interpolate import CubicSpline  # nobody else waits for it
 
-        kept = self.Ru, self.Rx, self.Rc, self.Rl, self.rates
-        flat = np.hstack([part.reshape(len(self.s), -1) for part in kept])
         share = np.linspace(0.0, 1.0, count)
         s = (self.s[:-1, None] + np.diff(self.s)[:, None] * share).ravel()
-        found, parts, at = CubicSpline(self.s, flat)(s), [], 0
-        for part in kept:
-            size = part[0].size
-            parts.append(
-                np.ascontiguousarray(found[:, at : at + size]).reshape(len(s), *part.shape[1:])
-            )
-            at += size
-        Ru, Rx, Rc, Rl, rates = parts
-        return replace(self, s=s, Ru=Ru, Rx=Rx, Rc=Rc, Rl=Rl, rates=rates)
-
-    @property
-    def two_sided(self) -> Array:
-        return np.asarray(self.kinds != "contact")
+        kept = *self.R, self.Rl, self.rates
+        flat = CubicSpline(self.s, np.hstack([part.reshape(len(self.s), -1) for part in kept]))(s)
+        cuts = np.cumsum([part[0].size for part in kept])[:-1]
+        *R, Rl, rates = np.split(flat, cuts, axis=1)
+        return replace(
+            self, s=s, R=np.array(R), Rl=Rl.reshape(len(s), *self.Rl.shape[1:]), rates=rates
+        )
 
     def lo_up(self, share: Array) -> tuple[Array, Array]:
         """Lower and upper ends, shape (N, r), with the bounds times a share."""
-        size = self.size - (1.0 - share) * self.unit
-        return np.where(self.two_sided, -size, -np.inf) - self.Rc, size - self.Rc
+        made = self.maker
+        size = made.size - (1.0 - share) * made.unit
+        return np.where(made.two_sided, -size, -np.inf) - self.R[2], size - self.R[2]
 
 
 class RowMaker:
     """Makes the rows of one path at any places.
+
+    Attributes:
+        names: such as "torque of elbow".
+        kinds: "acceleration", "torque", "wrench" or "contact", by row.
+        size: of what bounds a row, shape (r,): it is in +- size, at contacts below it.
+        unit: what a row's use is counted in, shape (r,): its size, at contacts the weight [N].
+        speeds: largest rates of joints and of the object, shape (n + 6,).
+        kept: rows of the loops whose wrench is free; none where its box is of no size.
 
     Raises:
         InvalidValueError: nothing bounds the speed of a motor.
@@ -171,11 +175,13 @@ class RowMaker:
         shares = dict.fromkeys(holders, 1.0 / self.arms)
         self.dynamics = ClosedLoopDynamics(chain, shares=shares)
         self.kept = np.array(chain.loops.kept, int)
+        if not bounds.wrench.any():
+            self.kept = self.kept[:0]
         self.loops = Loops(chain, self.dynamics.model)
         self._limited = np.flatnonzero(np.isfinite(bounds.torque))
         self._quick = np.flatnonzero(np.isfinite(bounds.acceleration))
         names = chain.joint_names
-        self._cones = _Cones(chain, bounds.safety)
+        self._cones = _Cones(chain, bounds)
         self.names = (
             *(f"acceleration of {names[j]}" for j in self._quick),
             *(f"torque of {names[j]}" for j in self._limited),
@@ -188,7 +194,9 @@ class RowMaker:
             bounds.acceleration[self._quick], bounds.torque[self._limited],
             bounds.wrench[self.kept % 6], self._cones.most,
         ])  # fmt: skip
-        weight = chain.held.body().mass * float(np.linalg.norm(chain.model.gravity.linear))
+        self._body = chain.held.body()
+        self.two_sided = self.kinds != "contact"
+        weight = self._body.mass * float(np.linalg.norm(chain.model.gravity.linear))
         self.unit = np.where(self.kinds == "contact", max(weight, 1.0), self.size)
         self.speeds = np.concatenate([bounds.speed, bounds.twist])
         if not (np.isfinite(self.speeds).any() or counts[0] or counts[1] > len(chain.passive)):
@@ -203,25 +211,29 @@ class RowMaker:
         a, b, c = self.torques(along)
         J = relative(along.moved.J)[:, self.kept]
         N, m, at, quick = len(s), J.shape[1], self._limited, self._quick
-        nothing, free = np.zeros((N, len(quick))), np.zeros((N, m))
-        cones = self._cones.at(self.dynamics, along, self.kept)
+        nothing, free = np.zeros_like(along.q), np.zeros((N, m))
+        cones = self._cones.at(self.loads, along, self.kept)
         twist = (along.moved.J[:, 0] @ along.dq[:, :, None])[..., 0]
+        felt = [
+            np.hstack([by_joint[:, quick], tau[:, at], free, cone])
+            for by_joint, tau, cone in zip(
+                (along.dq, along.ddq, nothing), (a, b, c), cones[:3], strict=True
+            )
+        ]
+        by_wrench = [
+            np.zeros((N, len(quick), m)), -J.transpose(0, 2, 1)[:, at],
+            np.tile(np.eye(m), (N, 1, 1)), cones[3],
+        ]  # fmt: skip
         return Rows(
-            s, along,
-            np.hstack([along.dq[:, quick], a[:, at], free, cones[0]]),
-            np.hstack([along.ddq[:, quick], b[:, at], free, cones[1]]),
-            np.hstack([nothing, c[:, at], free, cones[2]]),
-            np.concatenate([
-                np.zeros((N, len(quick), m)), -J.transpose(0, 2, 1)[:, at],
-                np.tile(np.eye(m), (N, 1, 1)), cones[3],
-            ], axis=1),
-            self.names, self.chain.joint_names, self.kinds, self.size, self.unit,
-            np.hstack([along.dq, twist]), self.speeds,
+            self, s, along, np.array(felt), np.concatenate(by_wrench, axis=1),
+            np.hstack([along.dq, twist]),
         )  # fmt: skip
 
     def torques(self, along: Along) -> tuple[Array, Array, Array]:
         """a, b and c of the tree's torques, each (N, n)."""
-        found = np.empty((3, *along.q.shape))
+        found = np.zeros((3, *along.q.shape))
+        if not self.bounds.forces:
+            return found[0], found[1], found[2]
         model, data, nothing = self.dynamics.model, self.loops.data, np.zeros(along.q.shape[1])
         for k, (q, dq, ddq) in enumerate(zip(along.q, along.dq, along.ddq, strict=True)):
             found[2, k] = pin.rnea(model, data, q, nothing, nothing)
@@ -230,20 +242,31 @@ class RowMaker:
         found[:2] -= found[2]
         return found[0], found[1], found[2]
 
+    def loads(self, along: Along) -> Array:
+        """What moves the object for u, for x and at rest, at its origin, shape (3, N, 6)."""
+        found, still = np.empty((3, len(along.q), 6)), pin.Motion.Zero()
+        for k, (R, J) in enumerate(zip(along.moved.R[:, 0], along.moved.J[:, 0], strict=True)):
+            body = pin.SE3(R, np.zeros(3)).act(self._body)
+            spin, turning = still.copy(), J @ along.ddq[k] + along.drift[k, 0]
+            spin.angular = J[3:] @ along.dq[k]
+            found[0, k] = (body * pin.Motion(J @ along.dq[k])).vector
+            found[1, k] = (body * pin.Motion(turning) + spin.cross(body * spin)).vector
+            found[2, k] = (body * -self.dynamics.model.gravity).vector
+        return found
+
 
 class _Cones:
     """What hands that press keep, as rows on (u, x, lambda)."""
 
-    def __init__(self, chain: ClosedChain, safety: float) -> None:
+    def __init__(self, chain: ClosedChain, bounds: Bounds) -> None:
         self._each: list[tuple[int, Array]] = []
         names: list[str] = []
         most: list[Array] = [np.zeros(0)]
         self._hands = hands(chain)
-        self._body = chain.held.body()
         for i, hand in enumerate(self._hands):
-            if not hand.contact:
+            if not (hand.contact and bounds.forces):
                 continue
-            found = hand.contact.force_rows(safety)
+            found = hand.contact.force_rows(bounds.safety)
             R, p = hand.X_OC.rotation, hand.X_OC.translation
             turn = np.zeros((6, 6))  # from the wrench at the origin, O's axes, to the contact's
             turn[:3, :3], turn[3:, 3:], turn[3:, :3] = R.T, R.T, -R.T @ pin.skew(p)
@@ -253,13 +276,13 @@ class _Cones:
         self.names, self.most = tuple(names), np.concatenate(most)
 
     def at(
-        self, dynamics: ClosedLoopDynamics, along: Along, kept: Array
+        self, loads: Callable[[Along], Array], along: Along, kept: Array
     ) -> tuple[Array, Array, Array, Array]:
         """Ru, Rx, Rc, each (N, r), and Rl, (N, r, m)."""
         N, m = len(along.q), len(kept)
         if not self._each:
             return (*np.zeros((3, N, 0)), np.zeros((N, 0, m)))
-        w = self._wrenches(dynamics, along)
+        w = loads(along)
         R, count = along.moved.R[:, 0], len(self._hands)
         parts = []
         for i, rows in self._each:
@@ -274,15 +297,3 @@ class _Cones:
             parts.append((*shared, turned @ split[:, kept]))
         u, x, c, lam = (np.concatenate(found, axis=1) for found in zip(*parts, strict=True))
         return u, x, c, lam
-
-    def _wrenches(self, dynamics: ClosedLoopDynamics, along: Along) -> tuple[Array, Array, Array]:
-        """What the object needs for u, for x and at rest, at its origin, each (N, 6)."""
-        found, still = np.empty((3, len(along.q), 6)), pin.Motion.Zero()
-        for k, (R, J) in enumerate(zip(along.moved.R[:, 0], along.moved.J[:, 0], strict=True)):
-            body = pin.SE3(R, np.zeros(3)).act(self._body)
-            spin, turning = still.copy(), J @ along.ddq[k] + along.drift[k, 0]
-            spin.angular = J[3:] @ along.dq[k]
-            found[0, k] = (body * pin.Motion(J @ along.dq[k])).vector
-            found[1, k] = (body * pin.Motion(turning) + spin.cross(body * spin)).vector
-            found[2, k] = (body * -dynamics.model.gravity).vector
-        return found[0], found[1], found[2]

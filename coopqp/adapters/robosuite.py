@@ -1,0 +1,211 @@
+"""A robosuite environment whose two arms hold one object, as a robot of the loop.
+
+    env = robosuite.make("TwoArmLift", robots=["Panda", "Panda"],
+                         controller_configs=[controllers("Panda"), controllers("Panda")], ...)
+    world = RobosuiteWorld(env, held="pot_root")
+    world.reset()                                  # again after each reset of the environment
+    robot = world.robot(folder)                    # for a Scenario, with the motors' limits
+    loop = coopqp.OnlineLoop(scenario, clock=None)
+    loop.tick(world.read()); world.write(loop.setpoint, loop.command.v)
+
+Arms are named as robosuite's robots, those of one robot as its arms: robot0, robot1; right, left.
+The file that robosuite itself simulates is read, so that joints have its names, and motors the
+limits of their ``ctrlrange``, by which robosuite clips. Each write is one step of the environment:
+its ``control_freq`` is the loop's rate. Quaternions are xyzw in robosuite's observations and wxyz
+in MuJoCo; here poses are pinocchio's.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import pinocchio as pin
+
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.spec import Array
+from coopqp.robot_files.selection import JointLimits
+from coopqp.robots import Mjcf
+
+#: Velocity limit where none is given: robosuite and MJCF have none [rad/s].
+SPEED = 2.0
+#: Stiffness of robosuite's position servos, torque over inertia and error [1/s2].
+KP = 300.0
+
+
+def controllers(
+    robot: str, kind: Literal["positions", "torques"] = "positions", *, kp: float = KP
+) -> dict[str, Any]:
+    """Settings of robosuite's own controllers, by which its arms do what the loop says.
+
+    Args:
+        robot: its name in robosuite.
+        kind: joint angles [rad], by servos that compensate gravity; or torques [N m], gravity's
+            among them, as of laws by torques.
+        kp: stiffness of the servos [1/s2].
+
+    Raises:
+        InvalidValueError: kind is none.
+    """
+    from robosuite.controllers import load_composite_controller_config
+
+    if kind not in ("positions", "torques"):
+        raise InvalidValueError(f"kind: found {kind!r}; needs positions or torques")
+    settings: dict[str, Any] = load_composite_controller_config(controller=None, robot=robot)
+    most = 1e4  # scaled one to one; the motors' limits clip
+    own: dict[str, Any] = {"type": "JOINT_POSITION", "kp": kp, "kp_limits": [0, 1e5]}
+    own |= {"input_type": "absolute", "damping_ratio": 1, "impedance_mode": "fixed"}
+    if kind == "torques":
+        own = {"type": "JOINT_TORQUE", "input_max": most, "input_min": -most}
+        own |= {"output_max": most, "output_min": -most, "use_torque_compensation": False}
+    own |= {"interpolation": None, "ramp_ratio": 0.2, "gripper": {"type": "GRIP"}}
+    parts = settings["body_parts"].get("arms", settings["body_parts"])
+    for arm in parts:
+        parts[arm] = dict(own)
+    return settings
+
+
+class RobosuiteWorld:
+    """Arms, grippers and the held object of an environment.
+
+    Args:
+        env: as ``robosuite.make`` gives it; not wrapped.
+        held: body of the object.
+        kp: of the servos, see :func:`controllers`.
+        by_torques: whether :meth:`read` gives velocities, too.
+
+    Attributes:
+        arms: their names. sites: of their hands, likewise. joints: of all arms, shape (n,).
+        grip: of each arm, -1 open to 1 closed. obs, reward: of the last step.
+    """
+
+    def __init__(
+        self, env: Any, held: str = "pot_root", *, kp: float = KP, by_torques: bool = False
+    ) -> None:
+        self.env, self._held, self._kp, self._by_torques = env, held, kp, by_torques
+        self.grip: dict[str, float] = {}
+        self.find()
+
+    def find(self) -> None:
+        """Take the handles anew, which a reset of the environment changes."""
+        sim, robots = self.env.sim, self.env.robots
+        self.model, self.data = sim.model._model, sim.data._data
+        single = len(robots) == 1
+        self._of = {(a if single else f"robot{i}"): (i, a)
+                    for i, robot in enumerate(robots) for a in robot.arms}  # fmt: skip
+        self.arms = tuple(self._of)
+        grippers = [robots[i].gripper[a] for i, a in self._of.values()]
+        self.sites = tuple(gripper.important_sites["grip_site"] for gripper in grippers)
+        halves = [
+            [name for name in robots[i].robot_model.joints if not single or f"_{arm}_" in name]
+            for i, arm in self._of.values()
+        ]
+        self.joints = tuple(name for half in halves for name in half)
+        rows = [self.model.joint(name) for name in self.joints]
+        self._q = np.array([row.qposadr[0] for row in rows])
+        self._v = np.array([row.dofadr[0] for row in rows])
+        ends = np.cumsum([len(half) for half in halves])[:-1]
+        self._halves = np.split(np.arange(len(self.joints)), ends)
+        roots = (*(gripper.root_body for gripper in grippers), self._held)
+        self._bodies = [self._below(self.model.body(name).id) for name in roots]
+        self.grip = dict.fromkeys(self.arms, -1.0)
+
+    def _below(self, root: int) -> frozenset[int]:
+        """A body and all that hang on it."""
+        found, parents = {root}, self.model.body_parentid
+        for body in range(root + 1, self.model.nbody):
+            if parents[body] in found:
+                found.add(body)
+        return frozenset(found)
+
+    def robot(self, folder: Path | str, *, speed: float = SPEED) -> Mjcf:
+        """The arms for a scenario, read from the file that robosuite simulates, written there."""
+        path = Path(folder) / "robosuite.xml"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(self.env.sim.model.get_xml(), encoding="utf-8")
+        limits = {name: JointLimits(velocity=speed) for name in self.joints}
+        tips = dict(zip(self.arms, self.sites, strict=True))
+        return Mjcf(path=path, arms=tips, joint_limits=limits)
+
+    def read(self) -> Array:
+        """Joints, shape (n,) [rad], and by torques their velocities, too, shape (2, n)."""
+        q = self.data.qpos[self._q].copy()
+        return np.stack([q, self.data.qvel[self._v]]) if self._by_torques else q
+
+    def write(self, q: Array, v: Array, load: Array | None = None) -> None:
+        """Go to joint angles; ``load`` are torques of the object that the servos bear, (n,).
+
+        Where robosuite takes torques they are those of its servos.
+        """
+        M, n = self.inertia(), len(q)
+        ahead = np.zeros(n) if load is None else np.linalg.solve(M, load) / self._kp
+        if not self._by_torques:
+            return self.step(q + ahead)
+        now, rate = self.read()
+        a = self._kp * (q + ahead - now) - 2.0 * np.sqrt(self._kp) * rate
+        return self.step(M @ a + self.data.qfrc_bias[self._v])
+
+    def apply(self, tau: Array) -> None:
+        """Apply torques, shape (n,) [N m]."""
+        self.step(tau)
+
+    def inertia(self) -> Array:
+        """Of each arm, as robosuite's controllers know it, shape (n, n) [kg m2]."""
+        import mujoco
+
+        full, M = np.zeros((self.model.nv, self.model.nv)), np.zeros((len(self._v),) * 2)
+        mujoco.mj_fullM(self.model, full, self.data.qM)
+        for half in self._halves:
+            M[np.ix_(half, half)] = full[np.ix_(self._v[half], self._v[half])]
+        return M
+
+    def step(self, action: Array) -> None:
+        """One step with the same number of values for each arm, those of its controller."""
+        given: dict[int, dict[str, Any]] = {}
+        parts = np.split(np.asarray(action), len(self.arms))
+        for part, (name, (i, arm)) in zip(parts, self._of.items(), strict=True):
+            hand = np.full(self.env.robots[i].gripper[arm].dof, self.grip[name])
+            given.setdefault(i, {}).update({arm: part, f"{arm}_gripper": hand})
+        robots = self.env.robots
+        action = np.concatenate([robots[i].create_action_vector(given[i]) for i in sorted(given)])
+        self.obs, self.reward, _, _ = self.env.step(action)
+
+    def hand(self, arm: str) -> pin.SE3:
+        """Pose of a hand's site."""
+        site = self.model.site(self.sites[self.arms.index(arm)]).id
+        return pin.SE3(
+            self.data.site_xmat[site].reshape(3, 3).copy(), self.data.site_xpos[site].copy()
+        )
+
+    @property
+    def object(self) -> pin.SE3:
+        """Pose of the held body."""
+        body = self.model.body(self._held).id
+        return pin.SE3(self.data.xmat[body].reshape(3, 3).copy(), self.data.xpos[body].copy())
+
+    def hand_wrench(self) -> Array:
+        """Wrenches of the hands on the object by the sums of their contacts, shape (6 N,) [N, N m].
+
+        At the hands' sites, in world axes: the loop's input of that name, once nothing else bears
+        the object.
+        """
+        import mujoco
+
+        w, felt = np.zeros((len(self.arms), 6)), np.zeros(6)
+        points = [self.hand(arm).translation for arm in self.arms]
+        for k in range(self.data.ncon):
+            contact = self.data.contact[k]
+            one, two = (int(self.model.geom_bodyid[g]) for g in (contact.geom1, contact.geom2))
+            held = self._bodies[-1]
+            if (one in held) == (two in held):
+                continue
+            other, sign = (one, 1.0) if two in held else (two, -1.0)  # acts on the second geom
+            for i, hand in enumerate(self._bodies[:-1]):
+                if other in hand:
+                    mujoco.mj_contactForce(self.model, self.data, k, felt)
+                    R = contact.frame.reshape(3, 3)
+                    force, torque = sign * felt[:3] @ R, sign * felt[3:] @ R
+                    w[i, :3] += force
+                    w[i, 3:] += torque + np.cross(contact.pos - points[i], force)
+        return w.ravel()

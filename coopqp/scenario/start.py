@@ -1,0 +1,138 @@
+"""Where a scenario starts: joints by arm or name, and what is wrong with them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.spec import Array, Pose, array, finite, near, vector
+from coopqp.base.wording import Location
+from coopqp.grasp import Grasp
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.robot import RobotModel, unit_of
+from coopqp.scenario.yaml import Wrong
+
+Start = Mapping[str, float | Sequence[float]]
+
+#: Smallest size of a number in a scenario file that is not zero.
+SMALLEST = 1e-30
+#: A quaternion's length may differ from 1 by so much.
+UNIT_QUATERNION = 1e-3
+
+
+def pose_of(where: Pose | ArrayLike) -> Pose:
+    """A pose, or one as x, y, z [m] and a quaternion x, y, z, w, as inputs have it.
+
+    InvalidValueError: it is neither, or the quaternion is not of length 1.
+    """
+    if isinstance(where, Pose):
+        return where
+    numbers = finite("object_pose", vector("object_pose", where, 7))
+    length = float(np.linalg.norm(numbers[3:]))
+    if abs(length - 1.0) > UNIT_QUATERNION:
+        words = f"the quaternion has length {length:.3g}, needs 1; give x y z, then qx qy qz qw"
+        raise InvalidValueError(f"object_pose: {words}")
+    return pose_at(pin.XYZQUATToSE3(np.append(numbers[:3], numbers[3:] / length)))
+
+
+def pose_at(X: pin.SE3) -> Pose:
+    """The pose that a scenario file says of it."""
+    place, angles = without_tiny(X.translation), without_tiny(pin.rpy.matrixToRpy(X.rotation))
+    return Pose(position=tuple(place.tolist()), rpy=tuple(angles.tolist()))
+
+
+def without_tiny(numbers: Array) -> Array:
+    """With zero where a scenario file could not have a number."""
+    return np.where(np.abs(numbers) < SMALLEST, 0.0, numbers)
+
+
+def start_of(robot: RobotModel, start: Start) -> tuple[Start, dict[str, float]]:
+    """The start of the robot's joints, and of the grasps' passive joints ("right.hinge")."""
+    arms = {arm.name for arm in robot.arms}
+    own, passive = dict(start), {}
+    for key, value in start.items():
+        arm, dot, _ = key.rpartition(".")
+        if dot and arm in arms and key not in robot.joint_names:
+            numbers = np.atleast_1d(near(key, array(key, own.pop(key))))
+            if numbers.shape != (1,):
+                raise InvalidValueError(f"{key}: found {value}, needs one number").at(key)
+            passive[key] = float(numbers[0])
+    return own, passive
+
+
+def by_arm(robot: RobotModel, value: Mapping[str, float]) -> dict[str, float | list[float]]:
+    """A start by arm, and by name for joints of no arm and passive ones, from one by joint."""
+    start: dict[str, float | list[float]] = {
+        arm.name: [value[joint] for joint in robot.arm_joints(arm)] for arm in robot.arms
+    }
+    moved = {joint for arm in robot.arms for joint in robot.arm_joints(arm)}
+    return start | {name: x for name, x in value.items() if name not in moved}
+
+
+def from_degrees(robot: RobotModel, grasps: Grasp | Mapping[str, Grasp], start: Start) -> Start:
+    """A start in radians and metres from one in degrees, metres where a joint slides."""
+    units = dict(zip(robot.joint_names, robot.joint_units, strict=True))
+    for arm in robot.arms:
+        grasp = grasps.get(arm.name) if isinstance(grasps, Mapping) else grasps
+        for passive in grasp.passive_joints(np.eye(3)) if grasp else ():
+            units[f"{arm.name}.{passive.name}"] = unit_of(passive.joint)
+    joints = {arm.name: robot.arm_joints(arm) for arm in robot.arms}
+    converted: dict[str, float | list[float]] = {}
+    for key, value in start.items():
+        # Names and counts that are wrong are refused where the start is used.
+        slides = [units.get(joint) == "m" for joint in joints.get(key, (key,))]
+        if np.size(value) == len(slides):
+            kept = np.reshape(slides, np.shape(value))
+            converted[key] = np.where(kept, value, np.radians(value)).tolist()
+        else:
+            converted[key] = np.radians(value).tolist()
+    return converted
+
+
+def joints_outside(robot: RobotModel, start: Start, q: Array, key: str) -> Iterator[Wrong]:
+    """Where a start leaves the robot's position limits, and by how much."""
+    if key == "start" and _like_degrees(robot, q):
+        words = "found angles of more than a turn, which are inside the limits in degrees"
+        yield Wrong([key], f"{words}; did you mean start_deg?")
+        return
+    lower, upper = robot.model.lowerPositionLimit, robot.model.upperPositionLimit
+    arms = {arm.name: robot.arm_joints(arm) for arm in robot.arms}
+    values = zip(robot.joint_names, robot.joint_units, q, lower, upper, strict=True)
+    for joint, *value in values:
+        location: list[str | int] = [key, joint]
+        for arm, joints in arms.items():
+            if arm in start and joint in joints and joint not in start:
+                location = [key, arm, joints.index(joint)]
+        yield from _outside(location, joint, *value)
+
+
+def passive_outside(chain: ClosedChain, passive: Iterable[str], key: str) -> Iterator[Wrong]:
+    """Where it leaves the limits of the grasps' passive joints."""
+    values = (chain.joint_units, chain.q_start, chain.lower, chain.upper)
+    joints = dict(zip(chain.joint_names, zip(*values, strict=True), strict=True))
+    for name in passive:
+        yield from _outside([key, name], name, *joints[name])
+
+
+def _outside(
+    place: Location, joint: str, unit: str, value: float, low: float, high: float
+) -> Iterator[Wrong]:
+    if low <= value <= high:
+        return
+    if unit == "rad" and place[0] == "start_deg":
+        unit, (value, low, high) = "degrees", np.degrees((value, low, high)).tolist()
+    words = f"{joint} starts at {value:.6g} {unit}, outside its limits {low:.6g} to {high:.6g}"
+    yield Wrong(place, f"{words}; or say start_outside: true to see it recover")
+
+
+def _like_degrees(robot: RobotModel, q: Array) -> bool:
+    lower, upper = robot.model.lowerPositionLimit, robot.model.upperPositionLimit
+    turns = np.array([unit == "rad" for unit in robot.joint_units])
+    outside = turns & ((q < lower) | (q > upper))
+    inside = (lower <= np.radians(q)) & (np.radians(q) <= upper)
+    return bool((np.abs(q[outside]) > 2.0 * math.pi).any() and inside[turns].all())

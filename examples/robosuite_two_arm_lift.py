@@ -1,0 +1,152 @@
+"""robosuite's TwoArmLift from reset to put-down: reach, take hold, lift, put down, let go.
+
+    sh benchmarks/robosuite_env.sh                                  # once, 1.8 GB
+    .robosuite/bin/python examples/robosuite_two_arm_lift.py --robots Panda Panda --seed 0
+
+The hands go to the handles each by itself; from there on the QP moves the pot, with both arms.
+robosuite's own servos follow the joints, 100 times a second.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+
+import numpy as np
+import pinocchio as pin
+
+import coopqp
+from coopqp.adapters.robosuite import RobosuiteWorld, controllers
+from coopqp.base.spec import Array, Pose
+from coopqp.controllers import Pseudoinverse, QPController, TorqueQp
+from coopqp.grasps import Rigid
+from coopqp.model.held_object import HeldObject
+from coopqp.scenario.scenario import Scenario
+from coopqp.signals import Waypoints
+from coopqp.tasks import Pose as PoseTask
+
+DT = 0.01  # s
+ABOVE = 0.08  # m, from where the hands go down
+LAWS = QPController(name="qp"), TorqueQp(name="torque_qp"), Pseudoinverse(name="pseudoinverse")
+#: Where the object shall be at a time [s].
+Way = Callable[[float], pin.SE3]
+
+
+def minimum_jerk(s: float) -> float:
+    s = min(max(s, 0.0), 1.0)
+    return s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+
+
+def grasp_poses(world: RobosuiteWorld) -> list[pin.SE3]:
+    """Of the hands at the handles: z down, fingers closing along the pot's y, across the bar."""
+    found, across = [], world.object.rotation[:, 1]
+    for i, arm in enumerate(world.arms):
+        x = across * np.sign(across @ world.hand(arm).rotation[:, 0])
+        z = np.array([0.0, 0.0, -1.0])
+        x = (x - z * (z @ x)) / np.linalg.norm(x - z * (z @ x))
+        place = world.data.site(f"pot_handle{i}").xpos.copy()
+        found.append(pin.SE3(np.column_stack([x, np.cross(z, x), z]), place))
+    return found
+
+
+def reaching(robot: coopqp.RobotModel, hands: list[pin.SE3], q: Array, steps: int = 300) -> Array:
+    """Joints with the hands there, by damped least squares from q."""
+    model, q, rest = robot.model, q.copy(), q.copy()
+    data, frames = model.createData(), [model.getFrameId(arm.tip) for arm in robot.arms]
+    for _ in range(steps):
+        pin.computeJointJacobians(model, data, q)
+        pin.updateFramePlacements(model, data)
+        J = np.vstack([pin.getFrameJacobian(model, data, f, pin.LOCAL) for f in frames])
+        e = np.concatenate(
+            [pin.log6(data.oMf[f].actInv(X)).vector for f, X in zip(frames, hands, strict=True)]
+        )
+        back = J.T @ np.linalg.inv(J @ J.T + 1e-4 * np.eye(len(e)))
+        step = back @ e + 0.05 * (rest - q - back @ (J @ (rest - q)))
+        q = np.clip(
+            q + 0.3 * step, model.lowerPositionLimit + 0.02, model.upperPositionLimit - 0.02
+        )
+    return q
+
+
+def go(world: RobosuiteWorld, q: Array, time: float, dt: float = DT) -> Array:
+    """Move all joints there, from where they are; returns q."""
+    began, ticks = np.atleast_2d(world.read())[0], round(time / dt)
+    for k in range(ticks):
+        world.write(began + minimum_jerk((k + 1) / ticks) * (q - began), np.zeros_like(q))
+    return q
+
+
+def take_hold(world: RobosuiteWorld, robot: coopqp.RobotModel, dt: float = DT) -> Array:
+    """Reach from above, go down, close; the joints that are commanded at the end."""
+    at = grasp_poses(world)
+    up = pin.SE3(np.eye(3), np.array([0.0, 0.0, ABOVE]))
+    above = reaching(robot, [up * X for X in at], np.atleast_2d(world.read())[0])
+    go(world, above, 1.0, dt)
+    q = go(world, reaching(robot, at, above), 0.7, dt)
+    go(world, q, 0.4, dt)  # the servos lag behind
+    world.grip = dict.fromkeys(world.arms, 1.0)
+    return go(world, q, 0.5, dt)
+
+
+def scenario_of(
+    world: RobosuiteWorld, robot: object, way: Way, duration: float, *, mass: float, dt: float = DT
+) -> Scenario:
+    """The pot goes along a way, held by both hands where they hold it now."""
+    pot, place = world.model.body("pot_root"), world.object
+    times = np.arange(0.0, duration - 0.01, 0.05)
+    ways = [Pose(position=tuple(X.translation), rpy=tuple(pin.rpy.matrixToRpy(X.rotation)))
+            for X in map(way, times)]  # fmt: skip
+    R = pin.Quaternion(*pot.iquat).matrix()
+    J = mass / pot.mass[0] * R @ np.diag(pot.inertia) @ R.T
+    q = np.atleast_2d(world.read())[0]
+    return Scenario(
+        name="two_arm_lift", robot=robot, grasps=Rigid(),
+        start=dict(zip(world.joints, q.tolist(), strict=True)),
+        held=HeldObject(
+            size=(0.14, 0.14, 0.14), mass=mass, com=tuple(pot.ipos),
+            inertia=tuple(J[np.triu_indices(3)]),
+            pose=Pose(position=tuple(place.translation),
+                      rpy=tuple(pin.rpy.matrixToRpy(place.rotation))),
+        ),
+        tasks=(PoseTask(goal=Waypoints(times=times.tolist(), values=ways), gain=5.0),),
+        controllers={law.name: law for law in LAWS},
+        dt=dt, duration=duration,
+    )  # fmt: skip
+
+
+def main() -> None:
+    import robosuite
+
+    ask = argparse.ArgumentParser()
+    ask.add_argument("--robots", nargs="+", default=["Panda", "Panda"])
+    ask.add_argument("--seed", type=int, default=0)
+    given = ask.parse_args()
+    env = robosuite.make(
+        "TwoArmLift", robots=given.robots, env_configuration="opposed", seed=given.seed,
+        controller_configs=[controllers(name) for name in given.robots], control_freq=round(1 / DT),
+        has_renderer=False, has_offscreen_renderer=False, use_camera_obs=False, horizon=10_000,
+    )  # fmt: skip
+    env.reset()
+    world = RobosuiteWorld(env)
+    robot = world.robot("out")
+    take_hold(world, robot.build())
+    begun, mass = world.object, float(world.model.body("pot_root").mass[0])
+
+    def way(t: float) -> pin.SE3:
+        up = minimum_jerk(t / 1.5) - minimum_jerk((t - 2.0) / 1.5)
+        return pin.SE3(begun.rotation, begun.translation + np.array([0.0, 0.0, 0.15 * up]))
+
+    scenario = scenario_of(world, robot, way, 4.0, mass=mass)
+    loop, lifted = coopqp.OnlineLoop(scenario, "qp", clock=None), False
+    for _ in range(scenario.ticks):
+        command = loop.tick(world.read())
+        world.write(loop.setpoint, command.v)
+        lifted |= bool(env._check_success())
+    world.grip = dict.fromkeys(world.arms, -1.0)
+    go(world, loop.setpoint.copy(), 0.5)
+    down = np.linalg.norm(world.object.translation - begun.translation)
+    print(f"{loop.ticks} ticks, lifted: {lifted}, put down within {1e3 * down:.1f} mm; {loop.note}")
+
+
+if __name__ == "__main__":
+    main()

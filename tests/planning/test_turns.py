@@ -1,0 +1,91 @@
+"""Parts of the closed configurations that no motion connects."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from scenario_files import needs_robots
+from side_by_side import needs_kernel
+
+from coopqp.base.spec import Array
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.planning.closed_space import Budget, ClosedSpace
+from coopqp.planning.plan import Planner, plan
+from coopqp.planning.reach import reach
+from coopqp.planning.turns import cut_off, parts
+from coopqp.scenario.loader import load
+
+pytestmark = [needs_kernel, needs_robots]
+
+NAMES = ("point_on_point", "baxter_tray", "two_pandas", "three_ur", "tiago_torso", "planar_pair")
+
+
+def _closed(space: ClosedSpace, count: int = 60) -> Array:
+    q = space.sample(np.random.default_rng(1), count)
+    return np.asarray(q[space.project(q)])
+
+
+def _turned(chain: ClosedChain, a: Array, b: Array) -> list[bool]:
+    """Whether each arm turns its end once round against the first arm's on the line from a to b.
+
+    By pinocchio: attitudes are followed in small steps, each lift the one near the one before.
+    """
+    data, lifts = chain.model.createData(), list[list[Array]]()
+    for q in np.linspace(a, b, 400):
+        pin.framesForwardKinematics(chain.model, data, q)
+        now = [pin.Quaternion(data.oMf[f].rotation).coeffs() for f in chain.frames[: chain.holding]]
+        if lifts:
+            now = [x if x @ y > 0.0 else -x for x, y in zip(now, lifts[-1], strict=True)]
+        lifts.append(now)
+    sides = [[float(x @ lift[0]) > 0.0 for x in lift[1:]] for lift in (lifts[0], lifts[-1])]
+    return [x != y for x, y in zip(*sides, strict=True)]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_parts_differ_where_a_hand_turns_once_round_against_another(name: str) -> None:
+    space = ClosedSpace(load(name).problem())
+    q = _closed(space)
+    found, start = parts(space.chain, q), parts(space.chain, space.chain.q_start[None])[0]
+    for row, part in zip(q[:20], found, strict=False):
+        assert _turned(space.chain, space.chain.q_start, row) == list(part != start)
+    assert len(np.unique(found, axis=0)) > 1
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_no_way_leaves_its_part(name: str) -> None:
+    """Trees that know nothing of parts find ways to configurations of the start's alone."""
+    space = ClosedSpace(load(name).problem())
+    q = _closed(space)
+    q = q[space.is_free(q)]
+    start, away = space.chain.q_start[None], cut_off(space.chain, q)
+    budget = Budget(seconds=1.0, shortcuts=0)
+    assert not len(space.way(start, q[away], replace(budget, seconds=0.3)).q)
+    assert len(space.way(start, q[~away], budget).q)
+
+
+def test_a_goal_of_another_part_is_proven_unreachable_at_once() -> None:
+    problem = load("two_pandas").problem()
+    planner = Planner(problem, 4.0)
+    q = _closed(planner.space)
+    q = q[planner.space.is_free(q)]
+    away = cut_off(problem.chain, q)
+    found = planner.plan(Budget(seconds=60.0), q[away])
+    assert not found.found
+    assert found.sentence.startswith("proven unreachable: no motion leads there: from the start's")
+    assert found.proven
+    assert planner.plan(Budget(seconds=60.0), q).found
+
+
+def test_plans_go_to_configurations_that_are_not_cut_off() -> None:
+    scenario = load("two_pandas")
+    found = reach(scenario)
+    chain = scenario.problem().chain
+    told = np.array([one.cut_off for one in found.found])
+    np.testing.assert_array_equal(told, cut_off(chain, np.array([one.q for one in found.found])))
+    assert told.any()
+    assert f"; {told.sum()} of them no motion leads to: from the start's" in found.sentence
+    way = plan(scenario, budget=Budget(seconds=60.0))
+    assert not cut_off(chain, way.q).any()
