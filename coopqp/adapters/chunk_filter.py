@@ -187,18 +187,42 @@ class ChunkFilter:
             raise InvalidValueError("start: where the arms are is needed before the first chunk")
         given = self._array(chunk)
         grips = self._gripped(given[:, GRIPPERS])
-        closed = np.concatenate([self._grips[None], grips]) <= self.settings.holds_below
-        both = np.asarray(closed.all(axis=1))
-        holding = both[1:] & both[:-1]
+        holding = self._holding(self._grips, grips)
         x, q, changed = self.units.joints(given), np.empty((len(given), len(ARMS))), []
         for first, end in _alike(holding):
             if not holding[first]:
                 self._hold = None
             elif self._hold is None:
-                self._hold = _Hold(self._chain.handed_over(self._q), self.settings, self._apart)
+                self._hold = self._taken(self._q)
             changed += self._segment(first, x[first:end], q[first:end], self._q)
             self._q = q[end - 1].copy()
         return self._found(chunk, given, grips, q, changed, holding)
+
+    def audit(self, recorded: Any) -> Iterator[Change]:
+        """What recorded frames break, each as it follows the recorded one before.
+
+        Args:
+            recorded: as for :meth:`filter_chunk`, an episode; nothing of the filter changes.
+        """
+        given = self._array(recorded)
+        x, grips = self.units.joints(given), given[:, GRIPPERS]
+        for first, end in _alike(self._holding(grips[0], grips)) if len(x) else ():
+            before = np.concatenate([x[max(first - 1, 0)][None], x[first : end - 1]])
+            holds = self._holding(grips[0], grips)[first] and np.isfinite(before[0]).all()
+            hold = self._taken(before[0]) if holds else None
+            fine, _ = self._fine(x[first:end], hold)
+            follows = self._follows(x[first:end], before, fine)
+            for k in np.flatnonzero(~follows).tolist():
+                yield from self._arms(first + k, given[first + k], _Asked(k, before[k], hold))
+
+    def _holding(self, first: Array, grips: Array) -> NDArray[np.bool_]:
+        """In which frames both grippers are closed that were so before."""
+        closed = np.concatenate([first[None], grips]) <= self.settings.holds_below
+        both = np.asarray(closed.all(axis=1))
+        return both[1:] & both[:-1]
+
+    def _taken(self, q: Array) -> _Hold:
+        return _Hold(self._chain.handed_over(q), self.settings, self._apart)
 
     def _begin(self, start: Any) -> None:
         (row,) = self._array([start] if isinstance(start, Mapping) else np.reshape(start, (1, -1)))
@@ -239,12 +263,7 @@ class ChunkFilter:
     def _segment(self, first: int, x: Array, q: Array, now: Array) -> list[_Asked]:
         """Write q of frames in which the same hands hold; those that are not as asked, and why."""
         hold, asked, k, as_given = self._hold, list[_Asked](), 0, True
-        inside = np.isfinite(x) & (x >= self.lower - ROUNDING) & (x <= self.upper + ROUNDING)
-        fine, x = np.asarray(inside.all(axis=1)), _filled(x, now)
-        gap = np.zeros((len(x), 0))
-        if hold:
-            gap, closed = hold.wanted(x)
-            fine = fine & closed
+        x, (fine, gap) = _filled(x, now), self._fine(x, hold)
         follows = self._follows(x, np.concatenate([now[None], x[:-1]]), fine)
         q[:] = x
         while k < len(x):
@@ -260,6 +279,15 @@ class ChunkFilter:
                 q[k] = now = self._nearest(now, x[k], gap[k], hold)
                 as_given, k = False, k + 1
         return asked
+
+    def _fine(self, x: Array, hold: _Hold | None) -> tuple[NDArray[np.bool_], Array]:
+        """Which frames keep ranges and the loop, and the loop's offset that they ask for."""
+        inside = np.isfinite(x) & (x >= self.lower - ROUNDING) & (x <= self.upper + ROUNDING)
+        fine, gap = np.asarray(inside.all(axis=1)), np.zeros((len(x), 0))
+        if hold:
+            gap, closed = hold.wanted(np.nan_to_num(x))
+            fine = fine & closed
+        return fine, gap
 
     def _follows(self, x: Array, before: Array, fine: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Which frames can be reached from the one before as they are, of those that are fine."""

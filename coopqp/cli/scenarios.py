@@ -11,6 +11,7 @@ import click
 
 from coopqp.base.errors import CoopqpError, Fault, ScenarioError
 from coopqp.cli.options import (
+    FOLDER,
     JSON,
     SCENARIO,
     SOLVER,
@@ -221,6 +222,37 @@ def check_robot(scenario: str, driver: Path | None, posed: bool, catalog: Any) -
     if not found.ok:
         raise CoopqpError(str(found))
     say(str(found), aside=False)
+
+
+@click.command()
+@click.argument("dataset", type=FOLDER)
+@click.option("--scenario", default="two_so101", help="With the robot; two_so101 if omitted.")
+@click.option("--column", type=click.Choice(["action", "observation.state"]), default="action")
+@click.option("--calibration", nargs=2, type=click.Path(exists=True), metavar="LEFT RIGHT",
+              help="LeRobot's files: their ranges bound the joints.")  # fmt: skip
+@click.option("--shares", is_flag=True, help="Joints are -100 to 100 of their range, not degrees.")
+@click.option("--distance", type=_Range(0.0), default=0.01, help="Between the arms [m].")
+@click.option("--loop", type=_Range(0.0, min_open=True), default=1e-3, help="May open by [m].")
+@catalogued
+def audit(
+    dataset: Path, scenario: str, column: str, calibration: tuple[str, str] | None, shares: bool,
+    distance: float, loop: float, catalog: Any,
+) -> None:  # fmt: skip
+    """Tell which recorded frames of a LeRobot dataset break limits, distances or the loop.
+
+    DATASET is the folder of two SO-101 with meta/info.json, version 3.0.
+    """
+    from coopqp.adapters.dataset import audit as look
+    from coopqp.adapters.motors import MotorUnits
+
+    degrees = not shares
+    units = MotorUnits.read(*calibration, use_degrees=degrees) if calibration else MotorUnits(
+        use_degrees=degrees
+    )  # fmt: skip
+    loaded = read_scenario(scenario, catalog)
+    kept = {"distance": distance, "loop_position": loop}
+    for episode in look(dataset, loaded, units, column=column, **kept):
+        click.echo(str(episode))
 
 
 def _driver(file: Path, scenario: Any) -> Any:

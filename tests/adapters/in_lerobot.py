@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from lerobot.processor import RobotProcessorPipeline
 from lerobot.processor.converters import (
     robot_action_observation_to_transition,
@@ -31,6 +32,7 @@ from lerobot_robot_coopqp import (
 
 import coopqp
 from adapters.servos import Servos
+from coopqp.adapters.dataset import audit
 from coopqp.adapters.motors import ARMS, GRIPPERS, KEYS, SIDES
 
 FPS, DT = 30.0, 1.0 / 30.0
@@ -192,9 +194,28 @@ def checks_leaders(folder: Path) -> str:
     return f"leaders: one went by 4.9 degrees, both hands by {np.round(moved, 1).tolist()}"
 
 
+def checks_dataset(folder: Path) -> str:
+    """A dataset that LeRobot itself has written is audited; one jump is found."""
+    feature = {"dtype": "float32", "shape": (12,), "names": list(KEYS)}
+    made = LeRobotDataset.create(
+        "me/pair", 30, {"action": feature, "observation.state": feature},
+        root=folder / "set", use_videos=False,
+    )  # fmt: skip
+    for episode in range(2):
+        for k in range(40):
+            row = np.full(12, 80.0, np.float32)
+            row[ARMS] = START + (30.0 if episode and k >= 20 else 0.0) * (np.arange(10) == 1)
+            made.add_frame({"action": row, "observation.state": row, "task": "lift the bar"})
+        made.save_episode()
+    made.finalize()
+    found = list(audit(folder / "set", coopqp.load("two_so101")))
+    assert [len(each.broken) for each in found] == [0, 1], [str(each) for each in found]
+    return f"dataset: {found[1].broken[0]}"
+
+
 def main() -> None:
     register_third_party_plugins()
-    for check in (checks_robot, checks_step, checks_leaders):
+    for check in (checks_robot, checks_step, checks_leaders, checks_dataset):
         with tempfile.TemporaryDirectory() as folder:
             sys.stdout.write(check(Path(folder)) + "\n")
 

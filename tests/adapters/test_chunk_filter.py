@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scenario_files import LOADABLE
 
-from adapters.adversarial import FRAMES, KINDS, Trial
+from adapters.adversarial import FRAMES, KINDS, Trial, draw
 from adapters.so101_oracle import START
 from coopqp.adapters.chunk_filter import ChunkFilter
 from coopqp.adapters.motors import ARMS, KEYS, MotorUnits
@@ -77,6 +77,20 @@ def test_adversarial_chunks_keep_all_limits_and_move_on(trial: Trial, seed: int)
     judged = trial.one(seed)
     assert judged.broken == []
     assert judged.unnamed == judged.frozen == 0
+
+
+@pytest.mark.parametrize("kind", ["jumps", "still", "out of range", "holes"])
+@pytest.mark.parametrize("grips", [10.0, 80.0])
+def test_leaders_frame_by_frame_are_filtered_as_a_chunk_is(
+    chunks: ChunkFilter, kind: str, grips: float
+) -> None:
+    asked = frames(draw(np.random.default_rng(1), START, kind), grips)
+    start = frames(START[None], grips)[0]
+    whole = chunks.filter_chunk(asked, start)
+    chunks.reset()
+    one_by_one = [chunks.filter_chunk(row[None], start if k == 0 else None).actions[0]
+                  for k, row in enumerate(asked)]  # fmt: skip
+    np.testing.assert_allclose(one_by_one, whole.actions, rtol=0.0, atol=1e-6)
 
 
 def test_sound_chunks_come_back_as_they_are(chunks: ChunkFilter) -> None:

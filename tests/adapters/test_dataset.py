@@ -1,0 +1,83 @@
+"""Recorded episodes of two SO-101: frames that break limits are found, with the right names."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scenario_files import LOADABLE
+
+from adapters.so101_oracle import START
+from coopqp.adapters.dataset import audit
+from coopqp.adapters.motors import ARMS, KEYS
+from coopqp.base.errors import CoopqpError
+from coopqp.base.spec import Array
+from coopqp.cli import main
+from coopqp.kernel import native
+from coopqp.scenario.loader import load
+
+pa = pytest.importorskip("pyarrow")
+pytestmark = [
+    pytest.mark.skipif(native.module() is None, reason="the kernel is not built"),
+    pytest.mark.skipif("two_so101" not in LOADABLE, reason="needs example-robot-data"),
+]
+
+
+def written(folder: Path, *episodes: Array) -> Path:
+    """A dataset as LeRobot writes it, as far as an audit reads it."""
+    import pyarrow.parquet
+
+    info = {"codebase_version": "v3.0", "fps": 30, "features": {
+        "action": {"dtype": "float32", "shape": [12], "names": list(KEYS)}}}  # fmt: skip
+    data = folder / "data" / "chunk-000"
+    data.mkdir(parents=True)
+    (folder / "meta").mkdir()
+    (folder / "meta" / "info.json").write_text(json.dumps(info))
+    columns = {
+        "action": pa.array([row.tolist() for each in episodes for row in each],
+                           pa.list_(pa.float32(), 12)),
+        "episode_index": [k for k, each in enumerate(episodes) for _ in each],
+        "frame_index": [k for each in episodes for k in range(len(each))],
+    }  # fmt: skip
+    pyarrow.parquet.write_table(pa.table(columns), data / "file-000.parquet")
+    return folder
+
+
+def episode(grips: float) -> Array:
+    rows = np.full((50, len(KEYS)), grips)
+    t = np.arange(50)[:, None] / 30.0
+    rows[:, ARMS] = np.degrees(START) + 3.0 * np.sin(t) * (np.arange(10) == 1)
+    return rows
+
+
+def test_each_broken_frame_is_found_and_no_other(tmp_path: Path) -> None:
+    sound, fast, low = episode(80.0), episode(80.0), episode(80.0)
+    fast[20:, 1] += 30.0
+    low[10, 2] = 98.0  # of 96.8 degrees
+    found = list(audit(written(tmp_path, sound, fast, low), load("two_so101")))
+    assert [len(each.broken) for each in found[:2]] == [0, 1]
+    (jump,) = found[1].broken
+    assert (jump.frame, jump.limit, jump.names) == (
+        20, "joint_velocity", ("left_shoulder_lift.pos",),
+    )  # fmt: skip
+    assert {(c.frame, c.limit) for c in found[2].broken} >= {(10, "joint_position")}
+    assert {c.frame for c in found[2].broken} <= {10, 11}
+
+
+def test_hands_that_part_are_found_while_both_hold(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = written(tmp_path, episode(10.0))
+    (found,) = audit(folder, load("two_so101"))
+    assert {change.limit for change in found.broken} == {"loop"}
+    with pytest.raises(SystemExit):
+        main(["audit", str(folder)])
+    said = capsys.readouterr().out
+    assert "episode 0: 48 of 50 frames broken: loop 48\n  frame 2: loop" in said
+
+
+def test_a_folder_that_is_none_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(CoopqpError, match=r"info\.json: is no dataset v3\.0 with action"):
+        list(audit(tmp_path, load("two_so101")))
