@@ -247,10 +247,11 @@ class _Check:
         k = int(self._own[np.argmax(np.abs(off / self._way)[self._own])])
         if not self.stopped and abs(off[k]) > ELSEWHERE * self._way[k]:
             name, unit = self._chain.joint_names[k], self._chain.joint_units[k]
-            words = "its sign, units or place in the order of joints"
+            words = "its sign, units or place in the order of joints are wrong"
             hint = staying_mistake(self._chain, self._rest, np.where(self._ours, off, 0.0))
-            told = f"moves by {off[k]:+.2g} {unit} although it is told to stay"
-            self.faults[name] = f"{told}: {f'{hint}?' if hint else f'{words} are wrong'}"
+            # One joint's way back through zero does not tell a sign from a unit.
+            words = words if hint in ("", f"sign of {name}") else f"{hint}?"
+            self.faults[name] = f"moves by {off[k]:+.2g} {unit} although it is told to stay: {words}"
             self.end(f"{name} does not stay; the arm may go on moving: switch its motors off")
 
     def _go(self, i: int, goal: float, *, back: bool = False) -> float:

@@ -115,7 +115,7 @@ def names(robot: BusRobot, words: str) -> bool:
     """Whether the words tell the joint and what is wrong with it, or the arms, or the units."""
     joint = scenario().chain.joint_names[robot.joint]
     asked = {
-        "sign": (f"sign of {joint}", "its sign?", "the other way"),
+        "sign": (f"sign of {joint}", "its sign", "the other way"),
         "swapped": ("swapped?", "swapped or"),
         "dead": ("is its motor on, its encoder alive",),
         "silent": ("reads nan", "no finite number"),
