@@ -251,7 +251,9 @@ class _Check:
             hint = staying_mistake(self._chain, self._rest, np.where(self._ours, off, 0.0))
             # One joint's way back through zero does not tell a sign from a unit.
             words = words if hint in ("", f"sign of {name}") else f"{hint}?"
-            self.faults[name] = f"moves by {off[k]:+.2g} {unit} although it is told to stay: {words}"
+            self.faults[name] = (
+                f"moves by {off[k]:+.2g} {unit} although it is told to stay: {words}"
+            )
             self.end(f"{name} does not stay; the arm may go on moving: switch its motors off")
 
     def _go(self, i: int, goal: float, *, back: bool = False) -> float:

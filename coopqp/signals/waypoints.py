@@ -12,6 +12,7 @@ way. Between values at x_i, with s the share of the segment,
 from __future__ import annotations
 
 from bisect import bisect_right
+from functools import cached_property
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -88,14 +89,21 @@ class Waypoints(Signal):
                 raise ValueError(f"times: found {t:g} s after {before:g} s; they need to rise")
 
     def bind(self, kind: Kind, start: Instant, here: Array | None) -> Trajectory:
-        t, values = self._table(kind)
-        round_trip = self.repeat == "round"
-        if round_trip and not _same(kind, values):
-            raise InvalidValueError("waypoints: repeat: round needs the last value to be the first")
-        way = _Way(kind, t, values, self)
+        if kind not in self._tracks:
+            t, values = self._table(kind)
+            if self.repeat == "round" and not _same(kind, values):
+                words = "repeat: round needs the last value to be the first"
+                raise InvalidValueError(f"waypoints: {words}")
+            self._tracks[kind] = _Track(kind, t, values, self)
+        way = _Way(kind, self._tracks[kind])
         if self.clock and kind.each:
             start.inputs.ways[self.clock, kind.columns] = way
         return way
+
+    @cached_property
+    def _tracks(self) -> dict[Kind, _Track]:
+        """As bound before, by kind: pages bind a reference at each instant that they show."""
+        return {}
 
     @property
     def rest(self) -> float:
@@ -180,16 +188,13 @@ def shortest_turn(a: Array, b: Array, place: str = "") -> Array:
     return R
 
 
-class _Way(Trajectory):
-    """Along the way-points."""
-
-    moves = True
+class _Track:
+    """Way-points with what is between them; it does not change."""
 
     def __init__(self, kind: Kind, t: Array, values: Array, waypoints: Waypoints) -> None:
-        super().__init__(kind, values[0])
         k, between = kind.numbers, waypoints.between
-        self._repeat, self._begin, self._length = waypoints.repeat, t[0], float(t[-1] - t[0])
-        self._clock = waypoints.clock
+        self.first, self.clock, self.begin = values[0].copy(), waypoints.clock, t[0]
+        self._repeat, self._length = waypoints.repeat, float(t[-1] - t[0])
         round_trip = self._repeat == "round"
         if kind.turns:
             values[:, k:] = same_side(values[:, k:])
@@ -200,24 +205,10 @@ class _Way(Trajectory):
             self._length *= 2.0
         if round_trip:
             values[-1] = values[0]  # but for rounding
-        self._pieces = pieces(t, values[:, :k], between, round_trip=round_trip) if k else None
-        self._turns = (
-            Turns(t, values[:, k:], between, round_trip=round_trip) if kind.turns else None
-        )
-        self._parts = self.value[:k], self.value[k:], self.rate[:k], self.rate[k:]
+        self.pieces = pieces(t, values[:, :k], between, round_trip=round_trip) if k else None
+        self.turns = Turns(t, values[:, k:], between, round_trip=round_trip) if kind.turns else None
 
-    def update(self, at: Instant) -> None:
-        clock = at.inputs.get(self._clock)
-        t, pace = (at.t, 1.0) if clock is None else (float(clock.value[0]), float(clock.rate[0]))
-        gone, direction = self._gone(t - self._begin)
-        numbers, quaternion, rate, omega = self._parts
-        if self._pieces is not None:
-            self._pieces.at(self._begin + gone, numbers, rate)
-        if self._turns is not None:
-            self._turns.at(self._begin + gone, quaternion, omega)
-        np.multiply(self.rate, direction * pace, self.rate)
-
-    def _gone(self, t: float) -> tuple[float, float]:
+    def gone(self, t: float) -> tuple[float, float]:
         """Time along the way, and its rate: 1, 0 at rest, -1 on the way back."""
         length = self._length
         if t <= 0.0:
@@ -228,6 +219,29 @@ class _Way(Trajectory):
             return t % length, 1.0
         back, gone = divmod(t, length)
         return (length - gone, -1.0) if back % 2.0 else (gone, 1.0)
+
+
+class _Way(Trajectory):
+    """Along the way-points."""
+
+    moves = True
+
+    def __init__(self, kind: Kind, track: _Track) -> None:
+        super().__init__(kind, track.first)
+        self._track, k = track, kind.numbers
+        self._parts = self.value[:k], self.value[k:], self.rate[:k], self.rate[k:]
+
+    def update(self, at: Instant) -> None:
+        track = self._track
+        clock = at.inputs.get(track.clock)
+        t, pace = (at.t, 1.0) if clock is None else (float(clock.value[0]), float(clock.rate[0]))
+        gone, direction = track.gone(t - track.begin)
+        numbers, quaternion, rate, omega = self._parts
+        if track.pieces is not None:
+            track.pieces.at(track.begin + gone, numbers, rate)
+        if track.turns is not None:
+            track.turns.at(track.begin + gone, quaternion, omega)
+        np.multiply(self.rate, direction * pace, self.rate)
 
 
 class Pieces:
@@ -266,7 +280,6 @@ class Turns:
 
     def __init__(self, t: Array, quaternions: Array, between: Between, *, round_trip: bool) -> None:
         self._spline: Pieces | None = None
-        self._q, self._q_dot = np.zeros(4), np.zeros(4)
         if between == "cubic":
             self._spline = pieces(t, quaternions, between, round_trip=round_trip)
             return
@@ -274,18 +287,19 @@ class Turns:
         self._phi = [pin.log3(b @ a.T) for a, b in zip(self._R, self._R[1:], strict=False)]
         shares = np.arange(len(t), dtype=float)[:, None]
         self._share = pieces(t, shares, between, round_trip=False)
-        self._s, self._s_dot = np.zeros(1), np.zeros(1)
 
     def at(self, t: float, value: Array, rate: Array) -> None:
         """Write quaternion and angular velocity, shapes (4,) and (3,) [rad/s]."""
         if self._spline is not None:
-            self._spline.at(t, self._q, self._q_dot)
-            _normalised(self._q, self._q_dot, value, rate)
+            q, q_dot = np.empty(4), np.empty(4)
+            self._spline.at(t, q, q_dot)
+            _normalised(q, q_dot, value, rate)
             return
         i = min(max(bisect_right(self._t, t) - 1, 0), len(self._phi) - 1)
-        self._share.at(t, self._s, self._s_dot)
-        value[:] = quaternion_of(pin.exp3(self._phi[i] * (self._s[0] - i)).dot(self._R[i]))
-        np.multiply(self._phi[i], self._s_dot[0], rate)
+        share, share_dot = np.empty(1), np.empty(1)
+        self._share.at(t, share, share_dot)
+        value[:] = quaternion_of(pin.exp3(self._phi[i] * (share[0] - i)).dot(self._R[i]))
+        np.multiply(self._phi[i], share_dot[0], rate)
 
 
 def _normalised(q: Array, q_dot: Array, value: Array, rate: Array) -> None:
