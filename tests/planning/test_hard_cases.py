@@ -91,7 +91,8 @@ def _pressed(mass: float) -> Scenario:
 
 def test_hands_have_to_hold_the_object_where_it_is_to_go() -> None:
     assert reach(_pressed(0.2)).found
-    found = reach(_pressed(0.8), starts=256)
+    with patch("coopqp.planning.reach.MOST", 512):  # all of its starts take a quarter of a minute
+        found = reach(_pressed(0.8))
     assert not found.found
     assert not found.proven
     assert "found, but hands hold at most" in found.sentence
