@@ -178,8 +178,8 @@ def _figure(figure: Figure) -> str:
 def how_to_read(comparison: Comparison) -> Iterator[str]:
     """Paragraphs: the closed loop, what forces are in the run, and what the laws do."""
     yield (
-        "All arms hold one object, so the joints are not free: whatever they do, every hand has "
-        "to stay where it holds the object. This condition is the closed loop. The loop error is "
+        "Joints of arms that hold one object are not free: whatever they do, every hand has to "
+        "stay where it holds the object. This condition is the closed loop. The loop error is "
         "what steps of finite length leave; Baumgarte stabilisation with the gain κ pulls it back."
     )
     yield _of_motors(comparison)

@@ -108,9 +108,10 @@ def limits_table(found: TimedPath, tried: dict[str, float]) -> Table:
 
 
 def timed_svg(found: TimedPath) -> str:
-    """The rate along the path in the colour of what is active there, under what is possible."""
+    """The speed along the path in the colour of what is active there, under what is possible."""
     way, shown = found.profile, [name for name in found.shares if name != NOTHING]
     colors = dict(zip(shown, COLORS, strict=False)) | {NOTHING: "#999999"}
+    others = sum(found.shares[name] for name in shown[len(COLORS) :])
     top = 1.05 * float(np.sqrt(way.most.max()))
     x = MARGIN + (WIDTH - 2 * MARGIN) * way.s / way.s[-1]
     low = HEIGHT - MARGIN
@@ -128,11 +129,15 @@ def timed_svg(found: TimedPath) -> str:
     pairs = list(zip(x, y, strict=True))
     for k, name in enumerate(found.active):
         parts.append(line(pairs[k : k + 2], colors.get(name, BLACK), 3.0))
-    said = [(MARGIN, HEIGHT - 12, BLACK, f"way of the joints, 0 to {way.s[-1]:.3g} rad")]
-    said += [(MARGIN, MARGIN - 8, BLACK, f"rate along it, up to {top:.3g} rad/s; grey: possible")]
+    said = [(MARGIN, HEIGHT - 12, BLACK, f"length of the path, 0 to {way.s[-1]:.3g} rad")]
+    title = f"speed along the path, up to {top:.3g} rad/s; grey: what limits allow"
+    said.append((MARGIN, MARGIN - 8, BLACK, title))
     for k, (name, color) in enumerate(colors.items()):
         spent = found.shares.get(name, 0.0) * found.duration
         said.append((WIDTH, MARGIN + 18 * k, color, f"{name}: {spent:.3f} s"))
+    if others:
+        words = f"other limits: {others * found.duration:.3f} s"
+        said.append((WIDTH, MARGIN + 18 * len(colors), BLACK, words))
     for a, b, color, words in said:
         parts.append(f'<text x="{a}" y="{b}" fill="{color}">{text(words)}</text>')
     look = f'width="{WIDTH + 280}" height="{HEIGHT}" font-family="sans-serif" font-size="13"'
