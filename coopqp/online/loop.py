@@ -17,6 +17,7 @@ import functools
 import threading
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -401,21 +402,26 @@ class OnlineLoop:
             self._waiting.keep(q, inputs)
             return self._hold(left)
         try:
-            command = self._tick(*self._waiting.take(q, inputs), now)
+            command = self._say(self._tick(*self._waiting.take(q, inputs), now))
+            self._keep(command, now, before)
         except Exception as error:  # noqa: BLE001 - a robot must not be left alone with its speed
-            command = self._refuse(Status.RAISED, raised(error))
-        self._say(command)
+            command = self._say(self._refuse(Status.RAISED, raised(error)))
+            with suppress(Exception):  # the state's own arrays may be others by now
+                self._keep(command, now, before)
         self._last = command
-        state, history = self._phases.now.state, self.history
-        measured = self._no_reading if self._wrong else self._readings.q
-        i = history.add(now, state, measured, command, self.setpoint)
-        history.us[i] = us = 1e-3 * (time.perf_counter_ns() - before)
-        self._keeper.tick(state, command, us)
         self.ticks += 1
         if self._built:
             self.watch.forget()
         self._built = False
         return command
+
+    def _keep(self, command: Command, now: float, before: int) -> None:
+        """Record a tick that began at a time of the machine's clock [ns]."""
+        state, history = self._phases.now.state, self.history
+        measured = self._no_reading if self._wrong else self._readings.q
+        i = history.add(now, state, measured, command, self.setpoint)
+        history.us[i] = us = 1e-3 * (time.perf_counter_ns() - before)
+        self._keeper.tick(state, command, us)
 
     def flush(self) -> None:
         """Write what is new of the session, in the rest of a period."""
