@@ -397,9 +397,11 @@ def test_nothing_is_raised_or_printed(capfd: Any, rng: Any) -> None:
 @pytest.mark.parametrize("of", ["state", "loop"])
 def test_arrays_of_another_shape_are_an_error_of_the_tick(bad: Any, of: str) -> None:
     """Whoever puts them into the state, or in the setpoint's place, leaves the arms at rest."""
-    loop, robot = simulated(follows())
-    go(loop, robot, 5)
+    scenario = follows()
+    loop, q = OnlineLoop(scenario, clock=None), scenario.chain.q_start
+    for _ in range(5):
+        loop.tick(q)
     setattr(*((loop.state, "q", bad) if of == "state" else (loop, "setpoint", bad)))
     for _ in range(3):
-        assert loop.tick(robot.q).causes == (Status.RAISED,)
+        assert loop.tick(q).causes == (Status.RAISED,)
         assert not loop.command.v.any()
