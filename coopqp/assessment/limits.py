@@ -165,14 +165,28 @@ class Audit:
     unaudited: tuple[str, ...]
 
 
-def audit(limits: Sequence[Limit], chain: ClosedChain, q: Array, v: Array, dt: float) -> Audit:
-    """Ask limits what they had left; q has shape (T + 1, n) [rad, m], v (T, n) [rad/s, m/s]."""
+def audit(
+    limits: Sequence[Limit],
+    chain: ClosedChain,
+    q: Array,
+    v: Array,
+    dt: float,
+    before: Array | None = None,
+) -> Audit:
+    """Ask limits what they had left; q has shape (T + 1, n) [rad, m], v (T, n) [rad/s, m/s].
+
+    ``before`` is the velocity of the tick before the first, shape (n,); at rest when omitted.
+    """
+    start, first = q[:1], 0
+    if before is not None and before.any():
+        # Limits take what comes before v for rest, so the tick before goes with it.
+        q, v, first = np.vstack([start - dt * before, q]), np.vstack([before[None], v]), 1
     margins, starts, unaudited = dict[Row, Array](), dict[Row, float](), list[str]()
     for limit in limits:
         name = type_name(type(limit))
         try:
-            own = left(limit, chain, q, v, dt)
-            begun = left(limit, chain, q[[0, 0]], np.zeros_like(q[:1]), dt)
+            own = {row: of[first:] for row, of in left(limit, chain, q, v, dt).items()}
+            begun = left(limit, chain, start[[0, 0]], np.zeros_like(start), dt)
             if not limit.audited(chain):
                 unaudited.append(name)
         except InvalidValueError as error:

@@ -47,6 +47,10 @@ class Command(click.Command):
                 return result
         except (click.ClickException, click.exceptions.Exit, BrokenPipeError):
             raise
+        except SystemExit as error:
+            if isinstance(error.__context__, BrokenPipeError):  # rich makes this of it
+                raise error.__context__ from None
+            code, words = _ending(error)
         except BaseException as error:  # noqa: BLE001 - the last resort; code of users may exit
             code, words = _ending(error)
             if debug and code == OUR_FAULT:

@@ -208,7 +208,7 @@ class _Recorder:
         self.commanded, self.gap = np.zeros((ticks, n)), np.zeros((ticks, len(start.gap)))
         self.measured = np.full((ticks, n), np.nan)
         self.memory = np.zeros((ticks, sum(law.memory_sizes.values())))
-        self._remembered = start.memory.numbers.copy()
+        self._remembered, self._v_before = start.memory.numbers.copy(), start.v.copy()
         self.tick_us, self.compiled = np.full(ticks, np.nan), np.zeros(ticks, bool)
         self.rows_us = np.full(ticks, np.nan)
         self.usable = np.ones(ticks, bool)
@@ -305,7 +305,7 @@ class _Recorder:
         problem, instants = self._law.problem, self.instants
         chain = problem.chain
         instants.follow(self.t, self.q, self.v, self._gap)
-        kept = audit(problem.limits, chain, self.q, self.v, problem.dt)
+        kept = audit(problem.limits, chain, self.q, self.v, problem.dt, self._v_before)
         return Trace(
             controller=controller,
             solver=solver,

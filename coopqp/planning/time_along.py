@@ -273,6 +273,9 @@ def time_along(
         wrench = PRESSING if pressing else WRENCH
     _check(points=points, torque=torque, wrench=wrench, safety=safety, speed=speed, rise=rise)
     points = int(points)
+    if len({phase.released for phase in scenario.schedule}) > 1:
+        words = "arms let go between them; time a scenario of each one by itself"
+        raise InvalidValueError(f"phases: found {len(scenario.phases)}, needs one grasp: {words}")
     smooth = closed_path(chain, _points(path, scenario, controller))
     maker = RowMaker(smooth, bounds_of(scenario, torque, wrench, safety))
     return eased(fastest(maker, points, speed), rise)

@@ -65,10 +65,18 @@ def trace_from_file(path: Path | Run, scenario: Scenario, controller: str) -> Tr
     q = run.joints("q", held.chain.joint_names)
     ends = pairwise((*held.first_ticks, ticks))
     phases = zip(held.problems(lambda first: q[first]), held.schedule, ends, strict=True)
+    v = np.nan_to_num(run.joints("v", held.chain.joint_names, empty=True))
     parts = [
         (
             PhaseInfo(phase.name, first, phase.released),
-            _phase(run.only(slice(first, end + 1)), held, phase, problem, supports),
+            _phase(
+                run.only(slice(first, end + 1)),
+                held,
+                phase,
+                problem,
+                supports,
+                v[first - 1] if first else None,
+            ),
         )
         for problem, phase, (first, end) in phases
     ]
@@ -102,7 +110,12 @@ def worth_explaining(run: Run, scenario: Scenario) -> Trace:
 
 
 def _phase(
-    run: Run, scenario: Scenario, phase: Phase, problem: ControlProblem, supports: Features
+    run: Run,
+    scenario: Scenario,
+    phase: Phase,
+    problem: ControlProblem,
+    supports: Features,
+    v_before: Array | None,
 ) -> Trace:
     """The rows of one phase, with its end."""
     chain, dt, told = problem.chain, problem.dt, run.only(slice(-1))
@@ -120,7 +133,7 @@ def _phase(
     e, rate = (run.numbers(of_field(name, layout), empty=True) for name in ("e", "rate"))
     causes = [causes_of(word)[0] for word in told.columns["status"]]
     failed = [(k, cause.value) for k, cause in enumerate(causes) if not cause.usable]
-    kept = audit(problem.limits, chain, q, v, dt)
+    kept = audit(problem.limits, chain, q, v, dt, v_before)
     return Trace(
         controller=run.controllers[0], solver=None, engine=None, dt=dt, kappa=problem.kappa,
         joints=joints, units=chain.joint_units, lower=chain.lower, upper=chain.upper,

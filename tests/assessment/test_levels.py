@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from explained import traced
+from scenario_files import HEAD, TAIL, phased
 
 import coopqp
 from coopqp.assessment import assess
@@ -18,6 +19,7 @@ from coopqp.limits import JointAcceleration
 from coopqp.model.profile import Profile
 from coopqp.recordings.known import read
 from coopqp.report.cells import cells
+from coopqp.report.files import write
 from coopqp.report.page import how_to_read
 from coopqp.scenario.scenario import Scenario
 from coopqp.study.explanation import RunExplanation, explain_run
@@ -158,3 +160,35 @@ def test_how_to_read_says_what_is_allowed_and_what_a_tick_must_be() -> None:
     (said,) = (p for p in how_to_read(summarize(scenario, {"qp": trace})) if "OnlineLoop" in p)
     assert "joint_acceleration in the scenario's limits bounds it here as well" in said
     assert "stay below the control period, 10 ms" in said
+
+
+MOVING = """\
+phases:
+  - name: first
+    duration: 0.5
+    tasks: [{point_on_point: {goal: [0.15, 0.0, 0.06], gain: 1.0,
+             profile: {kind: constant_velocity, duration: 0.5}}}]
+  - name: then
+    duration: 1.0
+    tasks: [{point_on_point: {goal: [0.15, 0.0, 0.08], gain: 5.0,
+             profile: {kind: constant_velocity, duration: 1.0}}}]
+limits: [joint_position, joint_velocity, {joint_acceleration: {max: 10}}]
+"""
+
+
+def test_a_phase_that_begins_in_motion_accelerates_from_there(tmp_path: Path) -> None:
+    """Live and read back: what the joints do between two phases is what its differences say."""
+    scenario = phased(tmp_path, HEAD + MOVING + TAIL)
+    compared = coopqp.compare(scenario)
+    write(compared, tmp_path / "out")
+    live = compared.traces["qp"]
+    again = trace_from_file(tmp_path / "out" / "trace.csv", scenario, "qp")
+    steps = np.abs(np.diff(live.v, axis=0)).max(axis=1) / scenario.dt
+    assert np.abs(live.v[49]).max() > 0.5
+    assert steps[49] > 9.0
+    for trace in (live, again):
+        margins = [m for row, m in trace.margins.items() if row.label.startswith("acceleration")]
+        assert len(margins) == 20
+        least = np.min(margins, axis=0)
+        np.testing.assert_allclose(least[1:], 10.0 - steps, atol=1e-6)
+        assert not assess(trace).broken

@@ -548,3 +548,10 @@ def test_options_out_of_range_are_refused(options: dict[str, Any], words: str) -
     scenario = load("point_on_point")
     with pytest.raises(InvalidValueError, match=words):
         time_along(random_way(scenario.chain, 0), scenario, **options)
+
+
+def test_phases_with_other_grasps_are_refused() -> None:
+    """The loops and loads of the first one are not those of the next."""
+    scenario = load("regrasp")
+    with pytest.raises(InvalidValueError, match="needs one grasp: arms let go between them"):
+        time_along(np.tile(scenario.chain.q_start, (3, 1)), scenario)
