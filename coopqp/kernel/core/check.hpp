@@ -109,6 +109,9 @@ class Check {
                y_.of_shares[std::size_t(k)];
     }
 
+    // The least step after which the rows of the answer judged last hold.
+    const double* restoring() const { return r_.step(); }
+
     // How much the answer judged last pulls at the loops.
     double loop_pull() const {
         double all = 0.0;
