@@ -170,27 +170,37 @@ class Cascade {
         return gives_way && optimal ? Status::Unproven : outcome.status;
     }
 
-    // Whether nothing is wrong with an answer but its last digits. Where rows do not hold to the last
-    // digit, something else is.
+    // Whether nothing is wrong with an answer but its last digits. Where rows do not hold nearly so,
+    // something else is.
     static bool is_short(const Outcome& found) {
         if (found.status == Status::Optimal) return found.off > SHORT_OF_DIGITS;
-        return found.status == Status::Inaccurate && found.gap <= HOLD;
+        return found.status == Status::Inaccurate && found.gap <= CLOSE;
     }
 
     // The outcome after the rest of the way to the optimum, which the gradient that the check has
-    // left tells, judged anew. What is worse than before is taken back.
+    // left tells, judged anew; where rows of what the check refused do not hold they are made to, and
+    // must. What is worse than before is taken back.
     Outcome refined(int l, int first, double d, const Outcome& found) {
         copy(kept_v_, v_, m_.blocks);
         copy(kept_V_, check_.V, 2);
         shares_.keep();
+        const bool lacks = found.status == Status::Inaccurate && found.gap > HOLD;
+        if (lacks) add(v_, check_.restoring(), 1.0, m_.blocks);
         go_on(l, first, d + levels_[std::size_t(l)].joint_weight);
         copy(check_.V, V_, 2);
         const Outcome outcome = check_.judge(l, first, d, v_, before_, constraints_);
-        if (outcome.status == Status::Optimal && outcome.off < found.off) return outcome;
+        const bool holds = !lacks || outcome.gap <= HOLD;
+        if (holds && outcome.off < found.off && is_of_use(l, outcome.status)) return outcome;
         copy(v_, kept_v_, m_.blocks);
         copy(check_.V, kept_V_, 2);
         shares_.take_back();
         return found;
+    }
+
+    // Shares beside hard tasks may matter little, Kernel::is_sure: they are of use as good as can be.
+    bool is_of_use(int l, Status status) const {
+        const bool beside = l == 0 && !levels_[0].aside.empty();
+        return status == Status::Optimal || (beside && status == Status::Inaccurate);
     }
 
     // A Newton step of a level, with the limits active that are.

@@ -26,7 +26,6 @@ struct Outcome {
     double off;   // estimate of |v - v*|
     double gap;   // by how much rows that must hold do not, but for what levels before left
     double astray = 0.0;  // the part of off that comes from these rows
-    double firm = 0.0;    // least multiplier that keeps a share at a bound
 };
 
 // Whether a share is at a bound, but for rounding.
@@ -98,7 +97,7 @@ class Check {
         else if (!(astray <= s_.budget.accuracy && off <= s_.budget.accuracy))
             outcome.status = Status::Inaccurate;
         outcome.off = off + astray;
-        if (l == 0) outcome.firm = firm();
+        if (l == 0) find_firm();
         outcome.astray = astray;
         return outcome;
     }
@@ -109,6 +108,9 @@ class Check {
         return SCALE_WEIGHT * (shares_.share(k) - levels_[0].best_share(k)) - y_.at_share(k) +
                y_.of_shares[std::size_t(k)];
     }
+
+    // The least step after which the rows of the answer judged last hold.
+    const double* restoring() const { return r_.step(); }
 
     // How much the answer judged last pulls at the loops.
     double loop_pull() const {
@@ -197,15 +199,13 @@ class Check {
         return squares * SCALE_WEIGHT / mu;
     }
 
-    // Least multiplier that keeps a share at one of its bounds.
-    double firm() const {
-        double least = std::numeric_limits<double>::infinity();
+    // What keeps each share at one of its bounds.
+    void find_firm() {
         for (int k = 0; k < shares_.count(); k++) {
             const double s = shares_.share(k);
             const double slope = SCALE_WEIGHT * (s - levels_[0].best_share(k)) - y_.at_share(k);
-            if (at_bound(s)) least = std::min(least, std::max(s < 0.5 ? slope : -slope, 0.0));
+            shares_.firm(k) = at_bound(s) ? std::max(s < 0.5 ? slope : -slope, 0.0) : 0.0;
         }
-        return least;
     }
 
     // Put v between its bounds; by how much it was not, squared.

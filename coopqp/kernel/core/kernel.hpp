@@ -308,7 +308,7 @@ class Kernel {
     Status come_near(Status whole, bool tried) {
         const bool optimal = whole == Status::Optimal;
         bool scales = levels[0].shares > 0;
-        off_ = off_in_shares_ = off_at_bounds_ = least_leaves_ = aside_ = 0.0;
+        off_ = off_in_shares_ = saving_ = least_leaves_ = aside_ = 0.0;
         copy(near_, tasks_.v(), m_->blocks);
         if (optimal) {
             nearest_.accept_hard(b_.data(), near_);
@@ -366,7 +366,7 @@ class Kernel {
             else if (status != Status::Optimal)
                 return status;
             off_in_shares_ = off_ * std::sqrt(std::min(d / SCALE_WEIGHT, 1.0));
-            off_at_bounds_ = std::min(off_in_shares_, off_ * off_ * d / (4.0 * found.firm));
+            saving_ = off_ * off_ * d / 4.0;
             copy(v, nearest_.beside().v(), m_->blocks);
             aside_ = nearest_.aside();
             leaves_ = level.shares ? std::max(leaves_, aside_) : 0.0;
@@ -388,12 +388,14 @@ class Kernel {
     //   by: 1, with t as large as it may be, and the shares as small; -1, the other way round; or 0.
     double leaves(const double* near, double by) {
         const double direction = leaves_direction(near, by);
-        return std::max(std::max(least_leaves_, moved(aside_, by)), direction);
+        return std::max(std::max(least_leaves_, moved(aside_, levels[0].shares, by)), direction);
     }
 
-    // A share that is larger by as much as it may be.
-    double moved(double share, double by) const {
-        const double most = at_bound(share) ? off_at_bounds_ : off_in_shares_;
+    // Share k, larger by as much as it may be.
+    double moved(double share, int k, double by) const {
+        if (by == 0.0) return share;
+        const double firm = shares_->firm(k);
+        const double most = firm > 0.0 ? std::min(off_in_shares_, saving_ / firm) : off_in_shares_;
         return std::min(std::max(share + by * most, 0.0), 1.0);
     }
 
@@ -411,7 +413,7 @@ class Kernel {
                 along += wanted * rows_.times(level, s, near, V_);
             }
             along = std::max(along, LEAST_SPEED * std::sqrt(wanted2));
-            const double share = moved(shares_->share(k), -by);
+            const double share = moved(shares_->share(k), k, -by);
             const double left = along > 0.0 ? std::max(1.0 - share * wanted2 / (LITTLE * along), 0.0) : 0.0;
             most = std::max(most, left * std::max(1.0 - share / WHOLE, 0.0));
         }
@@ -483,8 +485,9 @@ class Kernel {
     double leaves_ = 0.0;                  // how far scaled tasks leave their directions
     double least_leaves_ = 0.0, aside_ = 0.0;  // what of it hard tasks ask for: by what they lack, t
     // By how much the motion with the largest shares beside them may be off, and t and these shares, by
-    // strong convexity: W ds^2 + d dv^2 + firm |ds| <= d off |dv|, firm where a bound holds a share.
-    double off_ = 0.0, off_in_shares_ = 0.0, off_at_bounds_ = 0.0;
+    // strong convexity: N^2 + sum_k firm_k |ds_k| <= sqrt(d) off N, N^2 = W |ds|^2 + d |dv|^2, firm_k
+    // where a bound holds share k. So no firm_k |ds_k| is more than saving, d off^2 / 4.
+    double off_ = 0.0, off_in_shares_ = 0.0, saving_ = 0.0;
     bool near_scaled_ = false;             // whether their nearest motion was looked for
     double *set_out_, *v_, *last_, *near_, *V_, *t_;
     bool comes_back_ = false;

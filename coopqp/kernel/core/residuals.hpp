@@ -43,6 +43,9 @@ class Residuals {
         return std::sqrt(dot(step_, step_, m_.blocks));
     }
 
+    // That step.
+    const double* step() const { return step_; }
+
   private:
     bool limits_hold(const double* v, const Constraints& c) {
         if (!c.nearest.active) return true;

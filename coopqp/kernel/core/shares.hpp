@@ -21,17 +21,22 @@ class Shares {
     // Of the first level.
     Shares(const Level& level, Hierarchy& hierarchy, int lanes, Arena& arena)
         : level_(level), hierarchy_(hierarchy), count_(level.shares), exact_(level.exact), lanes_(lanes),
-          width_(hierarchy.width()), ways_(arena.take(std::size_t((count_ + 1) * lanes))),
+          width_(hierarchy.width()), tall_(width_ + padded(count_)), ways_(arena.take(std::size_t((count_ + 1) * lanes))),
           coordinates_(arena.take(std::size_t((count_ + 1) * width_))),
+          columns_(arena.take(std::size_t((count_ + 1) * tall_))),
           R_(std::size_t((count_ + 1) * (count_ + 1))), s_(std::size_t(count_ + 1)),
-          kept_(std::size_t(count_ + 1)), c_(std::size_t(count_ + 1)), spare_(std::size_t(exact_ * (count_ + 1) + 1)) {}
+          firm_(std::size_t(count_ + 1)), kept_(std::size_t(count_ + 1)),
+          kept_firm_(std::size_t(count_ + 1)), c_(std::size_t(count_ + 1)), spare_(std::size_t(exact_ * (count_ + 1) + 1)) {}
 
     int count() const { return count_; }
     double share(int k) const { return s_[std::size_t(k)]; }
     double& share(int k) { return s_[std::size_t(k)]; }
+    // The multiplier that keeps it at a bound, as the check found it; else 0.
+    double firm(int k) const { return firm_[std::size_t(k)]; }
+    double& firm(int k) { return firm_[std::size_t(k)]; }
     // Remember the shares, and have them again.
-    void keep() { kept_ = s_; }
-    void take_back() { s_ = kept_; }
+    void keep() { kept_ = s_, kept_firm_ = firm_; }
+    void take_back() { s_ = kept_, firm_ = kept_firm_; }
     double* way(int k) { return ways_ + k * lanes_; }              // V_k, over the joints
     double* coordinates(int k) { return coordinates_ + k * width_; }  // x_k
 
@@ -68,25 +73,25 @@ class Shares {
     }
 
   private:
-    // The shares that cost least where nothing else binds.
+    // The shares that cost least where nothing else binds, by Gram-Schmidt of what the cost squares,
+    // rows that nearly depend on each other have ways whose squares have no digits of W left.
     void choose(const double* x, double d) {
-        const int blocks = width_ / LANES;
-        for (int i = 0; i < count_; i++) {
-            c_[std::size_t(i)] =
-                SCALE_WEIGHT * level_.best_share(i) - d * dot(coordinates(i), x, blocks);
-            for (int j = i; j < count_; j++)
-                R(i, j) = d * dot(coordinates(i), coordinates(j), blocks);
-            R(i, i) += SCALE_WEIGHT;
-        }
-        for (int i = 0; i < count_; i++) {  // R'R, in place
-            for (int k = 0; k < i; k++)
-                for (int j = i; j < count_; j++) R(i, j) -= R(k, i) * R(k, j);
-            const double root = std::sqrt(R(i, i));
-            for (int j = i; j < count_; j++) R(i, j) /= root;
+        const int blocks = tall_ / LANES;
+        const double of_way = std::sqrt(d), of_share = std::sqrt(SCALE_WEIGHT);
+        for (int k = 0; k <= count_; k++) {
+            const bool right = k == count_;  // the right-hand side
+            clear(column(k), blocks);
+            add(column(k), right ? x : coordinates(k), right ? -of_way : of_way, width_ / LANES);
+            for (int i = 0; i < count_; i++)
+                column(k)[width_ + i] = of_share * (right ? level_.best_share(i) : double(i == k));
         }
         for (int i = 0; i < count_; i++) {
-            for (int k = 0; k < i; k++) c_[std::size_t(i)] -= R(k, i) * c_[std::size_t(k)];
-            c_[std::size_t(i)] /= R(i, i);
+            R(i, i) = std::sqrt(dot(column(i), column(i), blocks));
+            for (int j = i + 1; j <= count_; j++) {
+                const double along = dot(column(i), column(j), blocks) / R(i, i);
+                (j < count_ ? R(i, j) : c_[std::size_t(i)]) = along;
+                add(column(j), column(i), -along / R(i, i), blocks);
+            }
         }
         back(c_.data(), s_.data());
     }
@@ -111,6 +116,7 @@ class Shares {
         }
     }
 
+    double* column(int k) { return columns_ + k * tall_; }
     double& R(int i, int j) { return R_[std::size_t(i * count_ + j)]; }
 
     void back(const double* c, double* out) {
@@ -123,9 +129,9 @@ class Shares {
 
     const Level& level_;
     Hierarchy& hierarchy_;
-    int count_, exact_, lanes_, width_;
-    double *ways_, *coordinates_;
-    std::vector<double> R_, s_, kept_, c_, spare_;
+    int count_, exact_, lanes_, width_, tall_;
+    double *ways_, *coordinates_, *columns_;
+    std::vector<double> R_, s_, firm_, kept_, kept_firm_, c_, spare_;
 };
 
 }  // namespace coopqp
