@@ -166,3 +166,12 @@ def test_where_what_is_printed_cannot_be_written_it_is_said() -> None:
             "error: cannot write what the command prints: No space left on device\n"
         )
         assert listing.ended() == 2
+
+
+def test_a_reader_that_goes_away_is_no_fault_of_coopqp() -> None:
+    """As in ``coopqp list tasks | true``; the tables are printed by rich."""
+    code = "from coopqp.cli import main; main(['list', 'tasks'])"
+    command = f'{sys.executable} -c "{code}" | true; echo ${{PIPESTATUS[0]}}'
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=True)
+    assert done.stdout.split()[-1] == "1"
+    assert "fault of coopqp" not in done.stderr
