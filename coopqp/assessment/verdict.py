@@ -380,4 +380,4 @@ def _amount(value: float, unit: str) -> str:
 
 def _round(value: float) -> str:
     """Two digits, and never an exponent for large numbers."""
-    return f"{value:.2g}" if value < 100.0 else f"{value:,.0f}"
+    return f"{value:.2g}" if value < 99.5 else f"{value:,.0f}"

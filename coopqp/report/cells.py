@@ -104,7 +104,7 @@ def _tick(trace: Trace, engine: dict[str, Any] | None, beside_compiled: bool) ->
     (language, us), *others = times
     more = (f"{len(of)} in {other}" for other, of in others)
     cost = engine["rows_us"] if engine and language == LANGUAGES[1] else None
-    rows = "" if cost is None else f":{NBSP}{cost:.0f}"
+    rows = "" if cost is None else f":{NBSP}{f'{cost:.0f}' if cost >= 0.5 else '<1'}"
     said = "-" if beside_compiled and language == LANGUAGES[2] else f"{np.median(us):.0f}"
     return Cell((said, *f"{language}{rows}".split(" ", 1), *more))
 
