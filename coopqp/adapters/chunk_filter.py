@@ -251,10 +251,12 @@ class ChunkFilter:
         """Frames (N, 12); what dicts leave out is as in the frame before."""
         try:
             if isinstance(chunk, Sequence) and any(isinstance(row, Mapping) for row in chunk):
-                return np.array(list(itertools.accumulate(chunk, _told, initial=last))[1:])
-            found: Array = real(chunk) if what == "chunk" else real(chunk).reshape(1, -1)
+                return np.asarray([*itertools.accumulate(chunk, _told, initial=last)][1:])
+            found = real(chunk)
         except ValueError as error:
             raise InvalidValueError(f"{what}: {said(error)}") from None
+        if what == "start":
+            found = np.asarray(found.reshape(1, -1))
         if found.ndim != 2 or found.shape[1] != len(KEYS):
             raise InvalidValueError(f"{what}: found shape {found.shape}, needs (N, {len(KEYS)})")
         return found

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from coopqp.base.errors import InvalidValueError
+from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.spec import Array
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.online.arrivals import Readings
@@ -116,6 +116,18 @@ def check_joints(loop: OnlineLoop, robot: Robot) -> JointCheck:
     if check.user.fault:
         raise check.user.fault
     return found
+
+
+def first_reading(loop: OnlineLoop, robot: Robot) -> Array:
+    """The first joints (n,) that a robot measures; CoopqpError after the loop's patience."""
+    readings, t = Readings(loop.problem.chain), 0.0
+    while readings.take(robot.read(), loop.problem.chain.q_start, t):
+        if t > loop.patience:
+            words = f"no usable measurement for {loop.patience:g} s"
+            raise CoopqpError(f"{words}: {readings.note}")
+        t += loop.problem.dt
+        time.sleep(loop.problem.dt)
+    return readings.q
 
 
 def pose_faults(chain: ClosedChain, q: Array) -> dict[str, str]:
