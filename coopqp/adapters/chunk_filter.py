@@ -153,7 +153,8 @@ class ChunkFilter:
         self.lower, self.upper = self._chain.lower, self._chain.upper
         self.step = kept.speed * self._chain.velocity / kept.fps
         self._grip_step = kept.gripper_speed / kept.fps
-        apart = SelfCollision(distance=kept.distance, ignore=(("object", "*"),))
+        gain = min(kept.fps, 10.0)  # with which few frames a second do not overshoot
+        apart = SelfCollision(distance=kept.distance, gain=gain, ignore=(("object", "*"),))
         self.watched = [row.bodies for row in apart.rows(self._chain) if row.bodies]
         self._space = FreeSpace(self._chain, [apart.program(self._chain, 1.0 / kept.fps)])
         careful = replace(apart, distance=kept.distance + SLACK, gain=kept.fps, within=WITHIN)
@@ -211,9 +212,11 @@ class ChunkFilter:
         """
         given = self._array(recorded, self._last())
         x, grips = self.units.joints(given), given[:, GRIPPERS]
+        whole = np.isfinite(x).all(axis=1)
+        told = _filled(x, x[np.argmax(whole)] if whole.any() else self._chain.q_start)
         for first, end in _alike(self._holding(grips[0], grips)) if len(x) else ():
-            before = np.concatenate([x[max(first - 1, 0)][None], x[first : end - 1]])
-            holds = self._holding(grips[0], grips)[first] and np.isfinite(before[0]).all()
+            before = np.concatenate([told[max(first - 1, 0)][None], told[first : end - 1]])
+            holds = self._holding(grips[0], grips)[first]
             hold = self._taken(before[0]) if holds else None
             fine, _ = self._fine(x[first:end], hold)
             follows = self._follows(x[first:end], before, fine)
@@ -238,7 +241,7 @@ class ChunkFilter:
 
     def _started(self, start: Any) -> Array:
         asked = [start] if isinstance(start, Mapping) else start
-        row = self._array(asked, self._last(), "start")[0]
+        row: Array = self._array(asked, self._last(), "start")[0]
         if not np.isfinite(row).all():
             raise InvalidValueError("start: needs a finite number for each motor")
         far = np.abs(self.units.joints(row[None])[0]) > FARTHEST
@@ -251,7 +254,7 @@ class ChunkFilter:
         """Frames (N, 12); what dicts leave out is as in the frame before."""
         try:
             if isinstance(chunk, Sequence) and any(isinstance(row, Mapping) for row in chunk):
-                return np.asarray([*itertools.accumulate(chunk, _told, initial=last)][1:])
+                return np.array([*itertools.accumulate(chunk, _told, initial=last)][1:])
             found = real(chunk)
         except ValueError as error:
             raise InvalidValueError(f"{what}: {said(error)}") from None
@@ -388,7 +391,7 @@ class ChunkFilter:
     def _near(self, k: int, x: Array, q: Array) -> Iterator[Change]:
         """Bodies that are too near at x, or else on the way to it."""
         goal = self._clipped(q, x)
-        for place in (x, *_way(q, goal)):
+        for place in (x, *_way(np.clip(q, -FARTHEST, FARTHEST), goal)):
             if self._space.is_free(place[None])[0]:
                 continue
             told, d = self._space.measure(place)[:, :2].T
