@@ -27,7 +27,8 @@ from pydantic import Field
 from coopqp.adapters.motors import ARMS, GRIPPERS, KEYS, MotorUnits
 from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.qp import Row
-from coopqp.base.spec import Array, NonNegative, Positive, spec
+from coopqp.base.spec import Array, NonNegative, Positive, real, spec
+from coopqp.base.wording import said
 from coopqp.controller import ControlProblem
 from coopqp.controllers import QPController
 from coopqp.kernel import native
@@ -55,6 +56,8 @@ WITHIN = 0.06
 #: What rounding may add to a limit [rad; % of grippers].
 ROUNDING = 1e-9
 OPEN = 100.0  # of a gripper [%]
+#: A start is no start where a joint is farther from zero: four turns [rad].
+FARTHEST = 8.0 * np.pi
 
 
 @spec
@@ -150,7 +153,8 @@ class ChunkFilter:
         self.lower, self.upper = self._chain.lower, self._chain.upper
         self.step = kept.speed * self._chain.velocity / kept.fps
         self._grip_step = kept.gripper_speed / kept.fps
-        apart = SelfCollision(distance=kept.distance, ignore=(("object", "*"),))
+        gain = min(kept.fps, 10.0)  # with which few frames a second do not overshoot
+        apart = SelfCollision(distance=kept.distance, gain=gain, ignore=(("object", "*"),))
         self.watched = [row.bodies for row in apart.rows(self._chain) if row.bodies]
         self._space = FreeSpace(self._chain, [apart.program(self._chain, 1.0 / kept.fps)])
         careful = replace(apart, distance=kept.distance + SLACK, gain=kept.fps, within=WITHIN)
@@ -176,16 +180,18 @@ class ChunkFilter:
             chunk: N frames, shape (N, 12) in LeRobot's order, or N dicts with its keys; what a dict
                 leaves out stays as it was.
             start: the frame that was sent last, or an observation, before the first one; the last
-                frame of the chunk before if omitted.
+                frame of the chunk before if omitted. What hands hold then is taken as it is there.
 
         Raises:
-            InvalidValueError: the chunk is something else; no start, and no chunk before.
+            InvalidValueError: the chunk is something else, and nothing of the filter changes; no
+                start, and no chunk before; a start of some turns.
         """
+        row = self._last() if start is None else self._started(start)
+        given = self._array(chunk, row)
         if start is not None:
-            self._begin(start)
+            self._q, self._grips, self._hold = self.units.joints(row[None])[0], row[GRIPPERS], None
         if self._q is None:
             raise InvalidValueError("start: where the arms are is needed before the first chunk")
-        given = self._array(chunk)
         grips = self._gripped(given[:, GRIPPERS])
         holding = self._holding(self._grips, grips)
         x, q, changed = self.units.joints(given), np.empty((len(given), len(ARMS))), []
@@ -204,11 +210,13 @@ class ChunkFilter:
         Args:
             recorded: as for :meth:`filter_chunk`, an episode; nothing of the filter changes.
         """
-        given = self._array(recorded)
+        given = self._array(recorded, self._last())
         x, grips = self.units.joints(given), given[:, GRIPPERS]
+        whole = np.isfinite(x).all(axis=1)
+        told = _filled(x, x[np.argmax(whole)] if whole.any() else self._chain.q_start)
         for first, end in _alike(self._holding(grips[0], grips)) if len(x) else ():
-            before = np.concatenate([x[max(first - 1, 0)][None], x[first : end - 1]])
-            holds = self._holding(grips[0], grips)[first] and np.isfinite(before[0]).all()
+            before = np.concatenate([told[max(first - 1, 0)][None], told[first : end - 1]])
+            holds = self._holding(grips[0], grips)[first]
             hold = self._taken(before[0]) if holds else None
             fine, _ = self._fine(x[first:end], hold)
             follows = self._follows(x[first:end], before, fine)
@@ -224,28 +232,36 @@ class ChunkFilter:
     def _taken(self, q: Array) -> _Hold:
         return _Hold(self._chain.handed_over(q), self.settings, self._apart)
 
-    def _begin(self, start: Any) -> None:
-        (row,) = self._array([start] if isinstance(start, Mapping) else np.reshape(start, (1, -1)))
-        if not np.isfinite(row).all():
-            raise InvalidValueError("start: needs a finite number for each motor")
-        self._q, self._grips = self.units.joints(row[None])[0], row[GRIPPERS]
-
-    def _array(self, chunk: Any) -> Array:
-        if isinstance(chunk, Sequence) and chunk and isinstance(chunk[0], Mapping):
-            return self._of_dicts(chunk)
-        found = np.array(chunk, float)
-        if found.ndim != 2 or found.shape[1] != len(KEYS):
-            raise InvalidValueError(f"chunk: found shape {found.shape}, needs (N, {len(KEYS)})")
-        return found
-
-    def _of_dicts(self, chunk: Sequence[Mapping[str, Any]]) -> Array:
+    def _last(self) -> Array:
+        """The frame before the next, of NaN where there is none."""
         row = np.full(len(KEYS), np.nan)
         if self._q is not None:
             row[ARMS], row[GRIPPERS] = self.units.motors(self._q), self._grips
-        found = np.empty((len(chunk), len(KEYS)))
-        for i, action in enumerate(chunk):
-            row = np.array([action.get(key, row[k]) for k, key in enumerate(KEYS)], float)
-            found[i] = row
+        return row
+
+    def _started(self, start: Any) -> Array:
+        asked = [start] if isinstance(start, Mapping) else start
+        row: Array = self._array(asked, self._last(), "start")[0]
+        if not np.isfinite(row).all():
+            raise InvalidValueError("start: needs a finite number for each motor")
+        far = np.abs(self.units.joints(row[None])[0]) > FARTHEST
+        if far.any():
+            key = np.array(KEYS)[ARMS][far][0]
+            raise InvalidValueError(f"start: {key} is more than {FARTHEST:.3g} rad from zero")
+        return row
+
+    def _array(self, chunk: Any, last: Array, what: str = "chunk") -> Array:
+        """Frames (N, 12); what dicts leave out is as in the frame before."""
+        try:
+            if isinstance(chunk, Sequence) and any(isinstance(row, Mapping) for row in chunk):
+                return np.array([*itertools.accumulate(chunk, _told, initial=last)][1:])
+            found = real(chunk)
+        except ValueError as error:
+            raise InvalidValueError(f"{what}: {said(error)}") from None
+        if what == "start":
+            found = np.asarray(found.reshape(1, -1))
+        if found.ndim != 2 or found.shape[1] != len(KEYS):
+            raise InvalidValueError(f"{what}: found shape {found.shape}, needs (N, {len(KEYS)})")
         return found
 
     def _gripped(self, wished: Array) -> Array:
@@ -375,7 +391,7 @@ class ChunkFilter:
     def _near(self, k: int, x: Array, q: Array) -> Iterator[Change]:
         """Bodies that are too near at x, or else on the way to it."""
         goal = self._clipped(q, x)
-        for place in (x, *_way(q, goal)):
+        for place in (x, *_way(np.clip(q, -FARTHEST, FARTHEST), goal)):
             if self._space.is_free(place[None])[0]:
                 continue
             told, d = self._space.measure(place)[:, :2].T
@@ -480,6 +496,19 @@ class _Hold:
         gap[:, :3] = closer[:, None] * along
         off, turned = np.linalg.norm((e - gap).reshape(-1, 2, 3), axis=2).T
         return gap, off, turned
+
+
+def _told(row: Array, action: Any) -> Array:
+    """The frame after one, by a dict; ValueError where it is none."""
+    if not isinstance(action, Mapping):
+        raise ValueError(f"found a {type(action).__name__} among dicts")
+    if action and not any(key in action for key in KEYS):
+        raise ValueError(f"knows none of {', '.join(map(str, action))}; needs keys as {KEYS[0]}")
+    found = [real(action.get(key, row[k])) for k, key in enumerate(KEYS)]
+    for key, value in zip(KEYS, found, strict=True):
+        if value.size != 1:
+            raise ValueError(f"{key}: found shape {value.shape}, needs a number")
+    return np.array(found, float).ravel()
 
 
 def _alike(flags: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:

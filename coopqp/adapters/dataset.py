@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -60,14 +62,14 @@ def audit(
     Raises:
         CoopqpError: pyarrow is missing; the folder is no such dataset.
     """
-    fps, at = _described(folder, column)
+    fps, at, count = _described(folder, column)
     chunks = ChunkFilter(scenario, units, fps=fps, **settings)
-    for episode, rows in _episodes(folder, column):
+    for episode, rows in _episodes(folder, column, count):
         yield AuditedEpisode(episode, len(rows), tuple(chunks.audit(rows[:, at])))
 
 
-def _described(folder: Path, column: str) -> tuple[float, list[int]]:
-    """Frames a second, and where in a row each key is."""
+def _described(folder: Path, column: str) -> tuple[float, list[int], int]:
+    """Frames a second, where in a row each key is, and how many numbers a row has."""
     file = folder / "meta" / "info.json"
     try:
         info = json.loads(file.read_text(encoding="utf-8"))
@@ -77,22 +79,36 @@ def _described(folder: Path, column: str) -> tuple[float, list[int]]:
         raise UnreadableFileError(file, f"is no dataset v3.0 with {column}: {error!r}") from None
     if missing := [key for key in KEYS if key not in names]:
         raise InvalidValueError(f"{file}: {column} has no {', '.join(missing)}")
-    return fps, [names.index(key) for key in KEYS]
+    return fps, [names.index(key) for key in KEYS], len(names)
 
 
-def _episodes(folder: Path, column: str) -> Iterator[tuple[int, Array]]:
+def _episodes(folder: Path, column: str, count: int) -> Iterator[tuple[int, Array]]:
     try:
         import pyarrow.parquet as parquet
     except ImportError:
         raise MissingDependencyError("datasets", "studies") from None
     wanted = ["episode_index", "frame_index", column]
-    kept: dict[int, list[tuple[int, list[float]]]] = {}
+    kept: dict[int, list[tuple[int, Array]]] = {}
     for file in sorted((folder / "data").glob("*/*.parquet")):
         try:
             rows = parquet.read_table(file, columns=wanted).to_pydict()
         except (OSError, ValueError, KeyError) as error:
             raise UnreadableFileError(file, str(error)) from None
-        for episode, frame, row in zip(*(rows[key] for key in wanted), strict=True):
-            kept.setdefault(episode, []).append((frame, row))
+        for k, (episode, frame, row) in enumerate(zip(*(rows[key] for key in wanted), strict=True)):
+            if not (isinstance(episode, int) and isinstance(frame, int)):
+                words = f"row {k}: episode_index and frame_index need whole numbers"
+                raise UnreadableFileError(file, words)
+            kept.setdefault(episode, []).append((frame, _numbers(row, count, f"{file}: row {k}")))
+    if not kept:
+        raise UnreadableFileError(folder / "data", "has no frames in */*.parquet")
     for episode in sorted(kept):
-        yield episode, np.array([row for _, row in sorted(kept[episode])], float)
+        yield episode, np.array([row for _, row in sorted(kept[episode], key=itemgetter(0))])
+
+
+def _numbers(row: Any, count: int, place: str) -> Array:
+    """Numbers of a frame, NaN where there is none."""
+    with suppress(TypeError, ValueError):
+        found = np.array(row, float)
+        if found.shape == (count,):
+            return found
+    raise UnreadableFileError(place, f"needs {count} numbers")

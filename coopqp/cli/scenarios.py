@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -207,7 +209,7 @@ def check_robot(scenario: str, driver: Path | None, posed: bool, catalog: Any) -
     of 50 mm all round. With --posed nothing moves before all joints read as they are put, which
     shows what reading and commanding have wrong alike.
     """
-    from coopqp.online.joint_check import check_joints, pose_faults
+    from coopqp.online.joint_check import check_joints, first_reading, pose_faults
     from coopqp.online.loop import OnlineLoop
 
     loaded = read_scenario(scenario, catalog)
@@ -215,10 +217,11 @@ def check_robot(scenario: str, driver: Path | None, posed: bool, catalog: Any) -
     loop = OnlineLoop(loaded, next(iter(loaded.controllers)), clock=None) if simulated else (
         OnlineLoop(loaded, next(iter(loaded.controllers)))
     )  # fmt: skip
-    robot = _driver(driver, loaded) if driver else _obedient(loop)
-    if posed and (faults := pose_faults(loaded.chain, robot.read())):
-        raise CoopqpError("\n".join(f"{joint} {words}" for joint, words in faults.items()))
-    found = check_joints(loop, robot)
+    with _blamed(driver):
+        robot = _driver(driver, loaded) if driver else _obedient(loop)
+        if posed and (faults := pose_faults(loaded.chain, first_reading(loop, robot))):
+            raise CoopqpError("\n".join(f"{joint} {words}" for joint, words in faults.items()))
+        found = check_joints(loop, robot)
     if not found.ok:
         raise CoopqpError(str(found))
     say(str(found), aside=False)
@@ -259,10 +262,41 @@ def _driver(file: Path, scenario: Any) -> Any:
     """What robot(scenario) of a user's file makes."""
     import runpy
 
-    make = runpy.run_path(str(file)).get("robot")
-    if not callable(make):
-        raise CoopqpError(f"{file}: has no function robot(scenario)")
-    return make(scenario)
+    from coopqp.base.wording import USERS
+    from coopqp.online.real_time import check_driver
+
+    try:
+        make = runpy.run_path(str(file), run_name=f"{USERS}driver").get("robot")
+        if not callable(make):
+            raise CoopqpError(f"{file}: has no function robot(scenario)")
+        robot = make(scenario)
+    except (KeyboardInterrupt, CoopqpError):
+        raise
+    except BaseException as error:  # noqa: BLE001 - it may raise anything, and exit
+        raise _fault(file, error) from None
+    check_driver(robot)
+    return robot
+
+
+@contextmanager
+def _blamed(file: Path | None) -> Iterator[None]:
+    """Say so where a driver's methods raise."""
+    from coopqp.base.wording import by_user
+
+    try:
+        yield
+    except (KeyboardInterrupt, CoopqpError):
+        raise
+    except BaseException as error:
+        if file is None or not by_user(error):
+            raise
+        raise _fault(file, error) from None
+
+
+def _fault(file: Path, error: BaseException) -> CoopqpError:
+    from coopqp.base.wording import raised
+
+    return CoopqpError(raised(error, str(file)).replace(": raises ", ": your driver raises ", 1))
 
 
 def _obedient(loop: Any) -> Any:

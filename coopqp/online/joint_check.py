@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from coopqp.base.errors import InvalidValueError
+from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.spec import Array
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.online.arrivals import Readings
@@ -118,6 +118,18 @@ def check_joints(loop: OnlineLoop, robot: Robot) -> JointCheck:
     return found
 
 
+def first_reading(loop: OnlineLoop, robot: Robot) -> Array:
+    """The first joints (n,) that a robot measures; CoopqpError after the loop's patience."""
+    readings, t = Readings(loop.problem.chain), 0.0
+    while readings.take(robot.read(), loop.problem.chain.q_start, t):
+        if t > loop.patience:
+            words = f"no usable measurement for {loop.patience:g} s"
+            raise CoopqpError(f"{words}: {readings.note}")
+        t += loop.problem.dt
+        time.sleep(loop.problem.dt)
+    return readings.q
+
+
 def pose_faults(chain: ClosedChain, q: Array) -> dict[str, str]:
     """What joints q (n,) of arms that are put by hand as at the chain's start have wrong, by joint.
 
@@ -149,6 +161,7 @@ class _Check:
         self._step = np.minimum(ACCELERATION * scale, most) * dt
         self._readings, self._rest = Readings(chain), chain.q_start
         self._q, self._v, self._gone = chain.q_start.copy(), np.zeros(chain.n), np.zeros(chain.n)
+        self._noise, self._unsure, self._margin = np.zeros((3, chain.n))
         self._moves, self._silent, self._due = False, 0.0, loop.now
 
     def end(self, why: str) -> None:
@@ -163,11 +176,13 @@ class _Check:
         names, own = self._chain.joint_names, self._own
         response = np.full((len(own), len(own)), np.nan)
         try:
-            before, _ = self._look()
+            before, error = self._look()
             if not self.stopped:  # nothing is written before
                 if not self.loop.scenario.start_outside:
                     check_range(self._chain, before)
                 self._q[:], self._rest, self._moves = before, before, True
+                self._unsure = SURE * error / np.maximum(self._way, LOCKED)
+                self._margin = np.where(self._unsure > STILL, SURE * self._noise, 0.0)
                 rest = self._look(SETTLE, runs=True)
                 self._stays(rest[0])
             for k, i in enumerate(own):
@@ -184,6 +199,9 @@ class _Check:
 
     def _ask(self, i: int, *rest: Array) -> tuple[Array, tuple[Array, Array]]:
         """The answer r of the robot's joints to one that is moved, and the rest after it."""
+        if self._unsure[i] > STILL:  # it would seem to go astray: it stays
+            self.faults[self._chain.joint_names[i]] = _hidden(self._unsure[i])
+            return np.full(len(self._own), np.nan), (rest[0], rest[1])
         moved, error, rest = self._moved(i, *rest)
         if not self.stopped and self._lags(i, moved):
             moved, error, rest = self._moved(i, *rest, times=AGAIN)
@@ -210,7 +228,8 @@ class _Check:
         after, error_after = rest = self._look(SETTLE)
         self._stays(after)
         if there is None:
-            moved = np.where(np.abs(self._gone) > self._way, self._gone, 0.0) / farthest
+            gone = np.abs(self._gone) > self._way + self._margin
+            moved = np.where(gone, self._gone, 0.0) / farthest
             error = np.zeros_like(moved)
         else:
             moved = (there[0] - 0.5 * (before + after)) / way
@@ -221,7 +240,7 @@ class _Check:
         """What is wrong with a joint, by r of all joints and its standard error."""
         names, r = self._chain.joint_names, moved[i]
         if SURE * error[i] > STILL:
-            return f"cannot be judged: noise, {SURE * error[i]:.2g} of its way, is too large"
+            return _hidden(SURE * error[i])
         others = [int(k) for k in self._own if k != i and abs(moved[k]) > STILL]
         others = [k for k in others if abs(moved[k]) > SURE * error[k]]
         if abs(r) < STILL and others:
@@ -244,8 +263,9 @@ class _Check:
     def _stays(self, mean: Array) -> None:
         """Stop where a joint is elsewhere than it was told to stay."""
         off = mean - self._rest
-        k = int(self._own[np.argmax(np.abs(off / self._way)[self._own])])
-        if not self.stopped and abs(off[k]) > ELSEWHERE * self._way[k]:
+        far = np.abs(off) - self._margin
+        k = int(self._own[np.argmax((far / self._way)[self._own])])
+        if not self.stopped and far[k] > ELSEWHERE * self._way[k]:
             name, unit = self._chain.joint_names[k], self._chain.joint_units[k]
             words = "its sign, units or place in the order of joints are wrong"
             hint = staying_mistake(self._chain, self._rest, np.where(self._ours, off, 0.0))
@@ -275,7 +295,7 @@ class _Check:
         return float(np.clip(wish, self._v[i] - step, self._v[i] + step))
 
     def _astray(self) -> bool:
-        return bool((np.abs(self._gone) > ASTRAY * self._way)[self._own].any())
+        return bool((np.abs(self._gone) > ASTRAY * self._way + self._margin)[self._own].any())
 
     def _look(self, wait: float = 0.0, *, runs: bool = False) -> tuple[Array, Array]:
         """Rest; mean and standard error of what each joint measures after a while.
@@ -294,7 +314,8 @@ class _Check:
                 found.append(reading)
         if len(found) < 2:
             return self._q.copy(), np.full(n, np.inf)
-        return np.mean(found, axis=0), np.std(found, axis=0, ddof=1) / len(found) ** 0.5
+        self._noise = np.std(found, axis=0, ddof=1)
+        return np.mean(found, axis=0), self._noise / len(found) ** 0.5
 
     def _period(self, i: int = 0, v: float = 0.0) -> Array | None:
         """Command one joint's velocity for a period; what is measured at its end, if anything."""
@@ -318,3 +339,7 @@ class _Check:
         off = reading - self._rest
         self._gone = np.where(np.abs(off) > np.abs(self._gone), off, self._gone)
         return reading
+
+
+def _hidden(share: float) -> str:
+    return f"cannot be judged: noise, {share:.2g} of its way, is too large"

@@ -191,3 +191,39 @@ def test_chunks_that_are_none_are_refused(chunks: ChunkFilter) -> None:
         chunks.filter_chunk(np.zeros((3, 10)), np.zeros(12))
     with pytest.raises(InvalidValueError, match=r"found joints .*, as in the scenario two_so101"):
         ChunkFilter(load("point_on_point"))
+
+
+def test_a_start_begins_anew_and_a_refused_chunk_changes_nothing(chunks: ChunkFilter) -> None:
+    there = frames(START[None], 10.0)
+    elsewhere = there + 8.0 * np.eye(len(KEYS))[0]
+    chunks.filter_chunk(there, there[0])
+    with pytest.raises(InvalidValueError, match="found a text"):
+        chunks.filter_chunk("garbage", elsewhere[0])
+    assert not chunks.filter_chunk(there).changed.any()
+    assert not chunks.filter_chunk(np.repeat(elsewhere, 3, axis=0), elsewhere[0]).changed.any()
+
+
+STILL = dict.fromkeys(KEYS, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("chunk", "start", "words"),
+    [
+        ([STILL], STILL | {KEYS[1]: 1e7}, "start: left_shoulder_lift.pos is more than 25.1 rad"),
+        ([STILL], [1e300] * 12, "start: left_shoulder_pan.pos is more than"),
+        ([STILL], "abc", "start: found a text"),
+        ([STILL], [[1.0], 2.0], "start: found lists of different lengths"),
+        (([0.0] * 12 for _ in range(2)), STILL, "chunk: found generator"),
+        (STILL, STILL, "chunk: found dict"),
+        ([STILL, [0.0] * 12], STILL, "chunk: found a list among dicts"),
+        ([{KEYS[0]: "1"}], STILL, "chunk: found a text"),
+        ([{KEYS[0]: [1.0, 2.0]}], STILL, r"chunk: left_shoulder_pan.pos: found shape \(2,\)"),
+        ([{"shoulder.pos": 1.0}], STILL, "chunk: knows none of shoulder.pos; needs keys as left_"),
+    ],
+)
+def test_what_is_no_chunk_is_refused(
+    chunks: ChunkFilter, chunk: object, start: object, words: str
+) -> None:
+    with pytest.raises(InvalidValueError, match=words):
+        chunks.filter_chunk(chunk, start)
+    assert not chunks.begun

@@ -25,11 +25,11 @@ pytestmark = [
 ]
 
 
-def written(folder: Path, *episodes: Array) -> Path:
-    """A dataset as LeRobot writes it, as far as an audit reads it."""
+def written(folder: Path, *episodes: Array, fps: int = 30, **others: object) -> Path:
+    """A dataset as LeRobot writes it, as far as an audit reads it, with other columns."""
     import pyarrow.parquet
 
-    info = {"codebase_version": "v3.0", "fps": 30, "features": {
+    info = {"codebase_version": "v3.0", "fps": fps, "features": {
         "action": {"dtype": "float32", "shape": [12], "names": list(KEYS)}}}  # fmt: skip
     data = folder / "data" / "chunk-000"
     data.mkdir(parents=True)
@@ -40,7 +40,7 @@ def written(folder: Path, *episodes: Array) -> Path:
                            pa.list_(pa.float32(), 12)),
         "episode_index": [k for k, each in enumerate(episodes) for _ in each],
         "frame_index": [k for each in episodes for k in range(len(each))],
-    }  # fmt: skip
+    } | others  # fmt: skip
     pyarrow.parquet.write_table(pa.table(columns), data / "file-000.parquet")
     return folder
 
@@ -81,3 +81,40 @@ def test_hands_that_part_are_found_while_both_hold(
 def test_a_folder_that_is_none_is_refused(tmp_path: Path) -> None:
     with pytest.raises(CoopqpError, match=r"info\.json: is no dataset v3\.0 with action"):
         list(audit(tmp_path, load("two_so101")))
+
+
+def test_rows_that_are_not_finite_or_huge_are_named_and_no_other(tmp_path: Path) -> None:
+    missing, first, huge = episode(80.0), episode(80.0), episode(10.0)
+    missing[5:7], first[0], huge[5] = np.nan, np.nan, 1e30
+    found = list(audit(written(tmp_path, missing, first, huge, fps=5), load("two_so101")))
+    assert [{(c.frame, c.limit) for c in each.broken} for each in found[:2]] == [
+        {(5, "not_finite"), (6, "not_finite")}, {(0, "not_finite")},
+    ]  # fmt: skip
+    assert {(5, "joint_position"), (6, "joint_velocity")} <= {
+        (c.frame, c.limit) for c in found[2].broken
+    }
+
+
+ROW = [0.0] * 12
+
+
+@pytest.mark.parametrize(
+    ("others", "words"),
+    [
+        ({"action": [ROW, ROW[:6]]}, "row 1: needs 12 numbers"),
+        ({"action": [ROW, None]}, "row 1: needs 12 numbers"),
+        ({"action": ["abc", "abc"]}, "row 0: needs 12 numbers"),
+        ({"action": [["a"] * 12] * 2}, "row 0: needs 12 numbers"),
+        ({"action": [1.0, 1.0]}, "row 0: needs 12 numbers"),
+        ({"action": [ROW] * 2, "episode_index": [0, None]}, "row 1: episode_index and frame_index"),
+        ({"action": [], "episode_index": [], "frame_index": []}, "data: has no frames"),
+    ],
+)
+def test_damaged_data_end_in_one_message(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], others: dict[str, object], words: str
+) -> None:
+    folder = written(tmp_path, episode(80.0)[:2], **others)  # type: ignore[arg-type]
+    with pytest.raises(SystemExit) as ended:
+        main(["audit", str(folder)])
+    assert ended.value.code == 2
+    assert words in capsys.readouterr().err

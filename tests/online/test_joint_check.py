@@ -43,7 +43,7 @@ class FreeArms:
         self.q = self._start - self._sag(self._start)
         self._waiting = deque([self._start.copy()] * (DELAY + 1))
         self._servo = self._start.copy()
-        self.noise = NOISE
+        self.noise: Any = NOISE
         self.written: list[tuple[Array, Array]] = []
 
     def _sag(self, q: Array) -> Array:
@@ -170,13 +170,21 @@ def test_a_joint_that_runs_at_the_first_command_ends_it_at_the_second_reading() 
     np.testing.assert_array_equal(written, np.broadcast_to(written[0], written.shape))
 
 
-def test_what_noise_hides_is_not_judged() -> None:
+@pytest.mark.parametrize("noise", [0.01, 0.02, 0.1])
+def test_what_noise_hides_is_not_judged(noise: float) -> None:
     scenario = coopqp.load("point_on_point")
     loop, robot = OnlineLoop(scenario, clock=None), FreeArms(scenario)
-    robot.noise = 0.01
+    robot.noise = noise
     found = check_joints(loop, robot)
     assert len(found.faults) == scenario.chain.n
     assert all("noise" in words for words in found.faults.values())
+
+
+def test_one_noisy_joint_hides_no_other() -> None:
+    scenario = coopqp.load("point_on_point")
+    loop, robot = OnlineLoop(scenario, clock=None), FreeArms(scenario)
+    robot.noise = np.where(np.arange(scenario.chain.n) == 3, 0.05, NOISE)
+    assert list(check_joints(loop, robot).faults) == [scenario.chain.joint_names[3]]
 
 
 def test_a_simulated_robot_on_ideal_joints_passes() -> None:
