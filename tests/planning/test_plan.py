@@ -195,6 +195,12 @@ def test_a_start_beyond_a_limit_or_in_something_is_refused(shelves: Scenario) ->
         plan(replace(shelves, limits=(farther,)))
 
 
+def test_a_seed_of_any_size_is_one(shelves: Scenario) -> None:
+    goal = reach(shelves).found[0].q
+    huge, small = (plan(shelves, goals=goal, budget=Budget(seed=s)) for s in (2**64 + 7, 7))
+    np.testing.assert_array_equal(huge.q, small.q)
+
+
 def test_without_time_it_says_that_this_proves_nothing(shelves: Scenario) -> None:
     found = plan(shelves, goals=reach(shelves).found[0].q, budget=Budget(seconds=1e-9))
     assert not found.found
