@@ -16,8 +16,10 @@ from side_by_side import needs_kernel
 import coopqp
 from coopqp.assessment import assess
 from coopqp.base.errors import CoopqpError
+from coopqp.base.spec import Array
 from coopqp.limits import Obstacles
 from coopqp.planning.closed_space import Budget
+from coopqp.planning.closed_space import Path as Way
 from coopqp.planning.plan import CLOSE, OFF, Plan, Planner, plan, way_round
 from coopqp.planning.reach import reach
 from coopqp.planning.timing import TO_SPEED, joint_limits
@@ -149,6 +151,24 @@ def test_goals_off_the_limits_of_joints_come_before_nearer_ones() -> None:
     room = Room(problem)
     end = plan(load("tiago_torso"), budget=AMPLE).q[-1]
     assert np.minimum(end - room.lower, room.upper - end).min() > OFF
+
+
+def test_where_no_way_leads_to_the_nearest_goals_further_ones_are_tried(
+    shelves: Scenario, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    planner, counts = Planner(shelves.problem(), shelves.duration), list[int]()
+    search = planner.space.way
+
+    def none_to_few(starts: Array, goals: Array, *more: object) -> Way:
+        counts.append(len(goals))
+        return search(starts, goals, *more) if len(counts) > 1 else Way(goals[:0], 0.0, 0, 0, 0)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(planner.space, "way", none_to_few)
+    found = planner.plan(AMPLE)
+    assert found.found
+    assert counts[0] == 12 < counts[1]
+    assert f"one of {counts[1]} goal configurations" in found.sentence
+    assert found.sentence.endswith(f"it lasts {found.t[-1]:.3g} s")
 
 
 def test_a_task_that_is_kept_is_met_all_along() -> None:
