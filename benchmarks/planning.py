@@ -364,7 +364,7 @@ def blocked(asked: argparse.Namespace) -> None:
         if not way.found:
             count[re.sub(r"[0-9.]+", "#", way.sentence)[:80]] += 1
             continue
-        tasks = way_tasks(way.t, way.timed, way.object, problem.dt)
+        tasks = way_tasks(way.t, way.timed, way.object, problem.dt, stands=False)
         followed = replace(problem, tasks=tasks, secondary=())
         law = QPController().unprepared(followed)
         state = law.start()

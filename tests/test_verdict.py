@@ -21,7 +21,8 @@ from coopqp.report import audit
 from coopqp.report.cells import cells
 from coopqp.robots import NaoT14
 from coopqp.scenario.scenario import Scenario
-from coopqp.tasks import PointOnPoint, Twist
+from coopqp.signals import Waypoints
+from coopqp.tasks import PointOnPoint, Posture, Twist
 from coopqp.trace import Trace
 
 HANDS = {"right": (0.7, -0.2, 1.2, 0.9, 0.1), "left": (0.7, 0.2, -1.2, -0.9, -0.1)}
@@ -185,3 +186,17 @@ def test_nothing_is_reached_once_the_plant_broke_down() -> None:
     assert not found.metrics["qp"]["reached"]
     assert "eaches the goal" not in found.verdicts["qp"]
     assert "keeps" not in found.verdicts["qp"]
+
+
+def test_a_clock_without_phases_has_the_whole_run_for_its_way() -> None:
+    """Of its first half, if the run is over then, nothing is said to be held back."""
+    like = coopqp.load("point_on_point")
+    q = like.chain.q_start.tolist()
+    way = Waypoints(times=(0.0, 1.0), values=(q, q), clock="own")
+    still = replace(like, tasks=(Posture(name="way", goal=way),), secondary=())
+    for duration in (0.5, 1.5):
+        trace = run(replace(still, duration=duration), controller="qp")
+        assert "held back" not in summarize(still, {"qp": trace}).verdicts["qp"]
+    trace.inputs["own"].value[:] = 0.3
+    said = summarize(still, {"qp": trace}).verdicts["qp"]
+    assert "the joints are held back at 0.30 of the 1.00 s;" in said

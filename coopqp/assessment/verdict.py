@@ -99,15 +99,17 @@ def _motion(found: Assessment) -> str:
 def _waits(found: Assessment) -> str:
     """How far each phase has come along a way whose clock waits, if not to its end."""
     trace, said = found.trace, list[str]()
-    ends = [*(phase.first for phase in trace.phases[1:]), trace.ticks]
+    phases = [(phase.first, f" of '{phase.name}'") for phase in trace.phases] or [(0, "")]
+    ends = [*(first for first, _ in phases[1:]), trace.ticks]
     for name in (name for name, kept in trace.inputs.items() if kept.kind == CLOCK):
         gone = trace.inputs[name].value[:, 0]
-        for phase, end in zip(trace.phases, ends, strict=True):
-            tasks = [task.end for task in trace.tasks if task.rows.start == phase.first]
-            whole = max(tasks, default=0.0) - float(trace.t[phase.first])
-            if end and gone[end - 1] < whole - trace.dt:
+        for (first, of), end in zip(phases, ends, strict=True):
+            tasks = [task.end for task in trace.tasks if (task.rows.start or 0) == first]
+            whole = max(tasks, default=0.0) - float(trace.t[first])
+            lasted = float(trace.t[end - 1] - trace.t[first])
+            if end and gone[end - 1] < min(whole, lasted) - trace.dt:
                 words = f"the joints are held back at {gone[end - 1]:.2f} of the {whole:.2f} s"
-                said.append(f"{words} of '{phase.name}'")
+                said.append(f"{words}{of}")
     return "; ".join(said)
 
 

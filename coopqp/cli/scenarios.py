@@ -189,8 +189,9 @@ def plan(
         found = find(loaded, keep=keep, budget=budget, progress=progress)
         if not found.found:
             raise CoopqpError(found.sentence)
+        written = report.write_plan(found, loaded, out, keep) if out else ()
     click.echo(report.plan_json(found)) if as_json else say(found.sentence, aside=False)
-    for path in report.write_plan(found, loaded, out, keep) if out else ():
+    for path in written:
         say(f"wrote {path}", aside=as_json)
 
 

@@ -149,7 +149,7 @@ class ClosedSpace:
             {
                 **{name: float(getattr(budget, name)) for name in ("step", "fine", "seconds")},
                 "range": budget.reach,
-                "seed": int(budget.seed),
+                "seed": int(budget.seed) % 2**64,  # the kernel's word; any number is a seed
                 "shortcuts": float(budget.shortcuts),
                 "low": low,
                 "high": high,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from coopqp.report import strict_json
 from coopqp.report.files import write_one
 from coopqp.report.page import text
 from coopqp.report.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
+from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario
 
 PATH = "plan.csv"
@@ -75,8 +77,15 @@ def write_plan(
     """Write the path, and the scenario with it, and the tasks to keep, as its reference.
 
     Raises:
-        CoopqpError: it cannot be written.
+        CoopqpError: it cannot be written, or the scenario is refused, and then nothing is.
     """
+    with TemporaryDirectory() as tried:
+        for path in _write(found, scenario, Path(tried), keep)[1:]:
+            load(path, scenario.catalog)
+    return _write(found, scenario, folder, keep)
+
+
+def _write(found: Plan, scenario: Scenario, folder: Path, keep: Sequence[str]) -> list[Path]:
     path = folder / PATH
     write_one(path, found.csv)
     if not scenario.source:

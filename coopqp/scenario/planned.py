@@ -71,9 +71,10 @@ def following(scenario: Scenario, followed: Followed) -> Scenario:
         if name not in scenario.controllers:
             raise UnknownNameError("controller", name, scenario.controllers, "by: ")
     phases, alone = list[Phase](), list[Phase]()
+    arms = {arm.name for arm in scenario.robot_model.arms}
     for phase, (t, q, X) in zip(scenario.schedule, ways, strict=True):
         kept = [replace(task, mode="hard") for task in phase.tasks if task.name in followed.keep]
-        tasks = (*way_tasks(t, q, X, scenario.dt), *kept)
+        tasks = (*way_tasks(t, q, X, scenario.dt, arms.issubset(phase.released)), *kept)
         before = f"{phase.name} {WAY}" if phase.name else WAY
         lasts = t[-1] + followed.late
         first = Phase(name=before, duration=lasts, released=phase.released, tasks=tasks)
@@ -85,13 +86,18 @@ def following(scenario: Scenario, followed: Followed) -> Scenario:
     return scenario.changed(tasks=(), duration=0.0, phases=tuple(phases), phases_of=phases_of)
 
 
-def way_tasks(t: Array, q: Array, X: Array, dt: float) -> tuple[Task, ...]:
-    """Joints q (T, n) and the object's poses X (T, 7) as references, whose clock waits."""
+def way_tasks(t: Array, q: Array, X: Array, dt: float, stands: bool) -> tuple[Task, ...]:
+    """Joints q (T, n) and the object's poses X (T, 7) as references, whose clock waits.
+
+    An object that ``stands``, as no arm holds it, follows nothing.
+    """
     along: dict[str, Any] = {"times": t.tolist(), "between": "linear", "clock": CLOCK}
     gain = min(GAIN, 1.0 / dt)
-    return (
-        Posture(name="planned joints", goal=Waypoints(values=q.tolist(), **along), gain=gain),
-        Pose(name="planned object", goal=Waypoints(values=X.tolist(), **along), gain=gain),
+    joints = Posture(name="planned joints", goal=Waypoints(values=q.tolist(), **along), gain=gain)
+    if stands:
+        return (joints,)
+    return joints, Pose(
+        name="planned object", goal=Waypoints(values=X.tolist(), **along), gain=gain
     )
 
 

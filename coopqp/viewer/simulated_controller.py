@@ -137,7 +137,8 @@ class SimulatedController:
             CoopqpError: the controller cannot be built for it.
         """
         self._leave_way()
-        run, tasks = self.run, way_tasks(way.t, way.q, way.object, self.run.problem.dt)
+        run, problem = self.run, self.run.problem
+        tasks = way_tasks(way.t, way.q, way.object, problem.dt, problem.chain.standing)
         start = State(run.problem.chain, run.state.q)
         law = run.controller.build(replace(run.problem, tasks=tasks))
         self.follows = Inputs({}, tasks, start, run.problem.dt).clocks[CLOCK]

@@ -165,6 +165,26 @@ def test_a_regrasp_is_planned_through_and_followed(tmp_path: Path) -> None:
     assert "leads to 3 phases, and the scenario has 4" in result.output
 
 
+def test_of_an_object_that_stands_only_the_joints_are_planned(tmp_path: Path) -> None:
+    shipped = load("pick_and_place")
+    _, path = write_plan(plan(shipped, budget=AMPLE), shipped, tmp_path)
+    scenario = load(path)
+    for phase in scenario.phases[::2]:
+        stands = len(phase.released) == 2
+        assert ("planned object" in [task.name for task in phase.tasks]) != stands
+    found = assess(coopqp.run(scenario, controller="qp"))
+    assert not found.broken
+    assert all(task.reached for task in found.tasks if " way." not in task.name)
+
+
+def test_a_scenario_that_is_refused_with_its_plan_leaves_nothing(tmp_path: Path) -> None:
+    shipped = load("planar_pair")
+    way = plan(shipped, budget=AMPLE)
+    with pytest.raises(ScenarioError, match="from the start of"):
+        write_plan(replace(way, timed=way.timed + 0.1), shipped, tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
 def test_ticks_in_which_the_clock_waits_can_be_repeated(tmp_path: Path) -> None:
     held = replace(in_one_go("shelves"), plant=Shoved(start=2.0, duration=0.2, speed=4.0))
     write(coopqp.compare(held, controllers=["qp"]), tmp_path)

@@ -16,8 +16,10 @@ from side_by_side import needs_kernel
 import coopqp
 from coopqp.assessment import assess
 from coopqp.base.errors import CoopqpError
+from coopqp.base.spec import Array
 from coopqp.limits import Obstacles
 from coopqp.planning.closed_space import Budget
+from coopqp.planning.closed_space import Path as Way
 from coopqp.planning.plan import CLOSE, OFF, Plan, Planner, plan, way_round
 from coopqp.planning.reach import reach
 from coopqp.planning.timing import TO_SPEED, joint_limits
@@ -151,6 +153,24 @@ def test_goals_off_the_limits_of_joints_come_before_nearer_ones() -> None:
     assert np.minimum(end - room.lower, room.upper - end).min() > OFF
 
 
+def test_where_no_way_leads_to_the_nearest_goals_further_ones_are_tried(
+    shelves: Scenario, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    planner, counts = Planner(shelves.problem(), shelves.duration), list[int]()
+    search = planner.space.way
+
+    def none_to_few(starts: Array, goals: Array, *more: object) -> Way:
+        counts.append(len(goals))
+        return search(starts, goals, *more) if len(counts) > 1 else Way(goals[:0], 0.0, 0, 0, 0)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(planner.space, "way", none_to_few)
+    found = planner.plan(AMPLE)
+    assert found.found
+    assert counts[0] == 12 < counts[1]
+    assert f"one of {counts[1]} goal configurations" in found.sentence
+    assert found.sentence.endswith(f"it lasts {found.t[-1]:.3g} s")
+
+
 def test_a_task_that_is_kept_is_met_all_along() -> None:
     scenario = load("baxter_tray")
     level, carry = scenario.tasks
@@ -193,6 +213,12 @@ def test_a_start_beyond_a_limit_or_in_something_is_refused(shelves: Scenario) ->
     farther = replace(obstacles, distance=0.09)
     with pytest.raises(CoopqpError, match=r"start: the distance of .* less than its limit keeps"):
         plan(replace(shelves, limits=(farther,)))
+
+
+def test_a_seed_of_any_size_is_one(shelves: Scenario) -> None:
+    goal = reach(shelves).found[0].q
+    huge, small = (plan(shelves, goals=goal, budget=Budget(seed=s)) for s in (2**64 + 7, 7))
+    np.testing.assert_array_equal(huge.q, small.q)
 
 
 def test_without_time_it_says_that_this_proves_nothing(shelves: Scenario) -> None:

@@ -129,3 +129,14 @@ def test_a_task_that_moves_has_two_figures_and_the_recorded_errors_in_millimetre
     for figure, error in ((goal, trace.goal_error), (reference, trace.task_error)):
         (line,) = figure.data
         np.testing.assert_allclose(line["y"], 1e3 * np.maximum(error[:, 0], 1e-12), rtol=1e-6)
+
+
+def test_controllers_with_other_tasks_are_drawn_where_they_have_them() -> None:
+    scenario = load("point_on_point")
+    posture = Posture(name="way", goal=scenario.chain.q_start)
+    one, both = traced(*scenario.tasks), traced(posture, *scenario.tasks)
+    name = scenario.tasks[0].name
+    for traces in ({"qp": both, "pseudoinverse": one}, {"qp": one, "pseudoinverse": both}):
+        first, _ = task_errors(Chart(summarize(scenario, traces)))
+        drawn = {figure.title.split("'")[1]: figure.data for figure in first}
+        assert (len(drawn["way"]), len(drawn[name])) == (1, 2)

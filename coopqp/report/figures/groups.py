@@ -24,6 +24,7 @@ from coopqp.report.figures.chart import ALWAYS, Chart, Lines
 from coopqp.report.figures.freedom import freedom_figures
 from coopqp.report.figures.joints import PAPER_ROBOT, joint_figures, limit_figures
 from coopqp.report.figures.object import object_figures
+from coopqp.trace import TaskInfo
 
 FLOOR = 1e-12  # smallest value on log scales [m, rad]; less is drawn here
 MAX_FIRST = 3  # tasks that are shown first
@@ -199,35 +200,47 @@ def task_errors(chart: Chart) -> tuple[list[Figure], list[Figure]]:
 
     Each to its goal, and beside it to its reference where that is on its way.
     """
-    count = len(chart.any.tasks)
-    order = sorted(range(count), key=lambda i: -max(1.0, _end_error(chart, i)))
-    shown, rest = sorted(order[:MAX_FIRST]), sorted(order[MAX_FIRST:])
-    first, others = ([f for i in part for f in _of_task(chart, i)] for part in (shown, rest))
+    tasks: dict[tuple[str, int | None], TaskInfo] = {}
+    for trace in (chart.any, *chart.traces.values()):  # whose tasks may differ
+        for task in trace.tasks:
+            tasks.setdefault((task.name, task.rows.start), task)
+    order = sorted(tasks, key=lambda key: -max(1.0, _end_error(chart, tasks[key])))
+    first, others = (
+        [f for key, task in tasks.items() if key in part for f in _of_task(chart, task)]
+        for part in (order[:MAX_FIRST], order[MAX_FIRST:])
+    )
     return first, others
 
 
-def _end_error(chart: Chart, i: int) -> float:
+def _by_trace(chart: Chart, task: TaskInfo, kind: str) -> Lines:
+    """A task's errors in every trace that has it."""
+    found: Lines = {}
+    for name, trace in chart.traces.items():
+        for i, own in enumerate(trace.tasks):
+            if (own.name, own.rows.start) == (task.name, task.rows.start):
+                found[name] = getattr(trace, kind)[task.rows, i]
+    return found
+
+
+def _end_error(chart: Chart, task: TaskInfo) -> float:
     """A task's largest error at the end, over its tolerance; NaN is the worst."""
-    task = chart.any.tasks[i]
-    ends = [trace.goal_error[task.rows, i][-1] for trace in chart.traces.values()]
+    ends = [error[-1] for error in _by_trace(chart, task, "goal_error").values()]
     return float(np.nan_to_num(np.max(ends), nan=np.inf)) / task.tolerance
 
 
-def _of_task(chart: Chart, i: int) -> list[Figure]:
-    task = chart.any.tasks[i]
+def _of_task(chart: Chart, task: TaskInfo) -> list[Figure]:
     scale, unit = length(1.0, task.unit)
-    goal = chart.lines(lambda trace: scale * trace.goal_error[task.rows, i])
-    reference = chart.lines(lambda trace: scale * trace.task_error[task.rows, i])
+    goal, reference = (_by_trace(chart, task, kind) for kind in ("goal_error", "task_error"))
     parts = [(f"'{task.name}': error to the goal", goal)]
-    pairs = ((t.goal_error[:, i], t.task_error[:, i]) for t in chart.traces.values())
-    if not all(np.array_equal(a, b, equal_nan=True) for a, b in pairs):
+    if not all(np.array_equal(goal[k], reference[k], equal_nan=True) for k in goal):
         parts.append((f"'{task.name}': error to the moving reference", reference))
     arrives = [curves.upright(task.end, "reference arrives")] if 0 < task.end < chart.end else []
     good = scale * task.tolerance
     return [
-        _log(chart, title, unit, lines, scale, good, "reached", *arrives, rows=task.rows)
+        _log(chart, title, unit, {k: scale * y for k, y in lines.items()}, scale, good, "reached",
+             *arrives, rows=task.rows)
         for title, lines in parts
-    ]
+    ]  # fmt: skip
 
 
 def loop_errors(chart: Chart) -> list[Figure]:
