@@ -140,7 +140,7 @@ def as_time(given: Any) -> float | None:
 
 
 #: Joints have jumped if they moved since the last reading by more than their velocity limit allows
-#: times this factor, and this much for noise [rad, m].
+#: times this factor, and this much for noise [rad, m]; nor is a measured velocity beyond the first.
 FASTER, NOISE = 1.5, 0.02
 FLOAT = np.dtype(float)
 #: Limit of joints without a velocity limit [rad/s, m/s].
@@ -190,11 +190,27 @@ class Readings:
             return Status.ROBOT_SILENT
         self.note = ""
         q, v = (q, None) if self.v is None else self._with_rates(q)
-        self._read_at = now
+        self._read_at, before, elapsed = now, self.q.copy(), now - self._since
         self._fault = Status.NOT_MEASURED if self.note else self._judge(q, commanded, now)
         if self.v is not None and not self._fault:
-            self.v[:] = v
+            self._fault = self._judge_rates(v, self.q - before, elapsed)
         return self._fault
+
+    def _judge_rates(self, v: Array, moved: Array, elapsed: float) -> Status | None:
+        """Velocities that no joint can have, or that have not moved it (NaN: nobody knows)."""
+        assert self.v is not None
+        most = self._max_speed
+        wrong = np.abs(v) > most
+        if not wrong.any():
+            wrong = np.abs(v * elapsed - moved) > NOISE + most * elapsed
+        if wrong.any():
+            i, unit = int(np.argmax(wrong)), self._chain.joint_units[int(np.argmax(wrong))]
+            seen = f"it moved by {moved[i]:+.3g} {unit} in {elapsed:.3g} s"
+            seen = f"its limit is {most[i] / FASTER:.3g}" if abs(v[i]) > most[i] else seen
+            self.note = f"{self._chain.joint_names[i]} at {v[i]:+.3g} {unit}/s, but {seen}"
+            return Status.NOT_MEASURED
+        self.v[:] = v
+        return None
 
     def _with_rates(self, given: Any) -> tuple[Any, Any]:
         """Joints and their velocities."""
