@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.base.errors import unknown_name
+from coopqp.base.errors import InvalidValueError, unknown_name
 from coopqp.base.spec import Array, real
 from coopqp.base.wording import raised, said
 from coopqp.kernel import native
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.scenario.input import AHEAD, Arrival, Inputs
+from coopqp.scenario.input import AHEAD, Arrival, Inputs, InputSettings
 from coopqp.signal import Kind, matrix
 from coopqp.solver import Status
 
@@ -85,6 +85,17 @@ class Arrivals:
         sent = max(t - (now - stamp), self._sent.get(name, -math.inf))
         self._stamped[name] = stamp
         yield name, in_columns(channel.kind, value), self._shared(name, min(sent, t))
+
+    def check_seen(self, name: str, given: Any, now: float, ahead: float) -> None:
+        """Refuse what cannot count that was sent then; InvalidValueError says why."""
+        stamp = as_time(given)
+        stamp = None if stamp is None else stamp + ahead
+        why = self._wrong_stamp(name, stamp, now)
+        if stamp is not None and now - stamp > InputSettings.stale_after:
+            why = why or f"is {now - stamp:.3g} s old"
+        if why or stamp is None:
+            raise InvalidValueError(f"{name}: {why}")
+        self._stamped[name] = stamp
 
     def age(self, time: float) -> None:
         """Make what has arrived older by a time that the loop's own time does not count [s]."""
@@ -196,7 +207,7 @@ class Readings:
             self._fault = self._judge_rates(v, self.q - before, elapsed)
         return self._fault
 
-    def _judge_rates(self, v: Array, moved: Array, elapsed: float) -> Status | None:
+    def _judge_rates(self, v: Any, moved: Array, elapsed: float) -> Status | None:
         """Velocities that no joint can have, or that have not moved it (NaN: nobody knows)."""
         assert self.v is not None
         most = self._max_speed

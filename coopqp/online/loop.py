@@ -369,7 +369,7 @@ class OnlineLoop:
             CoopqpError: q or the pose is none, the object cannot be held so, or nothing can be
                 written.
         """
-        pose = None if object_pose is None else pose_of(object_pose)
+        pose = None if object_pose is None else pose_of(object_pose, self._given.chain)
         if self.begun:
             raise InvalidValueError("the loop has begun; reset it first")
         wrong = self._readings.take(q, self._given.chain.q_start, self.now)
@@ -473,7 +473,7 @@ class OnlineLoop:
 
     def _tick(self, q: Any, inputs: Any, now: float) -> Command:
         self._advance()
-        self._phases.look(inputs)
+        self._phases.look(inputs, now, self._time.ahead)
         if self._stops.look():
             self._readings.forget()
         if self._forgives:  # it may have been slowed down, not stopped

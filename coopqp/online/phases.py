@@ -334,8 +334,8 @@ class Phases:
         inputs.pop(OBJECT_POSE, None)
         return inputs
 
-    def look(self, inputs: Any) -> None:
-        """Take where the object was seen, before a phase may begin by it."""
+    def look(self, inputs: Any, now: float, ahead: float) -> None:
+        """Take where the object was seen, before a phase may begin by it; times as in `take`."""
         try:
             seen = inputs[OBJECT_POSE] if inputs and OBJECT_POSE in inputs else None
         except Exception:  # noqa: BLE001 - a mapping of a user's class; who reads it says so
@@ -343,7 +343,10 @@ class Phases:
         if seen is None:
             return
         try:
-            self.seen = pose_of(seen[0] if type(seen) is tuple and len(seen) == 2 else seen)
+            if type(seen) is tuple and len(seen) == 2:
+                seen, sent = seen
+                self.arrivals.check_seen(OBJECT_POSE, sent, now, ahead)
+            self.seen = pose_of(seen, self._given.chain)
         except Exception as error:  # noqa: BLE001 - anything can come from a camera
             self._unseen = (said(error) or f"object_pose: found a {type(seen).__name__}",)
 
