@@ -492,6 +492,7 @@ class OnlineLoop:
         if is_late:
             self._phases.arrivals.age(self.watch.elapsed - self.problem.dt)
         command = self._decide(inputs, now)
+        command.told, self._phases.missed = (*command.told, *self._phases.missed), ()
         if faults := self.faults:
             command.say(*(c for c in command.causes if c is not Status.OPTIMAL), Status.FAULT)
             command.told = (*command.told, *(fault.note for fault in faults))
@@ -571,7 +572,7 @@ class OnlineLoop:
         for why in command.told:
             if isinstance(why, Why):  # the reading's own note has it
                 why.leave_out(Status.NOT_MEASURED)
-        waits = f"before phase {run.index + 2}" if phases.over else ""
+        waits = f"slows down for phase {phases.next_name}" if phases.over else ""
         wrong = self._time.wrong, self._readings.note, self._stops.why
         notes = (*wrong, waits, *run.state.inputs.refused)
         command.told = (*filter(None, notes), *command.told)
