@@ -176,7 +176,7 @@ class RobotModel:
         for key, value in values.items():
             if key not in arms and key not in self.joint_names:
                 known = [*arms, *self.joint_names]
-                raise UnknownNameError("arm or joint", key, known).at(key)
+                raise UnknownNameError("arm or joint", str(key), known).at(str(key))
             joints = arms.get(key, (key,))
             numbers = np.atleast_1d(near(key, array(key, value)))
             if numbers.shape != (len(joints),):

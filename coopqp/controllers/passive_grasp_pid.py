@@ -15,8 +15,8 @@ independent joints. e_m_dot = -kp e_m.
     Gamma = A a_r + H - J' u                 (inverse_dynamics; a_r follows the reference and e_m)
 
 and from there to the motors by eq. (23), with redundant motors by eq. (27). e_m decays with the
-task's gain (:mod:`coopqp.torque_law.margins`). While a motor is at its limit the integral is held
-(anti-windup).
+task's gain (:mod:`coopqp.torque_law.margins`). While a motor is beyond its limit its torque is
+clipped, the tick is TASKS_RELAXED, and the integral is held (anti-windup).
 
 Gains that oscillate at the start with commands one tick late are refused. The highest stable
 stiffness is proportional to 1/dt^2, so the torque level's default gains decrease from 4 ms on,
@@ -116,10 +116,17 @@ class TorquePid(Law):
         tau = result.tau
         finite = bool(np.isfinite(tau).all())
         assert command.tau is not None
-        command.tau[:] = tau if finite else 0.0
+        if not finite:
+            tau = dynamics.distribute(dynamics.gravity(state.q)).tau
+        beyond = np.abs(tau) > self._effort
+        np.clip(tau, -self._effort, self._effort, out=command.tau)
+        command.note = ""
         command.say(Status.OPTIMAL if finite else Status.NOT_FINITE)
-        integrate = bool((np.abs(tau) <= self._effort).all())
-        self._model.advance(memory, level.e_dot, integrate=integrate)
+        if finite and beyond.any():
+            names = (self.problem.chain.joint_names[i] for i in np.flatnonzero(beyond))
+            command.say(Status.TASKS_RELAXED)
+            command.note = f"motors at their limits: {', '.join(names)}"
+        self._model.advance(memory, level.e_dot, integrate=finite and not beyond.any())
         return command
 
     def learned(self, state: State) -> Array:

@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.base.errors import unknown_name
+from coopqp.base.errors import InvalidValueError, unknown_name
 from coopqp.base.spec import Array, real
 from coopqp.base.wording import raised, said
 from coopqp.kernel import native
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.scenario.input import AHEAD, Arrival, Inputs
+from coopqp.scenario.input import AHEAD, Arrival, Inputs, InputSettings
 from coopqp.signal import Kind, matrix
 from coopqp.solver import Status
 
@@ -86,6 +86,17 @@ class Arrivals:
         self._stamped[name] = stamp
         yield name, in_columns(channel.kind, value), self._shared(name, min(sent, t))
 
+    def check_seen(self, name: str, given: Any, now: float, ahead: float) -> None:
+        """Refuse what cannot count that was sent then; InvalidValueError says why."""
+        stamp = as_time(given)
+        stamp = None if stamp is None else stamp + ahead
+        why = self._wrong_stamp(name, stamp, now)
+        if stamp is not None and now - stamp > InputSettings.stale_after:
+            why = why or f"is {now - stamp:.3g} s old"
+        if why or stamp is None:
+            raise InvalidValueError(f"{name}: {why}")
+        self._stamped[name] = stamp
+
     def age(self, time: float) -> None:
         """Make what has arrived older by a time that the loop's own time does not count [s]."""
         for channel in self._inputs.channels.values():
@@ -140,7 +151,7 @@ def as_time(given: Any) -> float | None:
 
 
 #: Joints have jumped if they moved since the last reading by more than their velocity limit allows
-#: times this factor, and this much for noise [rad, m].
+#: times this factor, and this much for noise [rad, m]; nor is a measured velocity beyond the first.
 FASTER, NOISE = 1.5, 0.02
 FLOAT = np.dtype(float)
 #: Limit of joints without a velocity limit [rad/s, m/s].
@@ -190,11 +201,27 @@ class Readings:
             return Status.ROBOT_SILENT
         self.note = ""
         q, v = (q, None) if self.v is None else self._with_rates(q)
-        self._read_at = now
+        self._read_at, before, elapsed = now, self.q.copy(), now - self._since
         self._fault = Status.NOT_MEASURED if self.note else self._judge(q, commanded, now)
         if self.v is not None and not self._fault:
-            self.v[:] = v
+            self._fault = self._judge_rates(v, self.q - before, elapsed)
         return self._fault
+
+    def _judge_rates(self, v: Any, moved: Array, elapsed: float) -> Status | None:
+        """Velocities that no joint can have, or that have not moved it (NaN: nobody knows)."""
+        assert self.v is not None
+        most = self._max_speed
+        wrong = np.abs(v) > most
+        if not wrong.any():
+            wrong = np.abs(v * elapsed - moved) > NOISE + most * elapsed
+        if wrong.any():
+            i, unit = int(np.argmax(wrong)), self._chain.joint_units[int(np.argmax(wrong))]
+            seen = f"it moved by {moved[i]:+.3g} {unit} in {elapsed:.3g} s"
+            seen = f"its limit is {most[i] / FASTER:.3g}" if abs(v[i]) > most[i] else seen
+            self.note = f"{self._chain.joint_names[i]} at {v[i]:+.3g} {unit}/s, but {seen}"
+            return Status.NOT_MEASURED
+        self.v[:] = v
+        return None
 
     def _with_rates(self, given: Any) -> tuple[Any, Any]:
         """Joints and their velocities."""

@@ -369,7 +369,7 @@ class OnlineLoop:
             CoopqpError: q or the pose is none, the object cannot be held so, or nothing can be
                 written.
         """
-        pose = None if object_pose is None else pose_of(object_pose)
+        pose = None if object_pose is None else pose_of(object_pose, self._given.chain)
         if self.begun:
             raise InvalidValueError("the loop has begun; reset it first")
         wrong = self._readings.take(q, self._given.chain.q_start, self.now)
@@ -473,7 +473,7 @@ class OnlineLoop:
 
     def _tick(self, q: Any, inputs: Any, now: float) -> Command:
         self._advance()
-        self._phases.look(inputs)
+        self._phases.look(inputs, now, self._time.ahead)
         if self._stops.look():
             self._readings.forget()
         if self._forgives:  # it may have been slowed down, not stopped
@@ -492,6 +492,7 @@ class OnlineLoop:
         if is_late:
             self._phases.arrivals.age(self.watch.elapsed - self.problem.dt)
         command = self._decide(inputs, now)
+        command.told, self._phases.missed = (*command.told, *self._phases.missed), ()
         if faults := self.faults:
             command.say(*(c for c in command.causes if c is not Status.OPTIMAL), Status.FAULT)
             command.told = (*command.told, *(fault.note for fault in faults))
@@ -571,7 +572,7 @@ class OnlineLoop:
         for why in command.told:
             if isinstance(why, Why):  # the reading's own note has it
                 why.leave_out(Status.NOT_MEASURED)
-        waits = f"before phase {run.index + 2}" if phases.over else ""
+        waits = f"slows down for phase {phases.next_name}" if phases.over else ""
         wrong = self._time.wrong, self._readings.note, self._stops.why
         notes = (*wrong, waits, *run.state.inputs.refused)
         command.told = (*filter(None, notes), *command.told)

@@ -32,6 +32,7 @@ from coopqp.controller import Command, Controller, ControlProblem, InternalForce
 from coopqp.controllers import QPController, TorqueQp
 from coopqp.controllers.passive_grasp_pid import TorquePid
 from coopqp.controllers.torque_qp import TorqueQpLaw
+from coopqp.execution.instants import parts_of
 from coopqp.execution.phase_run import Measured, PhaseRun, begin_phase
 from coopqp.grasp import pose_matrix
 from coopqp.limit import Limit
@@ -48,6 +49,7 @@ from coopqp.scenario.start import pose_at, pose_of, without_tiny
 from coopqp.signal import InputValues, Trajectory, of_joints
 from coopqp.signals import Input
 from coopqp.solver import Status
+from coopqp.task import TaskStack
 from coopqp.tasks import Posture
 
 #: Acceleration limit of joints without a motor, which bounds nothing [rad/s2].
@@ -221,6 +223,7 @@ class Phases:
             same of torques, else None. monitor: of the robot's faults.
         fault: why the next phase could not begin; empty if it could.
         grippers: what each arm's gripper shall do in this phase, "open" or "close".
+        missed: which tasks of the phase before ended out of tolerance, for its first tick to say.
         seen: where the object was last seen in this phase; None where it was not.
     """
 
@@ -256,6 +259,9 @@ class Phases:
         X_WO = None if self.seen is None else pose_matrix(self.seen)
         robot = Measured(q, self._observed, X_WO)
         self.now = now = begin_phase(self.scenario, self._controller, before, robot=robot)
+        self._start = State(now.problem.chain, now.state.q, now.state.t)
+        self.missed: tuple[str, ...]
+        self._start.inputs, self.missed = now.state.inputs, ()
         self._is_last, self.seen, hold = now.is_last, None, now.problem.chain.hold
         self.grippers: dict[str, Gripper] = {
             arm.name: "close" if arm.name in hold.holders else "open" for arm in hold.robot.arms
@@ -279,6 +285,13 @@ class Phases:
         """Whether the next phase is due."""
         return not self._is_last and (self._asked or (self._by_time and self.now.over))
 
+    @property
+    def next_name(self) -> str:
+        """Of the next phase, quoted, or its number counted from 1."""
+        number = self.now.index + 1
+        name = self.scenario.schedule[number].name
+        return f"'{name}'" if name else str(number + 1)
+
     def hand_over(self, q: Array) -> bool:
         """Begin the next phase at the present speed, if the arms can stop in a tick.
 
@@ -286,14 +299,30 @@ class Phases:
         """
         if not self.braking.can_stop(self.now.state):
             return False
-        self._asked = False
+        self._asked, missed = False, self._out_of_tolerance()
         try:
             self._enter(self.now, q)
         except CoopqpError as error:
             self.fault = f"phase '{self.now.phase.name}' does not end: {error}"
             return True
-        self.done = (*self.done, self.now)
+        self.done, self.missed = (*self.done, self.now), missed
         return True
+
+    def _out_of_tolerance(self) -> tuple[str, ...]:
+        """Which tasks end how far from their references; empty where none is, or nobody knows."""
+        problem, state, found = self.now.problem, self.now.state, []
+        try:
+            state.update()
+            stack = TaskStack(problem.tasks, self._start)
+            stack.update(state)
+        except Exception:  # noqa: BLE001 - tasks may be a user's; the law has said what they raise
+            return ()
+        for info, rows in parts_of(problem.tasks, problem.chain):
+            off = float(np.linalg.norm(stack.e[rows]))
+            if not info.springs and not off <= info.tolerance:
+                found.append(f"{info.name} by {off:.2g} {info.unit}")
+        name = self.now.phase.name or self.now.index + 1
+        return (f"phase {name} ended with tasks missed: {', '.join(found)}",) if found else ()
 
     def take_up(self, q: Array) -> None:
         """Go on from where the robot is, at rest, at the time when the phase stopped.
@@ -334,8 +363,8 @@ class Phases:
         inputs.pop(OBJECT_POSE, None)
         return inputs
 
-    def look(self, inputs: Any) -> None:
-        """Take where the object was seen, before a phase may begin by it."""
+    def look(self, inputs: Any, now: float, ahead: float) -> None:
+        """Take where the object was seen, before a phase may begin by it; times as in `take`."""
         try:
             seen = inputs[OBJECT_POSE] if inputs and OBJECT_POSE in inputs else None
         except Exception:  # noqa: BLE001 - a mapping of a user's class; who reads it says so
@@ -343,7 +372,10 @@ class Phases:
         if seen is None:
             return
         try:
-            self.seen = pose_of(seen[0] if type(seen) is tuple and len(seen) == 2 else seen)
+            if type(seen) is tuple and len(seen) == 2:
+                seen, sent = seen
+                self.arrivals.check_seen(OBJECT_POSE, sent, now, ahead)
+            self.seen = pose_of(seen, self._given.chain)
         except Exception as error:  # noqa: BLE001 - anything can come from a camera
             self._unseen = (said(error) or f"object_pose: found a {type(seen).__name__}",)
 

@@ -184,7 +184,8 @@ class DynamicModel(PlantModel):
         for _ in range(self._steps):
             self.integrate()
             self.servo.advance(self.h)
-            self._at_limit += np.abs(self.servo.asked) > self.servo.effort
+            asked = np.abs(self.servo.asked)
+            self._at_limit += (asked >= self.servo.effort) & (asked > 0.0)
         np.divide(self._at_limit, self._steps, self.signals["saturated"])
         self.signals["energy"][:] = self.energy()
         push = self.disturbance.wrench(self.true.t)

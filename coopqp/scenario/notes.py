@@ -27,6 +27,7 @@ from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.scenario.input import InputSettings
 from coopqp.scenario.scenario import Scenario
+from coopqp.scenario.start import FAR
 from coopqp.signal import POINT, POSE, Kind, Moment
 from coopqp.task import TaskStack
 from coopqp.torque_law.hand_wrenches import unreachable_wrenches
@@ -34,8 +35,6 @@ from coopqp.torque_law.impedances import leaks
 
 #: A push along an axis without a spring that is felt by less than this share is not worth a word.
 LEAKS = 0.05
-#: A goal this many times the arms' reach from where the object starts cannot be meant [-].
-FAR = 3.0
 #: A hand that is fastened to the object, this far from it, is worth a word [m].
 FAR_HAND = 0.1
 #: How many instants of a signal, or configurations, are looked at.

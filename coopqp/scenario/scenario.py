@@ -256,7 +256,7 @@ class Scenario:
         """
         changes: dict[str, Any] = {"source": "", "start": self.start if start is None else start}
         if object_pose is not None:
-            changes["held"] = replace(self.held, pose=pose_of(object_pose))
+            changes["held"] = replace(self.held, pose=pose_of(object_pose, self.chain))
         other, robot = self.changed(**changes), self.robot_model
         of_robot, passive = start_of(robot, other.start)
         allowed, q = self.start_outside, robot.configuration(of_robot)

@@ -10,7 +10,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from coopqp.base.errors import InvalidValueError
-from coopqp.base.spec import Array, Pose, array, finite, near, vector
+from coopqp.base.spec import Array, Pose, array, near, real, vector
 from coopqp.base.wording import Location
 from coopqp.grasp import Grasp
 from coopqp.model.closed_chain import ClosedChain
@@ -21,18 +21,32 @@ Start = Mapping[str, float | Sequence[float]]
 
 #: Smallest size of a number in a scenario file that is not zero.
 SMALLEST = 1e-30
+#: A place this many times the arms' reach from where the object starts cannot be meant [-].
+FAR = 3.0
 #: A quaternion's length may differ from 1 by so much.
 UNIT_QUATERNION = 1e-3
 
 
-def pose_of(where: Pose | ArrayLike) -> Pose:
+def pose_of(where: Pose | ArrayLike, chain: ClosedChain) -> Pose:
     """A pose, or one as x, y, z [m] and a quaternion x, y, z, w, as inputs have it.
 
-    InvalidValueError: it is neither, or the quaternion is not of length 1.
+    InvalidValueError: it is neither, the quaternion is not of length 1, or it is :data:`FAR` away.
     """
-    if isinstance(where, Pose):
-        return where
-    numbers = finite("object_pose", vector("object_pose", where, 7))
+    pose = where if isinstance(where, Pose) else _from_numbers(where)
+    far = float(np.linalg.norm(np.array(pose.position) - chain.start_position))
+    if far > FAR * chain.reach:
+        meant = ": are these millimetres?" if 1e-3 * far <= FAR * chain.reach else ""
+        words = f"the arms reach {chain.reach:.2g} m; lengths are metres{meant}"
+        raise InvalidValueError(f"object_pose: {far:.3g} m from where the file has it, but {words}")
+    return pose
+
+
+def _from_numbers(where: ArrayLike) -> Pose:
+    try:
+        given = real(where)
+    except ValueError as error:
+        raise InvalidValueError(f"object_pose: {error}") from None
+    numbers = near("object_pose", vector("object_pose", given, 7))
     length = float(np.linalg.norm(numbers[3:]))
     if abs(length - 1.0) > UNIT_QUATERNION:
         words = f"the quaternion has length {length:.3g}, needs 1; give x y z, then qx qy qz qw"
@@ -56,7 +70,7 @@ def start_of(robot: RobotModel, start: Start) -> tuple[Start, dict[str, float]]:
     arms = {arm.name for arm in robot.arms}
     own, passive = dict(start), {}
     for key, value in start.items():
-        arm, dot, _ = key.rpartition(".")
+        arm, dot, _ = str(key).rpartition(".")
         if dot and arm in arms and key not in robot.joint_names:
             numbers = np.atleast_1d(near(key, array(key, own.pop(key))))
             if numbers.shape != (1,):

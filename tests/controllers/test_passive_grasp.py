@@ -20,6 +20,7 @@ from coopqp.plant import Disturbance, Push
 from coopqp.plants import Kinematic, Mujoco, RigidBody
 from coopqp.scenario.loader import load, shipped
 from coopqp.scenario.scenario import Scenario
+from coopqp.solver import Status
 from coopqp.tasks import Pose
 from coopqp.trace import Trace
 
@@ -115,6 +116,17 @@ def test_a_weak_motor_saturates_and_is_recorded() -> None:
     )
     trace = run(pushed, controller="strong")
     assert trace.signals["saturated"].max() > 0.0
+    assert "TASKS_RELAXED" in trace.status
+    law = strong.build(pushed.problem())
+    for v, status in ((50.0, Status.TASKS_RELAXED), (1e300, Status.NOT_FINITE)):
+        state = law.start()
+        state.v[1] = v
+        command = law.tick(state)
+        assert command.status is status
+        assert command.tau is not None
+        assert command.tau.any()
+        assert (np.abs(command.tau) <= pushed.chain.model.effortLimit).all()
+        assert (pushed.chain.joint_names[1] in command.note) == (v == 50.0)
     motors = trace.effort > 0.0
     assert np.all(np.abs(trace.signals["tau"][:, motors]) <= trace.effort[motors])
 

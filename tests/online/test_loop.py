@@ -351,6 +351,26 @@ def test_phases_wait_to_be_asked() -> None:
     assert loop.phase is scenario.schedule[2]
 
 
+@needs_robots
+@pytest.mark.parametrize("share", [0.5, 1.0])
+def test_notes_of_the_change_of_phases(share: float) -> None:
+    scenario = coopqp.load("pick_and_place")
+    phases = tuple(replace(p, duration=round(share * p.duration, 2)) for p in scenario.phases)
+    loop, robot = simulated(scenario.changed(phases=phases))
+    notes = []
+    for _ in range(round(260 / 0.5 * share)):
+        go(loop, robot, 1)
+        notes += [(loop.status.name, loop.note)] if loop.note else []
+    assert loop.phase.name == "reach"
+    if share == 1.0:
+        assert not notes
+        return
+    assert set(notes[:-1]) == {("STOPPED", "slows down for phase 'reach'")}
+    status, note = notes[-1]
+    assert status == "OPTIMAL"
+    assert note.startswith("phase approach ended with tasks missed: left above.position by 0.00")
+
+
 def test_what_cannot_be_asked_for_is_refused_at_once() -> None:
     bad: dict[str, Any] = {"reference": "mesured", "patience": 0.0, "keep": np.inf}
     with pytest.raises(InvalidValueError) as refused:

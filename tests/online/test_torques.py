@@ -159,6 +159,12 @@ def test_what_a_driver_must_say_and_take() -> None:
     assert loop.note == "the velocities of joints are NaN or infinite"
     go(loop, robot, 0.01)
     assert loop.begun
+    for v, seen in ((50.0, r"limit is"), (1e300, r"limit is")):
+        reading = robot.read()
+        reading[1, 1] = v
+        loop.tick(reading)
+        assert loop.status is Status.NOT_MEASURED
+        assert f"{scenario.chain.joint_names[1]} at +{v:.3g} rad/s, but its {seen}" in loop.note
 
     timed = OnlineLoop(scenario, "torque_qp")
     with pytest.raises(InvalidValueError, match="has no method apply"):

@@ -76,3 +76,32 @@ def test_phases_begin_at_the_new_start(tmp_path: Path) -> None:
     trace = coopqp.run(placed, controller="qp")
     assert trace.q[0] == pytest.approx(placed.chain.q_start)
     assert np.abs(trace.loop_position).max() < 1e-3
+
+
+def test_no_numbers_and_places_that_no_arm_reaches_are_refused() -> None:
+    stands = coopqp.load("pick_and_place")
+    here = [0.6, 0.14, 0.2, 0.0, 0.0, 0.0, 1.0]
+    far = [600.0, 140.0, *here[2:]]
+    masked = np.ma.masked_array(here, mask=[1, 0, 0, 0, 0, 0, 0])
+    bad: dict[str, Any] = {
+        "are these millimetres": far,
+        "true or false": [False] * 6 + [True],
+        "a text": [str(x) for x in here],
+        "masked": masked,
+        "needs at most": [1e300] * 7,
+    }
+    for words, where in bad.items():
+        with pytest.raises(InvalidValueError, match=f"object_pose: .*{words}"):
+            stands.placed(object_pose=where)
+    with pytest.raises(InvalidValueError, match="are these millimetres"):
+        stands.placed(object_pose=Pose(position=(600.0, 140.0, 0.2)))
+    numbered: Any = {1: 2.0}
+    with pytest.raises(CoopqpError, match="unknown arm or joint"):
+        stands.placed(start=numbered)
+    loop = coopqp.OnlineLoop(stands, clock=None)
+    for sent, words in ((1e9, "is from the future"), (np.nan, "when it was sent"), (-1.0, "s old")):
+        loop.tick(stands.chain.q_start, inputs={"object_pose": (here, sent)})
+        assert loop.status.name == "INPUT_REFUSED"
+        assert words in loop.note
+    loop.tick(stands.chain.q_start, inputs={"object_pose": (here, loop.now)})
+    assert loop.status.name == "OPTIMAL"
