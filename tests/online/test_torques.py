@@ -13,6 +13,7 @@ import coopqp
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array
 from coopqp.controller import Command
+from coopqp.online.arrivals import Readings
 from coopqp.online.loop import OnlineLoop
 from coopqp.online.real_time import real_time
 from coopqp.online.simulated import SimulatedRobot
@@ -211,3 +212,17 @@ def test_the_robot_is_left_with_torques_that_hold() -> None:
     np.testing.assert_allclose(
         taken[-1], dynamics.distribute(dynamics.gravity(still[0])).tau, atol=1e-9
     )
+
+
+def test_a_velocity_against_the_way_that_a_joint_has_gone_is_refused() -> None:
+    chain = coopqp.load("passive_grasp_pose").chain
+    readings = Readings(chain, rates=True)
+    q, v = chain.q_start.copy(), np.zeros(chain.n)
+    assert readings.take(np.array([q, v]), q, 0.0) is None
+    q[1] += 0.3
+    v[1] = -chain.velocity[1]
+    moved = 1.5 * chain.velocity[1] * 0.05
+    assert moved > 0.3  # no jump
+    assert readings.take(np.array([q, v]), q, 0.05) is Status.NOT_MEASURED
+    assert "but it moved by +0.3 rad in 0.05 s" in readings.note
+    assert readings.take(np.array([q, -v]), q, 0.1) is None
