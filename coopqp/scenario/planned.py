@@ -19,8 +19,9 @@ from coopqp.base.errors import InvalidValueError, UnknownNameError, under
 from coopqp.base.reading import FilePath
 from coopqp.base.spec import Array, Name, NonNegative, Positive, spec
 from coopqp.base.table import Table, read_table
+from coopqp.model.closed_chain import ClosedChain
 from coopqp.scenario.scenario import Phase, Scenario
-from coopqp.signal import POSE
+from coopqp.signal import POSE, quaternion_of
 from coopqp.signals import Waypoints
 from coopqp.task import Task
 from coopqp.tasks import Pose, Posture
@@ -32,6 +33,8 @@ WAY, GOAL = "way", "goal"
 PHASE, CLOCK = "phase", "way"
 #: How far a plan may begin from the start [rad, m].
 NEAR = 1e-3
+#: A joint this many times as fast as it can be has jumped.
+FAST = 2.0
 #: Where ways are found. It lies above, so it is found by name, as plug-ins are.
 PLANNER = "coopqp.planning.plan"
 
@@ -128,6 +131,28 @@ def _ways(scenario: Scenario, table: Table) -> Iterator[tuple[Array, Array, Arra
     if not np.array_equal(np.unique(to), np.arange(1.0, phases + 1.0)) or (np.diff(to) < 0.0).any():
         words = f"leads to {len(np.unique(to))} phases, and the scenario has {phases}"
         raise InvalidValueError(f"{table.path}: {words}; plan the way anew")
+    chain, before = scenario.chain, q
     for k in range(1, phases + 1):
         rows = to == k
-        yield t[rows] - t[rows][0], q[rows], X[rows]
+        if k > 1:
+            chain = chain.handed_over(before[-1], scenario.schedule[k - 1].released)
+        before = q[rows]
+        if wrong := _damaged(chain, t[rows], before, X[rows]):
+            raise InvalidValueError(f"{table.path}: {wrong}; plan the way anew")
+        yield t[rows] - t[rows][0], before, X[rows]
+
+
+def _damaged(chain: ClosedChain, t: Array, q: Array, X: Array) -> str:
+    """Where joints jump, or the object is elsewhere than they hold it; empty if nowhere."""
+    most = np.where(chain.velocity > 0.0, chain.velocity, np.inf)
+    jumps = np.abs(np.diff(q, axis=0)) > FAST * most * np.diff(t)[:, None]
+    if jumps.any():
+        i, joint = np.argwhere(jumps)[0]
+        return f"{chain.joint_names[joint]} jumps at {t[i]:.3f} s"
+    for at, row, x in zip(t, q, X, strict=True):
+        pose = chain.object_pose(row)
+        turned, said = quaternion_of(pose.rotation), x[3:] / np.linalg.norm(x[3:])
+        apart = min(np.abs(turned - said).max(), np.abs(turned + said).max())
+        if max(np.abs(pose.translation - x[:3]).max(), apart) > NEAR:
+            return f"the object is not where the joints hold it at {at:.3f} s"
+    return ""

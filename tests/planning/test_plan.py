@@ -295,6 +295,19 @@ def _check_way_round(scenario: Scenario, blocked: RunExplanation) -> None:
     assert way_round(follows, blocked, "FILE") is blocked
 
 
+def test_a_damaged_plan_is_refused(shelves: Scenario, way: Plan, tmp_path: Path) -> None:
+    middle, moved = len(way.t) // 2, np.array(way.object)
+    moved[middle, 0] += 0.01
+    hole = np.delete(np.arange(len(way.t)), slice(middle - 30, middle + 30))
+    cut = replace(way, timed=way.timed[hole], object=way.object[hole], t=way.t[: len(hole)])
+    for damaged, says in (
+        (cut, r"plan.csv: \S+ jumps at"),
+        (replace(way, object=moved), "the object is not where the joints hold it at"),
+    ):
+        with pytest.raises(CoopqpError, match=says):
+            write_plan(damaged, shelves, tmp_path)
+
+
 def test_a_plan_shorter_than_a_second_is_read_back(tmp_path: Path) -> None:
     """A trial of its tasks at a tick, where the reference has a kink, refused all of these."""
     scenario = load("yeo_4_5")
