@@ -26,9 +26,6 @@ def test_a_stop_lasts_beyond_the_phase(tmp_path: Path) -> None:
     assert not trace.v[30:].any(), "from then on"
 
 
-@pytest.mark.xfail(
-    strict=True, reason="the audit takes each phase to begin at rest, which it does not"
-)
 def test_the_audit_of_accelerations_knows_that_a_phase_begins_in_motion(tmp_path: Path) -> None:
     phases = "phases:\n"
     for name in ("a", "b"):
