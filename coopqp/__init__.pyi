@@ -1,5 +1,6 @@
 """The public names of coopqp, and where they live; for type checkers and for ``lazy_loader``."""
 
+from . import planning as planning
 from .assessment import Assessment as Assessment
 from .assessment import assess as assess
 from .base.errors import CoopqpError as CoopqpError

@@ -19,7 +19,7 @@ from coopqp.planning.reach import MOST, PROVEN, Goals, Progress, explained, too_
 from coopqp.planning.timing import timed
 from coopqp.planning.turns import CUT_OFF, cut_off
 from coopqp.planning.verification import Verification, Verifier, lengths
-from coopqp.scenario.planned import PHASE, follows
+from coopqp.scenario.planned import PHASE
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import TURN_COLUMNS, quaternion_of
 from coopqp.study.explanation.goal import Goal, placed
@@ -185,7 +185,7 @@ def way_round(
     Tried so long, where a configuration is known at the goal and a run may follow a plan. ``named``
     is what the command line calls the scenario.
     """
-    if not found.elsewhere or follows(scenario):
+    if not found.elsewhere or any(phase.leads for phase in scenario.phases):
         return found
     command = f"coopqp plan {named}"
     try:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import coopqp
 from coopqp.base.errors import Fault, ScenarioError, UnknownNameError, unknown_name
 from coopqp.base.reading import absolute
 from coopqp.grasps import Rigid
@@ -34,8 +34,6 @@ from coopqp.solvers import qpsolvers
 
 #: Keys whose values are paths, of robots, obstacles, way-points, plans and what was sent.
 FILE_KEYS = {"path", "mesh", "file", "feed_file", "plan"}
-#: Where the fastest profiles are found. It lies above, so it is found by name, as plug-ins are.
-TIMING = "coopqp.planning.fastest_profile"
 
 
 def load(path: str | Path, catalog: Catalog | None = None) -> Scenario:
@@ -72,7 +70,7 @@ def load_file(file: YamlFile, catalog: Catalog, known: Known | None = None) -> S
             with at(["reference"]):
                 scenario = following(scenario, planned)
         if any(task.way and task.way.kind == FASTEST for _, task, _ in placed_tasks(scenario)):
-            scenario = import_module(TIMING).with_fastest_profiles(scenario)
+            scenario = coopqp.planning.with_fastest_profiles(scenario)
         check_start(file.data, scenario, known)
         return scenario
 
