@@ -18,13 +18,15 @@ from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.spec import Array, Positive, spec
 from coopqp.base.table import csv_text
 from coopqp.closed_loop.grasp_matrix import COMPONENTS
-from coopqp.controllers import TorqueQp
+from coopqp.controller import Controller
+from coopqp.controllers import PassiveGraspPid, TorqueQp
 from coopqp.execution.comparison import compare
 from coopqp.execution.controller_run import run
 from coopqp.grasps import Rigid
 from coopqp.limits import JointAcceleration, JointPosition, JointVelocity, ObjectSpeed
 from coopqp.model.held_object import HeldObject
 from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.planning.closed_path import CLOSED
 from coopqp.planning.fastest_profile import SHARE, with_fastest_profiles
 from coopqp.planning.time_along import LIGHTER, MORE, TOLERATED, TimedPath, time_along, would_do
@@ -34,10 +36,12 @@ from coopqp.plants import Mujoco, RigidBody
 from coopqp.robot import Arm, Robot, RobotModel
 from coopqp.robots import PlanarPair
 from coopqp.scenario.loader import load
+from coopqp.scenario.planned import Followed, Way, following, way_tasks
 from coopqp.scenario.scenario import Phase, Scenario
-from coopqp.signal import POSE, Moment
+from coopqp.signal import CLOCK, POSE, Moment, Trajectory
 from coopqp.signals import Waypoints
 from coopqp.tasks import InternalWrench, Posture
+from coopqp.torque_law.task_dynamics import TaskDynamics
 
 MASS, EFFORT, SPEED, PUSH = 2.0, 6.0, 0.7, 1.5
 """Of a slider and what it carries [kg, N, m/s, m/s2]."""
@@ -413,6 +417,66 @@ def test_torques_that_follow_it_squeeze_as_planned(tmp_path: Path) -> None:
     assert np.median(forces[1]) < 0.2 * np.median(planned)
 
 
+@pytest.mark.parametrize(
+    ("name", "law"),
+    [
+        ("point_on_point", TorqueQp()),
+        ("passive_grasp_pose", TorqueQp()),
+        ("passive_grasp_pose", PassiveGraspPid()),
+    ],
+)
+def test_a_plan_that_is_timed_is_followed_with_its_forces(
+    name: str, law: Controller, tmp_path: Path
+) -> None:
+    """In MuJoCo; without the columns of the wrench the law shares the load by itself."""
+    pytest.importorskip("mujoco")
+    shipped, dt = load(name), 0.002
+    found = time_along(random_way(shipped.chain, 0, count=3, step=0.3), shipped, torque=0.8)
+    table = found.table(dt)
+    alone = {key: column for key, column in table.items() if key not in COMPONENTS}
+    scenario = shipped.changed(
+        plant=Mujoco(), dt=dt, kappa=100.0, secondary=(), controllers={law.name: law}
+    )
+    whole = [found.at(dt * k) for k in range(round(found.duration / dt))]
+    off, forces, torques = [], [], []
+    for columns in (table, alone):
+        file = tmp_path / f"{len(columns)}.csv"
+        file.write_text(csv_text(columns), encoding="utf-8")
+        trace = run(
+            following(scenario, Followed(plan=file, late=0.1)), controller=law.name, timed=False
+        )
+        ticks = slice(0, len(whole))
+        off.append(np.abs(trace.q[ticks] - [now.q for now in whole]).max())
+        assert (np.abs(trace.signals["tau"]) <= trace.effort * (1.0 + 1e-9)).all()
+        motors = np.setdiff1d(np.arange(shipped.chain.n), shipped.chain.passive)
+        tau = trace.signals["tau"][ticks] - [now.tau for now in whole]
+        torques.append(np.median(np.abs(tau[:, motors]) / shipped.chain.model.effortLimit[motors]))
+        between = trace.signals["internal_wrench"].reshape(-1, 2, 6)[ticks, 0, :3]
+        forces.append(np.median(np.abs(between - [now.internal[0, :3] for now in whole])))
+    assert off[0] < 0.01
+    assert forces[0] < 0.1  # N, of up to 6 and 16
+    assert forces[0] < 0.2 * forces[1]
+    assert torques[0] < 0.02
+    assert torques[0] < 0.25 * torques[1]
+
+
+@pytest.mark.parametrize("pace", [1.0, 0.4])
+def test_accelerations_along_a_way_are_those_of_its_clock(pace: float) -> None:
+    """The second derivative of x(clock) is x'' pace^2, whatever the time is."""
+    scenario = load("point_on_point")
+    t = np.linspace(0.0, 1.0, 41)
+    q = scenario.chain.q_start + 0.1 * np.sin(2.0 * t)[:, None]
+    way = Way(t, q, np.zeros((0, 7)), np.zeros((0, 0)))
+    tasks = way_tasks(way, scenario.dt, True, TorqueQp())
+    level = TaskDynamics(replace(scenario.problem(), tasks=tasks))
+    state = State(scenario.chain)
+    state.t, clock = 3.0, Trajectory(CLOCK, np.array([0.6]))
+    clock.rate[0], state.inputs["way"] = pace, clock
+    level.update(state)
+    wanted = -0.4 * np.sin(1.2) * pace**2
+    np.testing.assert_allclose(level.drift, -wanted, rtol=2e-3)
+
+
 @needs_robots
 @pytest.mark.parametrize(("safety", "rest"), [(1.5, 0.2), (1.0, 1.0)])
 def test_a_box_between_pads_is_held_or_lost_with_less_friction_and_said(
@@ -476,7 +540,7 @@ def test_a_file_may_ask_for_the_fastest_profile(tmp_path: Path) -> None:
     used = np.abs(trace.v[:arrived] / scenario.chain.velocity).max(axis=1)
     assert np.median(used) > 0.9
     file.write_text(text.replace("duration: 2.0", "shares: [0, 1]"), encoding="utf-8")
-    with pytest.raises(CoopqpError, match=r"fast.yaml:15: .* needs shares, the first 0"):
+    with pytest.raises(CoopqpError, match=r"fast.yaml:15: .* needs shares that rise"):
         load(file)
 
 
