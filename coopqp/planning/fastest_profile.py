@@ -14,8 +14,9 @@ import numpy as np
 from coopqp.base.errors import InvalidValueError
 from coopqp.model.profile import FASTEST, Profile
 from coopqp.planning.closed_path import closed_path
+from coopqp.planning.given_path import LAW, SLOW, calm_run
 from coopqp.planning.path_constraints import Bounds, RowMaker, joint_bounds, twist_bounds
-from coopqp.planning.time_along import LAW, POINTS, SLOW, calm_run, fastest
+from coopqp.planning.time_along import POINTS, fastest
 from coopqp.scenario.scenario import Scenario
 from coopqp.task import Task
 

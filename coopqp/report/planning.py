@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from string import Template
 from tempfile import TemporaryDirectory
 from typing import Any
 
@@ -12,21 +13,25 @@ import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
+from coopqp import __version__
+from coopqp.base.errors import CoopqpError
 from coopqp.base.reading import absolute
 from coopqp.base.spec import Array
+from coopqp.base.table import csv_text
 from coopqp.planning import Plan, Reach
-from coopqp.planning.time_along import NOTHING, TimedPath
+from coopqp.planning.time_along import NOTHING, TimedPath, table_of_phases
 from coopqp.report import strict_json
 from coopqp.report.files import write_one
-from coopqp.report.page import text
+from coopqp.report.page import asset, text
 from coopqp.report.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario
+from coopqp.scenario.yaml import parsed
 
 PATH = "plan.csv"
-#: Of a timed path: its table, and the picture of what is active where.
-TIMED, PICTURE = "timed.csv", "timed.svg"
-#: Size of that picture, and of its margin [px].
+#: Of a timed path: its table, and the page that shows what is active where.
+TIMED, PAGE = "timed.csv", "timed.html"
+#: Size of a picture, and of its margin [px].
 WIDTH, HEIGHT, MARGIN = 640, 320, 40
 COLORS = (BLUE, VERMILION, GREEN, PURPLE, SKY, ORANGE)
 
@@ -79,47 +84,114 @@ def write_plan(
     Raises:
         CoopqpError: it cannot be written, or the scenario is refused, and then nothing is.
     """
+    keys = {"keep": list(keep)} if keep else {}
+    return _write_both(found.csv, PATH, scenario, folder, keys)
+
+
+def write_timed(
+    parts: Sequence[TimedPath], tried: Sequence[dict[str, float]], scenario: Scenario, folder: Path
+) -> list[Path]:
+    """Write a timed path as a table and as a page, and the scenario with it as its reference.
+
+    Raises:
+        CoopqpError: it cannot be written.
+    """
+    table = csv_text(table_of_phases(parts, scenario.dt))
+    try:
+        written = _write_both(table, TIMED, scenario, folder, {})
+    except CoopqpError:  # such as a path that begins elsewhere, which way-points follow
+        write_one(folder / TIMED, table)
+        written = [folder / TIMED]
+    write_one(folder / PAGE, _page(parts, tried, scenario))
+    return [*written, folder / PAGE]
+
+
+def _write_both(
+    table: str, name: str, scenario: Scenario, folder: Path, keys: dict[str, Any]
+) -> list[Path]:
     with TemporaryDirectory() as tried:
-        for path in _write(found, scenario, Path(tried), keep)[1:]:
+        for path in _write(table, name, scenario, Path(tried), keys)[1:]:
             load(path, scenario.catalog)
-    return _write(found, scenario, folder, keep)
+    return _write(table, name, scenario, folder, keys)
 
 
-def _write(found: Plan, scenario: Scenario, folder: Path, keep: Sequence[str]) -> list[Path]:
-    path = folder / PATH
-    write_one(path, found.csv)
+def _write(
+    table: str, name: str, scenario: Scenario, folder: Path, keys: dict[str, Any]
+) -> list[Path]:
+    path = folder / name
+    write_one(path, table)
     if not scenario.source:
         return [path]
     follows = folder / f"{scenario.name}.yaml"
-    named = PATH if scenario.folder is None else str(absolute(path))
-    keys = {"plan": named, **({"keep": list(keep)} if keep else {})}
-    write_one(follows, _with_reference(scenario.portable, keys))
+    named = name if scenario.folder is None else str(absolute(path))
+    write_one(follows, _with_reference(scenario.portable, {"plan": named, **keys}))
     return [path, follows]
 
 
 def _with_reference(text: str, keys: dict[str, Any]) -> str:
-    if text.lstrip().startswith("{"):
-        return json.dumps({**json.loads(text), "reference": keys}, indent=2) + "\n"
+    """The scenario with a reference, whose other keys stay where it has one."""
+    data = parsed(Path("scenario"), text).data
+    keys = {**(data.get("reference") or {}), **keys}
+    if text.lstrip().startswith("{") or "reference" in data:
+        return json.dumps({**data, "reference": keys}, indent=2) + "\n"
     end = "" if text.endswith("\n") else "\n"
     return f"{text}{end}reference: {json.dumps(keys)}\n"
+
+
+def _active(found: TimedPath, tried: dict[str, float]) -> Iterator[tuple[str, str, str, str]]:
+    for name in [*found.shares, *(name for name in tried if name not in found.shares)]:
+        share = found.shares.get(name)
+        took = "" if share is None else f"{share * found.duration:.3f}"
+        more = f"{tried[name]:.4f}" if name in tried else ""
+        yield name, took, "" if share is None else f"{share:.1%}", more
+
+
+#: Headings of a table of limits.
+TITLES = ("active limit", "time [s]", "share", "with 20 % more of it [s]")
 
 
 def limits_table(found: TimedPath, tried: dict[str, float]) -> Table:
     """Which limit is active for how long, and how long the path takes with more of it."""
     table = Table(box=None, pad_edge=False)
-    for title in ("active limit", "time [s]", "share", "with 20 % more of it [s]"):
+    for title in TITLES:
         table.add_column(escape(title), justify="left" if title[0] == "a" else "right")
-    for name in [*found.shares, *(name for name in tried if name not in found.shares)]:
-        share = found.shares.get(name)
-        cells = ("", "") if share is None else (f"{share * found.duration:.3f}", f"{share:.1%}")
-        table.add_row(escape(name), *cells, f"{tried[name]:.4f}" if name in tried else "")
+    for name, *cells in _active(found, tried):
+        table.add_row(escape(name), *cells)
     return table
 
 
-def timed_svg(found: TimedPath) -> str:
+def _page(parts: Sequence[TimedPath], tried: Sequence[dict[str, float]], scenario: Scenario) -> str:
+    """What limits where, for how long, and what more of it would bring, of each phase."""
+    heads = "".join(f'<th class="{"name" if t in TITLES[:1] else ""}">{t}</th>' for t in TITLES)
+    sections = []
+    for title, found, more in zip(phase_titles(parts, scenario), parts, tried, strict=True):
+        rows = "".join(
+            f'<tr><th class="name">{text(name)}</th>{"".join(f"<td>{x}</td>" for x in cells)}</tr>'
+            for name, *cells in _active(found, more)
+        )
+        said = "".join(f"<p>{text(line)}</p>" for line in found.sentences)
+        sections.append(
+            f'<section><h2>{text(title)}</h2><aside class="how">{said}</aside>'
+            f'<div class="wide">{_picture(found)}<table class="summary">'
+            f"<thead><tr>{heads}</tr></thead><tbody>{rows}</tbody></table></div></section>"
+        )
+    return Template(asset("timed.html")).substitute(
+        title=text(scenario.name), description=text(scenario.description), css=asset("page.css"),
+        version=text(__version__), sections="".join(sections),
+    )  # fmt: skip
+
+
+def phase_titles(parts: Sequence[TimedPath], scenario: Scenario) -> list[str]:
+    """What each part of a timed path is called."""
+    names = [phase.name for phase in scenario.schedule if not phase.leads]
+    return [f"Phase '{name}'" for name in names] if len(parts) > 1 else ["The whole path"]
+
+
+def _picture(found: TimedPath) -> str:
     """The speed along the path in the colour of what is active there, under what is possible."""
     way, shown = found.profile, [name for name in found.shares if name != NOTHING]
-    colors = dict(zip(shown, COLORS, strict=False)) | {NOTHING: "#999999"}
+    colors = dict(zip(shown, COLORS, strict=False))
+    colors |= {NOTHING: "#999999"} if found.shares.get(NOTHING) else {}
     others = sum(found.shares[name] for name in shown[len(COLORS) :])
     top = 1.05 * float(np.sqrt(way.most.max()))
     x = MARGIN + (WIDTH - 2 * MARGIN) * way.s / way.s[-1]

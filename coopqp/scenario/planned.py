@@ -7,6 +7,7 @@ wrench between the hands; all limits stay in force. Its clock waits for joints t
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -161,21 +162,26 @@ def _ways(scenario: Scenario, table: Table) -> Iterator[Way]:
         joint = scenario.chain.joint_names[int(off.argmax())]
         words = f"begins {off.max():.3g} from the start of {joint}; plan the way anew from here"
         raise InvalidValueError(f"{table.path}: {words}")
-    to: Array = table.take([PHASE])[:, 0] if PHASE in table.columns else np.ones(len(t))
-    if not np.array_equal(np.unique(to), np.arange(1.0, phases + 1.0)) or (np.diff(to) < 0.0).any():
-        words = f"leads to {len(np.unique(to))} phases, and the scenario has {phases}"
-        raise InvalidValueError(f"{table.path}: {words}; plan the way anew")
     chain, before = scenario.chain, q
-    for k in range(1, phases + 1):
-        rows = to == k
-        if k > 1:
-            chain = chain.handed_over(before[-1], scenario.schedule[k - 1].released)
+    for k, rows in enumerate(rows_of_phases(table, phases)):
+        if k:
+            chain = chain.handed_over(before[-1], scenario.schedule[k].released)
         before = q[rows]
         if wrong := _damaged(chain, t[rows], before, X[rows]):
             raise InvalidValueError(f"{table.path}: {wrong}; plan the way anew")
         pair = chain.holding == 2 and set(COMPONENTS) <= set(table.columns)
         wrench = table.take(COMPONENTS if pair else ())
         yield Way(t[rows] - t[rows][0], before, X[rows], wrench[rows] if pair else np.zeros((0, 0)))
+
+
+def rows_of_phases(table: Table, phases: int) -> list[slice]:
+    """Rows that lead to each phase; InvalidValueError where there are not so many phases."""
+    to = table.take([PHASE])[:, 0] if PHASE in table.columns else np.ones(len(table.times()))
+    if not np.array_equal(np.unique(to), np.arange(1.0, phases + 1.0)) or (np.diff(to) < 0.0).any():
+        words = f"leads to {len(np.unique(to))} phases, and the scenario has {phases}"
+        raise InvalidValueError(f"{table.path}: {words}; plan the way anew")
+    ends = np.flatnonzero(np.diff(to, prepend=0.0, append=0.0)).tolist()
+    return [slice(a, b) for a, b in itertools.pairwise(ends)]
 
 
 def _damaged(chain: ClosedChain, t: Array, q: Array, X: Array) -> str:

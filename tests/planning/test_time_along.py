@@ -211,7 +211,7 @@ def test_less_of_anything_takes_longer() -> None:
 
 def test_what_would_do_is_what_timing_with_it_takes() -> None:
     found, scenario = nao(0), load("point_on_point")
-    tried = would_do(found, scenario)
+    tried = would_do(found)
     assert (
         list(tried)
         == [*(name for name in found.shares if name != "nothing"), LIGHTER][-len(tried) :]
@@ -221,7 +221,7 @@ def test_what_would_do_is_what_timing_with_it_takes() -> None:
     lighter = time_along(random_way(scenario.chain, 0), replace(scenario, held=held))
     assert tried[LIGHTER] == pytest.approx(lighter.duration, rel=1e-9)
     sliding = sliders(push=PUSH, speed=SPEED)
-    tried = would_do(time_along(LINE, sliding, points=100), sliding)
+    tried = would_do(time_along(LINE, sliding, points=100))
     for name, a, v in (("acceleration", MORE * PUSH, SPEED), ("speed", PUSH, MORE * SPEED)):
         found_by_name = [seconds for key, seconds in tried.items() if key.startswith(name)]
         assert found_by_name
@@ -600,11 +600,13 @@ def test_a_load_that_cannot_be_held_is_refused_with_place_and_motor() -> None:
         ({"points": 20.5}, "points: found 20.5, needs a whole number from 8 to 20000"),
         ({"points": 3}, "points: found 3, needs a whole number from 8 to 20000"),
         ({"points": "all"}, "points: found 'all', needs numbers"),
-        ({"rise": -1.0}, "rise: found -1.0, needs a time of at least 0 s"),
+        ({"rise": -1.0}, "rise: found -1.0, needs a time from 0 to 100 s"),
+        ({"rise": 1e9}, "rise: found 1000000000.0, needs a time from 0 to 100 s"),
+        ({"rise": 1e-9}, r"rise: found 1e-09 s, needs 0, or at least 0.001\d+ s, the time of"),
         ({"torque": 1.5}, r"torque: found 1.5, needs a share in \(0, 1\]"),
-        ({"safety": 0.5}, "safety: found 0.5, needs a number of at least 1"),
-        ({"wrench": (-1.0, 1.0)}, r"wrench: found \(-1.0, 1.0\), needs two numbers of at least 0"),
-        ({"wrench": 40.0}, "wrench: found 40.0, needs two numbers of at least 0"),
+        ({"safety": 0.5}, "safety: found 0.5, needs a number from 1 to 1000"),
+        ({"wrench": (-1.0, 1.0)}, r"wrench: found \(-1.0, 1.0\), needs two numbers from 0 to 1e6"),
+        ({"wrench": 40.0}, "wrench: found 40.0, needs two numbers from 0 to 1e6"),
         ({"speed": (0.0, float("nan"))}, r"speed: found \(0.0, nan\), needs two numbers"),
     ],
 )
@@ -615,7 +617,10 @@ def test_options_out_of_range_are_refused(options: dict[str, Any], words: str) -
 
 
 def test_phases_with_other_grasps_are_refused() -> None:
-    """The loops and loads of the first one are not those of the next."""
+    """The loops and loads of the first one are not those of the next; a plan says where."""
     scenario = load("regrasp")
-    with pytest.raises(InvalidValueError, match="needs one grasp: arms let go between them"):
-        time_along(np.tile(scenario.chain.q_start, (3, 1)), scenario)
+    path = np.tile(scenario.chain.q_start, (3, 1))
+    with pytest.raises(InvalidValueError, match="found one for 4 phases: arms let go between them"):
+        time_along(path, scenario)
+    with pytest.raises(InvalidValueError, match="phase: found 1, needs 0 to 0"):
+        time_along(path, load("two_pandas"), phase=1)
