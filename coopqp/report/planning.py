@@ -13,10 +13,7 @@ import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
-from coopqp import __version__
-from coopqp.base.errors import CoopqpError
 from coopqp.base.reading import absolute
-from coopqp.base.spec import Array
 from coopqp.base.table import csv_text
 from coopqp.planning import Plan, Reach
 from coopqp.planning.time_along import NOTHING, TimedPath, table_of_phases
@@ -25,14 +22,17 @@ from coopqp.report.files import write_one
 from coopqp.report.page import asset, text
 from coopqp.report.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 from coopqp.scenario.loader import load
+from coopqp.scenario.planned import NEAR
 from coopqp.scenario.scenario import Scenario
 from coopqp.scenario.yaml import parsed
 
 PATH = "plan.csv"
 #: Of a timed path: its table, and the page that shows what is active where.
 TIMED, PAGE = "timed.csv", "timed.html"
-#: Size of a picture, and of its margin [px].
-WIDTH, HEIGHT, MARGIN = 640, 320, 40
+#: Headings of its limits.
+TITLES = ("active limit", "time [s]", "share", "with 20 % more of it [s]")
+#: Size of a picture, and of its margin [px]; colours of the limits that are active longest.
+WIDTH, HEIGHT, MARGIN, GRAY = 940, 320, 40, "#555555"
 COLORS = (BLUE, VERMILION, GREEN, PURPLE, SKY, ORANGE)
 
 
@@ -85,34 +85,26 @@ def write_plan(
         CoopqpError: it cannot be written, or the scenario is refused, and then nothing is.
     """
     keys = {"keep": list(keep)} if keep else {}
-    return _write_both(found.csv, PATH, scenario, folder, keys)
+    with TemporaryDirectory() as tried:
+        for path in _write(found.csv, PATH, scenario, Path(tried), keys)[1:]:
+            load(path, scenario.catalog)
+    return _write(found.csv, PATH, scenario, folder, keys)
 
 
 def write_timed(
     parts: Sequence[TimedPath], tried: Sequence[dict[str, float]], scenario: Scenario, folder: Path
 ) -> list[Path]:
-    """Write a timed path as a table and as a page, and the scenario with it as its reference.
+    """Write a timed path as a table and as a page, and, from its start, the scenario that follows.
 
     Raises:
         CoopqpError: it cannot be written.
     """
-    table = csv_text(table_of_phases(parts, scenario.dt))
-    try:
-        written = _write_both(table, TIMED, scenario, folder, {})
-    except CoopqpError:  # such as a path that begins elsewhere, which way-points follow
-        write_one(folder / TIMED, table)
-        written = [folder / TIMED]
+    apart = float(np.abs(parts[0].at(0.0).q - scenario.chain.q_start).max())
+    fits = apart < NEAR and len(phase_titles(parts, scenario)) == len(parts)
+    follower = scenario if fits else scenario.changed(source="")
+    written = _write(csv_text(table_of_phases(parts, scenario.dt)), TIMED, follower, folder, {})
     write_one(folder / PAGE, _page(parts, tried, scenario))
     return [*written, folder / PAGE]
-
-
-def _write_both(
-    table: str, name: str, scenario: Scenario, folder: Path, keys: dict[str, Any]
-) -> list[Path]:
-    with TemporaryDirectory() as tried:
-        for path in _write(table, name, scenario, Path(tried), keys)[1:]:
-            load(path, scenario.catalog)
-    return _write(table, name, scenario, folder, keys)
 
 
 def _write(
@@ -138,18 +130,6 @@ def _with_reference(text: str, keys: dict[str, Any]) -> str:
     return f"{text}{end}reference: {json.dumps(keys)}\n"
 
 
-def _active(found: TimedPath, tried: dict[str, float]) -> Iterator[tuple[str, str, str, str]]:
-    for name in [*found.shares, *(name for name in tried if name not in found.shares)]:
-        share = found.shares.get(name)
-        took = "" if share is None else f"{share * found.duration:.3f}"
-        more = f"{tried[name]:.4f}" if name in tried else ""
-        yield name, took, "" if share is None else f"{share:.1%}", more
-
-
-#: Headings of a table of limits.
-TITLES = ("active limit", "time [s]", "share", "with 20 % more of it [s]")
-
-
 def limits_table(found: TimedPath, tried: dict[str, float]) -> Table:
     """Which limit is active for how long, and how long the path takes with more of it."""
     table = Table(box=None, pad_edge=False)
@@ -160,67 +140,62 @@ def limits_table(found: TimedPath, tried: dict[str, float]) -> Table:
     return table
 
 
+def _active(found: TimedPath, tried: dict[str, float]) -> Iterator[tuple[str, str, str, str]]:
+    for name in [*found.shares, *(name for name in tried if name not in found.shares)]:
+        share = found.shares.get(name)
+        cells = ("", "") if share is None else (f"{share * found.duration:.3f}", f"{share:.1%}")
+        yield name, *cells, f"{tried[name]:.4f}" if name in tried else ""
+
+
 def _page(parts: Sequence[TimedPath], tried: Sequence[dict[str, float]], scenario: Scenario) -> str:
     """What limits where, for how long, and what more of it would bring, of each phase."""
-    heads = "".join(f'<th class="{"name" if t in TITLES[:1] else ""}">{t}</th>' for t in TITLES)
-    sections = []
+    page = Template(asset("timed.html"))
+    sections = ""
     for title, found, more in zip(phase_titles(parts, scenario), parts, tried, strict=True):
+        colors = dict(zip([name for name in found.shares if name != NOTHING], COLORS, strict=False))
         rows = "".join(
-            f'<tr><th class="name">{text(name)}</th>{"".join(f"<td>{x}</td>" for x in cells)}</tr>'
+            f'<tr><th class="name" style="color: {colors.get(name, GRAY)}">{text(name)}</th>'
+            f"<td>{'</td><td>'.join(cells)}</td></tr>"
             for name, *cells in _active(found, more)
         )
         said = "".join(f"<p>{text(line)}</p>" for line in found.sentences)
-        sections.append(
+        sections += (
             f'<section><h2>{text(title)}</h2><aside class="how">{said}</aside>'
-            f'<div class="wide">{_picture(found)}<table class="summary">'
-            f"<thead><tr>{heads}</tr></thead><tbody>{rows}</tbody></table></div></section>"
+            f'{_picture(found, colors)}<table class="summary"><thead><tr><th class="name">'
+            f"{'</th><th>'.join(TITLES)}</th></tr></thead><tbody>{rows}</tbody></table></section>"
         )
-    return Template(asset("timed.html")).substitute(
-        title=text(scenario.name), description=text(scenario.description), css=asset("page.css"),
-        version=text(__version__), sections="".join(sections),
-    )  # fmt: skip
+    about = text(scenario.description)
+    return page.substitute(
+        title=text(scenario.name), about=about, css=asset("page.css"), of=sections
+    )
 
 
 def phase_titles(parts: Sequence[TimedPath], scenario: Scenario) -> list[str]:
     """What each part of a timed path is called."""
     names = [phase.name for phase in scenario.schedule if not phase.leads]
-    return [f"Phase '{name}'" for name in names] if len(parts) > 1 else ["The whole path"]
+    return [f"Phase '{name}'" if len(parts) > 1 else "The whole path" for name in names]
 
 
-def _picture(found: TimedPath) -> str:
+def _picture(found: TimedPath, colors: dict[str, str]) -> str:
     """The speed along the path in the colour of what is active there, under what is possible."""
-    way, shown = found.profile, [name for name in found.shares if name != NOTHING]
-    colors = dict(zip(shown, COLORS, strict=False))
-    colors |= {NOTHING: "#999999"} if found.shares.get(NOTHING) else {}
-    others = sum(found.shares[name] for name in shown[len(COLORS) :])
-    top = 1.05 * float(np.sqrt(way.most.max()))
+    way, top = found.profile, 1.05 * float(np.sqrt(found.profile.most.max()))
     x = MARGIN + (WIDTH - 2 * MARGIN) * way.s / way.s[-1]
     low = HEIGHT - MARGIN
-
-    def heights(square: Array) -> list[float]:
-        return list(low - (low - MARGIN) * np.sqrt(np.maximum(square, 0.0)) / top)
 
     def line(points: Iterable[tuple[float, float]], color: str, width: float) -> str:
         at = " ".join(f"{a:.1f},{b:.1f}" for a, b in points)
         return f'<polyline points="{at}" fill="none" stroke="{color}" stroke-width="{width}"/>'
 
-    most, y = heights(way.most), heights(way.x)
+    most, y = (low - (low - MARGIN) * np.sqrt(np.maximum(k, 0.0)) / top for k in (way.most, way.x))
     parts = [line(zip(x, most, strict=True), "#cccccc", 1.5)]
     parts.append(line([(MARGIN, MARGIN), (MARGIN, low), (WIDTH - MARGIN, low)], BLACK, 1.0))
     pairs = list(zip(x, y, strict=True))
     for k, name in enumerate(found.active):
-        parts.append(line(pairs[k : k + 2], colors.get(name, BLACK), 3.0))
-    said = [(MARGIN, HEIGHT - 12, BLACK, f"length of the path, 0 to {way.s[-1]:.3g} rad")]
-    title = f"speed along the path, up to {top:.3g} rad/s; grey: what limits allow"
-    said.append((MARGIN, MARGIN - 8, BLACK, title))
-    for k, (name, color) in enumerate(colors.items()):
-        spent = found.shares.get(name, 0.0) * found.duration
-        said.append((WIDTH, MARGIN + 18 * k, color, f"{name}: {spent:.3f} s"))
-    if others:
-        words = f"other limits: {others * found.duration:.3f} s"
-        said.append((WIDTH, MARGIN + 18 * len(colors), BLACK, words))
-    for a, b, color, words in said:
-        parts.append(f'<text x="{a}" y="{b}" fill="{color}">{text(words)}</text>')
-    look = f'width="{WIDTH + 280}" height="{HEIGHT}" font-family="sans-serif" font-size="13"'
-    head = f'<svg xmlns="http://www.w3.org/2000/svg" {look}>'
-    return "\n".join([head, *parts, "</svg>"]) + "\n"
+        parts.append(line(pairs[k : k + 2], colors.get(name, GRAY), 3.0))
+    for height, words in (
+        (HEIGHT - 12, f"length of the path, 0 to {way.s[-1]:.3g} rad"),
+        (MARGIN - 8, f"speed along the path, up to {top:.3g} rad/s; grey: what limits allow"),
+    ):
+        parts.append(f'<text x="{MARGIN}" y="{height}" font-size="13">{words}</text>')
+    head = f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH}" height="{HEIGHT}">'
+    return "".join([head, *parts, "</svg>"])
