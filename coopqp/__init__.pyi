@@ -1,6 +1,5 @@
 """The public names of coopqp, and where they live; for type checkers and for ``lazy_loader``."""
 
-from . import planning as planning
 from .assessment import Assessment as Assessment
 from .assessment import assess as assess
 from .base.errors import CoopqpError as CoopqpError
@@ -50,6 +49,7 @@ from .online.joint_check import JointCheck as JointCheck
 from .online.joint_check import check_joints as check_joints
 from .online.loop import OnlineLoop as OnlineLoop
 from .online.real_time import real_time as real_time
+from .planning.fastest_profile import with_fastest_profiles as with_fastest_profiles
 from .planning.plan import Plan as Plan
 from .planning.plan import plan as plan
 from .planning.reach import Reach as Reach

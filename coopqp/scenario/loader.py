@@ -70,7 +70,7 @@ def load_file(file: YamlFile, catalog: Catalog, known: Known | None = None) -> S
         for place, task, _ in placed_tasks(scenario):
             if task.way and task.way.kind == FASTEST:
                 with at([*place, type_name(type(task)), "profile"]):
-                    scenario = coopqp.planning.with_fastest_profiles(scenario)
+                    scenario = coopqp.with_fastest_profiles(scenario)
                 break
         if planned:
             with at(["reference"]):

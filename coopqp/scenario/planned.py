@@ -146,8 +146,7 @@ def way_tasks(way: Way, dt: float, stands: bool, law: Controller | None = None) 
 
 
 def _found(scenario: Scenario, followed: Followed) -> Table:
-    budget = coopqp.planning.Budget(seconds=followed.seconds, seed=scenario.seed)
-    way = coopqp.planning.plan(scenario, keep=followed.keep, budget=budget)
+    way = coopqp.plan(scenario, keep=followed.keep, budget=followed.seconds)
     if not way.found:
         raise InvalidValueError(f"{way.sentence}; it had 'seconds: {followed.seconds:g}'")
     return Table(Path("plan"), way.columns, 0)
