@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from online_loops import Scripted, follows
+from online_loops import Machine, Scripted, follows
 
 import coopqp.online.real_time
 from coopqp import OnlineLoop, Status
@@ -186,20 +186,6 @@ def test_times_go_on_whatever_a_clock_says(rng: np.random.Generator) -> None:
             assert stood <= 1
             assert (now - before >= DT * (1.0 - 1e-9)) or not time.wrong
             before = now
-
-
-class Machine:
-    """The machine's time, of which each look takes 10 us; in the place of the module ``time``."""
-
-    def __init__(self, began: float) -> None:
-        self.now = began
-
-    def monotonic(self) -> float:
-        self.now += 1e-5
-        return self.now
-
-    def sleep(self, seconds: float) -> None:
-        self.now += seconds
 
 
 @pytest.mark.parametrize("began", [0.0, 4321.987, 1e6 / 3.0, 1.8e9])
