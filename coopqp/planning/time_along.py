@@ -195,14 +195,14 @@ class TimedPath:
         if not 0.0 < dt < np.inf:
             raise InvalidValueError(f"dt: found {dt:g}, needs more than 0")
         t = dt * np.arange(np.ceil(self.duration / dt - 1e-6) + 1.0)
-        t[-1] = self.duration if self.speed[1] else t[-1]
-        moments = [self.at(float(now)) for now in t]
+        t[-1] = end = self.duration if self.speed[1] else t[-1]
+        last = self.at(end if self.speed[1] else np.inf)
+        moments = [*map(self.at, t[:-1].tolist()), last]
         if lost := [now.s for now in moments if not np.isfinite(now.tau).all()]:
             where = self.path.place(lost[0])
             raise CoopqpError(f"at {where}: no torques keep all limits; give more points")
         joints = self.path.chain.joint_names
-        arms = [arm.name for arm in self.path.chain.arms[: self.maker.arms]]
-        arms = arms if len(arms) > 1 else []
+        arms = [arm.name for arm in self.path.chain.arms[: self.maker.arms] if self.maker.arms > 1]
         wrench = [f"internal[{arm}].{part}" for arm in arms for part in _WRENCH]
         pose = [[*m.p_WO, *quaternion_of(m.R_WO)] for m in moments]
         blocks = [
@@ -223,8 +223,8 @@ class TimedPath:
 
     def coarse(self, dt: float) -> str:
         """Whether ticks of dt [s] are too long for loops to stay closed; empty if they are not."""
-        q = [self.at(t).q for t in np.arange(0.0, self.duration, dt).tolist()]
-        opened = self.maker.loops.opened(np.array(q)) if len(q) > 2 else 0.0
+        s = [self.where(t)[0] for t in np.arange(0.0, self.duration, dt).tolist()]
+        opened = self.maker.loops.opened(self.path.spline(s)) if len(s) > 2 else 0.0
         words = f"Straight steps of {1e3 * dt:g} ms open the loops {opened:.2g} times as far as "
         words += f"counts as closed; a dt of {1e3 * dt / max(opened, 1.0) ** 0.5:.1g} ms does not."
         return words if opened > 1.0 else ""
