@@ -26,15 +26,7 @@ from coopqp.closed_loop.grasp_matrix import COMPONENTS, moved, section
 from coopqp.closed_loop.hands import hands, points
 from coopqp.grasp import SAFETY
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.planning.closed_path import (
-    FINER,
-    ROUNDING,
-    STILL,
-    ClosedPath,
-    closed_path,
-    relative,
-    still_path,
-)
+from coopqp.planning.closed_path import FINER, STILL, ClosedPath, closed_path, relative, still_path
 from coopqp.planning.forward_backward_pass import FORCE, Passes, Profile, Share, Stuck, program
 from coopqp.planning.given_path import given_path, phases_in
 from coopqp.planning.path_constraints import AXES, Bounds, RowMaker, Rows, bounds_of
@@ -289,7 +281,7 @@ def time_along(
         box = PRESSING
     q, problem = parts[phase or 0], scenario.problem(phases[phase or 0], chain)
     bounds = bounds_of(problem, torque, box, safety)
-    if phase is not None and np.ptp(q, axis=0).max() <= ROUNDING:
+    if phase is not None and not np.ptp(q, axis=0).any():
         return _still(RowMaker(still_path(chain, q[0], scenario.dt), bounds))
     return eased(fastest(RowMaker(closed_path(chain, q), bounds), int(points), speed), rise)
 

@@ -60,7 +60,7 @@ class Followed:
     """A plan that is followed."""
 
     plan: FilePath | Literal[True]
-    """The file that coopqp plan has written; or true, to find a way when the scenario is read."""
+    """The file that coopqp plan or time has written; or true, to find a way when this is read."""
     keep: tuple[Name, ...] = ()
     """Names of tasks that are met at the start and stay so along the way, as hard tasks."""
     by: tuple[Name, ...] = ()
@@ -69,7 +69,7 @@ class Followed:
     seconds: Positive = 10.0
     """Time within which it is found, where plan is true [s]."""
     late: NonNegative = 2.0
-    """How much later than planned each way may end, as where the joints are pushed off it [s]."""
+    """How much longer than planned each way lasts, for joints that are pushed off it [s]."""
 
 
 def following(scenario: Scenario, followed: Followed) -> Scenario:
