@@ -411,17 +411,18 @@ def would_do(found: TimedPath) -> dict[str, float]:
     An active limit promises nothing, since the next one may be near. By the name that the limit has
     in ``TimedPath.shares``, those that are active longest first, then by ``LIGHTER``.
     """
-    maker, points = found.maker, len(found.profile.u)
+    maker, points = found.maker, POINTS if found.rise else len(found.profile.u)
+    took = dict[str, float]()
     if found.active == (NOTHING,):
         return {}
     tried = [name for name in found.shares if name != NOTHING][:TRIED]
     bounds = {name: _raised(maker, name) for name in tried}
     bounds[LIGHTER] = replace(maker.bounds, load=(2.0 - MORE) * maker.bounds.load)
-    made = {name: RowMaker(maker.path, more) for name, more in bounds.items()}
-    return {
-        name: eased(fastest(rows, points, found.speed), found.rise).duration
-        for name, rows in made.items()
-    }
+    for name, more in bounds.items():
+        quick = eased(fastest(RowMaker(maker.path, more), points, found.speed), found.rise)
+        # What keeps a limit keeps a larger one; slowing down for a rise does not know that.
+        took[name] = min(quick.duration, np.inf if name == LIGHTER else found.duration)
+    return took
 
 
 def _raised(maker: RowMaker, name: str) -> Bounds:
