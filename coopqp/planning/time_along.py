@@ -288,7 +288,9 @@ def time_along(
 
 def time_phases(path: Any, scenario: Scenario, **how: Any) -> list[TimedPath]:
     """Each phase of a plan as :func:`time_along` has it; one where it has no phases."""
-    count = phases_in(path)
+    count, speed = phases_in(path), how.get("speed", (0.0, 0.0))
+    if count > 1 and any(speed):
+        raise InvalidValueError(f"speed: found {speed}, needs 0 at the ends of phases")
     each = range(count) if count > 1 else [None]
     return [time_along(path, scenario, phase=phase, **how) for phase in each]
 
