@@ -205,7 +205,7 @@ def test_a_regrasp_is_timed_phase_by_phase_and_followed(tmp_path: Path) -> None:
     assert assess(trace).succeeds
     with pytest.raises(InvalidValueError, match="phase: found None, needs 0 to 3"):
         coopqp.time_along(tmp_path, follows)
-    with pytest.raises(InvalidValueError, match="speed: found .* needs 0 at the ends of phases"):
+    with pytest.raises(InvalidValueError, match=r"speed: found .* needs 0 at the ends of phases"):
         time_phases(tmp_path, follows, speed=(0.1, 0.0))
 
 
