@@ -54,6 +54,8 @@ SHARES = 0.5, 0.25, 0.125, 1 / 32, 1 / 128
 WITHIN = 0.06
 #: What rounding may add to a limit [rad; % of grippers].
 ROUNDING = 1e-9
+#: The same of what is recorded, in float32 [rad].
+RECORDED = 1e-6
 OPEN = 100.0  # of a gripper [%]
 #: A start is no start where a joint is farther from zero: four turns [rad].
 FARTHEST = 8.0 * np.pi
@@ -165,7 +167,7 @@ class ChunkFilter:
         self._kernel = kernel.Following(*engines, self._space.compiled, {
             "lower": self.lower, "upper": self.upper, "step": self.step,
             "hands": np.concatenate([axes[joint].T @ p for joint, p in hands]),
-            "shares": np.array(SHARES), "look": LOOK, "rounding": ROUNDING,
+            "shares": np.array(SHARES), "look": LOOK,
             "position": kept.loop_position, "orientation": kept.loop_orientation,
             "squeeze": kept.squeeze,
         })  # fmt: skip
@@ -285,7 +287,8 @@ class ChunkFilter:
         """
         x = self.units.joints(given)
         told, changed = np.ascontiguousarray(_filled(x, q)), np.zeros(len(x), bool)
-        found = _Followed(np.empty(x.shape), np.empty(x.shape), changed, np.zeros(len(x)))
+        rounding = RECORDED if recorded else ROUNDING
+        found = _Followed(np.empty(x.shape), np.empty(x.shape), changed, np.zeros(len(x)), rounding)
         now, flags = (told[0] if recorded and len(x) else q).copy(), changed.view(np.uint8)
         for a, b in _alike(holding):
             holds = bool(holding[a])
@@ -293,7 +296,7 @@ class ChunkFilter:
             if taken is not None:
                 self._kernel.take_hold(taken)
             rows = found.q[a:b], found.before[a:b], flags[a:b], found.opened[a:b]
-            self._kernel.follow(told[a:b], now, *rows, holds, recorded)
+            self._kernel.follow(told[a:b], now, *rows, holds, recorded, rounding)
         changed |= ~np.isfinite(x).all(axis=1)
         return found, taken
 
@@ -342,7 +345,7 @@ class ChunkFilter:
             ("joint_velocity", np.abs(x - q) - self.step, fps, f"{unit}/s"),
         )
         for limit, by, rate, of in beyond:
-            for i in np.flatnonzero(by > ROUNDING).tolist():
+            for i in np.flatnonzero(by > found.rounding).tolist():
                 far = float(rate * by[i] / abs(self.units.scale[i]))
                 yield Change(k, limit, (str(names[i]),), far, of)
         yield from self._near(k, x, q)
@@ -372,6 +375,7 @@ class _Followed:
     before: Array
     changed: NDArray[np.bool_]
     opened: Array  # how far what is asked opens the loop [m]; 0 where that is not too far
+    rounding: float
 
 
 def _law(chain: ClosedChain, kept: FilterSettings, *limits: Limit) -> KernelLaw:
