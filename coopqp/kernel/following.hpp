@@ -32,11 +32,10 @@ class Following {
     // Frames x, (N, n), all of them numbers, from q on, which becomes the last. Written: where joints
     // are after each, and before it; whether that is not as asked; how far what is asked opens the
     // loop [m], 0 where it does not. recorded: each is asked from the frame before as it is given.
-    // rounding: what frames may have of it.
+    // rounding: what frames may have of it. With the GIL held, which keeps other threads out.
     void follow(const Numbers& x, const Written& q, const Written& found, const Written& before,
                 const Said& changed, const Written& opened, bool holds, bool recorded,
                 double rounding) {
-        const nb::gil_scoped_release released;
         double* now = q.data();
         for (std::size_t k = 0; k < changed.size(); k++) {
             const double* asked = x.data() + k * n_;

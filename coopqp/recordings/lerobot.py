@@ -104,34 +104,29 @@ def _frames(run: Run, scenario: Scenario) -> tuple[list[str], dict[str, NDArray[
         for name in ("q", "commanded", "measured", "v")
     )
     goal = np.where(np.isnan(told), q, told) + scenario.dt * v
-    names, at, grips = _columns(ticks, scenario)
+    at, grips = _columns(ticks, scenario)
     state = np.where(np.isnan(seen), q, seen)
     scale = np.array([1.0 if unit == "m" else 180.0 / np.pi for unit in robot.joint_units])
     found: dict[str, NDArray[Any]] = {
-        key: np.hstack([x * scale, grips])[:, at].astype(np.float32)
+        key: np.hstack([x * scale, grips])[:, [*at.values()]].astype(np.float32)
         for key, x in (("action", goal), ("observation.state", state))
     }
     found["timestamp"] = (count * scenario.dt).astype(np.float32)
     zero = np.zeros_like(count)
-    return names, found | dict(zip(INDICES, (count, zero, count, zero), strict=True))
+    return [*at], found | dict(zip(INDICES, (count, zero, count, zero), strict=True))
 
 
-def _columns(ticks: Run, scenario: Scenario) -> tuple[list[str], list[int], Array]:
+def _columns(ticks: Run, scenario: Scenario) -> tuple[dict[str, int], Array]:
     """Names arm by arm, where they are among joints and grippers, and how open these are [%]."""
-    robot = scenario.robot_model
-    joints, names, at = list(robot.joint_names), list[str](), list[int]()
+    robot, joints, at = scenario.robot_model, scenario.robot_model.joint_names, dict[str, int]()
     grips = np.zeros((len(ticks), len(robot.arms)))
     for phase in scenario.phases:
         opened = [OPEN * (arm.name in phase.released) for arm in robot.arms]
         grips[ticks.columns["phase"] == phase.name] = opened
     for i, arm in enumerate(robot.arms):
-        own = robot.arm_joints(arm)
-        names += [_key(joint) for joint in (*own, f"{arm.name.split('/')[0]}/gripper")]
-        at += [*map(joints.index, own), len(joints) + i]
-    rest = [i for i in range(len(joints)) if i not in at]
-    names, at = [*names, *(_key(joints[i]) for i in rest)], [*at, *rest]
-    kept = [names.index(name) for name in dict.fromkeys(names)]  # of joints that arms share
-    return [names[i] for i in kept], [at[i] for i in kept], grips
+        at |= {_key(joint): joints.index(joint) for joint in robot.arm_joints(arm)}
+        at[_key(f"{arm.name.split('/')[0]}/gripper")] = len(joints) + i
+    return at | {_key(joint): i for i, joint in enumerate(joints)}, grips
 
 
 def _key(joint: str) -> str:
@@ -142,8 +137,7 @@ def _stats(x: Array) -> dict[str, list[float]]:
     """What LeRobot keeps of numbers, shape (T, k)."""
     found = {"min": x.min(axis=0), "max": x.max(axis=0), "mean": x.mean(axis=0)}
     found |= {"std": x.std(axis=0), "count": np.array([len(x)])}
-    quantiles = zip(QUANTILES, np.percentile(x, QUANTILES, axis=0), strict=True)
-    found |= {f"q{percent:02d}": values for percent, values in quantiles}
+    found |= {f"q{part:02d}": np.percentile(x, part, axis=0) for part in QUANTILES}
     return {name: values.tolist() for name, values in found.items()}
 
 
