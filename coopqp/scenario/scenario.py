@@ -39,13 +39,8 @@ from coopqp.robot import Robot, RobotModel
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.faulty_plant import FaultyPlant, Injected
 from coopqp.scenario.input import InputSettings, wanted
-from coopqp.scenario.start import (
-    Start,
-    joints_outside,
-    passive_outside,
-    pose_of,
-    start_of,
-)
+from coopqp.scenario.start import Start, joints_outside, passive_outside, pose_of, start_of
+from coopqp.scenario.start_solver import solve_start
 from coopqp.scenario.yaml import Wrong, parsed
 from coopqp.signal import Kind
 from coopqp.solver import Budget, Solver
@@ -243,23 +238,32 @@ class Scenario:
         return other
 
     def placed(
-        self, *, object_pose: Pose | ArrayLike | None = None, start: Start | None = None
+        self,
+        *,
+        object_pose: Pose | ArrayLike | None = None,
+        start: Start | Literal["solve"] | None = None,
     ) -> Scenario:
         """The same scenario with the object elsewhere, the arms, or both, in some milliseconds.
 
         Args:
             object_pose: in the world, instead of the file's ``object.pose``: a :class:`Pose`, or x,
                 y, z [m] and a quaternion x, y, z, w.
-            start: by arm or joint, instead of the file's [rad, m].
+            start: by arm or joint, instead of the file's [rad, m]; "solve" finds the one nearest to
+                the file's in which hands reach their ``object_in_hand``, which takes a second.
 
         Raises:
             CoopqpError: what a file with this start and pose would be refused for. Tasks are not
                 tried again.
         """
-        changes: dict[str, Any] = {"source": "", "start": self.start if start is None else start}
+        robot, held = self.robot_model, self.held
         if object_pose is not None:
-            changes["held"] = replace(self.held, pose=pose_of(object_pose, self.chain))
-        other, robot = self.changed(**changes), self.robot_model
+            held = replace(held, pose=pose_of(object_pose, self.chain))
+        if start == "solve":
+            near = start_of(robot, self.start)[0]
+            start = solve_start(robot, self.grasps, held, near=near, seed=self.seed).start
+        elif isinstance(start, str):
+            raise InvalidValueError(f"start: found {start!r}, needs joints or solve").at("start")
+        other = self.changed(source="", held=held, start=self.start if start is None else start)
         of_robot, passive = start_of(robot, other.start)
         allowed, q = self.start_outside, robot.configuration(of_robot)
         wrong = [] if allowed else [*joints_outside(robot, of_robot, q, "start")]
