@@ -67,7 +67,7 @@ SINGULAR = 1e-3
 #: Readings that do not change for so long [s] are stuck where commands move a joint by so much
 #: [rad, m].
 STUCK, MOVED = 0.2, 0.01
-#: A joint is named at least so clearly, in the space that lambda leaves.
+#: Least share, by squares, of what shows of the clearest fault in the space that lambda leaves.
 LEAST_SIGNATURE = 1e-3
 #: A second joint is named too where it leaves at most this much more of r unexplained.
 AMBIGUOUS, PENALTY = 1.5, 1.5
@@ -273,7 +273,7 @@ class JointFollowing:
         n, pairs, size = len(self._own), self._pairs, sizes[self._lag]
         signs = self._faults @ self._white  # (faults, d)
         lengths = np.einsum("fd,fd->f", signs, signs)
-        lengths[lengths < LEAST_SIGNATURE / NOISE**2] = np.inf
+        lengths[lengths < LEAST_SIGNATURE * lengths.max()] = np.inf
         along = z @ signs.T  # (lags, T, faults)
         left = sizes[:, None] - np.einsum("ltf,ltf->lf", along, along) / lengths
         lags, left, faults = left.argmin(axis=0), left.min(axis=0), np.arange(len(signs))
