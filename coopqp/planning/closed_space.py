@@ -39,7 +39,7 @@ UNLIMITED = np.pi
 STEPS = 60
 
 #: Configurations at which charts are judged, how many of each leader are used, sets looked at.
-POSES, EACH, MOST_SETS = 60, 2, 200
+POSES, EACH, MOST_SETS = 30, 2, 200
 #: Followers are dependent below this singular value [m/rad, 1]; where a chart has this share of
 #: such poses, the chart in which no joint leads is used too.
 DEPENDENT, MOST = 0.02, 0.4
@@ -55,6 +55,7 @@ class Budget:
         seconds: wall time; ``seed``: of samples and shortcuts.
         step, fine: between two looks at what is in the way, in trees and on a path [rad, m].
         reach: of a branch [rad, m].
+        most: projections after which trees begin anew, of other random numbers.
         shortcuts: tries to make a path shorter.
     """
 
@@ -63,6 +64,7 @@ class Budget:
     step: float = 0.1
     fine: float = 0.02
     reach: float = 1.5
+    most: int = 20000
     shortcuts: int = 150
 
 
@@ -100,10 +102,10 @@ class ClosedSpace:
             why = native.MISSING if found is None else "a joint is neither a hinge nor a slide"
             raise CoopqpError(f"ways are searched for by the compiled kernel: {why}")
         self._tasks, self._t = tuple(tasks), t
-        self.room = Room(problem)
+        programs = self.programs = [limit.program(chain, problem.dt) for limit in problem.limits]
+        self.room = Room(problem, programs)
         self.lower = np.maximum(self.room.lower, -LARGE)
         self.upper = np.minimum(self.room.upper, LARGE)
-        programs = self.programs = [limit.program(chain, problem.dt) for limit in problem.limits]
         distances = [program for program in programs if isinstance(program, DistanceBounds)]
         self._apart = FreeSpace(chain, distances)
         self._others = others(problem, programs)
@@ -147,7 +149,10 @@ class ClosedSpace:
         low, high = self._sampled()
         made = self._engine.find(
             {
-                **{name: float(getattr(budget, name)) for name in ("step", "fine", "seconds")},
+                **{
+                    name: float(getattr(budget, name))
+                    for name in ("step", "fine", "seconds", "most")
+                },
                 "range": budget.reach,
                 "seed": int(budget.seed) % 2**64,  # the kernel's word; any number is a seed
                 "shortcuts": float(budget.shortcuts),

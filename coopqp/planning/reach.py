@@ -157,9 +157,9 @@ class Goals:
         self._rng = seeded(seed)
 
     def look(self) -> None:
-        """Try the start and random configurations near it, then those anywhere."""
+        """Try random configurations, in turns from the start to half the way there and anywhere."""
         q = self.space.sample(self._rng, BATCH)
-        if not self.tried:
+        if not self.tried // BATCH % 2:
             start, share = self.space.chain.q_start, np.linspace(0.0, 0.5, BATCH)[:, None]
             q = start + share * (q - start)
         self.tried += len(q)

@@ -122,7 +122,7 @@ def test_pushed_off_a_run_goes_on_where_it_has_left_the_path(name: str, speed: f
     gone = round((at + shove) / calm.dt)
     assert np.abs(trace.q[gone] - undisturbed.q[gone]).max() > STANDS
     assert clock.rate[gone : gone + 20, 0].min() < 0.5  # it waits
-    assert off[gone + 20] > 10.0 * astray(undisturbed).max()
+    assert off[gone + 20] > 3.0 * astray(undisturbed).max()
     assert off[gone + 100 :].max() <= astray(undisturbed).max()  # as near as if never pushed
     held = slice(None, calm.schedule[0].ticks(calm.dt))
     tau, pace = clock.value[held, 0], clock.rate[held, 0]
