@@ -265,7 +265,7 @@ class Planner:
             if (left := budget.seconds - (at - begun)) <= 0.0:
                 break
             near = ends if goals is not None or turn % 2 else ends[:NEAREST]
-            most = budget.most << min(turn // 2, 16)  # some trees grow long where others have met early
+            most = budget.most << min(turn // 2, 16)  # some trees grow long, others meet early
             now = replace(budget, seconds=left, seed=budget.seed + turn, most=most)
             path = self.space.way(self._start(), near, now, wait)
             q = self._close(path.q)
