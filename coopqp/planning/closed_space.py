@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -85,6 +86,7 @@ class ClosedSpace:
     Args:
         problem: whose limits count.
         tasks: held at time t [s].
+        threads: that bring configurations to the manifold; their number changes no result.
 
     Attributes:
         room: the position limits.
@@ -95,7 +97,9 @@ class ClosedSpace:
         CoopqpError: the kernel is not built, or cannot do such joints or tasks.
     """
 
-    def __init__(self, problem: ControlProblem, tasks: Sequence[Task] = (), t: float = 0.0) -> None:
+    def __init__(
+        self, problem: ControlProblem, tasks: Sequence[Task] = (), t: float = 0.0, threads: int = 1
+    ) -> None:
         chain = self.chain = problem.chain
         found, model = native.module(), chain.once(flat_model)
         if found is None or model is None:
@@ -112,7 +116,7 @@ class ClosedSpace:
         levels = Levels([Group((), hard=tasks)], Programs(State(chain)))
         if not levels.compiled or levels.arriving or levels.followed:
             raise CoopqpError("\n".join(filter(None, (_unfit(chain, task) for task in tasks))))
-        self._engine = found.Planner({
+        flat = {
             "model": model,
             "kept": kept_rows(chain),
             "rank": float(chain.loops.rank),
@@ -122,7 +126,9 @@ class ClosedSpace:
             "t": float(t),
             "lower": self.lower,
             "upper": self.upper,
-        })  # fmt: skip
+        }
+        self._engines = [found.Planner(flat) for _ in range(threads)]
+        self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
 
     def sample(self, rng: np.random.Generator, count: int) -> Array:
         """Random configurations inside the joint limits, loops not closed, shape (count, n)."""
@@ -131,7 +137,15 @@ class ClosedSpace:
     def project(self, q: Array, steps: int = STEPS) -> NDArray[np.bool_]:
         """Bring each row of q (N, n) to the manifold, in place; whether each is there."""
         closed = np.zeros(len(q), np.uint8)
-        self._engine.project(q, closed, steps)
+        if self._pool is None:
+            self._engines[0].project(q, closed, steps)
+            return closed.view(np.bool_)
+        ends = np.linspace(0, len(q), len(self._engines) + 1).astype(int)
+        parts = [slice(a, b) for a, b in itertools.pairwise(ends.tolist())]
+        for _ in self._pool.map(
+            lambda engine, part: engine.project(q[part], closed[part], steps), self._engines, parts
+        ):
+            pass
         return closed.view(np.bool_)
 
     def is_free(self, q: Array) -> NDArray[np.bool_]:
@@ -147,7 +161,7 @@ class ClosedSpace:
         ``wait`` is called ten times a second and ends the search by raising.
         """
         low, high = self._sampled()
-        made = self._engine.find(
+        made = self._engines[0].find(
             {
                 **{
                     name: float(getattr(budget, name))

@@ -11,6 +11,7 @@ joint that most changes the distance of hand and base, lengthens the arm.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -92,32 +93,30 @@ class Reach:
 
 
 def reach(
-    scenario: Scenario, *, seed: int | None = None, progress: Progress = lambda share: None
-) -> Reach:
+    scenario: Scenario, *, seed: int | None = None, progress: Progress = lambda share: None,
+    threads: int = 0,
+) -> Reach:  # fmt: skip
     """Look for closed configurations inside the limits that meet a scenario's tasks at their goals.
 
     Of a scenario with phases the first counts. ``seed`` is of the random starts, the scenario's
-    when omitted.
+    when omitted. As many ``threads`` bring these to the manifold, all cores when 0; their number
+    changes no answer.
 
     Raises:
         CoopqpError: no task asks for a place, or the kernel is not built.
     """
     problem, t = scenario.problem(), scenario.schedule[0].duration
-    return look(problem, t, scenario.seed if seed is None else seed, progress)
+    return look(problem, t, scenario.seed if seed is None else seed, progress, threads)
 
 
 def look(
-    problem: ControlProblem, t: float, seed: int, progress: Progress = lambda share: None
-) -> Reach:
+    problem: ControlProblem, t: float, seed: int, progress: Progress = lambda share: None,
+    threads: int = 0,
+) -> Reach:  # fmt: skip
     """The same of a problem, whose tasks are to be met at t [s]."""
-    chain = problem.chain
-    tasks = placed(problem.tasks, chain)
-    if not tasks:
-        with under("tasks"):
-            raise InvalidValueError("no task asks for a place, so there is nothing to reach")
     if proof := too_far(problem, t):
         return Reach((), True, proof)
-    goals = Goals(problem, t, seed)
+    goals = Goals(problem, t, seed, threads or os.cpu_count() or 1)
     for _ in range(MOST // BATCH):
         goals.look()
         progress(max(goals.tried / MOST, min(len(goals.found) / ENOUGH, goals.tried / LEAST)))
@@ -146,9 +145,13 @@ class Goals:
         tried: random starts so far.
     """
 
-    def __init__(self, problem: ControlProblem, t: float, seed: int) -> None:
-        self.goal = Goal(problem.chain, placed(problem.tasks, problem.chain), t)
-        self.space = ClosedSpace(problem, self.goal.tasks, t)
+    def __init__(self, problem: ControlProblem, t: float, seed: int, threads: int = 1) -> None:
+        tasks = placed(problem.tasks, problem.chain)
+        if not tasks:
+            with under("tasks"):
+                raise InvalidValueError("no task asks for a place, so there is nothing to reach")
+        self.goal = Goal(problem.chain, tasks, t)
+        self.space = ClosedSpace(problem, self.goal.tasks, t, threads)
         self.found: list[Array] = []
         self.cut_off: list[Array] = []
         self.lost: list[Bound] = []

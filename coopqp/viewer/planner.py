@@ -33,7 +33,7 @@ def found(scenario: Scenario, snapshot: Snapshot) -> Way:
     """A way from where the arms are to where the tasks are met with their inputs at the targets."""
     try:
         problem = problem_of(scenario, snapshot)
-        q = _inside(problem, snapshot.q, scenario.seed)
+        q = inside(problem, snapshot.q, scenario.seed)
         chain = problem.chain.handed_over(q, problem.chain.hold.released)
         tasks = tuple(at_targets(task, snapshot.targets) for task in problem.tasks)
         planner = Planner(replace(problem, chain=chain, tasks=tasks), snapshot.t)
@@ -49,7 +49,7 @@ def found(scenario: Scenario, snapshot: Snapshot) -> Way:
     return Way(words, t + one * scenario.dt * np.arange(len(t)), q, X)
 
 
-def _inside(problem: ControlProblem, q: Array, seed: int) -> Array:
+def inside(problem: ControlProblem, q: Array, seed: int) -> Array:
     """The nearest configuration found that is off the limits, on which those who are stuck lie."""
     space, rng = ClosedSpace(problem), np.random.default_rng(seed)
     for size in NEAR:
