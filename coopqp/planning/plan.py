@@ -16,7 +16,16 @@ from coopqp.base.table import csv_text
 from coopqp.base.wording import counted
 from coopqp.controller import ControlProblem
 from coopqp.planning.closed_space import Budget, ClosedSpace, Path
-from coopqp.planning.reach import MOST, PROVEN, Goals, Progress, explained, too_far
+from coopqp.planning.reach import (
+    MOST,
+    PROVEN,
+    Goals,
+    Progress,
+    explained,
+    need_a_place,
+    reach,
+    too_far,
+)
 from coopqp.planning.timing import timed
 from coopqp.planning.turns import CUT_OFF, cut_off
 from coopqp.planning.verification import Verification, Verifier, lengths
@@ -125,6 +134,8 @@ def plan(
     problem, t = scenario.problem(), scenario.schedule[0].duration
     if scenario.phases and goals is None:
         return _joined(scenario, _through(scenario, keep, budget, progress))
+    if goals is None:
+        need_a_place(problem)
     return Planner(problem, t, keep).plan(budget, goals, progress)
 
 
@@ -188,7 +199,10 @@ def way_round(
     Tried so long, where a configuration is known at the goal and a run may follow a plan. ``named``
     is what the command line calls the scenario.
     """
-    if not found.elsewhere or follows(scenario):
+    if follows(scenario):
+        return found
+    found = _met_elsewhere(scenario, found)
+    if not found.elsewhere:
         return found
     command = f"coopqp plan {named}"
     try:
@@ -199,6 +213,21 @@ def way_round(
     none = f"no way round was found in {seconds:g} s, which proves nothing"
     words = f"{command}: {f'a way round was found in {took}' if way.found else none}"
     return replace(found, sentence=f"{found.sentence}; {words}", way_round=way.found)
+
+
+def _met_elsewhere(scenario: Scenario, found: RunExplanation) -> RunExplanation:
+    """With a configuration at the goal, where limits are in the way and ``reach`` finds one."""
+    if found.elsewhere or found.kind != "limits" or scenario.phases:
+        return found
+    try:
+        others = reach(scenario).found
+    except CoopqpError:
+        return found
+    if not others:
+        return found
+    words = "other configurations inside the limits meet the tasks, which coopqp reach lists"
+    at = tuple(others[0].q.tolist())
+    return replace(found, sentence=f"{found.sentence}; {words}", elsewhere=at)
 
 
 class Planner:

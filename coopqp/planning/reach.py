@@ -114,6 +114,7 @@ def look(
     threads: int = 0,
 ) -> Reach:  # fmt: skip
     """The same of a problem, whose tasks are to be met at t [s]."""
+    need_a_place(problem)
     if proof := too_far(problem, t):
         return Reach((), True, proof)
     goals = Goals(problem, t, seed, threads or os.cpu_count() or 1)
@@ -134,6 +135,13 @@ def look(
     return explained(goals, progress)
 
 
+def need_a_place(problem: ControlProblem) -> None:
+    """Raise an InvalidValueError where no task has a place, as where all ask for velocities."""
+    if not placed(problem.tasks, problem.chain):
+        with under("tasks"):
+            raise InvalidValueError("no task asks for a place, so there is nothing to reach")
+
+
 class Goals:
     """Closed, free configurations at which a problem's tasks are met at t [s], as they are found.
 
@@ -146,11 +154,7 @@ class Goals:
     """
 
     def __init__(self, problem: ControlProblem, t: float, seed: int, threads: int = 1) -> None:
-        tasks = placed(problem.tasks, problem.chain)
-        if not tasks:
-            with under("tasks"):
-                raise InvalidValueError("no task asks for a place, so there is nothing to reach")
-        self.goal = Goal(problem.chain, tasks, t)
+        self.goal = Goal(problem.chain, placed(problem.tasks, problem.chain), t)
         self.space = ClosedSpace(problem, self.goal.tasks, t, threads)
         self.found: list[Array] = []
         self.cut_off: list[Array] = []

@@ -55,6 +55,9 @@ from coopqp.task import Task
 #: Most ticks times joints of all controllers together: traces of 0.6 GB, reports of 2 GB.
 MOST_KEPT = 4_000_000
 
+#: Last word of the names of phases that follow a plan to the tasks of the next one.
+WAY = "way"
+
 #: Fields from which the closed chain follows, beside the robot.
 OF_CHAIN = {"start", "grasps", "grasp_of", "held", "weights", "phases"}
 UNIONS = (typing.Union, types.UnionType)
@@ -350,11 +353,18 @@ class Scenario:
         )
 
     def _away(self, phase: Phase) -> tuple[str, ...]:
-        """Arms that are released in a phase, the one before and the one after."""
-        for i, one in enumerate(self.schedule):
+        """Arms that are released in a phase, the one before and the one after.
+
+        A phase and the planned way to it are one.
+        """
+        names = [one.name.removesuffix(f" {WAY}") for one in self.schedule]
+        parts = list(dict.fromkeys(names))
+        for one, name in zip(self.schedule, names, strict=True):
             if one is phase or (phase.name and one.name == phase.name):
-                near = self.schedule[max(0, i - 1) : i + 2]
-                return tuple(a for a in phase.released if all(a in x.released for x in near))
+                i = parts.index(name)
+                near = parts[max(0, i - 1) : i + 2]
+                held = [x for x, of in zip(self.schedule, names, strict=True) if of in near]
+                return tuple(a for a in phase.released if all(a in x.released for x in held))
         return ()
 
     def simulated(self, problem: ControlProblem) -> PlantModel:
