@@ -47,7 +47,6 @@ from coopqp.limits.obstacles import Obstacle
 from coopqp.model.profile import Profile
 from coopqp.planning.closed_space import Budget, ClosedSpace
 from coopqp.planning.plan import Plan, Planner
-from coopqp.planning.reach import look
 from coopqp.planning.turns import cut_off
 from coopqp.report.planning import write_plan
 from coopqp.scenario.loader import load
@@ -280,7 +279,7 @@ def goals(name: str, asked: argparse.Namespace) -> None:
     for i, scenario in enumerate(drawn(name, asked.goals, rng, count)):
         problem = scenario.problem()
         begun = time.process_time()
-        found = look(problem, scenario.duration, seed=i)
+        found = coopqp.reach(scenario, seed=i)
         looks.append(time.process_time() - begun)
         count["reachable"] += bool(found.found)
         begun = time.process_time()

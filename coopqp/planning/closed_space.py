@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -128,7 +129,7 @@ class ClosedSpace:
             "upper": self.upper,
         }
         self._engines = [found.Planner(flat) for _ in range(threads)]
-        self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
+        self._map: Any = ThreadPoolExecutor(threads).map if threads > 1 else map
 
     def sample(self, rng: np.random.Generator, count: int) -> Array:
         """Random configurations inside the joint limits, loops not closed, shape (count, n)."""
@@ -137,15 +138,12 @@ class ClosedSpace:
     def project(self, q: Array, steps: int = STEPS) -> NDArray[np.bool_]:
         """Bring each row of q (N, n) to the manifold, in place; whether each is there."""
         closed = np.zeros(len(q), np.uint8)
-        if self._pool is None:
-            self._engines[0].project(q, closed, steps)
-            return closed.view(np.bool_)
-        ends = np.linspace(0, len(q), len(self._engines) + 1).astype(int)
-        parts = [slice(a, b) for a, b in itertools.pairwise(ends.tolist())]
-        for _ in self._pool.map(
-            lambda engine, part: engine.project(q[part], closed[part], steps), self._engines, parts
-        ):
-            pass
+        ends = np.linspace(0, len(q), len(self._engines) + 1).astype(int).tolist()
+
+        def bring(engine: Any, first: int, end: int) -> None:
+            engine.project(q[first:end], closed[first:end], steps)
+
+        list(self._map(bring, self._engines, ends, ends[1:]))
         return closed.view(np.bool_)
 
     def is_free(self, q: Array) -> NDArray[np.bool_]:

@@ -16,16 +16,7 @@ from coopqp.base.table import csv_text
 from coopqp.base.wording import counted
 from coopqp.controller import ControlProblem
 from coopqp.planning.closed_space import Budget, ClosedSpace, Path
-from coopqp.planning.reach import (
-    MOST,
-    PROVEN,
-    Goals,
-    Progress,
-    explained,
-    need_a_place,
-    reach,
-    too_far,
-)
+from coopqp.planning.reach import MOST, PROVEN, Goals, Progress, explained, need_a_place, too_far
 from coopqp.planning.timing import timed
 from coopqp.planning.turns import CUT_OFF, cut_off
 from coopqp.planning.verification import Verification, Verifier, lengths
@@ -196,13 +187,10 @@ def way_round(
 ) -> RunExplanation:
     """The explanation of a blocked run, and whether a plan from the start leads to its goal.
 
-    Tried so long, where a configuration is known at the goal and a run may follow a plan. ``named``
-    is what the command line calls the scenario.
+    Tried so long, where limits are in the way or a configuration is known at the goal, and a run
+    may follow a plan. ``named`` is what the command line calls the scenario.
     """
-    if follows(scenario):
-        return found
-    found = _met_elsewhere(scenario, found)
-    if not found.elsewhere:
+    if follows(scenario) or not (found.elsewhere or found.kind == "limits"):
         return found
     command = f"coopqp plan {named}"
     try:
@@ -210,24 +198,8 @@ def way_round(
     except CoopqpError as error:
         return replace(found, sentence=f"{found.sentence}; {command} cannot help: {error}")
     took = f"{sum(way.seconds.values()):.2g} s, {way.length:.3g} rad"
-    none = f"no way round was found in {seconds:g} s, which proves nothing"
-    words = f"{command}: {f'a way round was found in {took}' if way.found else none}"
+    words = f"{command}: {f'a way round was found in {took}' if way.found else way.sentence}"
     return replace(found, sentence=f"{found.sentence}; {words}", way_round=way.found)
-
-
-def _met_elsewhere(scenario: Scenario, found: RunExplanation) -> RunExplanation:
-    """With a configuration at the goal, where limits are in the way and ``reach`` finds one."""
-    if found.elsewhere or found.kind != "limits" or scenario.phases:
-        return found
-    try:
-        others = reach(scenario).found
-    except CoopqpError:
-        return found
-    if not others:
-        return found
-    words = "other configurations inside the limits meet the tasks, which coopqp reach lists"
-    at = tuple(others[0].q.tolist())
-    return replace(found, sentence=f"{found.sentence}; {words}", elsewhere=at)
 
 
 class Planner:

@@ -106,14 +106,7 @@ def reach(
         CoopqpError: no task asks for a place, or the kernel is not built.
     """
     problem, t = scenario.problem(), scenario.schedule[0].duration
-    return look(problem, t, scenario.seed if seed is None else seed, progress, threads)
-
-
-def look(
-    problem: ControlProblem, t: float, seed: int, progress: Progress = lambda share: None,
-    threads: int = 0,
-) -> Reach:  # fmt: skip
-    """The same of a problem, whose tasks are to be met at t [s]."""
+    seed = scenario.seed if seed is None else seed
     need_a_place(problem)
     if proof := too_far(problem, t):
         return Reach((), True, proof)

@@ -87,21 +87,17 @@ class Verifier:
     def look(self, q: Array, every: float) -> Verification:
         """Look at a path q, shape (K, n), each so many radians or metres."""
         points, hits, carried = along(q, every), 0, list[list[Array]]()
+        model, frames = self._chain.model, self._chain.frames[: self._chain.holding]
         for row in points:
             hits += not self.free(row)
-            carried.append(self._carried())
+            placed = (pin.updateFramePlacement(model, self._data, frame) for frame in frames)
+            carried.append([X.homogeneous for X in placed])
         X = np.array(carried)
         turned = np.linalg.norm(X[:, 1:, :3, :3] - X[:, :1, :3, :3], axis=(2, 3)) / np.sqrt(8.0)
         apart = np.linalg.norm(X[:, 1:, :3, 3] - X[:, :1, :3, 3], axis=2).max(initial=0.0)
         opened = max(apart, 2.0 * np.arcsin(np.minimum(turned, 1.0)).max(initial=0.0))
         beyond = np.maximum(points - self._upper, self._lower - points).max(initial=0.0)
         return Verification(len(points), float(opened), float(beyond), hits)
-
-    def _carried(self) -> list[Array]:
-        """Where each arm that holds the object carries it, from the joints placed last."""
-        frames = self._chain.frames[: self._chain.holding]
-        model, data = self._chain.model, self._data
-        return [pin.updateFramePlacement(model, data, frame).homogeneous for frame in frames]
 
     def free(self, q: Array) -> bool:
         """Whether the limits in space are kept at q."""

@@ -357,15 +357,15 @@ class Scenario:
 
         A phase and the planned way to it are one.
         """
-        names = [one.name.removesuffix(f" {WAY}") for one in self.schedule]
-        parts = list(dict.fromkeys(names))
-        for one, name in zip(self.schedule, names, strict=True):
-            if one is phase or (phase.name and one.name == phase.name):
-                i = parts.index(name)
-                near = parts[max(0, i - 1) : i + 2]
-                held = [x for x, of in zip(self.schedule, names, strict=True) if of in near]
-                return tuple(a for a in phase.released if all(a in x.released for x in held))
-        return ()
+        parts: dict[str, list[Phase]] = {}
+        for one in self.schedule:
+            parts.setdefault(one.name.removesuffix(f" {WAY}"), []).append(one)
+        names, own = list(parts), phase.name.removesuffix(f" {WAY}")
+        if own not in parts:
+            return ()
+        i = names.index(own)
+        near = [one for name in names[max(0, i - 1) : i + 2] for one in parts[name]]
+        return tuple(a for a in phase.released if all(a in one.released for one in near))
 
     def simulated(self, problem: ControlProblem) -> PlantModel:
         """The plant of one of its problems, with the faults of sensors and motors."""

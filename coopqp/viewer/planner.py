@@ -44,9 +44,7 @@ def found(scenario: Scenario, snapshot: Snapshot) -> Way:
         return Way(f"no way round was found in {SECONDS:g} s, which proves nothing")
     took = f"{sum(made.seconds.values()):.2g} s, {made.length:.3g} rad"
     words = f"a way round was found in {took}: Go round follows it"
-    one = len(made.t) == 1  # it is there already
-    t, q, X = (np.repeat(x, 1 + one, axis=0) for x in (made.t, made.timed, made.object))
-    return Way(words, t + one * scenario.dt * np.arange(len(t)), q, X)
+    return Way(words, made.t, made.timed, made.object)
 
 
 def inside(problem: ControlProblem, q: Array, seed: int) -> Array:
@@ -56,8 +54,7 @@ def inside(problem: ControlProblem, q: Array, seed: int) -> Array:
         near = q + size * rng.standard_normal((TRIES, len(q)))
         np.clip(near, space.lower, space.upper, out=near)
         near = near[space.project(near)]
-        inside = ((near >= space.lower) & (near <= space.upper)).all(axis=1)
-        near = near[inside & space.is_free(near)]
+        near = near[space.is_free(near)]
         if len(near):
             return np.asarray(near[np.linalg.norm(near - q, axis=1).argmin()], float)
     return q
