@@ -50,6 +50,9 @@ from coopqp.task import Task
 #: Most ticks times joints of all controllers together: traces of 0.6 GB, reports of 2 GB.
 MOST_KEPT = 4_000_000
 
+#: Last word of the names of phases that follow a plan to the tasks of the next one.
+WAY = "way"
+
 #: Fields from which the closed chain follows, beside the robot.
 OF_CHAIN = {"start", "grasps", "grasp_of", "held", "weights", "phases"}
 UNIONS = (typing.Union, types.UnionType)
@@ -356,12 +359,19 @@ class Scenario:
         )
 
     def _away(self, phase: Phase) -> tuple[str, ...]:
-        """Arms that are released in a phase, the one before and the one after."""
-        for i, one in enumerate(self.schedule):
-            if one is phase or (phase.name and one.name == phase.name):
-                near = self.schedule[max(0, i - 1) : i + 2]
-                return tuple(a for a in phase.released if all(a in x.released for x in near))
-        return ()
+        """Arms that are released in a phase, the one before and the one after.
+
+        A phase and the planned way to it are one.
+        """
+        parts: dict[str, list[Phase]] = {}
+        for one in self.schedule:
+            parts.setdefault(one.name.removesuffix(f" {WAY}"), []).append(one)
+        names, own = list(parts), phase.name.removesuffix(f" {WAY}")
+        if own not in parts:
+            return ()
+        i = names.index(own)
+        near = [one for name in names[max(0, i - 1) : i + 2] for one in parts[name]]
+        return tuple(a for a in phase.released if all(a in one.released for one in near))
 
     def simulated(self, problem: ControlProblem) -> PlantModel:
         """The plant of one of its problems, with the faults of sensors and motors."""
