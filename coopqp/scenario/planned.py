@@ -24,7 +24,7 @@ from coopqp.base.table import Table, read_table
 from coopqp.closed_loop.grasp_matrix import COMPONENTS
 from coopqp.controller import Controller, ControlProblem
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.scenario.scenario import WAY, Phase, Scenario
+from coopqp.scenario.scenario import Phase, Scenario
 from coopqp.signal import POSE, quaternion_of
 from coopqp.signals import Waypoints
 from coopqp.task import Task
@@ -33,7 +33,7 @@ from coopqp.tasks import InternalWrench, Pose, Posture
 #: How fast what is left of an error goes to zero along the path, by velocities and by torques
 #: [1/s], and how many ticks that takes by torques at least.
 GAIN, TORQUE_GAIN, TICKS = 10.0, 40.0, 10.0
-GOAL = "goal"
+WAY, GOAL = "way", "goal"
 #: Column with the number of the phase that a row leads to, from 1 on; and the name of the clock.
 PHASE, CLOCK = "phase", "way"
 #: How far a plan may begin from the start [rad, m].
@@ -43,9 +43,9 @@ FAST = 2.0
 #: A row so many times later than usual comes after missing ones. Who comes to rest within a tick or
 #: two takes a last step that is shorter than this share of the one before.
 MISSING, SLOWER = 1.5, 0.7
-#: By how much a path may be beyond a limit of place or speed, whose units these are; of distances
-#: one row of so many is looked at.
-BEYOND, OF_SPEED, COARSE = 1e-6, ("m", "rad", "m/s", "rad/s"), 10
+#: By how much a path may be beyond a limit of place or speed, whose units these are, as the spline
+#: of a timed one is beside a limit that it goes along; of distances one row of so many is looked at.
+BEYOND, OF_SPEED, COARSE = 1e-3, ("m", "rad", "m/s", "rad/s"), 10
 
 
 class Way(NamedTuple):

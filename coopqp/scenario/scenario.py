@@ -50,9 +50,6 @@ from coopqp.task import Task
 #: Most ticks times joints of all controllers together: traces of 0.6 GB, reports of 2 GB.
 MOST_KEPT = 4_000_000
 
-#: Last word of the names of phases that follow a plan to the tasks of the next one.
-WAY = "way"
-
 #: Fields from which the closed chain follows, beside the robot.
 OF_CHAIN = {"start", "grasps", "grasp_of", "held", "weights", "phases"}
 UNIONS = (typing.Union, types.UnionType)
@@ -363,14 +360,15 @@ class Scenario:
 
         A phase and the planned way to it are one.
         """
-        parts: dict[str, list[Phase]] = {}
+        parts: list[list[Phase]] = [[]]
         for one in self.schedule:
-            parts.setdefault(one.name.removesuffix(f" {WAY}"), []).append(one)
-        names, own = list(parts), phase.name.removesuffix(f" {WAY}")
-        if own not in parts:
+            parts[-1].append(one)
+            if not one.leads:
+                parts.append([])
+        own = [i for i, part in enumerate(parts) if any(one.name == phase.name for one in part)]
+        if not own:
             return ()
-        i = names.index(own)
-        near = [one for name in names[max(0, i - 1) : i + 2] for one in parts[name]]
+        near = [one for part in parts[max(0, own[0] - 1) : own[0] + 2] for one in part]
         return tuple(a for a in phase.released if all(a in one.released for one in near))
 
     def simulated(self, problem: ControlProblem) -> PlantModel:
