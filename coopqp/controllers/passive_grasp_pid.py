@@ -157,8 +157,7 @@ class TorquePid(Law):
         at = points(self._hands, state.p_WO, state.R_WO)
         C = np.split(np.sqrt(asked.weights)[:, None] * asked.C, len(at), axis=1)
         C = [part @ grasp_matrix([state.p_WO], p) for part, p in zip(C, at, strict=True)]
-        M, b = dynamics.object_inertia()
-        carried = M @ (dynamics.drift_arms[:6] + dynamics.J_object @ a_r) + b
+        carried = dynamics.object_wrenches(a_r, np.zeros(len(dynamics.J_arms) - 6)).needed
         right = np.sqrt(asked.weights) * asked.wanted - C[0] @ carried
         rows = np.hstack([C[0] - part for part in C[1:]])[:, dynamics.kept]
         passive, motors = dynamics.J[:, dynamics.passive].T, dynamics.J[:, dynamics.actuated].T

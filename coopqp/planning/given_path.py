@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.reading import open_bytes
@@ -20,7 +19,7 @@ from coopqp.plants import Kinematic
 from coopqp.recordings.known import read, trace_in
 from coopqp.scenario.planned import PHASE, rows_of_phases
 from coopqp.scenario.scenario import Scenario
-from coopqp.signal import POSE, matrix, quaternion_of
+from coopqp.signal import POSE, quaternion_of
 from coopqp.signals import Waypoints
 from coopqp.task import Task
 from coopqp.tasks import Pose
@@ -90,14 +89,11 @@ def _carried(scenario: Scenario, table: Table) -> Array:
     values = [[*first.translation, *quaternion_of(first.rotation)], *poses.tolist()]
     t = SLOW * np.linspace(0.0, 1.0, len(values))
     task = Pose(goal=Waypoints(times=t.tolist(), values=values), profile=Profile(kind="step"))
-    q = calm_run(scenario, (task,), SLOW).q[np.rint(t[1] / scenario.dt).astype(int) :]
-    for k, (now, pose) in enumerate(zip(t[1:] - t[1], poses, strict=True)):
-        X = chain.object_pose(q[round(float(now) / scenario.dt)])
-        off = float(np.linalg.norm(X.translation - pose[:3]))
-        angle = float(np.linalg.norm(pin.log3(X.rotation.T @ matrix(pose[3:]))))
-        if off > CARRIED or angle > CARRIED_ANGLE:
-            raise InvalidValueError(
-                f"{table.place(k)}: the law brings the object no nearer than {1e3 * off:.3g} mm "
-                f"and {1e3 * angle:.3g} mrad; lead it elsewhere, or plan a way"
-            )
-    return np.asarray(q, float)
+    trace, at = calm_run(scenario, (task,), SLOW), np.rint(t[1:] / scenario.dt).astype(int)
+    off, angle = trace.task_error[at].T
+    for k in np.flatnonzero((off > CARRIED) | (angle > CARRIED_ANGLE))[:1].tolist():
+        raise InvalidValueError(
+            f"{table.place(k)}: the law brings the object no nearer than {1e3 * off[k]:.3g} mm "
+            f"and {1e3 * angle[k]:.3g} mrad; lead it elsewhere, or plan a way"
+        )
+    return np.asarray(trace.q[at[0] :], float)

@@ -300,14 +300,10 @@ def table_of_phases(parts: Sequence[TimedPath], dt: float) -> dict[str, Array]:
     tables = [part.table(dt) for part in parts]
     if len(tables) == 1:
         return tables[0]
+    found: dict[str, Array] = {}
+    for name in dict.fromkeys(name for one in tables for name in one):
+        found[name] = np.concatenate([one.get(name, 0.0 * one["t"]) for one in tables])
     counts = [len(one["t"]) for one in tables]
-    names = dict.fromkeys(name for one in tables for name in one)
-    found = {
-        name: np.concatenate(
-            [one.get(name, np.zeros(count)) for one, count in zip(tables, counts, strict=True)]
-        )
-        for name in names
-    }
     ends = np.cumsum([0.0, *(one["t"][-1] + dt for one in tables[:-1])])
     found["t"] += np.repeat(ends, counts)
     return found | {PHASE: np.repeat(1.0 + np.arange(len(parts)), counts)}
@@ -316,10 +312,8 @@ def table_of_phases(parts: Sequence[TimedPath], dt: float) -> dict[str, Array]:
 def _still(maker: RowMaker) -> TimedPath:
     """Nothing moves in a phase; s is the time."""
     s, one = np.array([0.0, maker.path.length]), np.ones(2)
-    rows = maker.at(s)
-    wrench = np.zeros((1, 2, rows.Rl.shape[2]))
-    profile = Profile(s, one, np.zeros(1), one, wrench)
-    return TimedPath(maker, profile, (NOTHING,), 0.0, float(_held(rows).max()), ())
+    profile = Profile(s, one, np.zeros(1), one, np.zeros((1, 2, len(maker.kept))))
+    return TimedPath(maker, profile, (NOTHING,), 0.0, float(_held(maker.at(s)).max()), ())
 
 
 def fastest(

@@ -96,22 +96,21 @@ def following(scenario: Scenario, followed: Followed) -> Scenario:
     for name in followed.by:
         if name not in scenario.controllers:
             raise UnknownNameError("controller", name, scenario.controllers, "by: ")
-    each = dict[str, tuple[Phase, ...]]()
-    for name, law in scenario.controllers.items():
-        if followed.by and name not in followed.by:
-            each[name] = _phases(scenario, ways, followed, law, alone=True)
-        elif law.commands_torques:
-            each[name] = _phases(scenario, ways, followed, law)
+    each = {
+        name: _phases(scenario, ways, followed, law)
+        for name, law in scenario.controllers.items()
+        if law.commands_torques or (followed.by and name not in followed.by)
+    }
     phases = _phases(scenario, ways, followed)
     return scenario.changed(tasks=(), duration=0.0, phases=phases, phases_of=each)
 
 
 def _phases(
-    scenario: Scenario, ways: Sequence[Way], followed: Followed, law: Controller | None = None,
-    *, alone: bool = False,
-) -> tuple[Phase, ...]:  # fmt: skip
-    """Each phase and the way to it, which a law that goes ``alone`` does not know."""
+    scenario: Scenario, ways: Sequence[Way], followed: Followed, law: Controller | None = None
+) -> tuple[Phase, ...]:
+    """Each phase and the way to it, which a law that does not follow it does not know."""
     found, arms = list[Phase](), {arm.name for arm in scenario.robot_model.arms}
+    alone = law is not None and bool(followed.by) and law.name not in followed.by
     for phase, way in zip(scenario.schedule, ways, strict=True):
         kept = [replace(task, mode="hard") for task in phase.tasks if task.name in followed.keep]
         tasks = (*way_tasks(way, scenario.dt, arms.issubset(phase.released), law), *kept)
