@@ -148,7 +148,7 @@ def explain(
 @click.option("--out", type=WRITTEN, help="File; CONTROLLER.FORMAT beside RUN if omitted.")
 @catalogued
 def export(run: Path, to: str, controller: str | None, out: Path | None, catalog: Any) -> None:
-    """Write a recorded run for Foxglove, ROS 2, PlotJuggler or pandas.
+    """Write a recorded run for Foxglove, ROS 2, PlotJuggler, pandas or LeRobot.
 
     RUN is a trace.csv, or its folder, written by 'coopqp compare --out', or what a live loop
     recorded; explain and replay work on the files as on RUN.

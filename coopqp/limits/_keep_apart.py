@@ -135,7 +135,7 @@ class Separation:
         at = {body: i for i, body in enumerate(bodies)}
         return DistanceBounds(
             bodies=[(body.joint, body.convex) for body in bodies],
-            levers=np.array([_levers_of(self.chain, body) for body in bodies]),
+            levers=_levers_of(self.chain, bodies),
             pairs=np.array([[at[a], at[b]] for a, b in self.pairs], np.int64).reshape(-1, 2),
             distance=self.distance,
             gain=self.gain,
@@ -297,11 +297,9 @@ def levers(chain: ClosedChain, pairs: Sequence[Pair]) -> Array:
     axis to the body's far end, whatever the configuration; one that slides moves all of it at its
     own speed. Of a pair only joints that move one of the two count.
     """
-    bodies = list(dict.fromkeys(body for pair in pairs for body in pair))
-    of_body = dict(zip(bodies, (_levers_of(chain, body) for body in bodies), strict=True))
     first, second = _moved(chain, pairs)
-    found = np.array([of_body[a] + of_body[b] for a, b in pairs]).reshape(-1, chain.n)
-    return np.asarray(found * (first != second), float)
+    both = (_levers_of(chain, [pair[side] for pair in pairs]) for side in (0, 1))
+    return np.asarray(sum(both) * (first != second), float)
 
 
 def _moved(chain: ClosedChain, pairs: Sequence[Pair]) -> list[Array]:
@@ -309,12 +307,13 @@ def _moved(chain: ClosedChain, pairs: Sequence[Pair]) -> list[Array]:
     return [movers(chain, [pair[side].joint for pair in pairs]) for side in (0, 1)]
 
 
-def _levers_of(chain: ClosedChain, body: Body) -> Array:
-    """Longest way from each joint to a body's far end, 1 where the joint slides, shape (n,)."""
-    far = float(np.linalg.norm(body.convex.placement.translation)) + body.convex.radius
-    ways, slides = chain.once(_ways)
-    moves = movers(chain, [body.joint])[0] > 0.0
-    return np.where(moves, np.where(slides, 1.0, ways[body.joint] + far), 0.0)
+def _levers_of(chain: ClosedChain, bodies: Sequence[Body]) -> Array:
+    """Longest way from each joint to a body's far end, 1 where the joint slides, shape (k, n)."""
+    ends = [(body.convex.placement.translation, body.convex.radius) for body in bodies]
+    far = np.array([float(np.linalg.norm(p)) + radius for p, radius in ends])
+    (ways, slides), joints = chain.once(_ways), [body.joint for body in bodies]
+    reach = np.where(slides, 1.0, ways[np.array(joints, int)] + far[:, None])
+    return np.where(movers(chain, joints) > 0.0, reach, 0.0)
 
 
 def _ways(chain: ClosedChain) -> tuple[Array, Array]:
