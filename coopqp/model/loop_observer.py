@@ -57,8 +57,9 @@ GRIP_SIZE = 0.03
 #: [m/s]; a rotation counts by 0.1 m.
 MOVES, REST, TURN_COUNTS = 0.05, 0.005, 0.1
 SPEEDS = np.repeat([1.0, TURN_COUNTS], 3)
-#: Farther a joint is not believed to sag under a load that is felt [rad].
-FARTHEST = 0.02
+#: A load that is felt makes no joint sag by more [rad], unless of the sags so much has its shape,
+#: by squares; else a wall or a hand may hold the arms up.
+FARTHEST, SHAPED = 0.02, 0.9
 #: Sags below this are rounding.
 TINY = 1e-15
 
@@ -273,9 +274,11 @@ class WeightSag:
         twist, size = state.J_task.dot(state.v) * SPEEDS, -self.torque.dot(self.sag)
         if not twist.dot(twist) < REST * REST or not size > TINY:
             return math.nan
-        if np.abs(sag).max() > FARTHEST:  # a wall or a hand may hold the arms up
+        load = max(0.0, float(-self.torque.dot(sag) / size))
+        other = sag - load * self.sag
+        if np.abs(sag).max() > FARTHEST and other.dot(other) > (1.0 - SHAPED) * sag.dot(sag):
             return math.nan
-        return max(0.0, float(-self.torque.dot(sag) / size))
+        return load
 
 
 def _shares(points: list[Array]) -> Array:

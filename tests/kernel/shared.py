@@ -42,7 +42,7 @@ CONSTANTS: Mapping[object, Mapping[str, str]] = {
     geometry: {"TINY": "TINY", "CONE": "CONE"},
     loop_observer: {
         **{name: name for name in ("AFTER", "FEELS", "SLIGHT", "MOVES", "REST", "TURN_COUNTS")},
-        "FARTHEST": "FARTHEST", "DOUBT": "DOUBT", "TINY": "SAG_ROUNDING",
+        "FARTHEST": "FARTHEST", "SHAPED": "SHAPED", "DOUBT": "DOUBT", "TINY": "SAG_ROUNDING",
     },
     signal: {"ENDLESS": "ENDLESS"},
     manipulability: {"LARGE": "LARGE_PHI", "REGULAR": "REGULAR"},

@@ -87,6 +87,20 @@ def test_what_a_squeeze_bends_is_no_sag() -> None:
     assert sag.load(state, 5.0 * sag.sag) == pytest.approx(5.0)
 
 
+def test_joints_that_sag_far_feel_a_load_only_in_its_shape() -> None:
+    """A wall that holds one joint back is no weight; 0.9 by squares leave cos(15 degrees)."""
+    chain = scenario(FIRM, KNOWN).chain
+    state, sag = State(chain), WeightSag(chain, np.full(chain.n, 1.0 / K))
+    state.update()
+    sag.update(state)
+    j = int(np.abs(sag.sag).argmax())
+    load = 0.04 / np.abs(sag.sag[j])
+    assert sag.load(state, load * sag.sag) == pytest.approx(load)
+    held = load * sag.sag * (np.arange(chain.n) == j)
+    assert math.isnan(sag.load(state, held))
+    assert math.isfinite(sag.load(state, 0.4 * held))
+
+
 @pytest.mark.parametrize("times", [1.0, 1.5])
 def test_the_load_is_felt_whatever_the_scenario_says(times: float) -> None:
     law, *_ = run(scenario(FIRM, KNOWN, replace(ERRORS, object_mass=times)), 5.0)

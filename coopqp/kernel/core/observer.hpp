@@ -120,14 +120,22 @@ class LoopObserver {
     // As WeightSag.load, of the sag q_.
     double felt_load(const double* v) const {
         const double unknown = std::numeric_limits<double>::quiet_NaN();
-        double v2 = 0.0, size = 0.0, along = 0.0, most = 0.0, V2 = 0.0, V[6] = {}, own[6];
+        double v2 = 0.0, size = 0.0, along = 0.0, most = 0.0, all = 0.0, other = 0.0, V2 = 0.0;
+        double V[6] = {}, own[6];
         for (std::size_t j = 0; j < q_.size(); j++) {
             v2 += v[j] * v[j];
             size -= o_.torque[j] * o_.sag[j];
             along -= o_.torque[j] * q_[j];
             most = std::max(most, std::fabs(q_[j]));
         }
-        if (v2 > MOVES * MOVES || !(size > SAG_ROUNDING) || most > FARTHEST) return unknown;
+        if (v2 > MOVES * MOVES || !(size > SAG_ROUNDING)) return unknown;
+        const double load = std::max(0.0, along / size);
+        for (std::size_t j = 0; j < q_.size(); j++) {
+            const double r = q_[j] - load * o_.sag[j];
+            all += q_[j] * q_[j];
+            other += r * r;
+        }
+        if (most > FARTHEST && other > (1.0 - SHAPED) * all) return unknown;
         for (std::size_t i = 0; i < model_.arms.size(); i++) {
             twist(i, v, own);
             for (int r = 0; r < 6; r++) V[r] += model_.arms[i].alpha * own[r];
@@ -136,7 +144,7 @@ class LoopObserver {
             const double x = V[r] * (r < 3 ? 1.0 : TURN_COUNTS);
             V2 += x * x;
         }
-        return V2 < REST * REST ? std::max(0.0, along / size) : unknown;
+        return V2 < REST * REST ? load : unknown;
     }
 
     // J_i x, (v; omega) of the object as carried by an arm.

@@ -66,6 +66,7 @@ constexpr double MOVES = 0.05;
 constexpr double REST = 0.005;
 constexpr double TURN_COUNTS = 0.1;
 constexpr double FARTHEST = 0.02;
+constexpr double SHAPED = 0.9;
 constexpr double DOUBT = 0.0005;
 constexpr double SAG_ROUNDING = 1e-15;
 
