@@ -106,7 +106,8 @@ class ClosedSpace:
         if found is None or model is None:
             why = native.MISSING if found is None else "a joint is neither a hinge nor a slide"
             raise CoopqpError(f"ways are searched for by the compiled kernel: {why}")
-        self._tasks, self._t = tuple(tasks), t
+        tasks = tuple(task.at_goal() for task in tasks)  # the kernel has not every profile
+        self._tasks, self._t = tasks, t
         programs = self.programs = [limit.program(chain, problem.dt) for limit in problem.limits]
         self.room = Room(problem, programs)
         self.lower = np.maximum(self.room.lower, -LARGE)

@@ -55,9 +55,6 @@ from coopqp.task import Task
 #: Most ticks times joints of all controllers together: traces of 0.6 GB, reports of 2 GB.
 MOST_KEPT = 4_000_000
 
-#: Last word of the names of phases that follow a plan to the tasks of the next one.
-WAY = "way"
-
 #: Fields from which the closed chain follows, beside the robot.
 OF_CHAIN = {"start", "grasps", "grasp_of", "held", "weights", "phases"}
 UNIONS = (typing.Union, types.UnionType)
@@ -100,6 +97,8 @@ class Phase:
     """Arms that do not hold the object; all others do. Where none does it stands."""
     tasks: Annotated[Sequence[Task], Key(form=Tasks)]
     """What shall happen."""
+    leads: Annotated[bool, NO_KEY] = False
+    """Whether it is the way of a plan to where the next one's tasks are met."""
 
     def ticks(self, dt: float) -> int:
         """Number of control periods of dt [s]."""
@@ -355,17 +354,14 @@ class Scenario:
     def _away(self, phase: Phase) -> tuple[str, ...]:
         """Arms that are released in a phase, the one before and the one after.
 
-        A phase and the planned way to it are one.
+        The planned way to a phase counts as that phase.
         """
-        parts: dict[str, list[Phase]] = {}
-        for one in self.schedule:
-            parts.setdefault(one.name.removesuffix(f" {WAY}"), []).append(one)
-        names, own = list(parts), phase.name.removesuffix(f" {WAY}")
-        if own not in parts:
-            return ()
-        i = names.index(own)
-        near = [one for name in names[max(0, i - 1) : i + 2] for one in parts[name]]
-        return tuple(a for a in phase.released if all(a in one.released for one in near))
+        part = list(itertools.accumulate((not one.leads for one in self.schedule), initial=0))
+        for i, one in zip(part, self.schedule, strict=False):
+            if one is phase or (phase.name and one.name == phase.name):
+                near = [x for k, x in zip(part, self.schedule, strict=False) if abs(k - i) < 2]
+                return tuple(a for a in phase.released if all(a in x.released for x in near))
+        return ()
 
     def simulated(self, problem: ControlProblem) -> PlantModel:
         """The plant of one of its problems, with the faults of sensors and motors."""
