@@ -50,7 +50,7 @@ from coopqp.planning.plan import Plan, Planner
 from coopqp.planning.turns import cut_off
 from coopqp.report.planning import write_plan
 from coopqp.scenario.loader import load
-from coopqp.scenario.planned import Followed, following, way_tasks
+from coopqp.scenario.planned import Followed, Way, following, way_tasks
 from coopqp.scenario.scenario import Scenario
 from coopqp.study.explanation.goal import Room
 from coopqp.tasks import PointOnPoint
@@ -387,7 +387,8 @@ def blocked(asked: argparse.Namespace) -> None:
         if way is None or not way.found:
             count[kind] += 1
             continue
-        tasks = way_tasks(way.t, way.timed, way.object, problem.dt, stands=False)
+        along = Way(way.t, way.timed, way.object, np.zeros((0, 0)))
+        tasks = way_tasks(along, problem.dt, stands=False)
         followed = replace(problem, tasks=tasks, secondary=())
         law = QPController().unprepared(followed)
         state = law.start()

@@ -358,18 +358,14 @@ class Scenario:
     def _away(self, phase: Phase) -> tuple[str, ...]:
         """Arms that are released in a phase, the one before and the one after.
 
-        A phase and the planned way to it are one.
+        The planned way to a phase counts as that phase.
         """
-        parts: list[list[Phase]] = [[]]
-        for one in self.schedule:
-            parts[-1].append(one)
-            if not one.leads:
-                parts.append([])
-        own = [i for i, part in enumerate(parts) if any(one.name == phase.name for one in part)]
-        if not own:
-            return ()
-        near = [one for part in parts[max(0, own[0] - 1) : own[0] + 2] for one in part]
-        return tuple(a for a in phase.released if all(a in one.released for one in near))
+        part = list(itertools.accumulate((not one.leads for one in self.schedule), initial=0))
+        for i, one in zip(part, self.schedule, strict=False):
+            if one is phase or (phase.name and one.name == phase.name):
+                near = [x for k, x in zip(part, self.schedule, strict=False) if abs(k - i) < 2]
+                return tuple(a for a in phase.released if all(a in x.released for x in near))
+        return ()
 
     def simulated(self, problem: ControlProblem) -> PlantModel:
         """The plant of one of its problems, with the faults of sensors and motors."""
