@@ -8,8 +8,8 @@ what is exceeded between places. Then the whole call, with the default box: shar
 an active limit, largest use of any limit at ten times the resolution by rows made there, closure at
 1,000 random places, and CPU time. With --toppra PYTHON, an interpreter that has toppra, its timing
 of the weighted sharing's rows stands beside ours. With --follow, torque_qp follows five of them in
-MuJoCo, with the mass as told and 20 % off: it knows the joints' reference and the wrench between
-the hands, and has the torque that the plan leaves.
+MuJoCo, and the PID one, as ``reference: {plan: timed.csv}`` has it, with the mass as told and 20 %
+off. Limits in space are left out, since random paths do not know them.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from statistics import median
 import numpy as np
 
 from coopqp.base.spec import Array
-from coopqp.closed_loop.grasp_matrix import COMPONENTS
-from coopqp.controllers import TorqueQp
+from coopqp.controller import Controller
+from coopqp.controllers import PassiveGraspPid, TorqueQp
 from coopqp.execution.controller_run import run
 from coopqp.grasp import SAFETY
-from coopqp.model.profile import Profile
+from coopqp.limits import SelfCollision
 from coopqp.planning.closed_path import Loops
 from coopqp.planning.forward_backward_pass import Passes, Share, Stuck
 from coopqp.planning.path_constraints import RowMaker, Rows
@@ -39,9 +39,8 @@ from coopqp.planning.time_along import TimedPath, time_along
 from coopqp.plant import Disturbance
 from coopqp.plants import Mujoco
 from coopqp.scenario.loader import load
+from coopqp.scenario.planned import Followed, following
 from coopqp.scenario.scenario import Scenario
-from coopqp.signals import Waypoints
-from coopqp.tasks import InternalWrench, Posture
 from coopqp.trace import Trace
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
@@ -49,10 +48,12 @@ from random_ways import random_way
 
 #: Scenarios, and the share of the torque that is planned with: with all of it speeds bind alone.
 ROBOTS = {"point_on_point": 1.0, "two_pandas": 0.4, "baxter_tray": 1.0, "two_so101": 0.15}
-#: Scenarios, shares of the torque and seeds that are followed.
+#: Scenarios, shares of the torque and seeds that are followed, and by whom.
 FOLLOWED = (
-    ("point_on_point", 0.8, 0), ("point_on_point", 0.8, 1), ("two_pandas", 0.4, 0),
-    ("two_pandas", 0.4, 1), ("two_so101", 0.15, 0),
+    ("point_on_point", 0.8, 0, TorqueQp()), ("point_on_point", 0.8, 1, TorqueQp()),
+    ("two_pandas", 0.4, 0, TorqueQp()), ("two_pandas", 0.4, 1, TorqueQp()),
+    ("two_so101", 0.15, 0, TorqueQp()), ("passive_grasp_pose", 0.8, 0, TorqueQp()),
+    ("passive_grasp_pose", 0.8, 0, PassiveGraspPid()),
 )  # fmt: skip
 #: Control period and the time after the path's end [s].
 DT, REST = 0.002, 0.5
@@ -153,39 +154,41 @@ def measured(robot: str, torque: float, seed: int, python: str) -> Result:
 
 
 def tracked(
-    scenario: Scenario, found: TimedPath, disturbance: Disturbance, safety: float = SAFETY
+    scenario: Scenario, found: TimedPath, disturbance: Disturbance, law: Controller
 ) -> tuple[Trace, Array]:
-    """A run of torque_qp along a timed path in MuJoCo, and the largest joint error by tick."""
+    """A law's run along a timed path in MuJoCo, and the largest joint error by tick of the way."""
+    limits = tuple(limit for limit in scenario.limits if not isinstance(limit, SelfCollision))
+    other = scenario.changed(
+        secondary=(), plant=Mujoco(), dt=DT, kappa=100.0, limits=limits, duration=DT,
+        controllers={law.name: law}, disturbance=disturbance,
+    )  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "timed.csv"
         file.write_text(found.csv(DT), encoding="utf-8")
-        task = Posture(goal=Waypoints(file=file), gain=40.0, profile=Profile(kind="step"))
-        between = {part: Waypoints(file=file, column=part, between="linear") for part in COMPONENTS}
-        tasks = task, InternalWrench(**between)
-        other = replace(
-            scenario, tasks=tasks, secondary=(), plant=Mujoco(), dt=DT, kappa=100.0,
-            controllers={"torque_qp": TorqueQp(safety=safety)}, duration=found.duration + REST,
-            disturbance=disturbance,
-        )  # fmt: skip
-        trace = run(other, controller="torque_qp", timed=False)
-    planned = [found.path.spline(found.where(k * DT)[0]) for k in range(len(trace.measured))]
-    return trace, np.abs(trace.measured - np.array(planned)).max(axis=1)
+        led = following(other, Followed(plan=file, late=REST)).held_by(law.name)
+    led = led.changed(phases=led.phases[:1])
+    trace = run(led, controller=law.name, timed=False)
+    ticks = led.schedule[0].ticks(DT)
+    planned = [found.path.spline(found.where(k * DT)[0]) for k in range(ticks)]
+    return trace, np.abs(trace.measured[:ticks] - np.array(planned)).max(axis=1)
 
 
 def followed(rise: float) -> Iterator[str]:
-    """What torque_qp makes of five timed paths in MuJoCo, and of one with a box between pads."""
-    for robot, torque, seed in FOLLOWED:
+    """What laws make of timed paths in MuJoCo, and of one with a box between pads."""
+    for robot, torque, seed, law in FOLLOWED:
         scenario = load(robot)
         way = random_way(scenario.chain, seed)
         found = time_along(way, scenario, torque=torque, rise=rise)
         moments = [found.at(float(t)) for t in np.linspace(0.0, found.duration, 50)]
         planned = max(np.abs(now.internal[:, :3]).max() for now in moments)
         for mass in (1.0, 1.2, 0.8):
-            trace, off = tracked(scenario, found, Disturbance(object_mass=mass))
-            used = (np.abs(trace.signals["tau"]) / trace.effort).max(axis=1)
-            force = np.abs(trace.signals["internal_wrench"]).reshape(-1, 6)[:, :3].max()
+            trace, off = tracked(scenario, found, Disturbance(object_mass=mass), law)
+            motors = np.setdiff1d(np.arange(scenario.chain.n), scenario.chain.passive)
+            tau = np.abs(trace.signals["tau"])[: len(off), motors]
+            used = (tau / scenario.chain.model.effortLimit[motors]).max(axis=1)
+            force = np.abs(trace.signals["internal_wrench"][: len(off)]).reshape(-1, 6)[:, :3].max()
             yield (
-                f"{robot} {seed}, {mass:g} of the mass, {found.duration:.3f} s: error "
+                f"{law.name} {robot} {seed}, {mass:g} of the mass, {found.duration:.3f} s: error "
                 f"{1e3 * off.max():.1f} mrad, at the end {1e3 * off[-1]:.2f}; motors up to "
                 f"{100.0 * used.max():.0f} %, {100.0 * np.quantile(used, 0.95):.0f} in 95 % of the "
                 f"time (planned {100.0 * torque:.0f}), internal force "
@@ -196,7 +199,8 @@ def followed(rise: float) -> Iterator[str]:
     for safety in (SAFETY, 1.0):
         found = time_along(way, scenario, safety=safety, rise=rise)
         for friction in (1.0, 0.7, 0.6):
-            trace, _ = tracked(scenario, found, Disturbance(friction=friction), safety)
+            law = TorqueQp(safety=safety)
+            trace, _ = tracked(scenario, found, Disturbance(friction=friction), law)
             slip = np.nanmax(trace.signals["slip"])
             end = trace.failures[0].note if trace.failures else "not lost by the end"
             yield (

@@ -49,6 +49,7 @@ from .online.joint_check import JointCheck as JointCheck
 from .online.joint_check import check_joints as check_joints
 from .online.loop import OnlineLoop as OnlineLoop
 from .online.real_time import real_time as real_time
+from .planning.fastest_profile import with_fastest_profiles as with_fastest_profiles
 from .planning.plan import Plan as Plan
 from .planning.plan import plan as plan
 from .planning.reach import Reach as Reach

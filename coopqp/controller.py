@@ -106,8 +106,8 @@ class ControlProblem:
         asked = (*self.tasks, *self.wrenches)
         found = list(problem_faults(self.dt, self.kappa, asked, self.secondary))
         if any(task.way and task.way.kind == FASTEST for task in asked):
-            words = "fastest is found when a file is read; call coopqp.planning"
-            found.append((("profile",), f"{words}.with_fastest_profiles for other scenarios"))
+            words = "fastest is found when a file is read; call coopqp.with_fastest_profiles"
+            found.append((("profile",), f"{words} for other scenarios"))
         if self.on_infeasible not in get_args(OnInfeasible):
             known = unknown_name("choice", str(self.on_infeasible), get_args(OnInfeasible))
             found.append((("on_infeasible",), known))

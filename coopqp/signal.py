@@ -199,7 +199,7 @@ class InputValues(dict[str, Trajectory]):
         refused: of which what arrived could not be used, and why.
         arrived: by name, what has arrived for this tick and is used: when sent [s], and the value,
             shape (values,).
-        ways: of joints, by the name of the clock that waits for them and the joints' names.
+        ways: by the name of their clock, and of those of joints, for which it waits, the joints'.
     """
 
     def __init__(self) -> None:

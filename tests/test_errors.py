@@ -88,8 +88,8 @@ WRONG: dict[str, tuple[Callable[[], object], list[str]]] = {
     "a table without shares": (
         lambda: Profile(kind="table"),
         [
-            'Profile: found {"kind": "table"}; needs shares, the first 0 and the last 1, where its '
-            "kind is table, and only there"
+            'Profile: found {"kind": "table"}; needs shares that rise from 0 to 1 where its kind '
+            "is table, and only there"
         ],
     ),
     "two at once": (

@@ -30,21 +30,23 @@ from coopqp.trace import TickBatch, Trace
 
 pytestmark = needs_kernel
 
-TICKS = 25  # of a scenario without phases
+TICKS = 25  # of a phase
 #: What the law decides, and from what: the same bits, whoever looks at it.
 DECIDED = {"q", "v", "t", "commanded", "gap", "memory", "scale", "compiled", "status", "usable"}
 
 
 @cache
 def shortened(name: str) -> Scenario:
-    """A shipped scenario without masses, of a few ticks where there are no phases."""
+    """A shipped scenario without masses, of a few ticks; each phase of as many."""
     try:
         scenario = load(name)
     except MissingDependencyError as error:
         pytest.skip(str(error))
     if scenario.plant.takes_torques:
         pytest.skip("the plant has masses")
-    return scenario if scenario.phases else replace(scenario, duration=TICKS * scenario.dt)
+    few = TICKS * scenario.dt
+    phases = tuple(replace(phase, duration=few) for phase in scenario.phases)
+    return replace(scenario, duration=0.0 if phases else few, phases=phases)
 
 
 def looked_at(scenario: Scenario, law: str, monkeypatch: pytest.MonkeyPatch) -> Trace:

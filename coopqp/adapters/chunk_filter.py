@@ -8,7 +8,8 @@ inside the joints' ranges and speeds, with the arms' bodies apart (also between 
 both grippers hold, with the loop closed: one hand in the other stays as it was when the second
 gripper closed. v_k is the answer of the QP of :mod:`coopqp.qp_law` for a tick of a frame's length,
 shortened where bodies would come too near. It is the nearest for each frame from where the last one
-leads, not of all frames at once. Frames that keep all of it are passed on as they are.
+leads, not of all frames at once. Frames that keep all of it are passed on as they are. All frames
+in which the same hands hold are one call of the compiled kernel.
 """
 
 from __future__ import annotations
@@ -26,24 +27,22 @@ from pydantic import Field
 
 from coopqp.adapters.motors import ARMS, GRIPPERS, KEYS, MotorUnits
 from coopqp.base.errors import CoopqpError, InvalidValueError
-from coopqp.base.qp import Row
 from coopqp.base.spec import Array, NonNegative, Positive, real, spec
 from coopqp.base.wording import said
 from coopqp.controller import ControlProblem
 from coopqp.controllers import QPController
 from coopqp.kernel import native
+from coopqp.kernel.flat import turned
 from coopqp.kernel.free_space import FreeSpace, Told
-from coopqp.kernel.trajectory_evaluation import joint_points, survey
-from coopqp.limit import DistanceBounds, Limit, Tighten
+from coopqp.kernel.law import KernelLaw
+from coopqp.kernel.trajectory_evaluation import joint_points
+from coopqp.limit import Limit
 from coopqp.limits import JointPosition, JointVelocity, SelfCollision
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.state import State
 from coopqp.scenario.scenario import Scenario
-from coopqp.signal import Trajectory, of_joints
-from coopqp.signals import Input
 from coopqp.solver import Budget
 from coopqp.solvers import Daqp
-from coopqp.tasks import Posture
+from coopqp.tasks import MinimumVelocity
 
 #: A law keeps so much more of a distance than is checked, for what linear rows leave out [m].
 SLACK = 1e-3
@@ -91,18 +90,19 @@ class Change:
         frame: from 0.
         limit: "not_finite", "joint_position", "joint_velocity", "self_collision" or "loop".
         names: keys of the action, or of two bodies or arms.
-        by: how far the frame as given is beyond the limit, in the action's units, of bodies and
-            loops in metres; NaN where it is not known, as of bodies that are in each other.
+        by: how far the frame as given is beyond the limit, of loops how far it opens them; NaN
+            where it is not known, as of bodies that are in each other.
+        unit: of it: deg or % as the action has, of speeds deg/s or %/s, of bodies and loops m.
     """
 
     frame: int
     limit: str
     names: tuple[str, ...]
     by: float = np.nan
+    unit: str = ""
 
     def __str__(self) -> str:
-        unit = " m" if self.limit in ("self_collision", "loop") else ""
-        far = "" if np.isnan(self.by) else f", beyond it by {self.by:.3g}{unit}"
+        far = "" if np.isnan(self.by) else f", beyond it by {self.by:.3g} {self.unit}"
         return f"frame {self.frame}: {self.limit} of {' and '.join(self.names)}{far}"
 
 
@@ -146,7 +146,7 @@ class ChunkFilter:
     def __init__(
         self, scenario: Scenario, units: MotorUnits | None = None, **settings: Any
     ) -> None:
-        if native.module() is None:
+        if (kernel := native.module()) is None:
             raise CoopqpError(f"chunks are filtered by the compiled kernel: {native.MISSING}")
         self.units, self.settings = units or MotorUnits(), FilterSettings(**settings)
         kept, self._chain = self.settings, self.units.bounded(scenario.chain)
@@ -158,15 +158,25 @@ class ChunkFilter:
         self.watched = [row.bodies for row in apart.rows(self._chain) if row.bodies]
         self._space = FreeSpace(self._chain, [apart.program(self._chain, 1.0 / kept.fps)])
         careful = replace(apart, distance=kept.distance + SLACK, gain=kept.fps, within=WITHIN)
-        self._apart = _Apart(careful, self._chain, 1.0 / kept.fps)
-        self._law = _Follower(self._chain, kept, self._apart)
+        held = self._chain.handed_over(self._chain.q_start)
+        laws = [_law(self._chain, kept, careful), _law(held, kept), _law(held, kept, careful)]
+        axes, hands = held.once(turned), [points[-1] for points in joint_points(held).values()]
+        engines = [law.whole.engine for law in laws]
+        self._kernel = kernel.Following(*engines, self._space.compiled, {
+            "lower": self.lower, "upper": self.upper, "step": self.step,
+            "hands": np.concatenate([axes[joint].T @ p for joint, p in hands]),
+            "shares": np.array(SHARES), "look": LOOK, "rounding": ROUNDING,
+            "position": kept.loop_position, "orientation": kept.loop_orientation,
+            "squeeze": kept.squeeze,
+        })  # fmt: skip
+        self._laws = laws  # which own the arrays of their engines
         self.reset()
 
     def reset(self) -> None:
         """Forget where the arms are and what they hold; the next chunk needs a start."""
         self._q: Array | None = None
         self._grips = np.full(2, OPEN)
-        self._hold: _Hold | None = None
+        self._taken: Array | None = None  # joints where both hands took hold of what they hold
 
     @property
     def begun(self) -> bool:
@@ -189,20 +199,14 @@ class ChunkFilter:
         row = self._last() if start is None else self._started(start)
         given = self._array(chunk, row)
         if start is not None:
-            self._q, self._grips, self._hold = self.units.joints(row[None])[0], row[GRIPPERS], None
+            self._q, self._grips, self._taken = self.units.joints(row[None])[0], row[GRIPPERS], None
         if self._q is None:
             raise InvalidValueError("start: where the arms are is needed before the first chunk")
         grips = self._gripped(given[:, GRIPPERS])
         holding = self._holding(self._grips, grips)
-        x, q, changed = self.units.joints(given), np.empty((len(given), len(ARMS))), []
-        for first, end in _alike(holding):
-            if not holding[first]:
-                self._hold = None
-            elif self._hold is None:
-                self._hold = self._taken(self._q)
-            changed += self._segment(first, x[first:end], q[first:end], self._q)
-            self._q = q[end - 1].copy()
-        return self._found(chunk, given, grips, q, changed, holding)
+        found, self._taken = self._follow(given, self._q, holding, self._taken)
+        self._q = np.concatenate([self._q[None], found.q])[-1]
+        return self._found(chunk, given, grips, found, holding)
 
     def audit(self, recorded: Any) -> Iterator[Change]:
         """What recorded frames break, each as it follows the recorded one before.
@@ -211,26 +215,21 @@ class ChunkFilter:
             recorded: as for :meth:`filter_chunk`, an episode; nothing of the filter changes.
         """
         given = self._array(recorded, self._last())
-        x, grips = self.units.joints(given), given[:, GRIPPERS]
+        x, holding = (
+            self.units.joints(given),
+            self._holding(given[:1, GRIPPERS], given[:, GRIPPERS]),
+        )
         whole = np.isfinite(x).all(axis=1)
-        told = _filled(x, x[np.argmax(whole)] if whole.any() else self._chain.q_start)
-        for first, end in _alike(self._holding(grips[0], grips)) if len(x) else ():
-            before = np.concatenate([told[max(first - 1, 0)][None], told[first : end - 1]])
-            holds = self._holding(grips[0], grips)[first]
-            hold = self._taken(before[0]) if holds else None
-            fine, _ = self._fine(x[first:end], hold)
-            follows = self._follows(x[first:end], before, fine)
-            for k in np.flatnonzero(~follows).tolist():
-                yield from self._arms(first + k, given[first + k], _Asked(k, before[k], hold))
+        first = x[np.argmax(whole)] if whole.any() else self._chain.q_start
+        found, _ = self._follow(given, first, holding, None, recorded=True)
+        for k in np.flatnonzero(found.changed).tolist():
+            yield from self._arms(k, given[k], found)
 
     def _holding(self, first: Array, grips: Array) -> NDArray[np.bool_]:
         """In which frames both grippers are closed that were so before."""
-        closed = np.concatenate([first[None], grips]) <= self.settings.holds_below
+        closed = np.concatenate([np.atleast_2d(first), grips]) <= self.settings.holds_below
         both = np.asarray(closed.all(axis=1))
         return both[1:] & both[:-1]
-
-    def _taken(self, q: Array) -> _Hold:
-        return _Hold(self._chain.handed_over(q), self.settings, self._apart)
 
     def _last(self) -> Array:
         """The frame before the next, of NaN where there is none."""
@@ -276,121 +275,83 @@ class ChunkFilter:
             last = found[k] = np.where(np.isfinite(wish), np.clip(near, 0.0, OPEN), last)
         return found
 
-    def _segment(self, first: int, x: Array, q: Array, now: Array) -> list[_Asked]:
-        """Write q of frames in which the same hands hold; those that are not as asked, and why."""
-        hold, asked, k, as_given = self._hold, list[_Asked](), 0, True
-        x, (fine, gap) = _filled(x, now), self._fine(x, hold)
-        follows = self._follows(x, np.concatenate([now[None], x[:-1]]), fine)
-        q[:] = x
-        while k < len(x):
-            if as_given and follows[k]:
-                k = k + int(np.argmin(follows[k:])) if not follows[k:].all() else len(x)
-                now = x[k - 1]
-            elif (
-                not as_given and fine[k] and self._follows(x[k : k + 1], now[None], fine[k : k + 1])
-            ):
-                now, as_given, k = x[k], True, k + 1
-            else:
-                asked.append(_Asked(first + k, now, hold))
-                q[k] = now = self._nearest(now, x[k], gap[k], hold)
-                as_given, k = False, k + 1
-        return asked
+    def _follow(
+        self, given: Array, q: Array, holding: NDArray[np.bool_], taken: Array | None, *,
+        recorded: bool = False,
+    ) -> tuple[_Followed, Array | None]:  # fmt: skip
+        """The frames from q on, and where hands took hold of what they hold after them.
 
-    def _fine(self, x: Array, hold: _Hold | None) -> tuple[NDArray[np.bool_], Array]:
-        """Which frames keep ranges and the loop, and the loop's offset that they ask for."""
-        inside = np.isfinite(x) & (x >= self.lower - ROUNDING) & (x <= self.upper + ROUNDING)
-        fine, gap = np.asarray(inside.all(axis=1)), np.zeros((len(x), 0))
-        if hold:
-            gap, closed = hold.wanted(np.nan_to_num(x))
-            fine = fine & closed
-        return fine, gap
-
-    def _follows(self, x: Array, before: Array, fine: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Which frames can be reached from the one before as they are, of those that are fine."""
-        found = fine & (np.abs(x - before) <= self.step + ROUNDING).all(axis=1)
-        if found.any():
-            places = _way(before[found][:, None], x[found][:, None])
-            free = self._space.is_free(places.reshape(-1, x.shape[1]))
-            found[found] = free.reshape(places.shape[:2]).all(axis=1)
-        return found
-
-    def _nearest(self, q: Array, x: Array, gap: Array, hold: _Hold | None) -> Array:
-        """Where a frame's step leads from q towards x."""
-        x = np.minimum(np.maximum(x, self.lower), self.upper)  # as near, and of a law's size
-        for goal in self._goals(q, x, gap, hold):
-            if self._goes(q, goal):
-                return goal
-        if not self._space.is_free(q[None])[0]:
-            return goal
-        for share in SHARES:
-            if self._goes(q, near := q + share * (goal - q)):
-                return near
-        return q
-
-    def _goals(self, q: Array, x: Array, gap: Array, hold: _Hold | None) -> Iterator[Array]:
-        """Without asking for distances, which most frames keep, then with them."""
-        if hold is None:
-            yield self._clipped(q, x)
-            yield self._law.toward(q, x)
-        else:
-            yield hold.law.toward(q, x, gap)
-            yield hold.careful.toward(q, x, gap)
-
-    def _clipped(self, q: Array, x: Array) -> Array:
-        near = np.minimum(np.maximum(x, q - self.step), q + self.step)
-        return np.asarray(np.minimum(np.maximum(near, self.lower), self.upper))
-
-    def _goes(self, q: Array, goal: Array) -> bool:
-        return bool(self._space.is_free(_way(q, goal)).all())
+        Recorded ones are asked for from where the one before was, not where it led.
+        """
+        x = self.units.joints(given)
+        told, changed = np.ascontiguousarray(_filled(x, q)), np.zeros(len(x), bool)
+        found = _Followed(np.empty(x.shape), np.empty(x.shape), changed, np.zeros(len(x)))
+        now, flags = (told[0] if recorded and len(x) else q).copy(), changed.view(np.uint8)
+        for a, b in _alike(holding):
+            holds = bool(holding[a])
+            taken = (now.copy() if taken is None else taken) if holds else None
+            if taken is not None:
+                self._kernel.take_hold(taken)
+            rows = found.q[a:b], found.before[a:b], flags[a:b], found.opened[a:b]
+            self._kernel.follow(told[a:b], now, *rows, holds, recorded)
+        changed |= ~np.isfinite(x).all(axis=1)
+        return found, taken
 
     def _found(
-        self, chunk: Any, given: Array, grips: Array, q: Array, asked: list[_Asked],
-        holding: NDArray[np.bool_],
-    ) -> FilteredChunk:  # fmt: skip
+        self, chunk: Any, given: Array, grips: Array, found: _Followed, holding: NDArray[np.bool_]
+    ) -> FilteredChunk:
         """Frames that were asked for otherwise in the motors' units, and who wants to know why."""
         before = np.concatenate([self._grips[None], grips])[:-1]
         moved = (grips != given[:, GRIPPERS]).any(axis=1)
         self._grips = grips[-1].copy() if len(grips) else self._grips
-        actions, arms = given.copy(), [each.frame for each in asked]
+        actions, arms = given.copy(), np.flatnonzero(found.changed).tolist()
         actions[:, GRIPPERS] = grips
-        actions[np.ix_(arms, ARMS)] = self.units.motors(q[arms])
-        changed = moved.copy()
-        changed[arms] = True
-        why = self._why(given, before, moved, asked)
-        return FilteredChunk(_like(chunk, actions), q, changed, holding, why)
+        actions[np.ix_(arms, ARMS)] = self.units.motors(found.q[arms])
+        why = self._why(given, before, moved, found)
+        changed = found.changed | moved
+        return FilteredChunk(_like(chunk, actions), found.q, changed, holding, why)
 
     def _why(
-        self, given: Array, grips: Array, moved: NDArray[np.bool_], asked: list[_Asked]
+        self, given: Array, grips: Array, moved: NDArray[np.bool_], found: _Followed
     ) -> Iterator[Change]:
-        by_frame = {each.frame: each for each in asked}
-        for k in sorted({*by_frame, *np.flatnonzero(moved).tolist()}):
+        for k in np.flatnonzero(found.changed | moved).tolist():
             if moved[k]:
-                yield from _grippers(k, given[k, GRIPPERS], grips[k], self._grip_step)
-            if k in by_frame:
-                yield from self._arms(k, given[k], by_frame[k])
+                yield from self._grippers(k, given[k, GRIPPERS], grips[k])
+            if found.changed[k]:
+                yield from self._arms(k, given[k], found)
 
-    def _arms(self, k: int, row: Array, asked: _Asked) -> Iterator[Change]:
+    def _grippers(self, k: int, wish: Array, last: Array) -> Iterator[Change]:
+        for key, x, before in zip(np.array(KEYS)[GRIPPERS].tolist(), wish, last, strict=True):
+            if not np.isfinite(x):
+                yield Change(k, "not_finite", (key,))
+            if (by := max(-x, x - OPEN)) > ROUNDING:
+                yield Change(k, "joint_position", (key,), float(by), "%")
+            if (by := abs(x - before) - self._grip_step) > ROUNDING:
+                yield Change(k, "joint_velocity", (key,), float(by) * self.settings.fps, "%/s")
+
+    def _arms(self, k: int, row: Array, found: _Followed) -> Iterator[Change]:
         """What the arms' part of a frame breaks."""
-        names, bad = np.array(KEYS)[ARMS], ~np.isfinite(row[ARMS])
+        names, bad, q = np.array(KEYS)[ARMS], ~np.isfinite(row[ARMS]), found.before[k]
         if bad.any():
             yield Change(k, "not_finite", tuple(names[bad].tolist()))
             row = row.copy()
-            row[np.array(ARMS)[bad]] = self.units.motors(asked.q)[bad]
-        (x,) = self.units.joints(row[None])
-        beyond = {
-            "joint_position": np.maximum(self.lower - x, x - self.upper),
-            "joint_velocity": np.abs(x - asked.q) - self.step,
-        }
-        for limit, by in beyond.items():
+            row[np.array(ARMS)[bad]] = self.units.motors(q)[bad]
+        (x,), unit, fps = self.units.joints(row[None]), self.units.unit, self.settings.fps
+        beyond = (
+            ("joint_position", np.maximum(self.lower - x, x - self.upper), 1.0, unit),
+            ("joint_velocity", np.abs(x - q) - self.step, fps, f"{unit}/s"),
+        )
+        for limit, by, rate, of in beyond:
             for i in np.flatnonzero(by > ROUNDING).tolist():
-                yield Change(k, limit, (str(names[i]),), float(by[i] / abs(self.units.scale[i])))
-        yield from self._near(k, x, asked.q)
-        if asked.hold and (off := asked.hold.opened(x)) > 0.0:
-            yield Change(k, "loop", tuple(arm.name for arm in asked.hold.chain.arms), off)
+                far = float(rate * by[i] / abs(self.units.scale[i]))
+                yield Change(k, limit, (str(names[i]),), far, of)
+        yield from self._near(k, x, q)
+        if found.opened[k] > 0.0:
+            yield Change(k, "loop", tuple(a.name for a in self._chain.arms), found.opened[k], "m")
 
     def _near(self, k: int, x: Array, q: Array) -> Iterator[Change]:
         """Bodies that are too near at x, or else on the way to it."""
-        goal = self._clipped(q, x)
+        goal = np.clip(np.clip(x, q - self.step, q + self.step), self.lower, self.upper)
         for place in (x, *_way(np.clip(q, -FARTHEST, FARTHEST), goal)):
             if self._space.is_free(place[None])[0]:
                 continue
@@ -399,103 +360,38 @@ class ChunkFilter:
             near |= not near.any() and told != Told.BEYOND  # where nothing is proved
             for i in np.flatnonzero(near).tolist():
                 by = np.nan if told[i] == Told.INSIDE else self.settings.distance - d[i]
-                yield Change(k, "self_collision", tuple(self.watched[i]), float(by))
+                yield Change(k, "self_collision", tuple(self.watched[i]), float(by), "m")
             return
 
 
 @dataclass(frozen=True)
-class _Asked:
-    """A frame whose joints are not as asked for, and where the arms were before it."""
+class _Followed:
+    """Joints after each frame, and before it; which are not as asked."""
 
-    frame: int
     q: Array
-    hold: _Hold | None
+    before: Array
+    changed: NDArray[np.bool_]
+    opened: Array  # how far what is asked opens the loop [m]; 0 where that is not too far
 
 
-class _Follower:
-    """The law that brings joints as near as limits and loops let them to a target, in one tick."""
-
-    def __init__(self, chain: ClosedChain, kept: FilterSettings, *limits: Limit) -> None:
-        half = 0.5 * kept.loop_position, 0.5 * kept.loop_orientation
-        problem = ControlProblem(
-            chain=chain,
-            tasks=(Posture(goal=Input(name="frame"), gain=kept.fps),),
-            limits=(JointPosition(), JointVelocity(scale=kept.speed), *limits),
-            solver=Daqp(),
-            dt=1.0 / kept.fps,
-            budget=Budget(loop_position=half[0], loop_orientation=half[1], accuracy=1e-3),
-        )
-        self._dt = problem.dt
-        self._law = QPController(damping=1e-9, error_damping=0.0).unprepared(problem)
-        self._state = self._law.start()
-        self._target = Trajectory(of_joints(chain.joint_names), chain.q_start.copy())
-        self._state.inputs["frame"] = self._target
-
-    def toward(self, q: Array, x: Array, gap: Array | None = None) -> Array:
-        """Joints a frame later."""
-        self._state.q[:], self._target.value[:] = q, x
-        if gap is not None:
-            self._state.gap[:] = gap
-        return np.asarray(q + self._dt * self._law.tick(self._state).v)
-
-
-class _Apart(Limit):
-    """Self-collision whose pairs are looked for once: which hands hold changes none of them."""
-
-    def __init__(self, limit: SelfCollision, chain: ClosedChain, dt: float) -> None:
-        made = {"_limit": limit, "_rows": limit.rows(chain), "_program": limit.program(chain, dt)}
-        vars(self).update(made)
-
-    def rows(self, chain: ClosedChain) -> tuple[Row, ...]:
-        found: tuple[Row, ...] = vars(self)["_rows"]
-        return found
-
-    def bind(self, chain: ClosedChain, dt: float) -> Tighten:
-        limit: SelfCollision = vars(self)["_limit"]
-        return limit.bind(chain, dt)
-
-    def program(self, chain: ClosedChain, dt: float) -> DistanceBounds:
-        found: DistanceBounds = vars(self)["_program"]
-        return found
-
-
-class _Hold:
-    """The loop that both hands close on what they hold, from where they took hold."""
-
-    def __init__(self, chain: ClosedChain, kept: FilterSettings, apart: Limit) -> None:
-        self.chain, self._kept, self._apart = chain, kept, apart
-        self.law = _Follower(chain, kept)
-        hands = [points[-1] for points in joint_points(chain).values()]
-        found = survey(chain, (), State(chain), hands)
-        assert found is not None  # as the kernel is built, and all joints are hinges
-        self._look = found.look
-
-    @cached_property
-    def careful(self) -> _Follower:
-        """The law that keeps bodies apart as well; built when the first come near."""
-        return _Follower(self.chain, self._kept, self._apart)
-
-    def wanted(self, x: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """The squeeze that joints (N, 10) ask for as an offset of the loop, and which keep it."""
-        gap, off, turned = self._errors(x)
-        return gap, (off <= self._kept.loop_position) & (turned <= self._kept.loop_orientation)
-
-    def opened(self, x: Array) -> float:
-        """How far joints (10,) open the loop [m]; 0 where they do not."""
-        _, (off,), (turned,) = self._errors(x[None])
-        return float(off) if off > self._kept.loop_position or (
-            turned > self._kept.loop_orientation
-        ) else 0.0  # fmt: skip
-
-    def _errors(self, x: Array) -> tuple[Array, Array, Array]:
-        seen = self._look(np.zeros(len(x)), x)
-        e, gap = seen.loop_error, np.zeros_like(seen.loop_error)
-        along = seen.points[:, 0] - seen.points[:, 1]
-        along /= np.maximum(np.linalg.norm(along, axis=1), 1e-9)[:, None]
-        closer = np.clip((e[:, :3] * along).sum(axis=1), 0.0, self._kept.squeeze)
-        gap[:, :3] = closer[:, None] * along
-        off, turned = np.linalg.norm((e - gap).reshape(-1, 2, 3), axis=2).T
-        return gap, off, turned
+def _law(chain: ClosedChain, kept: FilterSettings, *limits: Limit) -> KernelLaw:
+    """Of one tick that is a frame's length, which the kernel asks with targets of its own."""
+    problem = ControlProblem(
+        chain=chain,
+        tasks=(MinimumVelocity(),),
+        limits=(JointPosition(), JointVelocity(scale=kept.speed), *limits),
+        solver=Daqp(),
+        dt=1.0 / kept.fps,
+        budget=Budget(
+            loop_position=0.5 * kept.loop_position,
+            loop_orientation=0.5 * kept.loop_orientation,
+            accuracy=1e-3,
+        ),
+    )
+    law = QPController(damping=1e-9, error_damping=0.0, engine="kernel").unprepared(problem)
+    assert isinstance(law, KernelLaw)
+    law.tick(law.start())  # which binds the engine to the arrays of a state
+    return law
 
 
 def _told(row: Array, action: Any) -> Array:
@@ -541,13 +437,3 @@ def _filled(x: Array, q: Array) -> Array:
     for k in np.flatnonzero(bad.any(axis=1)).tolist():
         x[k, bad[k]] = (x[k - 1] if k else q)[bad[k]]
     return x
-
-
-def _grippers(k: int, wish: Array, last: Array, step: float) -> Iterator[Change]:
-    for key, x, before in zip(np.array(KEYS)[GRIPPERS].tolist(), wish, last, strict=True):
-        if not np.isfinite(x):
-            yield Change(k, "not_finite", (key,))
-        if (by := max(-x, x - OPEN)) > ROUNDING:
-            yield Change(k, "joint_position", (key,), float(by))
-        if (by := abs(x - before) - step) > ROUNDING:
-            yield Change(k, "joint_velocity", (key,), float(by))

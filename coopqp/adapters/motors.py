@@ -82,6 +82,11 @@ class MotorUnits:
         ranges = [self._of(i, "range_max") - self._of(i, "range_min") for i in ARMS]
         return np.radians([0.5 * COUNT * r if r else np.inf for r in ranges])
 
+    @property
+    def unit(self) -> str:
+        """Of the arms' numbers: deg, or % of half of a range."""
+        return "deg" if self.use_degrees else "%"
+
     @cached_property
     def scale(self) -> Array:
         """How far a joint goes where its motor goes by one unit, shape (10,) [rad]."""

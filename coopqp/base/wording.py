@@ -86,6 +86,8 @@ def raised(error: BaseException, file: str | None = None) -> str:
         own = [frame for frame in own if "site-packages" not in frame.filename] or own
     place = f"{own[-1].filename}:{own[-1].lineno}" if own else file
     words = said(error)
+    if isinstance(error, SyntaxError) and error.filename:  # of a file that was about to run
+        place, words = f"{error.filename}:{error.lineno}", error.msg
     return f"{place}: raises {type(error).__name__}{f': {words}' if words else ''}"
 
 

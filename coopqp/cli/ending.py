@@ -68,7 +68,7 @@ def _ending(error: BaseException) -> tuple[int, str]:
     """The exit code, and what is printed."""
     if isinstance(error, _Terminated):
         return TERMINATED, "terminated"
-    if isinstance(error, KeyboardInterrupt | click.Abort):
+    if isinstance(error, click.Abort) or _interrupted(error):
         return INTERRUPTED, "interrupted"
     if isinstance(error, CoopqpError) and not isinstance(error, InternalError):
         return BAD_INPUT, "\n".join(f"error: {line}" for line in str(error).splitlines())
@@ -83,6 +83,13 @@ def _ending(error: BaseException) -> tuple[int, str]:
         words = "out of memory" if isinstance(error, MemoryError) else raised(error)
     line = f"error: {' '.join(words.split())}"
     return (BAD_INPUT, line) if by_user(error) else (OUR_FAULT, f"{line}; {REPORT}")
+
+
+def _interrupted(error: BaseException | None) -> bool:
+    """Whether Ctrl-C began it: a library that is interrupted while it is imported raises others."""
+    while error and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
 
 
 def _drop_output() -> None:

@@ -52,33 +52,42 @@ def time_(
     PATH is a recorded run, a CSV file with a column for each joint, or with the object's x, y, z,
     qx, qy, qz and qw, or the folder of one.
     """
-    from coopqp.planning.time_along import table_of, time_along, would_do
-    from coopqp.report import files, strict_json
-    from coopqp.report.planning import PICTURE, TIMED, limits_table, timed_svg
+    from coopqp.planning.given_path import table_of
+    from coopqp.planning.time_along import time_phases, would_do
+    from coopqp.report import strict_json
+    from coopqp.report.planning import limits_table, phase_titles, write_timed
     from coopqp.report.table import console
 
-    if scenario is None:
-        if table := table_of(path):
-            words = "says where joints are, not whose; add --scenario, such as what was planned for"
-            raise CoopqpError(f"'{table}' {words}")
-        _, loaded = read_trace(path, catalog)
-    else:
-        loaded = read_scenario(scenario, catalog)
-    found = time_along(path, loaded, **how)
-    tried = would_do(found, loaded)
-    if out:
-        files.write_one(out / TIMED, found.csv(loaded.dt))
-        files.write_one(out / PICTURE, timed_svg(found))
+    if scenario is None and (table := table_of(path)):
+        scenario = _beside(table)
+    loaded = read_scenario(scenario, catalog) if scenario else read_trace(path, catalog)[1]
+    parts = time_phases(path, loaded, **how)
+    tried = [would_do(part) for part in parts]
+    written = write_timed(parts, tried, loaded, out) if out else ()
+    keys = ("duration", "hold", "exceeded", "shares", "notes")
+    data = [
+        {key: getattr(part, key) for key in keys} | {"would_do": more}
+        for part, more in zip(parts, tried, strict=True)
+    ]
     if as_json:
-        keys = ("duration", "hold", "exceeded", "shares", "notes")
-        data = {key: getattr(found, key) for key in keys} | {"would_do": tried}
-        click.echo(strict_json.text(data))
-    else:
-        for line in found.sentences:
-            say(line, aside=False)
-        console().print(limits_table(found, tried))
-    if out:
-        say(f"wrote {out / TIMED} and {PICTURE}", aside=as_json)
+        click.echo(strict_json.text(data[0] if len(data) == 1 else data))
+    for title, part, more in zip(phase_titles(parts, loaded), parts, tried, strict=True):
+        if not as_json:
+            first = f"{title}:" if len(parts) > 1 else ""
+            for line in filter(None, [first, *part.sentences, part.coarse(loaded.dt)]):
+                say(line, aside=False)
+            console().print(limits_table(part, more))
+    for file in written:
+        say(f"wrote {file}", aside=as_json)
+
+
+def _beside(table: Path) -> str:
+    """The scenario that stands beside a table of joints, as 'coopqp plan' writes it."""
+    found = sorted(table.parent.glob("*.yaml"))
+    if len(found) != 1:
+        words = "says where joints are, not whose; add --scenario, such as what was planned for"
+        raise CoopqpError(f"'{table}' {words}")
+    return str(found[0])
 
 
 @click.command()

@@ -14,7 +14,8 @@ independent joints. e_m_dot = -kp e_m.
     Gamma = g(q) - J' u                      (gravity)
     Gamma = A a_r + H - J' u                 (inverse_dynamics; a_r follows the reference and e_m)
 
-and from there to the motors by eq. (23), with redundant motors by eq. (27). e_m decays with the
+and from there to the motors by eq. (23), with redundant motors by eq. (27), or such that the hands
+exert the internal wrench that is asked for, as far as passive joints stay free. e_m decays with the
 task's gain (:mod:`coopqp.torque_law.margins`). While a motor is beyond its limit its torque is
 clipped, the tick is TASKS_RELAXED, and the integral is held (anti-windup).
 
@@ -29,7 +30,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -37,7 +38,9 @@ from pydantic import Field
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.rank import least_squares, null_space
 from coopqp.base.spec import Array, NonNegative, spec
-from coopqp.controller import Command, Controller, ControlProblem, Law
+from coopqp.closed_loop.grasp_matrix import grasp_matrix
+from coopqp.closed_loop.hands import WrenchStack, hands, points
+from coopqp.controller import Command, Controller, ControlProblem, Features, Law
 from coopqp.model.state import State
 from coopqp.solver import Status
 from coopqp.task import TaskStack
@@ -101,6 +104,8 @@ class TorquePid(Law):
         self.loop = TorqueLoop(level.gains, kp, ki, kd, W, problem.dt, forward)
         settings.require_damping(problem, self.loop)
         self._effort = problem.chain.model.effortLimit
+        self._wrenches = WrenchStack(problem.wrenches, State(problem.chain))
+        self._hands = hands(problem.chain)
 
     def decide(self, state: State) -> Command:
         level, command = self._level, self.command
@@ -111,9 +116,9 @@ class TorquePid(Law):
         self._model.update(memory, tasks.e)
         u = kp * memory["deviation"] + ki * memory["integral"]
         u += kd * (level.e_dot - memory["model_rate"])
-        Gamma = self._feed_forward(state) - tasks.J.T.dot(u)
-        result = dynamics.distribute(Gamma)
-        tau = result.tau
+        Gamma, a_r = self._feed_forward(state)
+        Gamma -= tasks.J.T.dot(u)
+        tau = self._motors(Gamma, state, a_r)
         finite = bool(np.isfinite(tau).all())
         assert command.tau is not None
         if not finite:
@@ -139,14 +144,44 @@ class TorquePid(Law):
         self._level.dynamics.update(state.q, state.v)
         self.command.tau[:] = self._level.holding(state, BRAKE_TIME)
 
-    def _feed_forward(self, state: State) -> Array:
+    def _motors(self, Gamma: Array, state: State, a_r: Array) -> Array:
+        """Torques of the motors, with the internal wrench that is asked for.
+
+        By the wrench at the cut, which leaves passive joints free, then comes near to what is
+        asked, then spares the motors. Hands exert shares of what gives the object a_r, and it.
+        """
+        asked, dynamics = self._wrenches, self._level.dynamics
+        if not asked.tasks:
+            return dynamics.distribute(Gamma).tau
+        asked.update(state)
+        at = points(self._hands, state.p_WO, state.R_WO)
+        C = np.split(np.sqrt(asked.weights)[:, None] * asked.C, len(at), axis=1)
+        C = [part @ grasp_matrix([state.p_WO], p) for part, p in zip(C, at, strict=True)]
+        M, b = dynamics.object_inertia()
+        carried = M @ (dynamics.drift_arms[:6] + dynamics.J_object @ a_r) + b
+        right = np.sqrt(asked.weights) * asked.wanted - C[0] @ carried
+        rows = np.hstack([C[0] - part for part in C[1:]])[:, dynamics.kept]
+        passive, motors = dynamics.J[:, dynamics.passive].T, dynamics.J[:, dynamics.actuated].T
+        cut, free = np.zeros(len(dynamics.J)), np.eye(len(dynamics.J))
+        for A, wanted in (
+            (passive, Gamma[dynamics.passive]), (rows, right), (motors, Gamma[dynamics.actuated])
+        ):  # fmt: skip
+            if free.size:
+                cut += free @ least_squares(A @ free, wanted - A @ cut)
+                free = free @ null_space(A @ free)
+        tau = np.zeros_like(Gamma)
+        tau[dynamics.actuated] = Gamma[dynamics.actuated] - motors @ cut
+        return tau
+
+    def _feed_forward(self, state: State) -> tuple[Array, Array]:
+        """Torques of the tree, and the accelerations that they are for."""
         dynamics, level = self._level.dynamics, self._level
         if not self._inverse:
-            return dynamics.gravity(state.q)
+            return dynamics.gravity(state.q), np.zeros(self.problem.chain.n)
         rows = np.vstack([level.tasks.J, dynamics.J])
         wanted = np.concatenate([self._model.e_ddot - level.drift, -dynamics.drift])
         a_r = least_squares(rows, wanted)
-        return np.asarray(dynamics.A.dot(a_r) + dynamics.H, float)
+        return np.asarray(dynamics.A.dot(a_r) + dynamics.H, float), a_r
 
 
 #: In which motion dies out where a tick has no answer [s].
@@ -177,6 +212,8 @@ def torque_gains(dt: float) -> list[tuple[float, float]]:
 class PassiveGraspPid(Controller):
     """Task-space PID on the whole closed chain (Fig. 10), by velocities or by torques."""
 
+    supports: ClassVar[Features] = frozenset({"forces"})
+
     level: Literal["kinematic", "torque"] = "torque"
     """Whether it commands velocities or torques."""
     kp: Gains | None = None
@@ -199,6 +236,9 @@ class PassiveGraspPid(Controller):
     def build(self, problem: ControlProblem) -> Law:
         """Refuse tasks that the motors cannot decide, a wrong number of gains, oscillating ones."""
         require_motor_freedom(problem, self.name)
+        if problem.wrenches and not self.commands_torques:
+            words = "velocities exert no forces; use level: torque"
+            raise InvalidValueError(f"{self.name}: task '{problem.wrenches[0].name}': {words}")
         law = TorquePid if self.level == "torque" else KinematicPid
         return law(problem, self)
 

@@ -4,6 +4,7 @@
 #include <nanobind/stl/vector.h>
 
 #include "deciding.hpp"
+#include "following.hpp"
 #include "free_space.hpp"
 #include "online.hpp"
 #include "planning.hpp"
@@ -13,6 +14,7 @@
 using namespace nb::literals;
 
 using KERNEL_MODULE::Engine;
+using KERNEL_MODULE::Following;
 using KERNEL_MODULE::FreeSpace;
 using KERNEL_MODULE::Reading;
 using KERNEL_MODULE::Ring;
@@ -57,6 +59,12 @@ NB_MODULE(KERNEL_MODULE, m) {
         .def(nb::init<const nb::dict&>())
         .def("is_free", &FreeSpace::is_free)
         .def("measure", &FreeSpace::measure);
+    nb::class_<Following>(m, "Following")
+        .def(nb::init<Engine&, Engine&, Engine&, const FreeSpace&, const nb::dict&>(),
+             nb::keep_alive<1, 2>(), nb::keep_alive<1, 3>(), nb::keep_alive<1, 4>(),
+             nb::keep_alive<1, 5>())
+        .def("take_hold", &Following::take_hold)
+        .def("follow", &Following::follow);
     nb::class_<Reading>(m, "Reading")
         .def(nb::init<const Written&, const Joints&, const std::vector<double>&, double>())
         .def("take", &Reading::take);

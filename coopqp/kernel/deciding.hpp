@@ -267,6 +267,34 @@ class Engine {
         }
     }
 
+    // Where joints are a tick after q that go towards x, with the loops left open by gap; q itself
+    // where there is no answer. Of one task of least velocity. about: where they will be at about;
+    // null: only bodies that are near by now count.
+    void toward(const double* q, const double* x, const double* gap, const double* about, double* to) {
+        const auto& m = kernel_->model();
+        const double dt = kernel_->settings().dt;
+        for (std::size_t j = 0; j < m.joints.size(); j++) {
+            q_now_[j] = q[j];
+            v_now_[j] = about ? (about[j] - q[j]) / dt : 0.0;
+        }
+        if (gap) std::copy_n(gap, 6 * m.loops(), gap_);
+        std::fill_n(kernel_->bound.swing, 1 + m.joints.size(), 0.0);
+        kernel_->looks_again = about;
+        coopqp::Status status = kernel_->update(0.0);
+        if (status == coopqp::Status::Optimal) {
+            fill(0.0);
+            coopqp::Level& level = kernel_->levels[0];
+            for (std::size_t j = 0; j < m.joints.size(); j++)
+                level.wish[m.joints[j].lane] += level.joint_weight * (x[j] - q[j]) / dt;
+            status = kernel_->solve(true);
+        }
+        const double* v = kernel_->bound.v;
+        for (std::size_t j = 0; j < m.joints.size(); j++)
+            to[j] = q_now_[j] + (is_answer(status) ? dt * v[j] : 0.0);
+    }
+
+    coopqp::Kernel& kernel() { return *kernel_; }
+
     // e, J and rate of a level's rows, one row after the other, for tests.
     std::vector<double> rows(int level) const { return kernel_->rows_of(level); }
 

@@ -38,6 +38,9 @@ class FreeSpace {
         });
     }
 
+    // For one thread; this outlives it.
+    coopqp::FreeSpace own() const { return {*model_, kept_}; }
+
   private:
     coopqp::Arena arena_;
     std::unique_ptr<coopqp::Model> model_;

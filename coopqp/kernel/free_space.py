@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +38,9 @@ class FreeSpace:
 
     It asks for a compiled kernel, and joints that are hinges or slides
     (``flat_model(chain) is not None``).
+
+    Attributes:
+        compiled: what the kernel has of it.
     """
 
     def __init__(self, chain: ClosedChain, programs: Iterable[Program | None]) -> None:
@@ -45,12 +49,12 @@ class FreeSpace:
         found = native.module()
         assert found is not None
         flat = [flat_distances(chain, each) for each in kept]
-        self._space = found.FreeSpace({"model": chain.once(flat_model), "distances": flat})
+        self.compiled: Any = found.FreeSpace({"model": chain.once(flat_model), "distances": flat})
 
     def is_free(self, q: Array) -> NDArray[np.bool_]:
         """Whether each row of q (N, n) is proved to keep all distances; without the GIL."""
         free = np.zeros(len(q), np.uint8)
-        self._space.is_free(np.ascontiguousarray(q, float), free)
+        self.compiled.is_free(np.ascontiguousarray(q, float), free)
         return free.view(np.bool_)
 
     def distances(self, q: Array) -> Array:
@@ -66,5 +70,5 @@ class FreeSpace:
         first body (3) and the unit normal towards the second one (3), in the world.
         """
         found = np.zeros((self._pairs, 9))
-        self._space.measure(np.ascontiguousarray(q, float), found)
+        self.compiled.measure(np.ascontiguousarray(q, float), found)
         return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import field
 from typing import Literal
 
@@ -39,11 +40,11 @@ class Profile:
     """Of a table: shares of the way at equal times of the duration, from 0 to 1."""
 
     def __post_init__(self) -> None:
+        rising = all(a <= b for a, b in itertools.pairwise(self.shares))
         ends = self.shares[:1] + self.shares[-1:]
-        if (self.kind == TABLE) != bool(self.shares) or (ends and ends != [0.0, 1.0]):
-            raise ValueError(
-                "needs shares, the first 0 and the last 1, where its kind is table, and only there"
-            )
+        if (ends != [0.0, 1.0] * (self.kind == TABLE)) or not rising:
+            words = "needs shares that rise from 0 to 1 where its kind is table, and only there"
+            raise ValueError(words)
 
     @property
     def compiles(self) -> bool:

@@ -35,6 +35,8 @@ Clock = Callable[[], float]
 STANDS = 2
 #: A clock's last digit must be less than this share of a period.
 FINE = 0.01
+#: So much of the patience is all of it: what is waited for is a sum of periods, which is rounded.
+ALL = 0.999
 
 
 class LoopTime:
@@ -247,7 +249,7 @@ class Stops:
             self._wrong_since = None
         elif self._wrong_since is None:
             self._wrong_since = now
-        elif now - self._wrong_since >= self._patience:
+        elif now - self._wrong_since >= ALL * self._patience:
             self.halt(f"for {now - self._wrong_since:.3g} s {_WORDS[wrong]}")
 
 

@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from coopqp.assessment.thresholds import LOOP_CLOSED, LOOP_CLOSED_ANGLE
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array, array
 from coopqp.model.closed_chain import ClosedChain
@@ -100,6 +101,11 @@ class Loops:
         """Largest gap of position [m] and of orientation [rad] at each, shape (N, 2)."""
         e = _errors(self.at(Q, jacobians=False)).reshape(len(Q), -1, 2, 3)
         return np.asarray(np.linalg.norm(e, axis=-1).max(axis=1, initial=0.0), float)
+
+    def opened(self, Q: Array) -> float:
+        """How far straight steps from tick to tick open them, over what counts as closed."""
+        gaps = self.gaps(2.0 * Q[1:-1] - Q[:-2]) / (LOOP_CLOSED, LOOP_CLOSED_ANGLE)
+        return float(gaps.max(initial=0.0))
 
     def project(self, Q: Array) -> Array:
         """The same with the loops closed, by Newton steps of least norm."""
@@ -241,6 +247,15 @@ def closed_path(chain: ClosedChain, points: Array, spacing: float = SPACING) -> 
     path = ClosedPath(chain, length, spline, float(gaps.max(initial=0.0)), deviation, way)
     _refuse_outside(chain, Q_fine, CUT, lambda k: _between(way, fine[k]))
     return path
+
+
+def still_path(chain: ClosedChain, q: Array, length: float) -> ClosedPath:
+    """One configuration all along."""
+    s = np.linspace(0.0, length, FEWEST)
+    spline = _spline(s, np.zeros((FEWEST, len(q))), 5)
+    spline.c[:] = q
+    gap = float(Loops(chain).gaps(q[None]).max())
+    return ClosedPath(chain, length, spline, gap, 0.0, s[[0, -1]])
 
 
 def _spline(s: Array, Q: Array, degree: int) -> Any:

@@ -99,7 +99,8 @@ class ClosedSpace:
         if found is None or model is None:
             why = native.MISSING if found is None else "a joint is neither a hinge nor a slide"
             raise CoopqpError(f"ways are searched for by the compiled kernel: {why}")
-        self._tasks, self._t = tuple(tasks), t
+        tasks = tuple(task.at_goal() for task in tasks)  # the kernel has not every profile
+        self._tasks, self._t = tasks, t
         self.room = Room(problem)
         self.lower = np.maximum(self.room.lower, -LARGE)
         self.upper = np.minimum(self.room.upper, LARGE)

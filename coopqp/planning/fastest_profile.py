@@ -14,8 +14,9 @@ import numpy as np
 from coopqp.base.errors import InvalidValueError
 from coopqp.model.profile import FASTEST, Profile
 from coopqp.planning.closed_path import closed_path
+from coopqp.planning.given_path import LAW, SLOW, calm_run
 from coopqp.planning.path_constraints import Bounds, RowMaker, joint_bounds, twist_bounds
-from coopqp.planning.time_along import LAW, POINTS, SLOW, calm_run, fastest
+from coopqp.planning.time_along import POINTS, fastest
 from coopqp.scenario.scenario import Scenario
 from coopqp.task import Task
 
@@ -36,7 +37,7 @@ def with_fastest_profiles(scenario: Scenario) -> Scenario:
     if not any(_is_fastest(task) for phase in scenario.schedule for task in phase.tasks):
         return scenario
     if scenario.phases:
-        words = "profile: fastest is of a motion from the start, and this scenario has phases"
+        words = "fastest is of a motion from the start, and this scenario has phases"
         raise InvalidValueError(f"{words}; use another kind there")
     laws = [name for name, law in scenario.controllers.items() if not law.commands_torques]
     law = next(iter(laws), LAW)
@@ -64,7 +65,8 @@ def _along(scenario: Scenario, law: str, way: Profile) -> Profile:
     t = scenario.dt * np.arange(int(np.ceil(found.duration / scenario.dt)) + 1)
     shares = np.array([way.at(now)[0] for now in trace.t.tolist()])
     table = np.interp([found.where(now)[0] for now in t.tolist()], path.points, shares)
-    return Profile(kind="table", duration=float(t[-1]), shares=[0.0, *table.tolist()[1:-1], 1.0])
+    inside = np.minimum(np.maximum.accumulate(table[1:-1]), 1.0)  # but for rounding
+    return Profile(kind="table", duration=float(t[-1]), shares=[0.0, *inside.tolist(), 1.0])
 
 
 def _with(scenario: Scenario, way: Profile, **keys: Any) -> Scenario:

@@ -50,6 +50,7 @@ class Bounds:
         wrench: largest component of the internal wrench of each hand, shape (6,) [N, N m].
         safety: by which friction is divided.
         forces: False where speeds and accelerations alone are looked at.
+        load: share of the object's mass.
     """
 
     speed: Array
@@ -59,6 +60,7 @@ class Bounds:
     wrench: Array
     safety: float = 1.0
     forces: bool = True
+    load: float = 1.0
 
 
 def joint_bounds(of: Scenario | ControlProblem) -> tuple[Array, Array]:
@@ -85,11 +87,11 @@ def twist_bounds(of: Scenario | ControlProblem) -> Array:
 
 
 def bounds_of(
-    scenario: Scenario, torque: float, wrench: tuple[float, float], safety: float
+    problem: ControlProblem, torque: float, wrench: tuple[float, float], safety: float
 ) -> Bounds:
     """The bounds of a robot and of limits, of which motors use a share."""
-    chain, twist = scenario.chain, twist_bounds(scenario)
-    speed, acceleration = joint_bounds(scenario)
+    chain, twist = problem.chain, twist_bounds(problem)
+    speed, acceleration = joint_bounds(problem)
     effort = torque * np.array(chain.model.effortLimit)
     effort[chain.passive] = 0.0
     box = np.repeat(np.array(wrench, float), 3)
@@ -173,7 +175,7 @@ class RowMaker:
         holders = [arm.name for arm in chain.arms[: chain.holding]]
         self.arms = len(holders)
         shares = dict.fromkeys(holders, 1.0 / self.arms)
-        self.dynamics = ClosedLoopDynamics(chain, shares=shares)
+        self.dynamics = ClosedLoopDynamics(chain, shares=shares, mass_scale=bounds.load)
         self.kept = np.array(chain.loops.kept, int)
         if not bounds.wrench.any():
             self.kept = self.kept[:0]
@@ -194,7 +196,9 @@ class RowMaker:
             bounds.acceleration[self._quick], bounds.torque[self._limited],
             bounds.wrench[self.kept % 6], self._cones.most,
         ])  # fmt: skip
-        self._body = chain.held.body()
+        body = chain.held.body()
+        mass, inertia = bounds.load * body.mass, bounds.load * body.inertia
+        self._body = pin.Inertia(mass, body.lever, inertia)
         self.two_sided = self.kinds != "contact"
         weight = self._body.mass * float(np.linalg.norm(chain.model.gravity.linear))
         self.unit = np.where(self.kinds == "contact", max(weight, 1.0), self.size)

@@ -19,7 +19,7 @@ from coopqp.planning.reach import MOST, PROVEN, Goals, Progress, explained, too_
 from coopqp.planning.timing import timed
 from coopqp.planning.turns import CUT_OFF, cut_off
 from coopqp.planning.verification import Verification, Verifier, lengths
-from coopqp.scenario.planned import PHASE, follows
+from coopqp.scenario.planned import PHASE
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import TURN_COLUMNS, quaternion_of
 from coopqp.study.explanation.goal import Goal, placed
@@ -99,7 +99,7 @@ def plan(
     *,
     goals: ArrayLike | None = None,
     keep: Sequence[str] = (),
-    budget: Budget | None = None,
+    budget: Budget | float = 10.0,
     progress: Progress = lambda share: None,
 ) -> Plan:
     """Find a path of closed configurations that keeps all limits.
@@ -111,14 +111,15 @@ def plan(
             those that meet the tasks when omitted.
         keep: names of tasks that are met at the start and stay so along the way; in phases, where
             they are.
-        budget: what it may cost; ten seconds and the scenario's seed when omitted.
+        budget: what it may cost, or the seconds that it may take with the scenario's seed.
         progress: called with the share of the time that is gone.
 
     Raises:
         CoopqpError: the start is no closed configuration inside the limits, a task to keep is not
             met there or does not exist, or the kernel is not built.
     """
-    budget = budget or Budget(seed=scenario.seed)
+    if not isinstance(budget, Budget):
+        budget = Budget(seconds=budget, seed=scenario.seed)
     problem, t = scenario.problem(), scenario.schedule[0].duration
     if scenario.phases and goals is None:
         return _joined(scenario, _through(scenario, keep, budget, progress))
@@ -185,7 +186,7 @@ def way_round(
     Tried so long, where a configuration is known at the goal and a run may follow a plan. ``named``
     is what the command line calls the scenario.
     """
-    if not found.elsewhere or follows(scenario):
+    if not found.elsewhere or any(phase.leads for phase in scenario.phases):
         return found
     command = f"coopqp plan {named}"
     try:

@@ -15,34 +15,32 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import pinocchio as pin
 
 from coopqp.base.errors import CoopqpError, InvalidValueError
-from coopqp.base.reading import open_bytes
 from coopqp.base.spec import Array, array
-from coopqp.base.table import Table, csv_text, read_table
+from coopqp.base.table import csv_text
 from coopqp.closed_loop.grasp_matrix import COMPONENTS, moved, section
 from coopqp.closed_loop.hands import hands, points
-from coopqp.execution.controller_run import run
 from coopqp.grasp import SAFETY
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.profile import Profile as Motion
-from coopqp.planning.closed_path import FINER, STILL, ClosedPath, closed_path, relative
+from coopqp.planning.closed_path import (
+    FINER,
+    ROUNDING,
+    STILL,
+    ClosedPath,
+    closed_path,
+    relative,
+    still_path,
+)
 from coopqp.planning.forward_backward_pass import FORCE, Passes, Profile, Share, Stuck, program
+from coopqp.planning.given_path import given_path, phases_in
 from coopqp.planning.path_constraints import AXES, Bounds, RowMaker, Rows, bounds_of
-from coopqp.plant import Disturbance
-from coopqp.plants import Kinematic
-from coopqp.recordings.known import read, trace_in
+from coopqp.scenario.planned import PHASE
 from coopqp.scenario.scenario import Scenario
-from coopqp.signal import POSE, TURN_COLUMNS, matrix, quaternion_of
-from coopqp.signals import Waypoints
-from coopqp.task import Task
-from coopqp.tasks import Pose
-from coopqp.trace import Trace
+from coopqp.signal import TURN_COLUMNS, quaternion_of
 
 #: Largest component of an internal wrench; 20 N buy two thirds and more of what any buys.
 WRENCH = (40.0, 4.0)  # [N, N m]
@@ -52,8 +50,6 @@ PRESSING = (200.0, 20.0)  # [N, N m]
 POINTS = 200
 #: Fewest that rows between them can be told from, and most that memory has room for.
 FEWEST, MOST = 8, 20_000
-#: Bytes of a header, by which a recorded run is told from a table of joints.
-LINE = 1 << 16
 #: A limit is active from this share of it on; speeds, whose square counts, somewhat earlier.
 ACTIVE, ACTIVE_SPEED = 0.99, 0.98
 #: Passes that divide the limits by what was exceeded, until that is less than TOLERATED.
@@ -68,8 +64,6 @@ STANDS = 1.0001
 LOOSER = (1e-7, 1e-5, 1e-3)
 #: Steps in which accelerations change; how often, and by how much at least, a motion is slowed.
 RISE_STEPS, SLOWER, EASIER = 12, 40, 1.001
-#: Of a run along poses of the object: its duration [s], its law, and how near it comes [m, rad].
-SLOW, LAW, CARRIED, CARRIED_ANGLE = 10.0, "qp", 1e-3, 1e-2
 #: What would do: how much more of a limit is tried, of how many, and what a lighter load is called.
 MORE, TRIED, LIGHTER = 1.2, 6, "load 20 % lighter"
 NOTHING, KINDS = "nothing", ("speed", "acceleration", "force")
@@ -192,21 +186,23 @@ class TimedPath:
         return Moment(s, q, dq * rate, dq * u + ddq * x, p, R, tau, load, internal)
 
     def table(self, dt: float) -> dict[str, Array]:
-        """Columns by name every dt [s] and at the end: t, joints, pose, speeds, torques, wrenches.
+        """Columns by name every dt [s]: t, joints, pose, speeds, torques, wrenches.
 
+        It is at rest in the last row, at the path's end, or ends with the speed it has there.
         ``waypoints: {file: ...}`` reads the first three, and of two hands the wrench between them,
         ``waypoints: {file: ..., column: squeeze}``.
         """
         if not 0.0 < dt < np.inf:
             raise InvalidValueError(f"dt: found {dt:g}, needs more than 0")
-        ticks = np.arange(0.0, self.duration - 1e-6 * dt, dt)
-        t = np.append(ticks, self.duration)
+        t = dt * np.arange(np.ceil(self.duration / dt - 1e-6) + 1.0)
+        t[-1] = self.duration if self.speed[1] else t[-1]
         moments = [self.at(float(now)) for now in t]
         if lost := [now.s for now in moments if not np.isfinite(now.tau).all()]:
             where = self.path.place(lost[0])
             raise CoopqpError(f"at {where}: no torques keep all limits; give more points")
         joints = self.path.chain.joint_names
         arms = [arm.name for arm in self.path.chain.arms[: self.maker.arms]]
+        arms = arms if len(arms) > 1 else []
         wrench = [f"internal[{arm}].{part}" for arm in arms for part in _WRENCH]
         pose = [[*m.p_WO, *quaternion_of(m.R_WO)] for m in moments]
         blocks = [
@@ -215,7 +211,7 @@ class TimedPath:
             (("x", "y", "z", *TURN_COLUMNS), np.array(pose)),
             ([f"v[{name}]" for name in joints], np.array([m.v for m in moments])),
             ([f"tau[{name}]" for name in joints], np.array([m.tau for m in moments])),
-            (wrench, np.array([m.internal.ravel() for m in moments])),
+            (wrench, np.array([m.internal.ravel()[: len(wrench)] for m in moments])),
         ]
         if self.maker.arms == 2:
             between = np.array([m.section(self.path.chain) for m in moments])
@@ -224,6 +220,14 @@ class TimedPath:
         for names, values in blocks:
             found |= dict(zip(names, values.T, strict=True))
         return found
+
+    def coarse(self, dt: float) -> str:
+        """Whether ticks of dt [s] are too long for loops to stay closed; empty if they are not."""
+        q = [self.at(t).q for t in np.arange(0.0, self.duration, dt).tolist()]
+        opened = self.maker.loops.opened(np.array(q)) if len(q) > 2 else 0.0
+        words = f"Straight steps of {1e3 * dt:g} ms open the loops {opened:.2g} times as far as "
+        words += f"counts as closed; a dt of {1e3 * dt / max(opened, 1.0) ** 0.5:.1g} ms does not."
+        return words if opened > 1.0 else ""
 
     def csv(self, dt: float) -> str:
         """The table as text."""
@@ -237,6 +241,7 @@ def time_along(
     path: Any,
     scenario: Scenario,
     *,
+    phase: int | None = None,
     points: int = POINTS,
     torque: float = 1.0,
     wrench: tuple[float, float] | None = None,
@@ -252,6 +257,8 @@ def time_along(
             run, or a CSV file with a column a joint, such as a plan's, or with way-points of the
             object alone (x, y, z, qx, qy, qz, qw); or the folder of these.
         scenario: whose robot, start, grasps, object and limits count.
+        phase: which one, from 0 on, of a plan that leads through several, with the arms that hold
+            the object then; nothing may move in it.
         points: intervals of the grid.
         torque: share of each motor's limit that may be planned with; the rest is for the loop.
         wrench: largest force and torque by component of each hand's internal wrench [N, N m];
@@ -267,18 +274,58 @@ def time_along(
             limits; a load that cannot be held at rest; speeds that cannot be had. Says where.
         CoopqpError: the file cannot be read.
     """
-    chain = scenario.chain
-    if wrench is None:
-        pressing = any(grasp.contact for grasp in chain.grasps.values())
-        wrench = PRESSING if pressing else WRENCH
-    _check(points=points, torque=torque, wrench=wrench, safety=safety, speed=speed, rise=rise)
-    points = int(points)
-    if len({phase.released for phase in scenario.schedule}) > 1:
-        words = "arms let go between them; time a scenario of each one by itself"
-        raise InvalidValueError(f"phases: found {len(scenario.phases)}, needs one grasp: {words}")
-    smooth = closed_path(chain, _points(path, scenario, controller))
-    maker = RowMaker(smooth, bounds_of(scenario, torque, wrench, safety))
-    return eased(fastest(maker, points, speed), rise)
+    box = WRENCH if wrench is None else wrench
+    _check(points=points, torque=torque, wrench=box, safety=safety, speed=speed, rise=rise)
+    phases = [one for one in scenario.schedule if not one.leads]
+    parts, chain = given_path(path, scenario, controller, len(phases)), scenario.chain
+    if len(parts) == 1 and len({one.released for one in phases}) > 1:
+        words = "arms let go between them; give a plan, which says what leads to which"
+        raise InvalidValueError(f"path: found one for {len(phases)} phases: {words}")
+    if phase not in range(len(parts)) and (phase is not None or len(parts) > 1):
+        raise InvalidValueError(f"phase: found {phase}, needs 0 to {len(parts) - 1}")
+    for before, after in zip(parts[: phase or 0], phases[1:], strict=False):
+        chain = chain.handed_over(before[-1], after.released)
+    if wrench is None and any(grasp.contact for grasp in chain.grasps.values()):
+        box = PRESSING
+    q, problem = parts[phase or 0], scenario.problem(phases[phase or 0], chain)
+    bounds = bounds_of(problem, torque, box, safety)
+    if phase is not None and np.ptp(q, axis=0).max() <= ROUNDING:
+        return _still(RowMaker(still_path(chain, q[0], scenario.dt), bounds))
+    return eased(fastest(RowMaker(closed_path(chain, q), bounds), int(points), speed), rise)
+
+
+def time_phases(path: Any, scenario: Scenario, **how: Any) -> list[TimedPath]:
+    """Each phase of a plan as :func:`time_along` has it; one where it has no phases."""
+    count = phases_in(path)
+    each = range(count) if count > 1 else [None]
+    return [time_along(path, scenario, phase=phase, **how) for phase in each]
+
+
+def table_of_phases(parts: Sequence[TimedPath], dt: float) -> dict[str, Array]:
+    """The tables of phases one after the other, dt [s] apart, with the column of their number."""
+    tables = [part.table(dt) for part in parts]
+    if len(tables) == 1:
+        return tables[0]
+    counts = [len(one["t"]) for one in tables]
+    names = dict.fromkeys(name for one in tables for name in one)
+    found = {
+        name: np.concatenate(
+            [one.get(name, np.zeros(count)) for one, count in zip(tables, counts, strict=True)]
+        )
+        for name in names
+    }
+    ends = np.cumsum([0.0, *(one["t"][-1] + dt for one in tables[:-1])])
+    found["t"] += np.repeat(ends, counts)
+    return found | {PHASE: np.repeat(1.0 + np.arange(len(parts)), counts)}
+
+
+def _still(maker: RowMaker) -> TimedPath:
+    """Nothing moves in a phase; s is the time."""
+    s, one = np.array([0.0, maker.path.length]), np.ones(2)
+    rows = maker.at(s)
+    wrench = np.zeros((1, 2, rows.Rl.shape[2]))
+    profile = Profile(s, one, np.zeros(1), one, wrench)
+    return TimedPath(maker, profile, (NOTHING,), 0.0, float(_held(rows).max()), ())
 
 
 def fastest(
@@ -326,6 +373,10 @@ def eased(found: TimedPath, rise: float) -> TimedPath:
         return found
     if any(found.speed):
         raise InvalidValueError(f"rise: found {rise:g} s, needs a speed of 0 at both ends")
+    if rise < found.duration / len(found.profile.u):
+        least = found.duration / len(found.profile.u)
+        words = f"0, or at least {least:.3g} s, the time of an interval of the grid"
+        raise InvalidValueError(f"rise: found {rise:g} s, needs {words}")
     path, maker, x, hold = found.path, found.maker, found.profile.x, found.profile.most.copy()
     for k in np.flatnonzero((x[1:-1] <= x[:-2]) & (x[1:-1] <= x[2:])) + 1:
         near = np.abs(found.profile.t - found.profile.t[k]) <= 0.5 * rise
@@ -362,22 +413,23 @@ def eased(found: TimedPath, rise: float) -> TimedPath:
     )  # fmt: skip
 
 
-def would_do(found: TimedPath, scenario: Scenario) -> dict[str, float]:
+def would_do(found: TimedPath) -> dict[str, float]:
     """Durations with a fifth more of each active limit, or a lighter load: tried, not guessed [s].
 
     An active limit promises nothing, since the next one may be near. By the name that the limit has
     in ``TimedPath.shares``, those that are active longest first, then by ``LIGHTER``.
     """
     maker, points = found.maker, len(found.profile.u)
-    tried = {}
-    for name in [name for name in found.shares if name != NOTHING][:TRIED]:
-        more = RowMaker(maker.path, _raised(maker, name))
-        tried[name] = eased(fastest(more, points, found.speed), found.rise).duration
-    held = replace(scenario.held, mass=(2.0 - MORE) * scenario.held.mass)
-    chain = replace(scenario, held=held).chain
-    lighter = RowMaker(replace(maker.path, chain=chain), maker.bounds)
-    eased_too = eased(fastest(lighter, points, found.speed), found.rise)
-    return tried | {LIGHTER: eased_too.duration}
+    if found.active == (NOTHING,):
+        return {}
+    tried = [name for name in found.shares if name != NOTHING][:TRIED]
+    bounds = {name: _raised(maker, name) for name in tried}
+    bounds[LIGHTER] = replace(maker.bounds, load=(2.0 - MORE) * maker.bounds.load)
+    made = {name: RowMaker(maker.path, more) for name, more in bounds.items()}
+    return {
+        name: eased(fastest(rows, points, found.speed), found.rise).duration
+        for name, rows in made.items()
+    }
 
 
 def _raised(maker: RowMaker, name: str) -> Bounds:
@@ -410,69 +462,11 @@ def _check(**given: Any) -> None:
 _ASKED: dict[str, tuple[tuple[int, ...], float, float, str]] = {
     "points": ((), FEWEST, MOST, f"a whole number from {FEWEST} to {MOST}"),
     "torque": ((), 1e-9, 1.0, "a share in (0, 1]"),
-    "safety": ((), 1.0, 1e9, "a number of at least 1"),
-    "wrench": ((2,), 0.0, 1e9, "two numbers of at least 0"),
-    "speed": ((2,), 0.0, 1e9, "two numbers of at least 0"),
-    "rise": ((), 0.0, 1e3, "a time of at least 0 s"),
+    "safety": ((), 1.0, 1e3, "a number from 1 to 1000"),
+    "wrench": ((2,), 0.0, 1e6, "two numbers from 0 to 1e6"),
+    "speed": ((2,), 0.0, 1e3, "two numbers from 0 to 1000"),
+    "rise": ((), 0.0, 1e2, "a time from 0 to 100 s"),
 }
-
-
-def _points(path: Any, scenario: Scenario, controller: str | None) -> Any:
-    """Configurations from whatever has them."""
-    if not isinstance(path, str | Path):
-        return getattr(path, "q", path)
-    joints = scenario.chain.joint_names
-    if file := table_of(Path(path)):
-        table = read_table(file)
-        if set(POSE.columns) <= set(table.columns) and not set(joints) & set(table.columns):
-            return _carried(scenario, table)
-        return table.take(joints)
-    run = read(trace_in(Path(path)))
-    name = controller or run.controllers[0]
-    return run.of(name).joints("q", joints)
-
-
-def calm_run(scenario: Scenario, tasks: tuple[Task, ...], seconds: float, law: str = LAW) -> Trace:
-    """A law's run with other tasks, by kinematics alone."""
-    calm = replace(
-        scenario, tasks=tasks, plant=Kinematic(), disturbance=Disturbance(), duration=seconds
-    )
-    return run(calm, controller=law, timed=False)
-
-
-def _carried(scenario: Scenario, table: Table) -> Array:
-    """Configurations along poses of the object, as the law brings it there slowly.
-
-    Raises:
-        InvalidValueError: a pose from which it stays farther than ``CARRIED``; says which.
-    """
-    chain, poses = scenario.chain, table.take(POSE.columns)
-    first = chain.object_pose(chain.q_start)
-    values = [[*first.translation, *quaternion_of(first.rotation)], *poses.tolist()]
-    t = SLOW * np.linspace(0.0, 1.0, len(values))
-    task = Pose(goal=Waypoints(times=t.tolist(), values=values), profile=Motion(kind="step"))
-    q = calm_run(scenario, (task,), SLOW).q[np.rint(t[1] / scenario.dt).astype(int) :]
-    for k, (now, pose) in enumerate(zip(t[1:] - t[1], poses, strict=True)):
-        X = chain.object_pose(q[round(float(now) / scenario.dt)])
-        off = float(np.linalg.norm(X.translation - pose[:3]))
-        angle = float(np.linalg.norm(pin.log3(X.rotation.T @ matrix(pose[3:]))))
-        if off > CARRIED or angle > CARRIED_ANGLE:
-            raise InvalidValueError(
-                f"{table.place(k)}: the law brings the object no nearer than {1e3 * off:.3g} mm "
-                f"and {1e3 * angle:.3g} mrad; lead it elsewhere, or plan a way"
-            )
-    return np.asarray(q, float)
-
-
-def table_of(path: Path) -> Path | None:
-    """The file of a table of joints, from its own or its folder's path; None for a run's."""
-    if path.is_dir():
-        found = list(path.glob("*.csv"))
-        return table_of(found[0]) if len(found) == 1 else None
-    if path.suffix == ".csv" and path.is_file():
-        with open_bytes(path) as stream:
-            return None if b"status" in stream.readline(LINE) else path
-    return None
 
 
 def _held(rows: Rows) -> Array:

@@ -6,11 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from coopqp.assessment.thresholds import LOOP_CLOSED, LOOP_CLOSED_ANGLE
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
-from coopqp.model.closed_chain import ClosedChain
 from coopqp.planning.closed_path import Loops, closed_path
 from coopqp.planning.path_constraints import Bounds, RowMaker, joint_bounds, twist_bounds
 from coopqp.planning.time_along import POINTS, fastest
@@ -60,7 +58,7 @@ def timed(problem: ControlProblem, q: Array, allowed: Allowed) -> tuple[Array, A
                 near = allowed(np.array([np.interp(at, way, column) for column in q.T]).T)
             if near is None:
                 break
-            excess = max(_excess(near, push, dt), _opening(chain, near))
+            excess = max(_excess(near, push, dt), Loops(chain).opened(near) / SHARE)
             if excess < least:
                 best, least = near, excess
             if excess <= 1.0:
@@ -73,12 +71,6 @@ def _excess(q: Array, push: Array, dt: float) -> float:
     """Largest acceleration over its limit, from rest to rest."""
     v = np.diff(q, axis=0, prepend=q[:1], append=q[-1:]) / dt
     return float((np.abs(np.diff(v, axis=0)) / dt / push).max(initial=0.0))
-
-
-def _opening(chain: ClosedChain, q: Array) -> float:
-    """How far a tick's straight step opens the loops, over what counts as closed."""
-    gaps = Loops(chain).gaps(2.0 * q[1:-1] - q[:-2]) / (LOOP_CLOSED, LOOP_CLOSED_ANGLE)
-    return float(gaps.max(initial=0.0) / SHARE)
 
 
 def joint_limits(problem: ControlProblem) -> tuple[Array, Array]:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from string import Template
 from tempfile import TemporaryDirectory
 from typing import Any
 
@@ -13,21 +14,25 @@ from rich.markup import escape
 from rich.table import Table
 
 from coopqp.base.reading import absolute
-from coopqp.base.spec import Array
+from coopqp.base.table import csv_text
 from coopqp.planning import Plan, Reach
-from coopqp.planning.time_along import NOTHING, TimedPath
+from coopqp.planning.time_along import NOTHING, TimedPath, table_of_phases
 from coopqp.report import strict_json
 from coopqp.report.files import write_one
-from coopqp.report.page import text
+from coopqp.report.page import asset, text
 from coopqp.report.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 from coopqp.scenario.loader import load
+from coopqp.scenario.planned import NEAR
 from coopqp.scenario.scenario import Scenario
+from coopqp.scenario.yaml import parsed
 
 PATH = "plan.csv"
-#: Of a timed path: its table, and the picture of what is active where.
-TIMED, PICTURE = "timed.csv", "timed.svg"
-#: Size of that picture, and of its margin [px].
-WIDTH, HEIGHT, MARGIN = 640, 320, 40
+#: Of a timed path: its table, and the page that shows what is active where.
+TIMED, PAGE = "timed.csv", "timed.html"
+#: Headings of its limits.
+TITLES = ("active limit", "time [s]", "share", "with 20 % more of it [s]")
+#: Size of a picture, and of its margin [px]; colours of the limits that are active longest.
+WIDTH, HEIGHT, MARGIN, GRAY = 940, 320, 40, "#555555"
 COLORS = (BLUE, VERMILION, GREEN, PURPLE, SKY, ORANGE)
 
 
@@ -79,27 +84,48 @@ def write_plan(
     Raises:
         CoopqpError: it cannot be written, or the scenario is refused, and then nothing is.
     """
+    keys = {"keep": list(keep)} if keep else {}
     with TemporaryDirectory() as tried:
-        for path in _write(found, scenario, Path(tried), keep)[1:]:
+        for path in _write(found.csv, PATH, scenario, Path(tried), keys)[1:]:
             load(path, scenario.catalog)
-    return _write(found, scenario, folder, keep)
+    return _write(found.csv, PATH, scenario, folder, keys)
 
 
-def _write(found: Plan, scenario: Scenario, folder: Path, keep: Sequence[str]) -> list[Path]:
-    path = folder / PATH
-    write_one(path, found.csv)
+def write_timed(
+    parts: Sequence[TimedPath], tried: Sequence[dict[str, float]], scenario: Scenario, folder: Path
+) -> list[Path]:
+    """Write a timed path as a table and as a page, and, from its start, the scenario that follows.
+
+    Raises:
+        CoopqpError: it cannot be written.
+    """
+    apart = float(np.abs(parts[0].at(0.0).q - scenario.chain.q_start).max())
+    fits = apart < NEAR and len(phase_titles(parts, scenario)) == len(parts)
+    follower = scenario if fits else scenario.changed(source="")
+    written = _write(csv_text(table_of_phases(parts, scenario.dt)), TIMED, follower, folder, {})
+    write_one(folder / PAGE, _page(parts, tried, scenario))
+    return [*written, folder / PAGE]
+
+
+def _write(
+    table: str, name: str, scenario: Scenario, folder: Path, keys: dict[str, Any]
+) -> list[Path]:
+    path = folder / name
+    write_one(path, table)
     if not scenario.source:
         return [path]
     follows = folder / f"{scenario.name}.yaml"
-    named = PATH if scenario.folder is None else str(absolute(path))
-    keys = {"plan": named, **({"keep": list(keep)} if keep else {})}
-    write_one(follows, _with_reference(scenario.portable, keys))
+    named = name if scenario.folder is None else str(absolute(path))
+    write_one(follows, _with_reference(scenario.portable, {"plan": named, **keys}))
     return [path, follows]
 
 
 def _with_reference(text: str, keys: dict[str, Any]) -> str:
-    if text.lstrip().startswith("{"):
-        return json.dumps({**json.loads(text), "reference": keys}, indent=2) + "\n"
+    """The scenario with a reference, whose other keys stay where it has one."""
+    data = parsed(Path("scenario"), text).data
+    keys = {**(data.get("reference") or {}), **keys}
+    if text.lstrip().startswith("{") or "reference" in data:
+        return json.dumps({**data, "reference": keys}, indent=2) + "\n"
     end = "" if text.endswith("\n") else "\n"
     return f"{text}{end}reference: {json.dumps(keys)}\n"
 
@@ -107,48 +133,69 @@ def _with_reference(text: str, keys: dict[str, Any]) -> str:
 def limits_table(found: TimedPath, tried: dict[str, float]) -> Table:
     """Which limit is active for how long, and how long the path takes with more of it."""
     table = Table(box=None, pad_edge=False)
-    for title in ("active limit", "time [s]", "share", "with 20 % more of it [s]"):
+    for title in TITLES:
         table.add_column(escape(title), justify="left" if title[0] == "a" else "right")
-    for name in [*found.shares, *(name for name in tried if name not in found.shares)]:
-        share = found.shares.get(name)
-        cells = ("", "") if share is None else (f"{share * found.duration:.3f}", f"{share:.1%}")
-        table.add_row(escape(name), *cells, f"{tried[name]:.4f}" if name in tried else "")
+    for name, *cells in _active(found, tried):
+        table.add_row(escape(name), *cells)
     return table
 
 
-def timed_svg(found: TimedPath) -> str:
+def _active(found: TimedPath, tried: dict[str, float]) -> Iterator[tuple[str, str, str, str]]:
+    for name in [*found.shares, *(name for name in tried if name not in found.shares)]:
+        share = found.shares.get(name)
+        cells = ("", "") if share is None else (f"{share * found.duration:.3f}", f"{share:.1%}")
+        yield name, *cells, f"{tried[name]:.4f}" if name in tried else ""
+
+
+def _page(parts: Sequence[TimedPath], tried: Sequence[dict[str, float]], scenario: Scenario) -> str:
+    """What limits where, for how long, and what more of it would bring, of each phase."""
+    page = Template(asset("timed.html"))
+    sections = ""
+    for title, found, more in zip(phase_titles(parts, scenario), parts, tried, strict=True):
+        colors = dict(zip([name for name in found.shares if name != NOTHING], COLORS, strict=False))
+        rows = "".join(
+            f'<tr><th class="name" style="color: {colors.get(name, GRAY)}">{text(name)}</th>'
+            f"<td>{'</td><td>'.join(cells)}</td></tr>"
+            for name, *cells in _active(found, more)
+        )
+        said = "".join(f"<p>{text(line)}</p>" for line in found.sentences)
+        sections += (
+            f'<section><h2>{text(title)}</h2><aside class="how">{said}</aside>'
+            f'{_picture(found, colors)}<table class="summary"><thead><tr><th class="name">'
+            f"{'</th><th>'.join(TITLES)}</th></tr></thead><tbody>{rows}</tbody></table></section>"
+        )
+    about = text(scenario.description)
+    return page.substitute(
+        title=text(scenario.name), about=about, css=asset("page.css"), of=sections
+    )
+
+
+def phase_titles(parts: Sequence[TimedPath], scenario: Scenario) -> list[str]:
+    """What each part of a timed path is called."""
+    names = [phase.name for phase in scenario.schedule if not phase.leads]
+    return [f"Phase '{name}'" if len(parts) > 1 else "The whole path" for name in names]
+
+
+def _picture(found: TimedPath, colors: dict[str, str]) -> str:
     """The speed along the path in the colour of what is active there, under what is possible."""
-    way, shown = found.profile, [name for name in found.shares if name != NOTHING]
-    colors = dict(zip(shown, COLORS, strict=False)) | {NOTHING: "#999999"}
-    others = sum(found.shares[name] for name in shown[len(COLORS) :])
-    top = 1.05 * float(np.sqrt(way.most.max()))
+    way, top = found.profile, 1.05 * float(np.sqrt(found.profile.most.max()))
     x = MARGIN + (WIDTH - 2 * MARGIN) * way.s / way.s[-1]
     low = HEIGHT - MARGIN
-
-    def heights(square: Array) -> list[float]:
-        return list(low - (low - MARGIN) * np.sqrt(np.maximum(square, 0.0)) / top)
 
     def line(points: Iterable[tuple[float, float]], color: str, width: float) -> str:
         at = " ".join(f"{a:.1f},{b:.1f}" for a, b in points)
         return f'<polyline points="{at}" fill="none" stroke="{color}" stroke-width="{width}"/>'
 
-    most, y = heights(way.most), heights(way.x)
+    most, y = (low - (low - MARGIN) * np.sqrt(np.maximum(k, 0.0)) / top for k in (way.most, way.x))
     parts = [line(zip(x, most, strict=True), "#cccccc", 1.5)]
     parts.append(line([(MARGIN, MARGIN), (MARGIN, low), (WIDTH - MARGIN, low)], BLACK, 1.0))
     pairs = list(zip(x, y, strict=True))
     for k, name in enumerate(found.active):
-        parts.append(line(pairs[k : k + 2], colors.get(name, BLACK), 3.0))
-    said = [(MARGIN, HEIGHT - 12, BLACK, f"length of the path, 0 to {way.s[-1]:.3g} rad")]
-    title = f"speed along the path, up to {top:.3g} rad/s; grey: what limits allow"
-    said.append((MARGIN, MARGIN - 8, BLACK, title))
-    for k, (name, color) in enumerate(colors.items()):
-        spent = found.shares.get(name, 0.0) * found.duration
-        said.append((WIDTH, MARGIN + 18 * k, color, f"{name}: {spent:.3f} s"))
-    if others:
-        words = f"other limits: {others * found.duration:.3f} s"
-        said.append((WIDTH, MARGIN + 18 * len(colors), BLACK, words))
-    for a, b, color, words in said:
-        parts.append(f'<text x="{a}" y="{b}" fill="{color}">{text(words)}</text>')
-    look = f'width="{WIDTH + 280}" height="{HEIGHT}" font-family="sans-serif" font-size="13"'
-    head = f'<svg xmlns="http://www.w3.org/2000/svg" {look}>'
-    return "\n".join([head, *parts, "</svg>"]) + "\n"
+        parts.append(line(pairs[k : k + 2], colors.get(name, GRAY), 3.0))
+    for height, words in (
+        (HEIGHT - 12, f"length of the path, 0 to {way.s[-1]:.3g} rad"),
+        (MARGIN - 8, f"speed along the path, up to {top:.3g} rad/s; grey: what limits allow"),
+    ):
+        parts.append(f'<text x="{MARGIN}" y="{height}" font-size="13">{words}</text>')
+    head = f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH}" height="{HEIGHT}">'
+    return "".join([head, *parts, "</svg>"])

@@ -161,7 +161,8 @@ class Inputs:
         self.clocks: dict[str, Clock] = {}
         for name, (kind, here) in wanted(tasks, start).items():
             if kind == CLOCK:
-                ways = [way for (of, _), way in start.inputs.ways.items() if of == name]
+                own = [(j, way) for (of, j), way in start.inputs.ways.items() if of == name]
+                ways = [way for joints, way in own if joints]
                 self.clocks[name] = Clock(ways, start.chain.joint_names, dt)
                 continue
             if name not in settings:

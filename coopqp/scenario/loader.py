@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import coopqp
 from coopqp.base.errors import Fault, ScenarioError, UnknownNameError, unknown_name
 from coopqp.base.reading import absolute
+from coopqp.base.spec import type_name
 from coopqp.grasps import Rigid
 from coopqp.model.grasp_configuration import grasp_of_each
 from coopqp.model.profile import FASTEST
@@ -34,8 +35,6 @@ from coopqp.solvers import qpsolvers
 
 #: Keys whose values are paths, of robots, obstacles, way-points, plans and what was sent.
 FILE_KEYS = {"path", "mesh", "file", "feed_file", "plan"}
-#: Where the fastest profiles are found. It lies above, so it is found by name, as plug-ins are.
-TIMING = "coopqp.planning.fastest_profile"
 
 
 def load(path: str | Path, catalog: Catalog | None = None) -> Scenario:
@@ -68,11 +67,14 @@ def load_file(file: YamlFile, catalog: Catalog, known: Known | None = None) -> S
             with at(["robot"]):
                 robot = scenario.robot_model
             scenario = scenario.changed(start=from_degrees(robot, scenario.grasps, scenario.start))
+        for place, task, _ in placed_tasks(scenario):
+            if task.way and task.way.kind == FASTEST:
+                with at([*place, type_name(type(task)), "profile"]):
+                    scenario = coopqp.with_fastest_profiles(scenario)
+                break
         if planned:
             with at(["reference"]):
                 scenario = following(scenario, planned)
-        if any(task.way and task.way.kind == FASTEST for _, task, _ in placed_tasks(scenario)):
-            scenario = import_module(TIMING).with_fastest_profiles(scenario)
         check_start(file.data, scenario, known)
         return scenario
 

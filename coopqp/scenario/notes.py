@@ -25,7 +25,7 @@ from coopqp.limits import JointPosition, JointVelocity, Obstacles, SelfCollision
 from coopqp.model import marker
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
-from coopqp.scenario.input import InputSettings
+from coopqp.scenario.input import InputSettings, wanted
 from coopqp.scenario.scenario import Scenario
 from coopqp.scenario.start import FAR
 from coopqp.signal import POINT, POSE, Kind, Moment
@@ -113,7 +113,12 @@ def _without_kernel(controllers: Mapping[str, Controller]) -> list[str]:
 
 
 def _of_inputs(scenario: Scenario, *, steered: bool) -> Iterator[str]:
-    """Inputs to which nobody sends, or which nobody follows."""
+    """Inputs to which nobody sends, or which nobody follows, and clocks that never wait."""
+    start = State(scenario.chain)
+    wanted(scenario.problem().all_tasks, start)
+    waiting = {clock for clock, joints in start.inputs.ways if joints}
+    for clock in sorted({clock for clock, _ in start.inputs.ways} - waiting):
+        yield f"the clock '{clock}' waits for nobody: no posture's way-points name it"
     followed = scenario.followed()
     for name, settings in scenario.inputs.items():
         if name not in followed:

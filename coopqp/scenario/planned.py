@@ -1,33 +1,37 @@
 """A scenario that follows a plan: before each phase's own tasks the way to where they are met.
 
-The path is the reference of joints and object, with its rates as feed-forward; all limits stay in
-force. Its clock waits for joints that are pushed off (``scenario.input.Clock``). Where the plan of
-a phase ends begin the phase's own tasks.
+The path is the reference, with its rates as feed-forward, by torques also its accelerations and the
+wrench between the hands; all limits stay in force. Its clock waits for joints that are pushed off
+(``scenario.input.Clock``). Where the plan of a phase ends begin the phase's own tasks.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import itertools
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from importlib import import_module
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+import coopqp
 from coopqp.base.errors import InvalidValueError, UnknownNameError, under
 from coopqp.base.reading import FilePath
 from coopqp.base.spec import Array, Name, NonNegative, Positive, spec
 from coopqp.base.table import Table, read_table
+from coopqp.closed_loop.grasp_matrix import COMPONENTS
+from coopqp.controller import Controller
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.scenario.scenario import Phase, Scenario
 from coopqp.signal import POSE, quaternion_of
 from coopqp.signals import Waypoints
 from coopqp.task import Task
-from coopqp.tasks import Pose, Posture
+from coopqp.tasks import InternalWrench, Pose, Posture
 
-#: How fast what is left of an error goes to zero along the path [1/s].
-GAIN = 10.0
+#: How fast what is left of an error goes to zero along the path, by velocities and by torques
+#: [1/s], and how many ticks that takes by torques at least.
+GAIN, TORQUE_GAIN, TICKS = 10.0, 40.0, 10.0
 WAY, GOAL = "way", "goal"
 #: Column with the number of the phase that a row leads to, from 1 on; and the name of the clock.
 PHASE, CLOCK = "phase", "way"
@@ -35,8 +39,20 @@ PHASE, CLOCK = "phase", "way"
 NEAR = 1e-3
 #: A joint this many times as fast as it can be has jumped.
 FAST = 2.0
-#: Where ways are found. It lies above, so it is found by name, as plug-ins are.
-PLANNER = "coopqp.planning.plan"
+
+
+class Way(NamedTuple):
+    """The way of one phase, from t = 0 on.
+
+    Attributes:
+        t: times, shape (T,) [s], and q: joints then, (T, n); object: its poses, (T, 7).
+        wrench: between two hands, by ``COMPONENTS``, shape (T, 6), or (T, 0) where nobody has said.
+    """
+
+    t: Array
+    q: Array
+    object: Array
+    wrench: Array
 
 
 @spec
@@ -73,53 +89,71 @@ def following(scenario: Scenario, followed: Followed) -> Scenario:
     for name in followed.by:
         if name not in scenario.controllers:
             raise UnknownNameError("controller", name, scenario.controllers, "by: ")
-    phases, alone = list[Phase](), list[Phase]()
-    arms = {arm.name for arm in scenario.robot_model.arms}
-    for phase, (t, q, X) in zip(scenario.schedule, ways, strict=True):
+    each = dict[str, tuple[Phase, ...]]()
+    for name, law in scenario.controllers.items():
+        if followed.by and name not in followed.by:
+            each[name] = _phases(scenario, ways, followed, law, alone=True)
+        elif law.commands_torques:
+            each[name] = _phases(scenario, ways, followed, law)
+    phases = _phases(scenario, ways, followed)
+    return scenario.changed(tasks=(), duration=0.0, phases=phases, phases_of=each)
+
+
+def _phases(
+    scenario: Scenario, ways: Sequence[Way], followed: Followed, law: Controller | None = None,
+    *, alone: bool = False,
+) -> tuple[Phase, ...]:  # fmt: skip
+    """Each phase and the way to it, which a law that goes ``alone`` does not know."""
+    found, arms = list[Phase](), {arm.name for arm in scenario.robot_model.arms}
+    for phase, way in zip(scenario.schedule, ways, strict=True):
         kept = [replace(task, mode="hard") for task in phase.tasks if task.name in followed.keep]
-        tasks = (*way_tasks(t, q, X, scenario.dt, arms.issubset(phase.released)), *kept)
-        before = f"{phase.name} {WAY}" if phase.name else WAY
-        lasts = t[-1] + followed.late
-        first = Phase(name=before, duration=lasts, released=phase.released, tasks=tasks)
-        then = replace(phase, name=phase.name or GOAL)
-        phases += [first, then]
-        alone += [replace(first, tasks=phase.tasks), then]
-    others = [name for name in scenario.controllers if followed.by and name not in followed.by]
-    phases_of = dict.fromkeys(others, tuple(alone))
-    return scenario.changed(tasks=(), duration=0.0, phases=tuple(phases), phases_of=phases_of)
+        tasks = (*way_tasks(way, scenario.dt, arms.issubset(phase.released), law), *kept)
+        before = Phase(
+            name=f"{phase.name} {WAY}".strip(), duration=way.t[-1] + followed.late, leads=True,
+            released=phase.released, tasks=phase.tasks if alone else tasks,
+        )  # fmt: skip
+        found += [before, replace(phase, name=phase.name or GOAL)]
+    return tuple(found)
 
 
-def way_tasks(t: Array, q: Array, X: Array, dt: float, stands: bool) -> tuple[Task, ...]:
-    """Joints q (T, n) and the object's poses X (T, 7) as references, whose clock waits.
+def way_tasks(way: Way, dt: float, stands: bool, law: Controller | None = None) -> tuple[Task, ...]:
+    """The references along a way, whose clock waits for the joints.
 
-    An object that ``stands``, as no arm holds it, follows nothing.
+    By velocities joints and object go on straight from tick to tick; an object that ``stands``, as
+    no arm holds it, follows nothing. By torques the path between ticks is smooth, since its
+    accelerations count, and nothing is asked for twice: of laws that weigh tasks the joints, of
+    others the object, for which no clock waits; and the wrench between the hands.
     """
-    along: dict[str, Any] = {"times": t.tolist(), "between": "linear", "clock": CLOCK}
-    gain = min(GAIN, 1.0 / dt)
-    joints = Posture(name="planned joints", goal=Waypoints(values=q.tolist(), **along), gain=gain)
-    if stands:
-        return (joints,)
-    return joints, Pose(
-        name="planned object", goal=Waypoints(values=X.tolist(), **along), gain=gain
-    )
+    torques = law is not None and law.commands_torques
+    gain = min(TORQUE_GAIN, 1.0 / (TICKS * dt)) if torques else min(GAIN, 1.0 / dt)
+    of_joints = not torques or (law is not None and "modes" in law.supports)
+    along: dict[str, Any] = {"times": way.t.tolist(), "clock": CLOCK}
 
+    def on(values: Array, smooth: bool = torques) -> Waypoints:
+        between: Literal["cubic", "linear"] = "cubic" if smooth else "linear"
+        return Waypoints(values=values.tolist(), between=between, **along)
 
-def follows(scenario: Scenario) -> bool:
-    """Whether a scenario follows a plan."""
-    return any(phase.name.split()[-1:] == [WAY] for phase in scenario.phases)
+    found: list[Task] = []
+    if of_joints:
+        found.append(Posture(name="planned joints", goal=on(way.q), gain=gain))
+    if not stands and not (torques and of_joints):
+        found.append(Pose(name="planned object", goal=on(way.object), gain=gain))
+    if torques and law is not None and "forces" in law.supports and way.wrench.size:
+        parts = zip(COMPONENTS, way.wrench.T[:, :, None], strict=True)
+        each: dict[str, Any] = {name: on(values, False) for name, values in parts}
+        found.append(InternalWrench(name="planned wrench", **each))
+    return tuple(found)
 
 
 def _found(scenario: Scenario, followed: Followed) -> Table:
-    planner, seconds = import_module(PLANNER), followed.seconds
-    budget = planner.Budget(seconds=seconds, seed=scenario.seed)
-    way = planner.plan(scenario, keep=followed.keep, budget=budget)
+    way = coopqp.plan(scenario, keep=followed.keep, budget=followed.seconds)
     if not way.found:
-        raise InvalidValueError(f"{way.sentence}; it had 'seconds: {seconds:g}'")
+        raise InvalidValueError(f"{way.sentence}; it had 'seconds: {followed.seconds:g}'")
     return Table(Path("plan"), way.columns, 0)
 
 
-def _ways(scenario: Scenario, table: Table) -> Iterator[tuple[Array, Array, Array]]:
-    """Times, joints and object's poses of the way to each phase's goals."""
+def _ways(scenario: Scenario, table: Table) -> Iterator[Way]:
+    """The way to each phase's goals."""
     t, q = table.times(), table.take(scenario.chain.joint_names)
     X, phases = table.take(POSE.columns), len(scenario.schedule)
     off = np.abs(q[0] - scenario.chain.q_start)
@@ -127,19 +161,26 @@ def _ways(scenario: Scenario, table: Table) -> Iterator[tuple[Array, Array, Arra
         joint = scenario.chain.joint_names[int(off.argmax())]
         words = f"begins {off.max():.3g} from the start of {joint}; plan the way anew from here"
         raise InvalidValueError(f"{table.path}: {words}")
-    to: Array = table.take([PHASE])[:, 0] if PHASE in table.columns else np.ones(len(t))
-    if not np.array_equal(np.unique(to), np.arange(1.0, phases + 1.0)) or (np.diff(to) < 0.0).any():
-        words = f"leads to {len(np.unique(to))} phases, and the scenario has {phases}"
-        raise InvalidValueError(f"{table.path}: {words}; plan the way anew")
     chain, before = scenario.chain, q
-    for k in range(1, phases + 1):
-        rows = to == k
-        if k > 1:
-            chain = chain.handed_over(before[-1], scenario.schedule[k - 1].released)
+    for k, rows in enumerate(rows_of_phases(table, phases)):
+        if k:
+            chain = chain.handed_over(before[-1], scenario.schedule[k].released)
         before = q[rows]
         if wrong := _damaged(chain, t[rows], before, X[rows]):
             raise InvalidValueError(f"{table.path}: {wrong}; plan the way anew")
-        yield t[rows] - t[rows][0], before, X[rows]
+        pair = chain.holding == 2 and set(COMPONENTS) <= set(table.columns)
+        wrench = table.take(COMPONENTS if pair else ())
+        yield Way(t[rows] - t[rows][0], before, X[rows], wrench[rows] if pair else np.zeros((0, 0)))
+
+
+def rows_of_phases(table: Table, phases: int) -> list[slice]:
+    """Rows that lead to each phase; InvalidValueError where there are not so many phases."""
+    to = table.take([PHASE])[:, 0] if PHASE in table.columns else np.ones(len(table.times()))
+    if not np.array_equal(np.unique(to), np.arange(1.0, phases + 1.0)) or (np.diff(to) < 0.0).any():
+        words = f"leads to {len(np.unique(to))} phases, and the scenario has {phases}"
+        raise InvalidValueError(f"{table.path}: {words}; plan the way anew")
+    ends = np.flatnonzero(np.diff(to, prepend=0.0, append=0.0)).tolist()
+    return [slice(a, b) for a, b in itertools.pairwise(ends)]
 
 
 def _damaged(chain: ClosedChain, t: Array, q: Array, X: Array) -> str:

@@ -97,6 +97,8 @@ class Phase:
     """Arms that do not hold the object; all others do. Where none does it stands."""
     tasks: Annotated[Sequence[Task], Key(form=Tasks)]
     """What shall happen."""
+    leads: Annotated[bool, NO_KEY] = False
+    """Whether it is the way of a plan to where the next one's tasks are met."""
 
     def ticks(self, dt: float) -> int:
         """Number of control periods of dt [s]."""

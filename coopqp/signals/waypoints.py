@@ -96,8 +96,8 @@ class Waypoints(Signal):
                 raise InvalidValueError(f"waypoints: {words}")
             self._tracks[kind] = _Track(kind, t, values, self)
         way = _Way(kind, self._tracks[kind])
-        if self.clock and kind.each:
-            start.inputs.ways[self.clock, kind.columns] = way
+        if self.clock:
+            start.inputs.ways[self.clock, kind.columns if kind.each else ()] = way
         return way
 
     @cached_property
@@ -135,7 +135,7 @@ class Waypoints(Signal):
         for i, row in enumerate(found):
             check_places(places(i), row[: kind.numbers])
         ways = np.abs(np.diff(found, axis=0)).max(axis=1, initial=0.0) / np.diff(t)
-        if not self.column:  # forces may step
+        if not self.column and kind.columns != ("value",):  # forces may step
             check_speed(places(int(ways.argmax()) + 1), float(ways.max()))
         if kind.axis:
             _carry_over(found, round_trip=self.repeat == "round")

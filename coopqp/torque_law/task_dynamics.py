@@ -15,6 +15,7 @@ from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.closed_loop.mobility import mobility
 from coopqp.controller import ControlProblem
 from coopqp.model.state import State
+from coopqp.signal import CLOCK, Trajectory
 from coopqp.task import TaskStack
 
 #: Step of the forward difference [s]: its error is this times a second derivative.
@@ -45,6 +46,10 @@ class TaskDynamics:
         """Update everything to a measured state."""
         ahead, tasks, v = self._ahead, self.tasks, state.v
         ahead.q[:], ahead.t = state.q + STEP * v, state.t + STEP
+        for name, clock in state.inputs.items():
+            if clock.kind == CLOCK:
+                later = ahead.inputs.setdefault(name, Trajectory(CLOCK, clock.value))
+                later.value[:], later.rate[:] = clock.value + STEP * clock.rate, clock.rate
         ahead.update()
         tasks.update(ahead)
         e_dot_ahead = tasks.J.dot(v) - tasks.rate

@@ -20,6 +20,7 @@ from coopqp.model.state import State
 from coopqp.online.arrivals import in_columns
 from coopqp.scenario.input import Arrival, Clock, Feed, Inputs, InputSettings
 from coopqp.scenario.planned import CLOCK, way_tasks
+from coopqp.scenario.planned import Way as Along
 from coopqp.scenario.scenario import Scenario
 from coopqp.task import TaskStack
 from coopqp.viewer.messages import Way
@@ -138,7 +139,8 @@ class SimulatedController:
         """
         self._leave_way()
         run, problem = self.run, self.run.problem
-        tasks = way_tasks(way.t, way.q, way.object, problem.dt, problem.chain.standing)
+        along = Along(way.t, way.q, way.object, np.zeros((0, 0)))
+        tasks = way_tasks(along, problem.dt, problem.chain.standing, run.controller)
         start = State(run.problem.chain, run.state.q)
         law = run.controller.build(replace(run.problem, tasks=tasks))
         self.follows = Inputs({}, tasks, start, run.problem.dt).clocks[CLOCK]

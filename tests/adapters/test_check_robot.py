@@ -70,7 +70,7 @@ RAISES = "driver.py:{line}: your driver raises {error}"
     ("text", "words"),
     [
         ("import nosuch", RAISES.format(line=1, error="ModuleNotFoundError: No module named 'no")),
-        ("def robot(:", "driver.py: your driver raises SyntaxError: "),
+        ("def robot(:", RAISES.format(line=1, error="SyntaxError: ")),
         ("def robot(s):\n  1 / 0", RAISES.format(line=2, error="ZeroDivisionError: division")),
         ("robot = lambda: 1", "driver.py: your driver raises TypeError: "),
         ("robot = lambda s: exit(3)", RAISES.format(line=1, error="SystemExit: 3")),

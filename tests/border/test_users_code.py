@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import signal
 from pathlib import Path
+from typing import Any
 
 import pytest
 from command_line import refused, refused_in_one_line, typed
 from scenario_files import GOOD
 
 from coopqp.base.wording import raised
+from coopqp.scenario.catalog import Catalog
 
 TASK = '''
 import os, signal, sys
@@ -93,6 +95,16 @@ def test_ctrl_c_and_sigterm_end_in_one_line(
     assert result.stderr.splitlines() == [{130: "interrupted", 143: "terminated"}[ending]]
     assert not (tmp_path / "out").exists()
     assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_what_ctrl_c_makes_of_an_import_is_an_interruption(monkeypatch: pytest.MonkeyPatch) -> None:
+    def cut_short(*_: Any) -> Any:
+        raise ImportError("cannot load module more than once") from KeyboardInterrupt()
+
+    monkeypatch.setattr(Catalog, "__init__", cut_short)
+    result = typed("list")
+    assert result.exit_code == 130
+    assert result.stderr.splitlines() == ["interrupted"]
 
 
 def test_a_user_who_ends_python_where_nobody_looks_is_told_of(tmp_path: Path) -> None:

@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from online_loops import Scripted, follows
+from online_loops import Machine, Scripted, follows
 
+import coopqp.online.real_time
 from coopqp import OnlineLoop, Status
 from coopqp.assessment.thresholds import SPEED_UP
 from coopqp.online.real_time import real_time
@@ -187,21 +188,24 @@ def test_times_go_on_whatever_a_clock_says(rng: np.random.Generator) -> None:
             before = now
 
 
+@pytest.mark.parametrize("began", [0.0, 4321.987, 1e6 / 3.0, 1.8e9])
 @pytest.mark.parametrize("breaks", ["stands", "back", "raises"])
-def test_in_real_time_a_robot_does_not_wait_for_a_clock_that_has_failed(breaks: str) -> None:
-    import time
-
-    calls = count()
+def test_in_real_time_a_robot_does_not_wait_for_a_clock_that_has_failed(
+    breaks: str, began: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    machine, calls = Machine(began), count()
+    monkeypatch.setattr(coopqp.online.real_time, "time", machine)
 
     def clock() -> float:
-        if next(calls) < 500:
-            return time.monotonic()
+        if next(calls) < 5000:
+            return machine.monotonic()
         if breaks == "raises":
             raise OSError
-        return 7.0 if breaks == "stands" else time.monotonic() - 1e4 - 10.0 * next(calls)
+        return -7.0 if breaks == "stands" else machine.monotonic() - 1e4 - 10.0 * next(calls)
 
     robot = Scripted(follows().chain.q_start)
     loop = OnlineLoop(follows(), clock=clock)
     ended = real_time(loop, robot, inputs=lambda: NEAR, duration=20.0)
     assert ended.why == "for 0.25 s the clock did not say the time"
+    assert machine.now - began < 5.0
     assert not robot.written[-1].any()

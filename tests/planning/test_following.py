@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from command_line import typed
 from scenario_files import needs_robots
@@ -15,18 +16,19 @@ from side_by_side import needs_kernel
 
 import coopqp
 from coopqp.assessment import assess
-from coopqp.base.errors import ScenarioError
+from coopqp.base.errors import InvalidValueError, ScenarioError
 from coopqp.base.spec import spec
 from coopqp.controller import Command, ControlProblem
 from coopqp.model.state import State
 from coopqp.planning import Budget
 from coopqp.planning.closed_space import ClosedSpace
 from coopqp.planning.plan import plan
+from coopqp.planning.time_along import TOLERATED, table_of_phases, time_phases
 from coopqp.plant import Disturbance, Plant, PlantModel
 from coopqp.plants.kinematic import KinematicModel
 from coopqp.recordings.known import read
 from coopqp.report.files import write
-from coopqp.report.planning import write_plan
+from coopqp.report.planning import write_plan, write_timed
 from coopqp.scenario.input import BRAKES, STANDS
 from coopqp.scenario.loader import load, load_text
 from coopqp.scenario.scenario import Scenario
@@ -163,6 +165,47 @@ def test_a_regrasp_is_planned_through_and_followed(tmp_path: Path) -> None:
     result = typed("validate", path)
     assert result.exit_code == 2
     assert "leads to 3 phases, and the scenario has 4" in result.output
+
+
+def test_a_regrasp_is_timed_phase_by_phase_and_followed(tmp_path: Path) -> None:
+    """Each with the arms that hold the object then, at rest at its ends, within its limits."""
+    shipped = load("regrasp")
+    text = shipped.source.replace("dt: 0.01 ", "dt: 0.004 ")
+    scenario = load_text(Path("regrasp.yaml"), text, shipped.catalog)
+    planned = plan(scenario, budget=AMPLE)
+    write_plan(planned, scenario, tmp_path)
+    follows = load(tmp_path / "regrasp.yaml")  # whose own ways are no phases to be timed
+    parts = time_phases(tmp_path, follows)
+    assert [len(part.path.chain.hold.holders) for part in parts] == [2, 1, 1, 2]
+    assert all(part.exceeded < TOLERATED for part in parts)
+    assert 0.5 * planned.t[-1] > sum(part.duration for part in parts) > 0.5
+    table = table_of_phases(parts, scenario.dt)
+    np.testing.assert_allclose(np.diff(table["t"]), scenario.dt)
+    ends = np.flatnonzero(np.diff(table["phase"], append=5.0))
+    for joint in scenario.chain.joint_names:
+        assert not table[f"v[{joint}]"][ends].any()
+    assert not table["squeeze"][table["phase"] == 2.0].any()
+    *_, path, _ = write_timed(parts, [{}] * 4, follows, tmp_path / "fast")
+    trace = coopqp.run(load(path), controller="qp")
+    assert assess(trace).succeeds
+    with pytest.raises(InvalidValueError, match="phase: found None, needs 0 to 3"):
+        coopqp.time_along(tmp_path, follows)
+
+
+def test_a_phase_in_which_nothing_moves_is_held(tmp_path: Path) -> None:
+    """The torques are those of the tree at rest; its object stands on the table."""
+    shipped = load("pick_and_place")
+    write_plan(plan(shipped, budget=AMPLE), shipped, tmp_path)
+    still = coopqp.time_along(tmp_path, shipped, phase=2)
+    assert still.duration == shipped.dt
+    now = still.at(0.0)
+    assert not now.v.any()
+    assert not now.a.any()
+    chain = still.path.chain
+    weight = pin.computeGeneralizedGravity(chain.model, chain.model.createData(), now.q)
+    box = 9.81 * shipped.held.mass
+    at_hands = chain.loop_jacobian(now.q).T @ now.internal[1]
+    assert np.abs(now.tau - weight + at_hands).max() < 2.0 * box
 
 
 def test_of_an_object_that_stands_only_the_joints_are_planned(tmp_path: Path) -> None:

@@ -291,7 +291,7 @@ def _check_way_round(scenario: Scenario, blocked: RunExplanation) -> None:
     assert said.way_round is None
     assert "coopqp plan FILE cannot help: tasks: round: its goal moves by a signal" in said.sentence
     assert way_round(load("regrasp"), blocked, "FILE", seconds=60.0).way_round  # phase by phase
-    follows = replace(scenario, phases=(Phase(name="way", duration=1.0, tasks=scenario.tasks),))
+    follows = replace(scenario, phases=(Phase(leads=True, duration=1.0, tasks=scenario.tasks),))
     assert way_round(follows, blocked, "FILE") is blocked
 
 

@@ -18,13 +18,15 @@ from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.spec import Array, Positive, spec
 from coopqp.base.table import csv_text
 from coopqp.closed_loop.grasp_matrix import COMPONENTS
-from coopqp.controllers import TorqueQp
+from coopqp.controller import Controller
+from coopqp.controllers import PassiveGraspPid, TorqueQp
 from coopqp.execution.comparison import compare
 from coopqp.execution.controller_run import run
 from coopqp.grasps import Rigid
 from coopqp.limits import JointAcceleration, JointPosition, JointVelocity, ObjectSpeed
 from coopqp.model.held_object import HeldObject
 from coopqp.model.profile import Profile
+from coopqp.model.state import State
 from coopqp.planning.closed_path import CLOSED
 from coopqp.planning.fastest_profile import SHARE, with_fastest_profiles
 from coopqp.planning.time_along import LIGHTER, MORE, TOLERATED, TimedPath, time_along, would_do
@@ -34,10 +36,12 @@ from coopqp.plants import Mujoco, RigidBody
 from coopqp.robot import Arm, Robot, RobotModel
 from coopqp.robots import PlanarPair
 from coopqp.scenario.loader import load
+from coopqp.scenario.planned import Followed, Way, following, way_tasks
 from coopqp.scenario.scenario import Phase, Scenario
-from coopqp.signal import POSE, Moment
+from coopqp.signal import CLOCK, POSE, Moment, Trajectory
 from coopqp.signals import Waypoints
 from coopqp.tasks import InternalWrench, Posture
+from coopqp.torque_law.task_dynamics import TaskDynamics
 
 MASS, EFFORT, SPEED, PUSH = 2.0, 6.0, 0.7, 1.5
 """Of a slider and what it carries [kg, N, m/s, m/s2]."""
@@ -207,7 +211,7 @@ def test_less_of_anything_takes_longer() -> None:
 
 def test_what_would_do_is_what_timing_with_it_takes() -> None:
     found, scenario = nao(0), load("point_on_point")
-    tried = would_do(found, scenario)
+    tried = would_do(found)
     assert (
         list(tried)
         == [*(name for name in found.shares if name != "nothing"), LIGHTER][-len(tried) :]
@@ -217,7 +221,7 @@ def test_what_would_do_is_what_timing_with_it_takes() -> None:
     lighter = time_along(random_way(scenario.chain, 0), replace(scenario, held=held))
     assert tried[LIGHTER] == pytest.approx(lighter.duration, rel=1e-9)
     sliding = sliders(push=PUSH, speed=SPEED)
-    tried = would_do(time_along(LINE, sliding, points=100), sliding)
+    tried = would_do(time_along(LINE, sliding, points=100))
     for name, a, v in (("acceleration", MORE * PUSH, SPEED), ("speed", PUSH, MORE * SPEED)):
         found_by_name = [seconds for key, seconds in tried.items() if key.startswith(name)]
         assert found_by_name
@@ -413,6 +417,66 @@ def test_torques_that_follow_it_squeeze_as_planned(tmp_path: Path) -> None:
     assert np.median(forces[1]) < 0.2 * np.median(planned)
 
 
+@pytest.mark.parametrize(
+    ("name", "law"),
+    [
+        ("point_on_point", TorqueQp()),
+        ("passive_grasp_pose", TorqueQp()),
+        ("passive_grasp_pose", PassiveGraspPid()),
+    ],
+)
+def test_a_plan_that_is_timed_is_followed_with_its_forces(
+    name: str, law: Controller, tmp_path: Path
+) -> None:
+    """In MuJoCo; without the columns of the wrench the law shares the load by itself."""
+    pytest.importorskip("mujoco")
+    shipped, dt = load(name), 0.002
+    found = time_along(random_way(shipped.chain, 0, count=3, step=0.3), shipped, torque=0.8)
+    table = found.table(dt)
+    alone = {key: column for key, column in table.items() if key not in COMPONENTS}
+    scenario = shipped.changed(
+        plant=Mujoco(), dt=dt, kappa=100.0, secondary=(), controllers={law.name: law}
+    )
+    whole = [found.at(dt * k) for k in range(round(found.duration / dt))]
+    off, forces, torques = [], [], []
+    for columns in (table, alone):
+        file = tmp_path / f"{len(columns)}.csv"
+        file.write_text(csv_text(columns), encoding="utf-8")
+        trace = run(
+            following(scenario, Followed(plan=file, late=0.1)), controller=law.name, timed=False
+        )
+        ticks = slice(0, len(whole))
+        off.append(np.abs(trace.q[ticks] - [now.q for now in whole]).max())
+        assert (np.abs(trace.signals["tau"]) <= trace.effort * (1.0 + 1e-9)).all()
+        motors = np.setdiff1d(np.arange(shipped.chain.n), shipped.chain.passive)
+        tau = trace.signals["tau"][ticks] - [now.tau for now in whole]
+        torques.append(np.median(np.abs(tau[:, motors]) / shipped.chain.model.effortLimit[motors]))
+        between = trace.signals["internal_wrench"].reshape(-1, 2, 6)[ticks, 0, :3]
+        forces.append(np.median(np.abs(between - [now.internal[0, :3] for now in whole])))
+    assert off[0] < 0.01
+    assert forces[0] < 0.1  # N, of up to 6 and 16
+    assert forces[0] < 0.2 * forces[1]
+    assert torques[0] < 0.02
+    assert torques[0] < 0.25 * torques[1]
+
+
+@pytest.mark.parametrize("pace", [1.0, 0.4])
+def test_accelerations_along_a_way_are_those_of_its_clock(pace: float) -> None:
+    """The second derivative of x(clock) is x'' pace^2, whatever the time is."""
+    scenario = load("point_on_point")
+    t = np.linspace(0.0, 1.0, 41)
+    q = scenario.chain.q_start + 0.1 * np.sin(2.0 * t)[:, None]
+    way = Way(t, q, np.zeros((0, 7)), np.zeros((0, 0)))
+    tasks = way_tasks(way, scenario.dt, True, TorqueQp())
+    level = TaskDynamics(replace(scenario.problem(), tasks=tasks))
+    state = State(scenario.chain)
+    state.t, clock = 3.0, Trajectory(CLOCK, np.array([0.6]))
+    clock.rate[0], state.inputs["way"] = pace, clock
+    level.update(state)
+    wanted = -0.4 * np.sin(1.2) * pace**2
+    np.testing.assert_allclose(level.drift, -wanted, rtol=2e-3)
+
+
 @needs_robots
 @pytest.mark.parametrize(("safety", "rest"), [(1.5, 0.2), (1.0, 1.0)])
 def test_a_box_between_pads_is_held_or_lost_with_less_friction_and_said(
@@ -476,7 +540,7 @@ def test_a_file_may_ask_for_the_fastest_profile(tmp_path: Path) -> None:
     used = np.abs(trace.v[:arrived] / scenario.chain.velocity).max(axis=1)
     assert np.median(used) > 0.9
     file.write_text(text.replace("duration: 2.0", "shares: [0, 1]"), encoding="utf-8")
-    with pytest.raises(CoopqpError, match=r"fast.yaml:15: .* needs shares, the first 0"):
+    with pytest.raises(CoopqpError, match=r"fast.yaml:15: .* needs shares that rise"):
         load(file)
 
 
@@ -536,11 +600,13 @@ def test_a_load_that_cannot_be_held_is_refused_with_place_and_motor() -> None:
         ({"points": 20.5}, "points: found 20.5, needs a whole number from 8 to 20000"),
         ({"points": 3}, "points: found 3, needs a whole number from 8 to 20000"),
         ({"points": "all"}, "points: found 'all', needs numbers"),
-        ({"rise": -1.0}, "rise: found -1.0, needs a time of at least 0 s"),
+        ({"rise": -1.0}, "rise: found -1.0, needs a time from 0 to 100 s"),
+        ({"rise": 1e9}, "rise: found 1000000000.0, needs a time from 0 to 100 s"),
+        ({"rise": 1e-9}, r"rise: found 1e-09 s, needs 0, or at least 0.001\d+ s, the time of"),
         ({"torque": 1.5}, r"torque: found 1.5, needs a share in \(0, 1\]"),
-        ({"safety": 0.5}, "safety: found 0.5, needs a number of at least 1"),
-        ({"wrench": (-1.0, 1.0)}, r"wrench: found \(-1.0, 1.0\), needs two numbers of at least 0"),
-        ({"wrench": 40.0}, "wrench: found 40.0, needs two numbers of at least 0"),
+        ({"safety": 0.5}, "safety: found 0.5, needs a number from 1 to 1000"),
+        ({"wrench": (-1.0, 1.0)}, r"wrench: found \(-1.0, 1.0\), needs two numbers from 0 to 1e6"),
+        ({"wrench": 40.0}, "wrench: found 40.0, needs two numbers from 0 to 1e6"),
         ({"speed": (0.0, float("nan"))}, r"speed: found \(0.0, nan\), needs two numbers"),
     ],
 )
@@ -551,7 +617,10 @@ def test_options_out_of_range_are_refused(options: dict[str, Any], words: str) -
 
 
 def test_phases_with_other_grasps_are_refused() -> None:
-    """The loops and loads of the first one are not those of the next."""
+    """The loops and loads of the first one are not those of the next; a plan says where."""
     scenario = load("regrasp")
-    with pytest.raises(InvalidValueError, match="needs one grasp: arms let go between them"):
-        time_along(np.tile(scenario.chain.q_start, (3, 1)), scenario)
+    path = np.tile(scenario.chain.q_start, (3, 1))
+    with pytest.raises(InvalidValueError, match="found one for 4 phases: arms let go between them"):
+        time_along(path, scenario)
+    with pytest.raises(InvalidValueError, match="phase: found 1, needs 0 to 0"):
+        time_along(path, load("two_pandas"), phase=1)

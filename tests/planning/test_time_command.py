@@ -7,8 +7,11 @@ import re
 from pathlib import Path
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 from command_line import typed
+
+from coopqp.base.table import read_table
 
 
 @pytest.fixture(scope="module")
@@ -24,8 +27,12 @@ def test_a_run_becomes_a_reference(slow: Path, tmp_path: Path) -> None:
     assert "The fastest motion along the path takes 0.1" in result.output
     assert re.search(r"speed of LElbowRoll +0\.07\d +45\.\d% +0\.150\d", result.output)
     assert re.search(r"load 20 % lighter +0\.159\d", result.output)
-    picture = ElementTree.parse(tmp_path / "fast" / "timed.svg").getroot()
-    assert "speed of LElbowRoll: 0.07" in "".join(picture.itertext())
+    page = (tmp_path / "fast" / "timed.html").read_text(encoding="utf-8")
+    (svg,) = re.findall("<svg.*</svg>", page)
+    row = r"color: (#\w+)\">speed of LElbowRoll</th><td>0\.07\d</td><td>45\.\d%</td><td>0\.150"
+    (color,) = re.findall(row, page)
+    lines = [line.get("stroke") for line in ElementTree.fromstring(svg)]
+    assert 50 < lines.count(color) < 150  # of 200 intervals
     file = tmp_path / "fast" / "timed.csv"
     assert file.read_text(encoding="utf-8").startswith("t,RShoulderPitch,")
     again = typed("time", file, "--scenario", "point_on_point", "--json")
@@ -35,12 +42,22 @@ def test_a_run_becomes_a_reference(slow: Path, tmp_path: Path) -> None:
     assert 0.1 < min(data["would_do"].values()) < data["duration"]
 
 
-def test_a_table_of_joints_is_found_in_its_folder_and_needs_a_scenario(
-    slow: Path, tmp_path: Path
-) -> None:
+def test_what_is_written_is_followed(slow: Path, tmp_path: Path) -> None:
     assert typed("time", slow, "--out", tmp_path).exit_code == 0
-    named = typed("time", tmp_path, "--scenario", "point_on_point")
-    assert "The fastest motion along the path takes 0.1" in named.output
+    result = typed("compare", tmp_path / "scenario.yaml", "--controllers", "qp")
+    assert result.exit_code == 0
+    assert "Reaches the goal" in " ".join(result.output.split())
+    table = read_table(tmp_path / "timed.csv")
+    np.testing.assert_allclose(np.diff(table.times()), 0.01)  # to the end, where it rests
+    assert not table.take(["v[LElbowRoll]"])[-1].any()
+
+
+def test_a_table_of_joints_is_whose_scenario_stands_beside_it(slow: Path, tmp_path: Path) -> None:
+    assert typed("time", slow, "--out", tmp_path).exit_code == 0
+    for scenario in ((), ("--scenario", "point_on_point")):
+        named = typed("time", tmp_path, *scenario)
+        assert "The fastest motion along the path takes 0.1" in named.output
+    (tmp_path / "scenario.yaml").unlink()
     for path in (tmp_path, tmp_path / "timed.csv"):
         result = typed("time", path)
         assert result.exit_code == 2

@@ -13,8 +13,8 @@ import coopqp
 from coopqp.assessment import assess
 from coopqp.controllers import TorqueQp, WrenchSplit
 from coopqp.execution.comparison import summarize
-from coopqp.plant import Disturbance
-from coopqp.plants import RigidBody
+from coopqp.plant import Disturbance, Push
+from coopqp.plants import QuasiStatic, RigidBody
 from coopqp.scenario.scenario import Scenario
 from coopqp.study.explanation import explain_run
 from coopqp.study.trace_file import trace_from_file
@@ -53,20 +53,40 @@ def test_a_pad_whose_pressure_reaches_its_edge_is_named_and_a_squeeze_that_holds
     assert "equal: {squeeze: 37.5} it is held (tried)" in found.sentence
 
 
-def test_springs_are_said_to_bear_what_nobody_knows_of(tmp_path: Path) -> None:
-    """300 g more."""
+def test_springs_that_bear_a_weight_that_is_wrong_ask_for_the_mass_that_helps(
+    tmp_path: Path,
+) -> None:
+    """300 g more, whoever pushes."""
+    given = coopqp.load("impedance")
+    push = Push(force=(6.0, 8.0, 0.0), start=0.2, duration=9.0)
     scenario = replace(
-        coopqp.load("impedance"), plant=RigidBody(time_step=0.002), dt=0.002, duration=2.5,
-        disturbance=Disturbance(object_mass=1.3),
+        given, plant=RigidBody(time_step=0.002), dt=0.002, duration=2.5,
+        disturbance=Disturbance(object_mass=1.3, push=push),
     )  # fmt: skip
     trace = coopqp.run(scenario, controller="torque_qp")
     path = traced(summarize(scenario, {"torque_qp": trace}), tmp_path)
     found = explain_run(scenario, trace_from_file(path, scenario, "torque_qp"))
-    assert found.kind == "springs"
+    assert found.kind == "model"
     assert "gain" not in found.sentence
     words = found.sentence.split()
-    told = [float(words[i - 2]) for i, word in enumerate(words) if word == "along"]
-    assert np.allclose(told, (-2.943,), rtol=0.02)
+    loads = [float(words[i - 2]) for i, word in enumerate(words) if word == "along"]
+    assert np.allclose(loads, (6.0, 8.0, -2.943), rtol=0.02)
+    assert "with object.mass 1.3 the goal is reached (tried)" in found.sentence
+    told = replace(given.held, mass=1.3)
+    advised = replace(scenario, held=told, disturbance=Disturbance(push=push))
+    assert assess(coopqp.run(advised, controller="torque_qp")).reached
+
+
+def test_a_push_that_holds_an_object_away_is_no_error_of_the_model() -> None:
+    """The hands' servos give way by half a millimetre, which no calibration mends."""
+    push = Push(force=(0.0, 80.0, 0.0), start=0.1, duration=99.0)
+    scenario = replace(
+        coopqp.load("two_pandas"), plant=QuasiStatic(stiffness=3000.0),
+        disturbance=Disturbance(push=push),
+    )  # fmt: skip
+    sentence = explained(scenario, "qp").sentence
+    assert "a push holds it away: without it the goal is reached (tried)" in sentence
+    assert "calibrate" not in sentence
 
 
 def test_an_object_that_is_held_is_explained_as_ever() -> None:

@@ -12,6 +12,8 @@ namespace coopqp {
 
 // By how much the two bounds of a distance may differ that counts as known [m].
 constexpr double KNOWN = 1e-7;
+// By how much a plane may be of no unit normal [m]: of rounding.
+constexpr double ROUNDED = 1e-12;
 
 // A body that is fixed to a joint; -1: to the world.
 struct Solid {
@@ -79,11 +81,22 @@ class Apart {
                        poses[std::size_t(pair.b)], enough, near);
     }
 
-    // Whether all pairs are proved to be farther apart than d.
-    bool free(const std::vector<Pose>& poses, double d) const {
+    // The plane that has separated a pair last, by its normal in the first body's axes, and the
+    // bodies' corners next to it.
+    struct Plane {
+        V3 n{};
+        int i = -1, j = -1;
+    };
+
+    // Whether all pairs are proved to be farther apart than d; planes, one a pair, are tried first
+    // and kept for places nearby.
+    bool free(const std::vector<Pose>& poses, double d, std::vector<Plane>& planes) const {
+        planes.resize(pairs_.size());
         for (std::size_t k = 0; k < pairs_.size(); k++) {
             if (balls_beyond(k, poses, d) || box_beyond(k, poses, d)) continue;
+            if (plane_beyond(k, poses, d, planes[k])) continue;
             const Closest found = measure(k, poses, d, d);
+            planes[k].n = poses[std::size_t(pairs_[k].a)].in(found.n);
             if (found.told == Closest::Told::Beyond) continue;
             if (found.told != Closest::Told::Measured || !(found.d - found.gap > d)) return false;
         }
@@ -95,6 +108,15 @@ class Apart {
         int a, b, box, ball;
         double reach;  // of both balls
     };
+
+    // Whether the plane shows that two bodies are farther apart than d.
+    bool plane_beyond(std::size_t k, const std::vector<Pose>& poses, double d, Plane& plane) const {
+        if (!(dot(plane.n, plane.n) > 0.5)) return false;  // there is none yet
+        const Convex &A = of(pairs_[k].a), &B = of(pairs_[k].b);
+        const Pose X = relative(poses[std::size_t(pairs_[k].a)], poses[std::size_t(pairs_[k].b)]);
+        const V3 a = A.support(plane.n, plane.i), b = B.support(X.in(-plane.n), plane.j);
+        return dot(plane.n, X.out(b) + X.p - a) - A.rim - B.rim > d + ROUNDED;
+    }
 
     const Convex& of(int solid) const { return solids_[std::size_t(solid)].convex; }
 
@@ -113,7 +135,7 @@ struct KeptApart {
 class FreeSpace {
   public:
     FreeSpace(const Model& model, const std::vector<KeptApart>& kept)
-        : kept_(kept), kinematics_(model) {}
+        : kept_(kept), kinematics_(model), planes_(kept.size()) {}
 
     bool free(const double* q) {
         kinematics_.place(q);
@@ -122,9 +144,9 @@ class FreeSpace {
 
     // The same where the joints have been placed already.
     bool free(const Kinematics& kinematics) {
-        for (const KeptApart& each : kept_) {
-            each.pairs.place(kinematics, poses_);
-            if (!each.pairs.free(poses_, each.distance)) return false;
+        for (std::size_t i = 0; i < kept_.size(); i++) {
+            kept_[i].pairs.place(kinematics, poses_);
+            if (!kept_[i].pairs.free(poses_, kept_[i].distance, planes_[i])) return false;
         }
         return true;
     }
@@ -144,6 +166,7 @@ class FreeSpace {
     const std::vector<KeptApart>& kept_;
     Kinematics kinematics_;
     std::vector<Pose> poses_;
+    std::vector<std::vector<Apart::Plane>> planes_;
 };
 
 }  // namespace coopqp

@@ -29,7 +29,7 @@ struct Closest {
     Told told = Told::Inside;
     double d = 0.0;
     double gap = std::numeric_limits<double>::infinity();  // the distance is between d - gap and d
-    V3 p{}, n{};  // nearest point of the first body; unit normal towards the second
+    V3 p{}, n{};  // nearest point of the first body; unit normal towards the second, also Beyond
 };
 
 // Up to four points b - a, and the weights of the one nearest to the origin.
@@ -171,6 +171,7 @@ inline Closest closest(const Convex& A, const Pose& at_A, const Convex& B, const
         if (low - rims > enough) {
             found.told = Told::Beyond;
             found.d = low - rims;
+            found.n = at_A.out(n);
             return found;
         }
         if (simplex.count()) {

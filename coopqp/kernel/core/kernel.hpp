@@ -117,6 +117,24 @@ class Kernel {
         return status;
     }
 
+    // Close the loops where the arms are at q: each carries the object as the first one does there.
+    void take_hold(const double* q) {
+        kinematics.place(q);
+        double far = 0.0;
+        for (std::size_t i = 1; i < m_->arms.size(); i++) {
+            Arm& arm = m_->arms[i];
+            const Frame &tip = kinematics.joint(std::size_t(arm.tip)), &object = kinematics.carried[0];
+            const v4 *axes[] = {&tip.x, &tip.y, &tip.z}, *of[] = {&object.x, &object.y, &object.z};
+            const v4 way = object.p - tip.p;
+            for (int r = 0; r < 3; r++) {
+                arm.at.p[r] = sum(*axes[r] * way);
+                for (int c = 0; c < 3; c++) arm.at.R[3 * r + c] = sum(*axes[r] * *of[c]);
+            }
+            far = std::max(far, std::sqrt(dot3(arm.at.p, arm.at.p)));
+        }
+        s_.reach = reach_ + far;  // at most
+    }
+
     // Whether joints were outside their limits when it was decided last.
     bool comes_back() const { return comes_back_; }
 
@@ -182,6 +200,7 @@ class Kernel {
     std::vector<Level> levels;
     Kinematics kinematics;
     Bound bound;
+    bool looks_again = true;  // at bodies that an answer brings near; else whoever asks does
 
   private:
     // b = -kappa e
@@ -226,7 +245,7 @@ class Kernel {
     Status where_bodies_stay_apart(Decide decide, Answer v) {
         for (int look = 0; look < MOST_LOOKS; look++) {
             const Status status = decide();
-            if (status != Status::Optimal) return status;
+            if (status != Status::Optimal || !looks_again) return status;
             const Separation::Told told = look_again(v());
             if (told == Separation::Told::Kept) return status;
             if (told == Separation::Told::Unknown) return Status::Unproven;
@@ -464,6 +483,7 @@ class Kernel {
         damping_.note_swing(bound.v, bound.v_last, bound.swing, m_->n());
     }
 
+    const double reach_ = s_.reach;  // as it was given
     Ahead ahead_;
     Rows rows_;
     std::unique_ptr<Loops> loops_;

@@ -192,17 +192,12 @@ class Separation {
     void ends(const Convex& convex, const Pose& pose, const V3& n, double out,
               std::vector<End>& found) {
         const V3 up = out * pose.in(n);
-        heights_.resize(convex.points.size());
-        double top = -std::numeric_limits<double>::infinity();
-        for (std::size_t i = 0; i < convex.points.size(); i++) {
-            heights_[i] = dot(convex.points[i], up);
-            top = std::max(top, heights_[i]);
-        }
+        convex.tops(up, CORNER_SLAB, tops_, seen_tops_);
         found.clear();
-        for (std::size_t i = 0; i < convex.points.size(); i++)
-            if (heights_[i] > top - CORNER_SLAB)
-                found.push_back({pose.out(convex.points[i]) + pose.p,
-                                 out * (heights_[i] + convex.rim) + dot(n, pose.p)});
+        for (int i : tops_) {
+            const V3& p = convex.points[std::size_t(i)];
+            found.push_back({pose.out(p) + pose.p, out * (dot(p, up) + convex.rim) + dot(n, pose.p)});
+        }
     }
 
     static double width(const std::vector<End>& ends) {
@@ -253,7 +248,8 @@ class Separation {
     std::vector<double> closing_;  // how fast each body moves at most
     std::vector<Near> near_;
     std::vector<std::size_t> close_;
-    std::vector<double> heights_;
+    std::vector<int> tops_;
+    std::vector<char> seen_tops_;
     std::vector<End> first_, second_, corners_;
 };
 

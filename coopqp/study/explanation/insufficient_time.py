@@ -59,8 +59,8 @@ def explain(
     torques = phase.controller.commands_torques
     if torques and (motors := _motors(phase)):
         return base.because("motors", motors)
-    if given_way := _yields_to_push(phase, goal):
-        return base.because("springs", given_way)
+    if given_way := _gives_way(phase, goal, base):
+        return given_way
     limits = () if torques else held_up(phase)
     held = tuple(_with_nearest_pair(share, phase.room, phase.q[-1]) for share in limits)
     slow = speed_share(held) > MOSTLY
@@ -157,8 +157,12 @@ def _misled_by_model(phase: ExplainedPhase) -> str:
         named = words.listed([fault.words for fault in faults])
         return f"it has faults ({named}): without the disturbance the goal is reached (tried)"
     if mass := _true_mass(phase):
-        told = f"the object is heavier than told: with object.mass {mass:.3g}"
+        way = "heavier" if mass > phase.scenario.held.mass else "lighter"
+        told = f"the object is {way} than told: with object.mass {mass:.3g}"
         return f"{told} the goal is reached (tried)"
+    known = phase.scenario.disturbance
+    if known.push and not rerun(phase, disturbance=replace(known, push=None)).missed:
+        return "a push holds it away: without it the goal is reached (tried)"
     why = "this is what the model gets wrong: without the disturbance the goal is reached (tried)"
     return f"{why}; 'coopqp calibrate' may find out what"
 
@@ -167,11 +171,10 @@ def _true_mass(phase: ExplainedPhase) -> float:
     """The object's mass [kg], where the goal is reached once the model knows it; else zero."""
     known, held = phase.scenario.disturbance, phase.scenario.held
     mass = known.object_mass * held.mass
-    if known.object_mass <= 1.0:
+    if known.object_mass == 1.0:
         return 0.0
-    told = replace(held, mass=mass)
-    light = replace(known, object_mass=1.0)
-    return 0.0 if rerun(phase, disturbance=light, held=told).missed else mass
+    told, right = replace(held, mass=mass), replace(known, object_mass=1.0)
+    return 0.0 if rerun(phase, disturbance=right, held=told).missed else mass
 
 
 def _out_of_budget(phase: ExplainedPhase) -> bool:
@@ -212,18 +215,19 @@ def _falls(before: ExplainedPhase, after: ExplainedPhase) -> bool:
     return bool(_error_of(after, part.name) < (1.0 - FALLS) * error)
 
 
-def _yields_to_push(phase: ExplainedPhase, goal: Goal) -> str:
-    """What else than the scenario's push holds an impedance away; empty where it still moves."""
+def _gives_way(phase: ExplainedPhase, goal: Goal, base: RunExplanation) -> RunExplanation | None:
+    """What an impedance bears where it rests away from its goal, and what of it is a mistake."""
     task = phase.missed[0][0].task
     springs = task.impedance
     if springs is None or not rests(phase.v[-1]):
-        return ""
+        return None
     forces = springs.stiffness * goal.stack.e[goal.stack.slices[goal.tasks.index(task)]]
     loads = _by_axis(tuple(AXES[axis] for axis in springs.axes), forces)
-    return (
-        f"it gives way as asked: its springs bear {loads} there, and move by F/K; that is a push, "
-        "a weight that is wrong, or another task that pulls"
-    )
+    why = f"it gives way as asked: its springs bear {loads} there, and move by F/K"
+    if misled := _misled_by_model(phase):
+        return base.because("model", f"{why}; {misled}", tried=True)
+    others = "that is a push, a weight that is wrong, or another task that pulls"
+    return base.because("springs", f"{why}; {others}")
 
 
 def _by_axis(axes: tuple[str, ...], forces: Array) -> str:

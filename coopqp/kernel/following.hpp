@@ -1,0 +1,135 @@
+// Frames of joints, one after the other, each as near as limits, bodies and loops let the joints come.
+// As a Python class; coopqp.adapters.chunk_filter says what for.
+#pragma once
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include "deciding.hpp"
+#include "free_space.hpp"
+
+namespace KERNEL_MODULE {
+
+class Following {
+  public:
+    // Engines with one task, of least velocity, that are bound: of free arms that keep apart; of
+    // arms that hold one object, without asking for distances and with them.
+    Following(Engine& apart, Engine& held, Engine& careful, const FreeSpace& space,
+              const nb::dict& d)
+        : apart_(apart), held_(held), careful_(careful), space_(space.own()),
+          lower_(numbers(d, "lower")), upper_(numbers(d, "upper")), step_(numbers(d, "step")),
+          hands_(numbers(d, "hands")), shares_(numbers(d, "shares")), look_(number(d, "look")),
+          rounding_(number(d, "rounding")), position_(number(d, "position")),
+          orientation_(number(d, "orientation")), squeeze_(number(d, "squeeze")), n_(lower_.size()),
+          x_(n_), goal_(n_), way_(n_) {}
+
+    // Both hands hold from now on what is between them at q.
+    void take_hold(const Numbers& q) {
+        held_.kernel().take_hold(q.data());
+        careful_.kernel().take_hold(q.data());
+    }
+
+    // Frames x, (N, n), all of them numbers, from q on, which becomes the last. Written: where joints
+    // are after each, and before it; whether that is not as asked; how far what is asked opens the
+    // loop [m], 0 where it does not. recorded: each is asked from the frame before as it is given.
+    void follow(const Numbers& x, const Written& q, const Written& found, const Written& before,
+                const Said& changed, const Written& opened, bool holds, bool recorded) {
+        const nb::gil_scoped_release released;
+        double* now = q.data();
+        for (std::size_t k = 0; k < changed.size(); k++) {
+            const double* asked = x.data() + k * n_;
+            double *to = found.data() + k * n_, gap[6];
+            std::copy_n(now, n_, before.data() + k * n_);
+            opened.data()[k] = holds ? open(asked, gap) : 0.0;
+            const bool fine = opened.data()[k] == 0.0 && reaches(now, asked) && goes(now, asked);
+            changed.data()[k] = !fine;
+            std::copy_n(asked, n_, to);
+            if (!fine && !recorded) go_near(now, asked, holds ? gap : nullptr, to);
+            std::copy_n(to, n_, now);
+        }
+    }
+
+  private:
+    // How far x opens the loop by more than it may [m], and the squeeze that it asks for, gap.
+    double open(const double* x, double* gap) {
+        coopqp::Kinematics& seen = held_.kernel().kinematics;
+        seen.place(x);
+        seen.measure();
+        const double* e = seen.loop_error.data();
+        const coopqp::V3 along = hand(seen, 0) - hand(seen, 1);
+        const double size = std::max(std::sqrt(dot(along, along)), 1e-9);
+        const coopqp::V3 u = (1.0 / size) * along;
+        const double closer = std::min(std::max(u.x * e[0] + u.y * e[1] + u.z * e[2], 0.0), squeeze_);
+        std::fill_n(gap, 6, 0.0);
+        gap[0] = closer * u.x;
+        gap[1] = closer * u.y;
+        gap[2] = closer * u.z;
+        const double off = std::hypot(e[0] - gap[0], e[1] - gap[1], e[2] - gap[2]);
+        return off > position_ || std::hypot(e[3], e[4], e[5]) > orientation_ ? std::max(off, 1e-9) : 0.0;
+    }
+
+    coopqp::V3 hand(const coopqp::Kinematics& seen, std::size_t arm) const {
+        const double* p = &hands_[3 * arm];
+        const coopqp::Placement at = {{1, 0, 0, 0, 1, 0, 0, 0, 1}, {p[0], p[1], p[2]}};
+        const auto tip = std::size_t(held_.kernel().model().arms[arm].tip);
+        return coopqp::first_three(coopqp::placed(seen.joint(tip), at).p);
+    }
+
+    // Whether x is in range, and near enough to q for one frame.
+    bool reaches(const double* q, const double* x) const {
+        for (std::size_t j = 0; j < n_; j++)
+            if (!(x[j] >= lower_[j] - rounding_ && x[j] <= upper_[j] + rounding_ &&
+                  std::fabs(x[j] - q[j]) <= step_[j] + rounding_))
+                return false;
+        return true;
+    }
+
+    // Whether bodies keep apart on the way from q to x.
+    bool goes(const double* q, const double* x) {
+        double far = 0.0;
+        for (std::size_t j = 0; j < n_; j++) far = std::max(far, std::fabs(x[j] - q[j]));
+        const int count = std::max(1, int(std::ceil(far / look_ - rounding_)));
+        for (int i = count; i > 0; i--)
+            if (!space_.free(part(q, x, double(i) / count))) return false;
+        return true;
+    }
+
+    const double* part(const double* q, const double* x, double share) {
+        for (std::size_t j = 0; j < n_; j++) way_[j] = q[j] + share * (x[j] - q[j]);
+        return way_.data();
+    }
+
+    // Where a frame's step leads from q towards x; gap: of arms that hold.
+    void go_near(const double* q, const double* x, const double* gap, double* to) {
+        for (std::size_t j = 0; j < n_; j++) x_[j] = std::min(std::max(x[j], lower_[j]), upper_[j]);
+        // Without asking for distances first, which most frames keep.
+        if (gap) {
+            held_.toward(q, x_.data(), gap, nullptr, goal_.data());
+        } else {
+            for (std::size_t j = 0; j < n_; j++)
+                goal_[j] = std::min(std::max(x_[j], q[j] - step_[j]), q[j] + step_[j]);
+            for (std::size_t j = 0; j < n_; j++)
+                goal_[j] = std::min(std::max(goal_[j], lower_[j]), upper_[j]);
+        }
+        if (goes(q, goal_.data())) return void(std::copy(goal_.begin(), goal_.end(), to));
+        Engine& law = gap ? careful_ : apart_;
+        law.toward(q, x_.data(), gap, nullptr, goal_.data());
+        if (!goes(q, goal_.data())) law.toward(q, x_.data(), gap, goal_.data(), goal_.data());
+        if (goes(q, goal_.data()) || !space_.free(q))
+            return void(std::copy(goal_.begin(), goal_.end(), to));
+        for (double share : shares_) {
+            std::copy_n(part(q, goal_.data(), share), n_, to);
+            if (goes(q, to)) return;
+        }
+        std::copy_n(q, n_, to);
+    }
+
+    Engine &apart_, &held_, &careful_;
+    coopqp::FreeSpace space_;
+    std::vector<double> lower_, upper_, step_, hands_, shares_;
+    double look_, rounding_, position_, orientation_, squeeze_;
+    std::size_t n_;
+    std::vector<double> x_, goal_, way_;
+};
+
+}  // namespace KERNEL_MODULE
