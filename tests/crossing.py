@@ -4,7 +4,9 @@ A point of the object follows a circle of which one half is unreachable. The law
 command changes most from one tick to the next, the segment between the two states (q, v, t and
 memory) is halved towards the half with the larger change. A continuous command changes less and
 less; what is left of a change is a jump. Near the border a command may be steep, as damping begins
-there from next to nothing: 40 halvings tell a slope, of which 1e-12 is left, from a jump.
+there from next to nothing: that of scaled tasks is 1e-6, and more by 150 times what a share lacked
+a tick ago, so that v may change by 1e8 rad/s for a unit of it. 52 halvings, after which q and t are
+equal but for last digits, tell such a slope from a jump.
 
 Later levels of a hierarchy jump on their own, whatever the mode of the first task, where a limit
 ceases to depend on the rows decided before. So the motion is looked at of the task alone, and
@@ -38,7 +40,7 @@ DT = 0.01  # [s]
 RADIUS, PERIOD, ROUNDS = 0.02, 4.0, 1.5  # of the circle [m, s], and how often it is gone round
 APPROACH = 4.0  # time in which a run comes to the border [s]
 OUT = 2.0  # farther than any arm reaches, a share of its reach
-LOOKED_AT, HALVINGS = 20, 40  # steps in which v changes most
+LOOKED_AT, HALVINGS = 20, 52  # steps in which v changes most
 #: Of a change that may be left where the command is continuous [rad/s, m/s].
 LEFT = 1e-4
 

@@ -92,7 +92,8 @@ class Outcome(IntEnum):
     """What became of a tick of the kernel; ``core/shared.hpp`` is made from it.
 
     RELAXED is added to an answer where hard or scaled tasks are not met in full, COMES_BACK where
-    joints recover from outside their limits, STANDS where nothing moves.
+    joints recover from outside their limits, DOUBTFUL where the last digits of what was given move
+    it, STANDS where nothing moves.
     """
 
     BUSY = -1
@@ -113,6 +114,7 @@ class Outcome(IntEnum):
     RELAXED = 16
     STANDS = 32
     COMES_BACK = 64
+    DOUBTFUL = 128
 
 
 #: A dictionary, a key, and what is there; None where nothing is.

@@ -13,7 +13,7 @@
 // Of its own name in each variant, so that two of them may be imported side by side.
 namespace KERNEL_MODULE {
 
-using coopqp::BUSY, coopqp::RELAXED, coopqp::STANDS, coopqp::COMES_BACK;
+using coopqp::BUSY, coopqp::RELAXED, coopqp::STANDS, coopqp::COMES_BACK, coopqp::DOUBTFUL;
 
 // Rows that Python fills, and where they go.
 struct Filled {
@@ -133,7 +133,7 @@ class Engine {
         if (!use.alone) return BUSY;
         const Unlocked unlocked(*kernel_);
         const int status = evaluate(t);
-        return status ? status : told(kernel_->solve(all_corrected));
+        return status ? status : told(solve(t, all_corrected));
     }
 
     // The same with measured joints; learns: whether the loop-closure offset follows them first.
@@ -144,7 +144,7 @@ class Engine {
         if (!usable()) return int(coopqp::Status::Unusual);
         const Unlocked unlocked(*kernel_);
         const int status = evaluate(t, learns);
-        return status ? status : told(kernel_->solve(all_corrected));
+        return status ? status : told(solve(t, all_corrected));
     }
 
     // Where Python decides after all: what that has learnt is forgotten.
@@ -167,6 +167,7 @@ class Engine {
         if (!use.alone) return BUSY;
         const Unlocked unlocked(*kernel_);
         fill(t);
+        doubtful_ = false;
         for (const Filled& rows : filled_) take_rows(rows);
         if (filled_limits_.lb) take_limits();
         return told(kernel_->solve(all_corrected));
@@ -193,7 +194,7 @@ class Engine {
         const Unlocked unlocked(*kernel_);
         const int status = evaluate(t);
         if (status) return status;
-        const coopqp::Status decided = kernel_->solve(true);
+        const coopqp::Status decided = solve(t, true);
         if (is_answer(decided)) advance();
         return told(decided);
     }
@@ -313,7 +314,7 @@ class Engine {
     int decide(double t, bool stops, bool all_corrected) {
         if (evaluate(t)) return BUSY;
         if (*stopped_ != 0.0) return stand_still();
-        const coopqp::Status status = kernel_->solve(all_corrected);
+        const coopqp::Status status = solve(t, all_corrected);
         if (is_answer(status)) return told(status);
         if (status != coopqp::Status::Infeasible || kernel_->settings().relaxes) return BUSY;
         *stopped_ = stops ? 1.0 : 0.0;
@@ -339,6 +340,59 @@ class Engine {
         return how & STANDS ? 0.0 : kernel_->scale();
     }
 
+    // The law's memory, which a tick reads and writes.
+    template <class Each>
+    void each_of_memory(const Each& each) const {
+        const auto& bound = kernel_->bound;
+        const auto& first = kernel_->levels[0];
+        each(bound.later_pulls, kernel_->levels.size() - 1);
+        each(bound.missed, std::size_t(first.hard));
+        each(bound.missing, std::size_t(first.shares));
+        each(bound.scaled_pull, std::size_t(first.shares > 0));
+        each(bound.recovery, std::size_t(1));
+        each(bound.swing, 1 + kernel_->model().joints.size());
+    }
+    void keep_memory() {
+        memory_.clear();
+        each_of_memory([this](const double* from, std::size_t n) {
+            memory_.insert(memory_.end(), from, from + n);
+        });
+    }
+    void restore_memory() const {
+        const double* kept = memory_.data();
+        each_of_memory([&kept](double* at, std::size_t n) {
+            std::copy_n(kept, n, at);
+            kept += n;
+        });
+    }
+
+    // Decide what was evaluated. Where that took twice the digits it is asked whether joints that
+    // differ in their last digits have another answer, which then is doubtful.
+    coopqp::Status solve(double t, bool all_corrected) {
+        auto& bound = kernel_->bound;
+        const int refined = kernel_->refined();
+        doubtful_ = false;
+        keep_memory();
+        const coopqp::Status status = kernel_->solve(all_corrected);
+        if (!is_answer(status) || kernel_->refined() == refined) return status;
+        const double* q = bound.q;
+        const std::size_t n = kernel_->model().joints.size();
+        answer_.assign(bound.v, bound.v + n);
+        for (double by : {NEIGHBOUR, -NEIGHBOUR}) {
+            beside_.assign(q, q + n);
+            for (std::size_t j = 0; j < n; j++) beside_[j] *= 1.0 + (j % 2 ? by : -by);
+            bound.q = beside_.data();
+            restore_memory();
+            doubtful_ |= evaluate(t) != 0 || !is_answer(kernel_->solve(all_corrected));
+            for (std::size_t j = 0; j < n; j++)
+                doubtful_ |= !(std::fabs(bound.v[j] - answer_[j]) <= kernel_->settings().budget.accuracy);
+        }
+        bound.q = q;
+        restore_memory();
+        evaluate(t);
+        return kernel_->solve(all_corrected);
+    }
+
     static bool is_answer(coopqp::Status status) {
         return status == coopqp::Status::Optimal || status == coopqp::Status::Shortened;
     }
@@ -346,7 +400,7 @@ class Engine {
     int told(coopqp::Status status) const {
         if (!is_answer(status)) return int(status);
         return int(status) + (kernel_->relaxed() ? RELAXED : 0) +
-               (kernel_->comes_back() ? COMES_BACK : 0);
+               (kernel_->comes_back() ? COMES_BACK : 0) + (doubtful_ ? DOUBTFUL : 0);
     }
 
     void forget_exact() {
@@ -478,7 +532,11 @@ class Engine {
         }
     }
 
+    static constexpr double NEIGHBOUR = 4.4e-16;  // of joints, as a share of themselves
+
     std::unique_ptr<coopqp::Kernel> kernel_;
+    std::vector<double> memory_, answer_, beside_;
+    bool doubtful_ = false;  // whether neighbours have another answer
     std::optional<coopqp::ResolvedRate> resolved_rate_;
     coopqp::Program program_;
     coopqp::Bounds bounds_;

@@ -29,14 +29,18 @@ from coopqp.trace import TickBatch
 OPTIMAL, SHORTENED = int(Outcome.OPTIMAL), int(Outcome.SHORTENED)
 BUSY, UNUSUAL = int(Outcome.BUSY), int(Outcome.UNUSUAL)
 INFEASIBLE, OPENS = int(Outcome.INFEASIBLE), int(Outcome.OPENS)
-RELAXED, STANDS, COMES_BACK = map(int, (Outcome.RELAXED, Outcome.STANDS, Outcome.COMES_BACK))
+RELAXED, STANDS = int(Outcome.RELAXED), int(Outcome.STANDS)
+COMES_BACK, DOUBTFUL = int(Outcome.COMES_BACK), int(Outcome.DOUBTFUL)
 ALL_WELL = {
-    shortened + relaxed + back: (
+    shortened + relaxed + back + doubtful: (
         *((Status.STEP_SHORTENED,) if shortened else ()),
         *((Status.TASKS_RELAXED,) if relaxed else ()),
-        *((Status.RECOVERING,) if back else ()),
+        *((Status.RECOVERING,) if back and not relaxed else ()),
+        *((Status.INACCURATE,) if doubtful else ()),
+        *((Status.RECOVERING,) if back and relaxed else ()),
     ) or (Status.OPTIMAL,)
     for shortened in (OPTIMAL, SHORTENED) for relaxed in (0, RELAXED) for back in (0, COMES_BACK)
+    for doubtful in (0, DOUBTFUL)
 }  # fmt: skip
 #: Of a tick in which nothing may be relaxed.
 RESTS = {

@@ -178,7 +178,8 @@ class QPLaw(Law):
         else:
             v, leaves = self._scale_beside(state, kappa, v)
         if self._relaxes and (leaves > 0.0 or self._shares.min(initial=1.0) < WHOLE):
-            near, status = self.nearest.of_scaled(state, v)
+            near, found = self.nearest.of_scaled(state, v)
+            status = found if status is Status.OPTIMAL else status
             leaves = max(leaves, self._leaves_directions(near) if leaves < 1.0 else 0.0)
             v = (1.0 - leaves) * v + leaves * near
         self._remember(state, v, leaves)

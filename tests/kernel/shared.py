@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from coopqp import limit, program, robot, signal
+from coopqp import limit, program, robot, signal, solver
 from coopqp.kernel import compiled
 from coopqp.kernel.compiled import Outcome
 from coopqp.limits import _keep_apart
@@ -45,6 +45,7 @@ CONSTANTS: Mapping[object, Mapping[str, str]] = {
         "FARTHEST": "FARTHEST", "SHAPED": "SHAPED", "DOUBT": "DOUBT", "TINY": "SAG_ROUNDING",
     },
     signal: {"ENDLESS": "ENDLESS"},
+    solver: {"LAST_DIGITS": "LAST_DIGITS"},
     manipulability: {"LARGE": "LARGE_PHI", "REGULAR": "REGULAR"},
 }  # fmt: skip
 

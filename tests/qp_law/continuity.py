@@ -2,7 +2,7 @@
 
 On every robot a point goes slowly round a circle of which one half is unreachable, as a soft, a
 hard and a scaled task (tests/crossing.py), alone and before other levels. Told is what is left of
-the largest change of the command v between two neighbouring states after halving their distance 40
+the largest change of the command v between two neighbouring states after halving their distance 52
 times, and of the largest change that the task sees, J v. Exit code 1 where one of them is more
 than 1e-4 rad/s or m/s for a task alone, or the second for a hard one beside others.
 """

@@ -15,14 +15,6 @@ from coopqp.controllers import QPController
 SIGNS = tuple(itertools.product((1, -1), repeat=2))  # of the circle's two directions
 
 
-# Here a little is left, 4.3e-4 and 1.1e-4 rad/s, nobody knows of what: both sides are OPTIMAL.
-UNEXPLAINED = (("two_so101", "scaled", (1, -1)), ("panda_free", "scaled", (-1, -1)))
-DRAWN = [
-    pytest.param(*one, marks=pytest.mark.xfail(strict=True) if one in UNEXPLAINED else ())
-    for one in itertools.product(robots(), ("soft", "hard", "scaled"), SIGNS)
-]
-
-
 @cache
 def driven(robot: str, mode: Mode, *, alone: bool, signs: tuple[int, int] = (1, 1)) -> Jump:
     """How continuous the law is as it drives round a circle about the border."""
@@ -31,7 +23,9 @@ def driven(robot: str, mode: Mode, *, alone: bool, signs: tuple[int, int] = (1, 
     return jump(QPController().build(asked))
 
 
-@pytest.mark.parametrize(("robot", "mode", "signs"), DRAWN)
+@pytest.mark.parametrize("signs", SIGNS)
+@pytest.mark.parametrize("mode", ["soft", "hard", "scaled"])
+@pytest.mark.parametrize("robot", robots())
 def test_no_command_jumps_while_a_task_passes_the_border_of_reach(
     robot: str, mode: Mode, signs: tuple[int, int]
 ) -> None:

@@ -11,6 +11,7 @@
 #include "hierarchy.hpp"
 #include "loops.hpp"
 #include "problem.hpp"
+#include "refinement.hpp"
 #include "rows.hpp"
 #include "shares.hpp"
 #include "small.hpp"
@@ -41,6 +42,7 @@ class Cascade {
           shares_(levels[0], hierarchy_, stride(), arena),
           constraints_(stride(), limits, loops.free, levels[0], shares_, arena),
           check_(model, rows, loops, hierarchy_, shares_, settings, levels, kept, arena),
+          refinement_(model, rows, hierarchy_, shares_, levels[0], kept),
           accuracy_(settings.budget.accuracy),
           v_(arena.take(std::size_t(stride()))),
           before_(arena.take(std::size_t(stride()))),
@@ -62,11 +64,15 @@ class Cascade {
     // Set out from the motion v, in lanes, that moves the loops by b, their independent rows.
     void begin(const double* b, const double* v) {
         check_.aim(b);
+        b_ = b;
         copy(v_, v, m_.blocks);
         if (sees_twist_) see_object();
         hierarchy_.forget();
         hierarchy_.begin();
     }
+
+    // How many answers were, since the beginning.
+    int refined() const { return refined_; }
 
     // Decide a level within the limits and what the levels before it leave free; d: its damping.
     Status decide(int l, double d) {
@@ -89,7 +95,8 @@ class Cascade {
         // At rest the certificate sees limits that are overrun. Where several nearly depend on each
         // other a later level may seem to have no room, which cannot be: it may stay where it is.
         const bool no_room = l > 0 && status == Status::Unproven;
-        if (status != Status::Inaccurate && !no_room) return status;
+        const bool exceeds = status == Status::Optimal && check_.exceeds();
+        if (status != Status::Inaccurate && !no_room && !exceeds) return status;
         copy(v_, before_, m_.blocks);
         copy(check_.V, V_, 2);
         constraints_.nearest.overrun = no_room ? CLOSE : LAST_DIGITS;
@@ -160,6 +167,9 @@ class Cascade {
             outcome = refined(l, first, d, outcome);
             if (!(outcome.off < off)) break;
         }
+        const bool alone = l == 0 && level.exact && level.exact == level.rows && level.joint_weight == 0.0;
+        if (alone && !clash_ && is_in_digits(outcome.status))
+            outcome = with_more_digits(first, d, outcome);
         pulls_[std::size_t(l)] = outcome.pull;
         outcome_ = outcome;
         if (outcome.status != Status::Inaccurate || l > 0) return outcome.status;
@@ -191,6 +201,35 @@ class Cascade {
         const Outcome outcome = check_.judge(l, first, d, v_, before_, constraints_);
         const bool holds = !lacks || outcome.gap <= HOLD;
         if (holds && outcome.off < found.off && is_of_use(l, outcome.status)) return outcome;
+        copy(v_, kept_v_, m_.blocks);
+        copy(check_.V, kept_V_, 2);
+        shares_.take_back();
+        return found;
+    }
+
+    // Whether an answer was refused for what more digits may mend.
+    static bool is_in_digits(Status status) {
+        return status == Status::Inaccurate || status == Status::Equality || status == Status::Bound;
+    }
+
+    // The outcome of the optimum of exact rows in twice the digits, which is judged as any other but
+    // for the last digits of the check's own multipliers; what was found where there is none.
+    Outcome with_more_digits(int first, double d, const Outcome& found) {
+        copy(kept_v_, v_, m_.blocks);
+        copy(kept_V_, check_.V, 2);
+        shares_.keep();
+        if (refinement_.find(b_, d, first, constraints_, v_)) {
+            copy(check_.V, V_, 2);
+            Outcome outcome = check_.judge(0, first, d, v_, before_, constraints_);
+            const double gives_way = levels_[0].exact * constraints_.width();
+            const bool holds = outcome.gap <= HOLD + gives_way && outcome.astray <= accuracy_;
+            const bool optimal = outcome.off - outcome.astray <= accuracy_ + refinement_.digits();
+            if (holds && optimal && outcome.status <= Status::Inaccurate) {
+                outcome.status = Status::Optimal;
+                refined_++;
+                return outcome;
+            }
+        }
         copy(v_, kept_v_, m_.blocks);
         copy(check_.V, kept_V_, 2);
         shares_.take_back();
@@ -377,8 +416,11 @@ class Cascade {
     Shares shares_;
     Constraints constraints_;
     Check check_;
+    Refinement refinement_;
+    const double* b_ = nullptr;
     double accuracy_;
     double *v_, *before_, *kept_v_, *V_, *kept_V_, *t_, *W_, *w_, *x_, *z_;
+    int refined_ = 0;
     bool clash_ = false;  // whether rows, if they gave way by less, would leave no motion
     std::vector<double> residual_;
     SmallLeastSquares small_;

@@ -55,7 +55,8 @@ class Check {
         // Hard tasks, damped less, decide what rows do, not all of v, where scaled ones come after.
         const bool rows_alone = std::size_t(l) + 1 < levels_.size() && levels_[std::size_t(l) + 1].rows;
         const double mu = std::min(rows_alone ? std::max(d, s_.damping) : d, SCALE_WEIGHT);
-        const double overrun = std::sqrt(clip(v, c.limits.lb, c.limits.ub) + (l == 0 ? clip_shares() : 0.0));
+        const double over2 = clip(v, c.limits.lb, c.limits.ub);
+        const double overrun = std::sqrt(over2 + (l == 0 ? clip_shares() : 0.0));
         double above = 0.0;
         alignas(64) double V_before[TWIST];
         slack_.resize(c.limits.h.size());
@@ -63,6 +64,7 @@ class Check {
             slack_[at] = c.limits.h[at] - dot(c.limits.G + at * rows_.stride(), v, m_.blocks);
             if (slack_[at] < 0.0) above += slack_[at] * slack_[at];
         }
+        exceeds_ = levels_[0].exact && l == 0 && over2 + above > LAST_DIGITS * LAST_DIGITS;
         above = std::sqrt(above);
         copy(V_before, V, 2);
         rows_.twists(v, of_arms_);
@@ -108,6 +110,10 @@ class Check {
         return SCALE_WEIGHT * (shares_.share(k) - levels_[0].best_share(k)) - y_.at_share(k) +
                y_.of_shares[std::size_t(k)];
     }
+
+    // Whether exact rows exceed limits by more than last digits, in the answer judged last: near others
+    // that depend on them that may be far from the optimum.
+    bool exceeds() const { return exceeds_; }
 
     // The least step after which the rows of the answer judged last hold.
     const double* restoring() const { return r_.step(); }
@@ -318,6 +324,7 @@ class Check {
     const double* b_ = nullptr;
     double* moved_;
     std::vector<double> slack_;
+    bool exceeds_ = false;
     double* of_arms_;
 
   public:

@@ -51,6 +51,7 @@ class Constraints {
 
     // Sides of joints and of limits.
     void begin(const double* v) {
+        width_ = 0.0;
         for (int b = 0; b < lanes_ / LANES; b++) {
             coopqp::lanes(nearest.lower)[b] = coopqp::lanes(limits.lb)[b] - coopqp::lanes(v)[b];
             coopqp::lanes(nearest.upper)[b] = coopqp::lanes(limits.ub)[b] - coopqp::lanes(v)[b];
@@ -99,7 +100,11 @@ class Constraints {
     }
 
     // Let exact rows that depend on others give way a little, as solvers let equalities.
-    void widen(double by) { nearest.widen(spare_row(0), exact_, by); }
+    void widen(double by) {
+        nearest.widen(spare_row(0), exact_, by);
+        width_ += by;
+    }
+    double width() const { return width_; }
 
     // Go along the first columns by nearest.u, with so many of the shares.
     void step(int columns, int shares, double* v) {
@@ -156,6 +161,7 @@ class Constraints {
     }
 
     int lanes_, inequalities_, exact_;
+    double width_ = 0.0;  // by which rows that depend on others give way
     Shares& shares_;
     double* sizes2_;
     std::vector<double> turn_;

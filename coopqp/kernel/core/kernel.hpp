@@ -140,6 +140,8 @@ class Kernel {
 
     // Whether hard or scaled tasks were not met in full when it was decided last.
     bool relaxed() const { return leaves_ > 0.0 || lacks(); }
+    // How many answers of levels needed twice the digits, since the beginning.
+    int refined() const { return tasks_.refined() + nearest_.refined(); }
     double leaves() const { return leaves_; }  // how far scaled tasks left their directions
 
     // The least share of its rate at which a hard or scaled task ran; 1 without such tasks.

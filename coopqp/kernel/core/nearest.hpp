@@ -57,6 +57,7 @@ class Nearest {
         return shares_.decide(0, d);
     }
     const Cascade& beside() const { return shares_; }
+    int refined() const { return cascade_.refined() + shares_.refined(); }
     double aside() const { return shares_.shares().share(given_.shares); }  // t
 
     // Take the hard tasks as decided by a motion v, in lanes, that moves the loops by b.

@@ -13,8 +13,6 @@
 
 namespace coopqp {
 
-constexpr double LAST_DIGITS = 1e-14;  // by which rows and limits may not hold, from rounding alone
-
 class Residuals {
   public:
     Residuals(const Model& model, const Rows& rows, const Loops& loops, Hierarchy& hierarchy,

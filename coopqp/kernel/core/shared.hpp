@@ -73,6 +73,9 @@ constexpr double SAG_ROUNDING = 1e-15;
 // coopqp.signal
 constexpr double ENDLESS = 1e+100;
 
+// coopqp.solver
+constexpr double LAST_DIGITS = 1e-14;
+
 // coopqp.tasks.manipulability
 constexpr double LARGE_PHI = 3.0;
 constexpr double REGULAR = 1e-12;
@@ -94,7 +97,7 @@ enum class Status : int {
     Clashing = 12,
     Unusual = 13,
 };
-constexpr int BUSY = -1, RELAXED = 16, STANDS = 32, COMES_BACK = 64;
+constexpr int BUSY = -1, RELAXED = 16, STANDS = 32, COMES_BACK = 64, DOUBTFUL = 128;
 
 // coopqp.program.Kind, limit.Bounded, robot.Form and model.profile.KINDS
 enum class Kind {
