@@ -11,11 +11,14 @@ Grippers count. A plan is timed from the call to a shortened path that was looke
 at 0.01 rad; the paths are written to --out, one file for each of the first ten seeds.
 
 Goals are drawn from closed configurations inside the limits and free, with a ball in the way in
-half of those of robots that watch bodies: how many ``reach`` finds, how many ``plan`` finds a way
-to and, with --runs, how many a run that follows it reaches, and how many the QP alone does.
+half of those of robots that watch bodies, and none where a hand would have to turn once round
+against another to get there, which closed loops never let it: how many ``reach`` finds, how many
+``plan`` finds a way to and, with --runs, how many a run that follows it reaches, and how many the
+QP alone does.
 
-Blocked are rollouts of ``tests.stress`` that end so: to how many goals ``plan`` finds a way from
-the start, and how many a run that follows it reaches.
+Blocked are rollouts of ``tests.stress`` that end so: to how many goals ``plan`` finds a way, from
+the start or, where that is outside the limits on purpose, from where the run is stuck; and how
+many a run that follows it reaches.
 """
 
 from __future__ import annotations
@@ -44,12 +47,14 @@ from coopqp.limits.obstacles import Obstacle
 from coopqp.model.profile import Profile
 from coopqp.planning.closed_space import Budget, ClosedSpace
 from coopqp.planning.plan import Plan, Planner
-from coopqp.planning.reach import look
+from coopqp.planning.turns import cut_off
 from coopqp.report.planning import write_plan
 from coopqp.scenario.loader import load
 from coopqp.scenario.planned import Followed, following, way_tasks
 from coopqp.scenario.scenario import Scenario
+from coopqp.study.explanation.goal import Room
 from coopqp.tasks import PointOnPoint
+from coopqp.viewer.planner import inside
 
 ROBOTS = ("point_on_point", "two_so101", "baxter_tray", "two_pandas", "three_ur")
 #: Kept between bodies, so that nothing touches between the points that are looked at [m].
@@ -270,32 +275,48 @@ def _object(q: Array) -> tuple[list[float], list[float]]:
 def goals(name: str, asked: argparse.Namespace) -> None:
     """Goals of one robot: those of a point of the object, drawn from closed configurations."""
     rng, count = np.random.default_rng(20261123), Counter[str]()
-    seconds: list[float] = []
-    for i, scenario in enumerate(drawn(name, asked.goals, rng)):
+    seconds, looks, beyond = list[float](), list[float](), 0.0
+    for i, scenario in enumerate(drawn(name, asked.goals, rng, count)):
         problem = scenario.problem()
-        found = look(problem, scenario.duration, seed=i)
+        begun = time.process_time()
+        found = coopqp.reach(scenario, seed=i)
+        looks.append(time.process_time() - begun)
         count["reachable"] += bool(found.found)
         begun = time.process_time()
         way = Planner(problem, scenario.duration).plan(Budget(seed=i))
         seconds.append(time.process_time() - begun)
         count["planned"] += way.found
+        if not way.found:
+            print(f"{name} {i}: {way.sentence}", flush=True)
         if not asked.runs:
             continue
-        count["alone"] += _reaches(scenario)
+        count["alone"] += _run(scenario)[0]
         if way.found:
             path, *_ = write_plan(way, replace(scenario, source=""), asked.out)
-            count["followed"] += _reaches(following(scenario, Followed(plan=path)))
-    told = ", ".join(f"{key} {count[key]}" for key in ("reachable", "planned", "followed", "alone"))
+            reached, most = _run(following(scenario, Followed(plan=path)))
+            beyond = max(beyond, most)
+            count["followed"] += reached
+            if not reached:
+                print(f"{name} {i}: planned, but the run does not reach", flush=True)
+    keys = ("reachable", "planned", "followed", "alone", "cut off, drawn anew")
+    told = ", ".join(f"{key} {count[key]}" for key in keys)
     half, p95 = np.percentile(seconds, [50, 95])
-    print(f"{name}: {asked.goals} goals: {told}; plan {half:.3f} / {p95:.3f} CPU s", flush=True)
+    print(
+        f"{name}: {asked.goals} goals: {told}; plan {half:.3f} / {p95:.3f} CPU s, reach "
+        f"{np.median(looks):.3f} CPU s, limits exceeded by at most {beyond:.1g}",
+        flush=True,
+    )
 
 
-def _reaches(scenario: Scenario) -> bool:
-    found = assess(coopqp.compare(scenario, controllers=["qp"]).traces["qp"])
-    return bool(found.reached and found.succeeds)
+def _run(scenario: Scenario) -> tuple[bool, float]:
+    """Whether the QP reaches the goal, and by how much it exceeds a limit at most."""
+    trace = coopqp.compare(scenario, controllers=["qp"]).traces["qp"]
+    found = assess(trace)
+    least = min((float(margin.min()) for margin in trace.margins.values()), default=0.0)
+    return bool(found.reached and found.succeeds), max(-least, 0.0)
 
 
-def drawn(name: str, goals: int, rng: np.random.Generator) -> Any:
+def drawn(name: str, goals: int, rng: np.random.Generator, count: Counter[str]) -> Any:
     """Scenarios of a robot with goals that closed, free configurations meet; see the module."""
     base = load(name)
     kinds = tuple(type(limit) for limit in base.limits)
@@ -314,6 +335,9 @@ def drawn(name: str, goals: int, rng: np.random.Generator) -> Any:
         q = q[space.project(q)]
         q = q[space.is_free(q)] if len(q) else q
         if not len(q):
+            continue
+        if cut_off(space.chain, q[:1])[0]:
+            count["cut off, drawn anew"] += 1
             continue
         X = space.chain.object_pose(q[0])
         task = PointOnPoint(
@@ -351,34 +375,59 @@ def blocked(asked: argparse.Namespace) -> None:
         if count.total() == asked.blocked:
             break
         problem = draw(seed).problem
-        if _ends(problem) != "blocked":
+        outcome, q = _ends(problem)
+        if outcome != "blocked":
             continue
-        end = max(task.end for task in problem.tasks)
+        if any(task.asks_velocity for task in problem.tasks):
+            count["a task asks for a velocity, which is met at no place"] += 1
+            continue
         begun = time.process_time()
-        try:
-            way = Planner(problem, end).plan(Budget(seed=seed))
-        except CoopqpError as error:
-            count[f"no plan: {str(error).partition(':')[0]}"] += 1
-            continue
+        kind, way, problem = _way_of(problem, q, seed)
         seconds.append(time.process_time() - begun)
-        if not way.found:
-            count[re.sub(r"[0-9.]+", "#", way.sentence)[:80]] += 1
+        if way is None or not way.found:
+            count[kind] += 1
             continue
         tasks = way_tasks(way.t, way.timed, way.object, problem.dt, stands=False)
         followed = replace(problem, tasks=tasks, secondary=())
         law = QPController().unprepared(followed)
         state = law.start()
         law.run(state, len(way.t) + round(SETTLED / problem.dt))
-        at_goal = replace(problem, chain=problem.chain.moved(state.q))
-        count[f"found, and the run that follows it ends {_ends(at_goal)}"] += 1
+        ends, _ = _ends(replace(problem, chain=problem.chain.moved(state.q)))
+        count[f"found {kind}, and the run that follows it ends: {ends}"] += 1
+        if ends != "reached":
+            print(f"seed {seed}: found {kind}, {ends}", flush=True)
     for words, number in count.most_common():
         print(f"{number:4d} {words}")
     half, p95 = np.percentile(seconds, [50, 95])
     print(f"of seeds 0 to {seed - 1}; plan {half:.3f} / {p95:.3f} CPU s", flush=True)
 
 
-def _ends(problem: ControlProblem) -> str:
-    """How a rollout of the stress ends."""
+def _way_of(
+    problem: ControlProblem, q: Array, seed: int
+) -> tuple[str, Plan | None, ControlProblem]:
+    """A way from the start, or from where the run is stuck if it began outside its limits.
+
+    What came of it, in words; and the problem that begins where the way does.
+    """
+    chain, end = problem.chain, max(task.end for task in problem.tasks)
+    room, kind = Room(problem), "from the start"
+    if (np.maximum(room.lower - chain.q_start, chain.q_start - room.upper) > 0.0).any():
+        kind = "from where it is stuck, as it began outside its limits"
+        chain = chain.moved(inside(problem, q, seed))
+        problem = replace(problem, chain=chain)
+    try:
+        way = Planner(problem, end).plan(Budget(seed=seed))
+    except CoopqpError as error:
+        return f"no plan: {str(error).partition(':')[0]}", None, problem
+    if not way.found:
+        kind = re.sub(r"-?[0-9][0-9.e-]*", "#", way.sentence)
+        kind = re.split(r"[:;]", re.sub(r"\bt#\S*", "t", kind))
+        return ": ".join(kind[:2])[:100], way, problem
+    return kind, way, problem
+
+
+def _ends(problem: ControlProblem) -> tuple[str, Array]:
+    """How a rollout of the stress ends, and where, shape (n,)."""
     from stress.driving import drive_on, record_of
     from stress.ending import PartErrors, ending
 
@@ -386,7 +435,7 @@ def _ends(problem: ControlProblem) -> str:
     state = law.start()
     record, errors = record_of(problem), PartErrors(problem, state)
     drive_on(law, state, record, errors)
-    return str(ending(law, state, record, errors).outcome)
+    return str(ending(law, state, record, errors).outcome), state.q.copy()
 
 
 if __name__ == "__main__":

@@ -139,7 +139,9 @@ def solve_start(scenario: str, seed: int | None, catalog: Any, as_json: bool) ->
 def reach(scenario: str, seed: int | None, catalog: Any, as_json: bool) -> None:
     """Look for configurations inside all limits that meet a scenario's tasks at their goals.
 
-    SCENARIO is a YAML file or the name of a shipped scenario (coopqp list scenarios).
+    SCENARIO is a YAML file or the name of a shipped scenario (coopqp list scenarios). The table has
+    a line for each way the arms bend, with the configuration of the largest joint margin, the least
+    distance of a joint from its limit [rad, m]; clearance is what limits in space have left.
     """
     from coopqp.planning import reach as look
     from coopqp.report import planning as report
@@ -161,7 +163,9 @@ def reach(scenario: str, seed: int | None, catalog: Any, as_json: bool) -> None:
     "--out", type=WRITTEN, help="Folder for the path, and for a scenario that follows it."
 )
 @click.option("--keep", multiple=True, metavar="TASK", help="Met all along; more than once.")
-@click.option("--seconds", type=_Range(0.01, 3600.0), default=10.0, help="At most.")
+@click.option(
+    "--seconds", type=_Range(0.01, 3600.0), default=10.0, show_default=True, help="At most."
+)
 @click.option("--seed", type=click.IntRange(0), help="Of the search, instead of the scenario's.")
 @catalogued
 @JSON

@@ -15,9 +15,6 @@ from coopqp.kernel.flat import flat_distances, flat_model
 from coopqp.limit import DistanceBounds, Program
 from coopqp.model.closed_chain import ClosedChain
 
-#: Two bounds of a distance differ by no more where it is known [m], as in ``core/apart.hpp``.
-KNOWN = 1e-7
-
 
 class Told(IntEnum):
     """What is said of a pair, as in ``core/gjk.hpp``."""
@@ -54,12 +51,6 @@ class FreeSpace:
         free = np.zeros(len(q), np.uint8)
         self.compiled.is_free(np.ascontiguousarray(q, float), free)
         return free.view(np.bool_)
-
-    def distances(self, q: Array) -> Array:
-        """Signed distance of each pair at q (n,); NaN of bodies that are in each other [m]."""
-        found = self.measure(q)
-        known = (found[:, 0] == Told.MEASURED) & (found[:, 2] <= KNOWN)
-        return np.where(known, found[:, 1], np.nan)
 
     def measure(self, q: Array) -> Array:
         """Of each pair at q, shape (p, 9).

@@ -59,6 +59,7 @@ class Planner {
         search.fine = number(d, "fine");
         search.range = number(d, "range");
         search.seconds = number(d, "seconds");
+        search.most = long(number(d, "most"));
         search.seed = nb::cast<std::uint64_t>(d["seed"]);
         search.shortcuts = int(number(d, "shortcuts"));
         search.low = numbers(d, "low");

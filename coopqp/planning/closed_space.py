@@ -10,8 +10,10 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +41,7 @@ UNLIMITED = np.pi
 STEPS = 60
 
 #: Configurations at which charts are judged, how many of each leader are used, sets looked at.
-POSES, EACH, MOST_SETS = 60, 2, 200
+POSES, EACH, MOST_SETS = 30, 2, 200
 #: Followers are dependent below this singular value [m/rad, 1]; where a chart has this share of
 #: such poses, the chart in which no joint leads is used too.
 DEPENDENT, MOST = 0.02, 0.4
@@ -55,6 +57,7 @@ class Budget:
         seconds: wall time; ``seed``: of samples and shortcuts.
         step, fine: between two looks at what is in the way, in trees and on a path [rad, m].
         reach: of a branch [rad, m].
+        most: projections after which trees begin anew, of other random numbers.
         shortcuts: tries to make a path shorter.
     """
 
@@ -63,6 +66,7 @@ class Budget:
     step: float = 0.1
     fine: float = 0.02
     reach: float = 1.5
+    most: int = 20000
     shortcuts: int = 150
 
 
@@ -83,6 +87,7 @@ class ClosedSpace:
     Args:
         problem: whose limits count.
         tasks: held at time t [s].
+        threads: that bring configurations to the manifold; their number changes no result.
 
     Attributes:
         room: the position limits.
@@ -93,7 +98,9 @@ class ClosedSpace:
         CoopqpError: the kernel is not built, or cannot do such joints or tasks.
     """
 
-    def __init__(self, problem: ControlProblem, tasks: Sequence[Task] = (), t: float = 0.0) -> None:
+    def __init__(
+        self, problem: ControlProblem, tasks: Sequence[Task] = (), t: float = 0.0, threads: int = 1
+    ) -> None:
         chain = self.chain = problem.chain
         found, model = native.module(), chain.once(flat_model)
         if found is None or model is None:
@@ -101,17 +108,17 @@ class ClosedSpace:
             raise CoopqpError(f"ways are searched for by the compiled kernel: {why}")
         tasks = tuple(task.at_goal() for task in tasks)  # the kernel has not every profile
         self._tasks, self._t = tasks, t
-        self.room = Room(problem)
+        programs = self.programs = [limit.program(chain, problem.dt) for limit in problem.limits]
+        self.room = Room(problem, programs)
         self.lower = np.maximum(self.room.lower, -LARGE)
         self.upper = np.minimum(self.room.upper, LARGE)
-        programs = self.programs = [limit.program(chain, problem.dt) for limit in problem.limits]
         distances = [program for program in programs if isinstance(program, DistanceBounds)]
         self._apart = FreeSpace(chain, distances)
         self._others = others(problem, programs)
         levels = Levels([Group((), hard=tasks)], Programs(State(chain)))
         if not levels.compiled or levels.arriving or levels.followed:
             raise CoopqpError("\n".join(filter(None, (_unfit(chain, task) for task in tasks))))
-        self._engine = found.Planner({
+        flat = {
             "model": model,
             "kept": kept_rows(chain),
             "rank": float(chain.loops.rank),
@@ -121,7 +128,9 @@ class ClosedSpace:
             "t": float(t),
             "lower": self.lower,
             "upper": self.upper,
-        })  # fmt: skip
+        }
+        self._engines = [found.Planner(flat) for _ in range(threads)]
+        self._map: Any = ThreadPoolExecutor(threads).map if threads > 1 else map
 
     def sample(self, rng: np.random.Generator, count: int) -> Array:
         """Random configurations inside the joint limits, loops not closed, shape (count, n)."""
@@ -130,7 +139,12 @@ class ClosedSpace:
     def project(self, q: Array, steps: int = STEPS) -> NDArray[np.bool_]:
         """Bring each row of q (N, n) to the manifold, in place; whether each is there."""
         closed = np.zeros(len(q), np.uint8)
-        self._engine.project(q, closed, steps)
+        ends = np.linspace(0, len(q), len(self._engines) + 1).astype(int).tolist()
+
+        def bring(engine: Any, first: int, end: int) -> None:
+            engine.project(q[first:end], closed[first:end], steps)
+
+        list(self._map(bring, self._engines, ends, ends[1:]))
         return closed.view(np.bool_)
 
     def is_free(self, q: Array) -> NDArray[np.bool_]:
@@ -146,9 +160,12 @@ class ClosedSpace:
         ``wait`` is called ten times a second and ends the search by raising.
         """
         low, high = self._sampled()
-        made = self._engine.find(
+        made = self._engines[0].find(
             {
-                **{name: float(getattr(budget, name)) for name in ("step", "fine", "seconds")},
+                **{
+                    name: float(getattr(budget, name))
+                    for name in ("step", "fine", "seconds", "most")
+                },
                 "range": budget.reach,
                 "seed": int(budget.seed) % 2**64,  # the kernel's word; any number is a seed
                 "shortcuts": float(budget.shortcuts),

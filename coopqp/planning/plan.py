@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -15,7 +16,7 @@ from coopqp.base.table import csv_text
 from coopqp.base.wording import counted
 from coopqp.controller import ControlProblem
 from coopqp.planning.closed_space import Budget, ClosedSpace, Path
-from coopqp.planning.reach import MOST, PROVEN, Goals, Progress, explained, too_far
+from coopqp.planning.reach import MOST, PROVEN, Goals, Progress, explained, need_a_place, too_far
 from coopqp.planning.timing import timed
 from coopqp.planning.turns import CUT_OFF, cut_off
 from coopqp.planning.verification import Verification, Verifier, lengths
@@ -30,8 +31,10 @@ from coopqp.task import Task
 CLOSE = 0.005
 #: Distance at which a path is looked at a second time, a tenth of a tree's step.
 VERIFIED = 0.01
-#: Goal configurations that are searched for; to the nearest to the start alone goes half the time.
+#: Goal configurations that are searched for; to the nearest to the start every other search goes.
 GOALS, NEAREST = 48, 12
+#: How often others are looked for after a search without a way (:meth:`Goals.look`).
+MORE = 8
 #: Goals nearer to a joint's limit are planned to where there are not enough others [rad, m].
 OFF = 0.05
 #: How often a phase is planned anew where no way leads on from where it ended.
@@ -123,6 +126,8 @@ def plan(
     problem, t = scenario.problem(), scenario.schedule[0].duration
     if scenario.phases and goals is None:
         return _joined(scenario, _through(scenario, keep, budget, progress))
+    if goals is None:
+        need_a_place(problem)
     return Planner(problem, t, keep).plan(budget, goals, progress)
 
 
@@ -183,10 +188,11 @@ def way_round(
 ) -> RunExplanation:
     """The explanation of a blocked run, and whether a plan from the start leads to its goal.
 
-    Tried so long, where a configuration is known at the goal and a run may follow a plan. ``named``
-    is what the command line calls the scenario.
+    Tried so long, where limits are in the way or a configuration is known at the goal, and a run
+    may follow a plan. ``named`` is what the command line calls the scenario.
     """
-    if not found.elsewhere or any(phase.leads for phase in scenario.phases):
+    tried = found.elsewhere or found.kind == "limits"
+    if not tried or any(phase.leads for phase in scenario.phases):
         return found
     command = f"coopqp plan {named}"
     try:
@@ -194,8 +200,7 @@ def way_round(
     except CoopqpError as error:
         return replace(found, sentence=f"{found.sentence}; {command} cannot help: {error}")
     took = f"{sum(way.seconds.values()):.2g} s, {way.length:.3g} rad"
-    none = f"no way round was found in {seconds:g} s, which proves nothing"
-    words = f"{command}: {f'a way round was found in {took}' if way.found else none}"
+    words = f"{command}: {f'a way round was found in {took}' if way.found else way.sentence}"
     return replace(found, sentence=f"{found.sentence}; {words}", way_round=way.found)
 
 
@@ -207,6 +212,7 @@ class Planner:
         kept = _kept(problem, keep)
         self.space = ClosedSpace(problem, kept, t)
         room, programs = self.space.room, self.space.programs
+        self._looked: Goals | None = None
         self.verifier = Verifier(problem, room.lower, room.upper, programs)
         self._check_start(kept)
 
@@ -252,23 +258,23 @@ class Planner:
         took["goals"] = time.perf_counter() - begun
         if not len(ends):
             return self._nothing(why, took)
-        path, seen = None, None
-        seed, near = budget.seed, ends if goals is not None else ends[:NEAREST]
+        path, seen, near = None, None, ends
 
         def wait() -> None:
             progress(min((time.perf_counter() - begun) / budget.seconds, 1.0))
 
-        while (left := budget.seconds - (time.perf_counter() - begun)) > 0.0:
+        for turn in itertools.count():
             at = time.perf_counter()
-            further = len(near) < len(ends)
-            now = replace(budget, seconds=0.5 * left if further else left, seed=seed)
+            if (left := budget.seconds - (at - begun)) <= 0.0:
+                break
+            near = ends if goals is not None or turn % 2 else ends[:NEAREST]
+            most = budget.most << min(turn // 2, 16)  # some trees grow long, others meet early
+            now = replace(budget, seconds=left, seed=budget.seed + turn, most=most)
             path = self.space.way(self._start(), near, now, wait)
             q = self._close(path.q)
             took["search"] = took.get("search", 0.0) + time.perf_counter() - at
-            if not len(q) and not further:
-                break
             if not len(q):
-                near = ends
+                ends = self._more(ends)
                 continue
             at = time.perf_counter()
             seen = self.verifier.look(q, VERIFIED)
@@ -276,11 +282,10 @@ class Planner:
             if seen.good:
                 return self._found(path, q, seen, len(near), took)
             # What the finer look has seen, the next search looks for as finely.
-            seed += 1
             budget = replace(budget, fine=0.5 * budget.fine)
         more = f"; the last path failed the second look: {seen.words}" if seen else ""
         tried = f"not found in {time.perf_counter() - begun:.1f} s"
-        to = f"no path to any of {counted(len(near), 'goal configuration')}"
+        to = f"no path to any of {counted(len(ends), 'goal configuration')}"
         return self._nothing(
             f"{tried}: {to}; that proves nothing, more time may do{more}", took, path
         )
@@ -291,7 +296,7 @@ class Planner:
         return q
 
     def _goals(self, budget: Budget, given: ArrayLike | None, begun: float) -> tuple[Array, str]:
-        """Goal configurations, the nearest that are off the joints' limits first, or why none."""
+        """Goal configurations in the order of :meth:`_ordered`, or why there are none."""
         n = self.chain.n
         if given is not None:
             q = self._given(np.atleast_2d(np.array(given, float)))
@@ -300,6 +305,7 @@ class Planner:
         if proof := too_far(self.problem, self._t):
             return np.zeros((0, n)), proof
         goals, why = Goals(self.problem, self._t, budget.seed), ""
+        self._looked = goals
         while len(goals.found) < GOALS and goals.tried < MOST:
             goals.look()
             if (gone := time.perf_counter() - begun) > 0.5 * budget.seconds:
@@ -317,13 +323,26 @@ class Planner:
                 )
                 why = f"not found: {all_of_them} are where no motion leads: {CUT_OFF}"
             return np.zeros((0, n)), why
+        lost = "no goal configuration keeps the tasks that are to be kept"
+        ends = self._ordered(goals)
+        return ends, "" if len(ends) else lost
+
+    def _more(self, ends: Array) -> Array:
+        """Look for further goals: those that are known may be where no way from here leads."""
+        if not self._looked:
+            return ends
+        for _ in range(MORE):
+            self._looked.look()
+        return self._ordered(self._looked)
+
+    def _ordered(self, goals: Goals) -> Array:
+        """Those that keep what is to be kept, the nearest that are off the joints' limits first."""
         found = np.array(goals.found)
         found = found[self._holds(found)]
         away = np.linalg.norm(found - self.chain.q_start, axis=1)
         room = self.space.room
         margin = np.minimum(found - room.lower, room.upper - found).min(axis=1, initial=OFF)
-        lost = "no goal configuration keeps the tasks that are to be kept"
-        return found[np.lexsort((away, margin < OFF))], "" if len(found) else lost
+        return np.asarray(found[np.lexsort((away, margin < OFF))], float)
 
     def _holds(self, q: Array) -> NDArray[np.bool_]:
         """Whether configurations are on the manifold of the tasks that are kept."""
@@ -396,7 +415,7 @@ class Planner:
 
 def _kept(problem: ControlProblem, names: Sequence[str]) -> tuple[Task, ...]:
     """The tasks of these names; errors where one does not exist, or is no place."""
-    tasks = {task.name: task for task in placed(problem.tasks, problem.chain)}
+    tasks = {task.name: task for task in placed(problem.tasks, problem.chain)} if names else {}
     for name in names:
         if name not in tasks:
             raise UnknownNameError("task with a place", name, list(tasks), "keep: ")

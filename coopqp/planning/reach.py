@@ -11,6 +11,7 @@ joint that most changes the distance of hand and base, lengthens the arm.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -92,32 +93,24 @@ class Reach:
 
 
 def reach(
-    scenario: Scenario, *, seed: int | None = None, progress: Progress = lambda share: None
-) -> Reach:
+    scenario: Scenario, *, seed: int | None = None, progress: Progress = lambda share: None,
+    threads: int = 0,
+) -> Reach:  # fmt: skip
     """Look for closed configurations inside the limits that meet a scenario's tasks at their goals.
 
     Of a scenario with phases the first counts. ``seed`` is of the random starts, the scenario's
-    when omitted.
+    when omitted. As many ``threads`` bring these to the manifold, all cores when 0; their number
+    changes no answer.
 
     Raises:
         CoopqpError: no task asks for a place, or the kernel is not built.
     """
     problem, t = scenario.problem(), scenario.schedule[0].duration
-    return look(problem, t, scenario.seed if seed is None else seed, progress)
-
-
-def look(
-    problem: ControlProblem, t: float, seed: int, progress: Progress = lambda share: None
-) -> Reach:
-    """The same of a problem, whose tasks are to be met at t [s]."""
-    chain = problem.chain
-    tasks = placed(problem.tasks, chain)
-    if not tasks:
-        with under("tasks"):
-            raise InvalidValueError("no task asks for a place, so there is nothing to reach")
+    seed = scenario.seed if seed is None else seed
+    need_a_place(problem)
     if proof := too_far(problem, t):
         return Reach((), True, proof)
-    goals = Goals(problem, t, seed)
+    goals = Goals(problem, t, seed, threads or os.cpu_count() or 1)
     for _ in range(MOST // BATCH):
         goals.look()
         progress(max(goals.tried / MOST, min(len(goals.found) / ENOUGH, goals.tried / LEAST)))
@@ -135,6 +128,13 @@ def look(
     return explained(goals, progress)
 
 
+def need_a_place(problem: ControlProblem) -> None:
+    """Raise an InvalidValueError where no task has a place, as where all ask for velocities."""
+    if not placed(problem.tasks, problem.chain):
+        with under("tasks"):
+            raise InvalidValueError("no task asks for a place, so there is nothing to reach")
+
+
 class Goals:
     """Closed, free configurations at which a problem's tasks are met at t [s], as they are found.
 
@@ -146,9 +146,9 @@ class Goals:
         tried: random starts so far.
     """
 
-    def __init__(self, problem: ControlProblem, t: float, seed: int) -> None:
+    def __init__(self, problem: ControlProblem, t: float, seed: int, threads: int = 1) -> None:
         self.goal = Goal(problem.chain, placed(problem.tasks, problem.chain), t)
-        self.space = ClosedSpace(problem, self.goal.tasks, t)
+        self.space = ClosedSpace(problem, self.goal.tasks, t, threads)
         self.found: list[Array] = []
         self.cut_off: list[Array] = []
         self.lost: list[Bound] = []
@@ -157,9 +157,9 @@ class Goals:
         self._rng = seeded(seed)
 
     def look(self) -> None:
-        """Try the start and random configurations near it, then those anywhere."""
+        """Try random configurations, in turns from the start to half the way there and anywhere."""
         q = self.space.sample(self._rng, BATCH)
-        if not self.tried:
+        if not self.tried // BATCH % 2:
             start, share = self.space.chain.q_start, np.linspace(0.0, 0.5, BATCH)[:, None]
             q = start + share * (q - start)
         self.tried += len(q)

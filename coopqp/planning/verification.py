@@ -86,20 +86,25 @@ class Verifier:
 
     def look(self, q: Array, every: float) -> Verification:
         """Look at a path q, shape (K, n), each so many radians or metres."""
-        points = along(q, every)
-        looped = points if self._chain.loops.closed else points[:0]
-        errors = [np.abs(self._chain.loop_error(row)).max() for row in looped]
+        points, hits, carried = along(q, every), 0, list[list[Array]]()
+        model, frames = self._chain.model, self._chain.frames[: self._chain.holding]
+        for row in points:
+            hits += not self.free(row)
+            placed = (pin.updateFramePlacement(model, self._data, frame) for frame in frames)
+            carried.append([X.homogeneous for X in placed])
+        X = np.array(carried)
+        turned = np.linalg.norm(X[:, 1:, :3, :3] - X[:, :1, :3, :3], axis=(2, 3)) / np.sqrt(8.0)
+        apart = np.linalg.norm(X[:, 1:, :3, 3] - X[:, :1, :3, 3], axis=2).max(initial=0.0)
+        opened = max(apart, 2.0 * np.arcsin(np.minimum(turned, 1.0)).max(initial=0.0))
         beyond = np.maximum(points - self._upper, self._lower - points).max(initial=0.0)
-        hits = sum(not self.free(row) for row in points)
-        return Verification(
-            len(points), float(max(errors, default=0.0)), float(max(beyond, 0.0)), hits
-        )
+        return Verification(len(points), float(opened), float(beyond), hits)
 
     def free(self, q: Array) -> bool:
         """Whether the limits in space are kept at q."""
-        if self._manager is not None and pin.computeCollisions(
-            self._chain.model, self._data, self._manager, q, True
-        ):
+        model, data = self._chain.model, self._data
+        if self._manager is None:
+            pin.forwardKinematics(model, data, q)
+        elif pin.computeCollisions(model, data, self._manager, q, True):
             return False
         return self._others is None or self._others(q)
 

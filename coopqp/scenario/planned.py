@@ -16,12 +16,13 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 import coopqp
+from coopqp.assessment.limits import audit
 from coopqp.base.errors import InvalidValueError, UnknownNameError, under
 from coopqp.base.reading import FilePath
 from coopqp.base.spec import Array, Name, NonNegative, Positive, spec
 from coopqp.base.table import Table, read_table
 from coopqp.closed_loop.grasp_matrix import COMPONENTS
-from coopqp.controller import Controller
+from coopqp.controller import Controller, ControlProblem
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.scenario.scenario import Phase, Scenario
 from coopqp.signal import POSE, quaternion_of
@@ -39,6 +40,12 @@ PHASE, CLOCK = "phase", "way"
 NEAR = 1e-3
 #: A joint this many times as fast as it can be has jumped.
 FAST = 2.0
+#: A row so many times later than usual comes after missing ones. Who comes to rest within a tick or
+#: two takes a last step that is shorter than this share of the one before.
+MISSING, SLOWER = 1.5, 0.7
+#: By how much a path may be beyond a limit of place or speed, whose units these are, as the spline
+#: of a timed one is beside a limit that it goes along; of distances one row of so many is looked at.
+BEYOND, OF_SPEED, COARSE = 1e-3, ("m", "rad", "m/s", "rad/s"), 10
 
 
 class Way(NamedTuple):
@@ -60,7 +67,7 @@ class Followed:
     """A plan that is followed."""
 
     plan: FilePath | Literal[True]
-    """The file that coopqp plan has written; or true, to find a way when the scenario is read."""
+    """The file that coopqp plan or time has written; or true, to find a way when this is read."""
     keep: tuple[Name, ...] = ()
     """Names of tasks that are met at the start and stay so along the way, as hard tasks."""
     by: tuple[Name, ...] = ()
@@ -69,7 +76,7 @@ class Followed:
     seconds: Positive = 10.0
     """Time within which it is found, where plan is true [s]."""
     late: NonNegative = 2.0
-    """How much later than planned each way may end, as where the joints are pushed off it [s]."""
+    """How much longer than planned each way lasts, for joints that are pushed off it [s]."""
 
 
 def following(scenario: Scenario, followed: Followed) -> Scenario:
@@ -166,7 +173,8 @@ def _ways(scenario: Scenario, table: Table) -> Iterator[Way]:
         if k:
             chain = chain.handed_over(before[-1], scenario.schedule[k].released)
         before = q[rows]
-        if wrong := _damaged(chain, t[rows], before, X[rows]):
+        problem = scenario.problem(scenario.schedule[k], chain)
+        if wrong := _damaged(chain, t[rows], before, X[rows]) or _beyond(problem, t[rows], before):
             raise InvalidValueError(f"{table.path}: {wrong}; plan the way anew")
         pair = chain.holding == 2 and set(COMPONENTS) <= set(table.columns)
         wrench = table.take(COMPONENTS if pair else ())
@@ -184,16 +192,38 @@ def rows_of_phases(table: Table, phases: int) -> list[slice]:
 
 
 def _damaged(chain: ClosedChain, t: Array, q: Array, X: Array) -> str:
-    """Where joints jump, or the object is elsewhere than they hold it; empty if nowhere."""
+    """Where rows are missing, joints jump, or the object is not held there; empty if nowhere."""
+    (late,) = np.nonzero(np.diff(t) > MISSING * np.median(np.diff(t)))
+    if len(late):
+        return f"rows are missing between {t[late[0]]:.3f} and {t[late[0] + 1]:.3f} s"
     most = np.where(chain.velocity > 0.0, chain.velocity, np.inf)
     jumps = np.abs(np.diff(q, axis=0)) > FAST * most * np.diff(t)[:, None]
     if jumps.any():
         i, joint = np.argwhere(jumps)[0]
         return f"{chain.joint_names[joint]} jumps at {t[i]:.3f} s"
+    step = np.abs(np.diff(q, axis=0)).max(axis=1)
+    if len(step) > 2 and step[-1] > max(SLOWER * step[-2], NEAR):
+        return f"it still moves where it ends at {t[-1]:.3f} s, as if its last rows were cut off"
     for at, row, x in zip(t, q, X, strict=True):
+        opened = np.abs(chain.loop_error(row)).max() if chain.loops.closed else 0.0
+        if opened > NEAR:
+            return f"a loop is open by {opened:.2g} m or rad at {at:.3f} s"
         pose = chain.object_pose(row)
         turned, said = quaternion_of(pose.rotation), x[3:] / np.linalg.norm(x[3:])
         apart = min(np.abs(turned - said).max(), np.abs(turned + said).max())
         if max(np.abs(pose.translation - x[:3]).max(), apart) > NEAR:
             return f"the object is not where the joints hold it at {at:.3f} s"
+    return ""
+
+
+def _beyond(problem: ControlProblem, t: Array, q: Array) -> str:
+    """Which limit, that may be tighter than when the way was planned, it breaks; empty if none."""
+    for limit in problem.limits if len(q) > 1 else ():
+        every = COARSE if limit.clearance(problem.chain) else 1  # distances take their time
+        at, rows = t[::-every][::-1], q[::-every][::-1]
+        v = np.diff(rows, axis=0) / np.diff(at)[:, None]
+        for row, margin in audit([limit], problem.chain, rows, v, problem.dt).margins.items():
+            if row.unit in OF_SPEED and len(v) and (least := float(margin.min())) < -BEYOND:
+                place = f"at {at[int(margin.argmin()) + 1]:.3f} s"
+                return f"{row.words} is broken by {-least:.2g} {row.unit} {place}"
     return ""

@@ -356,12 +356,20 @@ class Scenario:
         )
 
     def _away(self, phase: Phase) -> tuple[str, ...]:
-        """Arms that are released in a phase, the one before and the one after."""
-        for i, one in enumerate(self.schedule):
-            if one is phase or (phase.name and one.name == phase.name):
-                near = self.schedule[max(0, i - 1) : i + 2]
-                return tuple(a for a in phase.released if all(a in x.released for x in near))
-        return ()
+        """Arms that are released in a phase, the one before and the one after.
+
+        A phase and the planned way to it are one.
+        """
+        parts: list[list[Phase]] = [[]]
+        for one in self.schedule:
+            parts[-1].append(one)
+            if not one.leads:
+                parts.append([])
+        own = [i for i, part in enumerate(parts) if any(one.name == phase.name for one in part)]
+        if not own:
+            return ()
+        near = [one for part in parts[max(0, own[0] - 1) : own[0] + 2] for one in part]
+        return tuple(a for a in phase.released if all(a in one.released for one in near))
 
     def simulated(self, problem: ControlProblem) -> PlantModel:
         """The plant of one of its problems, with the faults of sensors and motors."""

@@ -33,7 +33,7 @@ def found(scenario: Scenario, snapshot: Snapshot) -> Way:
     """A way from where the arms are to where the tasks are met with their inputs at the targets."""
     try:
         problem = problem_of(scenario, snapshot)
-        q = _inside(problem, snapshot.q, scenario.seed)
+        q = inside(problem, snapshot.q, scenario.seed)
         chain = problem.chain.handed_over(q, problem.chain.hold.released)
         tasks = tuple(at_targets(task, snapshot.targets) for task in problem.tasks)
         planner = Planner(replace(problem, chain=chain, tasks=tasks), snapshot.t)
@@ -44,20 +44,17 @@ def found(scenario: Scenario, snapshot: Snapshot) -> Way:
         return Way(f"no way round was found in {SECONDS:g} s, which proves nothing")
     took = f"{sum(made.seconds.values()):.2g} s, {made.length:.3g} rad"
     words = f"a way round was found in {took}: Go round follows it"
-    one = len(made.t) == 1  # it is there already
-    t, q, X = (np.repeat(x, 1 + one, axis=0) for x in (made.t, made.timed, made.object))
-    return Way(words, t + one * scenario.dt * np.arange(len(t)), q, X)
+    return Way(words, made.t, made.timed, made.object)
 
 
-def _inside(problem: ControlProblem, q: Array, seed: int) -> Array:
+def inside(problem: ControlProblem, q: Array, seed: int) -> Array:
     """The nearest configuration found that is off the limits, on which those who are stuck lie."""
     space, rng = ClosedSpace(problem), np.random.default_rng(seed)
     for size in NEAR:
         near = q + size * rng.standard_normal((TRIES, len(q)))
         np.clip(near, space.lower, space.upper, out=near)
         near = near[space.project(near)]
-        inside = ((near >= space.lower) & (near <= space.upper)).all(axis=1)
-        near = near[inside & space.is_free(near)]
+        near = near[space.is_free(near)]
         if len(near):
             return np.asarray(near[np.linalg.norm(near - q, axis=1).argmin()], float)
     return q

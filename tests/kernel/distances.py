@@ -35,7 +35,7 @@ from watched_bodies import robots
 
 from coopqp.base.spec import Array
 from coopqp.kernel import native
-from coopqp.kernel.free_space import KNOWN, FreeSpace, Told
+from coopqp.kernel.free_space import FreeSpace, Told
 from coopqp.limit import DistanceBounds
 from coopqp.limits import SelfCollision
 from coopqp.limits._distances import _hull_of, of_capsule, of_shape
@@ -43,10 +43,17 @@ from coopqp.limits._keep_apart import distances_along
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.robot import Capsule, Convex, Form, Shape
 
+KNOWN = 1e-7  # two bounds of a distance differ by no more where it is known [m], as in apart.hpp
 OFF = 1e-5  # from coal's distance [m]
 TOUCHES = 5e-6  # what coal calls so deep may be apart [m]
 TILTS = (0.0, 1e-12, 1e-9, 1e-6, 1e-3, None)  # of parallel faces [rad]; None: any
 AT_ONCE = 500  # adverse cases
+
+
+def known(found: Array) -> Array:
+    """Distances of what a :class:`FreeSpace` has measured; NaN of bodies that are in each other."""
+    measured = (found[:, 0] == Told.MEASURED) & (found[:, 2] <= KNOWN)
+    return np.where(measured, found[:, 1], np.nan)
 
 
 @dataclass

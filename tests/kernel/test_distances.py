@@ -14,7 +14,7 @@ from coopqp.kernel.free_space import FreeSpace, Told
 from coopqp.limits import Obstacles, SelfCollision
 from coopqp.limits._keep_apart import distances_along
 from coopqp.scenario.loader import load
-from tests.kernel.distances import OFF, adverse, of_cases, of_robot
+from tests.kernel.distances import OFF, adverse, known, of_cases, of_robot
 
 pytestmark = [needs_kernel, needs_robots]
 
@@ -54,7 +54,7 @@ def test_configurations_are_free_that_coal_calls_free() -> None:
             assert np.array_equal(free[clear], left[clear] > 0.0)
     assert 0 < np.count_nonzero(left > 0.0) < len(q)
     for row, least in zip(q, left, strict=True):
-        d = space.distances(row)
+        d = known(space.measure(row))
         assert len(d) == sum(len(limit._pairs(chain)) for limit in limits)
         assert np.isnan(d).any() or d.min() == pytest.approx(least + 0.01, abs=OFF)
 
@@ -65,7 +65,7 @@ def test_garbage_is_not_free() -> None:
     q = np.tile(chain.q_start, (3, 1))
     q[1, 0], q[2, 3] = np.nan, np.inf
     assert space.is_free(q).tolist() == [True, False, False]
-    assert np.isnan(space.distances(q[1])).any()
+    assert np.isnan(known(space.measure(q[1]))).any()
 
 
 @pytest.mark.parametrize("name", ["two_so101", "baxter_tray"])

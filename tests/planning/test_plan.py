@@ -286,7 +286,8 @@ def _check_way_round(scenario: Scenario, blocked: RunExplanation) -> None:
     assert said.sentence.startswith(f"{blocked.sentence}; coopqp plan FILE: a way round was found")
     said = way_round(scenario, blocked, "FILE", seconds=1e-9)
     assert said.way_round is False
-    assert said.sentence.endswith("no way round was found in 1e-09 s, which proves nothing")
+    assert "coopqp plan FILE: not found in" in said.sentence
+    assert said.sentence.endswith("that proves nothing, more time may do")
     said = way_round(load("pr2_circle"), blocked, "FILE")
     assert said.way_round is None
     assert "coopqp plan FILE cannot help: tasks: round: its goal moves by a signal" in said.sentence

@@ -29,6 +29,7 @@ class Obstruction {
 struct Search {
     double step, fine, range;  // of a look in trees and on paths, of a branch [rad, m]
     double seconds;
+    long most;  // projections, after which trees do not grow any more
     std::uint64_t seed;
     int shortcuts;                           // tries
     std::vector<double> low, high;           // where samples are taken
@@ -56,6 +57,7 @@ class Way {
             const Points& roots = side ? goals : starts;
             for (std::size_t at = 0; at < roots.size(); at += std::size_t(n_))
                 trees[side].add(&roots[at], n_, -1, true);
+            trees[side].roots = int(trees[side].parent.size());
         }
         found_ = {};
         if (!straight(trees)) grow(trees);
@@ -76,12 +78,15 @@ class Way {
     static constexpr double WHOLE = 0.5, JOINTS = 0.2;  // shares of shortcuts, of joints in others
     static constexpr int PASSES = 10;        // of smoothing
     static constexpr double RELAXED = 1.2;   // of a step to the middle
+    static constexpr double ROUND = 0.5;     // share of samples round a start and a goal
+    static constexpr double BESIDE = 1.0;    // how far beside them [rad, m]
     static constexpr double LEAST = 1.0 / 16;  // share of a step below which none is tried
 
     struct Tree {
         Points q;
         std::vector<int> parent, nodes;  // nodes: those that branches begin at
         std::vector<char> dead;
+        int roots = 0;
 
         int add(const double* at, int n, int from, bool node) {
             q.insert(q.end(), at, at + n);
@@ -178,13 +183,10 @@ class Way {
 
     void grow(Tree* trees) {
         Points target(static_cast<std::size_t>(n_));
-        for (int turn = 0; !late(); turn++) {
+        for (int turn = 0; !late() && found_.projections < s_.most; turn++) {
             Tree &one = trees[turn % 2], &other = trees[1 - turn % 2];
             const std::vector<char>& chart = s_.charts[std::size_t(random(int(s_.charts.size())))];
-            for (int j = 0; j < n_; j++) {
-                const auto at = std::size_t(j);
-                target[at] = s_.low[at] + random() * (s_.high[at] - s_.low[at]);
-            }
+            sample(trees, target.data());
             const int from = nearest(one, target.data(), chart);
             if (from < 0) return;
             const int to = extend(one, from, target.data(), chart, s_.range);
@@ -195,6 +197,25 @@ class Way {
             const int met = extend(other, near, there.data(), chart, 1e9);
             if (apart(other.at(met, n_), there.data()) > SAME) continue;
             if (joined(trees, turn % 2 ? met : to, turn % 2 ? to : met)) return;
+        }
+    }
+
+    // Anywhere inside the limits, or round a start and a goal: many joints may turn so far that what
+    // lies between them is next to nothing of that.
+    void sample(const Tree* trees, double* to) {
+        const bool round = random() < ROUND;
+        const double *a = nullptr, *b = nullptr;
+        if (round) {
+            a = trees[0].at(random(trees[0].roots), n_);
+            b = trees[1].at(random(trees[1].roots), n_);
+        }
+        for (int j = 0; j < n_; j++) {
+            double low = s_.low[std::size_t(j)], high = s_.high[std::size_t(j)];
+            if (round) {
+                low = std::max(low, std::min(a[j], b[j]) - BESIDE);
+                high = std::min(high, std::max(a[j], b[j]) + BESIDE);
+            }
+            to[j] = low + random() * (high - low);
         }
     }
 

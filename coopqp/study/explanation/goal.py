@@ -34,7 +34,7 @@ from coopqp.assessment.thresholds import within
 from coopqp.base.qp import Row
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
-from coopqp.limit import Clearance, Limit, LimitRows
+from coopqp.limit import Clearance, DistanceBounds, Limit, LimitRows, Program
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.scenario.bounded_steps import BoundedSteps, Stop
@@ -49,7 +49,7 @@ IDLE = 0.01
 
 
 class Room:
-    """The position limits of a problem.
+    """The position limits of a problem, with the programs of the limits where these are known.
 
     Attributes:
         lower, upper: of the joints, infinite without limits, shape (n,) [rad, m].
@@ -58,23 +58,20 @@ class Room:
         owners: index into ``limits`` of each of these rows.
     """
 
-    def __init__(self, problem: ControlProblem) -> None:
+    def __init__(self, problem: ControlProblem, programs: Sequence[Program | None] = ()) -> None:
         chain = self.chain = problem.chain
         self._dt = problem.dt
         self.lower, self.upper = np.full(chain.n, -np.inf), np.full(chain.n, np.inf)
         self.sides: dict[tuple[int, str], Row] = {}
         self.limits: list[Limit] = []
-        self._left: list[Clearance] = []
         self._state = State(chain)
         self._kept: tuple[Array, Array, Array] | None = None
-        for limit in problem.limits:
-            self._add(limit)
+        for limit, program in itertools.zip_longest(problem.limits, programs):
+            self._add(limit, program)
 
-    def _add(self, limit: Limit) -> None:
-        left = limit.clearance(self.chain)
-        if left is not None:
+    def _add(self, limit: Limit, program: Program | None) -> None:
+        if isinstance(program, DistanceBounds) or limit.clearance(self.chain) is not None:
             self.limits.append(limit)
-            self._left.append(left)
             return
         q, v = np.vstack([self.chain.q_start] * 2), np.zeros((1, self.chain.n))
         for row, margin in audit([limit], self.chain, q, v, self._dt).margins.items():
@@ -91,6 +88,10 @@ class Room:
             # Two limits of one place, such as braking before a stop, are one to people.
             label = row.label.rpartition(" of ")[2]
             self.sides[i, str(row.side)] = replace(row, label=label)
+
+    @cached_property
+    def _left(self) -> list[Clearance]:
+        return [left for limit in self.limits if (left := limit.clearance(self.chain))]
 
     @cached_property
     def _rows(self) -> list[tuple[Row, ...]]:
