@@ -38,10 +38,11 @@ from coopqp.kernel.trajectory_evaluation import joint_points
 from coopqp.limit import Limit
 from coopqp.limits import JointPosition, JointVelocity, SelfCollision
 from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.profile import Profile
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Budget
 from coopqp.solvers import Daqp
-from coopqp.tasks import MinimumVelocity
+from coopqp.tasks import MinimumVelocity, Posture
 
 #: A law keeps so much more of a distance than is checked, for what linear rows leave out [m].
 SLACK = 1e-3
@@ -293,10 +294,25 @@ class ChunkFilter:
             taken = (now.copy() if taken is None else taken) if holds else None
             if taken is not None:
                 self._kernel.take_hold(taken)
-            rows = found.q[a:b], found.before[a:b], flags[a:b], found.opened[a:b]
-            self._kernel.follow(told[a:b], now, *rows, holds, recorded, rounding)
+            while a < b:
+                rows = found.q[a:b], found.before[a:b], flags[a:b], found.opened[a:b]
+                a += self._kernel.follow(told[a:b], now, *rows, holds, recorded, rounding)
+                if a < b:
+                    found.q[a] = now[:] = self._apart(now, told[a], taken)
+                    a += 1
         changed |= ~np.isfinite(x).all(axis=1)
         return found, taken
+
+    def _apart(self, q: Array, x: Array, taken: Array | None) -> Array:
+        """A frame after q towards x by the plain law, which sees how deep bodies are."""
+        chain = self._chain if taken is None else self._chain.handed_over(taken)
+        goal = np.clip(x, self.lower, self.upper).tolist()
+        task = Posture(goal=goal, gain=self.settings.fps, profile=Profile(kind="step"))
+        problem = replace(self._laws[0].problem, chain=chain, tasks=(task,))
+        law = QPController(damping=1e-9, error_damping=0.0).plain(problem)
+        state = law.start()
+        state.q[:] = q
+        return np.asarray(q + problem.dt * law.tick(state).v)
 
     def _found(
         self, chunk: Any, given: Array, grips: Array, found: _Followed, holding: NDArray[np.bool_]

@@ -268,9 +268,9 @@ class Engine {
     }
 
     // Where joints are a tick after q that go towards x, with the loops left open by gap; q itself
-    // where there is no answer. Of one task of least velocity. about: where they will be at about;
+    // where there is no answer, which is told. Of one task of least velocity. about: where they will be at about;
     // null: only bodies that are near by now count.
-    void toward(const double* q, const double* x, const double* gap, const double* about, double* to) {
+    bool toward(const double* q, const double* x, const double* gap, const double* about, double* to) {
         const auto& m = kernel_->model();
         const double dt = kernel_->settings().dt;
         for (std::size_t j = 0; j < m.joints.size(); j++) {
@@ -291,6 +291,7 @@ class Engine {
         const double* v = kernel_->bound.v;
         for (std::size_t j = 0; j < m.joints.size(); j++)
             to[j] = q_now_[j] + (is_answer(status) ? dt * v[j] : 0.0);
+        return is_answer(status);
     }
 
     coopqp::Kernel& kernel() { return *kernel_; }

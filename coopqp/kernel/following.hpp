@@ -32,8 +32,9 @@ class Following {
     // Frames x, (N, n), all of them numbers, from q on, which becomes the last. Written: where joints
     // are after each, and before it; whether that is not as asked; how far what is asked opens the
     // loop [m], 0 where it does not. recorded: each is asked from the frame before as it is given.
-    // rounding: what frames may have of it. With the GIL held, which keeps other threads out.
-    void follow(const Numbers& x, const Written& q, const Written& found, const Written& before,
+    // rounding: what frames may have of it. Returns how many were done, up to one in which bodies are
+    // in each other and no law here has an answer. With the GIL held, which keeps other threads out.
+    std::size_t follow(const Numbers& x, const Written& q, const Written& found, const Written& before,
                 const Said& changed, const Written& opened, bool holds, bool recorded,
                 double rounding) {
         double* now = q.data();
@@ -45,9 +46,10 @@ class Following {
             const bool fine = opened.data()[k] == 0.0 && reaches(now, asked, rounding) && goes(now, asked);
             changed.data()[k] = !fine;
             std::copy_n(asked, n_, to);
-            if (!fine && !recorded) go_near(now, asked, holds ? gap : nullptr, to);
+            if (!fine && !recorded && !go_near(now, asked, holds ? gap : nullptr, to)) return k;
             std::copy_n(to, n_, now);
         }
+        return changed.size();
     }
 
   private:
@@ -100,8 +102,9 @@ class Following {
         return way_.data();
     }
 
-    // Where a frame's step leads from q towards x; gap: of arms that hold.
-    void go_near(const double* q, const double* x, const double* gap, double* to) {
+    // Where a frame's step leads from q towards x; gap: of arms that hold. False where bodies are in
+    // each other, and no law says how to go on.
+    bool go_near(const double* q, const double* x, const double* gap, double* to) {
         for (std::size_t j = 0; j < n_; j++) x_[j] = std::min(std::max(x[j], lower_[j]), upper_[j]);
         // Without asking for distances first, which most frames keep.
         if (gap) {
@@ -112,17 +115,22 @@ class Following {
             for (std::size_t j = 0; j < n_; j++)
                 goal_[j] = std::min(std::max(goal_[j], lower_[j]), upper_[j]);
         }
-        if (goes(q, goal_.data())) return void(std::copy(goal_.begin(), goal_.end(), to));
         Engine& law = gap ? careful_ : apart_;
-        law.toward(q, x_.data(), gap, nullptr, goal_.data());
-        if (!goes(q, goal_.data())) law.toward(q, x_.data(), gap, goal_.data(), goal_.data());
-        if (goes(q, goal_.data()) || !space_.free(q))
-            return void(std::copy(goal_.begin(), goal_.end(), to));
+        bool told = true, there = goes(q, goal_.data());
+        for (const double* about : {(const double*)nullptr, (const double*)goal_.data()}) {
+            if (there) break;
+            told = law.toward(q, x_.data(), gap, about, goal_.data());
+            there = goes(q, goal_.data());
+        }
+        std::copy(goal_.begin(), goal_.end(), to);
+        if (there) return true;
+        if (!space_.free(q)) return told;
         for (double share : shares_) {
             std::copy_n(part(q, goal_.data(), share), n_, to);
-            if (goes(q, to)) return;
+            if (goes(q, to)) return true;
         }
         std::copy_n(q, n_, to);
+        return true;
     }
 
     Engine &apart_, &held_, &careful_;

@@ -36,6 +36,8 @@ def main(chunks: int, seed: int) -> None:
         numbers = [len(found), sum(bool(one.broken) for one in found), *sums]
         cells = [f"{kind}{', held' if held else ''}", *map(str, numbers)]
         click.echo(" | ".join([*cells, f"{cpu[0]:.1f}, 95 %: {cpu[1]:.1f}"]))
+    half, most = np.percentile([one.cpu for found in by_kind.values() for one in found], [50, 95])
+    click.echo(f"all: {half:.1f} ms, 95 %: {most:.1f}")
     click.echo(f"{bad} of {chunks} chunks break something, have a change without a name, or stand")
     click.echo("still where they could move")
     raise SystemExit(bad > 0)

@@ -13,6 +13,7 @@ from coopqp.adapters.motors import ARMS, KEYS, MotorUnits
 from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.spec import Array
 from coopqp.kernel import native
+from coopqp.kernel.free_space import Told
 from coopqp.scenario.loader import load
 
 pytestmark = [
@@ -132,6 +133,16 @@ def test_nearest_frame_is_the_clipped_one_where_nothing_else_is_in_the_way(
         (1, "joint_velocity", ("left_shoulder_pan.pos",)),
         (2, "joint_velocity", ("left_shoulder_pan.pos",)),
     ]
+
+
+@pytest.mark.parametrize("grips", [10.0, 80.0])
+def test_arms_in_each_other_come_out(chunks: ChunkFilter, grips: float) -> None:
+    q = START.copy()
+    rng, inside = np.random.default_rng(3), Told.INSIDE
+    while not (chunks._space.measure(q)[:, 0] == inside).any():
+        q = rng.normal(START, 0.8).clip(chunks.lower, chunks.upper)
+    found = chunks.filter_chunk(frames(np.tile(START, (3, 1)), grips), frames(q[None], grips)[0])
+    assert np.abs(np.diff(found.q, axis=0, prepend=q[None])).max(axis=1).min() > 1e-3
 
 
 def test_squeeze_is_kept_up_to_what_is_allowed(trial: Trial) -> None:
