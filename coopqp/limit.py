@@ -257,9 +257,15 @@ def bound_rows(limit: Limit, chain: ClosedChain, side: Side) -> tuple[Row, ...]:
 
 def movers(chain: ClosedChain, joints: Sequence[int]) -> Array:
     """1 where a joint (n) moves the body that a joint id (0: the base) carries, else 0."""
-    moved = np.zeros((len(joints), chain.n))
-    for row, joint in zip(moved, joints, strict=True):
-        row[[chain.model.idx_vs[i] for i in chain.model.supports[joint] if i]] = 1.0
+    return np.asarray(chain.once(_movers)[np.array(joints, int)])
+
+
+def _movers(chain: ClosedChain) -> Array:
+    """Of every joint id, shape (joints, n)."""
+    model = chain.model
+    moved = np.zeros((model.njoints, chain.n))
+    for row, supports in zip(moved, model.supports, strict=True):
+        row[[model.idx_vs[i] for i in supports if i]] = 1.0
     return moved
 
 

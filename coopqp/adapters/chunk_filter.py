@@ -15,7 +15,6 @@ in which the same hands hold are one call of the compiled kernel.
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -54,6 +53,8 @@ SHARES = 0.5, 0.25, 0.125, 1 / 32, 1 / 128
 WITHIN = 0.06
 #: What rounding may add to a limit [rad; % of grippers].
 ROUNDING = 1e-9
+#: The same of what is recorded, in float32 [rad].
+RECORDED = 1e-6
 OPEN = 100.0  # of a gripper [%]
 #: A start is no start where a joint is farther from zero: four turns [rad].
 FARTHEST = 8.0 * np.pi
@@ -165,7 +166,7 @@ class ChunkFilter:
         self._kernel = kernel.Following(*engines, self._space.compiled, {
             "lower": self.lower, "upper": self.upper, "step": self.step,
             "hands": np.concatenate([axes[joint].T @ p for joint, p in hands]),
-            "shares": np.array(SHARES), "look": LOOK, "rounding": ROUNDING,
+            "shares": np.array(SHARES), "look": LOOK,
             "position": kept.loop_position, "orientation": kept.loop_orientation,
             "squeeze": kept.squeeze,
         })  # fmt: skip
@@ -228,8 +229,7 @@ class ChunkFilter:
     def _holding(self, first: Array, grips: Array) -> NDArray[np.bool_]:
         """In which frames both grippers are closed that were so before."""
         closed = np.concatenate([np.atleast_2d(first), grips]) <= self.settings.holds_below
-        both = np.asarray(closed.all(axis=1))
-        return both[1:] & both[:-1]
+        return np.asarray((closed[1:] & closed[:-1]).all(axis=1))
 
     def _last(self) -> Array:
         """The frame before the next, of NaN where there is none."""
@@ -285,7 +285,8 @@ class ChunkFilter:
         """
         x = self.units.joints(given)
         told, changed = np.ascontiguousarray(_filled(x, q)), np.zeros(len(x), bool)
-        found = _Followed(np.empty(x.shape), np.empty(x.shape), changed, np.zeros(len(x)))
+        off, rounding = np.zeros(len(x)), RECORDED if recorded else ROUNDING
+        found = _Followed(np.empty(x.shape), np.empty(x.shape), changed, off, rounding)
         now, flags = (told[0] if recorded and len(x) else q).copy(), changed.view(np.uint8)
         for a, b in _alike(holding):
             holds = bool(holding[a])
@@ -293,7 +294,7 @@ class ChunkFilter:
             if taken is not None:
                 self._kernel.take_hold(taken)
             rows = found.q[a:b], found.before[a:b], flags[a:b], found.opened[a:b]
-            self._kernel.follow(told[a:b], now, *rows, holds, recorded)
+            self._kernel.follow(told[a:b], now, *rows, holds, recorded, rounding)
         changed |= ~np.isfinite(x).all(axis=1)
         return found, taken
 
@@ -307,8 +308,7 @@ class ChunkFilter:
         actions, arms = given.copy(), np.flatnonzero(found.changed).tolist()
         actions[:, GRIPPERS] = grips
         actions[np.ix_(arms, ARMS)] = self.units.motors(found.q[arms])
-        why = self._why(given, before, moved, found)
-        changed = found.changed | moved
+        changed, why = found.changed | moved, self._why(given, before, moved, found)
         return FilteredChunk(_like(chunk, actions), found.q, changed, holding, why)
 
     def _why(
@@ -342,7 +342,7 @@ class ChunkFilter:
             ("joint_velocity", np.abs(x - q) - self.step, fps, f"{unit}/s"),
         )
         for limit, by, rate, of in beyond:
-            for i in np.flatnonzero(by > ROUNDING).tolist():
+            for i in np.flatnonzero(by > found.rounding).tolist():
                 far = float(rate * by[i] / abs(self.units.scale[i]))
                 yield Change(k, limit, (str(names[i]),), far, of)
         yield from self._near(k, x, q)
@@ -372,22 +372,18 @@ class _Followed:
     before: Array
     changed: NDArray[np.bool_]
     opened: Array  # how far what is asked opens the loop [m]; 0 where that is not too far
+    rounding: float
 
 
 def _law(chain: ClosedChain, kept: FilterSettings, *limits: Limit) -> KernelLaw:
     """Of one tick that is a frame's length, which the kernel asks with targets of its own."""
+    half = 0.5 * kept.loop_position, 0.5 * kept.loop_orientation
+    budget = Budget(loop_position=half[0], loop_orientation=half[1], accuracy=1e-3)
+    bounds = JointPosition(), JointVelocity(scale=kept.speed), *limits
     problem = ControlProblem(
-        chain=chain,
-        tasks=(MinimumVelocity(),),
-        limits=(JointPosition(), JointVelocity(scale=kept.speed), *limits),
-        solver=Daqp(),
-        dt=1.0 / kept.fps,
-        budget=Budget(
-            loop_position=0.5 * kept.loop_position,
-            loop_orientation=0.5 * kept.loop_orientation,
-            accuracy=1e-3,
-        ),
-    )
+        chain=chain, tasks=(MinimumVelocity(),), limits=bounds, solver=Daqp(), dt=1.0 / kept.fps,
+        budget=budget,
+    )  # fmt: skip
     law = QPController(damping=1e-9, error_damping=0.0, engine="kernel").unprepared(problem)
     assert isinstance(law, KernelLaw)
     law.tick(law.start())  # which binds the engine to the arrays of a state
@@ -416,7 +412,7 @@ def _alike(flags: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
 def _way(q: Array, goal: Array) -> Array:
     """Places between q (without it) and the goal, near enough to each other; (places, 10)."""
     go = goal - q
-    count = max(1, math.ceil(float(np.abs(go).max(initial=0.0)) / LOOK - ROUNDING))
+    count = max(1, int(np.ceil(np.abs(go).max(initial=0.0) / LOOK - ROUNDING)))
     return np.asarray(q + np.arange(1, count + 1)[:, None] / count * go)
 
 

@@ -126,10 +126,8 @@ def numbers(value: Any, count: int) -> Any:
 def array(name: str, values: ArrayLike) -> Array:
     """Real numbers from Python, NaN and infinities too, as a new array, or InvalidValueError."""
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")  # numpy only warns of imaginary parts that it drops
-            return np.array(values, float)
-    except (TypeError, ValueError, Warning):
+        return real(values)
+    except ValueError:
         raise InvalidValueError(f"{name}: found {values!r}, needs numbers") from None
 
 

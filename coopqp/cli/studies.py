@@ -23,7 +23,7 @@ from coopqp.cli.options import (
     say,
 )
 
-FORMATS = ("mcap", "rosbag2", "parquet")
+FORMATS = ("mcap", "rosbag2", "parquet", "lerobot")
 
 
 @click.command(name="time")

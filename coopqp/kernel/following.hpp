@@ -19,7 +19,7 @@ class Following {
         : apart_(apart), held_(held), careful_(careful), space_(space.own()),
           lower_(numbers(d, "lower")), upper_(numbers(d, "upper")), step_(numbers(d, "step")),
           hands_(numbers(d, "hands")), shares_(numbers(d, "shares")), look_(number(d, "look")),
-          rounding_(number(d, "rounding")), position_(number(d, "position")),
+          position_(number(d, "position")),
           orientation_(number(d, "orientation")), squeeze_(number(d, "squeeze")), n_(lower_.size()),
           x_(n_), goal_(n_), way_(n_) {}
 
@@ -32,16 +32,17 @@ class Following {
     // Frames x, (N, n), all of them numbers, from q on, which becomes the last. Written: where joints
     // are after each, and before it; whether that is not as asked; how far what is asked opens the
     // loop [m], 0 where it does not. recorded: each is asked from the frame before as it is given.
+    // rounding: what frames may have of it. With the GIL held, which keeps other threads out.
     void follow(const Numbers& x, const Written& q, const Written& found, const Written& before,
-                const Said& changed, const Written& opened, bool holds, bool recorded) {
-        const nb::gil_scoped_release released;
+                const Said& changed, const Written& opened, bool holds, bool recorded,
+                double rounding) {
         double* now = q.data();
         for (std::size_t k = 0; k < changed.size(); k++) {
             const double* asked = x.data() + k * n_;
             double *to = found.data() + k * n_, gap[6];
             std::copy_n(now, n_, before.data() + k * n_);
             opened.data()[k] = holds ? open(asked, gap) : 0.0;
-            const bool fine = opened.data()[k] == 0.0 && reaches(now, asked) && goes(now, asked);
+            const bool fine = opened.data()[k] == 0.0 && reaches(now, asked, rounding) && goes(now, asked);
             changed.data()[k] = !fine;
             std::copy_n(asked, n_, to);
             if (!fine && !recorded) go_near(now, asked, holds ? gap : nullptr, to);
@@ -76,10 +77,10 @@ class Following {
     }
 
     // Whether x is in range, and near enough to q for one frame.
-    bool reaches(const double* q, const double* x) const {
+    bool reaches(const double* q, const double* x, double rounding) const {
         for (std::size_t j = 0; j < n_; j++)
-            if (!(x[j] >= lower_[j] - rounding_ && x[j] <= upper_[j] + rounding_ &&
-                  std::fabs(x[j] - q[j]) <= step_[j] + rounding_))
+            if (!(x[j] >= lower_[j] - rounding && x[j] <= upper_[j] + rounding &&
+                  std::fabs(x[j] - q[j]) <= step_[j] + rounding))
                 return false;
         return true;
     }
@@ -88,7 +89,7 @@ class Following {
     bool goes(const double* q, const double* x) {
         double far = 0.0;
         for (std::size_t j = 0; j < n_; j++) far = std::max(far, std::fabs(x[j] - q[j]));
-        const int count = std::max(1, int(std::ceil(far / look_ - rounding_)));
+        const int count = std::max(1, int(std::ceil(far / look_ - coopqp::ROUNDED)));
         for (int i = count; i > 0; i--)
             if (!space_.free(part(q, x, double(i) / count))) return false;
         return true;
@@ -127,7 +128,7 @@ class Following {
     Engine &apart_, &held_, &careful_;
     coopqp::FreeSpace space_;
     std::vector<double> lower_, upper_, step_, hands_, shares_;
-    double look_, rounding_, position_, orientation_, squeeze_;
+    double look_, position_, orientation_, squeeze_;
     std::size_t n_;
     std::vector<double> x_, goal_, way_;
 };

@@ -35,9 +35,7 @@ class FreeSpace:
 
     It asks for a compiled kernel, and joints that are hinges or slides
     (``flat_model(chain) is not None``).
-
-    Attributes:
-        compiled: what the kernel has of it.
+    ``compiled`` is what the kernel has of it.
     """
 
     def __init__(self, chain: ClosedChain, programs: Iterable[Program | None]) -> None:

@@ -102,14 +102,14 @@ class Samples {
         for (std::size_t j : own_) last_ = std::max(last_, j);
     }
 
-    // Sample number k.
-    void add(int k, const Numbers& commanded, const Numbers& measured) {
+    // A share of sample number k, the first one or a further one.
+    void add(int k, bool first, double share, const Numbers& commanded, const Numbers& measured) {
         if (k < 0 || std::min(commanded.size(), measured.size()) <= last_)
             throw std::invalid_argument("joints of another robot");
         double *c = c_.data() + std::size_t(k % kept_) * n_, *m = m_.data() + std::size_t(k % kept_) * n_;
         for (std::size_t i = 0; i < n_; i++) {
-            c[i] = commanded.data()[own_[i]];
-            m[i] = measured.data()[own_[i]];
+            c[i] = (first ? 0.0 : c[i]) + share * commanded.data()[own_[i]];
+            m[i] = (first ? 0.0 : m[i]) + share * measured.data()[own_[i]];
         }
     }
 

@@ -130,16 +130,22 @@ def named_bodies(
 def pairs_that_can_meet(chain: ClosedChain) -> list[Pair]:
     """All pairs of :func:`bodies_of` but neighbours and those that touch by construction."""
     (*bodies, held), _ = bodies_of(chain)
-    tree, joined = _Tree(chain.robot, chain.model, bodies), by_construction(chain.robot)
+    tree, pairs = chain.once(_apart)
     firm = {chain.model.frames[i].parentJoint for i in chain.frames[: chain.holding]}
-    pairs = [
+    touching = tree.hands(chain) | {held.joint}
+    found = [(a, b) for a, b in pairs if not {a.joint, b.joint} <= firm]
+    return found + [(held, body) for body in bodies if body.joint not in touching]
+
+
+def _apart(chain: ClosedChain) -> tuple[_Tree, list[Pair]]:
+    """Pairs of the robot's bodies that are no neighbours and do not touch by construction."""
+    bodies, _ = chain.once(_of_the_robot)
+    tree, joined = _Tree(chain.robot, chain.model, bodies), by_construction(chain.robot)
+    return tree, [
         (a, b) if a.joint else (b, a)  # the base comes second
         for a, b in itertools.combinations(bodies, 2)
-        if not (tree.neighbours(a, b) or {a.joint, b.joint} <= firm)
-        and frozenset((a.name, b.name)) not in joined
+        if not tree.neighbours(a, b) and frozenset((a.name, b.name)) not in joined
     ]
-    touching = tree.hands(chain) | {held.joint}
-    return pairs + [(held, body) for body in bodies if body.joint not in touching]
 
 
 @lru_cache(maxsize=16)

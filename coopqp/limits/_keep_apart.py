@@ -311,14 +311,20 @@ def _moved(chain: ClosedChain, pairs: Sequence[Pair]) -> list[Array]:
 
 def _levers_of(chain: ClosedChain, body: Body) -> Array:
     """Longest way from each joint to a body's far end, 1 where the joint slides, shape (n,)."""
-    model, found = chain.model, np.zeros(chain.n)
-    way = float(np.linalg.norm(body.convex.placement.translation)) + body.convex.radius
-    for joint in reversed([j for j in model.supports[body.joint] if j]):
-        i = model.idx_vs[joint]
-        found[i] = way
-        if chain.joint_units[i] == "m":
-            found[i] = 1.0
-            ends = np.abs([chain.lower[i], chain.upper[i]])
-            way += float(np.where(np.isfinite(ends), ends, UNLIMITED).max())
-        way += float(np.linalg.norm(model.jointPlacements[joint].translation))
-    return found
+    far = float(np.linalg.norm(body.convex.placement.translation)) + body.convex.radius
+    ways, slides = chain.once(_ways)
+    moves = movers(chain, [body.joint])[0] > 0.0
+    return np.where(moves, np.where(slides, 1.0, ways[body.joint] + far), 0.0)
+
+
+def _ways(chain: ClosedChain) -> tuple[Array, Array]:
+    """Longest way from each joint to the joint ids that it moves, (joints, n), and which slide."""
+    model, found = chain.model, np.zeros((chain.model.njoints, chain.n))
+    slides, ends = np.array(chain.joint_units) == "m", np.abs([chain.lower, chain.upper])
+    along = slides * np.where(np.isfinite(ends), ends, UNLIMITED).max(axis=0)
+    for joint in range(1, model.njoints):
+        parent, i = model.parents[joint], model.idx_vs[joint]
+        step = float(np.linalg.norm(model.jointPlacements[joint].translation)) + along[i]
+        found[joint] = found[parent] + step
+        found[joint, i] = 0.0
+    return found, slides

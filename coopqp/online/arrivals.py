@@ -153,6 +153,9 @@ def as_time(given: Any) -> float | None:
 #: Joints have jumped if they moved since the last reading by more than their velocity limit allows
 #: times this factor, and this much for noise [rad, m]; nor is a measured velocity beyond the first.
 FASTER, NOISE = 1.5, 0.02
+#: Ways by velocities and by positions are compared for so long [s], and may differ by this share
+#: beside the noise; time constant of a velocity that is taken from positions [s].
+COMPARED, SHARE, SLOPE_TIME = 0.3, 0.3, 0.01
 FLOAT = np.dtype(float)
 #: Limit of joints without a velocity limit [rad/s, m/s].
 UNLIMITED = 1e6
@@ -167,6 +170,8 @@ class Readings:
         q: of all joints, shape (n,) [rad, m]; NaN before the first. Passive joints that are not
             measured have their commanded values.
         v: their velocities, shape (n,) [rad/s, m/s]; None where they are not asked for (``rates``).
+        misread: indices of joints whose velocities do not fit their positions, oldest first; those
+            in ``v`` are then the positions' rates of change.
         note: what was wrong with the last reading; empty if nothing was.
     """
 
@@ -176,6 +181,8 @@ class Readings:
         self._chain, n, self._silent_after = chain, chain.n, silent_after
         self.q, self.note = np.full(n, np.nan), ""
         self.v: Array | None = np.zeros(n) if rates else None
+        self.misread: tuple[int, ...] = ()
+        self._ways, self._slope, self._beyond = np.zeros((2, n)), np.zeros(n), np.zeros(n, bool)
         self._reading, self._step = np.zeros((2, n))
         self._own = np.setdiff1d(np.arange(n), chain.passive)
         self._max_speed = FASTER * np.nan_to_num(np.abs(chain.velocity), posinf=UNLIMITED)
@@ -187,7 +194,8 @@ class Readings:
 
     def forget(self) -> None:
         """Accept the next reading wherever it is."""
-        self.q[:], self._read_at = np.nan, -np.inf
+        self.q[:], self._read_at, self.misread = np.nan, -np.inf, ()
+        self._ways[:] = self._slope[:] = 0.0
 
     def take(self, q: Any, commanded: Array, now: float) -> Status | None:
         """What is wrong with a reading; None if nothing is, and then :attr:`q` is this reading.
@@ -208,20 +216,34 @@ class Readings:
         return self._fault
 
     def _judge_rates(self, v: Any, moved: Array, elapsed: float) -> Status | None:
-        """Velocities that no joint can have, or that have not moved it (NaN: nobody knows)."""
+        """Velocities that no joint can have, or that do not move it (NaN: nobody knows)."""
         assert self.v is not None
         most = self._max_speed
-        wrong = np.abs(v) > most
-        if not wrong.any():
-            wrong = np.abs(v * elapsed - moved) > NOISE + most * elapsed
-        if wrong.any():
-            i, unit = int(np.argmax(wrong)), self._chain.joint_units[int(np.argmax(wrong))]
-            seen = f"it moved by {moved[i]:+.3g} {unit} in {elapsed:.3g} s"
-            seen = f"its limit is {most[i] / FASTER:.3g}" if abs(v[i]) > most[i] else seen
-            self.note = f"{self._chain.joint_names[i]} at {v[i]:+.3g} {unit}/s, but {seen}"
+        if elapsed > 0.0 and np.isfinite(moved).all():
+            self._compare(v, moved, elapsed)
+        v[[*self.misread]] = self._slope[[*self.misread]]
+        if (wrong := np.abs(v) > most).any():
+            i = int(np.argmax(wrong))
+            unit, limit = self._chain.joint_units[i], most[i] / FASTER
+            at = f"{self._chain.joint_names[i]} at {v[i]:+.3g} {unit}/s"
+            self.note = f"{at}, but its limit is {limit:.3g}"
             return Status.NOT_MEASURED
         self.v[:] = v
         return None
+
+    def _compare(self, v: Array, moved: Array, elapsed: float) -> None:
+        """Find joints that do not go as far as their velocities say, and how fast they go."""
+        most, ways = self._max_speed, self._ways
+        self._slope += (moved - elapsed * self._slope) / max(SLOPE_TIME, elapsed)
+        np.clip(self._slope, -most, most, self._slope)
+        beyond = np.abs(v) > most
+        told = np.where(beyond & ~self._beyond, moved, np.clip(v, -most, most) * elapsed)
+        self._beyond = beyond  # a single one is a reading that is lost
+        ways *= math.exp(-elapsed / COMPARED)
+        ways += np.stack([told, moved])
+        off = np.abs(ways[0] - ways[1]) - SHARE * np.abs(ways).max(axis=0)
+        found = np.flatnonzero(off > NOISE).tolist()
+        self.misread = tuple(dict.fromkeys((*self.misread, *found)))
 
     def _with_rates(self, given: Any) -> tuple[Any, Any]:
         """Joints and their velocities."""

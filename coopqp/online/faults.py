@@ -32,6 +32,7 @@ REACTIONS: Mapping[str, Reaction] = {
     "joints_swapped": "rest",
     "readings_stuck": "rest",
     "encoder_jumped": "rest",
+    "velocities_wrong": "rest",
     "loop_offset_at_bound": "go_on",
     "force_sensor_dead": "rest",
     "force_sensor_stuck": "rest",
@@ -97,11 +98,15 @@ class FaultMonitor:
         if self._joints:
             self._joints.forget()
 
-    def update(self, state: State, q_m: Array | None) -> Fault | None:
-        """The fault that is new in this tick, if any; q_m are measured joints, None without."""
+    def update(self, state: State, q_m: Array | None, misread: tuple[int, ...]) -> Fault | None:
+        """The fault that is new in this tick, if any; q_m are measured joints, None without.
+
+        Joints that are ``misread`` do not move at their measured velocities.
+        """
         silent = state.hand_wrench is None or state.chain.standing
         forces = None if silent else self._forces.update(state)
         findings = [forces, self._observed()]
+        findings += [self._named(Suspect("velocities_wrong", (j,), 0.0)) for j in misread]
         if self._joints and q_m is not None and not self._misled:
             if suspect := self._joints.update(state, state.q, q_m):
                 findings.append(self._named(suspect))
@@ -137,6 +142,7 @@ class FaultMonitor:
 JOINTS = {
     "joints_swapped": "{} move as the other is commanded to: are they swapped?",
     "encoder_jumped": "the reading of {} has jumped: has its encoder slipped?",
+    "velocities_wrong": "{} does not move at its measured velocity: is its sign or unit wrong?",
     "readings_stuck": "no reading of {} changes, though they shall move: is the driver stuck?",
     "joint_stands_still": "{} stands still against its commands: is its encoder or motor dead?",
     "joint_reversed": "{} moves against its commands: has its encoder or motor the wrong sign?",

@@ -9,8 +9,8 @@ does not move. What K^-1 J_c' lambda cannot explain is the parity vector of faul
 projected on the complement of range(K^-1 J_c'). It vanishes for sag, squeeze and errors of the
 model, however large, so that |q_m - q_c|, which they change, is never compared with a threshold. A
 joint, or two that are swapped, is named where its delta explains nine tenths of the parity vector
-over a window. Joints whose signatures are parallel, such as two opposite shoulders, cannot be told
-apart where a motor is wrong; then both are named.
+over a window, noise taken out. Joints whose signatures are parallel, such as two opposite
+shoulders, cannot be told apart where a motor is wrong; then both are named.
 
 Source: Chow and Willsky 1984, parity relations; the rest is the statics of a closed chain.
 """
@@ -30,8 +30,8 @@ from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.loop_observer import LoopObserver
 from coopqp.model.state import State
 
-#: Time between samples; after which the parity space is computed anew, and before a verdict; of
-#: windows [s].
+#: Time between samples, each the mean of its readings; after which the parity space is computed
+#: anew, and before a verdict; of windows [s].
 SAMPLE, RENEWED, FRESH, WINDOWS = 0.02, 0.5, 0.1, (0.2, 0.4, 2.0)
 #: Samples of a window that are looked at; those before the first look; every so many the long one.
 LOOKS, FEWEST, LONG = 40, 4, 4
@@ -47,17 +47,17 @@ NOISE, LAG_NOISE, STIFFNESS_NOISE = 4e-4, 6e-3, 0.1
 SUSPICIOUS = 12.0
 #: Share of it that a fault must explain; the share that is left by others that count as equal.
 EXPLAINED, EXPLAINED_SWAPPED, AS_GOOD = 0.9, 0.95, 0.03
-#: Where noise is large, its share of a reading's variance is taken out, the rest must be so large,
-#: and the slope near that of a joint that stands still, 1, or moves backwards, 2.
-NOISE_LEFT, CLEAR, STANDING, BACKWARDS = 0.7, 300.0, 0.25, 0.4
+#: Variance of a sample less the first one's, over that of second differences, is 1/3: 0.7 of that
+#: is taken out of the parity vector's squares as noise, and the rest must be so large, and larger.
+NOISE_LEFT, CLEAR = 0.7 / 3.0, 100.0
 #: Two swapped joints need less where all other faults leave so much more.
 ALONE = 0.5
 #: delta over dq_c of a joint that does not follow, at least; of two that are swapped.
 LEAST_SLOPE, SWAPPED = 0.6, (0.7, 1.6)
 #: Slopes of joints that move the wrong way are between these; else they do not follow.
 REVERSED = (1.5, 4.0)
-#: A reading has jumped by so much at least [rad, m], most of it between two samples.
-LEAST_JUMP, JUMP = 8e-3, 0.6
+#: A reading has jumped by so much at least [rad, m], most of it within two samples.
+LEAST_JUMP, JUMP = 8e-3, 0.8
 #: Commanded motion below which a joint says nothing [rad, m].
 LEAST_MOTION = 1.5e-3
 #: Share of the commanded motion that a joint which stands still may measure.
@@ -67,7 +67,7 @@ SINGULAR = 1e-3
 #: Readings that do not change for so long [s] are stuck where commands move a joint by so much
 #: [rad, m].
 STUCK, MOVED = 0.2, 0.01
-#: A joint is named at least so clearly, in the space that lambda leaves.
+#: Least share, by squares, of what shows of the clearest fault in the space that lambda leaves.
 LEAST_SIGNATURE = 1e-3
 #: A second joint is named too where it leaves at most this much more of r unexplained.
 AMBIGUOUS, PENALTY = 1.5, 1.5
@@ -121,7 +121,7 @@ class JointFollowing:
         decays = np.exp(-h / TIMES)
         kernels = decays ** np.arange(round(FADED * TIMES[-1] / h) + 1)[:, None]
         self._kernels = kernels / kernels.sum(axis=0)
-        self._stuck_for = round(STUCK / h)
+        self._stuck_for = round(STUCK / h) - 1  # of which the first lasts as long, too
         rings, members = (self._c, self._m), [arm.tolist() for arm in self._arms]
         made, found = (*rings, own.tolist(), members, self._stuck_for, self._spans), native.module()
         self._quick = found and found.Samples(*made, LONG)
@@ -137,11 +137,7 @@ class JointFollowing:
 
     def update(self, state: State, q_c: Array, q_m: Array) -> Suspect | None:
         """Who does not follow, once two looks in succession agree; c is commanded, m measured."""
-        self._count += 1
-        if self._count % self._every:
-            return None
-        self._add(q_c, q_m)
-        if self._samples < FEWEST:
+        if not self._add(q_c, q_m) or self._samples < FEWEST:
             return None
         if self._samples - self._whitened >= self._renew:
             self._white, self._whitened = self._whitening(state), self._samples
@@ -162,13 +158,19 @@ class JointFollowing:
         agree = (e and found and set(e.joints) & set(found.joints) for e in earlier)
         return found if any(agree) else None
 
-    def _add(self, q_c: Array, q_m: Array) -> None:
+    def _add(self, q_c: Array, q_m: Array) -> bool:
+        """Add to the sample that is being taken; whether it is whole."""
+        at, first, share = self._samples, self._count % self._every == 0, 1.0 / self._every
         if self._quick:
-            self._quick.add(self._samples, q_c, q_m)
+            self._quick.add(at, first, share, q_c, q_m)
         else:
-            at = self._samples % len(self._c)
-            self._c[at], self._m[at] = q_c[self._own], q_m[self._own]
-        self._samples += 1
+            for ring, q in ((self._c, q_c), (self._m, q_m)):
+                sample = ring[at % len(ring)]
+                sample[:] = (0.0 if first else sample) + share * q[self._own]
+        self._count += 1
+        whole = self._count % self._every == 0
+        self._samples += whole
+        return whole
 
     def _stuck(self) -> Suspect | None:
         """An arm of which no reading has changed by a bit while it was commanded to move."""
@@ -233,14 +235,6 @@ class JointFollowing:
                 return found, span
         return None, 0
 
-    def _clear(self, left: Array, size: float, slope: Array, T: int) -> Any:
-        """Whether a joint stands still, or moves backwards, but for what noise leaves."""
-        noise, d = NOISE_LEFT * T, self._white.shape[1]
-        above = size - noise * d
-        textbook = (np.abs(slope - 1.0) < STANDING) | (np.abs(slope - 2.0) < BACKWARDS)
-        explained = left - noise * (d - 1) < (1.0 - EXPLAINED) * above
-        return explained & textbook & (above > CLEAR)
-
     def _told(self, at: Any, lag: Any) -> Array:
         """Commands some half samples before."""
         c = self._c
@@ -279,7 +273,7 @@ class JointFollowing:
         n, pairs, size = len(self._own), self._pairs, sizes[self._lag]
         signs = self._faults @ self._white  # (faults, d)
         lengths = np.einsum("fd,fd->f", signs, signs)
-        lengths[lengths < LEAST_SIGNATURE / NOISE**2] = np.inf
+        lengths[lengths < LEAST_SIGNATURE * lengths.max()] = np.inf
         along = z @ signs.T  # (lags, T, faults)
         left = sizes[:, None] - np.einsum("ltf,ltf->lf", along, along) / lengths
         lags, left, faults = left.argmin(axis=0), left.min(axis=0), np.arange(len(signs))
@@ -287,16 +281,18 @@ class JointFollowing:
         motion = np.einsum("ftn,fn->tf", c[lags], self._faults)
         slope = -(delta * motion).sum(axis=0) / np.maximum((motion**2).sum(axis=0), 1e-12)
         moves = np.abs(motion).max(axis=0) > LEAST_MOTION
-        steps, ranges = np.abs(np.diff(delta, axis=0)).max(axis=0), np.ptp(delta, axis=0)
+        steps, ranges = np.abs(delta[2:] - delta[:-2]).max(axis=0), np.ptp(delta, axis=0)
         jumped = (steps > JUMP * ranges) & (ranges > LEAST_JUMP)
-        explained = left < (1.0 - EXPLAINED) * size
-        one = explained | self._clear(left, size, slope, len(m))
-        one &= jumped | (moves & (slope > LEAST_SLOPE))
+        d = self._white.shape[1]
+        noise = NOISE_LEFT * len(m) * float(np.mean(np.diff(z[self._lag], 2, axis=0) ** 2))
+        above, over = size - noise * d, np.maximum(left - noise * (d - 1), 0.0)
+        share = over / above if above > max(CLEAR, noise * d) else np.ones(len(over))
+        one = (share < 1.0 - EXPLAINED) & (jumped | (moves & (slope > LEAST_SLOPE)))
         exchanged = moves & (slope > SWAPPED[0]) & (slope < SWAPPED[1])
-        two = exchanged & (left < (1.0 - EXPLAINED_SWAPPED) * size)
+        two = exchanged & (share < 1.0 - EXPLAINED_SWAPPED)
         good = np.where(faults < n, one, two)
         first, second = np.argsort(left)[:2]
-        if first >= n and left[first] < ALONE * min(size, left[second]):
+        if first >= n and share[first] < ALONE * min(1.0, share[second]):
             good[first] = exchanged[first]
         if not good.any() or self._late(m, at) < max(LAGGING * size, SUSPICIOUS * len(m)):
             return None

@@ -581,7 +581,8 @@ class OnlineLoop:
     def _look_for_faults(self) -> None:
         """Come to rest, slow down or go on where a fault of the robot shows."""
         monitor = self._phases.monitor
-        fault = monitor.update(self.state, None if self._wrong else self._readings.q)
+        readings, q = self._readings, None if self._wrong else self._readings.q
+        fault = monitor.update(self.state, q, readings.misread)
         if fault and self._reactions[fault.kind] == "rest":
             self._stops.halt(fault.note)
         if not monitor.found and self._pace == 1.0:

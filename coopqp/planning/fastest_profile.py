@@ -15,7 +15,7 @@ from coopqp.base.errors import InvalidValueError
 from coopqp.model.profile import FASTEST, Profile
 from coopqp.planning.closed_path import closed_path
 from coopqp.planning.given_path import LAW, SLOW, calm_run
-from coopqp.planning.path_constraints import Bounds, RowMaker, joint_bounds, twist_bounds
+from coopqp.planning.path_constraints import RowMaker, joint_bounds, motion_bounds
 from coopqp.planning.time_along import POINTS, fastest
 from coopqp.scenario.scenario import Scenario
 from coopqp.task import Task
@@ -57,9 +57,7 @@ def with_fastest_profiles(scenario: Scenario) -> Scenario:
 def _along(scenario: Scenario, law: str, way: Profile) -> Profile:
     """The fastest along where a law's run has the joints by its share of the way."""
     trace = calm_run(scenario, _with(scenario, way, delay=0.0).tasks, way.duration, law)
-    speed, push = joint_bounds(scenario)
-    none, twist = np.full(len(speed), np.inf), SHARE * twist_bounds(scenario)
-    bounds = Bounds(SHARE * speed, SHARE * push, none, twist, np.zeros(6), forces=False)
+    bounds = motion_bounds(scenario, *joint_bounds(scenario), SHARE)
     path = closed_path(scenario.chain, trace.q)
     found = fastest(RowMaker(path, bounds), POINTS)
     t = scenario.dt * np.arange(int(np.ceil(found.duration / scenario.dt)) + 1)

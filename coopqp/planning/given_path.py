@@ -52,8 +52,12 @@ def given_path(path: Any, scenario: Scenario, controller: str | None, phases: in
 def table_of(path: Path) -> Path | None:
     """The file of a table of joints, from its own or its folder's path; None for a run's."""
     if path.is_dir():
-        found = list(path.glob("*.csv"))
-        return table_of(found[0]) if len(found) == 1 else None
+        found = sorted(path.glob("*.csv"))
+        tables = [table for table in found if table_of(table)]
+        if len(tables) == len(found) > 1:
+            names = " and ".join(table.name for table in tables)
+            raise InvalidValueError(f"'{path}' has {names}; give one of them, not the folder")
+        return tables[0] if len(tables) == len(found) == 1 else None
     if path.suffix == ".csv" and path.is_file():
         with open_bytes(path) as stream:
             return None if b"status" in stream.readline(LINE) else path

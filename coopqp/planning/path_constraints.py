@@ -86,6 +86,12 @@ def twist_bounds(of: Scenario | ControlProblem) -> Array:
     return twist
 
 
+def motion_bounds(of: Scenario | ControlProblem, speed: Array, push: Array, share: float) -> Bounds:
+    """A share of these limits of joints and of the object's speed, whatever forces it takes."""
+    none, twist = np.full(len(speed), np.inf), share * twist_bounds(of)
+    return Bounds(share * speed, share * push, none, twist, np.zeros(6), forces=False)
+
+
 def bounds_of(
     problem: ControlProblem, torque: float, wrench: tuple[float, float], safety: float
 ) -> Bounds:

@@ -191,8 +191,8 @@ def way_round(
     Tried so long, where limits are in the way or a configuration is known at the goal, and a run
     may follow a plan. ``named`` is what the command line calls the scenario.
     """
-    followed = any(phase.leads for phase in scenario.phases)
-    if followed or not (found.elsewhere or found.kind == "limits"):
+    tried = found.elsewhere or found.kind == "limits"
+    if not tried or any(phase.leads for phase in scenario.phases):
         return found
     command = f"coopqp plan {named}"
     try:

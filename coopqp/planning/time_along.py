@@ -26,15 +26,7 @@ from coopqp.closed_loop.grasp_matrix import COMPONENTS, moved, section
 from coopqp.closed_loop.hands import hands, points
 from coopqp.grasp import SAFETY
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.planning.closed_path import (
-    FINER,
-    ROUNDING,
-    STILL,
-    ClosedPath,
-    closed_path,
-    relative,
-    still_path,
-)
+from coopqp.planning.closed_path import FINER, STILL, ClosedPath, closed_path, relative, still_path
 from coopqp.planning.forward_backward_pass import FORCE, Passes, Profile, Share, Stuck, program
 from coopqp.planning.given_path import given_path, phases_in
 from coopqp.planning.path_constraints import AXES, Bounds, RowMaker, Rows, bounds_of
@@ -195,14 +187,14 @@ class TimedPath:
         if not 0.0 < dt < np.inf:
             raise InvalidValueError(f"dt: found {dt:g}, needs more than 0")
         t = dt * np.arange(np.ceil(self.duration / dt - 1e-6) + 1.0)
-        t[-1] = self.duration if self.speed[1] else t[-1]
-        moments = [self.at(float(now)) for now in t]
+        t[-1] = end = self.duration if self.speed[1] else t[-1]
+        last = self.at(end if self.speed[1] else np.inf)
+        moments = [*map(self.at, t[:-1].tolist()), last]
         if lost := [now.s for now in moments if not np.isfinite(now.tau).all()]:
             where = self.path.place(lost[0])
             raise CoopqpError(f"at {where}: no torques keep all limits; give more points")
         joints = self.path.chain.joint_names
-        arms = [arm.name for arm in self.path.chain.arms[: self.maker.arms]]
-        arms = arms if len(arms) > 1 else []
+        arms = [arm.name for arm in self.path.chain.arms[: self.maker.arms] if self.maker.arms > 1]
         wrench = [f"internal[{arm}].{part}" for arm in arms for part in _WRENCH]
         pose = [[*m.p_WO, *quaternion_of(m.R_WO)] for m in moments]
         blocks = [
@@ -223,8 +215,8 @@ class TimedPath:
 
     def coarse(self, dt: float) -> str:
         """Whether ticks of dt [s] are too long for loops to stay closed; empty if they are not."""
-        q = [self.at(t).q for t in np.arange(0.0, self.duration, dt).tolist()]
-        opened = self.maker.loops.opened(np.array(q)) if len(q) > 2 else 0.0
+        s = [self.where(t)[0] for t in np.arange(0.0, self.duration, dt).tolist()]
+        opened = self.maker.loops.opened(self.path.spline(s)) if len(s) > 2 else 0.0
         words = f"Straight steps of {1e3 * dt:g} ms open the loops {opened:.2g} times as far as "
         words += f"counts as closed; a dt of {1e3 * dt / max(opened, 1.0) ** 0.5:.1g} ms does not."
         return words if opened > 1.0 else ""
@@ -289,14 +281,16 @@ def time_along(
         box = PRESSING
     q, problem = parts[phase or 0], scenario.problem(phases[phase or 0], chain)
     bounds = bounds_of(problem, torque, box, safety)
-    if phase is not None and np.ptp(q, axis=0).max() <= ROUNDING:
+    if phase is not None and not np.ptp(q, axis=0).any():
         return _still(RowMaker(still_path(chain, q[0], scenario.dt), bounds))
     return eased(fastest(RowMaker(closed_path(chain, q), bounds), int(points), speed), rise)
 
 
 def time_phases(path: Any, scenario: Scenario, **how: Any) -> list[TimedPath]:
     """Each phase of a plan as :func:`time_along` has it; one where it has no phases."""
-    count = phases_in(path)
+    count, speed = phases_in(path), how.get("speed", (0.0, 0.0))
+    if count > 1 and any(speed):
+        raise InvalidValueError(f"speed: found {speed}, needs 0 at the ends of phases")
     each = range(count) if count > 1 else [None]
     return [time_along(path, scenario, phase=phase, **how) for phase in each]
 
@@ -419,17 +413,18 @@ def would_do(found: TimedPath) -> dict[str, float]:
     An active limit promises nothing, since the next one may be near. By the name that the limit has
     in ``TimedPath.shares``, those that are active longest first, then by ``LIGHTER``.
     """
-    maker, points = found.maker, len(found.profile.u)
+    maker, points = found.maker, POINTS if found.rise else len(found.profile.u)
+    took = dict[str, float]()
     if found.active == (NOTHING,):
         return {}
     tried = [name for name in found.shares if name != NOTHING][:TRIED]
     bounds = {name: _raised(maker, name) for name in tried}
     bounds[LIGHTER] = replace(maker.bounds, load=(2.0 - MORE) * maker.bounds.load)
-    made = {name: RowMaker(maker.path, more) for name, more in bounds.items()}
-    return {
-        name: eased(fastest(rows, points, found.speed), found.rise).duration
-        for name, rows in made.items()
-    }
+    for name, more in bounds.items():
+        quick = eased(fastest(RowMaker(maker.path, more), points, found.speed), found.rise)
+        # What keeps a limit keeps a larger one; slowing down for a rise does not know that.
+        took[name] = min(quick.duration, np.inf if name == LIGHTER else found.duration)
+    return took
 
 
 def _raised(maker: RowMaker, name: str) -> Bounds:

@@ -10,7 +10,7 @@ from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.planning.closed_path import Loops, closed_path
-from coopqp.planning.path_constraints import Bounds, RowMaker, joint_bounds, twist_bounds
+from coopqp.planning.path_constraints import RowMaker, joint_bounds, motion_bounds
 from coopqp.planning.time_along import POINTS, fastest
 from coopqp.planning.verification import lengths
 
@@ -39,8 +39,7 @@ def timed(problem: ControlProblem, q: Array, allowed: Allowed) -> tuple[Array, A
     if len(q) < 2:
         return np.zeros(1), best
     speed, push = joint_limits(problem)
-    twist, none = SHARE * twist_bounds(problem), np.full(chain.n, np.inf)
-    bounds = Bounds(SHARE * speed, SHARE * push, none, twist, np.zeros(6), forces=False)
+    bounds = motion_bounds(problem, speed, push, SHARE)
     for rounded in ROUNDED:
         try:
             path = closed_path(chain, q, rounded)

@@ -7,13 +7,14 @@ from pathlib import Path
 from coopqp.base.errors import CoopqpError, UnknownNameError
 from coopqp.recordings.csv_file import CsvFile
 from coopqp.recordings.format import ExportFormat, Format
+from coopqp.recordings.lerobot import Lerobot
 from coopqp.recordings.mcap import Mcap
 from coopqp.recordings.parquet import ArrowStream, Parquet
 from coopqp.recordings.rosbag2 import Rosbag2
 from coopqp.recordings.run import Run, check
 from coopqp.scenario.scenario import Scenario
 
-EXPORTS: tuple[ExportFormat, ...] = (Mcap(), Rosbag2(), Parquet())
+EXPORTS: tuple[ExportFormat, ...] = (Mcap(), Rosbag2(), Parquet(), Lerobot())
 _ALL: tuple[Format, ...] = (*EXPORTS, ArrowStream(), CsvFile())  # the last holds all the rest
 
 NAMES = tuple(known.name for known in EXPORTS)
@@ -26,7 +27,8 @@ def format_of(path: Path) -> Format:
 
 def trace_in(path: Path) -> Path:
     """A recorded run from its own path, or that of the folder of a report."""
-    return path / "trace.csv" if path.is_dir() and not Rosbag2().holds(path) else path
+    of_report = path.is_dir() and isinstance(format_of(path), CsvFile)
+    return path / "trace.csv" if of_report else path
 
 
 def is_run(path: Path) -> bool:

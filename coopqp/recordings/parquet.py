@@ -50,17 +50,18 @@ class Parquet(ExportFormat):
                 writer.write_batch(pa.record_batch(arrays, schema=schema))
 
     def read(self, path: Path) -> Run:
-        with _file(path) as file:
+        with parquet_file(path) as file:
             return _run(path, file.read())
 
     def scenario(self, path: Path, catalog: Catalog) -> Scenario:
-        with _file(path) as file:
+        with parquet_file(path) as file:
             kept = file.schema_arrow.metadata
-        return _scenario_in(path, kept, catalog)
+        return scenario_in(path, kept, catalog)
 
 
 @contextmanager
-def _file(path: Path) -> Iterator[Any]:
+def parquet_file(path: Path) -> Iterator[Any]:
+    """As pyarrow opens it; errors as :meth:`Format.read`."""
     with needs("Parquet"):
         from pyarrow import parquet as pq
     with open_bytes(path) as stream, readable(path):
@@ -86,7 +87,7 @@ class ArrowStream(Format):
 
     def scenario(self, path: Path, catalog: Catalog) -> Scenario:
         with open_bytes(path) as stream:
-            return _scenario_in(path, _opened(path, stream).schema.metadata, catalog)
+            return scenario_in(path, _opened(path, stream).schema.metadata, catalog)
 
     def cut_short(self, path: Path) -> bool:
         with open_bytes(path) as stream:
@@ -140,7 +141,7 @@ def _whole(reader: Any) -> Iterator[Any]:
         yield batch
 
 
-def _scenario_in(path: Path, kept: dict[bytes, bytes] | None, catalog: Catalog) -> Scenario:
+def scenario_in(path: Path, kept: dict[bytes, bytes] | None, catalog: Catalog) -> Scenario:
     """The scenario in a schema's metadata."""
     if SCENARIO not in (kept or {}):
         raise CoopqpError(f"{path}: holds no run of coopqp: has no scenario in its metadata")

@@ -43,8 +43,8 @@ FAST = 2.0
 #: A row so many times later than usual comes after missing ones. Who comes to rest within a tick or
 #: two takes a last step that is shorter than this share of the one before.
 MISSING, SLOWER = 1.5, 0.7
-#: By how much a path may be beyond a limit of place or speed, whose units these are, as those that
-#: are timed at the limits are by rounding; of distances one row of so many is looked at.
+#: By how much a path may be beyond a limit of place or speed, whose units these are, as the spline
+#: of a timed one is beside a limit it goes along; of distances one row of so many is looked at.
 BEYOND, OF_SPEED, COARSE = 2e-3, ("m", "rad", "m/s", "rad/s"), 10
 
 
@@ -67,7 +67,7 @@ class Followed:
     """A plan that is followed."""
 
     plan: FilePath | Literal[True]
-    """The file that coopqp plan has written; or true, to find a way when the scenario is read."""
+    """The file that coopqp plan or time has written; or true, to find a way when this is read."""
     keep: tuple[Name, ...] = ()
     """Names of tasks that are met at the start and stay so along the way, as hard tasks."""
     by: tuple[Name, ...] = ()
@@ -76,7 +76,7 @@ class Followed:
     seconds: Positive = 10.0
     """Time within which it is found, where plan is true [s]."""
     late: NonNegative = 2.0
-    """How much later than planned each way may end, as where the joints are pushed off it [s]."""
+    """How much longer than planned each way lasts, for joints that are pushed off it [s]."""
 
 
 def following(scenario: Scenario, followed: Followed) -> Scenario:

@@ -39,13 +39,8 @@ from coopqp.robot import Robot, RobotModel
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.faulty_plant import FaultyPlant, Injected
 from coopqp.scenario.input import InputSettings, wanted
-from coopqp.scenario.start import (
-    Start,
-    joints_outside,
-    passive_outside,
-    pose_of,
-    start_of,
-)
+from coopqp.scenario.start import Start, joints_outside, passive_outside, pose_of, start_of
+from coopqp.scenario.start_solver import solve_start
 from coopqp.scenario.yaml import Wrong, parsed
 from coopqp.signal import Kind
 from coopqp.solver import Budget, Solver
@@ -243,23 +238,32 @@ class Scenario:
         return other
 
     def placed(
-        self, *, object_pose: Pose | ArrayLike | None = None, start: Start | None = None
+        self,
+        *,
+        object_pose: Pose | ArrayLike | None = None,
+        start: Start | Literal["solve"] | None = None,
     ) -> Scenario:
         """The same scenario with the object elsewhere, the arms, or both, in some milliseconds.
 
         Args:
             object_pose: in the world, instead of the file's ``object.pose``: a :class:`Pose`, or x,
                 y, z [m] and a quaternion x, y, z, w.
-            start: by arm or joint, instead of the file's [rad, m].
+            start: by arm or joint, instead of the file's [rad, m]; "solve" finds the one nearest to
+                the file's in which hands reach their ``object_in_hand``, which takes a second.
 
         Raises:
             CoopqpError: what a file with this start and pose would be refused for. Tasks are not
                 tried again.
         """
-        changes: dict[str, Any] = {"source": "", "start": self.start if start is None else start}
+        robot, held = self.robot_model, self.held
         if object_pose is not None:
-            changes["held"] = replace(self.held, pose=pose_of(object_pose, self.chain))
-        other, robot = self.changed(**changes), self.robot_model
+            held = replace(held, pose=pose_of(object_pose, self.chain))
+        if start == "solve":
+            near = start_of(robot, self.start)[0]
+            start = solve_start(robot, self.grasps, held, near=near, seed=self.seed).start
+        elif isinstance(start, str):
+            raise InvalidValueError(f"start: found {start!r}, needs joints or solve").at("start")
+        other = self.changed(source="", held=held, start=self.start if start is None else start)
         of_robot, passive = start_of(robot, other.start)
         allowed, q = self.start_outside, robot.configuration(of_robot)
         wrong = [] if allowed else [*joints_outside(robot, of_robot, q, "start")]
@@ -354,14 +358,18 @@ class Scenario:
     def _away(self, phase: Phase) -> tuple[str, ...]:
         """Arms that are released in a phase, the one before and the one after.
 
-        The planned way to a phase counts as that phase.
+        A phase and the planned way to it are one.
         """
-        part = list(itertools.accumulate((not one.leads for one in self.schedule), initial=0))
-        for i, one in zip(part, self.schedule, strict=False):
-            if one is phase or (phase.name and one.name == phase.name):
-                near = [x for k, x in zip(part, self.schedule, strict=False) if abs(k - i) < 2]
-                return tuple(a for a in phase.released if all(a in x.released for x in near))
-        return ()
+        parts: list[list[Phase]] = [[]]
+        for one in self.schedule:
+            parts[-1].append(one)
+            if not one.leads:
+                parts.append([])
+        own = [i for i, part in enumerate(parts) if any(one.name == phase.name for one in part)]
+        if not own:
+            return ()
+        near = [one for part in parts[max(0, own[0] - 1) : own[0] + 2] for one in part]
+        return tuple(a for a in phase.released if all(a in one.released for one in near))
 
     def simulated(self, problem: ControlProblem) -> PlantModel:
         """The plant of one of its problems, with the faults of sensors and motors."""

@@ -34,6 +34,9 @@ import coopqp
 from adapters.servos import Servos
 from coopqp.adapters.dataset import audit
 from coopqp.adapters.motors import ARMS, GRIPPERS, KEYS, SIDES
+from coopqp.execution.comparison import compare
+from coopqp.recordings.known import export, read
+from coopqp.report import files
 
 FPS, DT = 30.0, 1.0 / 30.0
 MOTORS = [key.removesuffix(".pos").partition("_")[2] for key in KEYS[:6]]
@@ -53,6 +56,18 @@ def calibration() -> dict[str, dict[str, int]]:
         found[motor] = {"id": i + 1, "drive_mode": 0, "homing_offset": 0,
                         "range_min": ends[0], "range_max": ends[1]}  # fmt: skip
     return found
+
+
+def calibrated(folder: Path, arm: Any) -> dict[str, Any]:
+    """Two arms of a kind with calibration files, as configurations of pairs have them."""
+    for side in SIDES:
+        (folder / f"pair_{side}.json").write_text(json.dumps(calibration()))
+    return {
+        "id": "pair",
+        "calibration_dir": folder,
+        "left_arm_config": arm,
+        "right_arm_config": arm,
+    }
 
 
 def simulate(bus: Any, degrees: np.ndarray, grip: float, load: np.ndarray) -> Servos:
@@ -93,12 +108,8 @@ def simulate(bus: Any, degrees: np.ndarray, grip: float, load: np.ndarray) -> Se
 
 def robot(folder: Path) -> tuple[Any, list[Servos]]:
     """The follower as command lines make it, at the scenario's start, grippers open."""
-    for side in SIDES:
-        (folder / f"pair_{side}.json").write_text(json.dumps(calibration()))
-    arm = SOFollowerConfig(port="none")
-    made = make_robot_from_config(CoopqpBiSOFollowerConfig(
-        id="pair", calibration_dir=folder, left_arm_config=arm, right_arm_config=arm
-    ))  # fmt: skip
+    both = calibrated(folder, SOFollowerConfig(port="none"))
+    made = make_robot_from_config(CoopqpBiSOFollowerConfig(**both))
     load = np.array([0.0, 0.4, 0.3, 0.1, 0.0, 0.0])
     servos = [
         simulate(side.bus, START[5 * k : 5 * k + 5], 80.0, load)
@@ -165,12 +176,8 @@ def checks_step(folder: Path) -> str:
 
 def checks_leaders(folder: Path) -> str:
     """Two leaders of which one opens the loop: their common part moves on."""
-    for side in SIDES:
-        (folder / f"lead_{side}.json").write_text(json.dumps(calibration()))
-    arm = SOLeaderConfig(port="none")
-    made = make_teleoperator_from_config(CoopqpBiSOLeaderConfig(
-        id="lead", calibration_dir=folder, left_arm_config=arm, right_arm_config=arm
-    ))  # fmt: skip
+    both = calibrated(folder, SOLeaderConfig(port="none"))
+    made = make_teleoperator_from_config(CoopqpBiSOLeaderConfig(**both))
     none = np.zeros(6)
     servos = [
         simulate(side.bus, START[5 * k : 5 * k + 5], 80.0, none)
@@ -213,9 +220,26 @@ def checks_dataset(folder: Path) -> str:
     return f"dataset: {found[1].broken[0]}"
 
 
+def checks_export(folder: Path) -> str:
+    """A run that coopqp has exported is a dataset for LeRobot itself, texts and chunks too."""
+    scenario = coopqp.load("two_so101")
+    done = compare(scenario, controllers=["qp"])
+    files.write(done, folder)
+    export(read(folder / "trace.csv"), scenario, "lerobot", "qp", folder / "set")
+    chunk = {"action": [0.0, 1.0 / 100]}
+    found = LeRobotDataset("me/run", root=folder / "set", delta_timestamps=chunk)
+    assert (len(found), found.fps, found.num_episodes) == (450, 100, 1)
+    assert found[7]["task"] == scenario.description
+    assert found[7]["action"].shape == (2, 12)
+    told = found[7]["action"][0].numpy()
+    assert abs(np.radians(told[ARMS]) - done.traces["qp"].q[8]).max() < 1e-6
+    assert found.meta.stats["action"]["mean"].shape == (12,)
+    return f"export: {len(found)} frames, {found[7]['task'][:15]} ..."
+
+
 def main() -> None:
     register_third_party_plugins()
-    for check in (checks_robot, checks_step, checks_leaders, checks_dataset):
+    for check in (checks_robot, checks_step, checks_leaders, checks_dataset, checks_export):
         with tempfile.TemporaryDirectory() as folder:
             sys.stdout.write(check(Path(folder)) + "\n")
 

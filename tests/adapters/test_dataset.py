@@ -11,11 +11,14 @@ from scenario_files import LOADABLE
 
 from adapters.so101_oracle import START
 from coopqp.adapters.dataset import audit
-from coopqp.adapters.motors import ARMS, KEYS
+from coopqp.adapters.motors import ARMS, GRIPPERS, KEYS
 from coopqp.base.errors import CoopqpError
 from coopqp.base.spec import Array
 from coopqp.cli import main
+from coopqp.execution.comparison import compare
 from coopqp.kernel import native
+from coopqp.recordings.known import export, read
+from coopqp.report import files
 from coopqp.scenario.loader import load
 
 pa = pytest.importorskip("pyarrow")
@@ -76,6 +79,34 @@ def test_hands_that_part_are_found_while_both_hold(
         main(["audit", str(folder)])
     said = capsys.readouterr().out
     assert "episode 0: 48 of 50 frames broken: loop 48\n  frame 2: loop" in said
+
+
+def test_a_sound_run_exported_as_a_dataset_is_found_sound(tmp_path: Path) -> None:
+    import pyarrow.parquet as pq
+
+    scenario, folder = load("two_so101"), tmp_path / "qp.lerobot"
+    done = compare(scenario, controllers=["qp"])
+    files.write(done, tmp_path)
+    export(read(tmp_path / "trace.csv"), scenario, "lerobot", "qp", folder)
+    assert [(len(e.broken), e.frames) for e in audit(folder, scenario)] == [(0, 450)]
+    info = json.loads((folder / "meta" / "info.json").read_text())
+    table = pq.read_table(folder / info["data_path"].format(chunk_index=0, file_index=0))
+    assert table.column_names == list(info["features"])
+    assert info["features"]["action"] == {"dtype": "float32", "shape": [12], "names": list(KEYS)}
+    action, state = (np.array(table[key].to_pylist()) for key in ("action", "observation.state"))
+    q = done.traces["qp"].q
+    np.testing.assert_allclose(np.radians(state[:, ARMS]), q[:-1], atol=1e-6)
+    np.testing.assert_allclose(np.radians(action[:, ARMS]), q[1:], atol=1e-6)
+    assert not action[:, GRIPPERS].any()
+    for key in ("frame_index", "index"):
+        assert table[key].to_pylist() == list(range(450))
+    assert table["timestamp"].to_pylist() == pytest.approx(np.arange(450) / info["fps"], abs=1e-4)
+    tasks = pq.read_table(folder / "meta" / "tasks.parquet")
+    assert tasks.to_pylist() == [{"task_index": 0, "task": scenario.description}]
+    assert json.loads(tasks.schema.metadata[b"pandas"])["index_columns"] == ["task"]
+    (episode,) = pq.read_table(folder / "meta" / "episodes").to_pylist()
+    assert (episode["length"], episode["dataset_to_index"]) == (450, 450)
+    assert episode["stats/action/max"] == pytest.approx(action.max(axis=0))
 
 
 def test_a_folder_that_is_none_is_refused(tmp_path: Path) -> None:

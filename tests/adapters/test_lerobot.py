@@ -23,4 +23,4 @@ def test_robot_step_and_leaders_work_in_lerobot(tmp_path: Path) -> None:
     )
     assert done.returncode == 0, done.stderr
     said = [line.split(":")[0] for line in done.stdout.splitlines()]
-    assert said[-4:] == ["robot", "step", "leaders", "dataset"]
+    assert said[-5:] == ["robot", "step", "leaders", "dataset", "export"]

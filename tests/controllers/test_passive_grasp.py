@@ -21,7 +21,7 @@ from coopqp.plants import Kinematic, Mujoco, RigidBody
 from coopqp.scenario.loader import load, shipped
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status
-from coopqp.tasks import Pose
+from coopqp.tasks import InternalWrench, Pose
 from coopqp.trace import Trace
 
 PLANTS = {"rigid_body": RigidBody(time_step=0.002), "mujoco": Mujoco(time_step=0.001)}
@@ -136,6 +136,21 @@ def test_the_internal_force_is_what_the_hands_do_against_each_other() -> None:
     internal = trace.signals["internal_wrench"].reshape(trace.ticks, 2, 6)
     assert np.abs(internal.sum(axis=1)).max() < 1e-9
     assert np.abs(internal).max() > 1e-6
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+def test_the_pid_squeezes_as_it_is_asked_to_while_it_carries(plant: str) -> None:
+    scenario = hurried(plant=PLANTS[plant])
+    asked = InternalWrench(squeeze=6.0, twist=0.05)
+    trace = run(replace(scenario, tasks=(*scenario.tasks, asked)), controller="passive_grasp_pid")
+    alone = carried(plant, "undisturbed", "passive_grasp_pid")
+    np.testing.assert_allclose(trace.task_error[-1][:2], alone.task_error[-1][:2], atol=1e-3)
+    wrench = trace.task_error[:, 2:]  # N, N m
+    assert np.abs(wrench[20:]).max() < 0.05
+    with pytest.raises(InvalidValueError, match="velocities exert no forces; use level: torque"):
+        PassiveGraspPid(level="kinematic").build(
+            replace(scenario, tasks=(*scenario.tasks, asked)).problem()
+        )
 
 
 def test_feed_forward_of_the_reference_helps_tracking() -> None:

@@ -214,15 +214,46 @@ def test_the_robot_is_left_with_torques_that_hold() -> None:
     )
 
 
-def test_a_velocity_against_the_way_that_a_joint_has_gone_is_refused() -> None:
+@pytest.mark.parametrize("wrong", ["reversed", "zero", "in degrees"])
+def test_a_velocity_that_does_not_fit_the_way_is_named_and_the_arms_rest(wrong: str) -> None:
+    """Believed it moves NAO's arms by 70 to 145 rad/s."""
+    loop, robot = simulated(coopqp.load("heavy_object"), "torque_qp")
+    joint, factor = 1, {"reversed": -1.0, "zero": 0.0, "in degrees": np.rad2deg(1.0)}[wrong]
+    fastest, factors = 0.0, np.ones(loop.problem.chain.n)
+    for k in range(round(1.5 / loop.problem.dt)):
+        factors[joint] = factor if k * loop.problem.dt > 0.3 else 1.0
+        command = loop.tick(robot.read() * [np.ones_like(factors), factors])
+        robot.apply(command.tau)
+        fastest = max(fastest, speed(robot))
+    first = loop.faults[0]
+    assert first[:2] == ("velocities_wrong", (loop.problem.chain.joint_names[joint],))
+    assert first.t < 0.4
+    assert loop.stopped
+    assert fastest < 6.0
+    assert speed(robot) < 0.3
+
+
+def test_one_velocity_that_is_lost_is_no_fault() -> None:
+    loop, robot = simulated(coopqp.load("heavy_object"), "torque_qp")
+    for k in range(round(0.6 / loop.problem.dt)):
+        reading = robot.read()
+        reading[1, 1] = 50.0 if k == 150 else reading[1, 1]
+        robot.apply(loop.tick(reading).tau)
+        assert (loop.status is Status.NOT_MEASURED) == (k == 150)
+    assert not loop.faults
+
+
+def test_a_velocity_that_does_not_fit_is_taken_from_positions() -> None:
+    """Of a joint that goes at 1 rad/s; a first-order filter's answer is 1 - exp(-t/T)."""
     chain = coopqp.load("passive_grasp_pose").chain
-    readings = Readings(chain, rates=True)
-    q, v = chain.q_start.copy(), np.zeros(chain.n)
-    assert readings.take(np.array([q, v]), q, 0.0) is None
-    q[1] += 0.3
-    v[1] = -chain.velocity[1]
-    moved = 1.5 * chain.velocity[1] * 0.05
-    assert moved > 0.3  # no jump
-    assert readings.take(np.array([q, v]), q, 0.05) is Status.NOT_MEASURED
-    assert "but it moved by +0.3 rad in 0.05 s" in readings.note
-    assert readings.take(np.array([q, -v]), q, 0.1) is None
+    readings, q, dt = Readings(chain, rates=True), chain.q_start.copy(), 1e-3
+    v = np.zeros(chain.n)
+    for k in range(100):
+        assert readings.take(np.array([q, v]), q, k * dt) is None
+        q[1] += dt
+    assert readings.misread == (1,)
+    assert readings.v is not None
+    np.testing.assert_allclose(readings.v[1], 1.0, atol=1e-3)
+    assert not np.delete(readings.v, 1).any()
+    readings.forget()
+    assert not readings.misread

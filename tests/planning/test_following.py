@@ -19,6 +19,7 @@ from coopqp.assessment import assess
 from coopqp.base.errors import InvalidValueError, ScenarioError
 from coopqp.base.spec import spec
 from coopqp.controller import Command, ControlProblem
+from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.planning import Budget
 from coopqp.planning.closed_space import ClosedSpace
@@ -31,8 +32,12 @@ from coopqp.report.files import write
 from coopqp.report.planning import write_plan, write_timed
 from coopqp.scenario.input import BRAKES, STANDS
 from coopqp.scenario.loader import load, load_text
+from coopqp.scenario.notes import notes
 from coopqp.scenario.scenario import Scenario
+from coopqp.signal import quaternion_of
+from coopqp.signals import Waypoints
 from coopqp.study.trace_file import off_the_record, recorded_tick
+from coopqp.tasks import Pose
 from coopqp.trace import Trace
 
 pytestmark = [needs_kernel, needs_robots]
@@ -138,6 +143,16 @@ def test_pushed_off_a_run_goes_on_where_it_has_left_the_path(name: str, speed: f
     np.testing.assert_allclose(trace.q[held][-1], undisturbed.q[held][-1], atol=1e-3)
 
 
+def test_a_clock_that_no_posture_follows_is_told_of() -> None:
+    shipped = load("two_pandas")
+    pose = shipped.chain.object_pose(shipped.chain.q_start)
+    there = [*pose.translation, *quaternion_of(pose.rotation)]
+    goal = Waypoints(times=[0.0, 1.0], values=[there, there], clock="mine")
+    said = notes(replace(shipped, tasks=(Pose(goal=goal, profile=Profile(kind="step")),)))
+    assert "the clock 'mine' waits for nobody: no posture's way-points name it" in said
+    assert not any("waits for nobody" in line for line in notes(in_one_go("planar_pair")))
+
+
 def test_joints_that_are_held_for_good_are_told_of(tmp_path: Path) -> None:
     calm = in_one_go("planar_pair", late=0.5)
     held = replace(calm, plant=Shoved(start=0.3, duration=1e3, speed=6.0))
@@ -190,6 +205,8 @@ def test_a_regrasp_is_timed_phase_by_phase_and_followed(tmp_path: Path) -> None:
     assert assess(trace).succeeds
     with pytest.raises(InvalidValueError, match="phase: found None, needs 0 to 3"):
         coopqp.time_along(tmp_path, follows)
+    with pytest.raises(InvalidValueError, match=r"speed: found .* needs 0 at the ends of phases"):
+        time_phases(tmp_path, follows, speed=(0.1, 0.0))
 
 
 def test_a_phase_in_which_nothing_moves_is_held(tmp_path: Path) -> None:

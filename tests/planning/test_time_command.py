@@ -57,6 +57,10 @@ def test_a_table_of_joints_is_whose_scenario_stands_beside_it(slow: Path, tmp_pa
     for scenario in ((), ("--scenario", "point_on_point")):
         named = typed("time", tmp_path, *scenario)
         assert "The fastest motion along the path takes 0.1" in named.output
+    (tmp_path / "plan.csv").write_text((tmp_path / "timed.csv").read_text())
+    two = typed("time", tmp_path)
+    assert "has plan.csv and timed.csv; give one of them, not the folder" in two.output
+    (tmp_path / "plan.csv").unlink()
     (tmp_path / "scenario.yaml").unlink()
     for path in (tmp_path, tmp_path / "timed.csv"):
         result = typed("time", path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from pathlib import Path
 from typing import Any
@@ -11,16 +12,17 @@ import pytest
 from command_line import refused, refused_in_one_line, typed
 from scenario_files import HEAD
 
+from coopqp.base.errors import CoopqpError
 from coopqp.execution.comparison import compare
 from coopqp.recordings.column import Columns
-from coopqp.recordings.known import NAMES, format_of, read
+from coopqp.recordings.known import NAMES, export, format_of, read
 from coopqp.report import files
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.loader import load
 from coopqp.study.tick_record import TickRecord
 from coopqp.study.trace_file import recorded_tick
 
-PACKAGES = {"mcap": "mcap", "rosbag2": "rosbags", "parquet": "pyarrow"}
+PACKAGES = {"mcap": "mcap", "rosbag2": "rosbags", "parquet": "pyarrow", "lerobot": "pyarrow"}
 every_format = pytest.mark.parametrize("name", NAMES)
 TICKS = (0, 70, 150)  # one of each phase
 
@@ -78,11 +80,11 @@ def test_a_damaged_file_is_refused_in_one_line(name: str, written: Any, tmp_path
     path = written.exported[name]
     damaged = tmp_path / path.name
     if path.is_dir():
-        damaged.mkdir()
-        for part in path.iterdir():
-            content = part.read_bytes()
+        for part in (part for part in path.rglob("*") if part.is_file()):
+            content, there = part.read_bytes(), damaged / part.relative_to(path)
             cut = len(content) if part.suffix == ".yaml" else len(content) // 2
-            (damaged / part.name).write_bytes(content[:cut])
+            there.parent.mkdir(parents=True, exist_ok=True)
+            there.write_bytes(content[:cut])
     else:
         damaged.write_bytes(path.read_bytes()[:-100])
     assert str(damaged) in refused_in_one_line("explain", damaged)
@@ -103,6 +105,29 @@ def test_a_missing_package_is_named_with_its_extra(
     ):
         assert "needs: pip install 'coopqp[recordings]'" in refused(*arguments)
     assert not list(tmp_path.iterdir())
+
+
+def test_grippers_of_a_dataset_are_open_where_arms_have_let_go(written: Any) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
+    folder = written.exported["lerobot"]
+    info = json.loads((folder / "meta" / "info.json").read_text())
+    names = info["features"]["action"]["names"]
+    rows = np.array(parquet.read_table(folder / "data")["action"].to_pylist())
+    phases = read(written.trace_csv).of("qp").ticks.columns["phase"]
+    released = {phase.name: phase.released for phase in load(folder.parent / "given.yaml").phases}
+    for arm in ("left", "right"):
+        opened = [100.0 * (arm in released[phase]) for phase in phases]
+        assert rows[:, names.index(f"{arm}_gripper.pos")].tolist() == opened
+    assert rows[:, [name.endswith("gripper.pos") for name in names]].any()
+
+
+def test_time_that_stood_still_makes_no_dataset(written: Any, tmp_path: Path) -> None:
+    run = read(written.trace_csv).of("qp")
+    run.columns["t"][50:] += 0.3
+    with pytest.raises(CoopqpError, match=r"time is up to 0\.3 s off one tick each 0\.01 s, and a"):
+        export(
+            run, load(written.trace_csv.parent / "scenario.yaml"), "lerobot", "qp", tmp_path / "x"
+        )
 
 
 def test_all_controllers_are_exported_a_file_each(written: Any, tmp_path: Path) -> None:

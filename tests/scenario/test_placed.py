@@ -58,10 +58,27 @@ def test_what_a_file_would_be_refused_for_is_refused(nao: Scenario) -> None:
         nao.placed(start={name: np.degrees(x).tolist() for name, x in nao.start.items()})
     with pytest.raises(CoopqpError, match="unknown arm or joint 'lef'; did you mean 'left'"):
         nao.placed(start={"lef": [0.0] * 5})
+    with pytest.raises(InvalidValueError, match=r"left: found \[True, .*\], needs numbers"):
+        nao.placed(start={**nao.start, "left": [True] * 5})
+    with pytest.raises(InvalidValueError, match="start: found 'solved', needs joints or solve"):
+        nao.placed(start="solved")  # type: ignore[arg-type]
+    with pytest.raises(GraspError, match=r"to solve for a start, give .*object_in_hand"):
+        nao.placed(object_pose=ELSEWHERE, start="solve")
     with pytest.raises(InvalidValueError, match=r"quaternion has length 2, needs 1; give x y z"):
         nao.placed(object_pose=[0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 2.0])
     with pytest.raises(InvalidValueError, match="object_pose"):
         nao.placed(object_pose=[0.1, 0.0, 0.0])
+
+
+@needs_robots
+def test_a_start_is_solved_where_the_object_is() -> None:
+    scenario = coopqp.load("two_pandas")
+    given = scenario.chain
+    X = given.object_pose(given.q_start)
+    X.translation += [0.03, 0.02, -0.04]
+    placed = scenario.placed(object_pose=pin.SE3ToXYZQUAT(X), start="solve")
+    assert placed.chain.object_pose(placed.chain.q_start).isApprox(X, 1e-7)
+    assert np.abs(placed.chain.q_start - given.q_start).max() < 0.3
 
 
 @needs_robots

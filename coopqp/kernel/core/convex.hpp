@@ -89,29 +89,6 @@ class Convex {
         return points[std::size_t(at)];
     }
 
-    // The points that are less than `depth` lower than the farthest along d, in their order. On a
-    // convex body edges lead from each of them to the farthest. seen: zeros, which they become again.
-    void tops(const V3& d, double depth, std::vector<int>& found, std::vector<char>& seen) const {
-        found.clear();
-        if (points.empty()) return;
-        const int first = climbs_ ? climb(d, table_[std::size_t(cell(d))]) : scan(d);
-        const double least = dot(points[std::size_t(first)], d) - depth;
-        const auto take = [&](int i) {
-            if (seen[std::size_t(i)] || !(dot(points[std::size_t(i)], d) > least)) return;
-            seen[std::size_t(i)] = 1;
-            found.push_back(i);
-        };
-        if (seen.size() < points.size()) seen.resize(points.size());
-        for (std::size_t i = 0; !climbs_ && i < points.size(); i++) take(int(i));
-        if (climbs_) take(first);
-        for (std::size_t done = 0; climbs_ && done < found.size(); done++) {
-            const auto i = std::size_t(found[done]);
-            for (int k = first_[i]; k < first_[i + 1]; k++) take(next_[std::size_t(k)]);
-        }
-        std::sort(found.begin(), found.end());
-        for (int i : found) seen[std::size_t(i)] = 0;
-    }
-
   private:
     V3 of_cylinder(const V3& d) const {
         const double across2 = d.x * d.x + d.y * d.y, end = d.z < 0.0 ? -half.z : half.z;

@@ -198,7 +198,8 @@ class Kernel {
     std::vector<Level> levels;
     Kinematics kinematics;
     Bound bound;
-    bool looks_again = true;  // at bodies that an answer brings near; else whoever asks does
+    // At bodies that an answer brings near, and first at corners; else whoever asks does.
+    bool looks_again = true;
 
   private:
     // b = -kappa e
@@ -234,7 +235,8 @@ class Kernel {
             speed_[j] = std::min(FASTER * std::fabs(bound.v_last[j]) + STARTS, most);
         }
         for (Separation& each : separations_)
-            if (each.begin(kinematics, speed_.data(), limits) != Separation::Told::Kept) return false;
+            if (each.begin(kinematics, speed_.data(), limits, looks_again) != Separation::Told::Kept)
+                return false;
         return true;
     }
 

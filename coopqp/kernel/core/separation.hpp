@@ -33,14 +33,15 @@ class Separation {
     // How many rows there are at most.
     int most_rows() const { return int(std::min(pairs_.size(), MOST_NEAR)) + int(CORNER_ROWS); }
 
-    // Append the rows of this tick; speed: of joints, up to which pairs have the rows they need.
-    Told begin(const Kinematics& kinematics, const double* speed, Limits& limits) {
+    // Append the rows of this tick; speed: of joints, up to which pairs have the rows they need;
+    // corners: whether the closest have theirs.
+    Told begin(const Kinematics& kinematics, const double* speed, Limits& limits, bool corners) {
         pairs_.place(kinematics, poses_);
         std::fill(seen_.begin(), seen_.end(), char(0));
         near_.clear();
         if (!find(speed)) return Told::Unknown;
         for (const Near& near : near_) take(near, kinematics, limits);
-        take_corners(kinematics, limits);
+        if (corners) take_corners(kinematics, limits);
         return Told::Kept;
     }
 
@@ -192,12 +193,17 @@ class Separation {
     void ends(const Convex& convex, const Pose& pose, const V3& n, double out,
               std::vector<End>& found) {
         const V3 up = out * pose.in(n);
-        convex.tops(up, CORNER_SLAB, tops_, seen_tops_);
-        found.clear();
-        for (int i : tops_) {
-            const V3& p = convex.points[std::size_t(i)];
-            found.push_back({pose.out(p) + pose.p, out * (dot(p, up) + convex.rim) + dot(n, pose.p)});
+        heights_.resize(convex.points.size());
+        double top = -std::numeric_limits<double>::infinity();
+        for (std::size_t i = 0; i < convex.points.size(); i++) {
+            heights_[i] = dot(convex.points[i], up);
+            top = std::max(top, heights_[i]);
         }
+        found.clear();
+        for (std::size_t i = 0; i < convex.points.size(); i++)
+            if (heights_[i] > top - CORNER_SLAB)
+                found.push_back({pose.out(convex.points[i]) + pose.p,
+                                 out * (heights_[i] + convex.rim) + dot(n, pose.p)});
     }
 
     static double width(const std::vector<End>& ends) {
@@ -248,8 +254,7 @@ class Separation {
     std::vector<double> closing_;  // how fast each body moves at most
     std::vector<Near> near_;
     std::vector<std::size_t> close_;
-    std::vector<int> tops_;
-    std::vector<char> seen_tops_;
+    std::vector<double> heights_;
     std::vector<End> first_, second_, corners_;
 };
 
