@@ -43,9 +43,9 @@ FAST = 2.0
 #: A row so many times later than usual comes after missing ones. Who comes to rest within a tick or
 #: two takes a last step that is shorter than this share of the one before.
 MISSING, SLOWER = 1.5, 0.7
-#: By how much a path may be beyond a limit of place or speed, whose units these are: the spline of
-#: a timed one overshoots a limit that it goes along. Of distances one row of so many is looked at.
-BEYOND, OF_SPEED, COARSE = 1e-3, ("m", "rad", "m/s", "rad/s"), 10
+#: By how much a path may be beyond a limit of place or speed, whose units these are, as the spline
+#: of a timed one is beside a limit it goes along; of distances one row of so many is looked at.
+BEYOND, OF_SPEED, COARSE = 2e-3, ("m", "rad", "m/s", "rad/s"), 10
 
 
 class Way(NamedTuple):

@@ -358,7 +358,7 @@ class Scenario:
     def _away(self, phase: Phase) -> tuple[str, ...]:
         """Arms that are released in a phase, the one before and the one after.
 
-        The planned way to a phase counts as that phase.
+        A phase and the planned way to it are one.
         """
         part = list(itertools.accumulate((not one.leads for one in self.schedule), initial=0))
         for i, one in zip(part, self.schedule, strict=False):

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from command_line import typed
+from numpy.typing import NDArray
 from scenario_files import needs_robots
 from side_by_side import needs_kernel
 
@@ -29,7 +30,7 @@ from coopqp.scenario.loader import load, load_text
 from coopqp.scenario.scenario import Phase, Scenario
 from coopqp.study.explanation import RunExplanation, explain_run
 from coopqp.study.explanation.goal import Goal, Room, placed
-from coopqp.tasks import PlaneOnPlane, PointOnPoint
+from coopqp.tasks import PlaneOnPlane, PointOnPoint, Twist
 
 pytestmark = [needs_kernel, needs_robots]
 
@@ -304,9 +305,59 @@ def test_a_damaged_plan_is_refused(shelves: Scenario, way: Plan, tmp_path: Path)
     for damaged, says in (
         (cut, r"plan.csv: \S+ jumps at"),
         (replace(way, object=moved), "the object is not where the joints hold it at"),
+        (_rows(way, hole), "rows are missing between"),
+        (_rows(way, np.arange(middle)), "it still moves where it ends at .* cut off"),
     ):
         with pytest.raises(CoopqpError, match=says):
             write_plan(damaged, shelves, tmp_path)
+
+
+def _rows(way: Plan, kept: NDArray[np.int_]) -> Plan:
+    """The plan with some of its rows, at their times."""
+    return replace(way, t=way.t[kept], timed=way.timed[kept], object=way.object[kept])
+
+
+def test_a_plan_beyond_limits_that_were_tightened_is_refused(
+    shelves: Scenario, way: Plan, tmp_path: Path
+) -> None:
+    _, path = write_plan(way, shelves, tmp_path)
+    text = path.read_text()
+    path.write_text(text.replace("- joint_velocity", "- joint_velocity: {scale: 0.2}"))
+    with pytest.raises(CoopqpError, match=r"velocity of \S+ \(\w+\) is broken by \S+ rad/s at"):
+        load(path)
+    path.write_text(text)
+    assert load(path).schedule[0].leads
+
+
+def test_hands_on_the_way_to_what_they_take_hold_of_may_near_it() -> None:
+    """The way to a phase and the phase are one: the arms are not away from the object in it."""
+    scenario = load("pick_and_place")
+    follows = scenario.changed(phases=tuple(_doubled(scenario.phases)))
+    for one in follows.schedule:
+        away = follows.problem(one).chain.hold.away
+        own = next(x for x in scenario.phases if x.name == one.name.removesuffix(" way"))
+        assert away == scenario.problem(own).chain.hold.away
+
+
+def _doubled(phases: Sequence[Phase]) -> Iterator[Phase]:
+    for phase in phases:
+        yield replace(phase, name=f"{phase.name} way", leads=True)
+        yield phase
+
+
+def test_the_number_of_threads_changes_no_answer(shelves: Scenario) -> None:
+    one, three = (reach(shelves, threads=count) for count in (1, 3))
+    assert one.sentence == three.sentence
+    for a, b in zip(one.found, three.found, strict=True):
+        np.testing.assert_array_equal(a.q, b.q)
+
+
+def test_without_a_task_that_has_a_place_nothing_is_planned() -> None:
+    scenario = load("planar_pair")
+    drifting = scenario.changed(tasks=(Twist(name="drift", velocity={"x": 0.1}),))
+    for ask in (plan, reach):
+        with pytest.raises(CoopqpError, match="no task asks for a place"):
+            ask(drifting)
 
 
 def test_a_plan_shorter_than_a_second_is_read_back(tmp_path: Path) -> None:
