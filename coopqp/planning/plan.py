@@ -189,7 +189,8 @@ def way_round(
     """The explanation of a blocked run, and whether a plan from the start leads to its goal.
 
     Tried so long, where limits are in the way or a configuration is known at the goal, and a run
-    may follow a plan. ``named`` is what the command line calls the scenario.
+    may follow a plan; a search without success is told only of goals with such a configuration.
+    ``named`` is what the command line calls the scenario.
     """
     followed = any(phase.leads for phase in scenario.phases)
     if followed or not (found.elsewhere or found.kind == "limits"):
@@ -198,7 +199,10 @@ def way_round(
     try:
         way = plan(scenario, budget=Budget(seconds=seconds, seed=scenario.seed))
     except CoopqpError as error:
-        return replace(found, sentence=f"{found.sentence}; {command} cannot help: {error}")
+        words = f"; {command} cannot help: {error}" if found.elsewhere else ""
+        return replace(found, sentence=found.sentence + words)
+    if not (way.found or found.elsewhere):
+        return found
     took = f"{sum(way.seconds.values()):.2g} s, {way.length:.3g} rad"
     words = f"{command}: {f'a way round was found in {took}' if way.found else way.sentence}"
     return replace(found, sentence=f"{found.sentence}; {words}", way_round=way.found)
