@@ -441,7 +441,7 @@ int too_fast(Random& random, int& near) {
         v[model.joints[j].lane] = uniform(random, -1.0, 1.0);
     }
     kinematics.place(q.data());
-    if (separation.begin(kinematics, speed.data(), limits) != Separation::Told::Kept) return 0;
+    if (separation.begin(kinematics, speed.data(), limits, true) != Separation::Told::Kept) return 0;
     std::fill(speed.begin(), speed.end(), 1.0);
     if (separation.look(kinematics, speed.data(), v, limits) == Separation::Told::Unknown) return 0;
     near += int(separation.near());
