@@ -52,8 +52,9 @@ EXPLAINED, EXPLAINED_SWAPPED, AS_GOOD = 0.9, 0.95, 0.03
 NOISE_LEFT, CLEAR = 0.7 / 3.0, 100.0
 #: Two swapped joints need less where all other faults leave so much more.
 ALONE = 0.5
-#: delta over dq_c of a joint that does not follow, at least; of two that are swapped.
-LEAST_SLOPE, SWAPPED = 0.6, (0.7, 1.6)
+#: delta over dq_c of a joint that does not follow, at least; of two that are swapped, 1 but for
+#: what else there is.
+LEAST_SLOPE, SWAPPED = 0.6, (0.7, 1.0 / 0.7)
 #: Slopes of joints that move the wrong way are between these; else they do not follow.
 REVERSED = (1.5, 4.0)
 #: A reading has jumped by so much at least [rad, m], most of it within two samples.
