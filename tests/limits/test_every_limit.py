@@ -111,7 +111,7 @@ def test_unlimited_sides_have_no_margin(nao: RobotModel, held_box: ClosedChain) 
 def test_a_tick_keeps_no_memory(held_box: ClosedChain, limit: Limit) -> None:
     state, rows = State(held_box), empty_rows(held_box, limit)
     tighten = limit.bind(held_box, DT)
-    for _ in range(20):  # the allocators keep small blocks of the first ticks
+    for _ in range(600):  # the allocators keep small blocks of the first ticks
         tighten(state, rows)
     tracemalloc.start()
     try:
