@@ -79,6 +79,8 @@ def main() -> None:
     )
     parser.add_argument("--out", type=Path, default=Path("out/planning"))
     asked = parser.parse_args()
+    if asked.what == "shelves" and not (asked.data and asked.scene):
+        parser.error("shelves needs --data shelves.json and --scene CLONE, which has its meshes")
     asked.out.mkdir(parents=True, exist_ok=True)
     if asked.what == "shelves":
         shelves(asked)
