@@ -253,7 +253,8 @@ def time_along(
         scenario: whose robot, start, grasps, object and limits count.
         phase: which one, from 0 on, of a plan that leads through several, with the arms that hold
             the object then; nothing may move in it.
-        points: intervals of the grid; twice as many where it turns out to be too coarse.
+        points: intervals of the grid at least: no fewer than the path has knots, and twice as many
+            where that turns out to be too coarse.
         torque: share of each motor's limit that may be planned with; the rest is for the loop.
         wrench: largest force and torque by component of each hand's internal wrench [N, N m];
             ``WRENCH`` if omitted, ``PRESSING`` where hands press.
@@ -329,6 +330,7 @@ def fastest(
 
     Else as :func:`time_along`.
     """
+    points = max(points, len(maker.path.spline.t))  # between two places it may not bend twice
     places = np.linspace(0.0, maker.path.length, points + 1)
     rows = maker.at(places)
     held = _held(rows)
