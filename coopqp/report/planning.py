@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from string import Template
@@ -13,7 +12,6 @@ import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
-from coopqp.base.reading import absolute
 from coopqp.base.table import csv_text
 from coopqp.planning import Plan, Reach
 from coopqp.planning.time_along import NOTHING, TimedPath, table_of_phases
@@ -24,7 +22,7 @@ from coopqp.report.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILI
 from coopqp.scenario.loader import load
 from coopqp.scenario.planned import NEAR
 from coopqp.scenario.scenario import Scenario
-from coopqp.scenario.yaml import parsed
+from coopqp.scenario.yaml import with_keys
 
 PATH = "plan.csv"
 #: Of a timed path: its table, and the page that shows what is active where.
@@ -116,19 +114,10 @@ def _write(
     if not scenario.source:
         return [path]
     follows = folder / f"{scenario.name}.yaml"
-    named = name if scenario.folder is None else str(absolute(path))
-    write_one(follows, _with_reference(scenario.portable, {"plan": named, **keys}))
+    changed = scenario.keys_with(path)
+    changed["reference"] |= keys
+    write_one(follows, with_keys(scenario.source, changed))
     return [path, follows]
-
-
-def _with_reference(text: str, keys: dict[str, Any]) -> str:
-    """The scenario with a reference, whose other keys stay where it has one."""
-    data = parsed(Path("scenario"), text).data
-    keys = {**(data.get("reference") or {}), **keys}
-    if text.lstrip().startswith("{") or "reference" in data:
-        return json.dumps({**data, "reference": keys}, indent=2) + "\n"
-    end = "" if text.endswith("\n") else "\n"
-    return f"{text}{end}reference: {json.dumps(keys)}\n"
 
 
 def limits_table(found: TimedPath, tried: dict[str, float]) -> Table:
