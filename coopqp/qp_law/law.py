@@ -180,7 +180,9 @@ class QPLaw(Law):
         if self._relaxes and (leaves > 0.0 or self._shares.min(initial=1.0) < WHOLE):
             near, found = self.nearest.of_scaled(state, v)
             status = found if status is Status.OPTIMAL else status
-            leaves = max(leaves, self._leaves_directions(near) if leaves < 1.0 else 0.0)
+            wanted, parts = self.exact.wanted, zip(self._scaled, self._shares.tolist(), strict=True)
+            for p, share in () if leaves == 1.0 else parts:
+                leaves = max(leaves, blocked(share, wanted[p], self.exact.J[p] @ near))
             v = (1.0 - leaves) * v + leaves * near
         self._remember(state, v, leaves)
         if not whole.usable and whole is not Status.INFEASIBLE:
@@ -206,11 +208,6 @@ class QPLaw(Law):
             found = level.solve().usable
             v, leaves = (level.v, max(leaves, level.shares[-1])) if found else (v, 1.0)
         return v, leaves if self._scaled else 0.0
-
-    def _leaves_directions(self, near: Array) -> float:
-        """How far scaled tasks may leave their directions for the nearest motion, from 0 to 1."""
-        wanted, parts = self.exact.wanted, zip(self._scaled, self._shares.tolist(), strict=True)
-        return max(blocked(share, wanted[p], self.exact.J[p] @ near) for p, share in parts)
 
     def _missed(self, v: Array) -> Array:
         """What rows of hard tasks lack, zero where that is rounding."""
