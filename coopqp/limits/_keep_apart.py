@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -80,16 +81,7 @@ class Separation:
 
     def rows(self) -> tuple[Row, ...]:
         """A row a pair, then those of corners of the closest pairs."""
-        of_pairs = (
-            replace(
-                place_row(
-                    self.name, f"[{a.name}|{b.name}]", f"the distance of {a.name} and {b.name}"
-                ),
-                bodies=(a.name, b.name),
-                kept=self.distance,
-            )
-            for a, b in self.pairs
-        )
+        of_pairs = (_row(self.name, a.name, b.name, self.distance) for a, b in self.pairs)
         label = "the distance at corner {} of the closest bodies".format
         corners = range(1, ROWS + 1)
         return (*of_pairs, *(place_row(self.name, f".corner[{i}]", label(i)) for i in corners))
@@ -285,6 +277,13 @@ def _largest(sizes: Array) -> int:
     return int((sizes >= (1.0 - EVEN) * sizes.max()).argmax())
 
 
+@lru_cache(maxsize=4096)  # of the pairs of some robots; every law of a session asks for its own
+def _row(owner: str, first: str, second: str, distance: float) -> Row:
+    label = f"the distance of {first} and {second}"
+    row = place_row(owner, f"[{first}|{second}]", label)
+    return replace(row, bodies=(first, second), kept=distance)
+
+
 def _wrenches(n: Array, p: Array) -> Array:
     """The rows of points that move along n, [n; p x n], one or many."""
     return np.concatenate([n, np.cross(p, n)], axis=-1)
@@ -309,11 +308,16 @@ def _moved(chain: ClosedChain, pairs: Sequence[Pair]) -> list[Array]:
 
 def _levers_of(chain: ClosedChain, bodies: Sequence[Body]) -> Array:
     """Longest way from each joint to a body's far end, 1 where the joint slides, shape (k, n)."""
-    ends = [(body.convex.placement.translation, body.convex.radius) for body in bodies]
-    far = np.array([float(np.linalg.norm(p)) + radius for p, radius in ends])
+    far_of = {body: _far_end(body) for body in dict.fromkeys(bodies)}
+    far = np.array([far_of[body] for body in bodies])
     (ways, slides), joints = chain.once(_ways), [body.joint for body in bodies]
     reach = np.where(slides, 1.0, ways[np.array(joints, int)] + far[:, None])
     return np.where(movers(chain, joints) > 0.0, reach, 0.0)
+
+
+def _far_end(body: Body) -> float:
+    """How far it reaches from its joint's frame at most [m]."""
+    return float(np.linalg.norm(body.convex.placement.translation)) + body.convex.radius
 
 
 def _ways(chain: ClosedChain) -> tuple[Array, Array]:
