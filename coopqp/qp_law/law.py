@@ -140,13 +140,15 @@ class QPLaw(Law):
     def _scaled_damping(self, state: State) -> float:
         """For scaled tasks, whose rows bend by their multipliers.
 
-        They are SCALE_WEIGHT (1 - s) / |wanted|, with s of the last tick.
+        They are SCALE_WEIGHT (1 - s) / |wanted|, with s of the last tick; fewer towards rest, where
+        wanted is rounding.
         """
         if not self._scaled:
             return 0.0
         bends, wanted = self.exact.bends(state.v), self.exact.wanted
-        sizes = [norm(bends[p]) / (wanted[p] @ wanted[p] + LEAST_SPEED**2) for p in self._scaled]
-        pull = SCALE_WEIGHT * float(state.memory["missing"] @ sizes)
+        rates = [(norm(bends[p]), norm(wanted[p]) / LEAST_SPEED) for p in self._scaled]
+        sizes = [bend * min(rate, 1.0) / (rate * rate + 1.0) for bend, rate in rates]
+        pull = SCALE_WEIGHT / LEAST_SPEED**2 * float(state.memory["missing"] @ sizes)
         return min(self._damping.of(pull, state), MOST_DAMPING)
 
     def _decide_levels(self, state: State, kappa: float) -> tuple[Array, tuple[Status, ...]]:
