@@ -189,6 +189,7 @@ def plan(
 
     loaded = read_scenario(scenario, catalog)
     budget = Budget(seconds=seconds, seed=loaded.seed if seed is None else seed)
+    report.check_written(out, loaded, report.PATH)
     with files.checked_folder(out), bar("planning") as progress:
         found = find(loaded, keep=keep, budget=budget, progress=progress)
         if not found.found:

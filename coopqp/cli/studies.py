@@ -57,12 +57,13 @@ def time_(
     from coopqp.planning.given_path import table_of
     from coopqp.planning.time_along import time_phases, would_do
     from coopqp.report import files, strict_json
-    from coopqp.report.planning import limits_table, phase_titles, write_timed
+    from coopqp.report.planning import TIMED, check_written, limits_table, phase_titles, write_timed
     from coopqp.report.table import console
 
     if scenario is None and (table := table_of(path)):
         scenario = _beside(table)
     loaded = read_scenario(scenario, catalog) if scenario else read_trace(path, catalog)[1]
+    check_written(out, loaded, TIMED)
     with files.checked_folder(out), _named(path):
         parts = time_phases(path, loaded, **how)
         tried = [would_do(part) for part in parts]

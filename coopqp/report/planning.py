@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from string import Template
 from tempfile import TemporaryDirectory
@@ -12,6 +13,7 @@ import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
+from coopqp.base.errors import CoopqpError
 from coopqp.base.table import csv_text
 from coopqp.planning import Plan, Reach
 from coopqp.planning.time_along import NOTHING, TimedPath, table_of_phases
@@ -22,7 +24,7 @@ from coopqp.report.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILI
 from coopqp.scenario.loader import load
 from coopqp.scenario.planned import NEAR
 from coopqp.scenario.scenario import Scenario
-from coopqp.scenario.yaml import with_keys
+from coopqp.scenario.yaml import parsed, with_keys
 
 PATH = "plan.csv"
 #: Of a timed path: its table, and the page that shows what is active where.
@@ -72,6 +74,21 @@ def plan_json(found: Plan) -> str:
         "verified": {"points": seen.points, "open": seen.open} if seen else None,
     }  # fmt: skip
     return strict_json.text(data)
+
+
+def check_written(folder: Path | None, scenario: Scenario, name: str) -> None:
+    """CoopqpError where a scenario would be written over that does not follow a table so named."""
+    follows = (folder or Path()) / f"{scenario.name}.yaml"
+    if folder is None or not follows.is_file():
+        return
+    with suppress(
+        CoopqpError, LookupError, OSError, TypeError, ValueError
+    ):  # what is broken is not ours
+        plan = parsed(follows, follows.read_text(encoding="utf-8")).data["reference"]["plan"]
+        if Path(plan).name == name:
+            return
+    words = f"is there and does not follow {name}: it would be lost; give --out another folder"
+    raise CoopqpError(f"'{follows}' {words}")
 
 
 def write_plan(

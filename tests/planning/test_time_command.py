@@ -42,6 +42,19 @@ def test_a_run_becomes_a_reference(slow: Path, tmp_path: Path) -> None:
     assert 0.1 < min(data["would_do"].values()) < data["duration"]
 
 
+def test_a_scenario_of_ones_own_is_not_written_over(slow: Path, tmp_path: Path) -> None:
+    own = tmp_path / "scenario.yaml"
+    own.write_bytes((slow / "scenario.yaml").read_bytes() + b"# mine\n")
+    for command in (("time", slow), ("plan", own)):
+        result = typed(*command, "--out", tmp_path)
+        assert result.exit_code == 2
+        assert "scenario.yaml' is there and does not follow" in result.output
+        assert own.read_bytes().endswith(b"# mine\n")
+        assert [*tmp_path.iterdir()] == [own]
+    assert typed("time", slow, "--out", tmp_path / "fast").exit_code == 0
+    assert typed("time", slow, "--out", tmp_path / "fast").exit_code == 0  # its own it may replace
+
+
 def test_what_is_written_is_followed(slow: Path, tmp_path: Path) -> None:
     assert typed("time", slow, "--out", tmp_path).exit_code == 0
     result = typed("compare", tmp_path / "scenario.yaml", "--controllers", "qp")
@@ -87,3 +100,16 @@ def test_bad_input_ends_in_one_line(
     assert len(errors) == 1
     assert words in errors[0]
     assert not (tmp_path / "fast").exists()
+
+
+def test_a_table_of_joints_has_no_controller_and_no_other_robots_joints(
+    slow: Path, tmp_path: Path
+) -> None:
+    assert typed("time", slow, "--out", tmp_path).exit_code == 0
+    table = tmp_path / "timed.csv"
+    result = typed("time", table, "--scenario", "point_on_point", "--controller", "qp")
+    assert result.exit_code == 2
+    assert "is a table of joints, which no controller ran" in result.output
+    result = typed("time", table, "--scenario", "two_pandas")
+    assert result.exit_code == 2
+    assert "timed.csv: has columns that are no joints of panda + panda: LElbowRoll" in result.output
