@@ -31,7 +31,7 @@ from coopqp.solvers import Daqp
 from coopqp.task import Task, TaskStack
 from coopqp.tasks import JointCentering
 
-DURATION = 12.0  # [s]
+DURATION, LONG = 12.0, 120.0  # [s]
 PERIODS = (0.005, 0.01, 0.02)  # [s]
 FARTHEST = 0.05  # by which a task is unreachable [m]
 ROUNDS, CLOSE = 8, 0.1  # to place a goal, and the share of the distance that it may be off
@@ -141,8 +141,8 @@ def shortfall(found: Ended, reference: Ended, problem: ControlProblem, firm: Tas
     """Why a firm task ends farther off than as soft of priority 0; empty where it does not.
 
     A gradient descent may end in another minimum, or not have ended. So both go on from where the
-    firm run has come to, with all references at their goals: at fault is the firm task that is then
-    farther off than the soft one.
+    firm run has come to, with all references at their goals, for as long and then for much longer:
+    at fault is the firm task that ends both times farther off than the soft one.
 
     Args:
         found: how the firm task ended.
@@ -152,13 +152,15 @@ def shortfall(found: Ended, reference: Ended, problem: ControlProblem, firm: Tas
     """
     if not falls_short(found, reference):
         return ""
-    on, as_soft_on = (
-        run(replace(given, tasks=tuple(task.at_goal() for task in given.tasks)), firm, q=found.q)
+    firmly, softly = (
+        replace(given, tasks=tuple(task.at_goal() for task in given.tasks))
         for given in (problem, as_soft(problem, firm))
     )
-    if falls_short(on, as_soft_on):
-        return FARTHER_OFF
-    return "still on its way" if falls_short(found, on) else "another local optimum"
+    for duration in (DURATION, LONG):
+        on = run(firmly, firm, duration, found.q)
+        if not falls_short(on, run(softly, firm, duration, found.q)):
+            return "still on its way" if falls_short(found, on) else "another local optimum"
+    return FARTHER_OFF
 
 
 def _path_and_range(x: Array, least: float) -> tuple[float, float, bool]:
