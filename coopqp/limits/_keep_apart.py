@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -45,8 +46,9 @@ SHOWN = 3
 ROWS, EACH = 24, 3
 #: Pairs with a smaller margin have corners [m].
 CLOSE = 0.005
-#: Corners are this much farther away than the nearest point at most [m].
-SLAB = 0.002
+#: Corners are this much farther away than the nearest point at most [m]; for all of that a corner
+#: may come nearer by so many times the gain, so that none that appears stops the joints at once.
+SLAB, LATER = 0.002, 3.0
 #: Sizes of corners are the same that differ by less, or by such a share [m, -].
 EVEN = 1e-9
 #: Reach of a sliding joint without limits [m].
@@ -80,16 +82,7 @@ class Separation:
 
     def rows(self) -> tuple[Row, ...]:
         """A row a pair, then those of corners of the closest pairs."""
-        of_pairs = (
-            replace(
-                place_row(
-                    self.name, f"[{a.name}|{b.name}]", f"the distance of {a.name} and {b.name}"
-                ),
-                bodies=(a.name, b.name),
-                kept=self.distance,
-            )
-            for a, b in self.pairs
-        )
+        of_pairs = (_row(self.name, a.name, b.name, self.distance) for a, b in self.pairs)
         label = "the distance at corner {} of the closest bodies".format
         corners = range(1, ROWS + 1)
         return (*of_pairs, *(place_row(self.name, f".corner[{i}]", label(i)) for i in corners))
@@ -104,7 +97,7 @@ class Separation:
         self._check_gain(dt)
         chain, pairs, distance, gain = self.chain, self.pairs, self.distance, self.gain
         found, count = Distances(pairs), len(pairs)
-        corners = Corners(pairs, found, distance)
+        corners, later = Corners(pairs, found, distance), min(LATER * gain, 1.0 / dt - gain)
         gains, shallow = np.full(count + ROWS, gain), max(distance, SHALLOW)
         deep, ways = np.zeros(count + ROWS, bool), dt * levers(chain, pairs)
         first, second = _moved(chain, pairs)
@@ -118,6 +111,7 @@ class Separation:
             corners.update()
             damp(np.concatenate([found.d - distance, corners.room]), gains, deep, rows.h, shallow)
             rows.h[:count] += (1.0 / dt - gain) * np.maximum(found.d - self.within, 0.0)
+            rows.h[count:] += later * corners.behind
             rows.G[:] = 0.0
             near = found.near[found.d[found.near] < far[found.near]]
             rows.G[near] = _wrenches(found.n[near], found.p[near]).dot(state.J_joints) * sign[near]
@@ -205,13 +199,14 @@ class Corners:
     body that reaches less far along the other, at a distance s from the plane that bounds the
     other,
 
-        n' (J_first - J_second) v <= gain (s - distance)
+        n' (J_first - J_second) v <= gain (s - distance) + LATER gain (s - d)
 
     at p: the plane is fixed to its body and turns with it. Bodies are never nearer than that plane.
 
     Attributes:
         room: margin of each corner to the distance kept from the other body's plane; that of rows
             without a corner is large, shape (ROWS,) [m].
+        behind: how much farther away it is than the pair's nearest point, shape (ROWS,) [m].
         pair: which pair each corner belongs to, shape (ROWS,).
         W: [n; p x n] of each, zero without a corner, shape (ROWS, 6).
         count: how many rows have a corner.
@@ -221,13 +216,13 @@ class Corners:
         self._pairs, self._found, self._distance = pairs, found, distance
         # Which can touch in more than one point.
         self._flat = [all(len(body.convex.points) > 1 for body in pair) for pair in pairs]
-        self.room, self.W = np.ones(ROWS), np.zeros((ROWS, 6))
+        self.room, self.behind, self.W = np.ones(ROWS), np.zeros(ROWS), np.zeros((ROWS, 6))
         self.pair, self.count = np.zeros(ROWS, np.int64), 0
 
     def update(self) -> None:
         found = self._found
         if self.count:
-            self.room[:], self.W[:], self.count = 1.0, 0.0, 0
+            self.room[:], self.behind[:], self.W[:], self.count = 1.0, 0.0, 0.0, 0
         room = found.d[found.near] - self._distance
         (close,) = (room < CLOSE).nonzero()
         for k in close[room[close].argsort(kind="stable")].tolist():
@@ -237,6 +232,7 @@ class Corners:
             n = found.n[pair]
             for corner, s in self._corners(pair, n, found.p[pair])[: ROWS - self.count]:
                 self.room[self.count], self.pair[self.count] = s - self._distance, pair
+                self.behind[self.count] = max(s - found.d[pair], 0.0)
                 self.W[self.count] = _wrenches(n, corner)
                 self.count += 1
 
@@ -285,6 +281,13 @@ def _largest(sizes: Array) -> int:
     return int((sizes >= (1.0 - EVEN) * sizes.max()).argmax())
 
 
+@lru_cache(maxsize=4096)  # of the pairs of some robots; every law of a session asks for its own
+def _row(owner: str, first: str, second: str, distance: float) -> Row:
+    label = f"the distance of {first} and {second}"
+    row = place_row(owner, f"[{first}|{second}]", label)
+    return replace(row, bodies=(first, second), kept=distance)
+
+
 def _wrenches(n: Array, p: Array) -> Array:
     """The rows of points that move along n, [n; p x n], one or many."""
     return np.concatenate([n, np.cross(p, n)], axis=-1)
@@ -309,11 +312,16 @@ def _moved(chain: ClosedChain, pairs: Sequence[Pair]) -> list[Array]:
 
 def _levers_of(chain: ClosedChain, bodies: Sequence[Body]) -> Array:
     """Longest way from each joint to a body's far end, 1 where the joint slides, shape (k, n)."""
-    ends = [(body.convex.placement.translation, body.convex.radius) for body in bodies]
-    far = np.array([float(np.linalg.norm(p)) + radius for p, radius in ends])
+    far_of = {body: _far_end(body) for body in dict.fromkeys(bodies)}
+    far = np.array([far_of[body] for body in bodies])
     (ways, slides), joints = chain.once(_ways), [body.joint for body in bodies]
     reach = np.where(slides, 1.0, ways[np.array(joints, int)] + far[:, None])
     return np.where(movers(chain, joints) > 0.0, reach, 0.0)
+
+
+def _far_end(body: Body) -> float:
+    """How far it reaches from its joint's frame at most [m]."""
+    return float(np.linalg.norm(body.convex.placement.translation)) + body.convex.radius
 
 
 def _ways(chain: ClosedChain) -> tuple[Array, Array]:

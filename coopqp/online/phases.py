@@ -99,7 +99,7 @@ class Braking:
     def __init__(self, own: Law) -> None:
         problem, squeezer = own.problem, own.squeezer
         still = replace(problem, tasks=(), wrenches=(), secondary=())
-        self._law = QPController().build(still)
+        self._law = QPController().unprepared(still)  # begin would take a third longer otherwise
         self._law.squeezer = _Kept(squeezer) if squeezer else None
         self._law.observer = own.observer
         self._memory = Memory(self._law.memory_sizes)
