@@ -170,8 +170,8 @@ class Readings:
         q: of all joints, shape (n,) [rad, m]; NaN before the first. Passive joints that are not
             measured have their commanded values.
         v: their velocities, shape (n,) [rad/s, m/s]; None where they are not asked for (``rates``).
-        misread: indices of joints whose velocities do not fit their positions, oldest first; those
-            in ``v`` are then the positions' rates of change.
+        misread: indices of joints whose velocities do not fit their positions, oldest first; all
+            of ``v`` are then the positions' rates of change.
         note: what was wrong with the last reading; empty if nothing was.
     """
 
@@ -221,7 +221,7 @@ class Readings:
         most = self._max_speed
         if elapsed > 0.0 and np.isfinite(moved).all():
             self._compare(v, moved, elapsed)
-        v[[*self.misread]] = self._slope[[*self.misread]]
+        v = self._slope if self.misread else v  # as likely all are wrong
         if (wrong := np.abs(v) > most).any():
             i = int(np.argmax(wrong))
             unit, limit = self._chain.joint_units[i], most[i] / FASTER

@@ -151,20 +151,16 @@ JOINTS = {
 }
 #: Time for which a force must look wrong [s]; that of its low pass [s].
 LASTING, SMOOTH = 0.1, 0.05
-#: Forces below which nothing is said [N], as a share of the weight, and of the hands' forces.
-SMALL, OF_WEIGHT, OF_FORCES = 3.0, 0.3, 0.1
-#: Least step of a sensor that is coarse [N].
-COARSE = 0.05
-#: How far hands are told to close while a dead sensor says nothing [m].
-CLOSED_IN = 1e-3
-#: Share of an imbalance that a wrong sensor, or a heavier load, may leave.
-UNEXPLAINED = 0.3
+#: Forces below which nothing is said [N], as a share of the weight, and of the hands' forces; least
+#: step of a sensor that is coarse [N].
+SMALL, OF_WEIGHT, OF_FORCES, COARSE = 3.0, 0.3, 0.1, 0.05
+#: How far hands are told to close while a dead sensor says nothing [m]. Share of an imbalance that
+#: a wrong sensor, or a heavier load, may leave; of the friction that slip is near at.
+CLOSED_IN, UNEXPLAINED, NEAR_SLIP = 1e-3, 0.3, 0.95
 #: Share by which a borne share is constant, or a unit's; change of height that no table bears [m].
 OF_SHARE, LIFTED = 0.1, 0.02
 #: Units that sensors are made with, in newtons by the one.
 UNITS = {"kilograms-force": 9.80665, "pounds-force": 4.44822}
-#: Share of the friction that slip is near at.
-NEAR_SLIP = 0.95
 
 
 class ForceMonitor:

@@ -9,10 +9,10 @@ does not move. What K^-1 J_c' lambda cannot explain is the parity vector of faul
 projected on the complement of range(K^-1 J_c'). It vanishes for sag, squeeze and errors of the
 model, however large, so that |q_m - q_c|, which they change, is never compared with a threshold. A
 joint, or two that are swapped, is named where its delta explains nine tenths of the parity vector
-over a window, noise taken out. Joints whose signatures are parallel, such as two opposite
-shoulders, cannot be told apart where a motor is wrong; then both are named.
+over a window, about its mean, and white noise does not, by von Neumann's ratio. Signatures that are
+parallel, as of two opposite shoulders, cannot be told apart where a motor is wrong: both are named.
 
-Source: Chow and Willsky 1984, parity relations; the rest is the statics of a closed chain.
+Source: Chow and Willsky 1984, parity relations; von Neumann 1941; statics of a closed chain.
 """
 
 from __future__ import annotations
@@ -35,41 +35,35 @@ from coopqp.model.state import State
 SAMPLE, RENEWED, FRESH, WINDOWS = 0.02, 0.5, 0.1, (0.2, 0.4, 2.0)
 #: Samples of a window that are looked at; those before the first look; every so many the long one.
 LOOKS, FEWEST, LONG = 40, 4, 4
-#: The latest that a servo may follow [s].
-LATEST = 0.14
-#: Servos of a first order that are sound: their times, after so many of which nothing is left [s],
-#: and the share of the parity vector, by squares, that they may leave.
-TIMES, FADED, LAGGING = np.arange(0.02, 0.155, 0.01), 3.0, 0.15
-#: Standard deviations: of a reading at least [rad, m]; of a servo's lag [s]; of its stiffness, as
-#: a share of the sag.
-NOISE, LAG_NOISE, STIFFNESS_NOISE = 4e-4, 6e-3, 0.1
-#: Mean square of the parity vector over its variance from which a fault is looked for.
-SUSPICIOUS = 12.0
-#: Share of it that a fault must explain; the share that is left by others that count as equal.
-EXPLAINED, EXPLAINED_SWAPPED, AS_GOOD = 0.9, 0.95, 0.03
-#: Variance of a sample less the first one's, over that of second differences, is 1/3: 0.7 of that
-#: is taken out of the parity vector's squares as noise, and the rest must be so large, and larger.
-NOISE_LEFT, CLEAR = 0.7 / 3.0, 100.0
-#: Two swapped joints need less where all other faults leave so much more.
-ALONE = 0.5
+#: The latest that a servo may follow [s]. Servos of a first order that are sound: their times [s],
+#: after so many of which nothing is left, and the share of the parity vector that they may leave.
+LATEST, TIMES, FADED, LAGGING = 0.14, np.arange(0.02, 0.155, 0.01), 3.0, 0.15
+#: Standard deviations: of a reading at least [rad, m]; of a servo's lag [s], and of what inertia
+#: adds for an acceleration, 1/frequency^2 [s^2]; of its stiffness, as a share of the sag.
+NOISE, LAG_NOISE, INERTIA_NOISE, STIFFNESS_NOISE = 4e-4, 6e-3, 2e-3, 0.1
+#: Square of the parity vector's change over its variance from which a fault is looked for; mean
+#: square about the mean, less the noise, from which it is one, and by how many standard deviations
+#: sqrt(1.9/(T d)) of von Neumann's ratio (variance to that of second differences) for T samples of
+#: d white components: by 6 once in 1e9 looks.
+SUSPICIOUS, MEAN_SQUARE, DEVIATIONS = 12.0, 3.0, 6.0
+#: Share of it that a fault must explain; the share that is left by others that count as equal. Two
+#: swapped joints need less where all other faults leave so much more.
+EXPLAINED, EXPLAINED_SWAPPED, AS_GOOD, ALONE = 0.9, 0.95, 0.03, 0.5
 #: delta over dq_c of a joint that does not follow, at least; of two that are swapped, 1 but for
-#: what else there is.
-LEAST_SLOPE, SWAPPED = 0.6, (0.7, 1.0 / 0.7)
-#: Slopes of joints that move the wrong way are between these; else they do not follow.
-REVERSED = (1.5, 4.0)
+#: what else there is; of joints that move the wrong way. Of a window, when it may have begun.
+LEAST_SLOPE, SWAPPED, REVERSED = 0.6, (0.7, 1.0 / 0.7), (1.5, 4.0)
+ONSETS = (0.0, 0.35, 0.65)
 #: A reading has jumped by so much at least [rad, m], most of it within two samples.
 LEAST_JUMP, JUMP = 8e-3, 0.8
-#: Commanded motion below which a joint says nothing [rad, m].
-LEAST_MOTION = 1.5e-3
-#: Share of the commanded motion that a joint which stands still may measure.
-STANDS = 0.1
-#: Singular values of K^-1 J_c' below this share of the largest are none.
-SINGULAR = 1e-3
+#: Commanded motion below which a joint says nothing, and so near to the end of its range that it
+#: may press into its stop [rad, m]; share of it that a joint which stands still may measure.
+LEAST_MOTION, NEAR, STANDS = 1.5e-3, 0.02, 0.1
 #: Readings that do not change for so long [s] are stuck where commands move a joint by so much
-#: [rad, m].
-STUCK, MOVED = 0.2, 0.01
-#: Least share, by squares, of what shows of the clearest fault in the space that lambda leaves.
-LEAST_SIGNATURE = 1e-3
+#: [rad, m]; for so many samples, to see whether they are.
+STUCK, MOVED, AWAITED = 0.2, 0.01, 2
+#: Singular values of K^-1 J_c' below this share of the largest are none. Least share, by squares,
+#: of what shows of the clearest fault in the space that lambda leaves.
+SINGULAR, LEAST_SIGNATURE = 1e-3, 1e-3
 #: A second joint is named too where it leaves at most this much more of r unexplained.
 AMBIGUOUS, PENALTY = 1.5, 1.5
 
@@ -77,10 +71,7 @@ AMBIGUOUS, PENALTY = 1.5, 1.5
 class Suspect(NamedTuple):
     """Joints that do not follow: one, two that are swapped, or several that cannot be told apart.
 
-    Attributes:
-        kind: one of :data:`coopqp.online.faults.REACTIONS`.
-        joints: indices, the likeliest first.
-        slope: -delta over the commanded motion.
+    ``joints`` are indices, the likeliest first; ``slope`` is -delta over the commanded motion.
     """
 
     kind: str
@@ -99,6 +90,7 @@ class JointFollowing:
         self._observer, stiffness = observer, observer.stated_stiffness
         self._own = own = np.setdiff1d(np.arange(chain.n), chain.passive)
         self._passive, n = chain.passive, len(own)
+        self._least, self._most = chain.lower[own], chain.upper[own]
         K = chain.model.effortLimit[own] if stiffness is None else stiffness[own]
         usable = (K > 0.0).all() and np.isfinite(K).any()
         self._compliance = 1.0 / K if usable else np.ones(n)
@@ -131,7 +123,7 @@ class JointFollowing:
     def forget(self) -> None:
         """Begin anew, as after a rest in which somebody may have moved the joints."""
         self._count = self._samples = self._lag = 0
-        self._whitened = -self._renew
+        self._whitened, self._earlier = -self._renew, list[Array]()
         self._before: Suspect | None = None
         self._before_long: Suspect | None = None
         self.suspicious = False
@@ -146,8 +138,10 @@ class JointFollowing:
         if self._quick and self._quick.quiet(self._samples, self._lag, self._white, SUSPICIOUS):
             self.suspicious = False
             return self._agreed(None, 0, spans)
-        if stuck := self._stuck():
+        if stuck := self._stuck(self._stuck_for):
             return stuck
+        if self._stuck(AWAITED):
+            return None
         return self._agreed(*self._look(state, spans), spans)
 
     def _agreed(self, found: Suspect | None, span: int, spans: Sequence[int]) -> Suspect | None:
@@ -173,9 +167,9 @@ class JointFollowing:
         self._samples += whole
         return whole
 
-    def _stuck(self) -> Suspect | None:
+    def _stuck(self, span: int) -> Suspect | None:
         """An arm of which no reading has changed by a bit while it was commanded to move."""
-        last, span = self._samples - 1, self._stuck_for
+        last, least = self._samples - 1, MOVED * span / self._stuck_for
         if last < span:
             return None
         for arm in self._arms:
@@ -184,18 +178,20 @@ class JointFollowing:
                 continue
             at = np.arange(last - span, last + 1)
             m, c = (np.diff(self._of(ring, at)[:, arm], axis=0) for ring in (self._m, self._c))
-            if not m.any() and c.any(axis=1).all() and np.abs(c).sum(axis=0).max() > MOVED:
+            if not m.any() and c.any(axis=1).all() and np.abs(c).sum(axis=0).max() > least:
                 return Suspect("readings_stuck", tuple(int(j) for j in self._own[arm]), 0.0)
         return None
 
     def _whitening(self, state: State) -> Array:
         """W with r W of unit variance without a fault, and zero for every internal wrench."""
-        J = state.J_loop
-        free = J.T @ null_space(J[:, self._passive].T) if len(self._passive) else J.T
-        U, values = self._directions(self._compliance[:, None] * free[self._own])
+        J, last = state.J_loop.copy(), self._samples - 1
+        if self._samples - self._whitened >= self._renew:
+            self._earlier = [*self._earlier[-1:], J]
+        N = null_space(J[:, self._passive].T) if len(self._passive) else np.identity(len(J))
+        A = self._compliance[:, None] * (J.T @ N)[self._own]
+        U, values = self._directions(A)
         rank = int(np.sum(values > SINGULAR * values.max(initial=1e-12)))
         U, parity = U[:, :rank], U[:, rank:]
-        last = self._samples - 1
         at = np.arange(max(0, last - self._spans[1]), last + 1)
         m, c = self._of(self._m, at), self._told(at, self._lag)
         r = (m - c) - (m[0] - c[0])
@@ -203,7 +199,15 @@ class JointFollowing:
         speed = np.abs(np.diff(c, axis=0)).mean(axis=0) / self._h
         # Of second differences, sqrt(6) sigma, the median is 1.65 sigma; 1.2 for few samples.
         noise = max(NOISE, 0.73 * float(np.median(np.abs(np.diff(m, 2, axis=0)))))
+        half = (len(c) - 1) // 2
+        bend = np.abs(c[2 * half] - 2.0 * c[half] + c[0]) / max(half * self._h, self._h) ** 2
         variance = noise**2 + (LAG_NOISE * speed) ** 2 + STIFFNESS_NOISE**2 * sag
+        variance += (INERTIA_NOISE * bend) ** 2
+        # What pulled as now pulled otherwise before J_c turned with the joints.
+        least = (SINGULAR * values.max(initial=1e-12)) ** 2 * np.identity(A.shape[1])
+        pull = N @ np.linalg.solve(A.T @ A + least, A.T @ (m - c)[-1])
+        otherwise = self._compliance * ((J - self._earlier[0]).T @ pull)[self._own]
+        variance += otherwise**2 / 3.0  # on the way
         # The object's weight is no internal wrench, changes with the pose, and may be told wrong.
         variance += self._observer.sag(state)[self._own] ** 2
         L = np.linalg.cholesky(parity.T @ (variance[:, None] * parity))
@@ -250,13 +254,16 @@ class JointFollowing:
     def _judge(self, first: int, last: int) -> Suspect | None:
         at = np.arange(first, last + 1, max(1, (last - first) // LOOKS))
         m = self._of(self._m, at)
-        m = m - m[0]
+        m = m - m.mean(axis=0)
         c = self._told(at[None, :], self._lags[:, None])
-        c = c - c[:, :1]  # (lags, T, n)
+        c = c - c.mean(axis=1, keepdims=True)  # (lags, T, n)
         z = (m - c) @ self._white
         sizes = np.einsum("ltd,ltd->l", z, z)
         self._lag = int(sizes.argmin())
-        if sizes[self._lag] < SUSPICIOUS * len(at):
+        (T, d), steps = z.shape[1:], np.diff(z[self._lag], 2, axis=0)
+        self._noise = float(np.sum(steps**2)) * (T - 1) / (6.0 * (T - 2))
+        above = sizes[self._lag] - self._noise
+        if above < max(MEAN_SQUARE * T, DEVIATIONS * self._noise * (1.9 / (T * d)) ** 0.5):
             return None
         self.suspicious = True
         return self._best(m, c, z, sizes, at)
@@ -266,12 +273,13 @@ class JointFollowing:
         before = np.arange(len(self._kernels))
         late = np.array([at[:, None] - before - lag // 2 for lag in self._lags[::2]])
         c = np.tensordot(self._kernels, self._of(self._c, late), (0, 2))  # (times, lags, T, n)
-        z = (m - (c - c[:, :, :1])) @ self._white
+        z = (m - (c - c.mean(axis=2, keepdims=True))) @ self._white
         return float(np.einsum("slti,slti->sl", z, z).min())
 
     def _best(self, m: Array, c: Array, z: Array, sizes: Array, at: Any) -> Suspect | None:
         """The fault that leaves least of r, of those that explain the parity vector."""
-        n, pairs, size = len(self._own), self._pairs, sizes[self._lag]
+        n, pairs, above = len(self._own), self._pairs, sizes[self._lag] - self._noise
+        told = self._told(at, self._lag)
         signs = self._faults @ self._white  # (faults, d)
         lengths = np.einsum("fd,fd->f", signs, signs)
         lengths[lengths < LEAST_SIGNATURE * lengths.max()] = np.inf
@@ -280,14 +288,12 @@ class JointFollowing:
         lags, left, faults = left.argmin(axis=0), left.min(axis=0), np.arange(len(signs))
         delta = along[lags, :, faults].T / lengths  # (T, faults)
         motion = np.einsum("ftn,fn->tf", c[lags], self._faults)
-        slope = -(delta * motion).sum(axis=0) / np.maximum((motion**2).sum(axis=0), 1e-12)
-        moves = np.abs(motion).max(axis=0) > LEAST_MOTION
+        slope = _slopes(delta, motion)
+        moves = np.ptp(motion, axis=0) > LEAST_MOTION
         steps, ranges = np.abs(delta[2:] - delta[:-2]).max(axis=0), np.ptp(delta, axis=0)
         jumped = (steps > JUMP * ranges) & (ranges > LEAST_JUMP)
-        d = self._white.shape[1]
-        noise = NOISE_LEFT * len(m) * float(np.mean(np.diff(z[self._lag], 2, axis=0) ** 2))
-        above, over = size - noise * d, np.maximum(left - noise * (d - 1), 0.0)
-        share = over / above if above > max(CLEAR, noise * d) else np.ones(len(over))
+        noise = self._noise * (1.0 - 1.0 / self._white.shape[1])
+        share = np.maximum(left - noise, 0.0) / above
         one = (share < 1.0 - EXPLAINED) & (jumped | (moves & (slope > LEAST_SLOPE)))
         exchanged = moves & (slope > SWAPPED[0]) & (slope < SWAPPED[1])
         two = exchanged & (share < 1.0 - EXPLAINED_SWAPPED)
@@ -295,9 +301,12 @@ class JointFollowing:
         first, second = np.argsort(left)[:2]
         if first >= n and share[first] < ALONE * min(1.0, share[second]):
             good[first] = exchanged[first]
-        if not good.any() or self._late(m, at) < max(LAGGING * size, SUSPICIOUS * len(m)):
+        late = self._late(m, at) - self._noise
+        stops = np.minimum(told - self._least, self._most - told).min(axis=0) < NEAR
+        stopped = (share[:n][stops] < 1.0 - EXPLAINED).any()
+        if stopped or not good.any() or late < max(LAGGING * above, MEAN_SQUARE * len(m)):
             return None
-        good &= left <= max(3.0 * left[good].min(), AS_GOOD * size)
+        good &= left <= max(3.0 * left[good].min(), AS_GOOD * above)
         rest = np.full(len(faults), np.inf)
         for f in np.flatnonzero(good):
             r = m - c[lags[f]] - np.outer(delta[:, f], self._faults[f])
@@ -310,6 +319,20 @@ class JointFollowing:
         others = [f for f in range(n) if f != best and rest[f] < AMBIGUOUS * rest[best]]
         joints = tuple(int(self._own[f]) for f in (best, *others))
         return Suspect(kind, joints, float(slope[best]))
+
+
+def _slopes(delta: Array, motion: Array) -> Array:
+    """-delta over motion (T, faults) since the onset that explains most of delta, (faults,)."""
+    slopes, most = np.zeros((2, delta.shape[1]))
+    for onset in (int(share * len(delta)) for share in ONSETS):
+        since = np.maximum(np.arange(len(delta)) - onset, 0)
+        moved = motion[onset + since] - motion[onset]
+        moved -= moved.mean(axis=0)
+        squares = np.maximum((moved**2).sum(axis=0), 1e-12)
+        along = (delta * moved).sum(axis=0)
+        better = along**2 > most * squares
+        slopes[better], most[better] = (-along / squares)[better], (along**2 / squares)[better]
+    return slopes
 
 
 def _kind(slope: float, m: Array, c: Array, *, jumped: bool) -> str:
