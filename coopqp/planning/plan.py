@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from coopqp.base.errors import CoopqpError, InvalidValueError, UnknownNameError, under
 from coopqp.base.spec import Array
-from coopqp.base.table import csv_text
 from coopqp.base.wording import counted
 from coopqp.controller import ControlProblem
 from coopqp.planning.closed_space import Budget, ClosedSpace
@@ -88,11 +87,6 @@ class Plan:
         rows = np.column_stack([self.t, self.timed, self.object])
         phases = {PHASE: self.phase} if len(self.phase) else {}
         return dict(zip(names, rows.T, strict=True)) | phases
-
-    @property
-    def csv(self) -> str:
-        """The same as text."""
-        return csv_text(self.columns)
 
 
 def plan(

@@ -8,6 +8,7 @@ import math
 import types
 import typing
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import MISSING, dataclass, field, replace
 from functools import cached_property
 from numbers import Integral, Real
@@ -18,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
+from coopqp.assessment.limits import audit
 from coopqp.base.errors import CoopqpError, Fault, InvalidValueError, ScenarioError
 from coopqp.base.reading import absolute
 from coopqp.base.spec import Array, Name, NonNegative, Pose, Positive, type_name
@@ -241,6 +243,15 @@ class Scenario:
         vars(other).update({name: vars(self)[name] for name in kept})
         return other
 
+    def fits(self, start: Start) -> bool:
+        """Whether the first phase may begin there, by all limits of place that can be asked."""
+        with suppress(CoopqpError):
+            problem = self.changed(start=start).problem()
+            q, v = np.vstack([problem.chain.q_start] * 2), np.zeros((1, problem.chain.n))
+            found = audit(problem.limits, problem.chain, q, v, self.dt).margins
+            return all(margin.min() >= 0.0 for row, margin in found.items() if row.of_place)
+        return True
+
     def placed(
         self,
         *,
@@ -264,7 +275,9 @@ class Scenario:
             held = replace(held, pose=pose_of(object_pose, self.chain))
         if start == "solve":
             near = start_of(robot, self.start)[0]
-            start = solve_start(robot, self.grasps, held, near=near, seed=self.seed).start
+            start = solve_start(
+                robot, self.grasps, held, near=near, seed=self.seed, fits=self.fits
+            ).start
         elif isinstance(start, str):
             raise InvalidValueError(f"start: found {start!r}, needs joints or solve").at("start")
         other = self.changed(source="", held=held, start=self.start if start is None else start)

@@ -135,10 +135,14 @@ def with_keys(text: str, keys: dict[str, Any]) -> str:
             gone = line.partition(":")[0] in keys
         kept += "" if gone else line
     added = (f"{key}: {json.dumps(data[key])}\n" for key in keys if key in data)
-    changed = "".join([kept.rstrip("\n"), "\n", *added])
+    return as_read("".join([kept.rstrip("\n"), "\n", *added]), data)
+
+
+def as_read(text: str, data: dict[str, Any]) -> str:
+    """The text if it is read as this mapping, else the mapping as JSON."""
     with suppress(ScenarioError):
-        if parsed(Path(), changed).data == data:
-            return changed
+        if parsed(Path(), text).data == data:
+            return text
     return json.dumps(data, indent=2) + "\n"
 
 
