@@ -210,19 +210,15 @@ class Scenario:
     @property
     def portable(self) -> str:
         """The source, or else JSON, as it can be read from another folder on this machine."""
-        if self.folder is None:
-            return self.source
-        return with_keys(self.source, {"folder": str(self.folder)})
+        return with_keys(self.source, {"folder": str(self.folder)}) if self.folder else self.source
 
     def keys_with(self, plan: Path) -> dict[str, Any]:
         """What the source's folder, None for none, and reference become beside a plan."""
         data = parsed(Path(self.name), self.source).data
         reference = data.pop("reference", None) or {}
-        if not has_files(data):
-            return {"folder": None, "reference": {**reference, "plan": plan.name}}
-        return {
-            "folder": str(self.folder), "reference": {**reference, "plan": str(absolute(plan))},
-        }  # fmt: skip
+        others = has_files(data)
+        reference["plan"] = str(absolute(plan)) if others else plan.name
+        return {"folder": str(self.folder) if others else None, "reference": reference}
 
     def held_by(self, controller: str) -> Scenario:
         """The scenario with the grasp that this controller uses, and its phases."""

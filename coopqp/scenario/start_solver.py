@@ -115,7 +115,7 @@ class StartProblem:
         self.middle, self._reach = (lower + upper) / 2, (upper - lower) / 2
         self._sampled = self.middle.copy()
         turns = [kind.shortname().startswith("JointModelR") for kind in list(self.model.joints)[1:]]
-        self._endless = np.array(turns) & ~low & ~high
+        self.endless = np.array(turns) & ~low & ~high
         self.half = np.where(low & high, self._reach, np.inf)
 
     def sample(self, rng: np.random.Generator) -> Array:
@@ -137,11 +137,6 @@ class StartProblem:
             J[at : at + 3] = J_i[:3]
             J[at + 3 : at + 6] = LENGTH * pin.Jlog3(turned).T @ J_i[3:]
         return r, J
-
-    def unwind(self, q: Array) -> None:
-        """Take whole turns off joints that turn without limits."""
-        turns = np.round((q - self.middle) / (2.0 * np.pi))
-        q -= np.where(self._endless, 2.0 * np.pi * turns, 0.0)
 
     def worth(self, q: Array, columns: Sequence[int]) -> float:
         """How good a start is: its margin, or its distance to the posture to be near."""
@@ -224,8 +219,7 @@ def solve_start(
         near: posture that the start is to be near, by arm or joint; others may be anywhere.
         seed: of the random configurations.
         progress: called after each try.
-        fits: whether a start keeps what else there is, such as distances; the best that does is
-            taken, and where none does the best.
+        fits: what starts should keep beside; the best that does is taken, or the best.
 
     Raises:
         GraspError: pose or object_in_hand is missing, or an arm cannot reach: which, and how far it
@@ -394,7 +388,8 @@ class _Search:
             report(self.tries)
 
     def _keep(self, q: Array) -> None:
-        self.problem.unwind(q)
+        turns = np.round((q - self.problem.middle) / (2.0 * np.pi))
+        q -= np.where(self.problem.endless, 2.0 * np.pi * turns, 0.0)
         self.kept.append((self.problem.worth(q, self.columns), q.copy()))
 
     def ranked(self) -> list[Array]:

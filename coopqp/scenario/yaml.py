@@ -123,10 +123,7 @@ def as_yaml(data: dict[str, Any]) -> str:
 
 
 def with_keys(text: str, keys: dict[str, Any]) -> str:
-    """A file's text with other values of some keys, without those that become None.
-
-    What they were goes, what they are is at the end; where that would not do, all is JSON.
-    """
+    """A file's text with other values of some keys at its end, None for none; or else JSON."""
     data = {**parsed(Path(), text).data, **keys}
     data = {key: value for key, value in data.items() if value is not None or key not in keys}
     kept, gone = "", False
