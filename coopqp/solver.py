@@ -102,7 +102,7 @@ class Solution:
         y: multipliers of A v = b, shape (m,).
         z: multipliers of G v <= h, shape (p,), positive when active.
         z_box: multipliers of the bounds, shape (n,), positive at ub, negative at lb.
-        multipliers: [z_box; z; y], of which these are views.
+        multipliers: [z_box; z; y], of which these are views. answer: [v; multipliers].
         status: as the solver says; after :meth:`Verifier.check`, as verified.
         primal_residual: violation of rows or bounds (Euclidean norm).
         dual_residual: mu |v - clip(v - g/mu, lb, ub)| with g = P v + q + A'y + G'z and mu the least
@@ -112,7 +112,8 @@ class Solution:
 
     def __init__(self, qp: QP) -> None:
         n, p = qp.n, qp.p
-        self.v, self.multipliers = np.zeros(n), np.zeros(n + p + qp.m)
+        self.answer = np.zeros(2 * n + p + qp.m)
+        self.v, self.multipliers = np.split(self.answer, [n])
         self.z_box, self.z, self.y = np.split(self.multipliers, [n, n + p])
         self.status = Status.SOLVER_ERROR
         self.primal_residual = np.inf
@@ -159,6 +160,8 @@ EPSILON = float(np.finfo(float).eps)
 #: By which rows may not hold from rounding alone, and the least singular value of rows, over the
 #: largest, that is not rounding itself.
 LAST_DIGITS, DEPENDENT = 1e-14, 1e-12
+#: Length up to which such a step is not worth making [rad/s].
+IDLE = 1e-12
 #: An answer beyond this is as good as infinite: its products could overflow [rad/s].
 BEYOND = 1e150
 
@@ -184,6 +187,7 @@ class Verifier:
     def __init__(self, qp: QP, solution: Solution, budget: Budget, curvature: float) -> None:
         self.qp, self.solution, self.budget = qp, solution, budget
         self.curvature = curvature
+        self._correction: Array | None = None
 
     def check(self) -> Status:
         """Clip v to the bounds and return what it is worth, from its own residuals."""
@@ -202,17 +206,27 @@ class Verifier:
         astray = self._astray(slack, gap)
         solution.primal_residual = max(violation, gap, above)
         solution.dual_residual = off * self.curvature
-        held = violation <= budget.bound and above <= budget.bound
-        if held and gap <= budget.equality and max(off, astray) <= budget.accuracy:
-            return Status.OPTIMAL
         if not gap + off < math.inf:
             return Status.NOT_FINITE
-        if not held:
+        if not (violation <= budget.bound and above <= budget.bound):
             return Status.BOUND_RESIDUAL
         if gap > budget.equality:
             return Status.EQUALITY_RESIDUAL
-        near = astray <= budget.accuracy and off <= budget.accuracy + self._rounding()
-        return Status.OPTIMAL if near else Status.INACCURATE
+        most = budget.accuracy
+        if astray <= most and (off <= most or off <= most + self._rounding()):
+            return Status.OPTIMAL
+        return Status.INACCURATE
+
+    def polish(self, found: Status) -> Status:
+        """After a check let equalities and active limits hold, where the answer is as good then."""
+        if self._correction is None or not found.usable:
+            return found
+        kept = self.solution.answer.copy()
+        self.solution.answer += self._correction
+        if self.check() is Status.OPTIMAL:
+            return Status.OPTIMAL
+        self.solution.answer[:] = kept
+        return self.check()
 
     def _lacks_numbers(self) -> bool:
         """Whether a number of the QP is none, whatever the solver's status."""
@@ -232,23 +246,27 @@ class Verifier:
 
     def _astray(self, slack: Array, gap: float) -> float:
         """Length of the cheapest step after which all equalities and active limits hold."""
-        qp, solution, mu = self.qp, self.solution, self.curvature
+        qp, solution, mu, self._correction = self.qp, self.solution, self.curvature, None
         if gap <= LAST_DIGITS and not solution.multipliers[: qp.n + qp.p].any():
             return 0.0
         to_bound = np.where(solution.z_box > 0.0, qp.ub, qp.lb) - solution.v
-        bound = np.abs(to_bound) < np.abs(solution.z_box) / mu
-        row = np.abs(slack) < solution.z / mu
-        lacks = np.concatenate([to_bound[bound], slack[row], qp.b - qp.A.dot(solution.v)])
+        lacks = np.concatenate([to_bound, slack, qp.b - qp.A.dot(solution.v)])
+        pulls = np.concatenate([np.abs(solution.z_box), solution.z, np.full(qp.m, np.inf)])
+        active = np.abs(lacks) < pulls / mu
+        lacks, C = lacks[active], np.concatenate([np.eye(qp.n), qp.C])[active]
         if norm(lacks) <= LAST_DIGITS:
             return 0.0
-        C = np.concatenate([np.eye(qp.n)[bound], qp.G[row], qp.A])
         if not math.isfinite(norm(C.ravel()) + norm(qp.P.ravel()) + norm(lacks)):
             return math.inf
         root = np.linalg.cholesky(qp.P)
         C = np.linalg.solve(root, C.T).T  # over steps in which the cost bends by one
         sizes = np.maximum(np.linalg.norm(C, axis=1), EPSILON)
-        step = np.linalg.lstsq(C / sizes[:, None], lacks / sizes, rcond=DEPENDENT)[0]
-        return norm(np.linalg.solve(root.T, step))
+        inverse = np.linalg.pinv(C / sizes[:, None], rcond=DEPENDENT) / sizes
+        bent, pulls = inverse.dot(lacks), np.zeros(len(active))
+        pulls[active] = -bent.dot(inverse)  # with which the gradient stays
+        step = np.linalg.solve(root.T, bent)
+        self._correction = np.concatenate([step, pulls]) if norm(step) > IDLE else None
+        return norm(step)
 
     def _distance(self) -> float:
         """Norm of a projected gradient step, an estimate of |v - v*|."""

@@ -193,8 +193,9 @@ class Cascade:
         """Damping of scaled tasks for what their shares lacked in the last tick."""
         bends, pull = tasks.bends(self._state.v), 0.0
         for part, lacked in zip(tasks.slices, self._state.memory["missing"], strict=True):
-            rate = tasks.wanted[part] @ tasks.wanted[part] + LEAST_SPEED**2
-            pull += float(lacked * np.linalg.norm(bends[part]) / rate)
+            rate = float(np.linalg.norm(tasks.wanted[part]))
+            moves = min(rate / LEAST_SPEED, 1.0) / (rate**2 + LEAST_SPEED**2)
+            pull += float(lacked * np.linalg.norm(bends[part])) * moves
         return min(self._damping.of(SCALE_WEIGHT * pull, self._state), MOST_DAMPING)
 
     def _can_hold(self, J: Array, w: Array) -> bool:

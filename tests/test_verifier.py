@@ -332,6 +332,30 @@ def test_rows_that_nearly_depend_on_each_other_tell_little(apart: float, status:
     assert Verifier(qp, solution, Budget(), 1.0).check() is status
 
 
+def test_active_limits_hold_to_the_last_digit_once_polished() -> None:
+    """The minimum of |v|^2 / 2 - 5 v0 with v0 = 1 a limit and v0 + v1 = 1 a row is (1, 0)."""
+    qp = empty_qp(2, 0, 1)
+    qp.P[:], qp.A[:], qp.b[:], qp.ub[0], qp.q[0] = np.eye(2), 1.0, 1.0, 1.0, -5.0
+    solution = Solution(qp)
+    solution.v[:], solution.status = [1.0 - 1e-8, 0.0], Status.OPTIMAL
+    solution.z_box[0] = 4.0 + 1e-8
+    verifier = Verifier(qp, solution, Budget(), 1.0)
+    assert verifier.polish(verifier.check()) is Status.OPTIMAL
+    np.testing.assert_allclose(solution.v, [1.0, 0.0], atol=1e-15)
+    assert max(solution.primal_residual, solution.dual_residual) < 1e-15
+
+
+def test_an_answer_that_is_worse_polished_stays() -> None:
+    """The minimum of mu (v - 1/2)^2 / 2 is 1/2; the bound that the solver calls active is far."""
+    qp = empty_qp(1, 0, 0)
+    qp.P[:], qp.q[:], qp.ub[:] = 1.0, -0.5, 0.5 + 5e-7
+    solution = Solution(qp)
+    solution.v[:], solution.z_box[:], solution.status = 0.5, 6e-7, Status.OPTIMAL
+    verifier = Verifier(qp, solution, Budget(accuracy=2e-7), 1.0)
+    assert verifier.polish(verifier.check()) is Status.INACCURATE
+    assert solution.v[0] == 0.5
+
+
 def test_rows_that_nearly_depend_on_an_active_limit_tell_little() -> None:
     """v0 = 1 is a limit and v0 + 1e-4 v1 = 1 a row; it lacks 1e-9, for v1 is 1e-5."""
     qp = empty_qp(2, 0, 1)

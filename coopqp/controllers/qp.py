@@ -41,11 +41,10 @@ class QPController(Controller):
 
     def unprepared(self, problem: ControlProblem) -> QPLaw | KernelLaw:
         """The same; what only rare ticks need is built in the first of them."""
-        if self.engine == "python":
+        reason = why_not(problem)
+        if self.engine == "python" or (self.engine == "auto" and reason):
             return self.plain(problem)
-        if reason := why_not(problem):
-            if self.engine == "auto":
-                return self.plain(problem)
+        if reason:
             raise InvalidValueError(f"engine: kernel cannot do this: {reason}; use engine: auto")
         force = internal_force_control(problem, self.admittance)
         return KernelLaw(problem, self.damping, self.error_damping, force)

@@ -28,7 +28,7 @@ from coopqp.model.state import PointOfObject, State
 from coopqp.signal import DIRECTION, POINT, Instant, Moment, Signal, Trajectory, trajectory_of
 
 #: Below this two directions count as parallel, or a point as on an axis, and any way is taken.
-TINY = 1e-12  # sine of an angle, or [m]
+TINY = 1e-14  # sine of an angle, or [m]; below it are rounding and no way
 
 #: Half angle of the cone about the opposite direction in which rows are kept from growing [rad].
 CONE = 0.02

@@ -20,7 +20,7 @@ from coopqp.planning.timing import timed
 from coopqp.planning.turns import CUT_OFF, cut_off
 from coopqp.planning.verification import Verification, Verifier, lengths
 from coopqp.scenario.planned import PHASE
-from coopqp.scenario.scenario import Scenario
+from coopqp.scenario.scenario import Scenario, needs_scenario
 from coopqp.signal import TURN_COLUMNS, quaternion_of
 from coopqp.study.explanation.goal import Goal, placed
 from coopqp.study.explanation.words import RunExplanation, size
@@ -113,6 +113,7 @@ def plan(
         CoopqpError: the start is no closed configuration inside the limits, a task to keep is not
             met there or does not exist, or the kernel is not built.
     """
+    needs_scenario(scenario)
     if not isinstance(budget, Budget):
         budget = Budget(seconds=budget, seed=scenario.seed)
     problem, t = scenario.problem(), scenario.schedule[0].duration

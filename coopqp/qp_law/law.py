@@ -140,13 +140,15 @@ class QPLaw(Law):
     def _scaled_damping(self, state: State) -> float:
         """For scaled tasks, whose rows bend by their multipliers.
 
-        They are SCALE_WEIGHT (1 - s) / |wanted|, with s of the last tick.
+        They are SCALE_WEIGHT (1 - s) / |wanted|, with s of the last tick; fewer towards rest, where
+        wanted is rounding.
         """
         if not self._scaled:
             return 0.0
         bends, wanted = self.exact.bends(state.v), self.exact.wanted
-        sizes = [norm(bends[p]) / (wanted[p] @ wanted[p] + LEAST_SPEED**2) for p in self._scaled]
-        pull = SCALE_WEIGHT * float(state.memory["missing"] @ sizes)
+        rates = [(norm(bends[p]), norm(wanted[p]) / LEAST_SPEED) for p in self._scaled]
+        sizes = [bend * min(rate, 1.0) / (rate * rate + 1.0) for bend, rate in rates]
+        pull = SCALE_WEIGHT / LEAST_SPEED**2 * float(state.memory["missing"] @ sizes)
         return min(self._damping.of(pull, state), MOST_DAMPING)
 
     def _decide_levels(self, state: State, kappa: float) -> tuple[Array, tuple[Status, ...]]:
@@ -180,7 +182,9 @@ class QPLaw(Law):
         if self._relaxes and (leaves > 0.0 or self._shares.min(initial=1.0) < WHOLE):
             near, found = self.nearest.of_scaled(state, v)
             status = found if status is Status.OPTIMAL else status
-            leaves = max(leaves, self._leaves_directions(near) if leaves < 1.0 else 0.0)
+            wanted, parts = self.exact.wanted, zip(self._scaled, self._shares.tolist(), strict=True)
+            for p, share in () if leaves == 1.0 else parts:
+                leaves = max(leaves, blocked(share, wanted[p], self.exact.J[p] @ near))
             v = (1.0 - leaves) * v + leaves * near
         self._remember(state, v, leaves)
         if not whole.usable and whole is not Status.INFEASIBLE:
@@ -206,11 +210,6 @@ class QPLaw(Law):
             found = level.solve().usable
             v, leaves = (level.v, max(leaves, level.shares[-1])) if found else (v, 1.0)
         return v, leaves if self._scaled else 0.0
-
-    def _leaves_directions(self, near: Array) -> float:
-        """How far scaled tasks may leave their directions for the nearest motion, from 0 to 1."""
-        wanted, parts = self.exact.wanted, zip(self._scaled, self._shares.tolist(), strict=True)
-        return max(blocked(share, wanted[p], self.exact.J[p] @ near) for p, share in parts)
 
     def _missed(self, v: Array) -> Array:
         """What rows of hard tasks lack, zero where that is rounding."""

@@ -39,11 +39,11 @@ class Program:
         self._solve = problem.solver.open(self.qp, self.solution)
 
     def solve(self) -> Status:
-        """Solve and verify."""
+        """Solve, verify and polish."""
         self.qp.seal()
         self._solve()
         self._verifier.curvature = min(self.curvature, SCALE_WEIGHT)
-        self.solution.status = status = self._verifier.check()
+        self.solution.status = status = self._verifier.polish(self._verifier.check())
         return status
 
 
@@ -87,11 +87,6 @@ class Level(Program):
         if self._slows:
             qp.A[:m, n], qp.b[:m] = kappa * state.e_loop, 0.0
 
-    @property
-    def scale(self) -> float:
-        """Least share of the answer; 1 without shares."""
-        return float(self.shares.min(initial=1.0))
-
 
 class Step:
     """The best step from a motion v that is inside the limits, in given directions Z.
@@ -122,8 +117,8 @@ class Step:
         qp.P.ravel()[:: len(Z) + 1] += d + held
         qp.q[:] = Z.dot(JW.dot(tasks.J.dot(v) - tasks.wanted) + d * v)
         rows = C.dot(seen)
-        sizes = _lengths(rows)
-        decided = sizes <= DECIDED * _lengths(C)
+        sizes = np.linalg.norm(rows, axis=1)
+        decided = sizes <= DECIDED * np.linalg.norm(C, axis=1)
         rows[decided], sizes[decided] = 0.0, 1.0  # which ask for nothing
         # Rows have length one, or solvers would take short ones for none.
         np.divide(rows, sizes[:, None], out=qp.G)
@@ -145,7 +140,3 @@ class Step:
             )
             self._programs[size] = Program(self._given.problem, Rows(free, limits), self.curvature)
         return self._programs[size]
-
-
-def _lengths(rows: Array) -> Array:
-    return np.asarray(np.sqrt(np.einsum("ij,ij->i", rows, rows)))

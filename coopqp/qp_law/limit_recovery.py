@@ -102,7 +102,7 @@ class LimitRecovery:
             y = level.solution.y
             saving = kappa * y.dot(state.e_loop)
             if level is slowed or saving <= (1.0 - ALL_OF_IT) * SCALE_WEIGHT:
-                self.v, self.share = level.v.copy(), level.scale
+                self.v, self.share = level.v.copy(), float(level.shares.min(initial=1.0))
                 pull[0] = np.abs(y).sum()
                 return
 
@@ -142,15 +142,12 @@ class DriftShare:
 
         The limits are then as they were when it was found.
         """
-        causes = []
-        status = self._solve(state)
-        if not status.usable:
-            if self._limit_recovery.release(state):
-                causes.append(Status.ACCELERATION_GIVEN_UP)
-            status = self._solve(state)
-        if not status.usable:
-            return (status,)
-        self.share = self._level.scale
+        causes = list[Status]()
+        if not self._solve(state).usable:
+            causes += [Status.ACCELERATION_GIVEN_UP] * self._limit_recovery.release(state)
+            if not (status := self._solve(state)).usable:
+                return (status,)
+        self.share = float(self._level.shares[0])
         if self.share < ALL_OF_IT:
             self.share *= INSIDE
             causes.append(Status.DRIFT_SLOWED)

@@ -61,18 +61,21 @@ class Nearest:
         rows, names = [*loops.solver_rows, *order.exact.rows], [task.name for task in order.scaled]
         self.beside = Level(given, TaskStack((), order.start), rows, [*names, "hard tasks"])
         self.beside.qp.q[-1] = ASIDE * SCALE_WEIGHT
-        self.v = self._refined.v
+        self.v = self.hard.v
 
     def of_hard(self, state: State, kappa: float) -> Status:
-        """Solve it, and refine the answer by a step: with so little damping digits are lost."""
-        tasks = self.hard.tasks
+        """Solve it, by a step from the answer with more damping, which has all its digits."""
+        tasks, level, refined = self.hard.tasks, self.hard, self._refined
         tasks.update(state)
         bend = float(tasks.weights @ (np.abs(state.memory["missed"]) * tasks.levers))
-        self.hard.assemble(state, kappa, self._damping.of(bend, state))
-        status = self.hard.solve()
-        if not status.usable:
-            return status
-        return self._refined.step(self.hard.v, null_space(state.J_loop).T, self.hard.curvature)
+        d = self._damping.of(bend, state)
+        level.assemble(state, kappa, d + self._damping.least)
+        status = level.solve()
+        level.assemble(state, kappa, d)
+        if status.usable:
+            status = refined.step(level.v, null_space(state.J_loop).T, level.curvature)
+            level.v[:] = refined.v
+        return status
 
     def of_scaled(self, state: State, v: Array) -> tuple[Array, Status]:
         """What the level of the scaled tasks makes of v, in what hard tasks leave free."""

@@ -45,8 +45,7 @@ class StepVerification:
         """Whether the loops are within budget after a step v dt, or no worse than before it."""
         error, (gap, turn) = 2.0 * norm(state.closed_error), self._most
         opened = float(self._second_order.dot(v * v).max(initial=0.0))
-        fits = error + self._reach * opened <= gap and error + opened <= turn
-        if fits:
+        if error + self._reach * opened <= gap and error + opened <= turn:
             return True
         now = state.closed_error
         then = self._chain.loop_error(state.q + self._dt * v) - state.gap[: len(now)]

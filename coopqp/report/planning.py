@@ -98,7 +98,8 @@ def write_timed(
         CoopqpError: it cannot be written.
     """
     apart = float(np.abs(parts[0].at(0.0).q - scenario.chain.q_start).max())
-    fits = apart < NEAR and len(phase_titles(parts, scenario)) == len(parts)
+    fits = apart < NEAR and not parts[0].speed[0]
+    fits = fits and len(phase_titles(parts, scenario)) == len(parts)
     follower = scenario if fits else scenario.changed(source="")
     written = _write(csv_text(table_of_phases(parts, scenario.dt)), TIMED, follower, folder, {})
     write_one(folder / PAGE, _page(parts, tried, scenario))
@@ -147,7 +148,8 @@ def _page(parts: Sequence[TimedPath], tried: Sequence[dict[str, float]], scenari
             f"<td>{'</td><td>'.join(cells)}</td></tr>"
             for name, *cells in _active(found, more)
         )
-        said = "".join(f"<p>{text(line)}</p>" for line in found.sentences)
+        lines = filter(None, [*found.sentences, found.coarse(scenario.dt)])
+        said = "".join(f"<p>{text(line)}</p>" for line in lines)
         sections += (
             f'<section><h2>{text(title)}</h2><aside class="how">{said}</aside>'
             f'{_picture(found, colors)}<table class="summary"><thead><tr><th class="name">'

@@ -432,3 +432,10 @@ def _stranger(value: Any, hint: Any) -> str:
             return words[0].replace(", needs", " in it, needs") if words else ""
         needed += [called] if option is not type(None) else []
     return f"found {value!r:.60}, needs {' or '.join(needed)}"
+
+
+def needs_scenario(found: object) -> None:
+    """InvalidValueError of what is no scenario, such as the name of one."""
+    if not isinstance(found, Scenario):
+        words = "use coopqp.load" if isinstance(found, str) else "needs a Scenario"
+        raise InvalidValueError(f"scenario: found {found!r}; {words}")

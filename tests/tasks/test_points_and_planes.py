@@ -22,10 +22,19 @@ from example_tasks import (
 )
 
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.geometry import Turn
+from coopqp.model.geometry import Turn, polar
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.tasks import PointOnPlane
+
+
+@pytest.mark.parametrize("size", 10.0 ** -np.arange(1.0, 14.0))
+def test_an_axis_that_leans_by_little_has_the_error_of_its_own_direction(size: float) -> None:
+    """Of 1e-12 rad it was another direction's, which gains of 180 1/s make 2e-10 rad/s of."""
+    y = size * np.array([-0.6, 0.8])
+    seen = polar(np.append(y, np.sqrt(1.0 - size**2)))
+    error = seen.angle * np.array(seen.way)
+    np.testing.assert_allclose(error, y * np.arcsin(size) / size, rtol=1e-14)
 
 
 def test_point_error_is_the_way_to_the_moving_reference(

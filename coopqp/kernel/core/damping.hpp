@@ -93,16 +93,18 @@ class StepDamping {
     double of_scaled(const Level& level, const double* v_last, const double* V,
                      const double* missing) {
         std::fill(asked2_.begin(), asked2_.end(), 0.0);
-        std::fill(wanted2_.begin(), wanted2_.end(), LEAST_SPEED * LEAST_SPEED);
+        std::fill(wanted2_.begin(), wanted2_.end(), 0.0);
         for (int s = level.hard; s < level.exact; s++) {
             const std::size_t k = std::size_t(level.share[std::size_t(s)]);
             const double asked = of_row(level, s, v_last, V), wanted = level.wanted[std::size_t(s)];
             asked2_[k] += asked * asked;
             wanted2_[k] += wanted * wanted;
         }
+        constexpr double LEAST2 = LEAST_SPEED * LEAST_SPEED;
         double pull = 0.0;
         for (std::size_t k = 0; k < asked2_.size(); k++)
-            pull += missing[k] * std::sqrt(asked2_[k]) / wanted2_[k];
+            pull += missing[k] * std::sqrt(asked2_[k] * std::min(wanted2_[k] / LEAST2, 1.0)) /
+                    (wanted2_[k] + LEAST2);
         return pull;
     }
 

@@ -56,7 +56,7 @@ constexpr double EVEN = 1e-09;
 constexpr double RAMP = 0.25;
 
 // coopqp.model.geometry
-constexpr double TINY = 1e-12;
+constexpr double TINY = 1e-14;
 constexpr double CONE = 0.02;
 
 // coopqp.model.loop_observer
