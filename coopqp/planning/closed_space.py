@@ -144,9 +144,7 @@ class ClosedSpace:
         return free
 
     def way(self, starts: Array, goals: Array, budget: Budget, wait: Wait = lambda: None) -> Array:
-        """A path from one of the starts to one of the goals, both closed, shape (k, n).
-
-        It has no rows where none was found.
+        """A path, shape (K, n), from one of the starts to one of the goals, (k, n), all closed.
 
         ``wait`` is called ten times a second and ends the search by raising.
         """

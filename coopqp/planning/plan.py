@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from coopqp.base.errors import CoopqpError, InvalidValueError, UnknownNameError, under
 from coopqp.base.spec import Array
-from coopqp.base.table import csv_text
 from coopqp.base.wording import counted
 from coopqp.controller import ControlProblem
 from coopqp.planning.closed_space import Budget, ClosedSpace
@@ -88,11 +87,6 @@ class Plan:
         rows = np.column_stack([self.t, self.timed, self.object])
         phases = {PHASE: self.phase} if len(self.phase) else {}
         return dict(zip(names, rows.T, strict=True)) | phases
-
-    @property
-    def csv(self) -> str:
-        """The same as text."""
-        return csv_text(self.columns)
 
 
 def plan(
@@ -261,7 +255,8 @@ class Planner:
         took["goals"] = time.perf_counter() - begun
         if not len(ends):
             return self._nothing(why, took)
-        seen = None
+        start, seen = self.chain.q_start[None].copy(), None
+        self.space.project(start)
 
         def wait() -> None:
             progress(min((time.perf_counter() - begun) / budget.seconds, 1.0))
@@ -273,7 +268,7 @@ class Planner:
             near = ends if goals is not None or turn % 2 else ends[:NEAREST]
             most = budget.most << min(turn // 2, 16)  # some trees grow long, others meet early
             now = replace(budget, seconds=left, seed=budget.seed + turn, most=most)
-            q = self._close(self.space.way(self._start(), near, now, wait))
+            q = self._close(self.space.way(start, near, now, wait))
             took["search"] = took.get("search", 0.0) + time.perf_counter() - at
             if not len(q):
                 ends = self._more(ends)
@@ -289,11 +284,6 @@ class Planner:
         tried = f"not found in {time.perf_counter() - begun:.1f} s"
         to = f"no path to any of {counted(len(ends), 'goal configuration')}"
         return self._nothing(f"{tried}: {to}; that proves nothing, more time may do{more}", took)
-
-    def _start(self) -> Array:
-        q = self.chain.q_start[None].copy()
-        self.space.project(q)
-        return q
 
     def _goals(self, budget: Budget, given: ArrayLike | None, begun: float) -> tuple[Array, str]:
         """Goal configurations in the order of :meth:`_ordered`, or why there are none."""

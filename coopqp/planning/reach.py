@@ -12,7 +12,7 @@ joint that most changes the distance of hand and base, lengthens the arm.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,8 +32,8 @@ from coopqp.planning.turns import CUT_OFF, cut_off
 from coopqp.program import Kind, Programs
 from coopqp.scenario.scenario import Scenario, needs_scenario
 from coopqp.study.explanation import words
-from coopqp.study.explanation.diagnosis import BlockedByLimits, Elsewhere, NotBlocked, diagnose
-from coopqp.study.explanation.goal import Goal, Place, placed
+from coopqp.study.explanation.diagnosis import BlockedByLimits, NotBlocked, diagnose
+from coopqp.study.explanation.goal import Goal, placed
 
 #: Random starts of one look, and of all looks.
 BATCH, MOST = 64, 4096
@@ -204,7 +204,8 @@ def explained(goals: Goals, progress: Progress = lambda share: None) -> Reach:
     missed = goal.missed(q)
     found = diagnose(goal, space.room, q)
     progress(1.0)
-    for place in _places(found):
+    place = found.elsewhere if isinstance(found, BlockedByLimits) else getattr(found, "place", None)
+    if place:
         goals.take(place.q[None].copy())
     if goals.found or goals.cut_off:
         return Reach(described(goals), False, "reachable: 1 configuration found", goals.tried)
@@ -219,14 +220,6 @@ def explained(goals: Goals, progress: Progress = lambda share: None) -> Reach:
     sentence = words.geometry(found, missed, space.chain, ordered=False)
     sentence = sentence.replace(" is unreachable by ", " stays off by ")  # nothing proves more
     return Reach((), False, f"{tried}: {sentence}", goals.tried)
-
-
-def _places(found: object) -> Iterator[Place]:
-    """Places at the goal inside the limits that a diagnosis holds."""
-    if isinstance(found, NotBlocked | Elsewhere):
-        yield found.place
-    if isinstance(found, BlockedByLimits) and found.elsewhere:
-        yield found.elsewhere
 
 
 def described(goals: Goals) -> tuple[Configuration, ...]:

@@ -21,7 +21,6 @@ import numpy as np
 
 from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.spec import Array, array
-from coopqp.base.table import csv_text
 from coopqp.closed_loop.grasp_matrix import COMPONENTS, moved, section
 from coopqp.closed_loop.hands import hands, points
 from coopqp.grasp import SAFETY
@@ -222,10 +221,6 @@ class TimedPath:
         words = f"Straight steps of {1e3 * dt:g} ms open the loops {opened:.2g} times as far as "
         words += f"counts as closed; a dt of {1e3 * dt / max(opened, 1.0) ** 0.5:.1g} ms does not."
         return words if opened > 1.0 else ""
-
-    def csv(self, dt: float) -> str:
-        """The table as text."""
-        return csv_text(self.table(dt))
 
 
 _WRENCH = ("fx", "fy", "fz", "tx", "ty", "tz")

@@ -23,11 +23,10 @@ SHARE = 0.8
 #: Ways over which corners are rounded [rad, m], and how often all becomes slower.
 ROUNDED, SLOWER = (0.05, 0.02, 0.01, 0.005), 3
 
-Allowed = Callable[[Array], Array | None]
-"""From rows near a path to those on the manifold; None where a limit is not kept."""
 
-
-def timed(problem: ControlProblem, q: Array, allowed: Allowed) -> tuple[Array, Array]:
+def timed(
+    problem: ControlProblem, q: Array, allowed: Callable[[Array], Array | None]
+) -> tuple[Array, Array]:
     """Times [s] and configurations at each tick of a path q (K, n), shapes (T,) and (T, n).
 
     Corners are rounded as far as ``allowed`` gives what is near it on the manifold and keeps the

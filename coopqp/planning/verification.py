@@ -6,7 +6,7 @@ looked at whether loops are closed, joints inside their limits and bodies as far
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,9 +70,15 @@ class Verifier:
         self._data, margins = chain.model.createData(), list[float]()
         self._geometry = geometry = pin.GeometryModel()
         programs = programs or [limit.program(chain, problem.dt) for limit in problem.limits]
-        for program in programs:
-            if isinstance(program, DistanceBounds):
-                margins += list(_add(geometry, program))
+        for bounds in (one for one in programs if isinstance(one, DistanceBounds)):
+            first = geometry.ngeoms
+            for joint, convex in bounds.bodies:
+                convex.geometry.computeLocalAABB()
+                at = f"{geometry.ngeoms}", joint, convex.placement, convex.geometry
+                geometry.addGeometryObject(pin.GeometryObject(*at))
+            for a, b in (first + bounds.pairs).tolist():
+                geometry.addCollisionPair(pin.CollisionPair(a, b))
+            margins += [bounds.distance] * len(bounds.pairs)
         self._others = others(problem, programs)
         self._placed = pin.GeometryData(geometry)
         for i, margin in enumerate(margins):
@@ -141,16 +147,3 @@ def lengths(q: Array) -> Array:
     """Length of a path up to each of its rows [rad, m]."""
     steps = np.linalg.norm(np.diff(q, axis=0), axis=1)
     return np.concatenate([[0.0], np.cumsum(steps)])
-
-
-def _add(geometry: pin.GeometryModel, bounds: DistanceBounds) -> Iterator[float]:
-    """Add a limit's bodies and pairs; the distance that each pair keeps [m]."""
-    ids = []
-    for joint, convex in bounds.bodies:
-        name = f"{geometry.ngeoms}"
-        convex.geometry.computeLocalAABB()
-        body = pin.GeometryObject(name, joint, convex.placement, convex.geometry)
-        ids.append(geometry.addGeometryObject(body))
-    for a, b in bounds.pairs.tolist():
-        geometry.addCollisionPair(pin.CollisionPair(ids[a], ids[b]))
-        yield bounds.distance

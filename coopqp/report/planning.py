@@ -101,9 +101,9 @@ def write_plan(
     """
     keys = {"keep": list(keep)} if keep else {}
     with TemporaryDirectory() as tried:
-        for path in _write(found.csv, PATH, scenario, Path(tried), keys)[1:]:
+        for path in _write(csv_text(found.columns), PATH, scenario, Path(tried), keys)[1:]:
             load(path, scenario.catalog)
-    return _write(found.csv, PATH, scenario, folder, keys)
+    return _write(csv_text(found.columns), PATH, scenario, folder, keys)
 
 
 def write_timed(

@@ -14,7 +14,6 @@ from coopqp.base.spec import type_name
 from coopqp.grasps import Rigid
 from coopqp.model.grasp_configuration import grasp_of_each
 from coopqp.model.profile import FASTEST
-from coopqp.robot import RobotModel
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.checks import (
     Known,
@@ -129,19 +128,16 @@ def _solved(
         grasp_of_each(robot, scenario.grasps)
     with at(["start"]):
         grasps, held = scenario.grasps, scenario.held
-        begin = near or _given_start(file, robot, scenario)
+        begin: Start = near or ({} if file.data.get("start") == SOLVE else scenario.start)
+        if not near and file.data.get("start_deg") is not None:
+            begin = from_degrees(robot, grasps, scenario.start)
         if held.pose is None and begin:
             solution = close_start(robot, grasps, held, begin)
         else:
-            solution = solve_start(robot, grasps, held, near=near, seed=seed, progress=progress)
+            solution = solve_start(
+                robot, grasps, held, near=near, seed=seed, progress=progress, fits=scenario.fits
+            )
     return solution
-
-
-def _given_start(file: YamlFile, robot: RobotModel, scenario: Scenario) -> Start:
-    """The start that a file has, in radians; empty where it is to be solved."""
-    if file.data.get("start_deg") is not None:
-        return from_degrees(robot, scenario.grasps, scenario.start)
-    return {} if file.data.get("start") == SOLVE else scenario.start
 
 
 #: Folders of files that come with coopqp, and what one of them is.

@@ -95,7 +95,10 @@ def following(scenario: Scenario, followed: Followed) -> Scenario:
             table = read_table(followed.plan)
             Waypoints(file=followed.plan)._table(POSE)
         else:
-            table = _found(scenario, followed)
+            way = coopqp.plan(scenario, keep=followed.keep, budget=followed.seconds)
+            if not way.found:
+                raise InvalidValueError(f"{way.sentence}; it had 'seconds: {followed.seconds:g}'")
+            table = Table(Path("plan"), way.columns, 0)
         ways = list(_ways(scenario, table))
     for name in followed.by:
         if name not in scenario.controllers:
@@ -155,13 +158,6 @@ def way_tasks(way: Way, dt: float, stands: bool, law: Controller | None = None) 
     return tuple(found)
 
 
-def _found(scenario: Scenario, followed: Followed) -> Table:
-    way = coopqp.plan(scenario, keep=followed.keep, budget=followed.seconds)
-    if not way.found:
-        raise InvalidValueError(f"{way.sentence}; it had 'seconds: {followed.seconds:g}'")
-    return Table(Path("plan"), way.columns, 0)
-
-
 def _ways(scenario: Scenario, table: Table) -> Iterator[Way]:
     """The way to each phase's goals."""
     t, q = table.times(), table.take(scenario.chain.joint_names)
@@ -196,10 +192,7 @@ def rows_of_phases(table: Table, phases: int) -> list[slice]:
 
 
 def _damaged(chain: ClosedChain, t: Array, q: Array, X: Array, near: float) -> str:
-    """Where rows are missing, joints jump, or the object is not held there; empty if nowhere.
-
-    Hands that take hold beside the start may hold it otherwise, ``near`` to the plan [m, rad].
-    """
+    """Where rows are missing, joints jump, or the object is not so near [m, rad]; else empty."""
     (late,) = np.nonzero(np.diff(t) > MISSING * np.median(np.diff(t)))
     if len(late):
         return f"rows are missing between {t[late[0]]:.3f} and {t[late[0] + 1]:.3f} s"

@@ -8,6 +8,7 @@ import math
 import types
 import typing
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import MISSING, dataclass, field, replace
 from functools import cached_property
 from numbers import Integral, Real
@@ -18,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
+from coopqp.assessment.limits import audit
 from coopqp.base.errors import CoopqpError, Fault, InvalidValueError, ScenarioError
 from coopqp.base.reading import absolute
 from coopqp.base.spec import Array, Name, NonNegative, Pose, Positive, type_name
@@ -208,19 +210,15 @@ class Scenario:
     @property
     def portable(self) -> str:
         """The source, or else JSON, as it can be read from another folder on this machine."""
-        if self.folder is None:
-            return self.source
-        return with_keys(self.source, {"folder": str(self.folder)})
+        return with_keys(self.source, {"folder": str(self.folder)}) if self.folder else self.source
 
     def keys_with(self, plan: Path) -> dict[str, Any]:
         """What the source's folder, None for none, and reference become beside a plan."""
         data = parsed(Path(self.name), self.source).data
         reference = data.pop("reference", None) or {}
-        if not has_files(data):
-            return {"folder": None, "reference": {**reference, "plan": plan.name}}
-        return {
-            "folder": str(self.folder), "reference": {**reference, "plan": str(absolute(plan))},
-        }  # fmt: skip
+        others = has_files(data)
+        reference["plan"] = str(absolute(plan)) if others else plan.name
+        return {"folder": str(self.folder) if others else None, "reference": reference}
 
     def held_by(self, controller: str) -> Scenario:
         """The scenario with the grasp that this controller uses, and its phases."""
@@ -240,6 +238,15 @@ class Scenario:
         )
         vars(other).update({name: vars(self)[name] for name in kept})
         return other
+
+    def fits(self, start: Start) -> bool:
+        """Whether the first phase may begin there, by all limits of place that can be asked."""
+        with suppress(CoopqpError):
+            problem = self.changed(start=start).problem()
+            q, v = np.vstack([problem.chain.q_start] * 2), np.zeros((1, problem.chain.n))
+            found = audit(problem.limits, problem.chain, q, v, self.dt).margins
+            return all(margin.min() >= 0.0 for row, margin in found.items() if row.of_place)
+        return True
 
     def placed(
         self,
@@ -264,7 +271,9 @@ class Scenario:
             held = replace(held, pose=pose_of(object_pose, self.chain))
         if start == "solve":
             near = start_of(robot, self.start)[0]
-            start = solve_start(robot, self.grasps, held, near=near, seed=self.seed).start
+            start = solve_start(
+                robot, self.grasps, held, near=near, seed=self.seed, fits=self.fits
+            ).start
         elif isinstance(start, str):
             raise InvalidValueError(f"start: found {start!r}, needs joints or solve").at("start")
         other = self.changed(source="", held=held, start=self.start if start is None else start)

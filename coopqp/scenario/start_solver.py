@@ -19,8 +19,9 @@ is exactly reachable.
 
 from __future__ import annotations
 
+import itertools
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -114,7 +115,7 @@ class StartProblem:
         self.middle, self._reach = (lower + upper) / 2, (upper - lower) / 2
         self._sampled = self.middle.copy()
         turns = [kind.shortname().startswith("JointModelR") for kind in list(self.model.joints)[1:]]
-        self._endless = np.array(turns) & ~low & ~high
+        self.endless = np.array(turns) & ~low & ~high
         self.half = np.where(low & high, self._reach, np.inf)
 
     def sample(self, rng: np.random.Generator) -> Array:
@@ -137,11 +138,6 @@ class StartProblem:
             J[at + 3 : at + 6] = LENGTH * pin.Jlog3(turned).T @ J_i[3:]
         return r, J
 
-    def unwind(self, q: Array) -> None:
-        """Take whole turns off joints that turn without limits."""
-        turns = np.round((q - self.middle) / (2.0 * np.pi))
-        q -= np.where(self._endless, 2.0 * np.pi * turns, 0.0)
-
     def worth(self, q: Array, columns: Sequence[int]) -> float:
         """How good a start is: its margin, or its distance to the posture to be near."""
         asked = [i for i in columns if i in self.near]
@@ -160,6 +156,8 @@ Progress = Callable[[int, int], None]
 
 #: Random configurations that are tried per group of arms, and starts after which that ends.
 TRIES, ENOUGH = 120, 12
+#: Starts of a group that differ by more [rad or m], and of all, that are looked at.
+EACH, APART, LOOKED_AT = 8, 0.1, 64
 
 #: Steps of one try, and farthest that a joint goes in one [rad or m].
 STEPS, STEP = 80, 0.5
@@ -210,6 +208,7 @@ def solve_start(
     near: Mapping[str, float | Sequence[float]] | None = None,
     seed: int = 0,
     progress: Progress | None = None,
+    fits: Callable[[Start], bool] = lambda start: True,
 ) -> StartSolution:
     """Find a configuration inside the limits in which every arm holds the object.
 
@@ -220,6 +219,7 @@ def solve_start(
         near: posture that the start is to be near, by arm or joint; others may be anywhere.
         seed: of the random configurations.
         progress: called after each try.
+        fits: what starts should keep beside; the best that does is taken, or the best.
 
     Raises:
         GraspError: pose or object_in_hand is missing, or an arm cannot reach: which, and how far it
@@ -232,9 +232,8 @@ def solve_start(
         raise GraspError(f"to solve for a start, give {' and '.join(missing)}")
     problem = StartProblem(robot, grasp_of, held, near or {})
     groups = _groups(problem.columns)
-    q, rng = problem.middle.copy(), seeded(seed)
-    tries, total = 0, TRIES * len(groups)
-    found: list[int] = []
+    rng = seeded(seed)
+    total, searches = TRIES * len(groups), list[_Search]()
     failed: list[str] = []
     off = 0.0
     for i, arms in enumerate(groups):
@@ -246,17 +245,29 @@ def solve_start(
 
         search = _Search(problem, arms, rng)
         search.run(report)
-        if search.best is None:
+        if not search.kept:
             failed += _cannot_reach(problem, search, rng)
             off = max(off, search.gap)
-        else:
-            q[search.columns] = search.best[search.columns]
-        tries, found = tries + search.tries, [*found, search.found]
+        searches.append(search)
         report(TRIES)
     if failed:
         raise GraspError("; ".join([*failed, _advice(off)]))
-    room = np.minimum(q - problem.lower, problem.upper - q)
-    return _solution(robot, list(problem.model.names)[1:], q, room, tries, min(found))
+    for solution in _ranked(problem, searches):
+        if fits(solution.start):
+            return solution
+    return next(_ranked(problem, searches))
+
+
+def _ranked(problem: StartProblem, searches: Sequence[_Search]) -> Iterator[StartSolution]:
+    """Starts put together from those of groups, the best first."""
+    tries, found = sum(one.tries for one in searches), min(one.found for one in searches)
+    choices = itertools.product(*(enumerate(search.ranked()) for search in searches))
+    q = problem.middle.copy()
+    for choice in sorted(choices, key=lambda ones: sum(rank for rank, _ in ones))[:LOOKED_AT]:
+        for search, (_, one) in zip(searches, choice, strict=True):
+            q[search.columns] = one[search.columns]
+        room = np.minimum(q - problem.lower, problem.upper - q)
+        yield _solution(problem.robot, list(problem.model.names)[1:], q, room, tries, found)
 
 
 def close_start(
@@ -345,17 +356,17 @@ def _solution(
 
 
 class _Search:
-    """Tries of a group of arms: the joints searched, the best closed q, and the nearest."""
+    """Tries of a group of arms: the joints searched, closed q with their worth, the nearest."""
 
     def __init__(
         self, problem: StartProblem, arms: Sequence[str], rng: np.random.Generator
     ) -> None:
         self.problem, self.arms, self._rng = problem, tuple(arms), rng
         self.columns = sorted({j for arm in arms for j in problem.columns[arm]})
-        self.best: Array | None = None
+        self.kept: list[tuple[float, Array]] = []
         self.nearest = problem.middle.copy()
         self.tries = self.found = 0
-        self._worth, self.gap = -np.inf, np.inf
+        self.gap = np.inf
         self._bounds = problem.lower[self.columns], problem.upper[self.columns]
         self._steps = BoundedSteps(len(self.columns))
 
@@ -377,10 +388,17 @@ class _Search:
             report(self.tries)
 
     def _keep(self, q: Array) -> None:
-        self.problem.unwind(q)
-        worth = self.problem.worth(q, self.columns)
-        if worth > self._worth:
-            self._worth, self.best = worth, q.copy()
+        turns = np.round((q - self.problem.middle) / (2.0 * np.pi))
+        q -= np.where(self.problem.endless, 2.0 * np.pi * turns, 0.0)
+        self.kept.append((self.problem.worth(q, self.columns), q.copy()))
+
+    def ranked(self) -> list[Array]:
+        """Starts that differ, the best first."""
+        found: list[Array] = []
+        for _, q in sorted(self.kept, key=lambda one: -one[0]):
+            if all(np.abs(q - other)[self.columns].max() > APART for other in found[:EACH]):
+                found.append(q)
+        return found[:EACH]
 
     def _close(self, q: Array) -> float:
         """Levenberg-Marquardt from q, which is moved; returns the largest part of r at the end."""
@@ -427,7 +445,7 @@ def _cannot_reach(problem: StartProblem, search: _Search, rng: np.random.Generat
     for arm in search.arms if len(search.arms) > 1 else ():
         single = _Search(problem, [arm], rng)
         single.run(lambda done: None)
-        if single.best is None:
+        if not single.kept:
             alone.append(single)
     if len(search.arms) == 1:
         alone = [search]

@@ -123,10 +123,7 @@ def as_yaml(data: dict[str, Any]) -> str:
 
 
 def with_keys(text: str, keys: dict[str, Any]) -> str:
-    """A file's text with other values of some keys, without those that become None.
-
-    What they were goes, what they are is at the end; where that would not do, all is JSON.
-    """
+    """A file's text with other values of some keys at its end, None for none; or else JSON."""
     data = {**parsed(Path(), text).data, **keys}
     data = {key: value for key, value in data.items() if value is not None or key not in keys}
     kept, gone = "", False
@@ -135,10 +132,14 @@ def with_keys(text: str, keys: dict[str, Any]) -> str:
             gone = line.partition(":")[0] in keys
         kept += "" if gone else line
     added = (f"{key}: {json.dumps(data[key])}\n" for key in keys if key in data)
-    changed = "".join([kept.rstrip("\n"), "\n", *added])
+    return as_read("".join([kept.rstrip("\n"), "\n", *added]), data)
+
+
+def as_read(text: str, data: dict[str, Any]) -> str:
+    """The text if it is read as this mapping, else the mapping as JSON."""
     with suppress(ScenarioError):
-        if parsed(Path(), changed).data == data:
-            return changed
+        if parsed(Path(), text).data == data:
+            return text
     return json.dumps(data, indent=2) + "\n"
 
 

@@ -389,7 +389,7 @@ def test_one_arm_alone_carries_as_its_own_dynamics_say() -> None:
 def test_the_table_is_a_reference_that_way_points_read(tmp_path: Path) -> None:
     found = nao(1)
     file = tmp_path / "timed.csv"
-    file.write_text(found.csv(0.01), encoding="utf-8")
+    file.write_text(csv_text(found.table(0.01)), encoding="utf-8")
     chain = found.path.chain
     pose = Waypoints(file=file).bind(POSE, Moment(0.0), None)
     pose.update(Moment(0.5 * found.duration))
@@ -403,7 +403,7 @@ def test_torques_that_follow_it_squeeze_as_planned(tmp_path: Path) -> None:
     """In the rigid-body plant; by itself the controller has less than a fifth of it."""
     found, dt = nao(0, torque=0.8), 0.002
     file = tmp_path / "timed.csv"
-    file.write_text(found.csv(dt), encoding="utf-8")
+    file.write_text(csv_text(found.table(dt)), encoding="utf-8")
     posture = Posture(goal=Waypoints(file=file), gain=40.0, profile=Profile(kind="step"))
     wrench = InternalWrench(
         **{part: Waypoints(file=file, column=part, between="linear") for part in COMPONENTS}
@@ -495,7 +495,7 @@ def test_a_box_between_pads_is_held_or_lost_with_less_friction_and_said(
     way = random_way(scenario.chain, 1, count=3, step=0.4)
     found = time_along(way, scenario, safety=safety)
     file = tmp_path / "timed.csv"
-    file.write_text(found.csv(0.002), encoding="utf-8")
+    file.write_text(csv_text(found.table(0.002)), encoding="utf-8")
     task = Posture(goal=Waypoints(file=file), gain=40.0, profile=Profile(kind="step"))
     carried = replace(
         scenario, tasks=(task,), secondary=(), plant=Mujoco(), dt=0.002, kappa=100.0,

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from scenario_files import LOADABLE
+from scenario_files import LOADABLE, needs_robots
 
 from coopqp.base.errors import GraspError, UnknownNameError
 from coopqp.base.spec import Array, Pose
@@ -20,7 +21,8 @@ from coopqp.model.state import State
 from coopqp.robot import Arm, RobotModel
 from coopqp.robot_files import mdh
 from coopqp.robots import NaoT14, PlanarPair
-from coopqp.scenario.loader import load, load_and_solve
+from coopqp.scenario.loader import load, load_and_solve, load_text
+from coopqp.scenario.start import Start
 from coopqp.scenario.start_solver import TRIES, StartSolution, solve_start
 
 CLOSED = 1e-9  # loop error of a start [m, rad]
@@ -287,3 +289,42 @@ def test_what_is_not_known_is_asked_for() -> None:
         solve_start(robot, {"right": grasps["right"]}, held)
     with pytest.raises(UnknownNameError, match="unknown arm 'rihgt'"):
         solve_start(robot, {**grasps, "rihgt": Rigid()}, held)
+
+
+def test_starts_that_do_not_fit_are_passed_over() -> None:
+    """Elbows of two planar arms bend both ways; all four starts are had, the best first."""
+    robot = PlanarPair().build()
+    grasps, held = held_at(robot, np.array([-0.35, 1.2, -0.85, 0.35, -1.2, 0.85]))
+    taken: list[list[float]] = []
+
+    def bends(start: Start) -> list[float]:
+        return [float(np.sign(np.asarray(start[arm])[1])) for arm in ("right", "left")]
+
+    def fits(start: Start) -> bool:
+        return bends(start) not in taken
+
+    best = solve_start(robot, grasps, held)
+    for _ in range(4):
+        found = solve_start(robot, grasps, held, fits=fits)
+        check(robot, grasps, held, found)
+        taken.append(bends(found.start))
+    assert sorted(taken) == [[-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]]
+    assert taken[0] == bends(best.start)
+    np.testing.assert_array_equal(solve_start(robot, grasps, held, fits=lambda _: False).q, best.q)
+
+
+@needs_robots
+def test_a_solved_start_keeps_clear_of_what_the_file_has() -> None:
+    """A ball where an elbow would be: the arm takes another of its starts, and keeps 10 mm."""
+    shipped = load("shelves")
+    chain = shipped.chain
+    pin.forwardKinematics(chain.model, data := chain.model.createData(), chain.q_start)
+    elbow = data.oMi[chain.model.getJointId("left/panda_joint4")].translation.round(4).tolist()
+    ball = f"        ball: {{sphere: 0.06, position: {elbow}}}\n"
+    text = shipped.source.replace("        back:", f"{ball}        back:")
+    found = load_text(Path("shelves.yaml"), text, shipped.catalog)
+    assert "ball" in found.source
+    assert np.abs(found.chain.q_start - chain.q_start)[:7].max() > 0.1
+    for limit in found.limits:
+        clearance = limit.clearance(found.chain)
+        assert clearance is None or clearance(State(found.chain)).min() >= 0.0

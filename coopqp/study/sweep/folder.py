@@ -8,7 +8,6 @@ from __future__ import annotations
 import inspect
 import json
 from collections.abc import Iterable, Iterator
-from contextlib import suppress
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
@@ -16,11 +15,11 @@ from shlex import quote
 from typing import Any
 
 import coopqp
-from coopqp.base.errors import CoopqpError, ScenarioError
+from coopqp.base.errors import CoopqpError
 from coopqp.base.reading import absolute
 from coopqp.base.wording import dotted
 from coopqp.scenario.catalog import COLLECTIONS, Catalog
-from coopqp.scenario.yaml import FILE_KEYS, as_yaml, has_files, parsed
+from coopqp.scenario.yaml import FILE_KEYS, as_read, as_yaml, has_files, parsed
 from coopqp.study.sweep.journal import PATTERN, head_of, journals
 from coopqp.study.sweep.reader import study_text
 from coopqp.study.sweep.results import NAME
@@ -230,13 +229,4 @@ def scenario_of_row(study: Study, row: int) -> tuple[str, str]:
     columns = zip(study.columns, study.parts(variant), strict=True)
     values = ", ".join(f"{name} {value}" for name, value in columns)
     head = f"# Row {row} of the study {study.name}, variant {number}: {values}\n"
-    return head + _yaml(study, data), study.controllers[k]
-
-
-def _yaml(study: Study, data: dict[str, Any]) -> str:
-    """As YAML for people; as JSON where that would not be read back as it was."""
-    text = as_yaml(data)
-    with suppress(ScenarioError):
-        if parsed(study.scenario.path, text).data == data:
-            return text
-    return study.scenario.changed(data).text
+    return head + as_read(as_yaml(data), data), study.controllers[k]
