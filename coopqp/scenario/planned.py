@@ -24,8 +24,7 @@ from coopqp.base.table import Table, read_table
 from coopqp.closed_loop.grasp_matrix import COMPONENTS
 from coopqp.controller import Controller, ControlProblem
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.scenario.input import STANDS
-from coopqp.scenario.scenario import Phase, Scenario
+from coopqp.scenario.scenario import Phase, Scenario, off_plan
 from coopqp.signal import POSE, quaternion_of
 from coopqp.signals import Waypoints
 from coopqp.task import Task
@@ -162,11 +161,9 @@ def _ways(scenario: Scenario, table: Table) -> Iterator[Way]:
     """The way to each phase's goals."""
     t, q = table.times(), table.take(scenario.chain.joint_names)
     X, phases = table.take(POSE.columns), len(scenario.schedule)
+    if wrong := off_plan(scenario.chain, table):
+        raise InvalidValueError(wrong)
     off = np.abs(q[0] - scenario.chain.q_start)
-    if off.max() > STANDS:  # from nearer the run goes to where the way begins
-        joint = scenario.chain.joint_names[int(off.argmax())]
-        words = f"begins {off.max():.3g} from the start of {joint}; plan the way anew from here"
-        raise InvalidValueError(f"{table.path}: {words}")
     chain, before = scenario.chain, q
     for k, rows in enumerate(rows_of_phases(table, phases)):
         if k:

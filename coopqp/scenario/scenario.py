@@ -40,7 +40,7 @@ from coopqp.plants import Kinematic
 from coopqp.robot import Robot, RobotModel
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.faulty_plant import FaultyPlant, Injected
-from coopqp.scenario.input import InputSettings, wanted
+from coopqp.scenario.input import STANDS, InputSettings, wanted
 from coopqp.scenario.start import Start, joints_outside, passive_outside, pose_of, start_of
 from coopqp.scenario.start_solver import solve_start
 from coopqp.scenario.yaml import Wrong, has_files, parsed, with_keys
@@ -269,13 +269,15 @@ class Scenario:
         robot, held = self.robot_model, self.held
         if object_pose is not None:
             held = replace(held, pose=pose_of(object_pose, self.chain))
-        if start == "solve":
+        if isinstance(start, str) and start == "solve":
             near = start_of(robot, self.start)[0]
             start = solve_start(
                 robot, self.grasps, held, near=near, seed=self.seed, fits=self.fits
             ).start
-        elif isinstance(start, str):
-            raise InvalidValueError(f"start: found {start!r}, needs joints or solve").at("start")
+        elif not isinstance(start, Mapping | None):
+            found = repr(start) if isinstance(start, str) else f"a {type(start).__name__}"
+            words = "needs joints or solve; joints by arm or by name"
+            raise InvalidValueError(f"start: found {found}, {words}").at("start")
         other = self.changed(source="", held=held, start=self.start if start is None else start)
         of_robot, passive = start_of(robot, other.start)
         allowed, q = self.start_outside, robot.configuration(of_robot)
@@ -285,6 +287,8 @@ class Scenario:
             wrong = [Wrong(["grasps", arm], words) for arm, words in contact_faults(chain)]
             if not allowed:
                 wrong += passive_outside(chain, passive, "start")
+                if self.follows and (words := off_plan(chain, self.follows)):
+                    wrong.append(Wrong(["reference"], words))
                 for i, limit in enumerate(self.limits):
                     wrong += [Wrong(["limits", i], words) for words in limit.start_faults(chain)]
         if wrong:
@@ -432,6 +436,14 @@ def _stranger(value: Any, hint: Any) -> str:
             return words[0].replace(", needs", " in it, needs") if words else ""
         needed += [called] if option is not type(None) else []
     return f"found {value!r:.60}, needs {' or '.join(needed)}"
+
+
+def off_plan(chain: ClosedChain, plan: Table) -> str:
+    """Where a plan begins elsewhere; empty if near enough that a run goes to where it begins."""
+    off = np.abs(plan.take(chain.joint_names)[0] - chain.q_start)
+    joint = chain.joint_names[int(off.argmax())]
+    words = f"begins {off.max():.3g} from the start of {joint}; plan the way anew from here"
+    return f"{plan.path}: {words}" if off.max() > STANDS else ""
 
 
 def needs_scenario(found: object) -> None:

@@ -15,6 +15,7 @@ import coopqp
 from coopqp.base.errors import CoopqpError, GraspError, InvalidValueError, ScenarioError
 from coopqp.base.spec import Pose
 from coopqp.grasp import pose_matrix
+from coopqp.report.planning import write_plan
 from coopqp.scenario.loader import load_text
 from coopqp.scenario.scenario import Scenario
 from coopqp.scenario.yaml import parsed
@@ -62,12 +63,24 @@ def test_what_a_file_would_be_refused_for_is_refused(nao: Scenario) -> None:
         nao.placed(start={**nao.start, "left": [True] * 5})
     with pytest.raises(InvalidValueError, match="start: found 'solved', needs joints or solve"):
         nao.placed(start="solved")  # type: ignore[arg-type]
+    with pytest.raises(InvalidValueError, match="start: found a ndarray, needs joints or solve"):
+        nao.placed(start=nao.chain.q_start)
     with pytest.raises(GraspError, match=r"to solve for a start, give .*object_in_hand"):
         nao.placed(object_pose=ELSEWHERE, start="solve")
     with pytest.raises(InvalidValueError, match=r"quaternion has length 2, needs 1; give x y z"):
         nao.placed(object_pose=[0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 2.0])
     with pytest.raises(InvalidValueError, match="object_pose"):
         nao.placed(object_pose=[0.1, 0.0, 0.0])
+
+
+def test_a_plan_is_refused_from_elsewhere(nao: Scenario, tmp_path: Path) -> None:
+    write_plan(coopqp.plan(nao), nao, tmp_path)
+    planned = coopqp.load(tmp_path / "point_on_point.yaml")
+    planned.placed(start=planned.start)
+    left, turned = np.array(planned.start["left"]), np.array([0.0, 0.0, 0.0, 0.0, 0.2])
+    words = r"plan.csv: begins 0\.2 from the start of LWristYaw; plan the way anew from here"
+    with pytest.raises(ScenarioError, match=words):
+        planned.placed(start={**planned.start, "left": (left + turned).tolist()})
 
 
 @needs_robots
