@@ -81,3 +81,34 @@ def cut(scenario: Scenario, ticks: int) -> Scenario:
     short = ticks * scenario.dt
     phases = tuple(replace(phase, duration=short) for phase in scenario.phases)
     return replace(scenario, duration=short, phases=phases)
+
+
+#: NAO's hands stand away from a box, take hold of it, lift it and let go.
+TAKES_HOLD = """\
+robot: nao_t14
+grasp: {rigid: {}}
+object: {size: [0.08, 0.19, 0.08], mass: 0.2, pose: {position: [0.16, 0.0, 0.05]}}
+start:
+  right: [0.7, -0.2, 1.2, 0.9, 0.1]
+  left: [0.7, 0.2, -1.2, -0.9, -0.1]
+phases:
+  - name: take
+    duration: 0.4
+    released: [left, right]
+    tasks:
+      - posture: {name: in, goal: {left: [0.72, 0.22, -1.2, -0.9, -0.1]}, gain: 5,
+                  tolerance: 0.01, profile: {duration: 0.2}}
+  - name: lift
+    duration: 0.5
+    tasks:
+      - point_on_point: {name: up, goal: [0.16, 0.0, 0.07], gain: 5, profile: {duration: 0.3}}
+  - name: leave
+    duration: 0.4
+    released: [left, right]
+    tasks:
+      - relative_motion: {name: back, arm: right, goal: {position: [0.0, -0.02, 0.0]}, gain: 5,
+                          tolerance: 0.2, tolerance_angle: 0.2, profile: {duration: 0.2}}
+controllers: [qp, pseudoinverse]
+dt: 0.01
+kappa: 100
+"""

@@ -62,9 +62,10 @@ def read_table(path: str | Path) -> Table:
     return _read(*version(Path(path)))
 
 
-def csv_text(columns: dict[str, Array]) -> str:
-    """Columns by name as CSV."""
-    rows = (map("{:.12g}".format, row) for row in zip(*columns.values(), strict=True))
+def csv_text(columns: dict[str, Array], digits: int = 12) -> str:
+    """Columns by name as CSV; 17 digits hold every number to the last bit."""
+    number = f"{{:.{digits}g}}".format
+    rows = (map(number, row) for row in zip(*columns.values(), strict=True))
     return "\n".join(map(",".join, [columns, *rows])) + "\n"
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import click
 
-from coopqp.base.errors import CoopqpError
+from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.reading import absolute
 from coopqp.cli.options import (
     JSON,
@@ -54,16 +56,17 @@ def time_(
     """
     from coopqp.planning.given_path import table_of
     from coopqp.planning.time_along import time_phases, would_do
-    from coopqp.report import strict_json
+    from coopqp.report import files, strict_json
     from coopqp.report.planning import limits_table, phase_titles, write_timed
     from coopqp.report.table import console
 
     if scenario is None and (table := table_of(path)):
         scenario = _beside(table)
     loaded = read_scenario(scenario, catalog) if scenario else read_trace(path, catalog)[1]
-    parts = time_phases(path, loaded, **how)
-    tried = [would_do(part) for part in parts]
-    written = write_timed(parts, tried, loaded, out) if out else ()
+    with files.checked_folder(out), _named(path):
+        parts = time_phases(path, loaded, **how)
+        tried = [would_do(part) for part in parts]
+        written = write_timed(parts, tried, loaded, out) if out else ()
     keys = ("duration", "hold", "exceeded", "shares", "notes")
     data = [
         {key: getattr(part, key) for key in keys} | {"would_do": more}
@@ -79,6 +82,20 @@ def time_(
             console().print(limits_table(part, more))
     for file in written:
         say(f"wrote {file}", aside=as_json)
+    if out and not any(file.suffix == ".yaml" for file in written):
+        words = f"{loaded.name} does not begin where the path does, and at rest"
+        say(f"no scenario that follows it is written, since {words}", aside=as_json)
+
+
+@contextmanager
+def _named(path: Path) -> Iterator[None]:
+    """Say which file an error of its path is in."""
+    try:
+        yield
+    except InvalidValueError as error:
+        if not str(error).startswith("path: "):
+            raise
+        raise InvalidValueError(f"{path}: {str(error)[6:]}") from None
 
 
 def _beside(table: Path) -> str:

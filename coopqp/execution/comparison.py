@@ -12,7 +12,7 @@ from coopqp.base.errors import CoopqpError, InvalidValueError, UnknownNameError
 from coopqp.execution.controller_run import Progress, run
 from coopqp.metric import measured
 from coopqp.scenario.notes import of_faults
-from coopqp.scenario.scenario import Scenario
+from coopqp.scenario.scenario import Scenario, needs_scenario
 from coopqp.trace import Trace
 
 
@@ -69,6 +69,7 @@ def compare(
     Raises:
         CoopqpError: none of them can be run: as :func:`run`.
     """
+    needs_scenario(scenario)
     names = list(controllers) or list(scenario.controllers)
     if not names:
         raise InvalidValueError("controllers: none given, and the scenario has none")

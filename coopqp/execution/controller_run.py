@@ -10,7 +10,7 @@ from coopqp.base.wording import by_user, raised
 from coopqp.controller import Controller
 from coopqp.execution.phase_run import PhaseRun, begin_phase
 from coopqp.execution.rollout import rollout
-from coopqp.scenario.scenario import Scenario
+from coopqp.scenario.scenario import Scenario, needs_scenario
 from coopqp.solver import Status
 from coopqp.trace import PhaseInfo, Trace, join
 
@@ -37,6 +37,7 @@ def run(
         UnknownNameError: no such controller.
         CoopqpError: the controller or the plant cannot be built for this scenario.
     """
+    needs_scenario(scenario)
     chosen = controller_of(scenario, controller)
     check_plant(scenario, chosen, controller)
     scenario.check_size()

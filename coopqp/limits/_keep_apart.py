@@ -46,8 +46,9 @@ SHOWN = 3
 ROWS, EACH = 24, 3
 #: Pairs with a smaller margin have corners [m].
 CLOSE = 0.005
-#: Corners are this much farther away than the nearest point at most [m].
-SLAB = 0.002
+#: Corners are this much farther away than the nearest point at most [m]; for all of that a corner
+#: may come nearer by so many times the gain, so that none that appears stops the joints at once.
+SLAB, LATER = 0.002, 3.0
 #: Sizes of corners are the same that differ by less, or by such a share [m, -].
 EVEN = 1e-9
 #: Reach of a sliding joint without limits [m].
@@ -96,7 +97,7 @@ class Separation:
         self._check_gain(dt)
         chain, pairs, distance, gain = self.chain, self.pairs, self.distance, self.gain
         found, count = Distances(pairs), len(pairs)
-        corners = Corners(pairs, found, distance)
+        corners, later = Corners(pairs, found, distance), min(LATER * gain, 1.0 / dt - gain)
         gains, shallow = np.full(count + ROWS, gain), max(distance, SHALLOW)
         deep, ways = np.zeros(count + ROWS, bool), dt * levers(chain, pairs)
         first, second = _moved(chain, pairs)
@@ -110,6 +111,7 @@ class Separation:
             corners.update()
             damp(np.concatenate([found.d - distance, corners.room]), gains, deep, rows.h, shallow)
             rows.h[:count] += (1.0 / dt - gain) * np.maximum(found.d - self.within, 0.0)
+            rows.h[count:] += later * corners.behind
             rows.G[:] = 0.0
             near = found.near[found.d[found.near] < far[found.near]]
             rows.G[near] = _wrenches(found.n[near], found.p[near]).dot(state.J_joints) * sign[near]
@@ -197,13 +199,14 @@ class Corners:
     body that reaches less far along the other, at a distance s from the plane that bounds the
     other,
 
-        n' (J_first - J_second) v <= gain (s - distance)
+        n' (J_first - J_second) v <= gain (s - distance) + LATER gain (s - d)
 
     at p: the plane is fixed to its body and turns with it. Bodies are never nearer than that plane.
 
     Attributes:
         room: margin of each corner to the distance kept from the other body's plane; that of rows
             without a corner is large, shape (ROWS,) [m].
+        behind: how much farther away it is than the pair's nearest point, shape (ROWS,) [m].
         pair: which pair each corner belongs to, shape (ROWS,).
         W: [n; p x n] of each, zero without a corner, shape (ROWS, 6).
         count: how many rows have a corner.
@@ -213,13 +216,13 @@ class Corners:
         self._pairs, self._found, self._distance = pairs, found, distance
         # Which can touch in more than one point.
         self._flat = [all(len(body.convex.points) > 1 for body in pair) for pair in pairs]
-        self.room, self.W = np.ones(ROWS), np.zeros((ROWS, 6))
+        self.room, self.behind, self.W = np.ones(ROWS), np.zeros(ROWS), np.zeros((ROWS, 6))
         self.pair, self.count = np.zeros(ROWS, np.int64), 0
 
     def update(self) -> None:
         found = self._found
         if self.count:
-            self.room[:], self.W[:], self.count = 1.0, 0.0, 0
+            self.room[:], self.behind[:], self.W[:], self.count = 1.0, 0.0, 0.0, 0
         room = found.d[found.near] - self._distance
         (close,) = (room < CLOSE).nonzero()
         for k in close[room[close].argsort(kind="stable")].tolist():
@@ -229,6 +232,7 @@ class Corners:
             n = found.n[pair]
             for corner, s in self._corners(pair, n, found.p[pair])[: ROWS - self.count]:
                 self.room[self.count], self.pair[self.count] = s - self._distance, pair
+                self.behind[self.count] = max(s - found.d[pair], 0.0)
                 self.W[self.count] = _wrenches(n, corner)
                 self.count += 1
 

@@ -13,7 +13,7 @@ from typing import Any, Literal, get_args
 from coopqp.base.errors import InvalidValueError, unknown_name
 from coopqp.base.wording import raised
 from coopqp.model.loop_observer import Observer
-from coopqp.scenario.scenario import Scenario
+from coopqp.scenario.scenario import needs_scenario
 
 Reference = Literal["commanded", "measured"]
 HowHeld = Literal["as_held", "as_written"]
@@ -48,9 +48,10 @@ def time_fault(found: Any, *, none: bool = False, zero: bool = False, maximum: f
 
 def _faults(options: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     scenario, controller = options["scenario"], options["controller"]
-    if not isinstance(scenario, Scenario):
-        words = "use coopqp.load" if isinstance(scenario, str) else "needs a Scenario"
-        yield "scenario", f"found {scenario!r}; {words}"
+    try:
+        needs_scenario(scenario)
+    except InvalidValueError as error:
+        yield "scenario", str(error).removeprefix("scenario: ")
     if not isinstance(controller, str):
         yield "controller", f"found {controller!r}; needs a name"
     for name, kind in CHOICES.items():

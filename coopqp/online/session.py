@@ -21,6 +21,7 @@ import numpy as np
 
 from coopqp.base.errors import CoopqpError
 from coopqp.base.spec import Array
+from coopqp.base.table import csv_text
 from coopqp.controller import Command
 from coopqp.execution.phase_run import PhaseRun
 from coopqp.limits import JointAcceleration
@@ -28,6 +29,7 @@ from coopqp.model.loop_observer import Observer
 from coopqp.model.state import State
 from coopqp.recordings.sent import FOLDER, Sent, fed, file_name
 from coopqp.scenario.input import Arrival
+from coopqp.scenario.planned import FOLLOWED
 from coopqp.scenario.scenario import Scenario
 from coopqp.scenario.yaml import parsed
 from coopqp.signal import Kind
@@ -71,6 +73,9 @@ class Session:
             if (self._folder / "scenario.yaml").exists() or (self._folder / FOLDER).exists():
                 raise CoopqpError(f"'{folder}' holds a session already; name another folder")
             (self._folder / FOLDER).mkdir(parents=True)
+            if scenario.source and scenario.follows:
+                plan = csv_text(scenario.follows.columns, 17)
+                (self._folder / FOLLOWED).write_text(plan, encoding="utf-8")
             self._write_scenario(())
         except OSError as error:
             raise CoopqpError(f"cannot write to '{folder}': {error.strerror or error}") from error
@@ -158,16 +163,27 @@ def scenario_text(
         data["limits"] = [*written, {"joint_acceleration": keys}]
     if scenario.observer != Observer() or "observer" in data:
         data["observer"] = asdict(scenario.observer)
+    _name_files(data, scenario, feeds, folder)
+    _set_durations(data, [run for run in runs if not run.phase.leads])
+    return json.dumps(data, indent=2) + "\n"
+
+
+def _name_files(
+    data: dict[str, Any], scenario: Scenario, feeds: Mapping[str, Path], folder: Path
+) -> None:
+    """The session's own files, by relative paths where the scenario names no others."""
+    away = scenario.folder
+    if away:
+        data["folder"] = str(away)
+    if scenario.follows:
+        data |= scenario.keys_with(folder / FOLLOWED)
+        away = data["folder"] or data.pop("folder")
     if scenario.inputs:
         paths = {
-            name: str(path.resolve() if scenario.folder else path.relative_to(folder))
+            name: str(path.resolve() if away else path.relative_to(folder))
             for name, path in feeds.items()
         }
         data["inputs"] = fed(data["inputs"], paths)
-    if scenario.folder:
-        data["folder"] = str(scenario.folder)
-    _set_durations(data, runs)
-    return json.dumps(data, indent=2) + "\n"
 
 
 def _place_object(data: dict[str, Any], scenario: Scenario) -> None:

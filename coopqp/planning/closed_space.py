@@ -70,17 +70,6 @@ class Budget:
     shortcuts: int = 150
 
 
-@dataclass(frozen=True)
-class Path:
-    """A way on the manifold, q of shape (K, n), and what it cost; K is 0 where none was found."""
-
-    q: Array
-    first_length: float
-    checks: int
-    projections: int
-    nodes: int
-
-
 class ClosedSpace:
     """Closed configurations of a problem inside its position limits, with some tasks held.
 
@@ -154,8 +143,10 @@ class ClosedSpace:
             free &= np.array([self._others(row) for row in q], bool)
         return free
 
-    def way(self, starts: Array, goals: Array, budget: Budget, wait: Wait = lambda: None) -> Path:
+    def way(self, starts: Array, goals: Array, budget: Budget, wait: Wait = lambda: None) -> Array:
         """A path from one of the starts to one of the goals, both closed, shape (k, n).
+
+        It has no rows where none was found.
 
         ``wait`` is called ten times a second and ends the search by raising.
         """
@@ -178,8 +169,7 @@ class ClosedSpace:
             self._others,
             wait,
         )
-        q = np.frombuffer(made["path"]).reshape(-1, self.chain.n).copy()
-        return Path(q, made["first"], made["checks"], made["projections"], made["nodes"])
+        return np.frombuffer(made["path"]).reshape(-1, self.chain.n).copy()
 
     @cached_property
     def charts(self) -> NDArray[np.bool_]:

@@ -37,8 +37,14 @@ def given_path(path: Any, scenario: Scenario, controller: str | None, phases: in
         return [getattr(path, "q", path)]
     joints = scenario.chain.joint_names
     if file := table_of(Path(path)):
+        if controller is not None:
+            words = "is a table of joints, which no controller ran; leave it out"
+            raise InvalidValueError(f"controller: found {controller!r}, and {file} {words}")
         table = read_table(file)
         if set(POSE.columns) <= set(table.columns) and not set(joints) & set(table.columns):
+            if others := table.columns.keys() - {"t", PHASE, *POSE.columns}:
+                words = f"has columns that are no joints of {scenario.robot_model.name}"
+                raise InvalidValueError(f"{file}: {words}: {', '.join(sorted(others)[:3])} ...")
             return [_carried(scenario, table)]
         q = table.take(joints)
         return (

@@ -18,7 +18,7 @@ The bounds of lambda are rows, too.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
@@ -135,23 +135,6 @@ class Rows:
         finite = most[np.isfinite(most)]
         usual = float(np.median(finite)) if len(finite) else 1.0
         return np.asarray(np.fmin(most, FASTEST * usual), float)
-
-    def finer(self, count: int) -> Rows:
-        """Rows at ``count`` places in each interval, both ends among them, by cubic splines.
-
-        The coefficients are smooth in s, so that this takes a tenth of the time of making them.
-        """
-        from scipy.interpolate import CubicSpline  # nobody else waits for it
-
-        share = np.linspace(0.0, 1.0, count)
-        s = (self.s[:-1, None] + np.diff(self.s)[:, None] * share).ravel()
-        kept = *self.R, self.Rl, self.rates
-        flat = CubicSpline(self.s, np.hstack([part.reshape(len(self.s), -1) for part in kept]))(s)
-        cuts = np.cumsum([part[0].size for part in kept])[:-1]
-        *R, Rl, rates = np.split(flat, cuts, axis=1)
-        return replace(
-            self, s=s, R=np.array(R), Rl=Rl.reshape(len(s), *self.Rl.shape[1:]), rates=rates
-        )
 
     def lo_up(self, share: Array) -> tuple[Array, Array]:
         """Lower and upper ends, shape (N, r), with the bounds times a share."""

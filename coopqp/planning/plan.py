@@ -15,13 +15,13 @@ from coopqp.base.spec import Array
 from coopqp.base.table import csv_text
 from coopqp.base.wording import counted
 from coopqp.controller import ControlProblem
-from coopqp.planning.closed_space import Budget, ClosedSpace, Path
+from coopqp.planning.closed_space import Budget, ClosedSpace
 from coopqp.planning.reach import MOST, PROVEN, Goals, Progress, explained, need_a_place, too_far
 from coopqp.planning.timing import timed
 from coopqp.planning.turns import CUT_OFF, cut_off
 from coopqp.planning.verification import Verification, Verifier, lengths
 from coopqp.scenario.planned import PHASE
-from coopqp.scenario.scenario import Scenario
+from coopqp.scenario.scenario import Scenario, needs_scenario
 from coopqp.signal import TURN_COLUMNS, quaternion_of
 from coopqp.study.explanation.goal import Goal, placed
 from coopqp.study.explanation.words import RunExplanation, size
@@ -60,7 +60,6 @@ class Plan:
         object: of the object then: place, and quaternion x, y, z, w, shape (T, 7).
         verification: the second look; None without a path.
         seconds: wall time of goals, search and second look [s].
-        path: of the search, with its costs; of phases the last's.
         phase: number of the phase that each tick leads to, shape (T,); empty without phases.
         proven: whether it is proven that there is no path.
     """
@@ -74,7 +73,6 @@ class Plan:
     object: Array
     verification: Verification | None = None
     seconds: dict[str, float] = field(default_factory=dict)
-    path: Path | None = None
     phase: Array = field(default_factory=lambda: np.zeros(0))
     proven: bool = False
 
@@ -121,6 +119,7 @@ def plan(
         CoopqpError: the start is no closed configuration inside the limits, a task to keep is not
             met there or does not exist, or the kernel is not built.
     """
+    needs_scenario(scenario)
     if not isinstance(budget, Budget):
         budget = Budget(seconds=budget, seed=scenario.seed)
     problem, t = scenario.problem(), scenario.schedule[0].duration
@@ -262,7 +261,7 @@ class Planner:
         took["goals"] = time.perf_counter() - begun
         if not len(ends):
             return self._nothing(why, took)
-        path, seen, near = None, None, ends
+        seen = None
 
         def wait() -> None:
             progress(min((time.perf_counter() - begun) / budget.seconds, 1.0))
@@ -274,8 +273,7 @@ class Planner:
             near = ends if goals is not None or turn % 2 else ends[:NEAREST]
             most = budget.most << min(turn // 2, 16)  # some trees grow long, others meet early
             now = replace(budget, seconds=left, seed=budget.seed + turn, most=most)
-            path = self.space.way(self._start(), near, now, wait)
-            q = self._close(path.q)
+            q = self._close(self.space.way(self._start(), near, now, wait))
             took["search"] = took.get("search", 0.0) + time.perf_counter() - at
             if not len(q):
                 ends = self._more(ends)
@@ -284,15 +282,13 @@ class Planner:
             seen = self.verifier.look(q, VERIFIED)
             took["verify"] = took.get("verify", 0.0) + time.perf_counter() - at
             if seen.good:
-                return self._found(path, q, seen, len(near), took)
+                return self._found(q, seen, len(near), took)
             # What the finer look has seen, the next search looks for as finely.
             budget = replace(budget, fine=0.5 * budget.fine)
         more = f"; the last path failed the second look: {seen.words}" if seen else ""
         tried = f"not found in {time.perf_counter() - begun:.1f} s"
         to = f"no path to any of {counted(len(ends), 'goal configuration')}"
-        return self._nothing(
-            f"{tried}: {to}; that proves nothing, more time may do{more}", took, path
-        )
+        return self._nothing(f"{tried}: {to}; that proves nothing, more time may do{more}", took)
 
     def _start(self) -> Array:
         q = self.chain.q_start[None].copy()
@@ -381,16 +377,13 @@ class Planner:
             q = np.insert(q, far + 1, middle, axis=0)
         return q
 
-    def _found(
-        self, path: Path, q: Array, seen: Verification, goals: int, took: dict[str, float]
-    ) -> Plan:
+    def _found(self, q: Array, seen: Verification, goals: int, took: dict[str, float]) -> Plan:
         sentence = (
             f"found in {sum(took.values()):.2g} s: {lengths(q)[-1]:.3g} rad to one of "
             f"{counted(goals, 'goal configuration')}; {seen.points} points verified, loops closed "
             f"within {1e3 * seen.open:.1g} mm"
         )
-        nothing = self._nothing(sentence, took, path)
-        return replace(nothing, found=True, q=q, verification=seen)
+        return replace(self._nothing(sentence, took), found=True, q=q, verification=seen)
 
     def _timed(self, found: Plan) -> Plan:
         t, ticks = timed(self.problem, found.q, self._allowed)
@@ -408,11 +401,11 @@ class Planner:
             return None
         return near
 
-    def _nothing(self, why: str, took: dict[str, float], path: Path | None = None) -> Plan:
+    def _nothing(self, why: str, took: dict[str, float]) -> Plan:
         n = self.chain.n
         return Plan(
             found=False, sentence=why, joints=self.chain.joint_names, q=np.zeros((0, n)),
-            t=np.zeros(0), timed=np.zeros((0, n)), object=np.zeros((0, 7)), seconds=took, path=path,
+            t=np.zeros(0), timed=np.zeros((0, n)), object=np.zeros((0, 7)), seconds=took,
             proven=why.startswith(PROVEN),
         )  # fmt: skip
 

@@ -30,7 +30,7 @@ from coopqp.model.state import State
 from coopqp.planning.closed_space import ClosedSpace
 from coopqp.planning.turns import CUT_OFF, cut_off
 from coopqp.program import Kind, Programs
-from coopqp.scenario.scenario import Scenario
+from coopqp.scenario.scenario import Scenario, needs_scenario
 from coopqp.study.explanation import words
 from coopqp.study.explanation.diagnosis import BlockedByLimits, Elsewhere, NotBlocked, diagnose
 from coopqp.study.explanation.goal import Goal, Place, placed
@@ -105,6 +105,7 @@ def reach(
     Raises:
         CoopqpError: no task asks for a place, or the kernel is not built.
     """
+    needs_scenario(scenario)
     problem, t = scenario.problem(), scenario.schedule[0].duration
     seed = scenario.seed if seed is None else seed
     need_a_place(problem)

@@ -3,7 +3,7 @@
 Joint speeds, accelerations, torques of the scenario's masses and friction of hands that press are
 kept; the wrench between the hands is free in a box, since a closed chain has more motors than
 freedoms. Two passes over a grid (:mod:`coopqp.planning.passes`) find the profile; then all limits
-are divided by what was exceeded at ten places an interval, and it is found again.
+are divided by what was exceeded between the grid's places, and it is found again.
 
 A linear program's wrench jumps from vertex to vertex, so the torques of an instant are those of
 
@@ -26,12 +26,12 @@ from coopqp.closed_loop.grasp_matrix import COMPONENTS, moved, section
 from coopqp.closed_loop.hands import hands, points
 from coopqp.grasp import SAFETY
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.planning.closed_path import FINER, STILL, ClosedPath, closed_path, relative, still_path
+from coopqp.planning.closed_path import STILL, ClosedPath, closed_path, relative, still_path
 from coopqp.planning.forward_backward_pass import FORCE, Passes, Profile, Share, Stuck, program
 from coopqp.planning.given_path import given_path, phases_in
 from coopqp.planning.path_constraints import AXES, Bounds, RowMaker, Rows, bounds_of
 from coopqp.scenario.planned import PHASE
-from coopqp.scenario.scenario import Scenario
+from coopqp.scenario.scenario import Scenario, needs_scenario
 from coopqp.signal import TURN_COLUMNS, quaternion_of
 
 #: Largest component of an internal wrench; 20 N buy two thirds and more of what any buys.
@@ -46,6 +46,8 @@ FEWEST, MOST = 8, 20_000
 ACTIVE, ACTIVE_SPEED = 0.99, 0.98
 #: Passes that divide the limits by what was exceeded, until that is less than TOLERATED.
 REPEATS, TOLERATED = 3, 1.0005
+#: Parts of an interval at whose ends limits are looked at; a grid is halved that exceeds them more.
+BETWEEN, COARSE = 10, 1.002
 #: Reciprocal condition of the loops' Jacobian below which a place is singular.
 SINGULAR = 1e-3
 #: Curvature of lambda beside that of torques, so that the program of an instant has one answer.
@@ -142,8 +144,8 @@ class TimedPath:
             f"The fastest motion along the path takes {self.duration:.4g} s.",
             f"Holding still along it takes up to {100.0 * self.hold:.0f} % of a motor, "
             "a contact or the internal wrench.",
-            f"Between the {len(self.profile.s)} places a limit is used to "
-            f"{100.0 * self.exceeded:.2f} % at most, and the loops stand open by "
+            f"Looked at in {BETWEEN} places of each of {len(self.profile.u)} intervals, a limit is "
+            f"used to {100.0 * self.exceeded:.2f} % at most, and the loops stand open by "
             f"{1e3 * path.gap:.1g} mm; the path is up to {path.deviation:.1g} rad from the points.",
             *self.notes,
         ]
@@ -251,7 +253,8 @@ def time_along(
         scenario: whose robot, start, grasps, object and limits count.
         phase: which one, from 0 on, of a plan that leads through several, with the arms that hold
             the object then; nothing may move in it.
-        points: intervals of the grid.
+        points: intervals of the grid at least: no fewer than the path has knots, and twice as many
+            where that turns out to be too coarse.
         torque: share of each motor's limit that may be planned with; the rest is for the loop.
         wrench: largest force and torque by component of each hand's internal wrench [N, N m];
             ``WRENCH`` if omitted, ``PRESSING`` where hands press.
@@ -266,6 +269,7 @@ def time_along(
             limits; a load that cannot be held at rest; speeds that cannot be had. Says where.
         CoopqpError: the file cannot be read.
     """
+    needs_scenario(scenario)
     box = WRENCH if wrench is None else wrench
     _check(points=points, torque=torque, wrench=box, safety=safety, speed=speed, rise=rise)
     phases = [one for one in scenario.schedule if not one.leads]
@@ -326,11 +330,13 @@ def fastest(
 
     Else as :func:`time_along`.
     """
-    path = maker.path
-    rows = maker.at(np.linspace(0.0, path.length, points + 1))
+    points = max(points, len(maker.path.spline.t))  # between two places it may not bend twice
+    places = np.linspace(0.0, maker.path.length, points + 1)
+    rows = maker.at(places)
     held = _held(rows)
     ends = (np.array(speed) / np.linalg.norm(rows.along.dq[[0, -1]], axis=1)) ** 2
-    fine = rows.finer(FINER + 1)
+    between = np.diff(places)[:, None] * np.linspace(0.0, 1.0, BETWEEN + 1)
+    fine = maker.at((places[:-1, None] + between).ravel())
     share = Share(fine)
     limits = {kind: np.ones(points + 1) for kind in KINDS}
     if most is not None:
@@ -344,6 +350,9 @@ def fastest(
             over = np.maximum(1.0, use)
             limits[kind] /= np.maximum(np.append(over, 1.0), np.append(1.0, over))
         limits["force"] = np.maximum(limits["force"], np.minimum(STANDS * held, 1.0))
+    else:
+        if uses.largest > COARSE and most is None and 2 * points <= MOST:
+            return fastest(maker, 2 * points, speed)
     active = tuple(_active(fine, share, uses))
     hold, notes = float(held.max()), tuple(_slow(rows))
     return TimedPath(maker, profile, active, uses.largest, hold, notes, speed)

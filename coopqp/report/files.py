@@ -18,20 +18,23 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from coopqp.base.errors import CoopqpError, InternalError, one_line
+from coopqp.base.table import csv_text
 from coopqp.base.wording import by_user, raised
 from coopqp.execution.comparison import Comparison
 from coopqp.recordings import csv_file
 from coopqp.report import strict_json
 from coopqp.report.page import render
+from coopqp.scenario.planned import FOLLOWED
+from coopqp.scenario.yaml import with_keys
 from coopqp.study.sweep.journal import OLDER, PATTERN
 
-NAMES = ("report.html", "metrics.json", "trace.csv", "scenario.yaml")
+NAMES = ("report.html", "metrics.json", "trace.csv", "scenario.yaml", FOLLOWED)
 POINTER = ".report"
 PREFIX = ".report-"
 
 
 def write(comparison: Comparison, folder: Path) -> list[Path]:
-    """Write ``report.html``, ``metrics.json``, ``trace.csv`` and ``scenario.yaml``.
+    """Write ``report.html``, ``metrics.json``, ``trace.csv``, ``scenario.yaml`` and its plan.
 
     They change all at once, also when the process is killed.
 
@@ -41,8 +44,12 @@ def write(comparison: Comparison, folder: Path) -> list[Path]:
         InternalError: the page could not be drawn; all else is written.
     """
     contents = {"metrics.json": metrics_json(comparison), "trace.csv": trace_csv(comparison)}
-    if comparison.scenario.source:
-        contents["scenario.yaml"] = comparison.scenario.portable  # for explain and replay
+    if (scenario := comparison.scenario).source:
+        contents["scenario.yaml"] = scenario.portable  # for explain and replay
+        if scenario.follows:
+            keys = scenario.keys_with(folder / FOLLOWED)
+            contents["scenario.yaml"] = with_keys(scenario.source, keys)
+            contents[FOLLOWED] = csv_text(scenario.follows.columns, 17)
     fault: BaseException | None = None
     try:
         contents["report.html"] = render(comparison, folder)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from string import Template
@@ -13,7 +12,6 @@ import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
-from coopqp.base.reading import absolute
 from coopqp.base.table import csv_text
 from coopqp.planning import Plan, Reach
 from coopqp.planning.time_along import NOTHING, TimedPath, table_of_phases
@@ -24,7 +22,7 @@ from coopqp.report.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILI
 from coopqp.scenario.loader import load
 from coopqp.scenario.planned import NEAR
 from coopqp.scenario.scenario import Scenario
-from coopqp.scenario.yaml import parsed
+from coopqp.scenario.yaml import with_keys
 
 PATH = "plan.csv"
 #: Of a timed path: its table, and the page that shows what is active where.
@@ -100,7 +98,8 @@ def write_timed(
         CoopqpError: it cannot be written.
     """
     apart = float(np.abs(parts[0].at(0.0).q - scenario.chain.q_start).max())
-    fits = apart < NEAR and len(phase_titles(parts, scenario)) == len(parts)
+    fits = apart < NEAR and not parts[0].speed[0]
+    fits = fits and len(phase_titles(parts, scenario)) == len(parts)
     follower = scenario if fits else scenario.changed(source="")
     written = _write(csv_text(table_of_phases(parts, scenario.dt)), TIMED, follower, folder, {})
     write_one(folder / PAGE, _page(parts, tried, scenario))
@@ -115,19 +114,10 @@ def _write(
     if not scenario.source:
         return [path]
     follows = folder / f"{scenario.name}.yaml"
-    named = name if scenario.folder is None else str(absolute(path))
-    write_one(follows, _with_reference(scenario.portable, {"plan": named, **keys}))
+    changed = scenario.keys_with(path)
+    changed["reference"] |= keys
+    write_one(follows, with_keys(scenario.source, changed))
     return [path, follows]
-
-
-def _with_reference(text: str, keys: dict[str, Any]) -> str:
-    """The scenario with a reference, whose other keys stay where it has one."""
-    data = parsed(Path("scenario"), text).data
-    keys = {**(data.get("reference") or {}), **keys}
-    if text.lstrip().startswith("{") or "reference" in data:
-        return json.dumps({**data, "reference": keys}, indent=2) + "\n"
-    end = "" if text.endswith("\n") else "\n"
-    return f"{text}{end}reference: {json.dumps(keys)}\n"
 
 
 def limits_table(found: TimedPath, tried: dict[str, float]) -> Table:
@@ -158,7 +148,8 @@ def _page(parts: Sequence[TimedPath], tried: Sequence[dict[str, float]], scenari
             f"<td>{'</td><td>'.join(cells)}</td></tr>"
             for name, *cells in _active(found, more)
         )
-        said = "".join(f"<p>{text(line)}</p>" for line in found.sentences)
+        lines = filter(None, [*found.sentences, found.coarse(scenario.dt)])
+        said = "".join(f"<p>{text(line)}</p>" for line in lines)
         sections += (
             f'<section><h2>{text(title)}</h2><aside class="how">{said}</aside>'
             f'{_picture(found, colors)}<table class="summary"><thead><tr><th class="name">'

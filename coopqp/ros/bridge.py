@@ -25,7 +25,10 @@ from coopqp.base.wording import raised
 from coopqp.model.closed_chain import AXES, ClosedChain
 from coopqp.model.notes import Why, note_of
 from coopqp.online.loop import OnlineLoop
+from coopqp.online.phases import OBJECT_POSE, Gripper
 from coopqp.recordings.messages import AT, BROKEN, Remark, level_of
+from coopqp.scenario.scenario import Scenario
+from coopqp.signal import POSE as KIND_OF_POSE
 from coopqp.signal import Kind
 from coopqp.solver import Status, written
 
@@ -124,6 +127,13 @@ def joints_of(
     if left := [joint for joint in index if joint not in moved]:
         raise InvalidValueError(f"joints: no controller moves {', '.join(left)}")
     return Joints(tuple(index), named, ordered)
+
+
+def kinds_of(scenario: Scenario) -> dict[str, Kind]:
+    """Of the inputs that messages can give, the object's place among them where it may stand."""
+    followed = scenario.followed()
+    kinds = {name: kind for name, kind in followed.items() if name in scenario.inputs}
+    return kinds | ({OBJECT_POSE: KIND_OF_POSE} if scenario.stands else {})
 
 
 def message_of(kind: Kind) -> str:
@@ -265,6 +275,9 @@ class Transport(Protocol):
         Both are in the order of the controller.
         """
 
+    def grip(self, arm: str, closed: bool) -> None:
+        """Send that an arm's gripper shall be closed, or open."""
+
     def place(self, position: list[float], quaternion: list[float]) -> None:
         """Send the object's position in the world [m] and its orientation (x, y, z, w)."""
 
@@ -325,6 +338,11 @@ class Bridge:
         arrived, self._arrived = self._arrived, {}
         return arrived
 
+    @property
+    def object_pose(self) -> list[float] | None:
+        """Where the object was seen, if it was, before the loop began."""
+        return self._arrived[OBJECT_POSE][0] if OBJECT_POSE in self._arrived else None
+
     def write(self, q: Array, v: Array) -> None:
         """Send commands to the controllers, and diagnostics when they are due."""
         settings, state = self._settings, self._loop.state
@@ -339,6 +357,11 @@ class Bridge:
         self._told = command.told or self._told
         if self._loop.now - self._reported_at >= self._settings.diagnostics_every:
             self.say()
+
+    def grip(self, grippers: Mapping[str, Gripper]) -> None:
+        """Send to each arm's gripper whether it shall be closed."""
+        for arm, gripper in grippers.items():
+            self._transport.grip(arm, gripper == "close")
 
     def say(self, why: str = "") -> None:
         """Send diagnostics now; ``why`` the loop has ended or could not begin, else empty."""

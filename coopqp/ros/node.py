@@ -21,12 +21,15 @@ from coopqp.ros.bridge import (
     Joints,
     RosSettings,
     joints_of,
+    kinds_of,
     message_of,
+    ros_name,
 )
 from coopqp.scenario.scenario import Scenario
 
 NAME = "coopqp"
 NUMBERS, DIAGNOSTICS = "std_msgs/msg/Float64MultiArray", "diagnostic_msgs/msg/DiagnosticArray"
+CLOSED = "std_msgs/msg/Bool"
 POINT = "trajectory_msgs/msg/JointTrajectoryPoint"
 TRAJECTORY, TRANSFORMS = "trajectory_msgs/msg/JointTrajectory", "tf2_msgs/msg/TFMessage"
 FAREWELL = 1.0  # for the last messages to be received [s]
@@ -49,8 +52,7 @@ def run_node(scenario: Scenario, arguments: Sequence[str] = ()) -> Ended:
         given = ("reference", "grasp", "silent_after", "patience")
         options: dict[str, Any] = {key: getattr(settings, key) for key in given}
         joints = joints_of(scenario.chain, settings.controllers, orders)
-        followed = scenario.followed()
-        kinds = {name: kind for name, kind in followed.items() if name in scenario.inputs}
+        kinds = kinds_of(scenario)
         topics = _Topics(node, settings, joints, scenario.dt)
         if topics.simulated:
             options["clock"] = topics.seconds
@@ -87,7 +89,7 @@ def _when_measured(loop: OnlineLoop, bridge: Bridge, topics: _Topics) -> Ended:
     while loop.running:
         q = bridge.read()
         if q is not None and topics.now():  # simulated time is zero until it has come
-            loop.begin(q)
+            loop.begin(q, bridge.object_pose)
             slowest = SLOWEST if topics.simulated else None
             return real_time(loop, bridge, inputs=bridge.inputs, slowest=slowest)
         bridge.say()
@@ -179,6 +181,7 @@ class _Topics:
             for name in settings.controllers
         }
         self._diagnostics = node.create_publisher(_type(DIAGNOSTICS), "/diagnostics", 10)
+        self._grippers: dict[str, Any] = {}
         places = settings.object_frame
         self._tf = node.create_publisher(_type(TRANSFORMS), "/tf", 10) if places else None
 
@@ -214,6 +217,16 @@ class _Topics:
         else:
             message = _type(NUMBERS)(data=v if self._settings.command == "velocity" else q)
         self._commands[controller].publish(message)
+
+    def grip(self, arm: str, closed: bool) -> None:
+        """On a topic that keeps its last message for who comes later."""
+        from rclpy.qos import DurabilityPolicy, QoSProfile
+
+        if arm not in self._grippers:
+            kept = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+            topic = f"~/grippers/{ros_name(arm)}"
+            self._grippers[arm] = self._node.create_publisher(_type(CLOSED), topic, kept)
+        self._grippers[arm].publish(_type(CLOSED)(data=closed))
 
     def place(self, position: list[float], quaternion: list[float]) -> None:
         transform = _type("geometry_msgs/msg/TransformStamped")()

@@ -29,12 +29,9 @@ from coopqp.scenario.planned import Followed, following
 from coopqp.scenario.scenario import Scenario
 from coopqp.scenario.start import Start, from_degrees
 from coopqp.scenario.start_solver import Progress, StartSolution, close_start, solve_start
-from coopqp.scenario.yaml import YamlFile, parsed, read_yaml
+from coopqp.scenario.yaml import YamlFile, has_files, parsed, read_yaml
 from coopqp.solver import Solver
 from coopqp.solvers import qpsolvers
-
-#: Keys whose values are paths, of robots, obstacles, way-points, plans and what was sent.
-FILE_KEYS = {"path", "mesh", "file", "feed_file", "plan"}
 
 
 def load(path: str | Path, catalog: Catalog | None = None) -> Scenario:
@@ -186,12 +183,3 @@ def solver_by_name(name: str, catalog: Catalog) -> Solver:
 def solver_names(catalog: Catalog) -> tuple[str, ...]:
     """Every solver that can be named here."""
     return tuple(sorted({*catalog.entries("solvers"), *qpsolvers.installed()} - {"qpsolvers"}))
-
-
-def has_files(value: Any) -> bool:
-    """Whether something in a file, such as its robot or an obstacle, is given by another file."""
-    if isinstance(value, list):
-        return any(map(has_files, value))
-    if isinstance(value, dict):
-        return bool(FILE_KEYS & set(value)) or any(map(has_files, value.values()))
-    return False

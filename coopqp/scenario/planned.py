@@ -24,6 +24,7 @@ from coopqp.base.table import Table, read_table
 from coopqp.closed_loop.grasp_matrix import COMPONENTS
 from coopqp.controller import Controller, ControlProblem
 from coopqp.model.closed_chain import ClosedChain
+from coopqp.scenario.input import STANDS
 from coopqp.scenario.scenario import Phase, Scenario
 from coopqp.signal import POSE, quaternion_of
 from coopqp.signals import Waypoints
@@ -34,9 +35,12 @@ from coopqp.tasks import InternalWrench, Pose, Posture
 #: [1/s], and how many ticks that takes by torques at least.
 GAIN, TORQUE_GAIN, TICKS = 10.0, 40.0, 10.0
 WAY, GOAL = "way", "goal"
+#: A copy of the plan beside what came of it.
+FOLLOWED = "followed.csv"
 #: Column with the number of the phase that a row leads to, from 1 on; and the name of the clock.
 PHASE, CLOCK = "phase", "way"
-#: How far a plan may begin from the start [rad, m].
+#: How near a plan is to the start that begins there, a loop to closed, and the object to where it
+#: is held [rad, m].
 NEAR = 1e-3
 #: A joint this many times as fast as it can be has jumped.
 FAST = 2.0
@@ -102,7 +106,7 @@ def following(scenario: Scenario, followed: Followed) -> Scenario:
         if law.commands_torques or (followed.by and name not in followed.by)
     }
     phases = _phases(scenario, ways, followed)
-    return scenario.changed(tasks=(), duration=0.0, phases=phases, phases_of=each)
+    return scenario.changed(tasks=(), duration=0.0, phases=phases, phases_of=each, follows=table)
 
 
 def _phases(
@@ -163,7 +167,7 @@ def _ways(scenario: Scenario, table: Table) -> Iterator[Way]:
     t, q = table.times(), table.take(scenario.chain.joint_names)
     X, phases = table.take(POSE.columns), len(scenario.schedule)
     off = np.abs(q[0] - scenario.chain.q_start)
-    if off.max() > NEAR:
+    if off.max() > STANDS:  # from nearer the run goes to where the way begins
         joint = scenario.chain.joint_names[int(off.argmax())]
         words = f"begins {off.max():.3g} from the start of {joint}; plan the way anew from here"
         raise InvalidValueError(f"{table.path}: {words}")
@@ -173,7 +177,8 @@ def _ways(scenario: Scenario, table: Table) -> Iterator[Way]:
             chain = chain.handed_over(before[-1], scenario.schedule[k].released)
         before = q[rows]
         problem = scenario.problem(scenario.schedule[k], chain)
-        if wrong := _damaged(chain, t[rows], before, X[rows]) or _beyond(problem, t[rows], before):
+        wrong = _damaged(chain, t[rows], before, X[rows], NEAR + float(off.sum()))
+        if wrong := wrong or _beyond(problem, t[rows], before):
             raise InvalidValueError(f"{table.path}: {wrong}; plan the way anew")
         pair = chain.holding == 2 and set(COMPONENTS) <= set(table.columns)
         wrench = table.take(COMPONENTS if pair else ())
@@ -190,8 +195,11 @@ def rows_of_phases(table: Table, phases: int) -> list[slice]:
     return [slice(a, b) for a, b in itertools.pairwise(ends)]
 
 
-def _damaged(chain: ClosedChain, t: Array, q: Array, X: Array) -> str:
-    """Where rows are missing, joints jump, or the object is not held there; empty if nowhere."""
+def _damaged(chain: ClosedChain, t: Array, q: Array, X: Array, near: float) -> str:
+    """Where rows are missing, joints jump, or the object is not held there; empty if nowhere.
+
+    Hands that take hold beside the start may hold it otherwise, ``near`` to the plan [m, rad].
+    """
     (late,) = np.nonzero(np.diff(t) > MISSING * np.median(np.diff(t)))
     if len(late):
         return f"rows are missing between {t[late[0]]:.3f} and {t[late[0] + 1]:.3f} s"
@@ -210,7 +218,7 @@ def _damaged(chain: ClosedChain, t: Array, q: Array, X: Array) -> str:
         pose = chain.object_pose(row)
         turned, said = quaternion_of(pose.rotation), x[3:] / np.linalg.norm(x[3:])
         apart = min(np.abs(turned - said).max(), np.abs(turned + said).max())
-        if max(np.abs(pose.translation - x[:3]).max(), apart) > NEAR:
+        if max(np.abs(pose.translation - x[:3]).max(), apart) > near:
             return f"the object is not where the joints hold it at {at:.3f} s"
     return ""
 

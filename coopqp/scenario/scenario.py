@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import functools
 import itertools
-import json
 import math
 import types
 import typing
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import MISSING, dataclass, field, replace
 from functools import cached_property
 from numbers import Integral, Real
@@ -21,7 +19,9 @@ from numpy.typing import ArrayLike
 from pydantic import Field
 
 from coopqp.base.errors import CoopqpError, Fault, InvalidValueError, ScenarioError
+from coopqp.base.reading import absolute
 from coopqp.base.spec import Array, Name, NonNegative, Pose, Positive, type_name
+from coopqp.base.table import Table
 from coopqp.base.wording import dotted
 from coopqp.closed_loop.forces import contact_faults
 from coopqp.controller import Controller, ControlProblem, OnInfeasible, period_fault
@@ -41,7 +41,7 @@ from coopqp.scenario.faulty_plant import FaultyPlant, Injected
 from coopqp.scenario.input import InputSettings, wanted
 from coopqp.scenario.start import Start, joints_outside, passive_outside, pose_of, start_of
 from coopqp.scenario.start_solver import solve_start
-from coopqp.scenario.yaml import Wrong, parsed
+from coopqp.scenario.yaml import Wrong, has_files, parsed, with_keys
 from coopqp.signal import Kind
 from coopqp.solver import Budget, Solver
 from coopqp.solvers import Daqp
@@ -115,6 +115,7 @@ class Scenario:
         phases_of: those of controllers that do not follow the plan of the others, by name.
         source: text of the file it was read from.
         folder: in which relative paths of the source begin; None where it has none.
+        follows: the plan that it follows.
         catalog: what it can name; its metrics are measured.
     """
 
@@ -180,6 +181,7 @@ class Scenario:
     """Of everything random."""
     source: Annotated[str, NO_KEY] = ""
     folder: Annotated[Path | None, NO_KEY] = None
+    follows: Annotated[Table | None, NO_KEY] = field(default=None, repr=False, compare=False)
     catalog: Annotated[Catalog, NO_KEY] = field(default_factory=Catalog, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -208,15 +210,17 @@ class Scenario:
         """The source, or else JSON, as it can be read from another folder on this machine."""
         if self.folder is None:
             return self.source
-        path = self.folder / self.name  # for faults, of which none is told
-        moved = {**parsed(path, self.source).data, "folder": str(self.folder)}
-        kept = [line for line in self.source.splitlines(True) if not line.startswith("folder:")]
-        begin = "".join(kept).rstrip("\n")
-        text = f"{begin}\nfolder: {json.dumps(str(self.folder))}\n"
-        with suppress(ScenarioError):
-            if parsed(path, text).data == moved:
-                return text
-        return json.dumps(moved, indent=2) + "\n"
+        return with_keys(self.source, {"folder": str(self.folder)})
+
+    def keys_with(self, plan: Path) -> dict[str, Any]:
+        """What the source's folder, None for none, and reference become beside a plan."""
+        data = parsed(Path(self.name), self.source).data
+        reference = data.pop("reference", None) or {}
+        if not has_files(data):
+            return {"folder": None, "reference": {**reference, "plan": plan.name}}
+        return {
+            "folder": str(self.folder), "reference": {**reference, "plan": str(absolute(plan))},
+        }  # fmt: skip
 
     def held_by(self, controller: str) -> Scenario:
         """The scenario with the grasp that this controller uses, and its phases."""
@@ -419,3 +423,10 @@ def _stranger(value: Any, hint: Any) -> str:
             return words[0].replace(", needs", " in it, needs") if words else ""
         needed += [called] if option is not type(None) else []
     return f"found {value!r:.60}, needs {' or '.join(needed)}"
+
+
+def needs_scenario(found: object) -> None:
+    """InvalidValueError of what is no scenario, such as the name of one."""
+    if not isinstance(found, Scenario):
+        words = "use coopqp.load" if isinstance(found, str) else "needs a Scenario"
+        raise InvalidValueError(f"scenario: found {found!r}; {words}")

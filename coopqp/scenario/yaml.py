@@ -13,7 +13,7 @@ import math
 import re
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -120,6 +120,39 @@ def as_yaml(data: dict[str, Any]) -> str:
     writer.sort_base_mapping_type_on_output = False  # type: ignore[assignment]
     writer.dump(data, stream)
     return stream.getvalue()
+
+
+def with_keys(text: str, keys: dict[str, Any]) -> str:
+    """A file's text with other values of some keys, without those that become None.
+
+    What they were goes, what they are is at the end; where that would not do, all is JSON.
+    """
+    data = {**parsed(Path(), text).data, **keys}
+    data = {key: value for key, value in data.items() if value is not None or key not in keys}
+    kept, gone = "", False
+    for line in text.splitlines(True):
+        if line[:1].strip() and line[0] != "#":
+            gone = line.partition(":")[0] in keys
+        kept += "" if gone else line
+    added = (f"{key}: {json.dumps(data[key])}\n" for key in keys if key in data)
+    changed = "".join([kept.rstrip("\n"), "\n", *added])
+    with suppress(ScenarioError):
+        if parsed(Path(), changed).data == data:
+            return changed
+    return json.dumps(data, indent=2) + "\n"
+
+
+#: Keys whose values are paths, of robots, obstacles, way-points, plans and what was sent.
+FILE_KEYS = {"path", "mesh", "file", "feed_file", "plan"}
+
+
+def has_files(value: Any) -> bool:
+    """Whether something in a file, such as its robot or an obstacle, is given by another file."""
+    if isinstance(value, list):
+        return any(map(has_files, value))
+    if isinstance(value, dict):
+        return bool(FILE_KEYS & set(value)) or any(map(has_files, value.values()))
+    return False
 
 
 def read_yaml(path: Path) -> YamlFile:

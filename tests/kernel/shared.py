@@ -36,7 +36,7 @@ CONSTANTS: Mapping[object, Mapping[str, str]] = {
     limit: {"ROUNDING": "OUTSIDE", "SHALLOW": "SHALLOW"},
     _keep_apart: {
         "BACK": "BACK", "ROWS": "CORNER_ROWS", "EACH": "CORNERS_EACH", "CLOSE": "WITH_CORNERS",
-        "SLAB": "CORNER_SLAB", "EVEN": "EVEN",
+        "SLAB": "CORNER_SLAB", "LATER": "CORNERS_LATER", "EVEN": "EVEN",
     },
     profile: {"RAMP": "RAMP"},
     geometry: {"TINY": "TINY", "CONE": "CONE"},

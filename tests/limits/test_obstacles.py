@@ -130,6 +130,23 @@ def test_a_face_that_lies_along_another_has_its_corners_held(held_box: ClosedCha
         assert min(np.abs(rows.G[i] - row).max() for row in lowering) < 1e-3
 
 
+def test_no_corner_that_appears_stops_the_joints_at_once(held_box: ClosedChain) -> None:
+    """Corners on the far side of a slab that turns away come nearer by four times the gain."""
+    state, size = State(held_box), np.array(held_box.held.size)
+    corner = np.array([0.5, 0.0, -0.5]) * size
+    for behind in (0.0, 0.0005, 0.001, 0.0019):
+        turned = float(np.arcsin(behind / size[0]))
+        up = np.array([-np.sin(turned), 0.0, np.cos(turned)])
+        below = state.p_WO + state.R_WO @ corner - (0.012 + 0.05) * up
+        slab = Obstacle(box=(1.0, 1.0, 0.1), position=tuple(below), rpy=(0.0, -turned, 0.0))
+        limit = of(slab, distance=0.01)
+        rows, names = empty_rows(held_box, limit), names_of(limit.rows(held_box))
+        limit.bind(held_box, DT)(state, rows)
+        held = rows.h[[".corner[" in name and rows.G[i].any() for i, name in enumerate(names)]]
+        assert held.min() == pytest.approx(10.0 * 0.002, abs=1e-4)
+        assert held.max() == pytest.approx(10.0 * 0.002 + 40.0 * behind, abs=2e-4)
+
+
 def test_what_is_pulled_into_a_ball_stops_before_it(held_box: ClosedChain) -> None:
     ball = Obstacle(sphere=0.03, position=tuple(State(held_box).p_WO + np.array([0.0, 0.0, 0.12])))
     limit = of(ball, distance=0.02)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
@@ -19,8 +20,10 @@ from coopqp.assessment import assess
 from coopqp.base.errors import InvalidValueError, ScenarioError
 from coopqp.base.spec import spec
 from coopqp.controller import Command, ControlProblem
+from coopqp.execution.controller_run import run
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
+from coopqp.online.loop import OnlineLoop
 from coopqp.planning import Budget
 from coopqp.planning.closed_space import ClosedSpace
 from coopqp.planning.plan import plan
@@ -241,7 +244,7 @@ def test_a_scenario_that_is_refused_with_its_plan_leaves_nothing(tmp_path: Path)
     shipped = load("planar_pair")
     way = plan(shipped, budget=AMPLE)
     with pytest.raises(ScenarioError, match="from the start of"):
-        write_plan(replace(way, timed=way.timed + 0.1), shipped, tmp_path)
+        write_plan(replace(way, timed=way.timed + 0.2), shipped, tmp_path)
     assert not list(tmp_path.iterdir())
 
 
@@ -300,3 +303,45 @@ def test_laws_alone_stand_beside_the_one_that_follows_a_plan(tmp_path: Path) -> 
         assert off_the_record(run, recorded_tick(run, scenario, name, 300)) < 1e-6
     with pytest.raises(ScenarioError, match="did you mean 'planned'"):
         beside(load("shelves"), "planed")
+
+
+@pytest.mark.parametrize("elsewhere", [False, True])
+def test_results_have_the_plan_that_was_followed(tmp_path: Path, elsewhere: bool) -> None:
+    """Without the plan's folder; with another file's path the results stay on this machine."""
+    scenario = load("planar_pair")
+    if elsewhere:
+        (tmp_path / "way.csv").write_text("t,target.x\n0,0.3\n")
+        source = f"{scenario.source}\ninputs: {{unused: {{feed_file: way.csv}}}}\n"
+        scenario = replace(scenario, source=source, folder=tmp_path)
+    found = plan(scenario, budget=AMPLE)
+    _, path = write_plan(found, scenario, tmp_path / "plan", keep=())
+    followed = load_text(path, f"# kept\n{path.read_text()}", scenario.catalog)
+    ran = coopqp.compare(followed, controllers=["qp"])
+    out = write(ran, tmp_path / "results")[0].parent
+    shutil.rmtree(tmp_path / "plan")
+    again = load(out / "scenario.yaml")
+    assert "# kept" in again.source
+    assert (again.folder == tmp_path) == elsewhere
+    one = run(again, controller="qp")
+    np.testing.assert_array_equal(one.q, ran.traces["qp"].q)
+
+
+def test_a_session_begun_beside_the_start_plays_its_plan_again(tmp_path: Path) -> None:
+    scenario = load("planar_pair")
+    _, path = write_plan(plan(scenario, budget=AMPLE), scenario, tmp_path / "plan")
+    followed, chain = load(path), scenario.chain
+    beside = chain.q_start[None] + 0.05 * np.random.default_rng(1).normal(size=(1, chain.n))
+    assert ClosedSpace(scenario.problem()).project(beside)[0]
+    assert 0.02 < np.abs(beside[0] - chain.q_start).max() < STANDS
+    loop = OnlineLoop(followed, clock=None, out=tmp_path / "out")
+    q = beside[0]
+    went = []
+    for _ in range(followed.ticks):
+        loop.tick(q)
+        went.append(loop.state.q.copy())
+        q = loop.setpoint.copy()
+    loop.close()
+    shutil.rmtree(tmp_path / "plan")
+    again = run(load(tmp_path / "out" / "scenario.yaml"), controller="qp")
+    np.testing.assert_allclose(again.commanded, went, atol=1e-12)
+    assert assess(again).tasks[-1].reached

@@ -185,6 +185,13 @@ def test_limits_are_kept_between_the_places_and_one_is_met(name: str) -> None:
     assert max(speed, torque) > 0.99
 
 
+@pytest.mark.parametrize("name", ["point_on_point", "joint_limit_stress"])
+def test_limits_are_kept_on_a_grid_that_is_too_coarse_for_the_path(name: str) -> None:
+    scenario = load(name)
+    found = time_along(run(scenario, controller="qp", timed=False), scenario, points=20)
+    assert max(limits_used(found, 2001)) < 1.005
+
+
 def test_loops_stay_closed_all_along() -> None:
     found = nao(2)
     chain = found.path.chain

@@ -62,8 +62,8 @@ def test_no_way_leaves_its_part(name: str) -> None:
     q = q[space.is_free(q)]
     start, away = space.chain.q_start[None], cut_off(space.chain, q)
     budget = Budget(seconds=60.0, shortcuts=0)
-    assert not len(space.way(start, q[away], replace(budget, seconds=0.3)).q)
-    assert len(space.way(start, q[~away], budget).q)
+    assert not len(space.way(start, q[away], replace(budget, seconds=0.3)))
+    assert len(space.way(start, q[~away], budget))
 
 
 def test_a_goal_of_another_part_is_proven_unreachable_at_once() -> None:

@@ -11,11 +11,12 @@ import pinocchio as pin
 import pytest
 from online_loops import Told, follows
 from ros_messages import JOINT_STATE, STORE, joint_state, pose
+from scenario_files import TAKES_HOLD, phased
 
 import coopqp
 from coopqp import CoopqpError, OnlineLoop, Status, UnknownNameError
 from coopqp.recordings.messages import Remark
-from coopqp.ros.bridge import Bridge, RosSettings, joints_of
+from coopqp.ros.bridge import Bridge, RosSettings, joints_of, kinds_of
 from coopqp.scenario.scenario import Scenario
 
 NEAR = [0.15, 0.0, 0.06]
@@ -40,6 +41,7 @@ class World:
         self.sent: dict[str, list[float]] = {}
         self.positions: dict[str, list[float]] = {}
         self.object: list[float] = []
+        self.gripped: list[tuple[str, bool]] = []
         self.said: list[Sequence[Remark]] = []
         given = RosSettings(**{"controllers": ["left", "right"], **settings})
         chain = self.chain = scenario.chain
@@ -50,7 +52,7 @@ class World:
         silence = {"silent_after": given.silent_after, "patience": given.patience}
         self.loop = OnlineLoop(scenario, clock=self.clock, **silence)
         joints = joints_of(chain, given.controllers, self.orders)
-        self.bridge = Bridge(self.loop, joints, scenario.followed(), given, self)
+        self.bridge = Bridge(self.loop, joints, kinds_of(scenario), given, self)
         self.names, self.q = list(chain.joint_names), chain.q_start.copy()
         self.state: Callable[[], Any] = self.told
 
@@ -61,6 +63,10 @@ class World:
     def command(self, controller: str, q: list[float], v: list[float]) -> None:
         """What a controller is sent."""
         self.positions[controller], self.sent[controller] = q, v
+
+    def grip(self, arm: str, closed: bool) -> None:
+        """What a gripper is sent."""
+        self.gripped.append((arm, closed))
 
     def place(self, position: list[float], quaternion: list[float]) -> None:
         """Where the object is."""
@@ -102,6 +108,27 @@ class World:
 @pytest.fixture
 def scenario() -> Scenario:
     return follows()
+
+
+def test_the_object_is_taken_where_a_camera_sees_it_and_grippers_are_told(tmp_path: Path) -> None:
+    world = World(phased(tmp_path, TAKES_HOLD))
+    seen = [0.165, 0.002, 0.052]
+    world.bridge.take("object_pose", pose(world.now(), seen, frame="world"))
+    world.bridge.read()
+    assert world.bridge.object_pose is not None
+    assert world.bridge.object_pose[:3] == seen
+    while world.loop.phase.name == "take":
+        world.go(1)
+        world.bridge.take("object_pose", pose(world.now(), seen, frame="world"))
+        world.bridge.grip(world.loop.command.grippers)
+    world.go(1)
+    np.testing.assert_allclose(world.loop.problem.chain.start_position, seen, atol=1e-9)
+    assert world.gripped[:2] == [("right", False), ("left", False)]
+    assert world.gripped[-2:] == [("right", True), ("left", True)]
+
+
+def test_an_object_that_never_stands_is_not_looked_for(scenario: Scenario) -> None:
+    assert "object_pose" not in kinds_of(scenario)
 
 
 def test_the_object_goes_where_targets_say_and_each_joint_gets_its_velocity(

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from scenario_files import needs_robots, phased
+from scenario_files import TAKES_HOLD, needs_robots, phased
 
 import coopqp
 from coopqp.base.errors import GraspError, ScenarioError
@@ -24,36 +24,6 @@ from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status
 from coopqp.solvers import Daqp
 from coopqp.trace import Trace
-
-#: NAO's hands stand away from a box, take hold of it, lift it and let go.
-NAO = """\
-robot: nao_t14
-grasp: {rigid: {}}
-object: {size: [0.08, 0.19, 0.08], mass: 0.2, pose: {position: [0.16, 0.0, 0.05]}}
-start:
-  right: [0.7, -0.2, 1.2, 0.9, 0.1]
-  left: [0.7, 0.2, -1.2, -0.9, -0.1]
-phases:
-  - name: take
-    duration: 0.4
-    released: [left, right]
-    tasks:
-      - posture: {name: in, goal: {left: [0.72, 0.22, -1.2, -0.9, -0.1]}, gain: 5,
-                  tolerance: 0.01, profile: {duration: 0.2}}
-  - name: lift
-    duration: 0.5
-    tasks:
-      - point_on_point: {name: up, goal: [0.16, 0.0, 0.07], gain: 5, profile: {duration: 0.3}}
-  - name: leave
-    duration: 0.4
-    released: [left, right]
-    tasks:
-      - relative_motion: {name: back, arm: right, goal: {position: [0.0, -0.02, 0.0]}, gain: 5,
-                          tolerance: 0.2, tolerance_angle: 0.2, profile: {duration: 0.2}}
-controllers: [qp, pseudoinverse]
-dt: 0.01
-kappa: 100
-"""
 
 
 @pytest.fixture(scope="module")
@@ -161,7 +131,7 @@ def test_hands_carry_the_weight_between_taking_hold_and_letting_go(
 
 
 def test_nao_takes_hold_of_a_box_that_stands_and_leaves_it(tmp_path: Path) -> None:
-    scenario = phased(tmp_path, NAO)
+    scenario = phased(tmp_path, TAKES_HOLD)
     for controller in scenario.controllers:
         trace = coopqp.run(scenario, controller=controller)
         lift, leave = scenario.first_ticks[1:]
@@ -172,13 +142,13 @@ def test_nao_takes_hold_of_a_box_that_stands_and_leaves_it(tmp_path: Path) -> No
 
 
 def test_an_object_that_stands_has_a_pose(tmp_path: Path) -> None:
-    text = NAO.replace(", pose: {position: [0.16, 0.0, 0.05]}", "")
+    text = TAKES_HOLD.replace(", pose: {position: [0.16, 0.0, 0.05]}", "")
     with pytest.raises(ScenarioError, match=r"object: no arm holds the object at the start; say"):
         phased(tmp_path, text)
 
 
 def test_laws_by_torques_say_that_they_need_an_arm_that_holds(tmp_path: Path) -> None:
-    scenario = phased(tmp_path, NAO.replace("dt: 0.01", "plant: rigid_body\ndt: 0.01"))
+    scenario = phased(tmp_path, TAKES_HOLD.replace("dt: 0.01", "plant: rigid_body\ndt: 0.01"))
     with pytest.raises(GraspError, match="torque_qp: no arm holds the object in one of the phases"):
         coopqp.run(scenario, controller="torque_qp")
 
@@ -187,7 +157,7 @@ def test_laws_by_torques_say_that_they_need_an_arm_that_holds(tmp_path: Path) ->
 
 
 def test_the_loop_takes_the_object_where_it_is_seen_and_tells_the_grippers(tmp_path: Path) -> None:
-    scenario = phased(tmp_path, NAO)
+    scenario = phased(tmp_path, TAKES_HOLD)
     loop = coopqp.OnlineLoop(scenario, clock=None)
     loop.begin(scenario.chain.q_start + 1e-3, object_pose=[0.15, 0.01, 0.06, 0.0, 0.0, 0.0, 1.0])
     robot = SimulatedRobot(loop)
@@ -212,7 +182,7 @@ def test_the_loop_takes_the_object_where_it_is_seen_and_tells_the_grippers(tmp_p
 
 
 def test_the_first_tick_may_bring_the_object(tmp_path: Path) -> None:
-    loop = coopqp.OnlineLoop(phased(tmp_path, NAO), clock=None)
+    loop = coopqp.OnlineLoop(phased(tmp_path, TAKES_HOLD), clock=None)
     q = loop.scenario.chain.q_start
     loop.tick(q, {"object_pose": coopqp.Pose(position=(0.15, 0.0, 0.06))})
     assert loop.begun
@@ -233,7 +203,7 @@ def test_a_driver_with_a_gripper_is_told_when_it_changes(tmp_path: Path) -> None
         def grip(self, grippers: Mapping[str, str]) -> None:
             self.told.append(grippers)
 
-    loop = coopqp.OnlineLoop(phased(tmp_path, NAO), phases="asked")
+    loop = coopqp.OnlineLoop(phased(tmp_path, TAKES_HOLD), phases="asked")
     driver, ticks = Driver(loop), iter(range(10_000))
 
     def inputs() -> None:
@@ -249,7 +219,7 @@ def test_commands_of_other_loops_have_no_grippers() -> None:
 
 
 def test_the_loop_rests_on_the_way_to_the_object_and_goes_on(tmp_path: Path) -> None:
-    scenario = phased(tmp_path, NAO)
+    scenario = phased(tmp_path, TAKES_HOLD)
     loop = coopqp.OnlineLoop(scenario, clock=None)
     robot = SimulatedRobot(loop)
     for k in range(scenario.ticks + 60):

@@ -25,7 +25,9 @@ class Separation {
 
     Separation(const Model& model, KeptApart kept, double gain, double within, double dt)
         : m_(model), pairs_(std::move(kept.pairs)), distance_(kept.distance), gain_(gain),
-          within_(within), at_once_(1.0 / dt), shallow_(std::max(distance_, SHALLOW)),
+          within_(within), at_once_(1.0 / dt),
+          later_(std::min(CORNERS_LATER * gain, at_once_ - gain)),
+          shallow_(std::max(distance_, SHALLOW)),
           seen_(pairs_.size()), closing_(pairs_.solids().size()) {
         near_.reserve(std::min(pairs_.size(), MOST_NEAR));
     }
@@ -161,7 +163,9 @@ class Separation {
             find_corners(near_[i]);
             for (const End& corner : corners_) {
                 if (left-- == 0) return;
-                append(near_[i], corner.p, corner.height - distance_, 0.0, kinematics, limits);
+                const double behind = std::max(corner.height - near_[i].at.d, 0.0);
+                append(near_[i], corner.p, corner.height - distance_, later_ * behind, kinematics,
+                       limits);
             }
         }
     }
@@ -248,7 +252,7 @@ class Separation {
 
     const Model& m_;
     Apart pairs_;
-    double distance_, gain_, within_, at_once_, shallow_;
+    double distance_, gain_, within_, at_once_, later_, shallow_;
     std::vector<Pose> poses_;
     std::vector<char> seen_;       // whether a pair has a row
     std::vector<double> closing_;  // how fast each body moves at most

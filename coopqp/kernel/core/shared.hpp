@@ -49,6 +49,7 @@ constexpr double CORNER_ROWS = 24.0;
 constexpr double CORNERS_EACH = 3.0;
 constexpr double WITH_CORNERS = 0.005;
 constexpr double CORNER_SLAB = 0.002;
+constexpr double CORNERS_LATER = 3.0;
 constexpr double EVEN = 1e-09;
 
 // coopqp.model.profile

@@ -20,8 +20,7 @@ from coopqp.base.errors import CoopqpError, ScenarioError
 from coopqp.base.reading import absolute
 from coopqp.base.wording import dotted
 from coopqp.scenario.catalog import COLLECTIONS, Catalog
-from coopqp.scenario.loader import FILE_KEYS, has_files
-from coopqp.scenario.yaml import as_yaml, parsed
+from coopqp.scenario.yaml import FILE_KEYS, as_yaml, has_files, parsed
 from coopqp.study.sweep.journal import PATTERN, head_of, journals
 from coopqp.study.sweep.reader import study_text
 from coopqp.study.sweep.results import NAME
