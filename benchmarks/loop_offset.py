@@ -230,8 +230,10 @@ def across(scenario: Scenario, name: str) -> float:
     for _ in range(scenario.ticks):
         plant.step(state, law.tick(state))
         force = plant.signals["internal_wrench"].reshape(-1, 6)[:, :3]
-        if law.squeezer:
-            force = force - np.outer(force @ law.squeezer.along[:3], law.squeezer.along[:3])
+        if law.force_control:
+            force = force - np.outer(
+                force @ law.force_control.along[:3], law.force_control.along[:3]
+            )
         found.append(float(np.linalg.norm(force, axis=1).max()))
     return float(np.mean(found[-round(HALF_A_SECOND / scenario.dt) :]))
 

@@ -265,7 +265,7 @@ class Law(ABC):
     Attributes:
         command: of the last tick.
         compiled: whether the kernel has decided the last tick.
-        squeezer: internal force control by measured forces; None where there is none.
+        force_control: internal force control by measured forces; None where there is none.
         observer: of the loop-closure offset, from measured joints.
     """
 
@@ -286,11 +286,11 @@ class Law(ABC):
         *,
         torques: bool = False,
         gives_way: bool = False,
-        squeezer: InternalForceControl | None = None,
+        force_control: InternalForceControl | None = None,
     ) -> None:
         if not gives_way:
             refuse_impedances(problem.tasks)
-        self.problem, self.squeezer = problem, squeezer
+        self.problem, self.force_control = problem, force_control
         self.compiled = False
         self.command = Command(problem.chain.n, torques=torques)
         self._served: State | None = None
@@ -353,7 +353,7 @@ class Law(ABC):
             with np.errstate(all="ignore"):
                 command.note = not_finite(self.problem, state)
         if wrong:
-            own = self.squeezer.note if self.squeezer else "", self.observer.note
+            own = self.force_control.note if self.force_control else "", self.observer.note
             command.told = tuple(filter(None, (command.note, *own, *state.inputs.refused)))
             command.say(*(c for c in command.causes if c is not Status.OPTIMAL), *wrong)
         state.corrected = command.drift
@@ -425,7 +425,7 @@ class Law(ABC):
 
     def _decided(self, state: State) -> tuple[Command, list[Status]]:
         """What :meth:`decide` says, and what was not measured; to stand still where code raises."""
-        wrong, pressed = list[Status](), self.squeezer
+        wrong, pressed = list[Status](), self.force_control
         try:
             if pressed and (fault := pressed.update(state)):
                 wrong.append(fault)

@@ -132,7 +132,7 @@ def begin_phase(
     law = controller.build(problem) if timed else controller.unprepared(problem)
     if robot:
         plant = None
-        if law.squeezer and not robot.observed:
+        if law.force_control and not robot.observed:
             raise InvalidValueError(
                 'reference: found "measured"; hands that squeeze by admittance need "commanded", '
                 "because what they press is how far the commands lead"
@@ -161,7 +161,7 @@ def _plant(
 ) -> PlantModel:
     """The scenario's plant, where the one before has ended."""
     plant = scenario.simulated(law.problem)
-    if law.squeezer and plant.hand_wrench is None:
+    if law.force_control and plant.hand_wrench is None:
         raise InvalidValueError(
             f"controller '{controller.name}' squeezes by measured forces, and this plant "
             "tells none (signal hand_wrench); use plant: mujoco or plant: rigid_body"

@@ -201,7 +201,7 @@ class _Recorder:
         problem = law.problem
         n, rows = problem.chain.n, ticks + 1
         self._law, self._plant, self._ticks = law, plant, ticks
-        alone &= law.squeezer is None and not start.inputs
+        alone &= law.force_control is None and not start.inputs
         self.instants = Instants(problem, plant, start, ticks, alone=alone)
         self._gap, self._inputs_at_end = start.gap[: len(start.closed_error)].copy(), start.inputs
         self.t, self.q, self.v = np.zeros(rows), np.zeros((rows, n)), np.zeros((ticks, n))

@@ -63,7 +63,7 @@ class KernelLaw(Law):
     Args:
         damping: cost of |v|^2.
         error_damping: share of the damping that rules out any overshoot.
-        squeezer: internal force control by measured forces, if any.
+        force_control: internal force control by measured forces, if any.
 
     Attributes:
         whole: the problem, compiled.
@@ -77,20 +77,20 @@ class KernelLaw(Law):
         problem: ControlProblem,
         damping: float,
         error_damping: float,
-        squeezer: InternalForceControl | None = None,
+        force_control: InternalForceControl | None = None,
     ) -> None:
-        super().__init__(problem, squeezer=squeezer)
+        super().__init__(problem, force_control=force_control)
         self._order = order = Order(problem)
         self._limits = limits = Limits(problem, order.start)
         self._settings = limits, damping, error_damping
         first, *later = order.groups
-        self.memory_sizes = memory_sizes(problem, 1 + len(later), squeezer)
+        self.memory_sizes = memory_sizes(problem, 1 + len(later), force_control)
         whole = [Group(first, order.hard, order.scaled), *(Group(tasks) for tasks in later)]
         self.whole = Compiled(problem, order.programs, whole, *self._settings)
         self.rows_in_python = self.whole.rows_in_python
         self._engine_step = self.whole.engine.step
         follows = self.whole.follows or limits.q_measured is not None
-        self._runs = self.whole.alone and squeezer is None and not follows
+        self._runs = self.whole.alone and force_control is None and not follows
         self._relaxes = problem.on_infeasible == "scale"
         self._stops = problem.on_infeasible == "stop"
         self._dt = problem.dt
@@ -103,7 +103,7 @@ class KernelLaw(Law):
     def plain(self) -> QPLaw:
         """The same law in Python, for ticks without an answer of the kernel; built on demand."""
         _, damping, error_damping = self._settings
-        return QPLaw(self.problem, damping, error_damping, self.squeezer, self._order)
+        return QPLaw(self.problem, damping, error_damping, self.force_control, self._order)
 
     def prepare(self) -> KernelLaw:
         """Build now what only rare ticks need, so that none is slow; returns itself."""
@@ -259,7 +259,7 @@ class KernelLaw(Law):
 
     def _alone(self, state: State) -> bool:
         """Whether the kernel may decide: no forces are measured, and no joints beside own rows."""
-        if self.squeezer:
+        if self.force_control:
             return False
         if state.q_measured is None:
             return self._ready(state)

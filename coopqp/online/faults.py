@@ -171,7 +171,7 @@ class ForceMonitor:
     """
 
     def __init__(self, law: Law) -> None:
-        chain, self._squeezer = law.problem.chain, law.squeezer
+        chain, self._squeezer = law.problem.chain, law.force_control
         self._hands, self._readings = hands(chain), WrenchReadings(chain)
         self._dt, self._mass, up = law.problem.dt, chain.held.mass, -chain.model.gravity.linear
         self._g = max(float(np.linalg.norm(up)), 1e-9)  # or in space

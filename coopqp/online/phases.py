@@ -86,8 +86,8 @@ class _Kept:
     memory_sizes: Mapping[str, int] = {}
     note = ""
 
-    def __init__(self, squeezer: InternalForceControl) -> None:
-        self.along = squeezer.along
+    def __init__(self, force_control: InternalForceControl) -> None:
+        self.along = force_control.along
 
     def update(self, state: State) -> Status | None:
         return None
@@ -97,10 +97,10 @@ class Braking:
     """Brings the joints of a law's problem to rest."""
 
     def __init__(self, own: Law) -> None:
-        problem, squeezer = own.problem, own.squeezer
+        problem, force_control = own.problem, own.force_control
         still = replace(problem, tasks=(), wrenches=(), secondary=())
         self._law = QPController().unprepared(still)  # begin would take a third longer otherwise
-        self._law.squeezer = _Kept(squeezer) if squeezer else None
+        self._law.force_control = _Kept(force_control) if force_control else None
         self._law.observer = own.observer
         self._memory = Memory(self._law.memory_sizes)
         self._step = acceleration_limits(problem) * problem.dt  # of the velocity in one tick

@@ -59,10 +59,10 @@ class QPLaw(Law):
         problem: ControlProblem,
         damping: float,
         error_damping: float = ERROR_DAMPING,
-        squeezer: InternalForceControl | None = None,
+        force_control: InternalForceControl | None = None,
         order: Order | None = None,
     ) -> None:
-        super().__init__(problem, squeezer=squeezer)
+        super().__init__(problem, force_control=force_control)
         self.order = order = order or Order(problem)
         self._damping = Damping(damping, error_damping, problem.dt)
         self.limit_recovery = LimitRecovery(problem, order.start, error_damping)
@@ -80,7 +80,7 @@ class QPLaw(Law):
             LaterLevel(given, stacks[i], [*stacks[:i], exact]) for i in range(1, len(stacks))
         ]
         self.levels = (self.first, *self._later)
-        self.memory_sizes = memory_sizes(problem, len(self.stacks), squeezer)
+        self.memory_sizes = memory_sizes(problem, len(self.stacks), force_control)
         self._hard_rows, self._shares = slice(self.memory_sizes["missed"]), self.first.shares
 
     @cached_property
@@ -248,7 +248,7 @@ class QPLaw(Law):
 
 
 def memory_sizes(
-    problem: ControlProblem, levels: int, squeezer: InternalForceControl | None = None
+    problem: ControlProblem, levels: int, force_control: InternalForceControl | None = None
 ) -> dict[str, int]:
     """What the law remembers of the last tick, and in how many numbers.
 
@@ -262,5 +262,5 @@ def memory_sizes(
     return {
         "stopped": 1, "recovery": 1, "missed": hard, "missing": scaled,
         "scaled pull": min(scaled, 1), "later pulls": levels - 1,
-        **(squeezer.memory_sizes if squeezer else {}), "swing": 1 + problem.chain.n,
+        **(force_control.memory_sizes if force_control else {}), "swing": 1 + problem.chain.n,
     }  # fmt: skip
