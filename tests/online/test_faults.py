@@ -78,6 +78,42 @@ def test_internal_forces_of_any_size_are_no_fault(nao: State, noise: float) -> N
         assert judged(nao, motion(nao.chain.n), sag, noise) is None
 
 
+def test_white_noise_is_no_fault(nao: State) -> None:
+    """A window is judged about its mean, not from its first sample, whose noise all share."""
+    rng, c = np.random.default_rng(2), motion(nao.chain.n)
+    for sigma in np.repeat([3e-4, 1e-3, 2e-3], 5):
+        assert judged(nao, c, sigma * rng.normal(size=c.shape)) is None
+
+
+@pytest.mark.parametrize("stops", [False, True])
+def test_a_joint_that_presses_into_its_stop_is_no_fault(nao: State, stops: bool) -> None:
+    """The same away from the end of its range is."""
+    chain, c = nao.chain, motion(nao.chain.n)
+    j = chain.joint_names.index("LElbowYaw")
+    c[:, j] = -np.abs(c[:, j])
+    if stops:
+        c[:, j] += chain.upper[j] - nao.q[j] - 6e-3 - c[:, j].max()
+        c[:, j] = c[::-1, j]
+    r = np.zeros_like(c)
+    r[:, j] = -0.9 * (c[:, j] - c[0, j])
+    if stops:  # as far as it goes
+        end = chain.upper[j] - nao.q[j] - 12e-3
+        r[:, j] = np.minimum(end - c[:, j], 0.0)
+    assert (judged(nao, c, r, 3e-4) is None) == stops
+
+
+def test_a_fault_that_begins_in_a_window_is_named_in_it(nao: State) -> None:
+    """Its slope is that of the motion since then, else half of the window would have to pass."""
+    c, began, j = motion(nao.chain.n), 60, nao.chain.joint_names.index("LElbowYaw")
+    r = np.zeros_like(c)
+    late = np.vstack([np.zeros((LAG, nao.chain.n)), c[:-LAG]])
+    r[began:, j] = -2.0 * (late[began:, j] - late[began, j])
+    for last in range(began, TICKS):
+        if judged(nao, c, np.where(np.arange(TICKS)[:, None] <= last, r, r[last]), 3e-4):
+            break
+    assert last - began < 0.15 / DT
+
+
 @pytest.mark.parametrize("noise", [0.0, 3e-4, 1e-3])
 @pytest.mark.parametrize("slope", [-2.0, -1.0])
 def test_the_joint_that_does_not_follow_is_told_from_internal_forces(

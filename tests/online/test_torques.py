@@ -233,6 +233,23 @@ def test_a_velocity_that_does_not_fit_the_way_is_named_and_the_arms_rest(wrong: 
     assert speed(robot) < 0.3
 
 
+@pytest.mark.parametrize("name", ["press_and_lift", "heavy_object"])
+def test_velocities_that_are_all_in_degrees_are_named_before_the_arms_run_away(name: str) -> None:
+    """Where only those already found wrong are taken from positions Pandas reach 89 rad/s."""
+    loop, robot = simulated(coopqp.load(name), "torque_qp")
+    fastest, began = 0.0, 0.3
+    for k in range(round(0.9 / loop.problem.dt)):
+        wrong = k * loop.problem.dt > began
+        command = loop.tick(robot.read() * [[1.0], [np.rad2deg(1.0) if wrong else 1.0]])
+        robot.apply(command.tau)
+        fastest = max(fastest, speed(robot))
+    assert loop.faults[0].kind == "velocities_wrong"
+    assert loop.faults[0].t < began + 0.05
+    assert loop.stopped
+    assert fastest < 1.5
+    assert speed(robot) < 0.1
+
+
 def test_one_velocity_that_is_lost_is_no_fault() -> None:
     loop, robot = simulated(coopqp.load("heavy_object"), "torque_qp")
     for k in range(round(0.6 / loop.problem.dt)):
