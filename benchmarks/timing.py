@@ -27,6 +27,7 @@ from statistics import median
 import numpy as np
 
 from coopqp.base.spec import Array
+from coopqp.base.table import csv_text
 from coopqp.controller import Controller
 from coopqp.controllers import PassiveGraspPid, TorqueQp
 from coopqp.execution.controller_run import run
@@ -164,7 +165,7 @@ def tracked(
     )  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "timed.csv"
-        file.write_text(found.csv(DT), encoding="utf-8")
+        file.write_text(csv_text(found.table(DT)), encoding="utf-8")
         led = following(other, Followed(plan=file, late=REST)).held_by(law.name)
     led = led.changed(phases=led.phases[:1])
     trace = run(led, controller=law.name, timed=False)
