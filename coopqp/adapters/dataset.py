@@ -17,7 +17,7 @@ from coopqp.adapters.chunk_filter import Change, ChunkFilter
 from coopqp.adapters.motors import KEYS, MotorUnits
 from coopqp.base.errors import InvalidValueError, MissingDependencyError, UnreadableFileError
 from coopqp.base.spec import Array
-from coopqp.base.wording import counted
+from coopqp.base.wording import counted, said
 from coopqp.scenario.scenario import Scenario
 
 #: Changes of an episode that its text shows.
@@ -76,7 +76,12 @@ def _described(folder: Path, column: str) -> tuple[float, list[int], int]:
         fps, feature = float(info["fps"]), info["features"][column]
         names = list(feature["names"])
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise UnreadableFileError(file, f"is no dataset v3.0 with {column}: {error!r}") from None
+        why = (
+            "there is no such file"
+            if isinstance(error, OSError)
+            else f"{type(error).__name__} ({said(error)})"
+        )
+        raise UnreadableFileError(file, f"is no dataset v3.0 with {column}: {why}") from None
     if missing := [key for key in KEYS if key not in names]:
         raise InvalidValueError(f"{file}: {column} has no {', '.join(missing)}")
     return fps, [names.index(key) for key in KEYS], len(names)

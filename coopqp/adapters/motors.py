@@ -72,8 +72,11 @@ class MotorUnits:
         for side, file in zip(SIDES, (left, right), strict=True):
             try:
                 found[side] = json.loads(Path(file).read_text(encoding="utf-8"))
-            except (OSError, ValueError) as error:
-                raise UnreadableFileError(file, str(error)) from None
+            except OSError as error:
+                raise UnreadableFileError(file, f"cannot be read: {error.strerror}") from None
+            except ValueError as error:
+                words = f"is no calibration of LeRobot, which is JSON: {error}"
+                raise UnreadableFileError(file, words) from None
         return cls(calibration=found, **others)
 
     @cached_property

@@ -37,7 +37,7 @@ class Table:
         for name in names:
             if name not in self.columns:
                 there = ", ".join(self.columns)
-                words = f"unknown column '{name}'; its columns are {there}"
+                words = f"has no column '{name}'; its columns are {there}"
                 raise InvalidValueError(f"{self.path}: {words}")
         found = np.array([self.columns[name] for name in names]).T
         wrong = np.argwhere(~np.isfinite(found))

@@ -39,8 +39,9 @@ LOOKS, FEWEST, LONG = 40, 4, 4
 #: after so many of which nothing is left, and the share of the parity vector that they may leave.
 LATEST, TIMES, FADED, LAGGING = 0.14, np.arange(0.02, 0.155, 0.01), 3.0, 0.15
 #: Standard deviations: of a reading at least [rad, m]; of a servo's lag [s], and of what inertia
-#: adds for an acceleration, 1/frequency^2 [s^2]; of its stiffness, as a share of the sag.
-NOISE, LAG_NOISE, INERTIA_NOISE, STIFFNESS_NOISE = 4e-4, 6e-3, 2e-3, 0.1
+#: adds for an acceleration, 1/frequency^2 [s^2]; of its stiffness, as a share of the sag; of what
+#: it follows of a motion, as a share.
+NOISE, LAG_NOISE, INERTIA_NOISE, STIFFNESS_NOISE, SCALE_NOISE = 4e-4, 6e-3, 2e-3, 0.1, 0.1
 #: Square of the parity vector's change over its variance from which a fault is looked for; mean
 #: square about the mean, less the noise, from which it is one, and by how many standard deviations
 #: sqrt(1.9/(T d)) of von Neumann's ratio (variance to that of second differences) for T samples of
@@ -203,6 +204,9 @@ class JointFollowing:
         bend = np.abs(c[2 * half] - 2.0 * c[half] + c[0]) / max(half * self._h, self._h) ** 2
         variance = noise**2 + (LAG_NOISE * speed) ** 2 + STIFFNESS_NOISE**2 * sag
         variance += (INERTIA_NOISE * bend) ** 2
+        # A robot that is told velocities makes good slowly what it does not follow of them.
+        moved = self._of(self._c, np.arange(max(0, last - self._spans[2]), last + 1))
+        variance += (SCALE_NOISE * moved.std(axis=0)) ** 2
         # What pulled as now pulled otherwise before J_c turned with the joints.
         least = (SINGULAR * values.max(initial=1e-12)) ** 2 * np.identity(A.shape[1])
         pull = N @ np.linalg.solve(A.T @ A + least, A.T @ (m - c)[-1])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from coopqp.base.errors import CoopqpError, UnknownNameError
+from coopqp.base.errors import CoopqpError, UnknownNameError, UnreadableFileError
 from coopqp.recordings.csv_file import CsvFile
 from coopqp.recordings.format import ExportFormat, Format
 from coopqp.recordings.lerobot import Lerobot
@@ -27,8 +27,12 @@ def format_of(path: Path) -> Format:
 
 def trace_in(path: Path) -> Path:
     """A recorded run from its own path, or that of the folder of a report."""
-    of_report = path.is_dir() and isinstance(format_of(path), CsvFile)
-    return path / "trace.csv" if of_report else path
+    if not (path.is_dir() and isinstance(format_of(path), CsvFile)):
+        return path
+    if not (trace := path / "trace.csv").exists():
+        words = "has no trace.csv, as a folder of coopqp compare --out has; of a session give its "
+        raise UnreadableFileError(path, f"{words}scenario.yaml to coopqp compare")
+    return trace
 
 
 def is_run(path: Path) -> bool:

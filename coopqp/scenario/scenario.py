@@ -443,6 +443,7 @@ def off_plan(chain: ClosedChain, plan: Table) -> str:
     off = np.abs(plan.take(chain.joint_names)[0] - chain.q_start)
     joint = chain.joint_names[int(off.argmax())]
     words = f"begins {off.max():.3g} from the start of {joint}; plan the way anew from here"
+    words += " (is it in degrees?)" if off.max() > 2.0 * np.pi else ""
     return f"{plan.path}: {words}" if off.max() > STANDS else ""
 
 

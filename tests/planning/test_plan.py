@@ -371,11 +371,11 @@ def test_a_plan_shorter_than_a_second_is_read_back(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        (lambda text: text.replace("t,right_1", "t,right_9"), "unknown column 'right_1'"),
+        (lambda text: text.replace("t,right_1", "t,right_9"), "has no column 'right_1'"),
         (lambda text: text.replace("\n0.01,", "\n0.5,"), "times need to rise"),
         (lambda text: text.replace("\n0.02,", "\nx,"), "found 'x', needs a number"),
         (lambda text: text.replace("\n0,-0.34", "\n0,-0.94"), "begins 0.6 from the start"),
-        (lambda text: text.replace(",qw", ",w"), "unknown column 'qw'"),
+        (lambda text: text.replace(",qw", ",w"), "has no column 'qw'"),
     ],
 )
 def test_a_broken_plan_is_refused_with_its_line(

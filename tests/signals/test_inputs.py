@@ -271,7 +271,7 @@ def test_files_with_faults_are_refused_with_what_is_there(tmp_path: Path) -> Non
     path = tmp_path / "way.csv"
     place = {"{input: target}": "{waypoints: {file: way.csv}}"}
     for text, words in (
-        ("t,x,y,Z\n0,1,2,3\n1,1,2,3\n", "unknown column 'z'; its columns are t, x, y, Z"),
+        ("t,x,y,Z\n0,1,2,3\n1,1,2,3\n", "has no column 'z'; its columns are t, x, y, Z"),
         ("t,x,y,z\n0,1,2,3\n0,1,2,3\n", "way.csv:3: t: found 0 s after 0 s"),
         ("t,x,y,z\n0,1,2,3\n1,1,2,a\n", "way.csv:3: z: found 'a', needs a number"),
         ("t,x,y,z\n0,1,2,3\n1,1,2\n", "way.csv:3: found 3 cells, needs 4"),
