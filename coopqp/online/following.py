@@ -41,7 +41,7 @@ LATEST, TIMES, FADED, LAGGING = 0.14, np.arange(0.02, 0.155, 0.01), 3.0, 0.15
 #: Standard deviations: of a reading at least [rad, m]; of a servo's lag [s], and of what inertia
 #: adds for an acceleration, 1/frequency^2 [s^2]; of its stiffness, as a share of the sag; of what
 #: it follows of a motion, as a share.
-NOISE, LAG_NOISE, INERTIA_NOISE, STIFFNESS_NOISE, SCALE_NOISE = 4e-4, 6e-3, 2e-3, 0.1, 0.1
+NOISE, LAG_NOISE, INERTIA_NOISE, STIFFNESS_NOISE, SCALE_NOISE = 4e-4, 6e-3, 2e-3, 0.1, 0.015
 #: Square of the parity vector's change over its variance from which a fault is looked for; mean
 #: square about the mean, less the noise, from which it is one, and by how many standard deviations
 #: sqrt(1.9/(T d)) of von Neumann's ratio (variance to that of second differences) for T samples of
