@@ -2,6 +2,7 @@
 
     sh benchmarks/robosuite_env.sh                                           # once
     .robosuite/bin/python benchmarks/two_arm_lift.py --seeds 5
+    .robosuite/bin/python benchmarks/two_arm_lift.py --seeds 5 --robots Baxter
 
 A run is some 5 s of the simulation: hands reach and take hold as in
 examples/robosuite_two_arm_lift.py, the same for all laws, then lift the pot by 15 cm in 1.5 s and
@@ -40,7 +41,7 @@ import numpy as np
 import pinocchio as pin
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
-from robosuite_two_arm_lift import DT, minimum_jerk, reaching, scenario_of, take_hold
+from robosuite_two_arm_lift import DT, go, minimum_jerk, reaching, scenario_of, take_hold
 
 import coopqp
 from coopqp.adapters.robosuite import KP, RobosuiteWorld, controllers
@@ -58,7 +59,11 @@ VARIANTS = {
 }  # fmt: skip
 HEIGHT, LIFT, HOLD = 0.15, 1.5, 1.0  # m, s, s
 OSC_KP = 150.0
-CHANGED = ("body_mass", "body_inertia", "geom_friction", "body_pos", "body_quat")
+#: From where robosuite has Baxter begin, reaching ends with the elbows at the torso: out with them
+#: first. Joints of the right arm, those of the left are its mirror image [rad].
+ELBOWS_OUT, MIRROR = np.array([0.1, -0.75, 1.2, 1.6, -1.2, 1.2, -0.5]), np.array([-1.0, 1.0])
+CHANGED = ("body_mass", "body_inertia", "geom_friction", "geom_contype", "geom_conaffinity",
+           "body_pos", "body_quat")  # fmt: skip
 
 
 def main() -> None:
@@ -144,6 +149,8 @@ def run(robots: list[str], law: str, variant: str, seed: int) -> dict[str, Any]:
         mass /= float(what.get("heavy", 1.0))
     model = robot.build()
     hands = Hands(world, model)
+    if robots == ["Baxter"]:
+        hands.elbows_out(dt, osc=law == "OSC")
     if law == "OSC":
         hands.take_hold(dt)
     else:
@@ -181,12 +188,18 @@ def change(world: RobosuiteWorld, what: dict[str, Any]) -> None:
         touch = [i for i, name in enumerate(names) if name.startswith(("pot", "gripper"))]
         model.geom_friction[touch, 0] = friction
     if what.get("off"):
-        base = model.body("robot1_base").id
+        names = [model.body(i).name for i in range(model.nbody)]
+        base = names.index("robot1_base" if "robot1_base" in names else "robot0_left_upper_shoulder")
         model.body_pos[base] += [0.01, 0.0, 0.0]
         turned = pin.Quaternion(*model.body_quat[base]) * pin.Quaternion(
             pin.rpy.rpyToMatrix(0, 0, 0.015)
         )
         model.body_quat[base] = [turned.w, turned.x, turned.y, turned.z]
+        # Sawyer's first link stands on its base without a gap; turned, it touches it by rounding,
+        # and MuJoCo then holds its first joint fast.
+        fixed = np.isin(model.geom_bodyid, np.flatnonzero(model.body_weldid == 0))
+        own = np.isin(model.geom_bodyid, sorted(world._below(base)))
+        model.geom_contype[fixed & own] = model.geom_conaffinity[fixed & own] = 0
     mujoco.mj_setConst(model, mujoco.MjData(model))  # which leaves no data as they were
     mujoco.mj_forward(model, world.data)
 
@@ -231,13 +244,26 @@ class Hands:
             J.T @ np.tile([0, 0, mass * 9.81 / len(self.frames), 0, 0, 0], len(self.frames))
         )
 
+    def elbows_out(self, dt: float, *, osc: bool) -> None:
+        """From where the robot begins, not yet over the handles."""
+        world, ticks = self.world, round(3.0 / dt)
+        q, begun = np.tile(ELBOWS_OUT, 2), np.atleast_2d(world.read())[0]
+        q[7:] *= np.resize(MIRROR, 7)
+        if not osc:
+            go(world, q, 3.0, dt)
+            return
+        for half, arm in zip((q[:7], q[7:]), world.arms, strict=True):
+            world.env.robots[0].part_controllers[arm].update_initial_joints(half)
+        for k in range(ticks):
+            self.osc(self.jacobian(begun + minimum_jerk((k + 1) / ticks) * (q - begun))[0])
+
     def take_hold(self, dt: float) -> None:
         """By OSC."""
         from robosuite_two_arm_lift import ABOVE, grasp_poses
 
         world, at = self.world, grasp_poses(self.world)
         above = [pin.SE3(X.rotation, X.translation + np.array([0.0, 0.0, ABOVE])) for X in at]
-        for goals, lasts in ((above, 1.0), (at, 0.7), (at, 0.4)):
+        for goals, lasts in ((above, 1.0), (at, 0.7), (at, 1.4)):
             begun = [world.hand(arm) for arm in world.arms]
             for k in range(round(lasts / dt)):
                 s = minimum_jerk((k + 1) * dt / lasts)

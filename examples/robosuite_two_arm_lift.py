@@ -67,21 +67,26 @@ def reaching(robot: coopqp.RobotModel, hands: list[pin.SE3], q: Array, steps: in
 
 
 def go(world: RobosuiteWorld, q: Array, time: float, dt: float = DT) -> Array:
-    """Move all joints there, from where they are; returns q."""
+    """Move all joints there, from where they are, and wait for them a second at most; returns q."""
     began, ticks = np.atleast_2d(world.read())[0], round(time / dt)
-    for k in range(ticks):
+    for k in range(ticks + round(1.0 / dt)):
+        if k >= ticks and np.abs(q - np.atleast_2d(world.read())[0]).max() < 0.01:
+            break
         world.write(began + minimum_jerk((k + 1) / ticks) * (q - began), np.zeros_like(q))
     return q
 
 
 def take_hold(world: RobosuiteWorld, robot: coopqp.RobotModel, dt: float = DT) -> Array:
-    """Reach from above, go down, close; the joints that are commanded at the end."""
-    at = grasp_poses(world)
+    """Reach from above, look, go down, close; the joints that are commanded at the end."""
+    at, data = grasp_poses(world), robot.model.createData()
     up = pin.SE3(np.eye(3), np.array([0.0, 0.0, ABOVE]))
     above = reaching(robot, [up * X for X in at], np.atleast_2d(world.read())[0])
     go(world, above, 1.0, dt)
+    pin.framesForwardKinematics(robot.model, data, np.atleast_2d(world.read())[0])
+    hands = [data.oMf[robot.model.getFrameId(arm.tip)] for arm in robot.arms]
+    errors = [X * world.hand(arm).inverse() for arm, X in zip(world.arms, hands, strict=True)]
+    at = [error * X for error, X in zip(errors, at, strict=True)]  # as hands are seen, not believed
     q = go(world, reaching(robot, at, above), 0.7, dt)
-    go(world, q, 0.4, dt)  # the servos lag behind
     world.grip = dict.fromkeys(world.arms, 1.0)
     return go(world, q, 0.5, dt)
 
