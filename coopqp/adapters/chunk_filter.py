@@ -39,7 +39,7 @@ from coopqp.limit import Limit
 from coopqp.limits import JointPosition, JointVelocity, SelfCollision
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.profile import Profile
-from coopqp.scenario.scenario import Scenario
+from coopqp.scenario.scenario import Scenario, needs_scenario
 from coopqp.solver import Budget
 from coopqp.solvers import Daqp
 from coopqp.tasks import MinimumVelocity, Posture
@@ -148,6 +148,7 @@ class ChunkFilter:
     def __init__(
         self, scenario: Scenario, units: MotorUnits | None = None, **settings: Any
     ) -> None:
+        needs_scenario(scenario)
         if (kernel := native.module()) is None:
             raise CoopqpError(f"chunks are filtered by the compiled kernel: {native.MISSING}")
         self.units, self.settings = units or MotorUnits(), FilterSettings(**settings)

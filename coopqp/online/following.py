@@ -37,11 +37,12 @@ SAMPLE, RENEWED, FRESH, WINDOWS = 0.02, 0.5, 0.1, (0.2, 0.4, 2.0)
 LOOKS, FEWEST, LONG = 40, 4, 4
 #: The latest that a servo may follow [s]. Servos of a first order that are sound: their times [s],
 #: after so many of which nothing is left, and the share of the parity vector that they may leave.
+#: Share of a velocity by which all may fall short, and the gain that makes it good [1/s], at most.
 LATEST, TIMES, FADED, LAGGING = 0.14, np.arange(0.02, 0.155, 0.01), 3.0, 0.15
+ALIKE = (0.3, 3.0)
 #: Standard deviations: of a reading at least [rad, m]; of a servo's lag [s], and of what inertia
-#: adds for an acceleration, 1/frequency^2 [s^2]; of its stiffness, as a share of the sag; of what
-#: it follows of a motion, as a share.
-NOISE, LAG_NOISE, INERTIA_NOISE, STIFFNESS_NOISE, SCALE_NOISE = 4e-4, 6e-3, 2e-3, 0.1, 0.015
+#: adds for an acceleration, 1/frequency^2 [s^2]; of its stiffness, as a share of the sag.
+NOISE, LAG_NOISE, INERTIA_NOISE, STIFFNESS_NOISE = 4e-4, 6e-3, 2e-3, 0.1
 #: Square of the parity vector's change over its variance from which a fault is looked for; mean
 #: square about the mean, less the noise, from which it is one, and by how many standard deviations
 #: sqrt(1.9/(T d)) of von Neumann's ratio (variance to that of second differences) for T samples of
@@ -204,9 +205,6 @@ class JointFollowing:
         bend = np.abs(c[2 * half] - 2.0 * c[half] + c[0]) / max(half * self._h, self._h) ** 2
         variance = noise**2 + (LAG_NOISE * speed) ** 2 + STIFFNESS_NOISE**2 * sag
         variance += (INERTIA_NOISE * bend) ** 2
-        # A robot that is told velocities makes good slowly what it does not follow of them.
-        moved = self._of(self._c, np.arange(max(0, last - self._spans[2]), last + 1))
-        variance += (SCALE_NOISE * moved.std(axis=0)) ** 2
         # What pulled as now pulled otherwise before J_c turned with the joints.
         least = (SINGULAR * values.max(initial=1e-12)) ** 2 * np.identity(A.shape[1])
         pull = N @ np.linalg.solve(A.T @ A + least, A.T @ (m - c)[-1])
@@ -272,13 +270,22 @@ class JointFollowing:
         self.suspicious = True
         return self._best(m, c, z, sizes, at)
 
-    def _late(self, m: Array, at: Any) -> float:
-        """What servos of a first order, all alike, leave of the parity vector."""
+    def _alike(self, at: Array) -> float:
+        """What joints that are sound leave of the parity vector where all follow alike.
+
+        Servos of a first order, told velocities of which they follow a share s, while a loop of
+        gain k takes their error to zero: r' = -(1 - s) dq_c' - s k r, integrated.
+        """
         before = np.arange(len(self._kernels))
         late = np.array([at[:, None] - before - lag // 2 for lag in self._lags[::2]])
         c = np.tensordot(self._kernels, self._of(self._c, late), (0, 2))  # (times, lags, T, n)
-        z = (m - (c - c.mean(axis=2, keepdims=True))) @ self._white
-        return float(np.einsum("slti,slti->sl", z, z).min())
+        r = self._of(self._m, at) - c
+        causes = np.stack([r, c, r.cumsum(axis=2) * self._h * (at[1] - at[0])])
+        causes = (causes - causes.mean(axis=3, keepdims=True)) @ self._white
+        G = np.einsum("aslti,bslti->slab", causes, causes)
+        short, gains = (np.linspace(0.0, most, 7) for most in ALIKE)
+        p = np.stack([np.ones((7, 7)), *np.meshgrid(short, gains)], axis=-1)
+        return float(np.einsum("xya,slab,xyb->slxy", p, G, p).min())
 
     def _best(self, m: Array, c: Array, z: Array, sizes: Array, at: Any) -> Suspect | None:
         """The fault that leaves least of r, of those that explain the parity vector."""
@@ -305,10 +312,10 @@ class JointFollowing:
         first, second = np.argsort(left)[:2]
         if first >= n and share[first] < ALONE * min(1.0, share[second]):
             good[first] = exchanged[first]
-        late = self._late(m, at) - self._noise
+        alike = self._alike(at) - self._noise
         stops = np.minimum(told - self._least, self._most - told).min(axis=0) < NEAR
         stopped = (share[:n][stops] < 1.0 - EXPLAINED).any()
-        if stopped or not good.any() or late < max(LAGGING * above, MEAN_SQUARE * len(m)):
+        if stopped or not good.any() or alike < max(LAGGING * above, MEAN_SQUARE * len(m)):
             return None
         good &= left <= max(3.0 * left[good].min(), AS_GOOD * above)
         rest = np.full(len(faults), np.inf)

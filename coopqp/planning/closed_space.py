@@ -11,15 +11,15 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from coopqp.base.errors import CoopqpError
-from coopqp.base.spec import Array
+from coopqp.base.spec import Array, NonNegative, Positive, spec
 from coopqp.controller import ControlProblem
 from coopqp.kernel import native
 from coopqp.kernel.flat import Group, Levels, flat_distances, flat_model, kept_rows
@@ -49,25 +49,24 @@ DEPENDENT, MOST = 0.02, 0.4
 Wait = Callable[[], None]
 
 
-@dataclass(frozen=True, kw_only=True)
+@spec
 class Budget:
-    """What a search may cost, and how fine it looks.
+    """What a search may cost, and how fine it looks."""
 
-    Attributes:
-        seconds: wall time; ``seed``: of samples and shortcuts.
-        step, fine: between two looks at what is in the way, in trees and on a path [rad, m].
-        reach: of a branch [rad, m].
-        most: projections after which trees begin anew, of other random numbers.
-        shortcuts: tries to make a path shorter.
-    """
-
-    seconds: float = 10.0
+    seconds: NonNegative = 10.0
+    """Wall time [s]."""
     seed: int = 0
-    step: float = 0.1
-    fine: float = 0.02
-    reach: float = 1.5
-    most: int = 20000
-    shortcuts: int = 150
+    """Of samples and shortcuts."""
+    step: Positive = 0.1
+    """Between two looks at what is in the way, in trees [rad, m]."""
+    fine: Positive = 0.02
+    """The same on a path [rad, m]."""
+    reach: Positive = 1.5
+    """Of a branch [rad, m]."""
+    most: Annotated[int, Field(ge=1)] = 20000
+    """Projections after which trees begin anew, of other random numbers."""
+    shortcuts: Annotated[int, Field(ge=0)] = 150
+    """Tries to make a path shorter."""
 
 
 class ClosedSpace:

@@ -116,6 +116,8 @@ def plan(
     needs_scenario(scenario)
     if not isinstance(budget, Budget):
         budget = Budget(seconds=budget, seed=scenario.seed)
+    if isinstance(keep, str):
+        raise InvalidValueError(f"keep: found {keep!r}; needs a list of names")
     problem, t = scenario.problem(), scenario.schedule[0].duration
     if scenario.phases and goals is None:
         return _joined(scenario, _through(scenario, keep, budget, progress))
