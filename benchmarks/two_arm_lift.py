@@ -158,7 +158,7 @@ def run(robots: list[str], law: str, variant: str, seed: int) -> dict[str, Any]:
     watch, start = Watch(world), world.object
     way, duration = way_of(what, start)
     scenario = scenario_of(world, robot, way, duration, mass=mass, dt=dt)
-    step = follower(law, world, hands, scenario, way, mass)
+    step, loop = follower(law, world, hands, scenario, way, mass)
     pot, ticks = world.model.body("pot_root").id, round(duration / dt)
     error = ""
     for k in range(ticks):
@@ -172,6 +172,7 @@ def run(robots: list[str], law: str, variant: str, seed: int) -> dict[str, Any]:
         watch.look()
     found = watch.found(bool(env._check_success()) and not error)
     return {"robots": robots, "law": law, "variant": variant, "seed": seed, **found,
+            "faults": [fault.note for fault in loop.faults] if loop else [],
             "error": error[:200], "cpu": time.process_time() - began}  # fmt: skip
 
 
@@ -188,8 +189,8 @@ def change(world: RobosuiteWorld, what: dict[str, Any]) -> None:
         touch = [i for i, name in enumerate(names) if name.startswith(("pot", "gripper"))]
         model.geom_friction[touch, 0] = friction
     if what.get("off"):
-        names = [model.body(i).name for i in range(model.nbody)]
-        base = names.index("robot1_base" if "robot1_base" in names else "robot0_left_upper_shoulder")
+        two = len(world.env.robots) > 1
+        base = model.body("robot1_base" if two else "robot0_left_upper_shoulder").id
         model.body_pos[base] += [0.01, 0.0, 0.0]
         turned = pin.Quaternion(*model.body_quat[base]) * pin.Quaternion(
             pin.rpy.rpyToMatrix(0, 0, 0.015)
@@ -285,8 +286,8 @@ class Hands:
 
 def follower(
     law: str, world: RobosuiteWorld, hands: Hands, scenario: Any, way: Any, mass: float
-) -> Any:
-    """A function that does one step of a law at a time."""
+) -> tuple[Any, coopqp.OnlineLoop | None]:
+    """A function that does one step of a law at a time, and the loop, if it is one of ours."""
     q = np.atleast_2d(world.read())[0].copy()
     if law in ("qp", NO_OBSERVER, "pseudoinverse", "torque_qp"):
         observer = Observer(enabled=law != NO_OBSERVER)
@@ -302,20 +303,20 @@ def follower(
             else:
                 world.write(loop.setpoint, command.v, hands.load(loop.setpoint, mass))
 
-        return ours
+        return ours, loop
     held = [world.object.actInv(world.hand(arm)) for arm in world.arms]
 
     def goals(t: float) -> list[pin.SE3]:
         return [way(t) * X for X in held]
 
     if law == "OSC":
-        return lambda t: hands.osc(goals(t), mass)
+        return (lambda t: hands.osc(goals(t), mass)), None
 
     def each(t: float) -> None:
         q[:] = reaching(hands.robot, goals(t), q, steps=3)
         world.write(q, np.zeros_like(q), hands.load(q, mass))
 
-    return each
+    return each, None
 
 
 class Watch:

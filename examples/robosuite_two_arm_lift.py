@@ -37,11 +37,10 @@ def minimum_jerk(s: float) -> float:
 
 def grasp_poses(world: RobosuiteWorld) -> list[pin.SE3]:
     """Of the hands at the handles: z down, fingers closing along the pot's y, across the bar."""
-    found, across = [], world.object.rotation[:, 1]
+    found, z = [], np.array([0.0, 0.0, -1.0])
+    across = world.object.rotation[:, 1] * [1.0, 1.0, 0.0]
     for i, arm in enumerate(world.arms):
-        x = across * np.sign(across @ world.hand(arm).rotation[:, 0])
-        z = np.array([0.0, 0.0, -1.0])
-        x = (x - z * (z @ x)) / np.linalg.norm(x - z * (z @ x))
+        x = across * np.sign(across @ world.hand(arm).rotation[:, 0]) / np.linalg.norm(across)
         place = world.data.site(f"pot_handle{i}").xpos.copy()
         found.append(pin.SE3(np.column_stack([x, np.cross(z, x), z]), place))
     return found
@@ -51,18 +50,16 @@ def reaching(robot: coopqp.RobotModel, hands: list[pin.SE3], q: Array, steps: in
     """Joints with the hands there, by damped least squares from q."""
     model, q, rest = robot.model, q.copy(), q.copy()
     data, frames = model.createData(), [model.getFrameId(arm.tip) for arm in robot.arms]
+    least, most = model.lowerPositionLimit + 0.02, model.upperPositionLimit - 0.02
     for _ in range(steps):
         pin.computeJointJacobians(model, data, q)
         pin.updateFramePlacements(model, data)
         J = np.vstack([pin.getFrameJacobian(model, data, f, pin.LOCAL) for f in frames])
-        e = np.concatenate(
-            [pin.log6(data.oMf[f].actInv(X)).vector for f, X in zip(frames, hands, strict=True)]
-        )
+        errors = [data.oMf[f].actInv(X) for f, X in zip(frames, hands, strict=True)]
+        e = np.concatenate([pin.log6(X).vector for X in errors])
         back = J.T @ np.linalg.inv(J @ J.T + 1e-4 * np.eye(len(e)))
         step = back @ e + 0.05 * (rest - q - back @ (J @ (rest - q)))
-        q = np.clip(
-            q + 0.3 * step, model.lowerPositionLimit + 0.02, model.upperPositionLimit - 0.02
-        )
+        q = np.clip(q + 0.3 * step, least, most)
     return q
 
 
@@ -80,13 +77,11 @@ def take_hold(world: RobosuiteWorld, robot: coopqp.RobotModel, dt: float = DT) -
     """Reach from above, look, go down, close; the joints that are commanded at the end."""
     at, data = grasp_poses(world), robot.model.createData()
     up = pin.SE3(np.eye(3), np.array([0.0, 0.0, ABOVE]))
-    above = reaching(robot, [up * X for X in at], np.atleast_2d(world.read())[0])
-    go(world, above, 1.0, dt)
+    over = go(world, reaching(robot, [up * X for X in at], np.atleast_2d(world.read())[0]), 1.0, dt)
     pin.framesForwardKinematics(robot.model, data, np.atleast_2d(world.read())[0])
-    hands = [data.oMf[robot.model.getFrameId(arm.tip)] for arm in robot.arms]
-    errors = [X * world.hand(arm).inverse() for arm, X in zip(world.arms, hands, strict=True)]
-    at = [error * X for error, X in zip(errors, at, strict=True)]  # as hands are seen, not believed
-    q = go(world, reaching(robot, at, above), 0.7, dt)
+    hands = [data.oMf[robot.model.getFrameId(name)] for name in world.sites]  # as believed to be
+    at = [H * world.hand(a).inverse() * X for a, H, X in zip(world.arms, hands, at, strict=True)]
+    q = go(world, reaching(robot, at, over), 0.7, dt)
     world.grip = dict.fromkeys(world.arms, 1.0)
     return go(world, q, 0.5, dt)
 
