@@ -264,9 +264,13 @@ class Hands:
 
         world, at = self.world, grasp_poses(self.world)
         above = [pin.SE3(X.rotation, X.translation + np.array([0.0, 0.0, ABOVE])) for X in at]
-        for goals, lasts in ((above, 1.0), (at, 0.7), (at, 1.4)):
+        for goals, lasts in ((above, 1.0), (at, 0.7)):
             begun = [world.hand(arm) for arm in world.arms]
-            for k in range(round(lasts / dt)):
+            for k in range(round((lasts + 3.0) / dt)):
+                hands = zip(world.arms, goals, strict=True)
+                off = [np.linalg.norm(world.hand(a).translation - X.translation) for a, X in hands]
+                if k * dt >= lasts and max(off) < 2e-3:
+                    break  # until then they lag behind
                 s = minimum_jerk((k + 1) * dt / lasts)
                 self.osc([pin.SE3.Interpolate(a, b, s) for a, b in zip(begun, goals, strict=True)])
         world.grip = dict.fromkeys(world.arms, 1.0)
