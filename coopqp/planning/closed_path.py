@@ -297,8 +297,6 @@ def _refuse_outside(chain: ClosedChain, Q: Array, most: float, place: Callable[[
         end = chain.upper[j] if Q[k, j] > chain.upper[j] else chain.lower[j]
         unit = chain.joint_units[j]
         advice = "give one inside the limits, and points nearer together where it runs along them"
-            "give a path inside the limits, and points nearer together where it runs along them"
-        )
         if unit == "rad" and np.abs(Q[k, j]) > 2.0 * np.pi:
             advice += "; is it in degrees?"
         raise InvalidValueError(
