@@ -1,9 +1,10 @@
 """The same velocities as another checkout: ``python -m tests.qp_law.same_as /path/to/checkout``.
 
-Every shipped scenario with a QP runs as it is, with its first task made hard, and scaled, by the
-plain law and by the kernel, in this checkout and in the other one, each in a process of its own.
-Compared are the ticks up to the first that is not OPTIMAL in either. Exit code 1 where velocities
-differ by more than 1e-9 rad/s, or where this checkout is OPTIMAL for fewer ticks.
+Every scenario with a QP that the other checkout ships runs as it is, with its first task made hard,
+and scaled, by the plain law and by the kernel, in this checkout and in the other one, each in a
+process of its own. Compared are the ticks up to the first that is not OPTIMAL in either. Exit code
+1 where velocities differ by more than 1e-9 rad/s, or where this checkout is OPTIMAL for fewer
+ticks. ``--error-damping 0`` leaves out the damping for errors, by which laws may differ on purpose.
 """
 
 from __future__ import annotations
@@ -28,20 +29,23 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.qp_law.same_as", description=__doc__)
     parser.add_argument("other", type=Path, help="a checkout with its kernel compiled")
     parser.add_argument("--ticks", type=int, default=100_000, help="of each run at most")
+    parser.add_argument("--error-damping", type=float, help="of both laws; default: each its own")
     asked = parser.parse_args()
+    more = [] if asked.error_damping is None else [str(asked.error_damping)]
+    other = asked.other.resolve()
     with tempfile.TemporaryDirectory() as folder:
         outs = [Path(folder) / f"{name}.npz" for name in ("here", "other")]
-        for tree, out in zip((HERE, asked.other.resolve()), outs, strict=True):
-            _run(tree, out, asked.ticks)
-        here, other = (dict(np.load(out)) for out in outs)
-    return _tell(here, other)
+        for tree, out in zip((HERE, other), outs, strict=True):
+            _run(tree, [str(out), str(other / "scenarios"), str(asked.ticks), *more])
+        here, there = (dict(np.load(out)) for out in outs)
+    return _tell(here, there)
 
 
-def _run(tree: Path, out: Path, ticks: int) -> None:
+def _run(tree: Path, arguments: list[str]) -> None:
     script = Path(__file__).with_name("velocities.py")
     environment = {**os.environ, "PYTHONPATH": str(tree)}
-    command = [sys.executable, str(script), str(out), str(ticks)]
-    subprocess.run(command, cwd=out.parent, env=environment, check=True)
+    command = [sys.executable, str(script), *arguments]
+    subprocess.run(command, cwd=Path(arguments[0]).parent, env=environment, check=True)
 
 
 def _tell(here: Mapping[str, Any], other: Mapping[str, Any]) -> int:

@@ -1,7 +1,7 @@
-"""Write the velocities of the shipped scenarios with their first task made hard or scaled.
+"""Write the velocities of a folder of scenarios with their first task made hard or scaled.
 
-``python velocities.py OUT.npz TICKS``, for :mod:`tests.qp_law.same_as`, which runs it once for each
-checkout. It must run on both, so it uses only what both have.
+``python velocities.py OUT.npz FOLDER TICKS [ERROR_DAMPING]``, for :mod:`tests.qp_law.same_as`,
+which runs it once for each checkout. It must run on both, so it uses only what both have.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 from coopqp.controller import ControlProblem
 from coopqp.controllers import QPController
-from coopqp.scenario.loader import load, shipped
+from coopqp.scenario.loader import load
 from coopqp.solver import Status
 
 MODES, ENGINES = ("as it is", "hard", "scaled"), ("python", "auto")
@@ -31,28 +31,30 @@ def changed(problem: ControlProblem, mode: str) -> ControlProblem | None:
     return replace(problem, tasks=(changed_first, *others))
 
 
-def drive(name: str, mode: str, engine: str, most: int) -> tuple[np.ndarray, np.ndarray] | None:
+def drive(
+    file: Path, mode: str, engine: str, most: int, changes: dict[str, float]
+) -> tuple[np.ndarray, np.ndarray] | None:
     """Velocities and which ticks are OPTIMAL, until a tick is not; None where there is no QP."""
-    scenario = load(name)
+    scenario = load(file)
     laws = [kind for kind in scenario.controllers.values() if isinstance(kind, QPController)]
     if not laws:
         return None
     problem = changed(scenario.problem(), mode)
     if problem is None:
         return None
-    law = replace(laws[0], engine=engine).build(problem)  # type: ignore[arg-type]
+    law = replace(laws[0], engine=engine, **changes).build(problem)  # type: ignore[arg-type]
     made = law.run(law.start(), min(scenario.schedule[0].ticks(scenario.dt), most))
     return made.v, np.array([causes == (Status.OPTIMAL,) for causes in made.causes])
 
 
-def main(out: str, most: str) -> None:
-    found = {}
-    for name in shipped():
+def main(out: str, folder: str, most: str, *error_damping: str) -> None:
+    found, changes = {}, {"error_damping": float(c) for c in error_damping}
+    for file in sorted(Path(folder).glob("*.yaml")):
         for mode in MODES:
             for engine in ENGINES:
-                run = f"{name}|{mode}|{engine}"
+                run = f"{file.stem}|{mode}|{engine}"
                 try:
-                    ran = drive(name, mode, engine, int(most))
+                    ran = drive(file, mode, engine, int(most), changes)
                 except Exception as error:  # noqa: BLE001 - told, and compared by who asks
                     found[f"{run}|raised"] = np.array(str(error))
                     continue
