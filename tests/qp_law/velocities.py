@@ -48,7 +48,7 @@ def drive(
 
 
 def main(out: str, folder: str, most: str, *error_damping: str) -> None:
-    found, changes = {}, {"error_damping": float(c) for c in error_damping}
+    found, changes = {}, dict(zip(("error_damping",), map(float, error_damping), strict=False))
     for file in sorted(Path(folder).glob("*.yaml")):
         for mode in MODES:
             for engine in ENGINES:
