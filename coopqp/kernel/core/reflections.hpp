@@ -47,9 +47,9 @@ struct Beside {
 
 // The reflection of a row's lanes from `first` on onto lane `first`; returns what lane `first`
 // becomes, and 0 where less than `least` is there. Lanes are set by whole vectors: a number that is
-// written alone makes whoever reads its vector wait.
-inline double reflection(const double* row, int first, int blocks, double least, double* h,
-                         double& beta) {
+// written alone makes whoever reads its vector wait. Inlined, so that loops over B blocks unroll.
+__attribute__((always_inline)) inline double reflection(const double* row, int first, int blocks,
+                                                        double least, double* h, double& beta) {
     v4* t = lanes(h);
     const v4* a = lanes(row);
     const int at = first / LANES, lane = first % LANES;
