@@ -13,7 +13,8 @@ at 0.01 rad; the paths are written to --out, one file for each of the first ten 
 Goals are the places of a point of the object at closed configurations inside the limits and free,
 with a ball in the way in half of those of robots that watch bodies: how many ``reach`` finds, in
 how many of them a hand would have to turn once round against another to get to any configuration
-that it finds, which closed loops never let it, how many ``plan`` finds a way to and, with --runs,
+that it finds, which closed loops never let it, how many of NAO's are cut off by what
+``tests/attitudes.py`` writes down of its arms, how many ``plan`` finds a way to and, with --runs,
 how many a run that follows it reaches, and how many the QP alone does.
 
 Blocked are rollouts of ``tests.stress`` that end so: to how many goals ``plan`` finds a way, from
@@ -55,6 +56,7 @@ from coopqp.study.explanation.goal import Room
 from coopqp.tasks import PointOnPoint
 from coopqp.viewer.planner import inside
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 ROBOTS = ("point_on_point", "two_so101", "baxter_tray", "two_pandas", "three_ur")
 #: Kept between bodies, so that nothing touches between the points that are looked at [m].
 KEPT = 1e-3
@@ -275,6 +277,8 @@ def _object(q: Array) -> tuple[list[float], list[float]]:
 
 def goals(name: str, asked: argparse.Namespace) -> None:
     """Goals of one robot: those of a point of the object, drawn from closed configurations."""
+    from attitudes import is_cut_off
+
     rng, count = np.random.default_rng(20261123), Counter[str]()
     seconds, looks, beyond = list[float](), list[float](), 0.0
     for i, scenario in enumerate(drawn(name, asked.goals, rng)):
@@ -284,6 +288,7 @@ def goals(name: str, asked: argparse.Namespace) -> None:
         looks.append(time.process_time() - begun)
         count["reachable"] += bool(found.found)
         count["cut off"] += bool(found.found) and all(one.cut_off for one in found.found)
+        count["by surfaces"] += is_cut_off(problem.chain, np.array(scenario.tasks[0].goal))
         begun = time.process_time()
         way = Planner(problem, scenario.duration).plan(Budget(seed=i))
         seconds.append(time.process_time() - begun)
@@ -300,7 +305,7 @@ def goals(name: str, asked: argparse.Namespace) -> None:
             count["followed"] += reached
             if not reached:
                 print(f"{name} {i}: planned, but the run does not reach", flush=True)
-    keys = ("reachable", "planned", "followed", "alone", "cut off")
+    keys = ("reachable", "planned", "followed", "alone", "cut off", "by surfaces")
     told = ", ".join(f"{key} {count[key]}" for key in keys)
     half, p95 = np.percentile(seconds, [50, 95])
     print(
@@ -366,7 +371,6 @@ def _with_ball(scenario: Scenario, rng: np.random.Generator) -> Scenario:
 
 
 def blocked(asked: argparse.Namespace) -> None:
-    sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
     from stress.draw import draw
 
     count, seconds = Counter[str](), list[float]()
