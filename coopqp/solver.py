@@ -15,16 +15,16 @@ from coopqp.base.spec import Array, Positive, spec
 
 
 class Status(enum.Enum):
-    """Status of a tick, with its message; ``fallback``: a constraint was relaxed."""
+    """Status of a tick, with its message; ``relaxed``: a constraint was relaxed."""
 
     usable: bool
-    fallback: bool
+    relaxed: bool
 
-    def __new__(cls, message: str, usable: bool = False, fallback: bool = False) -> Status:
+    def __new__(cls, message: str, usable: bool = False, relaxed: bool = False) -> Status:
         """A member whose value is the message alone."""
         status = object.__new__(cls)
         status._value_ = message
-        status.usable, status.fallback = usable, fallback
+        status.usable, status.relaxed = usable, relaxed
         return status
 
     OPTIMAL = "optimal", True

@@ -354,7 +354,7 @@ def _hold(found: Assessment, metrics: Mapping[str, Any]) -> str:
 
 def _ticks(found: Assessment, metrics: Mapping[str, Any]) -> str:
     failed, causes = found.failed
-    given_up, ticks = metrics["fallback_ticks"], found.trace.ticks
+    relaxed, ticks = metrics["relaxed_ticks"], found.trace.ticks
     said = []
     if failed and Status.OBJECT_LOST.value not in causes:
         why = next(iter(causes)).removeprefix("stands still: ")
@@ -364,9 +364,9 @@ def _ticks(found: Assessment, metrics: Mapping[str, Any]) -> str:
     if found.inputs.stale:
         said.append(f"has an input stale in {found.inputs.stale} of {ticks} ticks")
     said += [
-        f"{words} in {given_up[cause]} of {ticks} ticks"
+        f"{words} in {relaxed[cause]} of {ticks} ticks"
         for cause, words in RELAXED.items()
-        if cause in given_up
+        if cause in relaxed
     ]
     return "; ".join(said)
 

@@ -17,7 +17,7 @@ from laws import LIMITS, PLAIN, run
 from coopqp.base.qp import QP
 from coopqp.base.spec import spec
 from coopqp.limits import JointAcceleration
-from coopqp.metrics.fallback_ticks import FallbackTicks
+from coopqp.metrics.relaxed_ticks import RelaxedTicks
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.held_object import HeldObject
 from coopqp.robot import RobotModel
@@ -88,9 +88,9 @@ def test_run_goes_on_with_a_solver_that_fails_now_and_then(
     assert trace.loop_orientation.max() <= 1e-2
     assert trace.task_error[-1] < 5e-4
     given_up = sum(
-        n * sum(cause.fallback for cause in causes_of(name)) for name, n in counts.items()
+        n * sum(cause.relaxed for cause in causes_of(name)) for name, n in counts.items()
     )
-    assert sum(FallbackTicks().measure(trace).values()) == given_up
+    assert sum(RelaxedTicks().measure(trace).values()) == given_up
     assert [failure.tick for failure in trace.failures] == failed
 
 
@@ -114,7 +114,7 @@ def test_solver_that_always_fails_leaves_the_robot_standing(
     assert not trace.v.any()
     np.testing.assert_array_equal(trace.q, np.tile(chain.q_start, (31, 1)))
     assert len(trace.failures) == 30
-    assert FallbackTicks().measure(trace) == {}
+    assert RelaxedTicks().measure(trace) == {}
 
 
 @pytest.mark.parametrize("part", ["v", "multipliers"])

@@ -184,7 +184,7 @@ def run(baxter: Baxter, theirs: Pink, *, closed: bool) -> Run:
         state.t = k * baxter.dt
         command = law.tick(state)
         assert command.status.usable
-        assert not command.status.fallback
+        assert not command.status.relaxed
         v = command.v.copy()
         rows.append(
             (

@@ -14,7 +14,7 @@ from conflicts import TURN, slightly_open
 from laws import DT, LIMITS, PLAIN, STEP, run, ticks
 
 from coopqp.controller import ControlProblem
-from coopqp.metrics.fallback_ticks import FallbackTicks
+from coopqp.metrics.relaxed_ticks import RelaxedTicks
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.solver import Budget, Status, causes_of
@@ -77,9 +77,9 @@ def test_loop_beyond_its_budget_is_closed_again(
     assert state.loop_position_error < 0.05 * before
 
 
-def test_fallbacks_are_counted_by_what_was_given_up(chain: ClosedChain) -> None:
+def test_relaxations_are_counted_by_what_was_relaxed(chain: ClosedChain) -> None:
     trace = run(PLAIN, replace(long_steps(chain), tasks=(replace(TURN, gain=5.0),)), 20)
     causes = [cause for status in trace.status for cause in causes_of(status)]
-    expected = Counter(cause.name for cause in causes if cause.fallback)
-    assert FallbackTicks().measure(trace) == dict(expected)
+    expected = Counter(cause.name for cause in causes if cause.relaxed)
+    assert RelaxedTicks().measure(trace) == dict(expected)
     assert set(expected) == {"TASKS_RELAXED", "STEP_SHORTENED"}

@@ -99,7 +99,7 @@ def _run(seed: int, solver: Solver, plant: Plant) -> Rollout:
         ticks=len(v),
         position_excess=signs.position_excess(record),
         velocity_excess=signs.velocity_excess(record),
-        fallbacks=record.given_up,
+        relaxations=record.given_up,
         inaccurate=record.inaccurate,
         plain=record.plain,
     )

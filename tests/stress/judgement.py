@@ -31,7 +31,7 @@ class Rollout:
         loop_position, loop_orientation: largest loop error [m], [rad].
         force, explained: internal force at the end on plants with masses, and what of it the
             servos' gravity feed-forward explains [N].
-        fallbacks: ticks that gave something up or held still.
+        relaxations: ticks that gave something up or held still.
         inaccurate: ticks that were not optimal to the declared accuracy.
         plain: ticks that the kernel left to the plain law; all of them without a kernel.
     """
@@ -62,7 +62,7 @@ class Rollout:
     loop_orientation: float = 0.0
     force: float = 0.0
     explained: float = 0.0
-    fallbacks: int = 0
+    relaxations: int = 0
     inaccurate: int = 0
     plain: int = 0
 
@@ -99,7 +99,7 @@ def judged(
         velocity_excess=signs.velocity_excess(record),
         loop_position=record.loop_position,
         loop_orientation=record.loop_orientation,
-        fallbacks=record.given_up,
+        relaxations=record.given_up,
         inaccurate=record.inaccurate,
         plain=record.plain,
     )

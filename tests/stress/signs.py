@@ -79,7 +79,7 @@ class Record:
     @property
     def given_up(self) -> int:
         """Ticks that gave something up or held still."""
-        return sum(ticks for (c, *_), ticks in self._spells() if c.fallback or not c.usable)
+        return sum(ticks for (c, *_), ticks in self._spells() if c.relaxed or not c.usable)
 
     def _spells(self) -> Iterator[tuple[tuple[Status, ...], int]]:
         """What was said, and for how many ticks on end; hashing all of it would take longer."""

@@ -20,7 +20,7 @@ Line = dict[str, Any]
 #: What is added up of all rollouts, and of what the worst is told.
 ADDED = (
     *("frozen", "oscillating", "worse", "never_back", "saturated", "squeezed", "broken"),
-    *("compared", "ticks", "fallbacks", "inaccurate", "plain"),
+    *("compared", "ticks", "relaxations", "inaccurate", "plain"),
 )
 WORST = ("position_excess", "velocity_excess", "loop_position", "loop_orientation", "force")
 CONTACT_ADDED, CONTACT_WORST = ("broken", "ticks", "given_up"), ("cone", "torque")
@@ -126,7 +126,7 @@ def fault_table(lines: Sequence[Line], plant: str) -> Table:
     worst = lines[-1]
     caption = (
         f"worst overrun: {worst['position_excess']:.1e} rad, {worst['velocity_excess']:.1e} rad/s\n"
-        f"of {worst['ticks']} ticks {worst['fallbacks']} gave something up"
+        f"of {worst['ticks']} ticks {worst['relaxations']} gave something up"
     )
     rows = ([*(x["outcomes"].get(o, 0) for o in ("silent", "spoken")), x["broken"]] for x in lines)
     headings = ("runs", "all\nOPTIMAL", "others\ntoo", "broken")
@@ -163,7 +163,7 @@ def _worst(x: Line, *, masses: bool) -> str:
     return (
         f"worst overrun: {x['position_excess']:.1e} rad, {x['velocity_excess']:.1e} rad/s\n"
         f"widest loop: {1e3 * x['loop_position']:.3f} mm, {1e3 * x['loop_orientation']:.2f} mrad\n"
-        f"of {x['ticks']} ticks {x['fallbacks']} gave something up, "
+        f"of {x['ticks']} ticks {x['relaxations']} gave something up, "
         f"{x['inaccurate']} were INACCURATE\n"
         f"the kernel left {x['plain']} to the plain law ({x['plain'] / max(x['ticks'], 1):.2%})\n"
         f"hard tasks that rest short, tried as soft ones: {x['compared']}{squeeze}"

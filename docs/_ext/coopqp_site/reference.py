@@ -145,8 +145,8 @@ def study_keys() -> str:
 def statuses() -> str:
     """What can become of a tick."""
     rows = (
-        (f"`{s.name}`", s.value, "yes" if s.usable else "no", "yes" if s.fallback else "no")
+        (f"`{s.name}`", s.value, "yes" if s.usable else "no", "yes" if s.relaxed else "no")
         for s in Status
     )
-    head = ("status", "meaning", "usable", "fallback")
+    head = ("status", "meaning", "usable", "relaxed")
     return f"# Statuses of a tick\n\n{plain(Status.__doc__)}\n\n{table(head, rows)}"
