@@ -277,11 +277,11 @@ class TaskStack:
         evaluate_all(self.bound, state)
         self.wanted[:] = self.rate - self._gains * self.e
 
-    def bends(self, v: Array) -> Array:
+    def curvatures(self, v: Array) -> Array:
         """Curvature that J leaves out of each row's cost, times 1 s, at the last v, shape (k,).
 
-        The cost 1/2 sum w g e^2 bends by J' W G J, which a tick knows, and by sum w g e e'', which
-        it does not; |e''| is at most the reach of the arms for metres, and 1 for radians.
+        The cost 1/2 sum w g e^2 has the curvature J' W G J, known to a tick, and sum w g e e'',
+        which is not; |e''| is at most the reach of the arms for metres, and 1 for radians.
 
             g_i |e_i| L_i
 
@@ -293,9 +293,9 @@ class TaskStack:
         most *= self.levers
         return most
 
-    def bend(self, v: Array) -> float:
+    def curvature(self, v: Array) -> float:
         """All of it in the cost, sum_i w_i g_i |e_i| L_i."""
-        return float(self.weights.dot(self.bends(v)))
+        return float(self.weights.dot(self.curvatures(v)))
 
 
 def refuse_impedances(tasks: Sequence[Task]) -> None:

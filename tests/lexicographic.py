@@ -191,11 +191,11 @@ class Cascade:
 
     def _pulled(self, tasks: TaskStack) -> float:
         """Damping of scaled tasks for what their shares lacked in the last tick."""
-        bends, pull = tasks.bends(self._state.v), 0.0
+        curvatures, pull = tasks.curvatures(self._state.v), 0.0
         for part, lacked in zip(tasks.slices, self._state.memory["missing"], strict=True):
             rate = float(np.linalg.norm(tasks.wanted[part]))
             moves = min(rate / LEAST_SPEED, 1.0) / (rate**2 + LEAST_SPEED**2)
-            pull += float(lacked * np.linalg.norm(bends[part])) * moves
+            pull += float(lacked * np.linalg.norm(curvatures[part])) * moves
         return min(self._damping.of(SCALE_WEIGHT * pull, self._state), MOST_DAMPING)
 
     def _can_hold(self, J: Array, w: Array) -> bool:

@@ -184,7 +184,7 @@ class Compiled:
 
         None where one is no place, or a thread is in the middle of a tick.
         """
-        names = "later pulls", "missed", "missing", "scaled pull", "recovery", "swing", "stopped"
+        names = "later pulls", "missed", "missing", "scaled pull", "recovery", "chatter", "stopped"
         remembered = {name: memory[name] for name in names}
         if not self.engine.bind_state({**state.written(), **remembered, "command": v}):
             return None

@@ -76,7 +76,7 @@ class Engine {
         b.missing = of("missing");
         b.scaled_pull = of("scaled pull");
         b.recovery = of("recovery");
-        b.swing = of("swing");
+        b.chatter = of("chatter");
         stopped_ = of("stopped");
         gap_ = of("gap");
         felt_ = of("felt");
@@ -278,7 +278,7 @@ class Engine {
             v_now_[j] = about ? (about[j] - q[j]) / dt : 0.0;
         }
         if (gap) std::copy_n(gap, 6 * m.loops(), gap_);
-        std::fill_n(kernel_->bound.swing, 1 + m.joints.size(), 0.0);
+        std::fill_n(kernel_->bound.chatter, 1 + m.joints.size(), 0.0);
         kernel_->looks_again = about;
         coopqp::Status status = kernel_->update(0.0);
         if (status == coopqp::Status::Optimal) {
@@ -351,7 +351,7 @@ class Engine {
         each(bound.missing, std::size_t(first.shares));
         each(bound.scaled_pull, std::size_t(first.shares > 0));
         each(bound.recovery, std::size_t(1));
-        each(bound.swing, 1 + kernel_->model().joints.size());
+        each(bound.chatter, 1 + kernel_->model().joints.size());
     }
     void keep_memory() {
         memory_.clear();

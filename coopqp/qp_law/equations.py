@@ -25,7 +25,7 @@ GROWS, MOST_GROWN = 1.5, 16.0
 #: and fades as the joints travel, to 1/e in this much [rad, m]: arms at rest keep it.
 FADES_IN = 0.1
 #: A joint reverses whose speed changes its sign, from more than this to more than this [rad/s,
-#: m/s], however fast others are: an oscillation grows from little, and is damped while small.
+#: m/s], however fast others are: an chatter grows from little, and is damped while small.
 SWINGS_AT = 2e-4
 #: What a later level pulls falls to no less than this share of what it was a tick before, while
 #: that is more than FIRM: a pull that passes through zero is no reason to let go [1/s].
@@ -38,11 +38,11 @@ class Damping:
 
     A tick is a Gauss-Newton step. About the pose of rest, along a nearly singular direction u, it
     goes a = dt (g s^2 + u'S u) / (s^2 + d) of the way, with s^2 = u'J'W J u, and S the part of the
-    tasks' second derivatives, |S| <= bend (:meth:`coopqp.task.TaskStack.bend`). Above a = 2 it
-    oscillates ever more until a bound stops it; d = dt bend keeps a below 1, half of it below 2.
+    tasks' second derivatives, |S| <= L (:meth:`coopqp.task.TaskStack.curvature`). Above a = 2 it
+    oscillates ever more until a bound stops it; d = dt L keeps a below 1, half of it below 2.
 
     That holds of each level alone. Two that share one nearly singular direction may overshoot
-    together: then joints reverse in tick after tick, and all damping grows (:func:`note_swing`).
+    together: then joints reverse in tick after tick, and all damping grows (:func:`note_chatter`).
 
     ``least`` is d without curvature, ``share`` c of the damping that rules out any overshoot, dt in
     s.
@@ -52,18 +52,18 @@ class Damping:
     share: float
     dt: float
 
-    def of(self, bend: float, state: State) -> float:
-        """What a curvature adds to d, share dt bend; more of it where joints have oscillated."""
-        return self.share * (1.0 + float(state.memory["swing"][0])) * self.dt * bend
+    def of(self, curvature: float, state: State) -> float:
+        """What a curvature L adds to d, share dt L; more of it where joints have oscillated."""
+        return self.share * (1.0 + float(state.memory["chatter"][0])) * self.dt * curvature
 
     def of_tasks(self, tasks: TaskStack, state: State) -> float:
         """What soft tasks add to d.
 
-        The curvature of joint objectives is unknown: oscillation makes them slower, as many times
+        The curvature of joint objectives is unknown: chatter makes them slower, as many times
         as other damping has grown.
         """
-        grown = float(state.memory["swing"][0]) if self.share > 0.0 else 0.0
-        return self.of(tasks.bend(state.v), state) + grown * tasks.joint_weight
+        grown = float(state.memory["chatter"][0]) if self.share > 0.0 else 0.0
+        return self.of(tasks.curvature(state.v), state) + grown * tasks.joint_weight
 
     def of_drift(self, state: State, kappa: float) -> float:
         """What a reduced Baumgarte correction adds; nothing where the last tick did all.
@@ -78,18 +78,18 @@ class Damping:
         return 2.0 * self.dt * SCALE_WEIGHT * state.chain.reach / max(wanted, LEAST_SPEED)
 
 
-def note_swing(state: State, v: Array, dt: float) -> None:
+def note_chatter(state: State, v: Array, dt: float) -> None:
     """Remember whether joints reverse in v after state.v, for the damping of the next ticks.
 
     Kept are how much the damping has grown, and which joints reversed in the last tick: once they
     do so where a reference turns.
     """
-    swing, now = state.memory["swing"], np.abs(v).max(initial=0.0)
+    chatter, now = state.memory["chatter"], np.abs(v).max(initial=0.0)
     back = (v * state.v < 0.0) & (np.minimum(np.abs(v), np.abs(state.v)) > SWINGS_AT)
-    grown, again = 1.0 + swing[0], (swing[1:] * back).any()
+    grown, again = 1.0 + chatter[0], (chatter[1:] * back).any()
     less = max(grown / (1.0 + dt * now / FADES_IN), 1.0)
-    swing[0] = (min(GROWS * grown, MOST_GROWN) if again else less) - 1.0
-    swing[1:] = back
+    chatter[0] = (min(GROWS * grown, MOST_GROWN) if again else less) - 1.0
+    chatter[1:] = back
 
 
 def held_pull(new: float, old: float) -> float:

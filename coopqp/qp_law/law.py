@@ -34,7 +34,7 @@ from coopqp.base.rank import null_space
 from coopqp.base.spec import Array
 from coopqp.controller import Command, ControlProblem, InternalForceControl, Law
 from coopqp.model.state import State
-from coopqp.qp_law.equations import LEAST_SPEED, MOST_DAMPING, SCALE_WEIGHT, Damping, note_swing
+from coopqp.qp_law.equations import LEAST_SPEED, MOST_DAMPING, SCALE_WEIGHT, Damping, note_chatter
 from coopqp.qp_law.level import Given, Level
 from coopqp.qp_law.limit_recovery import DriftShare, LimitRecovery
 from coopqp.qp_law.nearest import MET, SLOW, WHOLE, Nearest, blocked
@@ -116,7 +116,7 @@ class QPLaw(Law):
         command.say(*(others or (Status.OPTIMAL,)))
         if causes[0].usable:
             self.probe.shorten(state, command)
-            note_swing(state, command.v, self.problem.dt)
+            note_chatter(state, command.v, self.problem.dt)
         return command
 
     def assemble(self, state: State) -> float:
@@ -138,16 +138,16 @@ class QPLaw(Law):
             A[part, n + share], b[part] = -wanted[part], 0.0
 
     def _scaled_damping(self, state: State) -> float:
-        """For scaled tasks, whose rows bend by their multipliers.
+        """For scaled tasks, whose rows have curvature by their multipliers.
 
         They are SCALE_WEIGHT (1 - s) / |wanted|, with s of the last tick; fewer towards rest, where
         wanted is rounding.
         """
         if not self._scaled:
             return 0.0
-        bends, wanted = self.exact.bends(state.v), self.exact.wanted
-        rates = [(norm(bends[p]), norm(wanted[p]) / LEAST_SPEED) for p in self._scaled]
-        sizes = [bend * min(rate, 1.0) / (rate * rate + 1.0) for bend, rate in rates]
+        curvatures, wanted = self.exact.curvatures(state.v), self.exact.wanted
+        rates = [(norm(curvatures[p]), norm(wanted[p]) / LEAST_SPEED) for p in self._scaled]
+        sizes = [curvature * min(rate, 1.0) / (rate * rate + 1.0) for curvature, rate in rates]
         pull = SCALE_WEIGHT / LEAST_SPEED**2 * float(state.memory["missing"] @ sizes)
         return min(self._damping.of(pull, state), MOST_DAMPING)
 
@@ -254,13 +254,13 @@ def memory_sizes(
 
     "stopped" is 1 after a stop; "recovery" the loops' multipliers in limit recovery; "missed" what
     rows of hard tasks lacked, zero where that is rounding; "missing" what the share of each scaled
-    task lacked to 1; "scaled pull" and "later pulls" those of :meth:`LaterLevel.improve`; "swing"
-    as :func:`coopqp.qp_law.equations.note_swing` keeps it; others are the internal force control's.
+    task lacked to 1; "scaled pull" and "later pulls" those of :meth:`LaterLevel.improve`; "chatter"
+    as :func:`coopqp.qp_law.equations.note_chatter` keeps it; others are of internal force control.
     """
     scaled = sum(task.mode == "scaled" for task in problem.tasks)
     hard = sum(len(task.rows(problem.chain)) for task in problem.tasks if task.mode == "hard")
     return {
         "stopped": 1, "recovery": 1, "missed": hard, "missing": scaled,
         "scaled pull": min(scaled, 1), "later pulls": levels - 1,
-        **(force_control.memory_sizes if force_control else {}), "swing": 1 + problem.chain.n,
+        **(force_control.memory_sizes if force_control else {}), "chatter": 1 + problem.chain.n,
     }  # fmt: skip

@@ -67,8 +67,8 @@ class Nearest:
         """Solve it, by a step from the answer with more damping, which has all its digits."""
         tasks, level, refined = self.hard.tasks, self.hard, self._refined
         tasks.update(state)
-        bend = float(tasks.weights @ (np.abs(state.memory["missed"]) * tasks.levers))
-        d = self._damping.of(bend, state)
+        curvature = float(tasks.weights @ (np.abs(state.memory["missed"]) * tasks.levers))
+        d = self._damping.of(curvature, state)
         level.assemble(state, kappa, d + self._damping.least)
         status = level.solve()
         level.assemble(state, kappa, d)

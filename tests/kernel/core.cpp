@@ -41,7 +41,7 @@ Placement somewhere(Random& random, double size) {
 // Everything that Python would own.
 struct Owner {
     std::vector<double> q, v_last, v, gap, p, R, error, drift, seen, pulls, missed, scaled_pull,
-        missing, recovery, swing;
+        missing, recovery, chatter;
     void bind(Kernel& k, int n, int arms, int levels) {
         for (auto* a : {&q, &v_last, &v, &seen}) a->assign(std::size_t(n), 0.0);
         for (auto* a : {&gap, &error, &drift}) a->assign(std::size_t(6 * (arms - 1)), 0.0);
@@ -50,11 +50,11 @@ struct Owner {
         pulls.assign(std::size_t(levels), 0.0);
         for (auto* a : {&scaled_pull, &recovery}) a->assign(1, 0.0);
         missed.assign(std::size_t(k.levels[0].hard), 0.0);
-        swing.assign(1 + std::size_t(n), 0.0);
+        chatter.assign(1 + std::size_t(n), 0.0);
         missing.assign(std::size_t(k.levels[0].shares), 0.0);
         k.bound = {q.data(), v_last.data(), v.data(), gap.data(), p.data(), R.data(),
                    error.data(), drift.data(), seen.data(), pulls.data(), missed.data(),
-                   scaled_pull.data(), missing.data(), recovery.data(), swing.data()};
+                   scaled_pull.data(), missing.data(), recovery.data(), chatter.data()};
     }
 
     // Have again what was remembered when it was another; where the arrays are stays.
@@ -64,7 +64,7 @@ struct Owner {
         scaled_pull[0] = other.scaled_pull[0];
         std::copy(other.missing.begin(), other.missing.end(), missing.begin());
         recovery[0] = other.recovery[0];
-        std::copy(other.swing.begin(), other.swing.end(), swing.begin());
+        std::copy(other.chatter.begin(), other.chatter.end(), chatter.begin());
     }
 };
 

@@ -155,10 +155,10 @@ def _remember(state: State, rng: np.random.Generator) -> None:
     """Let half of the states remember that tasks were missed and that levels pulled."""
     if rng.random() < 0.5:
         return
-    sizes = {"missed": 0.1, "missing": 1.0, "later pulls": 10.0, "swing": 1.0}
+    sizes = {"missed": 0.1, "missing": 1.0, "later pulls": 10.0, "chatter": 1.0}
     for name, size in sizes.items():
         state.memory[name][:] = size * rng.random(len(state.memory[name]))
-    state.memory["swing"][1:] = 0.0
+    state.memory["chatter"][1:] = 0.0
 
 
 def _optimum(problem: ControlProblem, state: State, jitter: float = 0.0, seed: int = 0) -> Optimum:

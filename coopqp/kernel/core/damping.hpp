@@ -20,16 +20,16 @@ class StepDamping {
             for (char asks : level.asks_velocity) asks_ |= asks != 0;
     }
 
-    // At the last velocity, in lanes, which must stay where it is, with how joints swing.
-    void begin(const double* v_last, double swing) {
+    // At the last velocity, in lanes, which must stay where it is, with how joints oscillate.
+    void begin(const double* v_last, double chatter) {
         v_last_ = v_last;
-        swing_ = swing;
-        share_ = error_damping_ * (1.0 + swing) * dt_;
+        chatter_ = chatter;
+        share_ = error_damping_ * (1.0 + chatter) * dt_;
         if (share_ > 0.0 && asks_) rows_.object_twist(v_last, V_);
     }
 
-    // For a bend.
-    double of(double bend) const { return share_ * bend; }
+    // For a curvature.
+    double of(double curvature) const { return share_ * curvature; }
 
     // Of level l.
     double of(int l, const Level& level, const Bound& bound) {
@@ -43,10 +43,10 @@ class StepDamping {
     // Of the soft tasks of a level.
     double of_soft(const Level& level) const {
         if (!(share_ > 0.0)) return 0.0;
-        double bend = 0.0;
+        double curvature = 0.0;
         for (int s = level.exact; s < level.rows; s++)
-            bend += level.weight[std::size_t(s)] * of_row(level, s, v_last_, V_);
-        return share_ * bend + swing_ * level.joint_weight;
+            curvature += level.weight[std::size_t(s)] * of_row(level, s, v_last_, V_);
+        return share_ * curvature + chatter_ * level.joint_weight;
     }
 
     // For a pull at rows decided before.
@@ -64,23 +64,23 @@ class StepDamping {
         return held > FIRM ? std::max(pull, held) : pull;
     }
 
-    // Note how n joints swing in a tick with the velocity v, as coopqp.qp_law.equations.
-    void note_swing(const double* v, const double* v_last, double* swing, int n) const {
+    // Note how n joints chatter in a tick with the velocity v, as coopqp.qp_law.equations.
+    void note_chatter(const double* v, const double* v_last, double* chatter, int n) const {
         double fastest = 0.0;
         bool again = false;
         for (int j = 0; j < n; j++) {
             const double slower = std::min(std::fabs(v[j]), std::fabs(v_last[j]));
             const bool back = v[j] * v_last[j] < 0.0 && slower > SWINGS_AT;
-            again |= back && swing[1 + j] > 0.0;
-            swing[1 + j] = back;
+            again |= back && chatter[1 + j] > 0.0;
+            chatter[1 + j] = back;
             fastest = std::max(fastest, std::fabs(v[j]));
         }
-        const double grown = 1.0 + swing[0], fades = 1.0 + dt_ * fastest / FADES_IN;
-        swing[0] = (again ? std::min(GROWS * grown, MOST_GROWN) : std::max(grown / fades, 1.0)) - 1.0;
+        const double grown = 1.0 + chatter[0], fades = 1.0 + dt_ * fastest / FADES_IN;
+        chatter[0] = (again ? std::min(GROWS * grown, MOST_GROWN) : std::max(grown / fades, 1.0)) - 1.0;
     }
 
   private:
-    // As coopqp.task.TaskStack.bends.
+    // As coopqp.task.TaskStack.curvatures.
     double of_row(const Level& level, int s, const double* v_last, const double* V) const {
         const std::size_t i = std::size_t(s);
         const double size = level.asks_velocity[i]
@@ -109,7 +109,7 @@ class StepDamping {
     }
 
     const Rows& rows_;
-    double error_damping_, dt_, swing_ = 0.0, share_ = 0.0, *V_;
+    double error_damping_, dt_, chatter_ = 0.0, share_ = 0.0, *V_;
     const double* v_last_ = nullptr;
     bool asks_ = false;  // whether there are rows that ask for a velocity
     std::vector<double> asked2_, wanted2_;

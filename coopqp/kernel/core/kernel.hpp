@@ -88,7 +88,7 @@ class Kernel {
     Status solve(bool all_corrected) {
         for (int j = 0; j < m_->n(); j++)
             last_[m_->joints[std::size_t(j)].lane] = bound.v_last[j];
-        damping_.begin(last_, bound.swing[0]);
+        damping_.begin(last_, bound.chatter[0]);
         aim_loops(ahead_.kappa(bound.drift));
         if (!fault(Fault::StaleFactor) && !loops_->factor()) return Status::Singular;
         if (fault(Fault::WrongDirection)) loops_->Z[0] += 1e-3;
@@ -482,7 +482,7 @@ class Kernel {
 
     void write() {
         for (int j = 0; j < m_->n(); j++) bound.v[j] = v_[m_->joints[std::size_t(j)].lane];
-        damping_.note_swing(bound.v, bound.v_last, bound.swing, m_->n());
+        damping_.note_chatter(bound.v, bound.v_last, bound.chatter, m_->n());
     }
 
     const double reach_ = s_.reach;  // as it was given

@@ -31,11 +31,11 @@ class Nearest {
     Status of_hard(const StepDamping& damping, const double* missed, const double* b, const double* v) {
         cascade_.begin(b, v);
         Level& level = levels_[0];
-        double bend = 0.0;
+        double curvature = 0.0;
         for (int s = 0; s < level.rows; s++)
-            bend += level.weight[std::size_t(s)] * std::fabs(missed[s]) * level.lever[std::size_t(s)];
+            curvature += level.weight[std::size_t(s)] * std::fabs(missed[s]) * level.lever[std::size_t(s)];
         std::copy_n(given_.wanted.begin(), level.rows, level.wanted.begin());
-        return cascade_.decide(0, (given_.hard ? LESS : 1.0) * s_.damping + damping.of(bend));
+        return cascade_.decide(0, (given_.hard ? LESS : 1.0) * s_.damping + damping.of(curvature));
     }
 
     // The largest shares of scaled tasks, and the least t, beside the motion of_hard.

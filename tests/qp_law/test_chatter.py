@@ -1,4 +1,4 @@
-"""Joints that swing back are damped more; a step that needs more than there is becomes shorter."""
+"""Joints that oscillate are damped more; a step that needs more than there is becomes shorter."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from coopqp.grasps import Rigid
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.held_object import HeldObject
 from coopqp.model.state import Memory, State
-from coopqp.qp_law.equations import FADES_IN, FIRM, LETS_GO, MOST_DAMPING, held_pull, note_swing
+from coopqp.qp_law.equations import FADES_IN, FIRM, LETS_GO, MOST_DAMPING, held_pull, note_chatter
 from coopqp.robots import PlanarPair
 from coopqp.tasks import JointCentering, Orientation, PointOnPlane, PointOnPoint
 
@@ -32,16 +32,16 @@ def centred(chain: ClosedChain) -> ControlProblem:
     return problem(chain, goal, secondary=[JointCentering(name="centre", gain=5.0)])
 
 
-def after(swing: float, velocities: Sequence[tuple[float, float]], chain: ClosedChain) -> float:
+def after(chatter: float, velocities: Sequence[tuple[float, float]], chain: ClosedChain) -> float:
     """What is remembered when the first two joints go at these velocities, tick by tick."""
-    state = State(chain, memory=Memory({"swing": 1 + chain.n}))
-    state.memory["swing"][0] = swing
+    state = State(chain, memory=Memory({"chatter": 1 + chain.n}))
+    state.memory["chatter"][0] = chatter
     for pair in velocities:
         v = np.zeros(chain.n)
         v[:2] = pair
-        note_swing(state, v, DT)
+        note_chatter(state, v, DT)
         state.v[:] = v
-    return float(state.memory["swing"][0])
+    return float(state.memory["chatter"][0])
 
 
 def test_damping_grows_by_half_a_swing_up_to_sixteen_times(chain: ClosedChain) -> None:
@@ -97,10 +97,10 @@ def test_swing_is_damped_as_by_a_larger_error_damping(
 ) -> None:
     near = PointOnPlane(name="near", normal=(0, 0, 1), through=NEAR, profile=STEP)
     asked, law = problem(chain, near), QPController(engine=engine)
-    calmer = ticked(QPController(engine=engine, error_damping=1.5), asked, "swing", 0.0)
-    swung = ticked(law, asked, "swing", [2.0, *[0.0] * chain.n])
+    calmer = ticked(QPController(engine=engine, error_damping=1.5), asked, "chatter", 0.0)
+    swung = ticked(law, asked, "chatter", [2.0, *[0.0] * chain.n])
     np.testing.assert_allclose(swung, calmer, rtol=0.0, atol=1e-12)
-    assert np.linalg.norm(swung - ticked(law, asked, "swing", 0.0)) > 1e-6
+    assert np.linalg.norm(swung - ticked(law, asked, "chatter", 0.0)) > 1e-6
 
 
 @both_engines
@@ -109,7 +109,7 @@ def test_joint_objective_that_swings_is_slower(
 ) -> None:
     alone = problem(chain, secondary=[JointCentering(name="centre", gain=0.5)])
     law = QPController(engine=engine)
-    fast, slow = (ticked(law, alone, "swing", [s, *[0.0] * chain.n]) for s in (0.0, 2.0))
+    fast, slow = (ticked(law, alone, "chatter", [s, *[0.0] * chain.n]) for s in (0.0, 2.0))
     np.testing.assert_allclose(slow, fast / 3.0, rtol=1e-5, atol=1e-12)
     assert np.linalg.norm(fast) > 1e-3
 
