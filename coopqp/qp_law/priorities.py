@@ -8,8 +8,9 @@ so that level 1 chooses z, a :class:`coopqp.qp_law.level.Step`, and so on. Z com
 value decompositions, which tolerate redundant rows: of the loops, then of what the tasks add to
 them. At a singular pose that has directions which are noise, and would freeze another motion in
 each tick. Such a direction is released gradually: motion along it costs MOST_DAMPING
-(sigma / NOISE)^6; a threshold alone would let stretched arms oscillate between this level and those
-before it. The power is high because rows may lack MET, which along the direction is MET / sigma.
+s^6 / (1 - s^6), s = sigma / NOISE: from nothing to a wall; a threshold alone would let stretched
+arms oscillate between this level and those before it. The power is high because rows may lack MET,
+which along the direction is MET / sigma.
 
 For a unit of joint motion the rows turn by L / sigma, fast near a singularity. A level with
 multipliers y on them must therefore take short steps: y L / sigma adds to its damping, like the
@@ -40,6 +41,7 @@ SAMPLES = 6  # configurations at which ranks are taken, beside the start
 #: Singular values of task rows up to the first ask for nothing, from there to the second in part
 #: [m/rad, 1].
 IDLE, NOISE = 1e-8, 1e-6
+WALL = 1e-5  # what is decided in part moves no less than this share of what MOST_DAMPING leaves
 
 
 class Order:
@@ -117,7 +119,8 @@ class LaterLevel(Step):
             return v, Status.INACCURATE
         sizes, ways = directions(decided.dot(loops.T))
         rank, ways = int(np.count_nonzero(sizes > NOISE)), ways.dot(loops)
-        free, held = ways[rank:], MOST_DAMPING * (np.maximum(sizes[rank:] - IDLE, 0.0) / NOISE) ** 6
+        free, part = ways[rank:], (np.maximum(sizes[rank:] - IDLE, 0.0) / (NOISE - IDLE)) ** 6
+        held = MOST_DAMPING * part / np.maximum(1.0 - part, WALL)
         found = self.step(v, free, d, held)
         made = self.v - v
         y = np.concatenate([ways[:rank].dot(self.slope), held * free.dot(made)])

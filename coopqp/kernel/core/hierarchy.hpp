@@ -55,8 +55,8 @@ class Hierarchy {
         for (int s = 0; s < decided; s++) {
             const double size = sigma_[std::size_t(s)];
             if (!(size > IDLE && size <= NOISE)) continue;
-            const double part = (size - IDLE) / NOISE;
-            const double root = std::sqrt(MOST_DAMPING) * part * part * part;
+            const double part = std::pow((size - IDLE) / (NOISE - IDLE), 6);
+            const double root = std::sqrt(MOST_DAMPING * part / std::max(1.0 - part, WALL));
             clear(t_, blocks_);
             add(t_, direction(s), root / size, blocks_of(decided));
             to_z(t_, H_ + held * width_);
