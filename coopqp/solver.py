@@ -253,6 +253,7 @@ class Verifier:
         lacks = np.concatenate([to_bound, slack, qp.b - qp.A.dot(solution.v)])
         pulls = np.concatenate([np.abs(solution.z_box), solution.z, np.full(qp.m, np.inf)])
         active = np.abs(lacks) < pulls / mu
+        active[qp.n : qp.n + qp.p] |= slack < -LAST_DIGITS  # by what solvers tolerate
         lacks, C = lacks[active], np.concatenate([np.eye(qp.n), qp.C])[active]
         if norm(lacks) <= LAST_DIGITS:
             return 0.0
