@@ -374,4 +374,5 @@ def test_a_limit_that_is_exceeded_by_next_to_nothing_counts_without_a_multiplier
     solution = Solution(qp)
     solution.v[:], solution.z[:], solution.status = [0.0, 0.1], [1.0, 0.0], Status.OPTIMAL
     verifier = Verifier(qp, solution, Budget(), 1.0)
-    assert verifier.polish(verifier.check()) is not Status.OPTIMAL or np.abs(solution.v).max() < 1e-9
+    status = verifier.polish(verifier.check())
+    assert status is not Status.OPTIMAL or np.abs(solution.v).max() < 1e-9
