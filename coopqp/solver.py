@@ -179,9 +179,8 @@ class Verifier:
     within it v is the optimum of a problem that differs in the last digits.
 
     Rows that nearly depend on each other, or on active limits, hold almost as well far from the
-    optimum. Their residual therefore counts by the length of the step that removes it.
-
-    A NaN stays one, and all comparisons are written so that it fails them.
+    optimum. Their residual therefore counts by the length of the step that removes it. A NaN stays
+    one, and all comparisons are written so that it fails them.
     """
 
     def __init__(self, qp: QP, solution: Solution, budget: Budget, curvature: float) -> None:

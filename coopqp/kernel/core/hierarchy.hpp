@@ -63,8 +63,7 @@ class Hierarchy {
             held_pull_[std::size_t(held++)] = root / size;
         }
     }
-    // Row of a held direction, in coordinates of z, and what it pulls at those decided by what of it
-    // is moved.
+    // Row of a held direction, in coordinates of z; what it pulls at those decided, per motion.
     const double* held_row(int i) const { return H_ + i * width_; }
     double held_pull(int i) const { return held_pull_[std::size_t(i)]; }
 
