@@ -179,9 +179,8 @@ class Verifier:
     within it v is the optimum of a problem that differs in the last digits.
 
     Rows that nearly depend on each other, or on active limits, hold almost as well far from the
-    optimum. Their residual therefore counts by the length of the step that removes it.
-
-    A NaN stays one, and all comparisons are written so that it fails them.
+    optimum. Their residual therefore counts by the length of the step that removes it. A NaN stays
+    one, and all comparisons are written so that it fails them.
     """
 
     def __init__(self, qp: QP, solution: Solution, budget: Budget, curvature: float) -> None:
@@ -253,6 +252,7 @@ class Verifier:
         lacks = np.concatenate([to_bound, slack, qp.b - qp.A.dot(solution.v)])
         pulls = np.concatenate([np.abs(solution.z_box), solution.z, np.full(qp.m, np.inf)])
         active = np.abs(lacks) < pulls / mu
+        active[qp.n : qp.n + qp.p] |= slack < -LAST_DIGITS  # by what solvers tolerate
         lacks, C = lacks[active], np.concatenate([np.eye(qp.n), qp.C])[active]
         if norm(lacks) <= LAST_DIGITS:
             return 0.0

@@ -48,6 +48,23 @@ Mode = Literal["soft", "hard", "scaled"]
 
 
 @dataclass(frozen=True)
+class Left:
+    """What is left of a change after all halvings.
+
+    Attributes:
+        size: of it [rad/s, m/s].
+        said: what the commands on both sides say.
+        sides: the two states, packed.
+        step: the change of the state from one tick to the next, packed.
+    """
+
+    size: float
+    said: tuple[str, str]
+    sides: tuple[Array, Array]
+    step: Array
+
+
+@dataclass(frozen=True)
 class Jump:
     """How far a command is from continuous along a motion.
 
@@ -59,6 +76,7 @@ class Jump:
         said: what the commands on both sides of it say.
         relaxed: share of the ticks that say that tasks are not met in full.
         crossings: how often the command changes between such ticks and optimal ones.
+        jumps: all changes of v of which more than LEFT is left.
     """
 
     step: float
@@ -68,6 +86,7 @@ class Jump:
     said: tuple[str, str]
     relaxed: float
     crossings: int
+    jumps: tuple[Left, ...]
 
 
 def problem(
@@ -157,7 +176,7 @@ def jump(law: Law) -> Jump:
         relaxed.append(command.status is not Status.OPTIMAL)
     changes = np.abs(np.diff(commands, axis=0)).max(axis=1)
     crossed = np.flatnonzero(np.diff(np.array(relaxed, int)))
-    asked = _Asked(law)
+    asked = Asked(law)
     found = {
         k: (asked.left(states[k], states[k + 1]), asked.left(states[k], states[k + 1], seen=True))
         for k in {*np.argsort(changes)[-LOOKED_AT:].tolist(), *crossed.tolist()}
@@ -171,25 +190,18 @@ def jump(law: Law) -> Jump:
         said=found[worst][0].said,
         relaxed=float(np.mean(relaxed)),
         crossings=len(crossed),
+        jumps=tuple(found[k][0] for k in sorted(found) if found[k][0].size > LEFT),
     )
 
 
-@dataclass(frozen=True)
-class _Left:
-    """What is left of a change after all halvings, and what the commands on both sides say."""
-
-    size: float
-    said: tuple[str, str]
-
-
-class _Asked:
+class Asked:
     """The commands of a law at any states."""
 
     def __init__(self, law: Law) -> None:
         self._law, self._state = law, law.start()
         self._firm = TaskStack(law.problem.tasks[:1], self._state)
 
-    def left(self, a: Array, b: Array, *, seen: bool = False) -> _Left:
+    def left(self, a: Array, b: Array, *, seen: bool = False) -> Left:
         """Halve the segment between two states towards the larger change.
 
         Args:
@@ -197,26 +209,33 @@ class _Asked:
             b: another.
             seen: whether it is the change of what the first task sees, instead of all of v.
         """
-        at_a, at_b = self._at(a, seen), self._at(b, seen)
+        step, at_a, at_b = b - a, self.at(a, seen=seen), self.at(b, seen=seen)
         for _ in range(HALVINGS):
             middle = 0.5 * (a + b)
-            at_middle = self._at(middle, seen)
+            at_middle = self.at(middle, seen=seen)
             if np.abs(at_middle - at_a).max() > np.abs(at_b - at_middle).max():
                 b, at_b = middle, at_middle
             else:
                 a, at_a = middle, at_middle
-        return _Left(float(np.abs(at_b - at_a).max()), (self._said(a), self._said(b)))
+        said = self._said(a), self._said(b)
+        return Left(float(np.abs(at_b - at_a).max()), said, (a, b), step)
 
     def _said(self, packed: Array) -> str:
-        self._at(packed, seen=False)
+        self.at(packed)
         return written(self._law.command.causes)
 
-    def _at(self, packed: Array, seen: bool) -> Array:
-        """The command at a state, or what the first task sees of it."""
+    def state(self, packed: Array) -> State:
+        """It, as it is before a tick."""
         state, n = self._state, len(self._state.q)
         state.t, state.corrected = float(packed[0]), float(packed[1])
         state.q[:], state.v[:] = packed[2 : 2 + n], packed[2 + n : 2 + 2 * n]
         state.memory.numbers[:] = packed[2 + 2 * n :]
+        state.update()
+        return state
+
+    def at(self, packed: Array, *, seen: bool = False) -> Array:
+        """The command at a state, or what the first task sees of it."""
+        state = self.state(packed)
         v = self._law.tick(state).v.copy()
         if not seen:
             return v

@@ -364,3 +364,15 @@ def test_rows_that_nearly_depend_on_an_active_limit_tell_little() -> None:
     solution.v[:], solution.status = [1.0, 1e-5], Status.OPTIMAL
     solution.y[0], solution.z_box[0] = -0.1, 4.1
     assert Verifier(qp, solution, Budget(), 1.0).check() is Status.INACCURATE
+
+
+def test_a_limit_that_is_exceeded_by_next_to_nothing_counts_without_a_multiplier() -> None:
+    """v1 <= 0 and 1e-9 v2 <= v1 leave v2 <= 0 alone; 0.1 exceeds the second by 1e-10 only."""
+    qp = empty_qp(n=2, p=2, m=0)
+    qp.P[:], qp.q[:] = np.eye(2), [-1.0, -0.1]
+    qp.G[:], qp.h[:] = [[1.0, 0.0], [-1.0, 1e-9]], 0.0
+    solution = Solution(qp)
+    solution.v[:], solution.z[:], solution.status = [0.0, 0.1], [1.0, 0.0], Status.OPTIMAL
+    verifier = Verifier(qp, solution, Budget(), 1.0)
+    status = verifier.polish(verifier.check())
+    assert status is not Status.OPTIMAL or np.abs(solution.v).max() < 1e-9

@@ -7,14 +7,13 @@ Level 0 decides v_0. What its tasks and the loops see of it is fixed for the lev
 so that level 1 chooses z, a :class:`coopqp.qp_law.level.Step`, and so on. Z comes from singular
 value decompositions, which tolerate redundant rows: of the loops, then of what the tasks add to
 them. At a singular pose that has directions which are noise, and would freeze another motion in
-each tick. Such a direction is released gradually: motion along it costs MOST_DAMPING
-(sigma / NOISE)^6; a threshold alone would let stretched arms oscillate between this level and those
-before it. The power is high because rows may lack MET, which along the direction is MET / sigma.
+each tick. Such a direction is released gradually, at the cost MOST_DAMPING s^6 / (1 - s^6) with
+s = sigma / NOISE; a threshold alone would let stretched arms oscillate between this level and those
+before it. The power is high because rows may lack MET, along the direction MET / sigma.
 
-For a unit of joint motion the rows turn by L / sigma, fast near a singularity. A level with
-multipliers y on them must therefore take short steps: y L / sigma adds to its damping, like the
-second derivative of its own tasks (:class:`coopqp.qp_law.equations.Damping`), up to MOST_DAMPING;
-beyond it the level's step is shortened instead.
+For a unit of joint motion the rows turn by L / sigma, fast near a singularity. Multipliers y on
+them call for short steps: y L / sigma adds to the level's damping, like second derivatives of tasks
+(:class:`coopqp.qp_law.equations.Damping`), up to MOST_DAMPING; beyond it the step is shortened.
 """
 
 from __future__ import annotations
@@ -38,8 +37,8 @@ from coopqp.task import Task, TaskStack
 
 SAMPLES = 6  # configurations at which ranks are taken, beside the start
 #: Singular values of task rows up to the first ask for nothing, from there to the second in part
-#: [m/rad, 1].
-IDLE, NOISE = 1e-8, 1e-6
+#: [m/rad, 1]; what these cost is MOST_DAMPING over WALL at most.
+IDLE, NOISE, WALL = 1e-8, 1e-6, 1e-5
 
 
 class Order:
@@ -117,7 +116,8 @@ class LaterLevel(Step):
             return v, Status.INACCURATE
         sizes, ways = directions(decided.dot(loops.T))
         rank, ways = int(np.count_nonzero(sizes > NOISE)), ways.dot(loops)
-        free, held = ways[rank:], MOST_DAMPING * (np.maximum(sizes[rank:] - IDLE, 0.0) / NOISE) ** 6
+        free, part = ways[rank:], (np.maximum(sizes[rank:] - IDLE, 0.0) / (NOISE - IDLE)) ** 6
+        held = MOST_DAMPING * part / np.maximum(1.0 - part, WALL)
         found = self.step(v, free, d, held)
         made = self.v - v
         y = np.concatenate([ways[:rank].dot(self.slope), held * free.dot(made)])

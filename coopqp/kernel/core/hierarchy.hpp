@@ -55,16 +55,15 @@ class Hierarchy {
         for (int s = 0; s < decided; s++) {
             const double size = sigma_[std::size_t(s)];
             if (!(size > IDLE && size <= NOISE)) continue;
-            const double part = (size - IDLE) / NOISE;
-            const double root = std::sqrt(MOST_DAMPING) * part * part * part;
+            const double part = std::pow((size - IDLE) / (NOISE - IDLE), 6);
+            const double root = std::sqrt(MOST_DAMPING * part / std::max(1.0 - part, WALL));
             clear(t_, blocks_);
             add(t_, direction(s), root / size, blocks_of(decided));
             to_z(t_, H_ + held * width_);
             held_pull_[std::size_t(held++)] = root / size;
         }
     }
-    // Row of a held direction, in coordinates of z, and what it pulls at those decided by what of it
-    // is moved.
+    // Row of a held direction, in coordinates of z; what it pulls at those decided, per motion.
     const double* held_row(int i) const { return H_ + i * width_; }
     double held_pull(int i) const { return held_pull_[std::size_t(i)]; }
 

@@ -29,6 +29,7 @@ constexpr double DECIDED = 1e-07;
 // coopqp.qp_law.priorities
 constexpr double IDLE = 1e-08;
 constexpr double NOISE = 1e-06;
+constexpr double WALL = 1e-05;
 
 // coopqp.qp_law.safety
 constexpr double HALVINGS = 20.0;
