@@ -44,13 +44,13 @@ def after(chatter: float, velocities: Sequence[tuple[float, float]], chain: Clos
     return float(state.memory["chatter"][0])
 
 
-def test_damping_grows_by_half_a_swing_up_to_sixteen_times(chain: ClosedChain) -> None:
+def test_damping_grows_by_half_up_to_sixteen_times(chain: ClosedChain) -> None:
     back_and_forth = [(0.1, 0.0), (-0.1, 0.0)] * 8
     assert [after(0.0, back_and_forth[: k + 3], chain) for k in range(3)] == [0.5, 1.25, 2.375]
     assert after(0.0, back_and_forth, chain) == 15.0
 
 
-def test_swing_beside_a_joint_that_goes_on_much_faster_is_seen(chain: ClosedChain) -> None:
+def test_chatter_beside_a_joint_that_goes_on_much_faster_is_seen(chain: ClosedChain) -> None:
     assert after(0.0, [(0.001, 1.0), (-0.001, 1.0), (0.001, 1.0)], chain) == 0.5
 
 
@@ -64,7 +64,7 @@ def test_swing_beside_a_joint_that_goes_on_much_faster_is_seen(chain: ClosedChai
         [(0.1, 0.1), (-0.1, 0.1), (-0.1, -0.1)],  # one joint after the other
     ],
 )
-def test_what_is_no_swing_lets_it_fade(
+def test_what_is_no_chatter_lets_it_fade(
     velocities: list[tuple[float, float]], chain: ClosedChain
 ) -> None:
     assert after(0.0, velocities, chain) == 0.0
@@ -92,19 +92,19 @@ def ticked(
 
 
 @both_engines
-def test_swing_is_damped_as_by_a_larger_error_damping(
+def test_chatter_is_damped_as_by_a_larger_error_damping(
     engine: Literal["python", "auto"], chain: ClosedChain
 ) -> None:
     near = PointOnPlane(name="near", normal=(0, 0, 1), through=NEAR, profile=STEP)
     asked, law = problem(chain, near), QPController(engine=engine)
     calmer = ticked(QPController(engine=engine, error_damping=1.5), asked, "chatter", 0.0)
-    swung = ticked(law, asked, "chatter", [2.0, *[0.0] * chain.n])
-    np.testing.assert_allclose(swung, calmer, rtol=0.0, atol=1e-12)
-    assert np.linalg.norm(swung - ticked(law, asked, "chatter", 0.0)) > 1e-6
+    damped = ticked(law, asked, "chatter", [2.0, *[0.0] * chain.n])
+    np.testing.assert_allclose(damped, calmer, rtol=0.0, atol=1e-12)
+    assert np.linalg.norm(damped - ticked(law, asked, "chatter", 0.0)) > 1e-6
 
 
 @both_engines
-def test_joint_objective_that_swings_is_slower(
+def test_joint_objective_that_chatters_is_slower(
     engine: Literal["python", "auto"], chain: ClosedChain
 ) -> None:
     alone = problem(chain, secondary=[JointCentering(name="centre", gain=0.5)])
