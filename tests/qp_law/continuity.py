@@ -99,6 +99,7 @@ def optimum_moves(law: Law, left: Left) -> float:
     kept = tuple(task for task in law.problem.secondary if task in groups)
     decided = replace(law.problem, secondary=kept)
     with ExitStack() as stack:
+        stack.enter_context(np.errstate(invalid="ignore"))  # beside the first tick dampings are < 0
         for module, digits in SHARP.items():
             stack.enter_context(patch.multiple(module, **digits))
         for side, way in zip(left.sides, (-left.step, left.step), strict=True):
