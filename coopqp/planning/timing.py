@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
-from coopqp.planning.closed_path import Loops, closed_path
-from coopqp.planning.path_constraints import RowMaker, joint_bounds, motion_bounds
-from coopqp.planning.time_along import POINTS, fastest
+from coopqp.planning.closed_path import ClosedPath, Loops, closed_path
+from coopqp.planning.path_constraints import Bounds, RowMaker, joint_bounds, motion_bounds
+from coopqp.planning.time_along import POINTS, TimedPath, fastest
 from coopqp.planning.verification import lengths
+from coopqp.scenario.scenario import MOST_KEPT
 
 #: Where no limit bounds accelerations, the highest speed is there after so long [s].
 TO_SPEED = 0.3
@@ -32,6 +33,9 @@ def timed(
     Corners are rounded as far as ``allowed`` gives what is near it on the manifold and keeps the
     limits in space; where it never does, the straight lines are followed. All goes slower where
     ticks ask for more than the limits.
+
+    Raises:
+        InvalidValueError: nothing near the path may be followed, or its ticks are too many to keep.
     """
     chain, dt = problem.chain, problem.dt
     best, least = q[:1].copy(), np.inf
@@ -39,12 +43,7 @@ def timed(
         return np.zeros(1), best
     speed, push = joint_limits(problem)
     bounds = motion_bounds(problem, speed, push, SHARE)
-    for rounded in ROUNDED:
-        try:
-            path = closed_path(chain, q, rounded)
-            found = fastest(RowMaker(path, bounds), max(POINTS, int(path.length / rounded)))
-        except InvalidValueError:
-            continue
+    for rounded, path, found in _profiles(problem, q, bounds):
         slower = 1.0
         for _ in range(SLOWER):
             ticks = dt * np.arange(int(np.ceil(slower * found.duration / dt)) + 1)
@@ -62,7 +61,27 @@ def timed(
             if excess <= 1.0:
                 return np.asarray(ticks, float), near
             slower *= 1.01 * np.sqrt(excess)
+    if least == np.inf:
+        raise InvalidValueError("plan: a path was found, but nothing near it is free at ticks")
     return np.asarray(dt * np.arange(len(best)), float), best
+
+
+def _profiles(
+    problem: ControlProblem, q: Array, bounds: Bounds
+) -> Iterator[tuple[float, ClosedPath, TimedPath]]:
+    """Ways over which corners are rounded, with path and timing, where there are such."""
+    for rounded in ROUNDED:
+        try:
+            path = closed_path(problem.chain, q, rounded)
+            found = fastest(RowMaker(path, bounds), max(POINTS, int(path.length / rounded)))
+        except InvalidValueError:
+            continue
+        if found.duration / problem.dt * problem.chain.n > MOST_KEPT:
+            raise InvalidValueError(
+                f"plan: the way lasts {found.duration:.3g} s, more ticks than are kept; limits of "
+                "speeds and accelerations have to be larger"
+            )
+        yield rounded, path, found
 
 
 def _excess(q: Array, push: Array, dt: float) -> float:
