@@ -310,10 +310,8 @@ class Planner:
             why = why or explained(goals).sentence
         if not goals.found:
             if goals.cut_off:
-                all_of_them = (
-                    f"all {len(goals.cut_off)} goal configurations from {goals.tried} starts"
-                )
-                why = f"not found: {all_of_them} are where no motion leads: {CUT_OFF}"
+                them = f"all {len(goals.cut_off)} goal configurations from {goals.tried} starts"
+                why = f"not found: {them} are where no motion leads: {CUT_OFF}"
             return np.zeros((0, n)), why
         lost = "no goal configuration keeps the tasks that are to be kept"
         ends = self._ordered(goals)

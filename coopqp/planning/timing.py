@@ -32,10 +32,7 @@ def timed(
 
     Corners are rounded as far as ``allowed`` gives what is near it on the manifold and keeps the
     limits in space; where it never does, the straight lines are followed. All goes slower where
-    ticks ask for more than the limits.
-
-    Raises:
-        InvalidValueError: nothing near the path may be followed, or its ticks are too many to keep.
+    ticks ask for more than the limits. Errors where nothing can be followed, or ticks are too many.
     """
     chain, dt = problem.chain, problem.dt
     best, least = q[:1].copy(), np.inf
@@ -77,10 +74,8 @@ def _profiles(
         except InvalidValueError:
             continue
         if found.duration / problem.dt * problem.chain.n > MOST_KEPT:
-            raise InvalidValueError(
-                f"plan: the way lasts {found.duration:.3g} s, more ticks than are kept; limits of "
-                "speeds and accelerations have to be larger"
-            )
+            words = "more ticks than are kept; let joints go faster"
+            raise InvalidValueError(f"plan: the way lasts {found.duration:.3g} s, {words}")
         yield rounded, path, found
 
 

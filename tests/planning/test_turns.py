@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+from attitudes import MEET, Arm, is_cut_off, nearest
 from scenario_files import needs_robots
 from side_by_side import needs_kernel
 
@@ -17,6 +18,7 @@ from coopqp.planning.plan import Planner, plan
 from coopqp.planning.reach import reach
 from coopqp.planning.turns import cut_off, parts
 from coopqp.scenario.loader import load
+from coopqp.tasks import PointOnPoint
 
 pytestmark = [needs_kernel, needs_robots]
 
@@ -89,3 +91,41 @@ def test_plans_go_to_configurations_that_are_not_cut_off() -> None:
     assert f"; {told.sum()} of them no motion leads to: from the start's" in found.sentence
     way = plan(scenario, budget=Budget(seconds=60.0))
     assert not cut_off(chain, way.q).any()
+
+
+#: Two of the goals of ``benchmarks/planning.py`` behind NAO's back, and one in front of it.
+BEHIND = [(-0.1533, -0.0148, 0.0693), (-0.1572, 0.0041, 0.0763)]
+AHEAD = [(0.13, 0.05, 0.03)]
+
+
+def test_attitudes_at_a_goal_are_pinocchios() -> None:
+    chain = load("point_on_point").problem().chain
+    goal, data = np.array(BEHIND[0]), chain.model.createData()
+    for frame in chain.frames:
+        arm = Arm(chain, frame)
+        rows = arm.configurations(goal)[::50]
+        assert len(rows) > 10
+        for row, lift in zip(rows, arm.attitudes(rows), strict=True):
+            q = chain.q_start.copy()
+            q[arm.columns] = row
+            pin.framesForwardKinematics(chain.model, data, q)
+            np.testing.assert_allclose(data.oMf[frame].translation, goal, atol=1e-12)
+            np.testing.assert_allclose(
+                pin.Quaternion(lift).matrix(), data.oMf[frame].rotation, atol=1e-12
+            )
+
+
+@pytest.mark.parametrize("goal", BEHIND)
+def test_behind_naos_back_no_configuration_is_in_the_starts_part(goal: tuple[float, ...]) -> None:
+    """By surfaces of attitudes, which know nothing of Newton steps, and by random starts."""
+    scenario = load("point_on_point")
+    chain = scenario.problem().chain
+    assert is_cut_off(chain, np.array(goal))
+    found = reach(replace(scenario, tasks=(PointOnPoint(name="reach", goal=list(goal)),)))
+    assert found.found
+    assert all(one.cut_off for one in found.found)
+
+
+@pytest.mark.parametrize("goal", AHEAD)
+def test_in_front_of_nao_the_surfaces_meet_in_the_starts_part(goal: tuple[float, ...]) -> None:
+    assert nearest(load("point_on_point").problem().chain, np.array(goal))[0] < MEET
