@@ -58,7 +58,7 @@ def timed(
             if excess <= 1.0:
                 return np.asarray(ticks, float), near
             slower *= 1.01 * np.sqrt(excess)
-    if least == np.inf:
+    if least == np.inf and lengths(q)[-1] > 1e-6:  # else it stands still
         raise InvalidValueError("plan: a path was found, but nothing near it is free at ticks")
     return np.asarray(dt * np.arange(len(best)), float), best
 
