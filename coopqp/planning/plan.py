@@ -379,17 +379,15 @@ class Planner:
         t, ticks = timed(self.problem, found.q, self._allowed)
         if len(t) < 2:  # the start is a goal: a file of it is read back as others
             t, ticks = np.array([0.0, self.problem.dt]), np.repeat(ticks, 2, axis=0)
-        poses = [self.chain.object_pose(row) for row in ticks]
-        at = [[*X.translation, *quaternion_of(X.rotation)] for X in poses]
-        sentence = f"{found.sentence}; it lasts {t[-1]:.3g} s"
-        return replace(found, sentence=sentence, t=t, timed=ticks, object=np.array(at))
+        poses = map(self.chain.object_pose, ticks)
+        at = np.array([[*X.translation, *quaternion_of(X.rotation)] for X in poses])
+        lasts = f"{found.sentence}; it lasts {t[-1]:.3g} s"
+        return replace(found, sentence=lasts, t=t, timed=ticks, object=at)
 
     def _allowed(self, q: Array) -> Array | None:
         """Rows near the path on the manifold; None where one is not, or something is in the way."""
         near = q.copy()
-        if not (self.space.project(near).all() and self.space.is_free(near).all()):
-            return None
-        return near
+        return near if self.space.project(near).all() and self.space.is_free(near).all() else None
 
     def _nothing(self, why: str, took: dict[str, float]) -> Plan:
         n = self.chain.n

@@ -10,7 +10,7 @@ from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.planning.closed_path import ClosedPath, Loops, closed_path
-from coopqp.planning.path_constraints import Bounds, RowMaker, joint_bounds, motion_bounds
+from coopqp.planning.path_constraints import RowMaker, joint_bounds, motion_bounds
 from coopqp.planning.time_along import POINTS, TimedPath, fastest
 from coopqp.planning.verification import lengths
 from coopqp.scenario.scenario import MOST_KEPT
@@ -38,9 +38,8 @@ def timed(
     best, least = q[:1].copy(), np.inf
     if len(q) < 2:
         return np.zeros(1), best
-    speed, push = joint_limits(problem)
-    bounds = motion_bounds(problem, speed, push, SHARE)
-    for rounded, path, found in _profiles(problem, q, bounds):
+    _, push = joint_limits(problem)
+    for rounded, path, found in _profiles(problem, q):
         slower = 1.0
         for _ in range(SLOWER):
             ticks = dt * np.arange(int(np.ceil(slower * found.duration / dt)) + 1)
@@ -63,10 +62,9 @@ def timed(
     return np.asarray(dt * np.arange(len(best)), float), best
 
 
-def _profiles(
-    problem: ControlProblem, q: Array, bounds: Bounds
-) -> Iterator[tuple[float, ClosedPath, TimedPath]]:
+def _profiles(problem: ControlProblem, q: Array) -> Iterator[tuple[float, ClosedPath, TimedPath]]:
     """Ways over which corners are rounded, with path and timing, where there are such."""
+    bounds = motion_bounds(problem, *joint_limits(problem), SHARE)
     for rounded in ROUNDED:
         try:
             path = closed_path(problem.chain, q, rounded)
