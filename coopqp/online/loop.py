@@ -366,8 +366,7 @@ class OnlineLoop:
             object_pose: where the object was measured, as in :meth:`Scenario.placed`.
 
         Raises:
-            CoopqpError: q or the pose is none, the object cannot be held so, or nothing can be
-                written.
+            CoopqpError: q or the pose is none, the object cannot be held so, nothing is written.
         """
         pose = None if object_pose is None else pose_of(object_pose, self._given.chain)
         if self.begun:

@@ -145,8 +145,7 @@ class Holding:
 
     brings them, so that none turns back, and keeps them there; gravity, cones, limits and wanted
     internal wrenches are those of the problem. It goes on with what the integral of the law has
-    learned, such as a heavier object. While nothing is measured the joints are taken to move like
-    that, too.
+    learned, such as a heavier object. Without a reading joints are taken to move so, too.
     """
 
     def __init__(self, own: Law) -> None:

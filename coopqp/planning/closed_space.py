@@ -97,9 +97,10 @@ class ClosedSpace:
         tasks = tuple(task.at_goal() for task in tasks)  # the kernel has not every profile
         self._tasks, self._t = tasks, t
         programs = self.programs = [limit.program(chain, problem.dt) for limit in problem.limits]
-        self.room = Room(problem, programs)
-        self.lower = np.maximum(self.room.lower, -LARGE)
-        self.upper = np.minimum(self.room.upper, LARGE)
+        room = self.room = Room(problem, programs)
+        room.lower = np.maximum(room.lower, chain.lower)  # verdicts look at ranges in any case
+        room.upper = np.minimum(room.upper, chain.upper)
+        self.lower, self.upper = np.maximum(room.lower, -LARGE), np.minimum(room.upper, LARGE)
         distances = [program for program in programs if isinstance(program, DistanceBounds)]
         self._apart = FreeSpace(chain, distances)
         self._others = others(problem, programs)

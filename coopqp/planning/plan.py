@@ -104,8 +104,7 @@ def plan(
             with the arms that hold the object then.
         goals: closed configurations of the first phase, shape (k, n), which is planned for alone;
             those that meet the tasks when omitted.
-        keep: names of tasks that are met at the start and stay so along the way; in phases, where
-            they are.
+        keep: names of tasks met at the start that stay so all the way; in phases, where they are.
         budget: what it may cost, or the seconds that it may take with the scenario's seed.
         progress: called with the share of the time that is gone.
 
@@ -310,10 +309,8 @@ class Planner:
             why = why or explained(goals).sentence
         if not goals.found:
             if goals.cut_off:
-                all_of_them = (
-                    f"all {len(goals.cut_off)} goal configurations from {goals.tried} starts"
-                )
-                why = f"not found: {all_of_them} are where no motion leads: {CUT_OFF}"
+                them = f"all {len(goals.cut_off)} goal configurations from {goals.tried} starts"
+                why = f"not found: {them} are where no motion leads: {CUT_OFF}"
             return np.zeros((0, n)), why
         lost = "no goal configuration keeps the tasks that are to be kept"
         ends = self._ordered(goals)
@@ -381,17 +378,15 @@ class Planner:
         t, ticks = timed(self.problem, found.q, self._allowed)
         if len(t) < 2:  # the start is a goal: a file of it is read back as others
             t, ticks = np.array([0.0, self.problem.dt]), np.repeat(ticks, 2, axis=0)
-        poses = [self.chain.object_pose(row) for row in ticks]
-        at = [[*X.translation, *quaternion_of(X.rotation)] for X in poses]
-        sentence = f"{found.sentence}; it lasts {t[-1]:.3g} s"
-        return replace(found, sentence=sentence, t=t, timed=ticks, object=np.array(at))
+        poses = map(self.chain.object_pose, ticks)
+        at = np.array([[*X.translation, *quaternion_of(X.rotation)] for X in poses])
+        lasts = f"{found.sentence}; it lasts {t[-1]:.3g} s"
+        return replace(found, sentence=lasts, t=t, timed=ticks, object=at)
 
     def _allowed(self, q: Array) -> Array | None:
         """Rows near the path on the manifold; None where one is not, or something is in the way."""
         near = q.copy()
-        if not (self.space.project(near).all() and self.space.is_free(near).all()):
-            return None
-        return near
+        return near if self.space.project(near).all() and self.space.is_free(near).all() else None
 
     def _nothing(self, why: str, took: dict[str, float]) -> Plan:
         n = self.chain.n

@@ -255,8 +255,7 @@ def time_along(
             ``WRENCH`` if omitted, ``PRESSING`` where hands press.
         safety: by which the friction of hands that press is divided.
         speed: along the path at its beginning and its end, the joints' speed |v| [rad/s].
-        rise: time over which accelerations change [s], since servos do not follow jumps; from rest
-            to rest.
+        rise: time over which accelerations change [s], as servos do not follow jumps; rest to rest.
         controller: of a recorded run; the first if omitted.
 
     Raises:

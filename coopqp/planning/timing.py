@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
-from coopqp.planning.closed_path import Loops, closed_path
+from coopqp.planning.closed_path import ClosedPath, Loops, closed_path
 from coopqp.planning.path_constraints import RowMaker, joint_bounds, motion_bounds
-from coopqp.planning.time_along import POINTS, fastest
+from coopqp.planning.time_along import POINTS, TimedPath, fastest
 from coopqp.planning.verification import lengths
+from coopqp.scenario.scenario import MOST_KEPT
 
 #: Where no limit bounds accelerations, the highest speed is there after so long [s].
 TO_SPEED = 0.3
@@ -31,20 +32,14 @@ def timed(
 
     Corners are rounded as far as ``allowed`` gives what is near it on the manifold and keeps the
     limits in space; where it never does, the straight lines are followed. All goes slower where
-    ticks ask for more than the limits.
+    ticks ask for more than the limits. Errors where nothing can be followed, or ticks are too many.
     """
     chain, dt = problem.chain, problem.dt
     best, least = q[:1].copy(), np.inf
     if len(q) < 2:
         return np.zeros(1), best
-    speed, push = joint_limits(problem)
-    bounds = motion_bounds(problem, speed, push, SHARE)
-    for rounded in ROUNDED:
-        try:
-            path = closed_path(chain, q, rounded)
-            found = fastest(RowMaker(path, bounds), max(POINTS, int(path.length / rounded)))
-        except InvalidValueError:
-            continue
+    _, push = joint_limits(problem)
+    for rounded, path, found in _profiles(problem, q):
         slower = 1.0
         for _ in range(SLOWER):
             ticks = dt * np.arange(int(np.ceil(slower * found.duration / dt)) + 1)
@@ -62,7 +57,24 @@ def timed(
             if excess <= 1.0:
                 return np.asarray(ticks, float), near
             slower *= 1.01 * np.sqrt(excess)
+    if least == np.inf and lengths(q)[-1] > 1e-6:  # else it stands still
+        raise InvalidValueError("plan: a path was found, but nothing near it is free at ticks")
     return np.asarray(dt * np.arange(len(best)), float), best
+
+
+def _profiles(problem: ControlProblem, q: Array) -> Iterator[tuple[float, ClosedPath, TimedPath]]:
+    """Ways over which corners are rounded, with path and timing, where there are such."""
+    bounds = motion_bounds(problem, *joint_limits(problem), SHARE)
+    for rounded in ROUNDED:
+        try:
+            path = closed_path(problem.chain, q, rounded)
+            found = fastest(RowMaker(path, bounds), max(POINTS, int(path.length / rounded)))
+        except InvalidValueError:
+            continue
+        if found.duration / problem.dt * problem.chain.n > MOST_KEPT:
+            words = "more ticks than are kept; let joints go faster"
+            raise InvalidValueError(f"plan: the way lasts {found.duration:.3g} s, {words}")
+        yield rounded, path, found
 
 
 def _excess(q: Array, push: Array, dt: float) -> float:

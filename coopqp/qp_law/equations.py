@@ -44,8 +44,7 @@ class Damping:
     That holds of each level alone. Two that share one nearly singular direction may overshoot
     together: then joints reverse in tick after tick, and all damping grows (:func:`note_chatter`).
 
-    ``least`` is d without curvature, ``share`` c of the damping that rules out any overshoot, dt in
-    s.
+    ``least`` is d without curvature, ``share`` c of what rules out any overshoot, dt in s.
     """
 
     least: float

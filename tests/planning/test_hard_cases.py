@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from unittest.mock import patch
@@ -139,3 +140,39 @@ def test_a_goal_in_something_is_refused() -> None:
     hit = q[~planner.space.is_free(q)][0]
     with pytest.raises(CoopqpError, match=r"goals\[0\]: is open, outside a limit, or in something"):
         planner.plan(AMPLE, hit)
+
+
+@pytest.mark.parametrize(
+    "limits", [["joint_velocity"], [{"joint_velocity": {"scale": 0.1}}], ["self_collision"]]
+)
+def test_ranges_that_no_limit_names_are_kept(limits: list[object]) -> None:
+    """Verdicts look at them in any case; the way moves at the speeds that the limits allow."""
+    scenario = _nao(limits)
+    way, chain = plan(scenario, budget=Budget(seconds=60.0)), scenario.chain
+    assert way.found, way.sentence
+    _check(way, chain, way.q[-1])
+    np.testing.assert_allclose(way.timed[-1], way.q[-1], atol=1e-6)
+    share = 0.1 if "scale" in str(limits) else 1.0
+    assert (np.abs(np.diff(way.timed, axis=0)) / scenario.dt <= share * chain.velocity).all()
+    ends = np.array([one.q for one in reach(scenario).found])
+    assert len(ends)
+    assert (np.clip(ends, chain.lower, chain.upper) == ends).all()
+
+
+def test_ways_that_last_too_long_to_be_kept_are_refused() -> None:
+    with pytest.raises(CoopqpError, match="s, more ticks than are kept"):
+        plan(_nao([{"joint_acceleration": {"max": 1e-9}}]), budget=Budget(seconds=60.0))
+
+
+def _nao(limits: list[object]) -> Scenario:
+    text = f"""
+        robot: nao_t14
+        grasp: rigid
+        start: {{right: [0.7, -0.2, 1.2, 0.9, 0.1], left: [0.7, 0.2, -1.2, -0.9, -0.1]}}
+        tasks: [point_on_point: {{goal: [0.15, 0.03, 0.05]}}]
+        limits: {json.dumps(limits)}
+        controllers: [qp]
+        dt: 0.01
+        duration: 2.0
+    """
+    return load_text(Path("nao.yaml"), text, load("point_on_point").catalog)
