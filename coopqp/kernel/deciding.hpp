@@ -81,6 +81,9 @@ class Engine {
         gap_ = of("gap");
         felt_ = of("felt");
         b.v = of("command");
+        std::size_t size = 0;
+        each_of_memory([&size](const double*, std::size_t n) { size += n; });
+        memory_.resize(size);
         state_ = d;
         return true;
     }
@@ -354,9 +357,9 @@ class Engine {
         each(bound.chatter, 1 + kernel_->model().joints.size());
     }
     void keep_memory() {
-        memory_.clear();
-        each_of_memory([this](const double* from, std::size_t n) {
-            memory_.insert(memory_.end(), from, from + n);
+        double* kept = memory_.data();
+        each_of_memory([&kept](const double* from, std::size_t n) {
+            for (std::size_t k = 0; k < n; k++) *kept++ = from[k];
         });
     }
     void restore_memory() const {
