@@ -67,8 +67,7 @@ class Primitive:
         goal: of a rotation, in the reference's axes.
         phi: rotation vector from start to goal [rad].
         Q_start: orientation at the start, shape (3, 3).
-        length: a distance [m]; for a barrier, where its slope stops to grow; for manipulability,
-            m_0.
+        length: a distance [m]; of a barrier, where its slope stops to grow; of manipulability m_0.
         velocity: of a twist, six numbers [m/s, rad/s].
         planar: for a distance, whether it is measured in the plane of the reference's first two
             axes; for a twist, whether it is along the object's axes.

@@ -2,8 +2,7 @@
 
     e = 0,   J = I,   rate = 0
 
-so that the least sum of squared joint velocities does what the tasks ask for. The gain is without
-effect.
+so that the least sum of squared joint velocities does what the tasks ask for; without a gain.
 """
 
 from __future__ import annotations

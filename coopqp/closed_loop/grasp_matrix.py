@@ -103,8 +103,7 @@ def virtual_inertia(
 ) -> Split:
     """Erhart and Hirche's split: hands as free bodies of virtual mass [kg] and inertia [kg m2].
 
-    Of masses and inertias, each of shape (N,), only ratios count; inertias are about the hand's own
-    point.
+    Of masses and inertias, each of shape (N,), only ratios count; inertias are about hands' points.
 
     Raises:
         InvalidValueError: masses or inertias that are not positive, or not one a hand.

@@ -74,8 +74,7 @@ class State:
             relative displacement of hands that squeeze by admittance.
         drift: loop_error - gap, what the Baumgarte stabilisation has to correct, shape (6 L,).
         closed_error: the part of drift that belongs to closed loops.
-        q_measured: measured joint positions, shape (n,); None where joints follow their commands
-            exactly.
+        q_measured: measured joint positions, shape (n,); None where they are the commanded.
         hand_wrench: measured wrenches of the hands on the object, by the robot's arms, each at its
             hand's point, world axes, shape (6 N,) [N, N m]; None where there are none.
         felt: what the observer of the gap knows: the object's weight that the servos carry [N], NaN

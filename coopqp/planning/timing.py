@@ -34,21 +34,21 @@ def timed(
     limits in space; where it never does, the straight lines are followed. All goes slower where
     ticks ask for more than the limits. Errors where nothing can be followed, or ticks are too many.
     """
-    chain, dt = problem.chain, problem.dt
+    chain, dt, way = problem.chain, problem.dt, lengths(q)
     best, least = q[:1].copy(), np.inf
     if len(q) < 2:
         return np.zeros(1), best
     _, push = joint_limits(problem)
-    for rounded, path, found in _profiles(problem, q):
+    for path, found, straight in _rounded(problem, q, allowed):
+        if found.duration / dt * chain.n > MOST_KEPT:
+            raise InvalidValueError(f"plan: the way lasts {found.duration:.3g} s: too many ticks")
         slower = 1.0
         for _ in range(SLOWER):
             ticks = dt * np.arange(int(np.ceil(slower * found.duration / dt)) + 1)
             at = np.array([found.where(t / slower)[0] for t in ticks.tolist()])
-            near = allowed(path.spline(at))
-            if near is None and rounded == ROUNDED[-1]:
-                way = lengths(q)
-                at *= way[-1] / path.length
-                near = allowed(np.array([np.interp(at, way, column) for column in q.T]).T)
+            along = at * way[-1] / path.length
+            lines = np.array([np.interp(along, way, column) for column in q.T]).T
+            near = allowed(lines if straight else path.spline(at))
             if near is None:
                 break
             excess = max(_excess(near, push, dt), Loops(chain).opened(near) / SHARE)
@@ -57,24 +57,27 @@ def timed(
             if excess <= 1.0:
                 return np.asarray(ticks, float), near
             slower *= 1.01 * np.sqrt(excess)
-    if least == np.inf and lengths(q)[-1] > 1e-6:  # else it stands still
+    if least == np.inf and way[-1] > 1e-6:  # else it stands still
         raise InvalidValueError("plan: a path was found, but nothing near it is free at ticks")
     return np.asarray(dt * np.arange(len(best)), float), best
 
 
-def _profiles(problem: ControlProblem, q: Array) -> Iterator[tuple[float, ClosedPath, TimedPath]]:
-    """Ways over which corners are rounded, with path and timing, where there are such."""
-    bounds = motion_bounds(problem, *joint_limits(problem), SHARE)
+def _rounded(
+    problem: ControlProblem, q: Array, allowed: Callable[[Array], Array | None]
+) -> Iterator[tuple[ClosedPath, TimedPath, bool]]:
+    """Paths with corners that are rounded less and less, where allowed; at last straight lines."""
+    bounds, widest = motion_bounds(problem, *joint_limits(problem), SHARE), None
     for rounded in ROUNDED:
         try:
             path = closed_path(problem.chain, q, rounded)
-            found = fastest(RowMaker(path, bounds), max(POINTS, int(path.length / rounded)))
+            widest = widest or path
+            at = np.linspace(0.0, path.length, int(path.length / rounded) + 2)
+            if allowed(path.spline(at)) is not None:
+                yield path, fastest(RowMaker(path, bounds), POINTS), False
         except InvalidValueError:
             continue
-        if found.duration / problem.dt * problem.chain.n > MOST_KEPT:
-            words = "more ticks than are kept; let joints go faster"
-            raise InvalidValueError(f"plan: the way lasts {found.duration:.3g} s, {words}")
-        yield rounded, path, found
+    if widest:
+        yield widest, fastest(RowMaker(widest, bounds), POINTS), True
 
 
 def _excess(q: Array, push: Array, dt: float) -> float:

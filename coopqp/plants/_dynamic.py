@@ -139,8 +139,7 @@ class DynamicModel(PlantModel):
             [J]; ``push`` (6,), on the object at the end of the period [N, N m].
 
     Raises:
-        InvalidValueError: the time step does not divide the control period, or the robot has no
-            mass.
+        InvalidValueError: the time step does not divide the control period; a robot without mass.
     """
 
     def __init__(

@@ -55,8 +55,7 @@ def notes(
 
     Before it come goals that are far or out of every motion's way; after it priorities without
     effect, that the kernel is not built, what limits cannot bound, pads that reach beyond the
-    object, hands that are far from it, a freedom that rounded values hide, and what a tick is too
-    long for.
+    object, hands that are far from it, a freedom that rounded values hide, ticks that are too long.
 
     The controllers, the scenario's own when omitted, say what they support; ``steered`` says that
     people send to inputs that nothing feeds.

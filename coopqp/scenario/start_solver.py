@@ -222,8 +222,7 @@ def solve_start(
         fits: what starts should keep beside; the best that does is taken, or the best.
 
     Raises:
-        GraspError: pose or object_in_hand is missing, or an arm cannot reach: which, and how far it
-            gets.
+        GraspError: pose or object_in_hand is missing, or an arm cannot reach: which, how far.
         UnknownNameError: a grasp for an arm that the robot does not have.
     """
     grasp_of = grasp_of_each(robot, grasps)

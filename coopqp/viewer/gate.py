@@ -91,8 +91,7 @@ def own_names(host: str) -> frozenset[str]:
 def guard(host: str, allowed: Sequence[str]) -> list[bool]:
     """Let viser's server, which is begun after this, hear only what is meant for it.
 
-    Returns a list that is not empty once the server has asked; viser has no door of its own to put
-    this at.
+    Returns a list that is not empty once the server has asked; viser has no hook for this.
     """
     import websockets.asyncio.server as server
     from viser import _messages as messages
