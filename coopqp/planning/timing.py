@@ -41,7 +41,8 @@ def timed(
     _, push = joint_limits(problem)
     for path, found, straight in _rounded(problem, q, allowed):
         if found.duration / dt * chain.n > MOST_KEPT:
-            raise InvalidValueError(f"plan: the way lasts {found.duration:.3g} s: too many ticks")
+            words = "more ticks than are kept; let joints go faster"
+            raise InvalidValueError(f"plan: the way lasts {found.duration:.3g} s, {words}")
         slower = 1.0
         for _ in range(SLOWER):
             ticks = dt * np.arange(int(np.ceil(slower * found.duration / dt)) + 1)
