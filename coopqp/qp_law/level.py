@@ -16,8 +16,10 @@ from coopqp.qp_law.equations import SCALE_WEIGHT, Damping
 from coopqp.solver import Solution, Status, Verifier
 from coopqp.task import TaskStack
 
-#: Share of a limit's row that directions see up to which they see nothing of it.
+#: Limits of whose rows directions see a smaller share than this give way, farther and farther,
 DECIDED = 1e-7
+#: and of a smaller one than this ask for nothing.
+UNSEEN = 3e-8
 
 
 @dataclass(frozen=True)
@@ -94,7 +96,7 @@ class Step:
         minimise    sum_i w_i |J_i (v + Z z) - wanted_i|^2 + d |v + Z z|^2 + sum_k held_k z_k^2
         subject to  lb - v <= Z z <= ub - v,   G Z z <= h - G v
 
-    z = 0 is feasible. A limit of which Z leaves next to nothing was decided with v.
+    z = 0 is feasible. A limit of whose row Z sees next to nothing was decided with v and gives way.
 
     It ends at v (n,), with the gradient ``slope`` of tasks and active limits, without damping;
     ``curvature`` is d in the last tick.
@@ -116,14 +118,16 @@ class Step:
         np.dot(Z.dot(JW), tasks.J.dot(seen), out=qp.P)
         qp.P.ravel()[:: len(Z) + 1] += d + held
         qp.q[:] = Z.dot(JW.dot(tasks.J.dot(v) - tasks.wanted) + d * v)
-        rows = C.dot(seen)
+        rows, of_rows = C.dot(seen), np.linalg.norm(C, axis=1)
         sizes = np.linalg.norm(rows, axis=1)
-        decided = sizes <= DECIDED * np.linalg.norm(C, axis=1)
-        rows[decided], sizes[decided] = 0.0, 1.0  # which ask for nothing
+        unseen = sizes <= UNSEEN * of_rows
+        rows[unseen], sizes[unseen] = 0.0, 1.0  # which ask for nothing
         # Rows have length one, or solvers would take short ones for none.
         np.divide(rows, sizes[:, None], out=qp.G)
         slack = np.concatenate([bounds.ub, bounds.h, -bounds.lb]) - C.dot(v)
-        np.divide(np.maximum(slack, 0.0), sizes, out=qp.h)
+        way = DECIDED * of_rows * np.maximum(DECIDED * of_rows - sizes, 0.0)
+        way /= np.maximum(sizes - UNSEEN * of_rows, 1e-300)
+        np.divide(np.maximum(slack, 0.0) + way, sizes, out=qp.h)
         status = program.solve()
         if not status.usable:
             return Status.INACCURATE

@@ -29,7 +29,7 @@ CONSTANTS: Mapping[object, Mapping[str, str]] = {
         )
     },
     nearest: {name: name for name in ("WHOLE", "LITTLE", "SLOW", "LESS", "MET", "ASIDE")},
-    level: {"DECIDED": "DECIDED"},
+    level: {"DECIDED": "DECIDED", "UNSEEN": "UNSEEN"},
     priorities: {"IDLE": "IDLE", "NOISE": "NOISE", "WALL": "WALL"},
     safety: {"HALVINGS": "HALVINGS", "SHORTEST": "SHORTEST"},
     limit_recovery: {name: name for name in ("LEAST_RECOVERY", "LEAST_MOTION", "KEPT")},

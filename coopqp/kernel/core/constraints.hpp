@@ -82,7 +82,7 @@ class Constraints {
                     dot(limits.G + std::size_t(i) * std::size_t(lanes_), nearest.column(a), lanes_ / LANES);
     }
 
-    // Let limits go that later levels hardly move, known by the first columns, of orthonormal
+    // Let limits give way that later levels hardly move, known by the first columns, of orthonormal
     // directions: the levels before have decided them, and what is left of their rows is noise.
     void leave_decided(int columns) {
         const int rows = lanes_ + inequalities_;
@@ -92,10 +92,13 @@ class Constraints {
                 coopqp::lanes(sizes2_)[b] += coopqp::lanes(nearest.column(a))[b] * coopqp::lanes(nearest.column(a))[b];
         for (int i = 0; i < rows; i++) {
             const double* G = limits.G + std::size_t(i - lanes_) * std::size_t(lanes_);
-            const double of_row = i < lanes_ ? 1.0 : dot(G, G, lanes_ / LANES);
-            if (sizes2_[i] >= DECIDED * DECIDED * of_row) continue;
-            nearest.lower[i] = -1e300;
-            nearest.upper[i] = 1e300;
+            const double of_row2 = i < lanes_ ? 1.0 : dot(G, G, lanes_ / LANES);
+            if (sizes2_[i] >= DECIDED * DECIDED * of_row2) continue;
+            const double size = std::sqrt(sizes2_[i]), of_row = std::sqrt(of_row2);
+            const double seen = size - UNSEEN * of_row, width = DECIDED * of_row;
+            const double way = seen > 0.0 ? width * (width - size) / seen : 1e300;
+            nearest.lower[i] -= way;
+            nearest.upper[i] += way;
         }
     }
 

@@ -25,6 +25,7 @@ constexpr double ASIDE = 1000.0;
 
 // coopqp.qp_law.level
 constexpr double DECIDED = 1e-07;
+constexpr double UNSEEN = 3e-08;
 
 // coopqp.qp_law.priorities
 constexpr double IDLE = 1e-08;
