@@ -11,7 +11,7 @@ from coopqp.qp_law.priorities import Order
 from coopqp.task import TaskStack
 
 
-def test_a_limit_gives_way_continuously_as_its_share_vanishes(chain: ClosedChain):
+def test_a_limit_gives_way_continuously_as_its_share_vanishes(chain: ClosedChain) -> None:
     """Joint 0 slows down along a direction that moves joint 1, at its bound, by a small share."""
     problem = laws.problem(chain)
     start = Order(problem).start
