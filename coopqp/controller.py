@@ -413,7 +413,7 @@ class Law(ABC):
         command = Law.step(self, state)
         found.v[k], found.causes[k], found.compiled[k] = command.v, command.causes, self.compiled
         found.scale[k] = command.scale
-        if command.remark:
+        if command.told and command.remark:
             found.notes[k] = command.remark
 
     def step(self, state: State) -> Command:

@@ -18,6 +18,7 @@ from coopqp.model.geometry import Reference
 from coopqp.model.state import State
 from coopqp.program import Programs, sees_twist
 from coopqp.robot import Convex, axis_of
+from coopqp.signal import InputValues, Moment
 from coopqp.task import Task, TaskStack, evaluate_all, levers_of
 
 Flat = dict[str, Any]
@@ -193,6 +194,7 @@ class Levels:
         self.arriving: list[tuple[int, Reference]] = []
         self.followed: list[tuple[int, Reference]] = []
         self._programs, self._start = programs, programs.start
+        self._heard: InputValues | None = None
         self.flat = [self._level(level, group) for level, group in enumerate(groups)]
 
     @property
@@ -207,13 +209,13 @@ class Levels:
         """Move the references that follow signals; kinematics need not be up to date."""
         if not self.followed:
             return
-        state.lock()
-        try:
-            with np.errstate(all="ignore"):
-                for _, reference in self.followed:
-                    reference.update(state)
-        finally:
-            state.unlock()
+        if state.inputs is not self._heard:
+            self._heard = state.inputs
+            self._at = Moment(inputs=state.inputs.shown())
+        self._at.t = state.t
+        with np.errstate(all="ignore"):
+            for _, reference in self.followed:
+                reference.update(self._at)
 
     def update(self, state: State) -> None:
         self.follow(state)
