@@ -207,8 +207,6 @@ class Levels:
 
     def follow(self, state: State) -> None:
         """Move the references that follow signals; kinematics need not be up to date."""
-        if not self.followed:
-            return
         if state.inputs is not self._heard:
             self._heard = state.inputs
             self._at = Moment(inputs=state.inputs.shown())
