@@ -244,11 +244,13 @@ class InputValues(dict[str, Trajectory]):
 class Instant(Protocol):
     """When a signal is asked: the time and what has arrived by then. A ``State`` is one."""
 
-    t: float
-    inputs: InputValues
+    @property
+    def t(self) -> float: ...
+    @property
+    def inputs(self) -> InputValues: ...
 
 
-@dataclass
+@dataclass(frozen=True)
 class Moment:
     """An instant t [s] since the references set out, without a state, for pictures."""
 

@@ -208,12 +208,11 @@ class Levels:
     def follow(self, state: State) -> None:
         """Move the references that follow signals; kinematics need not be up to date."""
         if state.inputs is not self._heard:
-            self._heard = state.inputs
-            self._at = Moment(inputs=state.inputs.shown())
-        self._at.t = state.t
+            self._heard, self._shown = state.inputs, state.inputs.shown()
+        at = Moment(state.t, self._shown)
         with np.errstate(all="ignore"):
             for _, reference in self.followed:
-                reference.update(self._at)
+                reference.update(at)
 
     def update(self, state: State) -> None:
         self.follow(state)
