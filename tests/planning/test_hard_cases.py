@@ -132,6 +132,41 @@ def test_a_start_at_the_goal_is_a_plan_that_is_read_back(tmp_path: Path) -> None
     assert [phase.name for phase in load(path).schedule] == ["way", "goal"]
 
 
+@pytest.mark.parametrize("signs", [(1, 1), (-1, -1), (-1, 1)])
+def test_elbows_go_through_stretched_arms_to_the_other_side(signs: tuple[int, int]) -> None:
+    """The same place with other elbows: they begin at (1, -1), and an arm at 0 is singular."""
+    scenario = load("planar_pair")
+    chain = scenario.chain
+    place = PointOnPoint(name="place", goal=chain.object_pose(chain.q_start).translation.tolist())
+    here = replace(scenario, tasks=(place,))
+    elbows = [chain.joint_names.index(name) for name in ("right_2", "left_2")]
+    assert tuple(np.sign(chain.q_start[elbows])) == (1, -1)
+    end = next(one.q for one in reach(here).found if tuple(np.sign(one.q[elbows])) == signs)
+    found = plan(here, goals=end, budget=AMPLE)
+    assert found.found, found.sentence
+    _check(found, chain, end)
+
+
+#: A second board, 90 mm before the first one; the bar with its distances needs 80 mm.
+FRONT = "front: {box: [0.30, 0.20, 0.02], position: [0.26, 0.45, 0.40]}"
+#: The first one as a mesh, in mm, in a file beside the scenario.
+MESH = "board: {mesh: board.stl, scale: [0.001, 0.001, 0.001], position: [0.65, 0.45, 0.40]}"
+
+
+def test_past_a_mesh_and_a_second_board(tmp_path: Path) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    trimesh.creation.box((300.0, 500.0, 20.0)).export(tmp_path / "board.stl")
+    text = load("shelves").source
+    begin, end = text.index("board: {"), text.index("back: {")
+    text = f"{text[:begin]}{MESH}\n        {FRONT}\n        {text[end:]}"
+    scenario = load_text(tmp_path / "gap.yaml", text, load("shelves").catalog)
+    found = plan(scenario, budget=AMPLE)
+    assert found.found, found.sentence
+    _check(found, scenario.chain, found.q[-1])
+    assert found.verification is not None
+    assert found.verification.good
+
+
 def test_a_goal_in_something_is_refused() -> None:
     problem = load("shelves").problem()
     planner = Planner(problem, 4.0)
