@@ -281,7 +281,8 @@ def goals(name: str, asked: argparse.Namespace) -> None:
 
     rng, count = np.random.default_rng(20261123), Counter[str]()
     seconds, looks, beyond = list[float](), list[float](), 0.0
-    for i, scenario in enumerate(drawn(name, asked.goals, rng)):
+    written = list[dict[str, Any]]()
+    for i, (scenario, q) in enumerate(drawn(name, asked.goals, rng)):
         problem = scenario.problem()
         begun = time.process_time()
         found = coopqp.reach(scenario, seed=i)
@@ -293,6 +294,7 @@ def goals(name: str, asked: argparse.Namespace) -> None:
         way = Planner(problem, scenario.duration).plan(Budget(seed=i))
         seconds.append(time.process_time() - begun)
         count["planned"] += way.found
+        written.append(_goal(scenario, q) | {"planned": way.found, "length": way.length})
         if not way.found:
             print(f"{name} {i}: {way.sentence[:100]}", flush=True)
         if not asked.runs:
@@ -305,6 +307,9 @@ def goals(name: str, asked: argparse.Namespace) -> None:
             count["followed"] += reached
             if not reached:
                 print(f"{name} {i}: planned, but the run does not reach", flush=True)
+    chain = load(name).chain
+    about = {"scenario": name, "joints": chain.joint_names, "start": chain.q_start.tolist()}
+    (asked.out / f"{name}.json").write_text(json.dumps({**about, "goals": written}, indent=1))
     keys = ("reachable", "planned", "followed", "alone", "cut off", "by surfaces")
     told = ", ".join(f"{key} {count[key]}" for key in keys)
     half, p95 = np.percentile(seconds, [50, 95])
@@ -313,6 +318,17 @@ def goals(name: str, asked: argparse.Namespace) -> None:
         f"{np.median(looks):.3f} CPU s, limits exceeded by at most {beyond:.1g}",
         flush=True,
     )
+
+
+def _goal(scenario: Scenario, q: Array) -> dict[str, Any]:
+    """A goal for those who run theirs on it: metres, rad, the world's axes."""
+    walls = [limit for limit in scenario.limits if isinstance(limit, Obstacles)]
+    balls = [one.shapes["ball"] for one in walls if one.name == "ball"]
+    return {
+        "goal_of_object_origin": scenario.tasks[0].goal,
+        "closed_configuration_there": q.tolist(),
+        "ball": {"radius": balls[0].sphere, "center": balls[0].position} if balls else None,
+    }
 
 
 def _run(scenario: Scenario) -> tuple[bool, float]:
@@ -324,7 +340,7 @@ def _run(scenario: Scenario) -> tuple[bool, float]:
 
 
 def drawn(name: str, goals: int, rng: np.random.Generator) -> Any:
-    """Scenarios of a robot with goals that closed, free configurations meet; see the module."""
+    """Scenarios of a robot, each with a closed, free configuration that meets its goal."""
     base = load(name)
     kinds = tuple(type(limit) for limit in base.limits)
     limits = (
@@ -349,7 +365,7 @@ def drawn(name: str, goals: int, rng: np.random.Generator) -> Any:
             profile=Profile(kind="quintic", duration=2.0),
         )  # fmt: skip
         made += 1
-        yield _built(replace(scenario, tasks=(task,), duration=4.0), base)
+        yield _built(replace(scenario, tasks=(task,), duration=4.0), base), q[0]
 
 
 def _built(scenario: Scenario, base: Scenario) -> Scenario:

@@ -64,7 +64,7 @@ class Way {
         found_.nodes = long(trees[0].parent.size() + trees[1].parent.size());
         if (!found_.found) return found_;
         found_.first = length(found_.path);
-        shorten(found_.path);
+        shorten_coarsely(found_.path);
         smooth(found_.path);
         return found_;
     }
@@ -76,6 +76,7 @@ class Way {
     static constexpr double SAME = 1e-6;     // configurations that are one [rad, m]
     static constexpr double NEARLY = 0.999;  // of a part's length, above which it is straight
     static constexpr double WHOLE = 0.5, JOINTS = 0.2;  // shares of shortcuts, of joints in others
+    static constexpr double COARSE = 4.0;    // of `fine`, how far apart points are while it is shortened
     static constexpr int PASSES = 10;        // of smoothing
     static constexpr double RELAXED = 1.2;   // of a step to the middle
     static constexpr double ROUND = 0.5;     // share of samples round a start and a goal
@@ -328,10 +329,33 @@ class Way {
         return false;
     }
 
+    // Shortened on few of its points, between which it is looked at once, at the end; where that
+    // does not stand it is shortened on all of them.
+    void shorten_coarsely(Points& path) {
+        const auto n = std::size_t(n_);
+        Points few = thinned(path, COARSE * s_.fine), made(path.begin(), path.begin() + n_);
+        shorten(few, COARSE * s_.fine);
+        for (std::size_t at = n; at < few.size(); at += n) {
+            if (!between(&few[at - n], &few[at], s_.fine, made)) return shorten(path, s_.fine);
+            made.insert(made.end(), few.begin() + long(at), few.begin() + long(at + n));
+        }
+        path = std::move(made);
+    }
+
+    // Of its points those that are about so far apart; the last one in any case.
+    Points thinned(const Points& path, double step) const {
+        const auto n = std::size_t(n_);
+        Points few(path.begin(), path.begin() + n_);
+        for (std::size_t at = n; at < path.size(); at += n)
+            if (at + 2 * n > path.size() || apart(&few[few.size() - n], &path[at + n]) > step)
+                few.insert(few.end(), path.begin() + long(at), path.begin() + long(at + n));
+        return few;
+    }
+
     // Ways between two points of the path at random, where they are shorter: straight ones, and ones
     // on which some joints go straight and the others as they went (partial shortcuts after
-    // Geraerts and Overmars 2007).
-    void shorten(Points& path) {
+    // Geraerts and Overmars 2007). Their points are at most so far apart as `fine`.
+    void shorten(Points& path, double fine) {
         const auto n = std::size_t(n_);
         std::vector<double> at;  // length up to each point
         for (int i = 0; i < s_.shortcuts && !late(); i++) {
@@ -349,8 +373,8 @@ class Way {
             const std::size_t a = index(std::min(u, v)), b = index(std::max(u, v));
             if (b < a + 2 || apart(&path[a * n], &path[b * n]) > NEARLY * (at[b] - at[a])) continue;
             Points inner;
-            if (random() < WHOLE ? !between(&path[a * n], &path[b * n], s_.fine, inner)
-                                 : !partly(path, at, a, b, inner))
+            if (random() < WHOLE ? !between(&path[a * n], &path[b * n], fine, inner)
+                                 : !partly(path, at, a, b, fine, inner))
                 continue;
             Points made(path.begin(), path.begin() + long((a + 1) * n));
             made.insert(made.end(), inner.begin(), inner.end());
@@ -364,7 +388,7 @@ class Way {
     // From point a to point b of a path with some joints nearer to straight lines, a few points
     // before those between them.
     bool partly(const Points& path, const std::vector<double>& at, std::size_t a, std::size_t b,
-                Points& inner) {
+                double fine, Points& inner) {
         const auto n = std::size_t(n_);
         const double most = at[b] - at[a], by = random() < 0.5 ? 1.0 : random();
         std::vector<double> share(n);
@@ -389,7 +413,7 @@ class Way {
             if (gone + apart(before, end) > most - SAME) return false;
         }
         for (const double* q = first; q < end; q += n) {
-            if (!between(q, q + n, s_.fine, inner)) return false;
+            if (!between(q, q + n, fine, inner)) return false;
             if (q + n < end) inner.insert(inner.end(), q + n, q + 2 * n);
         }
         return true;
