@@ -134,7 +134,9 @@ def worker(clone: Path) -> None:
         if path:
             path = shortcut(path, valid, check_size=1e-2)
             spent = time.process_time() - begun
-            fine = [a + x * (b - a) for a, b in itertools.pairwise(path) for x in np.linspace(0, 1, 50)]
+            fine = [
+                a + x * (b - a) for a, b in itertools.pairwise(path) for x in np.linspace(0, 1, 50)
+            ]
             q = np.array([follower(lead).copy() for lead in fine])
             length = float(np.linalg.norm(np.diff(q, axis=0), axis=1).sum())
         else:
@@ -152,10 +154,14 @@ def _apart(follower: Follower, theirs: Any, leads: np.ndarray) -> float:
         there = np.eye(4)
         there[:3, :3] = X[:3, :3] @ follower.turn
         there[:3, 3] = X[:3, 3] + X[:3, :3] @ GRASP - BASE
-        there[:3, :3] = np.linalg.qr(there[:3, :3])[0] * np.sign(np.diag(np.linalg.qr(there[:3, :3])[1]))
+        there[:3, :3] = np.linalg.qr(there[:3, :3])[0] * np.sign(
+            np.diag(np.linalg.qr(there[:3, :3])[1])
+        )
         q = follower(lead)[7:].copy()
         if (np.abs(follower.cosines) < 1.0 - 1e-3).all():
-            worst = max(worst, float(np.abs(q - theirs.IK(RigidTransform(there), GC, lead[7])).max()))
+            worst = max(
+                worst, float(np.abs(q - theirs.IK(RigidTransform(there), GC, lead[7])).max())
+            )
     return worst
 
 
@@ -171,7 +177,9 @@ def _free(clone: Path) -> Any:
     )
 
     root = Path(tempfile.mkdtemp())
-    for path in (clone / "models").rglob("*"):  # without what is drawn, which is not in the checkout
+    for path in (clone / "models").rglob(
+        "*"
+    ):  # without what is drawn, which is not in the checkout
         to = root / path.relative_to(clone)
         if path.is_file():
             to.parent.mkdir(parents=True, exist_ok=True)
