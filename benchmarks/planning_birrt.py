@@ -1,6 +1,6 @@
 """The shelves beside the planner of those who published them, its inverse kinematics compiled.
 
-    python benchmarks/planning_birrt.py --data shelves.json --scene CLONE --drake PYTHON [--seeds 10]
+    python benchmarks/planning_birrt.py --data shelves.json --scene CLONE --drake PYTHON
 
 CLONE is a checkout of cohnt/constrained-bimanual-planning-example (Cohn et al., ICRA 2024): its
 IK-BiRRT and shortcuts run as they are, with Drake's collision checker, in a Python that has drake,
