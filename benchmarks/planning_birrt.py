@@ -134,10 +134,8 @@ def worker(clone: Path) -> None:
         if path:
             path = shortcut(path, valid, check_size=1e-2)
             spent = time.process_time() - begun
-            fine = [
-                a + x * (b - a) for a, b in itertools.pairwise(path) for x in np.linspace(0, 1, 50)
-            ]
-            q = np.array([follower(lead).copy() for lead in fine])
+            legs, shares = itertools.pairwise(path), np.linspace(0.0, 1.0, 50)
+            q = np.array([follower(a + x * (b - a)).copy() for a, b in legs for x in shares])
             length = float(np.linalg.norm(np.diff(q, axis=0), axis=1).sum())
         else:
             spent = time.process_time() - begun
@@ -154,14 +152,10 @@ def _apart(follower: Follower, theirs: Any, leads: np.ndarray) -> float:
         there = np.eye(4)
         there[:3, :3] = X[:3, :3] @ follower.turn
         there[:3, 3] = X[:3, 3] + X[:3, :3] @ GRASP - BASE
-        there[:3, :3] = np.linalg.qr(there[:3, :3])[0] * np.sign(
-            np.diag(np.linalg.qr(there[:3, :3])[1])
-        )
         q = follower(lead)[7:].copy()
         if (np.abs(follower.cosines) < 1.0 - 1e-3).all():
-            worst = max(
-                worst, float(np.abs(q - theirs.IK(RigidTransform(there), GC, lead[7])).max())
-            )
+            apart = np.abs(q - theirs.IK(RigidTransform(there), GC, lead[7]))
+            worst = max(worst, float(apart.max()))
     return worst
 
 
