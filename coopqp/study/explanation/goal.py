@@ -28,6 +28,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from coopqp.assessment.limits import audit
 from coopqp.assessment.thresholds import within
@@ -54,8 +55,9 @@ class Room:
     Attributes:
         lower, upper: of the joints, infinite without limits, shape (n,) [rad, m].
         sides: the row of each finite joint bound, by index and side.
-        limits, rows: limits in space, and rows of their clearances.
-        owners: index into ``limits`` of each of these rows.
+        limits, rows: limits in space, and rows of their p clearances.
+        all_rows: of the s sides, then of the clearances.
+        owners: index of what each of these rows belongs to: a side, or s and an index in limits.
     """
 
     def __init__(self, problem: ControlProblem, programs: Sequence[Program | None] = ()) -> None:
@@ -103,8 +105,14 @@ class Room:
         return tuple(itertools.chain(*self._rows))
 
     @cached_property
-    def owners(self) -> list[int]:
-        return [i for i, rows in enumerate(self._rows) for _ in rows]
+    def all_rows(self) -> tuple[Row, ...]:
+        return (*self.sides.values(), *self.rows)
+
+    @cached_property
+    def owners(self) -> NDArray[np.intp]:
+        sides = len(self.sides)
+        spaces = (sides + i for i, rows in enumerate(self._rows) for _ in rows)
+        return np.array([*range(sides), *spaces], np.intp)
 
     @cached_property
     def _slopes(self) -> list[Callable[[State], Array]]:
@@ -113,25 +121,32 @@ class Room:
 
     def at(self, q: Array) -> Array:
         """Clearances of the limits in space at a configuration, shape (p,) [m]."""
-        self._look(q)
-        return np.concatenate([np.zeros(0), *(left(self._state) for left in self._left)])
-
-    def gradient(self, q: Array) -> Array:
-        """Gradient of the clearances, shape (p, n)."""
-        self._look(q)
-        slopes = (slope(self._state) for slope in self._slopes)
-        return np.vstack([np.zeros((0, self.chain.n)), *slopes])
-
-    def both(self, q: Array) -> tuple[Array, Array]:
-        """Clearances and gradient, cached until q changes."""
-        if self._kept is None or not np.array_equal(self._kept[2], q):
-            self._kept = self.at(q), self.gradient(q), q.copy()
-        return self._kept[:2]
-
-    def _look(self, q: Array) -> None:
         if self._left and not np.array_equal(self._state.q, q):
             self._state.q[:] = q
             self._state.update()
+        return np.concatenate([np.zeros(0), *(left(self._state) for left in self._left)])
+
+    def both(self, q: Array) -> tuple[Array, Array]:
+        """Clearances and their gradient, shape (p, n), cached until q changes."""
+        if self._kept is None or not np.array_equal(self._kept[2], q):
+            clearances = self.at(q)
+            slopes = (slope(self._state) for slope in self._slopes)
+            self._kept = clearances, np.vstack([np.zeros((0, len(q))), *slopes]), q.copy()
+        return self._kept[:2]
+
+    def slack(self, q: Array) -> Array:
+        """What all rows have left at a configuration, shape (s + p,) [rad, m]."""
+        sides = [
+            q[i] - self.lower[i] if side == "lower" else self.upper[i] - q[i]
+            for i, side in self.sides
+        ]
+        return np.concatenate([sides, self.at(q)])
+
+    def ways(self, q: Array) -> Array:
+        """The joint motion that violates each row, shape (s + p, n)."""
+        eye = np.eye(len(q))
+        sides = [-eye[i] if side == "lower" else eye[i] for i, side in self.sides]
+        return np.vstack([*sides, -self.both(q)[1]])
 
     def nearest(self, owner: str, q: Array) -> tuple[Row, float] | None:
         """The pair of bodies of a limit with the smallest clearance, and its distance [m]."""
@@ -149,15 +164,8 @@ class Room:
 
     def at_bound(self, q: Array) -> list[tuple[Row, Array]]:
         """Active limits, each with the joint motion that violates it."""
-        found = []
-        for (i, side), row in self.sides.items():
-            outward = np.zeros(len(q))
-            outward[i] = -1.0 if side == "lower" else 1.0
-            left = q[i] - self.lower[i] if side == "lower" else self.upper[i] - q[i]
-            if left < AT_BOUND:
-                found.append((row, outward))
-        rooms = zip(self.rows, self.at(q), self.gradient(q), strict=True)
-        return found + [(row, -way) for row, left, way in rooms if left < AT_BOUND]
+        found = zip(self.all_rows, self.slack(q), self.ways(q), strict=True)
+        return [(row, way) for row, left, way in found if left < AT_BOUND]
 
 
 def _slope(limit: Limit, chain: ClosedChain, dt: float, count: int) -> Callable[[State], Array]:
@@ -192,6 +200,43 @@ def forces(pull: Array, Z: Array, ways: Sequence[tuple[Row, Array]]) -> list[tup
     columns = np.column_stack([way for _, way in within])
     amounts = nnls(columns, pull)[0] * np.linalg.norm(columns, axis=0)
     return [(row, float(amount)) for (row, _), amount in zip(within, amounts, strict=True)]
+
+
+def least_relaxation(
+    equal: tuple[Array, Array],
+    limits: tuple[Array, Array],
+    owners: NDArray[np.intp],
+    costs: Sequence[float],
+    most: float = np.inf,
+) -> tuple[Array, Array] | None:
+    """A motion d with the cheapest relaxations r of limits, by an open solver (HiGHS).
+
+        minimise    costs' r
+        subject to  A d = b,   W d - r[owners] <= left,   r >= 0,   |d_i| <= most
+
+    Args:
+        equal: A and b.
+        limits: W and left; rows with an infinite one bound nothing.
+        owners: the relaxation of each row of W.
+        costs: of each relaxation.
+        most: farthest that a variable goes.
+
+    Returns:
+        d and r; None where no relaxation is enough.
+    """
+    from scipy.optimize import linprog  # its import takes a sixth of a second
+
+    (A, b), (W, left), n, count = equal, limits, limits[0].shape[1], len(costs)
+    bounded = np.isfinite(left)
+    found = linprog(
+        np.concatenate([np.zeros(n), costs]),
+        A_ub=np.hstack([W, -np.eye(count)[owners]])[bounded],
+        b_ub=left[bounded],
+        A_eq=np.hstack([A, np.zeros((len(A), count))]),
+        b_eq=b,
+        bounds=[(-most, most)] * n + [(0.0, None)] * count,
+    )
+    return (found.x[:n], found.x[n:]) if found.success else None
 
 
 def shares(found: Iterable[tuple[Row, float]]) -> tuple[Share, ...]:

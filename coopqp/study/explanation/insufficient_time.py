@@ -25,13 +25,23 @@ from coopqp.plant import Disturbance
 from coopqp.solver import Status
 from coopqp.study.explanation import words
 from coopqp.study.explanation.diagnosis import TooFar
-from coopqp.study.explanation.diagnosis import contradicting as smallest_contradiction
 from coopqp.study.explanation.explained_phase import ExplainedPhase, arrival, rerun
-from coopqp.study.explanation.goal import Goal, PartOfTask, Place, Room, Share
+from coopqp.study.explanation.goal import (
+    Goal,
+    PartOfTask,
+    Place,
+    Room,
+    Share,
+    least_relaxation,
+)
 from coopqp.study.explanation.suggested_relaxation import by_rerun, with_suggestion
-from coopqp.study.explanation.tick import PhaseTicks, held_up, speed_share
+from coopqp.study.explanation.tick import (
+    PhaseTicks,
+    contradicting_rows,
+    held_up,
+    speed_share,
+)
 from coopqp.study.explanation.words import RunExplanation
-from coopqp.task import Task
 
 #: The loop budget is what slows where more than MANY of the LAST ticks were cut for it.
 LAST, MANY = 20, 5
@@ -255,8 +265,7 @@ def explain_velocity(phase: ExplainedPhase, base: RunExplanation) -> RunExplanat
     """Why a velocity was missed, at the last tick."""
     part = next(part for part, _ in phase.missed if part.task.asks_velocity)
     look, k = PhaseTicks(phase), len(phase.v) - 1
-    if tasks := contradicting(phase):
-        names = tuple(task.name for task in tasks)
+    if names := contradicting(phase):
         sentence = f"{words.listed(names)} cannot hold together: they ask for different motions"
         return base.because("contradiction", sentence, tasks=names)
     u = look.look(k)[part.rows]
@@ -294,21 +303,17 @@ def _at_the_edge(
 def _speed_needed(look: PhaseTicks, rows: slice) -> float:
     """Least share of the joints' speeds with which some rows could be followed in the last look.
 
-    Infinite where the loops leave no such motion. A linear program: minimise the largest |v|/v_max
-    under J_c v = 0 and J v = wanted.
+    Infinite where the loops leave no such motion.
     """
-    from scipy.optimize import linprog  # which takes a sixth of a second to come
-
-    J, most = look.stack.J[rows], look.state.chain.velocity
-    known, n = np.isfinite(most), len(most)
-    sides = np.vstack([np.eye(n)[known], -np.eye(n)[known]])
-    G = np.hstack([sides, -np.tile(most[known], 2)[:, None]])
-    loops = look.state.J_loop
-    A = np.hstack([np.vstack([loops, J]), np.zeros((len(loops) + len(J), 1))])
-    b = np.concatenate([np.zeros(len(loops)), look.stack.wanted[rows]])
-    cost = np.concatenate([np.zeros(n), [1.0]])
-    found = linprog(cost, A_ub=G, b_ub=np.zeros(len(G)), A_eq=A, b_eq=b, bounds=(None, None))
-    return float(found.fun) if found.success else np.inf
+    J, loops, most = look.stack.J[rows], look.state.J_loop, look.state.chain.velocity
+    shares = np.diag(1.0 / np.maximum(most, 1e-9))  # none of joints without a limit
+    equal = np.vstack([loops, J]), np.concatenate([np.zeros(len(loops)), look.stack.wanted[rows]])
+    limits, owners = (
+        (np.vstack([shares, -shares]), np.zeros(2 * len(most))),
+        np.zeros(2 * len(most), int),
+    )
+    found = least_relaxation(equal, limits, owners, [1.0])
+    return float(found[1][0]) if found else np.inf
 
 
 def _freedom(look: PhaseTicks, part: PartOfTask, u: Array) -> float:
@@ -317,19 +322,15 @@ def _freedom(look: PhaseTicks, part: PartOfTask, u: Array) -> float:
     return float(np.linalg.norm(Z.T @ look.stack.J[part.rows].T @ (u / np.linalg.norm(u))))
 
 
-def contradicting(phase: ExplainedPhase) -> tuple[Task, ...]:
+def contradicting(phase: ExplainedPhase) -> tuple[str, ...]:
     """Tasks whose velocities at the last tick rule each other out; none where they do not."""
     look = PhaseTicks(phase)
     look.look(len(phase.v) - 1)
-    Z, stack = null_space(look.state.J_loop), look.stack
-    rows = dict(zip((task.name for task in stack.tasks), stack.slices, strict=True))
-
-    def fails(some: tuple[Task, ...]) -> bool:
-        chosen = np.concatenate([np.arange(rows[t.name].start, rows[t.name].stop) for t in some])
-        JZ, wanted = stack.J[chosen] @ Z, stack.wanted[chosen]
-        if not np.linalg.norm(wanted):
-            return False
-        y = np.linalg.lstsq(JZ, wanted, rcond=CUT)[0]
-        return bool(np.linalg.norm(JZ @ y - wanted) > SOLVED * np.linalg.norm(wanted))
-
-    return smallest_contradiction([task for task in stack.tasks if not task.joint_space], fails)
+    stack, loops = look.stack, look.state.J_loop
+    free = {task.name for task in stack.tasks if not task.joint_space}
+    own = [i for i, row in enumerate(stack.rows) if row.owner in free]
+    wanted, owners = stack.wanted[own], [stack.rows[i].owner for i in own]
+    allowed = np.full(len(own), SOLVED * np.linalg.norm(wanted))
+    return contradicting_rows(
+        loops, np.zeros(len(loops)), stack.J[own], wanted, owners, allowed, CUT
+    )

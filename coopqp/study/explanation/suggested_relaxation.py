@@ -6,7 +6,7 @@ First the minimal total violation of the limits with which the goal holds:
     subject to  e(q) = 0,   e_loop(q) = 0
                 lower - s <= q <= upper + s,   room_k(q) >= -sigma_l,   s, sigma >= 0
 
-with one s a joint and one sigma a limit in space (a wall moves as a whole), by sequential quadratic
+with one s a joint and one sigma a limit in space (a wall moves as a whole), by sequential linear
 programs from a configuration at the goal outside the limits; one radian counts as a quarter of a
 metre. A law may stop short with it, where its path leads into a saddle; then the run is made
 without position limits, and the largest violation on its path is enough.
@@ -20,11 +20,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from coopqp.base.qp import QP, Kind, Row, Rows
+from coopqp.base.qp import Row
 from coopqp.base.spec import Array
 from coopqp.limit import Limit
-from coopqp.solver import Solution
-from coopqp.solvers import Daqp
 from coopqp.study.explanation import words
 from coopqp.study.explanation.diagnosis import BlockedByLimits
 from coopqp.study.explanation.explained_phase import (
@@ -33,11 +31,19 @@ from coopqp.study.explanation.explained_phase import (
     rerun,
     without_position_limits,
 )
-from coopqp.study.explanation.goal import NEAR, Goal, Room, Search, Share, thing_of
+from coopqp.study.explanation.goal import (
+    NEAR,
+    Goal,
+    Room,
+    Search,
+    Share,
+    least_relaxation,
+    thing_of,
+)
 from coopqp.study.explanation.words import Needed, RunExplanation
 
-#: Cost of a metre [rad], of a step [1/rad], and of what the equalities are off by.
-METRE, PROXIMAL, OFF = 4.0, 0.05, 100.0
+#: Cost of a metre [rad], and of what the equalities are off by.
+METRE, OFF = 4.0, 100.0
 #: Steps, farthest that a joint goes in one [rad, m], how it shrinks, and where that ends.
 STEPS, STEP, SHRINK, SMALLEST = 60, 0.3, 0.6, 1e-5
 #: Newton steps after each, and the smallest decrease of the sum that is accepted.
@@ -68,53 +74,30 @@ class Violation:
 
 def violations_along(room: Room, qs: Array) -> list[Violation]:
     """The largest violation of each limit along configurations, shape (T, n)."""
-    found = []
-    for (i, side), row in room.sides.items():
-        out = room.lower[i] - qs[:, i] if side == "lower" else qs[:, i] - room.upper[i]
-        found.append(Violation(row, float(out.max())))
-    rooms = np.array([room.at(q) for q in qs])
-    for space in dict.fromkeys(room.owners):
-        own = np.flatnonzero(np.array(room.owners) == space)
-        row = room.rows[own[rooms[-1, own].argmin()]]
-        found.append(Violation(row, float(-rooms[:, own].min()), space))
+    slack, found = np.array([room.slack(q) for q in qs]), []
+    for owner in np.unique(room.owners).tolist():
+        own = np.flatnonzero(room.owners == owner)
+        row = room.all_rows[own[slack[-1, own].argmin()]]
+        space = owner - len(room.sides) if owner >= len(room.sides) else None
+        found.append(Violation(row, float(-slack[:, own].min()), space))
     return [violation for violation in found if violation.amount > NOTHING]
 
 
+def _cost(row: Row) -> float:
+    return METRE if row.unit == "m" else 1.0
+
+
 def _total(found: Sequence[Violation]) -> float:
-    return sum(
-        x.amount * (METRE if x.space is not None or x.row.unit == "m" else 1.0) for x in found
-    )
+    return sum(violation.amount * _cost(violation.row) for violation in found)
 
 
 class _Programs:
-    """The quadratic program of a step; its variables are d, s and sigma."""
+    """The linear program of a step."""
 
     def __init__(self, goal: Goal, room: Room) -> None:
         self._goal, self._room = goal, room
-        n, k = goal.chain.n, len(room.limits)
-        self._low = np.flatnonzero(np.isfinite(room.lower))
-        self._high = np.flatnonzero(np.isfinite(room.upper))
-        p = len(self._low) + len(self._high) + len(room.rows)
-        equal = len(goal.state.e_loop) + len(goal.stack.e)
-        counts: dict[Kind, int] = {"joint": 2 * n + k, "limit": p, "task": equal}
-        self._qp = qp = QP(
-            Rows(*(
-                tuple(Row(name=f"{kind}[{i}]", kind=kind) for i in range(count))
-                for kind, count in counts.items()
-            ))
-        )  # fmt: skip
-        np.fill_diagonal(qp.P, np.repeat([2.0 * PROXIMAL, 1e-6], [n, n + k]))
-        per_joint = [METRE if unit == "m" else 1.0 for unit in goal.chain.joint_units]
-        qp.q[n:] = [*per_joint, *[METRE] * k]
-        qp.lb[n:], qp.ub[n:] = 0.0, 1e3
-        # The constant rows: d_j - s_j <= upper - q, and the same below.
-        joints = np.concatenate([self._low, self._high])
-        rows, spaces = np.arange(len(joints)), len(joints) + np.arange(len(room.owners))
-        qp.G[rows, joints] = np.repeat([-1.0, 1.0], [len(self._low), len(self._high)])
-        qp.G[rows, n + joints] = -1.0
-        qp.G[spaces, 2 * n + np.array(room.owners, int)] = -1.0
-        self._solution = Solution(qp)
-        self._solve = Daqp().open(qp, self._solution)
+        costs = dict(zip(room.owners.tolist(), map(_cost, room.all_rows), strict=True))
+        self._costs = list(costs.values())
 
     def shrink(self, start: Array) -> list[Violation] | None:
         """A local minimum near a start; None where the goal is lost."""
@@ -149,32 +132,20 @@ class _Programs:
 
     def _merit(self, q: Array) -> tuple[float, float]:
         """Violation and residual of the equalities; the latter in tolerances as well."""
-        room, goal = self._room, self._goal
-        goal.look(q)
-        joints = np.maximum(room.lower - q, q - room.upper).clip(0.0)
-        total = float(joints @ self._qp.q[len(q) : 2 * len(q)])
-        spaces = np.zeros(len(room.limits))
-        np.maximum.at(spaces, np.array(room.owners, int), -room.at(q))
-        off = np.abs(np.concatenate([goal.state.e_loop, goal.stack.e])).sum()
+        goal, violations = self._goal, np.zeros(len(self._costs))
+        np.maximum.at(violations, self._room.owners, -self._room.slack(q))
+        off = np.abs(self._equalities(q)[1]).sum()
         missed = max(goal.miss, goal.open / 1e-4)
-        return total + METRE * float(spaces.sum()) + OFF * float(off), missed
+        return float(violations @ self._costs) + OFF * float(off), missed
 
-    def _step(self, q: Array, farthest: float) -> Array | None:
-        room, qp, n = self._room, self._qp, len(q)
-        C, r = self._equalities(q)
+    def _step(self, q: Array, most: float) -> Array | None:
+        room, (C, r) = self._room, self._equalities(q)
         U, values, Vt = np.linalg.svd(C, full_matrices=False)
         kept = int((values > CUT).sum())
-        qp.A[:], qp.b[:] = 0.0, 0.0
-        qp.A[:kept, :n] = Vt[:kept]
-        qp.b[:kept] = -(U[:, :kept].T @ r) / values[:kept]
-        qp.lb[:n], qp.ub[:n] = -farthest, farthest
-        low, high = self._low, self._high
-        sides = q[low] - room.lower[low], room.upper[high] - q[high]
-        qp.h[:] = np.concatenate([*sides, room.at(q)])
-        qp.G[len(low) + len(high) :, :n] = -room.gradient(q)
-        qp.seal()
-        self._solve()
-        return self._solution.v[:n].copy() if self._solution.status.usable else None
+        equal = Vt[:kept], -(U[:, :kept].T @ r) / values[:kept]
+        limits = room.ways(q), room.slack(q)
+        found = least_relaxation(equal, limits, room.owners, self._costs, most)
+        return found and found[0]
 
 
 @dataclass(frozen=True)
