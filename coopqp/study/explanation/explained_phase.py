@@ -11,30 +11,18 @@ from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
-import numpy as np
-
 from coopqp.assessment import assess
-from coopqp.assessment.limits import audit
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.qp import Row
 from coopqp.base.spec import Array
 from coopqp.controller import Controller, ControlProblem
 from coopqp.execution.controller_run import controller_of, run
-from coopqp.limit import Limit
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.grasp_configuration import GraspConfiguration
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import InputValues
 from coopqp.solver import Status, causes_of
-from coopqp.study.explanation.goal import (
-    PLACE_UNITS,
-    Goal,
-    Missed,
-    PartOfTask,
-    Room,
-    parts_of,
-    placed,
-)
+from coopqp.study.explanation.goal import Goal, Missed, PartOfTask, Room, parts_of, placed
 from coopqp.trace import InputTrace, Trace, followed
 
 
@@ -102,11 +90,7 @@ class ExplainedPhase:
 
 
 def explained_phases(scenario: Scenario, trace: Trace) -> Iterator[ExplainedPhase]:
-    """The phases of a run of a scenario as the controller holds it, each with its own chain.
-
-    Raises:
-        InvalidValueError: the trace is of another scenario.
-    """
+    """The phases of a run of a scenario as the controller holds it, each with its own chain."""
     controller = controller_of(scenario, trace.controller)
     found = assess(trace)
     errors = {task.name: task.error for task in found.tasks}
@@ -155,13 +139,9 @@ def rerun(
     wider: Mapping[Row, float] | None = None,
     **changed: Any,
 ) -> ExplainedPhase:
-    """A phase rerun.
+    """A phase rerun with other fields of its scenario, perhaps for longer.
 
-    Args:
-        phase: as recorded.
-        longer: whether it gets more time.
-        wider: by the row of a position limit's side, how much wider it is [rad, m].
-        changed: fields of the scenario.
+    ``wider`` says, by the row of a position limit's side, how much wider it is [rad, m].
     """
     end = phase.scenario.schedule[phase.index]
     if longer:
@@ -174,9 +154,8 @@ def rerun(
     if wider:
         known = {name: getattr(other, name) for name in Scenario.__dataclass_fields__}
         other = _Wider(**known, wider=wider)
-    return list(explained_phases(other, run(other, controller=phase.name, timed=False)))[
-        phase.index
-    ]
+    again = run(other, controller=phase.name, timed=False)
+    return list(explained_phases(other, again))[phase.index]
 
 
 def arrival(goal: Goal, phase: ExplainedPhase) -> float:
@@ -188,17 +167,6 @@ def arrival(goal: Goal, phase: ExplainedPhase) -> float:
         if goal.miss > 1.0:
             return (k + 1) * dt
     return dt
-
-
-def without_position_limits(scenario: Scenario) -> tuple[Limit, ...]:
-    """Limits without those of position, which braking before an end stop is as well."""
-    chain = scenario.chain
-    q, v = np.vstack([chain.q_start] * 2), np.zeros((1, chain.n))
-    return tuple(
-        limit
-        for limit in scenario.limits
-        if all(row.unit not in PLACE_UNITS for row in audit([limit], chain, q, v, 0.01).margins)
-    )
 
 
 def _widened(hold: GraspConfiguration, wider: Mapping[Row, float]) -> GraspConfiguration:

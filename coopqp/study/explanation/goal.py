@@ -68,25 +68,20 @@ class Room:
         self.limits: list[Limit] = []
         self._state = State(chain)
         self._kept: tuple[Array, Array, Array] | None = None
+        q, v = np.vstack([chain.q_start] * 2), np.zeros((1, chain.n))
         for limit, program in itertools.zip_longest(problem.limits, programs):
-            self._add(limit, program)
-
-    def _add(self, limit: Limit, program: Program | None) -> None:
-        if isinstance(program, DistanceBounds) or limit.clearance(self.chain) is not None:
-            self.limits.append(limit)
-            return
-        q, v = np.vstack([self.chain.q_start] * 2), np.zeros((1, self.chain.n))
-        for row, margin in audit([limit], self.chain, q, v, self._dt).margins.items():
-            if row.joint and row.side and row.unit in PLACE_UNITS:
-                self._bound(row, float(margin[0]))
+            if isinstance(program, DistanceBounds) or limit.clearance(chain) is not None:
+                self.limits.append(limit)
+                continue
+            for row, margin in audit([limit], chain, q, v, problem.dt).margins.items():
+                if row.joint and row.side and row.unit in PLACE_UNITS:
+                    self._bound(row, float(margin[0]))
 
     def _bound(self, row: Row, margin: float) -> None:
-        i = self.chain.joint_names.index(row.joint)
-        at = float(self.chain.q_start[i])
-        end = at - margin if row.side == "lower" else at + margin
-        tighter = end > self.lower[i] if row.side == "lower" else end < self.upper[i]
-        if tighter:
-            (self.lower if row.side == "lower" else self.upper)[i] = end
+        i, below = self.chain.joint_names.index(row.joint), row.side == "lower"
+        end = float(self.chain.q_start[i]) + (-margin if below else margin)
+        if end > self.lower[i] if below else end < self.upper[i]:
+            (self.lower if below else self.upper)[i] = end
             # Two limits of one place, such as braking before a stop, are one to people.
             label = row.label.rpartition(" of ")[2]
             self.sides[i, str(row.side)] = replace(row, label=label)
@@ -147,15 +142,6 @@ class Room:
         eye = np.eye(len(q))
         sides = [-eye[i] if side == "lower" else eye[i] for i, side in self.sides]
         return np.vstack([*sides, -self.both(q)[1]])
-
-    def nearest(self, owner: str, q: Array) -> tuple[Row, float] | None:
-        """The pair of bodies of a limit with the smallest clearance, and its distance [m]."""
-        left = zip(self.rows, self.at(q).tolist(), strict=True)
-        found = [(x + row.kept, row) for row, x in left if row.owner == owner and row.bodies]
-        if not found:
-            return None
-        distance, row = min(found, key=lambda pair: pair[0] - pair[1].kept)
-        return row, distance
 
     def violation(self, q: Array) -> float:
         """Largest violation at a configuration [rad, m]."""

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -118,9 +119,9 @@ def behind(phase: ExplainedPhase, found: TooFar) -> str:
     if error - then <= part.part.tolerance or not rests(after.v[-1]):
         return ""
     moves = "" if rests(phase.v[-1]) else ", still moving"
-    lacks = f"{words.ends_off(part, error)}{moves}, {words.size(error - then, unit)} of it"
+    ends = f"{part.name} ends {words.size(error, unit)} off{moves}"
     later = f"after {after.t_end:.3g} s {words.size(then, unit)} are left (tried)"
-    return f"; {lacks} for lack of time: {later}"
+    return f"; {ends}, {words.size(error - then, unit)} of it for lack of time: {later}"
 
 
 def _error_of(phase: ExplainedPhase, name: str) -> float:
@@ -139,11 +140,13 @@ def _rests(phase: ExplainedPhase, place: Place, held: Sequence[Share]) -> str:
 
 def _with_nearest_pair(share: Share, room: Room, q: Array) -> Share:
     """With the nearest pair of bodies and its distance, where these hold it up."""
-    pair = room.nearest(share.row.owner, q)
-    if pair is None:
+    pairs = zip(room.at(q).tolist(), room.rows, strict=True)
+    own = [(left, row) for left, row in pairs if row.owner == share.row.owner and row.bodies]
+    if not own:
         return share
-    row, distance = pair
-    return replace(share, row=replace(row, label=f"{row.words} ({1e3 * distance:.1f} mm)"))
+    left, row = min(own, key=lambda pair: pair[0])
+    label = f"{row.words} ({1e3 * (left + row.kept):.1f} mm)"
+    return replace(share, row=replace(row, label=label))
 
 
 def _waits_for_measured(phase: ExplainedPhase) -> str:
@@ -160,31 +163,25 @@ def _waits_for_measured(phase: ExplainedPhase) -> str:
 
 def _misled_by_model(phase: ExplainedPhase) -> str:
     """Whether the disturbance keeps it from the goal, in words; empty where it does not."""
-    perfect = Disturbance()
-    if phase.scenario.disturbance == perfect or rerun(phase, disturbance=perfect).missed:
-        return ""
-    if faults := phase.scenario.disturbance.faults:
-        named = words.listed([fault.words for fault in faults])
-        return f"it has faults ({named}): without the disturbance the goal is reached (tried)"
-    if mass := _true_mass(phase):
-        way = "heavier" if mass > phase.scenario.held.mass else "lighter"
-        told = f"the object is {way} than told: with object.mass {mass:.3g}"
-        return f"{told} the goal is reached (tried)"
-    known = phase.scenario.disturbance
-    if known.push and not rerun(phase, disturbance=replace(known, push=None)).missed:
-        return "a push holds it away: without it the goal is reached (tried)"
-    why = "this is what the model gets wrong: without the disturbance the goal is reached (tried)"
-    return f"{why}; 'coopqp calibrate' may find out what"
-
-
-def _true_mass(phase: ExplainedPhase) -> float:
-    """The object's mass [kg], where the goal is reached once the model knows it; else zero."""
     known, held = phase.scenario.disturbance, phase.scenario.held
-    mass = known.object_mass * held.mass
-    if known.object_mass == 1.0:
-        return 0.0
-    told, right = replace(held, mass=mass), replace(known, object_mass=1.0)
-    return 0.0 if rerun(phase, disturbance=right, held=told).missed else mass
+    reached = "the goal is reached (tried)"
+
+    def reaches(**changed: Any) -> bool:
+        return not rerun(phase, **changed).missed
+
+    if known == Disturbance() or not reaches(disturbance=Disturbance()):
+        return ""
+    if known.faults:
+        named = words.listed([fault.words for fault in known.faults])
+        return f"it has faults ({named}): without the disturbance {reached}"
+    mass, right = known.object_mass * held.mass, replace(known, object_mass=1.0)
+    if right != known and reaches(disturbance=right, held=replace(held, mass=mass)):
+        way = "heavier" if mass > held.mass else "lighter"
+        return f"the object is {way} than told: with object.mass {mass:.3g} {reached}"
+    if known.push and reaches(disturbance=replace(known, push=None)):
+        return f"a push holds it away: without it {reached}"
+    why = f"this is what the model gets wrong: without the disturbance {reached}"
+    return f"{why}; 'coopqp calibrate' may find out what"
 
 
 def _out_of_budget(phase: ExplainedPhase) -> bool:
@@ -232,23 +229,18 @@ def _gives_way(phase: ExplainedPhase, goal: Goal, base: RunExplanation) -> RunEx
     if springs is None or not rests(phase.v[-1]):
         return None
     forces = springs.stiffness * goal.stack.e[goal.stack.slices[goal.tasks.index(task)]]
-    loads = _by_axis(tuple(AXES[axis] for axis in springs.axes), forces)
-    why = f"it gives way as asked: its springs bear {loads} there, and move by F/K"
+    axes = [AXES[axis] for axis in springs.axes]
+    turns = np.array([axis.startswith("rot") for axis in axes])
+    sizes, loads = np.abs(forces) / np.where(turns, LENGTH, 1.0), []
+    for i in np.flatnonzero(sizes > WORTH_TELLING * sizes.max()):
+        unit, way = ("N m", "about") if turns[i] else ("N", "along")
+        loads.append(f"{forces[i]:.3g} {unit} {way} {axes[i].removeprefix('rot_')}")
+    bear = words.listed(loads)
+    why = f"it gives way as asked: its springs bear {bear} there, and move by F/K"
     if misled := _misled_by_model(phase):
         return base.because("model", f"{why}; {misled}", tried=True)
     others = "that is a push, a weight that is wrong, or another task that pulls"
     return base.because("springs", f"{why}; {others}")
-
-
-def _by_axis(axes: tuple[str, ...], forces: Array) -> str:
-    """Forces and torques, without negligible ones."""
-    turns = np.array([axis.startswith("rot") for axis in axes])
-    sizes = np.abs(forces) / np.where(turns, LENGTH, 1.0)
-    named = []
-    for i in np.flatnonzero(sizes > WORTH_TELLING * sizes.max()):
-        unit, way = ("N m", "about") if turns[i] else ("N", "along")
-        named.append(f"{forces[i]:.3g} {unit} {way} {axes[i].removeprefix('rot_')}")
-    return words.listed(named)
 
 
 #: Singular below this share of the start's, or when so many times the joints' speed is needed.

@@ -20,19 +20,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from coopqp.assessment.limits import audit
 from coopqp.base.qp import Row
 from coopqp.base.spec import Array
 from coopqp.limit import Limit
 from coopqp.study.explanation import words
 from coopqp.study.explanation.diagnosis import BlockedByLimits
-from coopqp.study.explanation.explained_phase import (
-    ExplainedPhase,
-    arrival,
-    rerun,
-    without_position_limits,
-)
+from coopqp.study.explanation.explained_phase import ExplainedPhase, arrival, rerun
 from coopqp.study.explanation.goal import (
     NEAR,
+    PLACE_UNITS,
     Goal,
     Room,
     Search,
@@ -92,7 +89,7 @@ def _total(found: Sequence[Violation]) -> float:
 
 
 class _Programs:
-    """The linear program of a step."""
+    """The linear programs whose steps lead to a minimal violation."""
 
     def __init__(self, goal: Goal, room: Room) -> None:
         self._goal, self._room = goal, room
@@ -117,6 +114,15 @@ class _Programs:
                 step *= SHRINK
         return violations_along(self._room, q[None])
 
+    def _step(self, q: Array, most: float) -> Array | None:
+        room, (C, r) = self._room, self._equalities(q)
+        U, values, Vt = np.linalg.svd(C, full_matrices=False)
+        kept = int((values > CUT).sum())
+        equal = Vt[:kept], -(U[:, :kept].T @ r) / values[:kept]
+        limits = room.ways(q), room.slack(q)
+        found = least_relaxation(equal, limits, room.owners, self._costs, most)
+        return found and found[0]
+
     def _back(self, q: Array) -> Array:
         """Newton steps to where the equalities hold again, so that steps may be long."""
         for _ in range(NEWTON):
@@ -132,29 +138,18 @@ class _Programs:
 
     def _merit(self, q: Array) -> tuple[float, float]:
         """Violation and residual of the equalities; the latter in tolerances as well."""
-        goal, violations = self._goal, np.zeros(len(self._costs))
+        off, goal = np.abs(self._equalities(q)[1]).sum(), self._goal
+        violations = np.zeros(len(self._costs))
         np.maximum.at(violations, self._room.owners, -self._room.slack(q))
-        off = np.abs(self._equalities(q)[1]).sum()
-        missed = max(goal.miss, goal.open / 1e-4)
-        return float(violations @ self._costs) + OFF * float(off), missed
-
-    def _step(self, q: Array, most: float) -> Array | None:
-        room, (C, r) = self._room, self._equalities(q)
-        U, values, Vt = np.linalg.svd(C, full_matrices=False)
-        kept = int((values > CUT).sum())
-        equal = Vt[:kept], -(U[:, :kept].T @ r) / values[:kept]
-        limits = room.ways(q), room.slack(q)
-        found = least_relaxation(equal, limits, room.owners, self._costs, most)
-        return found and found[0]
+        return float(violations @ self._costs + OFF * off), max(goal.miss, goal.open / 1e-4)
 
 
 @dataclass(frozen=True)
 class SuggestedRelaxation:
-    """Relaxations of limits, and the rerun with them.
+    """Relaxations of limits, the largest first, and the rerun with them.
 
     Attributes:
-        needs: by limit, the largest first.
-        after: the rerun; None if untried.
+        after: the rerun; None where a limit cannot be relaxed so far.
         time: that it takes, where that is more than the run has [s].
         untried: name of a limit that has no method for it; else no setting gives so much.
     """
@@ -184,7 +179,13 @@ def by_geometry(
 
 def by_rerun(phase: ExplainedPhase, goal: Goal | None) -> SuggestedRelaxation | None:
     """The violations of a run without position limits; with a goal more time is tried as well."""
-    limits = without_position_limits(phase.scenario)
+    chain = phase.scenario.chain
+    q, v = np.vstack([chain.q_start] * 2), np.zeros((1, chain.n))
+    limits = tuple(  # without those of position, which braking before an end stop is as well
+        limit
+        for limit in phase.scenario.limits
+        if all(row.unit not in PLACE_UNITS for row in audit([limit], chain, q, v, 0.01).margins)
+    )
     free = rerun(phase, limits=limits)
     if free.missed and goal:
         free = rerun(phase, longer=True, limits=limits)
@@ -230,16 +231,13 @@ def _tried(
 
 
 def _rounded(found: Sequence[Violation]) -> tuple[Violation, ...]:
-    """Rounded up, the largest first."""
-    needs = [replace(violation, amount=_rounded_up(violation.amount)) for violation in found]
+    """A little more than the minimum, rounded up to two digits, the largest first."""
+    needs = []
+    for violation in found:
+        more = SHARE * violation.amount + MORE
+        step = 10.0 ** (math.floor(math.log10(more)) - DIGITS + 1)
+        needs.append(replace(violation, amount=round(math.ceil(more / step - 1e-9) * step, 9)))
     return tuple(sorted(needs, key=lambda need: -need.amount))
-
-
-def _rounded_up(amount: float) -> float:
-    """A little more than the minimum, in two digits [rad or m]."""
-    more = SHARE * amount + MORE
-    step = 10.0 ** (math.floor(math.log10(more)) - DIGITS + 1)
-    return round(math.ceil(more / step - 1e-9) * step, 9)
 
 
 def with_suggestion(
@@ -252,13 +250,12 @@ def with_suggestion(
     sentence = "; ".join([words.holding(shares), _said(suggestion, shares), *more])
     if suggestion is None:
         return base.because("limits", sentence, shares)
-    needed = tuple(
+    needs = tuple(
         Needed(limit=n.row.name, words=n.row.words, amount=n.amount, unit=n.row.unit)
         for n in suggestion.needs
     )
-    return base.because(
-        "limits", sentence, shares, needed=needed, tried=suggestion.reached, time=suggestion.time
-    )
+    tried, time = suggestion.reached, suggestion.time
+    return base.because("limits", sentence, shares, needed=needs, tried=tried, time=time)
 
 
 def _said(suggestion: SuggestedRelaxation | None, shares: Sequence[Share]) -> str:
@@ -269,15 +266,13 @@ def _said(suggestion: SuggestedRelaxation | None, shares: Sequence[Share]) -> st
     later = [need for need in suggestion.needs if thing_of(need.row) not in now]
     text = f"to get there {needed(first)}" if first else "to get there"
     if later:
-        text += (
-            f"{'; next' if first else ' next'} would come {needed(later, alone=False)}, idle now"
-        )
+        text += f"{';' if first else ''} next would come {needed(later, alone=False)}, idle now"
     if suggestion.after is None:
-        name = suggestion.untried
-        method = (
-            f"limit '{name}' has no method relaxed(by), which returns it `by` metres farther out"
-        )
-        return f"{text} (not tried: {method if name else 'no setting gives so much'})"
+        why = "no setting gives so much"
+        if name := suggestion.untried:
+            method = "no method relaxed(by), which returns it `by` metres farther out"
+            why = f"limit '{name}' has {method}"
+        return f"{text} (not tried: {why})"
     if suggestion.after.missed:
         return f"{text}; tried, but then {words.stops(suggestion.after)}"
     time = "" if suggestion.time is None else f" and the run {suggestion.time:.3g} s"
