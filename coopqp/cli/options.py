@@ -91,8 +91,7 @@ def engined(command: Callable[..., None]) -> Callable[..., None]:
     @wraps(command)
     def with_engine(*, jobs: int, scheduler: str | None, shard: str, **options: Any) -> None:
         from coopqp.base.errors import InvalidValueError
-        from coopqp.study.engine import Engine, Share
-        from coopqp.study.engine.workers import cores
+        from coopqp.study.engine import Engine, Share, cores
 
         if jobs > MAX_PER_CORE and jobs > (limit := MAX_PER_CORE * cores()):
             words = f"--jobs: found {jobs}; needs at most {limit}, {MAX_PER_CORE} for each core"

@@ -18,8 +18,7 @@ from coopqp.base.errors import (
     ScenarioError,
     UnknownNameError,
 )
-from coopqp.study.engine import Engine, Lost, Share
-from coopqp.study.engine.workers import Batches
+from coopqp.study.engine import Batches, Engine, Lost, Share
 
 
 @pytest.fixture
@@ -61,7 +60,7 @@ def test_errors_go_from_process_to_process(error: CoopqpError) -> None:
 
 
 def test_batches_grow_to_a_second_and_end_small() -> None:
-    batches: Batches = Batches(range(3000), workers=2)
+    batches: Batches = Batches(range(3000), 3000, workers=2)
     sizes, seen = [], []
     for batch in batches:
         sizes.append(len(batch.items))
@@ -73,7 +72,7 @@ def test_batches_grow_to_a_second_and_end_small() -> None:
 
 
 def test_slow_items_go_one_by_one() -> None:
-    batches: Batches = Batches(range(20), workers=2)
+    batches: Batches = Batches(range(20), 20, workers=2)
     assert [len(batches.back(b.number, 3.0 * len(b.items)).items) for b in batches] == [1] * 20
 
 
@@ -90,7 +89,7 @@ def test_no_share(text: str) -> None:
 
 def test_a_scheduler_that_does_not_answer_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed")
-    monkeypatch.setattr("coopqp.study.engine.cluster.PATIENCE", 0.5)
+    monkeypatch.setattr("coopqp.study.engine.PATIENCE", 0.5)
     unraised: list[object] = []
     monkeypatch.setattr("sys.unraisablehook", unraised.append)
     begun = time.monotonic()

@@ -9,14 +9,11 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from coopqp.study.engine import Engine, Lost
 from coopqp.study.sweep.folder import check_folder, head_for
 from coopqp.study.sweep.journal import Journal, path_of
 from coopqp.study.sweep.results import Index, compact, needs_arrow
-from coopqp.study.sweep.study import Study, Variant, job_of, lost_rows, run_variants
+from coopqp.study.sweep.study import Study, job_of, lost_rows, run_variants
 
 HERE = Engine()
 
@@ -80,7 +77,8 @@ def sweep(
         missing = index.missing(mine)
         there = len(mine) - len(missing)
         state = Progress(len(mine), there, there, damaged=index.damaged)
-        for batch in engine.batches(partial(run_variants, job=job), _Variants(study, missing)):
+        variants = map(study.variant, missing.tolist())
+        for batch in engine.batches(partial(run_variants, job=job), variants, len(missing)):
             found = [
                 (variant.index, lost_rows(job, rows.reason) if isinstance(rows, Lost) else rows)
                 for variant, rows in batch
@@ -92,16 +90,3 @@ def sweep(
                 progress(state)
     compact(study, folder)
     return state
-
-
-class _Variants:
-    """Variants that are made when they are asked for."""
-
-    def __init__(self, study: Study, numbers: NDArray[np.int64]) -> None:
-        self._study, self._numbers = study, numbers
-
-    def __len__(self) -> int:
-        return len(self._numbers)
-
-    def __getitem__(self, index: int) -> Variant:
-        return self._study.variant(int(self._numbers[index]))
