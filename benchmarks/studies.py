@@ -37,8 +37,8 @@ from pyarrow import parquet as pq
 from coopqp.scenario.loader import shipped
 from coopqp.study.engine import Engine
 from coopqp.study.sweep import Progress, Study, read_study, sweep
-from coopqp.study.sweep.journal import head_of, records
-from coopqp.study.sweep.study import job_of, run_variants
+from coopqp.study.sweep.results import head_of, records
+from coopqp.study.sweep.sweep import job_of, run_variants
 
 STUDY = """scenario: short.yaml
 vary:

@@ -145,7 +145,7 @@ def read_trace(trace: Path, catalog: Any) -> tuple[Any, Any]:
 def _refuse_other(path: Path) -> None:
     """Refuse what runs come from, a scenario or a study, with what is to be given instead."""
     from coopqp.scenario.loader import shipped
-    from coopqp.study.sweep.journal import PATTERN
+    from coopqp.study.sweep.results import PATTERN
 
     if path.is_dir() and any(path.glob(PATTERN)):
         words = f"holds a study; 'coopqp sweep {path} --show ROW' runs one of its rows"

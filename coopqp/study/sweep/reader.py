@@ -35,9 +35,8 @@ from coopqp.scenario.form import STRICT, Words, check, file_model
 from coopqp.scenario.loader import find
 from coopqp.scenario.yaml import MisplacedError, Wrong, YamlFile, parsed, read_yaml
 from coopqp.study.sweep import space
-from coopqp.study.sweep.path import located, put
 from coopqp.study.sweep.space import GRID, MOST, SAMPLES, Listed, Points, Variation, drawn, grid
-from coopqp.study.sweep.study import CONTROLLERS, SEED, Study, Varied
+from coopqp.study.sweep.study import CONTROLLERS, SEED, Study, Varied, located, put
 
 NAMED = "needs the path of a scenario, or the name of a shipped one"
 
