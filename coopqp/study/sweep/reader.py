@@ -149,15 +149,6 @@ class StudyFile(BaseModel):
         return way, getattr(self.samples, way) or 0
 
 
-def read_form(file: YamlFile, catalog: Catalog | None) -> tuple[StudyFile | None, list[Wrong]]:
-    """What a file says, and what is wrong with that."""
-    context = {"metrics": catalog.entries("metrics")} if catalog else None
-    try:
-        return StudyFile.model_validate_json(json.dumps(file.data), context=context), []
-    except ValidationError as error:
-        return None, [Wrong(*wrong) for wrong in wording.faults(error, file.data, StudyFile)]
-
-
 def schema(catalog: Catalog) -> dict[str, Any]:
     """The JSON Schema, for editors."""
     found = StudyFile.model_json_schema()
@@ -188,11 +179,7 @@ MOST_TRIED = 1000  # values of a key that are checked before anything runs
 
 
 def read_study(path: Path, catalog: Catalog | None = None) -> Study:
-    """Read and check a study, by its path or a shipped one's name.
-
-    Raises:
-        ScenarioError: with every fault, its line and its likely fix.
-    """
+    """Read and check a study, by its path or a shipped one's name; ScenarioError has all faults."""
     file = read_yaml(find(path, "studies"))
     with file.lines():
         return _study(file, catalog or Catalog(), None)
@@ -210,8 +197,12 @@ def study_text(path: Path, text: str, scenario: tuple[Path, str], catalog: Catal
 
 def _study(file: YamlFile, catalog: Catalog, scenario: YamlFile | None) -> Study:
     """A study; one that was kept with its scenario has been read before, with all that it names."""
-    kept = scenario is not None
-    form, wrong = read_form(file, None if kept else catalog)
+    kept, form, wrong = scenario is not None, None, list[Wrong]()
+    context = None if kept else {"metrics": catalog.entries("metrics")}
+    try:
+        form = StudyFile.model_validate_json(json.dumps(file.data), context=context)
+    except ValidationError as error:
+        wrong = [Wrong(*each) for each in wording.faults(error, file.data, StudyFile)]
     scenario = scenario or _scenario(file, wrong)
     if not form or not scenario or wrong:
         raise MisplacedError(wrong)
@@ -225,9 +216,8 @@ def _study(file: YamlFile, catalog: Catalog, scenario: YamlFile | None) -> Study
         wrong += _tried(file, varied, scenario, base, catalog)
     refuse(wrong)
     points, levelled = _points(form, varied)
-    count = form.sampled[1]
-    notes = []
-    if form.sampled[0] == "sobol" and count & (count - 1):
+    (method, count), notes = form.sampled, list[str]()
+    if method == "sobol" and count & (count - 1):
         even = 1 << round(math.log2(count))
         words = f"{count} is not a power of two; {even} points would fill the space more evenly"
         notes.append(f"{file.place(['samples', 'sobol'])}: {words}")
