@@ -267,9 +267,9 @@ def explain(record: TickRecord) -> Explanation:
     unmet, record = _unmet(record, missed), _until_missed(record, missed)
     tick, b = _rows_then(record)
     names, open_rows, impossible = names_of(record.task_rows), *_possible(tick, record.task_rows)
-    against, held, answer = _contradiction(record, tick, b, impossible), (), None
-    if not against:
-        held, answer = shares(tick.forces(AT_BOUND)), _relaxations(record, tick, b, open_rows)
+    against = _contradiction(record, tick, b, impossible)
+    held = () if against else shares(tick.forces(AT_BOUND))
+    answer = None if against else _relaxations(record, tick, b, open_rows)
     found = Explanation(
         missed=missed_names,
         impossible=tuple(names[i] for i in impossible),
@@ -318,8 +318,9 @@ def _until_missed(record: TickRecord, missed: NDArray[np.bool_]) -> TickRecord:
     """With task rows up to the first mode, of hard, scaled and soft, that misses any."""
     levels = [("hard", "scaled", "soft").index(record.modes[r.owner]) for r in record.task_rows]
     first = np.flatnonzero(levels <= np.min(np.array(levels)[missed])).tolist()
-    own = {name: [getattr(record, name)[i] for i in first] for name in ("J", "wanted", "task_rows")}
-    return replace(record, **own)
+    J, wanted, rows = record.J, record.wanted, record.task_rows
+    own = [J[i] for i in first], [wanted[i] for i in first], [rows[i] for i in first]
+    return replace(record, J=own[0], wanted=own[1], task_rows=own[2])
 
 
 def _possible(tick: TickRows, task_rows: Sequence[Row]) -> tuple[list[int], list[int]]:
@@ -387,7 +388,7 @@ def _relaxations(
     """The smallest with which some task rows hold as well; None where none helps."""
     equal = np.vstack([tick.A, tick.J[kept]]), np.concatenate([b, tick.wanted[kept]])
     count = len(tick.left)
-    result = least_relaxation(equal, (tick.ways, tick.left), np.arange(count), np.ones(count))
+    result = least_relaxation(equal, (tick.ways, tick.left), np.arange(count), [1.0] * count)
     if result is None:
         return None
     rows = zip(tick.limit_rows, result[1].tolist(), tick.slack.tolist(), strict=False)

@@ -149,9 +149,9 @@ class Job:
 
 def job_of(study: Study) -> Job:
     """What the workers must know."""
+    path, text = study.scenario_text
     data, folders = json.dumps(study.scenario.data), study.catalog.folders
-    own = data, study.locations, study.controllers, study.metrics, folders
-    return Job(*study.scenario_text, *own)
+    return Job(path, text, data, study.locations, study.controllers, study.metrics, folders)
 
 
 def run_variants(variants: Sequence[Variant], *, job: Job) -> list[list[Row]]:
