@@ -81,19 +81,12 @@ LOOP, HOLD, PLANT = "loop", "hold", "plant"
 ENDED = {Status.PLANT_FAILED, Status.OBJECT_LOST}
 
 
-def assess(trace: Trace) -> Assessment:
-    """Assess a run; each answer is found when it is first asked for."""
-    return Assessment(trace)
-
-
 @dataclass(frozen=True)
 class TaskEnd:
     """How a task, or a part of it with a unit of its own, ended.
 
     Attributes:
-        name, unit, tolerance: of it.
-        mode: of it; soft where the law supports none.
-        level: where it comes among all tasks; the same for all where the law supports none.
+        mode, level: where it comes among all tasks; soft and the same where the law supports none.
         last: the last instant for which it counts.
         error: at its end [unit]; a force's largest of the last stretch.
         torn: whether no object was held any more before its end.
@@ -152,9 +145,7 @@ class Acceleration:
     """The joint whose speed changes most, measured by what the loop for robots allows it.
 
     Attributes:
-        joint: its name. unit: rad/s2 or m/s2.
-        value: the largest change of its velocity from tick to tick, over dt [unit].
-        at: when that was [s].
+        value, at: the largest change of its velocity from tick to tick, over dt [unit]; when [s].
         allowed: what :class:`coopqp.OnlineLoop` allows where a scenario has no limit of it [unit].
     """
 
@@ -316,9 +307,8 @@ class Assessment:
             return None
         change, share, allowed = accelerations(trace)
         k, i = divmod(int(share.argmax()), share.shape[1])
-        unit, value = f"{trace.units[i]}/s2", float(change[k, i])
-        at = float(trace.t[k])
-        return Acceleration(trace.joints[i], unit, value, at, float(allowed[i]))
+        joint, unit = trace.joints[i], f"{trace.units[i]}/s2"
+        return Acceleration(joint, unit, float(change[k, i]), float(trace.t[k]), float(allowed[i]))
 
     @property
     def acceleration_free(self) -> bool:
@@ -329,8 +319,11 @@ class Assessment:
     @cached_property
     def saturated(self) -> dict[str, float]:
         """Share of the ticks in which motors were at their limits, by joint, the largest first."""
-        at = self._at_effort
-        share = at.mean(axis=0) if at.size else np.zeros(0)
+        tau, effort = self.trace.signals.get("tau"), self.trace.effort
+        if tau is None or not tau.size:
+            return {}
+        limited = np.isfinite(effort) & (effort > 0.0)
+        share = ((np.abs(tau) >= AT_EFFORT * effort) & limited).mean(axis=0)
         order = np.argsort(-share, kind="stable").tolist()
         return {self.trace.joints[i]: float(share[i]) for i in order if share[i] > SATURATED}
 
@@ -378,14 +371,10 @@ class Assessment:
         sizes = zip(trace.loop_position.tolist(), trace.loop_orientation.tolist(), strict=True)
         return np.array([torn(*size) for size in sizes])
 
-    @property
-    def _at_effort(self) -> NDArray[np.bool_]:
-        """Which motors were at their limits at each tick's end, shape (T, n), or (0, 0)."""
-        tau, effort = self.trace.signals.get("tau"), self.trace.effort
-        if tau is None:
-            return np.zeros((0, 0), bool)
-        limited = np.isfinite(effort) & (effort > 0.0)
-        return np.asarray((np.abs(tau) >= AT_EFFORT * effort) & limited)
+
+def assess(trace: Trace) -> Assessment:
+    """Assess a run; each answer is found when it is first asked for."""
+    return Assessment(trace)
 
 
 class Accelerations(NamedTuple):

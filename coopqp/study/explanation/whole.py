@@ -66,8 +66,7 @@ def explain_run(
     found, phases = assess(trace), list(explained_phases(scenario.held_by(trace.controller), trace))
     phase = next((phase for phase in phases if phase.missed), phases[-1])
     explained = _explained(found, phases, phase, report)
-    saturated = saturation_words(found) if explained.kind != "motors" else ""
-    more = f"it saturates {saturated}" if saturated else ""
+    more = saturation_words(found, "it saturates ") if explained.kind != "motors" else ""
     return _sentence(explained, explained.sentence, more, _rows_in_python(phase))
 
 
