@@ -1,11 +1,9 @@
 """What geometry allows and the run missed: too slow, no loop budget, too short, at rest.
 
-A velocity has no goal to search for. At the last tick, with u the direction that is missed and Z
-the motions that keep the loops closed:
+A velocity has no goal to search for. At the last tick
 
     contradiction   all tasks' rows together have no solution within the loops, each alone has one
-    reach           |Z' J' u| has fallen below a share of what it was at the start, or the speed
-                    that is needed is far beyond the joints'
+    reach           the speed that is needed is far beyond the joints', or the loops leave none
     limits, speed   by the multipliers of the ticks, as in :mod:`coopqp.study.explanation.tick`
 """
 
@@ -18,7 +16,6 @@ from typing import Any
 import numpy as np
 
 from coopqp.assessment.thresholds import AT_EFFORT, HELD_UP, rests
-from coopqp.base.rank import null_space
 from coopqp.base.spec import Array, type_name
 from coopqp.closed_loop.screw import LENGTH
 from coopqp.model.closed_chain import AXES
@@ -26,7 +23,13 @@ from coopqp.plant import Disturbance
 from coopqp.solver import Status
 from coopqp.study.explanation import words
 from coopqp.study.explanation.diagnosis import TooFar
-from coopqp.study.explanation.explained_phase import ExplainedPhase, arrival, rerun
+from coopqp.study.explanation.explained_phase import (
+    ExplainedPhase,
+    arrival,
+    by_rerun,
+    rerun,
+    with_suggestion,
+)
 from coopqp.study.explanation.goal import (
     Goal,
     PartOfTask,
@@ -35,7 +38,6 @@ from coopqp.study.explanation.goal import (
     Share,
     least_relaxation,
 )
-from coopqp.study.explanation.suggested_relaxation import by_rerun, with_suggestion
 from coopqp.study.explanation.tick import (
     PhaseTicks,
     contradicting_rows,
@@ -102,7 +104,7 @@ def _too_short(
     then = (
         f"{time:.3g} s instead of {phase.t_end:.3g} s would do (tried: reached)"
         if time is not None
-        else f"after {after.t_end:.3g} s {words.stops(after)}"
+        else f"after {after.t_end:.3g} s {words.stops_short(*after.missed[0])}"
     )
     kind = "speed" if slow else "short"
     return base.because(kind, f"{why}{gain}; {then}", held, tried=time is not None, time=time)
@@ -197,7 +199,7 @@ def _budget(phase: ExplainedPhase, base: RunExplanation) -> RunExplanation:
     after = rerun(phase, kappa=most)
     sentence = f"{text}; kappa: {most:g} would do (tried: reached)"
     if after.missed:
-        sentence = f"{text}; with kappa: {most:g} {words.stops(after)}"
+        sentence = f"{text}; with kappa: {most:g} {words.stops_short(*after.missed[0])}"
     return base.because("budget", sentence, tried=not after.missed)
 
 
@@ -243,8 +245,8 @@ def _gives_way(phase: ExplainedPhase, goal: Goal, base: RunExplanation) -> RunEx
     return base.because("springs", f"{why}; {others}")
 
 
-#: Singular below this share of the start's, or when so many times the joints' speed is needed.
-SINGULAR, BEYOND = 0.02, 20.0
+#: Singular where so many times the joints' speed is needed.
+BEYOND = 20.0
 #: Rows have a solution where the least-squares residual is a smaller share of what is wanted.
 SOLVED = 1e-3
 #: Singular values below this share of the largest are no motion.
@@ -261,10 +263,9 @@ def explain_velocity(phase: ExplainedPhase, base: RunExplanation) -> RunExplanat
         sentence = f"{words.listed(names)} cannot hold together: they ask for different motions"
         return base.because("contradiction", sentence, tasks=names)
     u = look.look(k)[part.rows]
-    needed, now = _speed_needed(look, part.rows), _freedom(look, part, u)
+    needed = _speed_needed(look, part.rows)
     axes = [row.name.rpartition(".")[2] for row in look.stack.rows[part.rows]]
-    look.look(0)
-    if now < SINGULAR * _freedom(look, part, u) or needed > BEYOND:
+    if needed > BEYOND:
         return _at_the_edge(part, axes, u, base)
     held = held_up(phase, range(max(0, k - EVALUATED), k + 1))
     if held and speed_share(held) <= MOSTLY:
@@ -306,12 +307,6 @@ def _speed_needed(look: PhaseTicks, rows: slice) -> float:
     )
     found = least_relaxation(equal, limits, owners, [1.0])
     return float(found[1][0]) if found else np.inf
-
-
-def _freedom(look: PhaseTicks, part: PartOfTask, u: Array) -> float:
-    """How much of the direction u the loops leave."""
-    Z = null_space(look.state.J_loop)
-    return float(np.linalg.norm(Z.T @ look.stack.J[part.rows].T @ (u / np.linalg.norm(u))))
 
 
 def contradicting(phase: ExplainedPhase) -> tuple[str, ...]:

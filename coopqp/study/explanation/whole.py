@@ -36,14 +36,15 @@ from coopqp.study.explanation.diagnosis import (
     Unreachable,
     diagnose,
 )
-from coopqp.study.explanation.explained_phase import ExplainedPhase, explained_phases
-from coopqp.study.explanation.goal import Goal, Room, Search, placed
-from coopqp.study.explanation.suggested_relaxation import (
+from coopqp.study.explanation.explained_phase import (
+    ExplainedPhase,
     by_geometry,
+    explained_phases,
     minimal_relaxations,
     needed,
     with_suggestion,
 )
+from coopqp.study.explanation.goal import Goal, Room, Search, placed
 from coopqp.study.explanation.tick import relaxed
 from coopqp.study.explanation.words import MissedPart, RunExplanation, listed
 from coopqp.task import Task
@@ -107,7 +108,7 @@ def _explained(
     if torn and not phase.missed:
         why = f"no goal counts as reached: the loop came open by {loop_words(found)} on the way"
         return base.because("open", why)
-    stops = replace(base, sentence=words.stops(phase)) if phase.missed else base
+    stops = replace(base, sentence=words.stops_short(*phase.missed[0])) if phase.missed else base
     if (phase.missed or not found.reached) and (failed := _failed(phase)):
         return stops.because("failed", failed)
     strange = [words.stops_short(part, error) for part, error in phase.missed if np.isnan(error)]

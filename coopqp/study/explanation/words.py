@@ -14,7 +14,6 @@ from coopqp.base.qp import Row
 from coopqp.base.spec import Array
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.study.explanation.diagnosis import Contradiction, Elsewhere, TooFar, Unreachable
-from coopqp.study.explanation.explained_phase import ExplainedPhase
 from coopqp.study.explanation.goal import Missed, PartOfTask, Place, Share
 from coopqp.task import Mode
 
@@ -62,11 +61,6 @@ def _with_percents(shares: Sequence[Share], of: str = "") -> list[str]:
         with_note(share.row, f"{100.0 * share.share:.0f} %{'' if i else of}")
         for i, share in enumerate(shares)
     ]
-
-
-def stops(phase: ExplainedPhase) -> str:
-    """How far the worst part of all tasks stops short."""
-    return stops_short(*phase.missed[0])
 
 
 def stops_short(part: PartOfTask, error: float) -> str:
