@@ -20,10 +20,10 @@ from coopqp.assessment.limits import LimitViolation
 from coopqp.assessment.oscillation import Oscillation, oscillation
 from coopqp.assessment.thresholds import (
     ACCELERATION_UNLIMITED,
-    AT_EFFORT,
     SATURATED,
     SETTLED,
     SPEED_UP,
+    at_effort,
     closed,
     rests,
     torn,
@@ -319,11 +319,10 @@ class Assessment:
     @cached_property
     def saturated(self) -> dict[str, float]:
         """Share of the ticks in which motors were at their limits, by joint, the largest first."""
-        tau, effort = self.trace.signals.get("tau"), self.trace.effort
+        tau = self.trace.signals.get("tau")
         if tau is None or not tau.size:
             return {}
-        limited = np.isfinite(effort) & (effort > 0.0)
-        share = ((np.abs(tau) >= AT_EFFORT * effort) & limited).mean(axis=0)
+        share = at_effort(tau, self.trace.effort).mean(axis=0)
         order = np.argsort(-share, kind="stable").tolist()
         return {self.trace.joints[i]: float(share[i]) for i in order if share[i] > SATURATED}
 

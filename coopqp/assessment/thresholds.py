@@ -8,7 +8,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
+from coopqp.base.spec import Array
 from coopqp.limit import ROUNDING
 from coopqp.model.grasp_configuration import CLOSED_ORIENTATION, CLOSED_POSITION
 from coopqp.solver import Budget
@@ -101,6 +103,12 @@ def torn(position: float, orientation: float) -> bool:
     return not (position <= TORN and orientation <= TORN_ANGLE)
 
 
-def rests(v: np.typing.NDArray[np.float64]) -> bool:
+def at_effort(tau: Array, effort: Array) -> NDArray[np.bool_]:
+    """Which motors are at their limits: torques, shape (T, n), and these, (n,) [N m, N]."""
+    limited = np.isfinite(effort) & (effort > 0.0)
+    return np.asarray((np.abs(tau) >= AT_EFFORT * effort) & limited)
+
+
+def rests(v: Array) -> bool:
     """Whether joints with velocities v [rad/s, m/s] are at rest."""
     return bool(np.abs(v).max(initial=0.0) <= AT_REST)

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.assessment.thresholds import AT_EFFORT, HELD_UP, rests
+from coopqp.assessment.thresholds import HELD_UP, at_effort, rests
 from coopqp.base.spec import Array, type_name
 from coopqp.closed_loop.screw import LENGTH
 from coopqp.model.closed_chain import AXES
@@ -205,12 +205,10 @@ def _budget(phase: ExplainedPhase, base: RunExplanation) -> RunExplanation:
 
 def _motors(phase: ExplainedPhase) -> str:
     """Motors at their limits; empty where none was."""
-    effort = phase.problem.chain.model.effortLimit
-    tau = phase.tau[-LAST:]
+    effort, tau = phase.problem.chain.model.effortLimit, phase.tau[-LAST:]
     if not tau.size:
         return ""
-    often = (np.abs(tau) >= AT_EFFORT * effort).mean(axis=0)
-    often[~np.isfinite(effort) | (effort <= 0.0)] = 0.0
+    often = at_effort(tau, effort).mean(axis=0)
     names = [phase.problem.chain.joint_names[i] for i in np.flatnonzero(often > HELD_UP)]
     if not names:
         return ""

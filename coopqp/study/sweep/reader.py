@@ -35,10 +35,11 @@ from coopqp.scenario.form import STRICT, Words, check, file_model
 from coopqp.scenario.loader import find
 from coopqp.scenario.yaml import MisplacedError, Wrong, YamlFile, parsed, read_yaml
 from coopqp.study.sweep import space
-from coopqp.study.sweep.space import GRID, MOST, SAMPLES, Listed, Points, Variation, drawn, grid
+from coopqp.study.sweep.space import GRID, MOST, SAMPLES, Listed, Points, Variation, needs
 from coopqp.study.sweep.study import CONTROLLERS, SEED, Study, Varied, located, put
 
 NAMED = "needs the path of a scenario, or the name of a shipped one"
+EMPTY = "is empty; needs a path of the scenario: what to vary it over"
 
 
 def _variation(value: Any) -> Any:
@@ -51,15 +52,6 @@ def _variation(value: Any) -> Any:
     if kind not in space.KINDS:
         raise ValueError(unknown_name("variation", kind, space.KINDS))
     return value
-
-
-def _filled(kind: type, words: str) -> BeforeValidator:
-    def check(value: Any) -> Any:
-        if not isinstance(value, kind) or not value:
-            raise ValueError(words)
-        return value
-
-    return BeforeValidator(check)
 
 
 def _samples(value: Any) -> Any:
@@ -77,12 +69,6 @@ def _samples(value: Any) -> Any:
     return named
 
 
-def _count(value: Any) -> Any:
-    if not isinstance(value, int) or isinstance(value, bool) or not 1 <= value <= MOST:
-        raise ValueError(f"needs a whole number of 1 to {MOST:,}")
-    return value
-
-
 def _metric(name: str, info: ValidationInfo) -> str:
     known = (info.context or {}).get("metrics")
     if known is not None and name not in known:
@@ -90,7 +76,9 @@ def _metric(name: str, info: ValidationInfo) -> str:
     return name
 
 
-Count = Annotated[int, Field(ge=1, le=MOST), BeforeValidator(_count)]
+_MANY = f"needs a whole number of 1 to {MOST:,}"
+_COUNTS = needs(lambda x: type(x) is int and 1 <= x <= MOST, _MANY)
+Count = Annotated[int, Field(ge=1, le=MOST), _COUNTS]
 _KINDS: dict[str, Any] = {
     kind: (Annotated[form, AfterValidator(build)], Field(default=None, description=about))
     for kind, (form, build, about) in space.KINDS.items()
@@ -105,13 +93,12 @@ _WAYS: dict[str, Any] = {
     way: (Count | None if way == GRID else Count, Field(default=None, description=about))
     for way, about in SAMPLES.items()
 }
-_SEED: Any = (Annotated[int, Field(ge=0)], Field(default=0, description="Of all that is random."))
+_WAYS[SEED] = (Annotated[int, Field(ge=0)], Field(default=0, description="Of all that is random."))
 Samples: Any = create_model(
     "Samples",
     __config__=ConfigDict(**STRICT, json_schema_extra={"minProperties": 1, "maxProperties": 2}),
     __doc__="How many variants, and how they are chosen.",
     **_WAYS,
-    **{SEED: _SEED},
 )
 
 
@@ -121,13 +108,13 @@ class StudyFile(BaseModel):
     model_config = STRICT
 
     description: str = Field(default="", description="What the study asks, in a line.")
-    scenario: Annotated[str, Field(min_length=1), _filled(str, NAMED)] = Field(
-        description="A file beside the study, or the name of a shipped scenario."
-    )
+    scenario: Annotated[
+        str, Field(min_length=1), needs(lambda x: isinstance(x, str) and x != "", NAMED)
+    ] = Field(description="A file beside the study, or the name of a shipped scenario.")
     vary: Annotated[
         dict[str, Annotated[Over, BeforeValidator(_variation)]],
         Field(min_length=1),
-        _filled(dict, "is empty; needs a path of the scenario: what to vary it over"),
+        needs(lambda x: isinstance(x, dict) and x != {}, EMPTY),
     ] = Field(description="Paths of the scenario, such as tasks.reach.goal, and over what.")
     samples: Annotated[Samples, BeforeValidator(_samples), Words((GRID,))] = Field(
         description="A way to sample and how many variants, and a seed (0)."
@@ -358,7 +345,7 @@ def _points(form: StudyFile, varied: Sequence[Varied]) -> tuple[Points, Sequence
     method, count = form.sampled
     if method != GRID:
         dimensions = sum(one.over.dimensions for one in varied)
-        return drawn(method, count, dimensions, form.samples.seed), varied
+        return space.drawn(method, count, dimensions, form.samples.seed), varied
     wrong, levels, found = list[Wrong](), list[int](), list[Varied]()
     for one in varied:
         own = one.over.levels(count)
@@ -372,7 +359,7 @@ def _points(form: StudyFile, varied: Sequence[Varied]) -> tuple[Points, Sequence
         words = f"the grid has {math.prod(levels):,} points; needs at most {MOST:,}"
         wrong.append(Wrong(["samples"], words))
     refuse(wrong)
-    return grid(levels), found
+    return space.grid(levels), found
 
 
 def _defaults(model: type[BaseModel]) -> dict[str, Any]:

@@ -219,16 +219,22 @@ Number = Annotated[float, WrapValidator(lambda value, check: (check(value), valu
 Numbers = Annotated[list[Number], Field(min_length=1)]
 
 
-def _list(item: Any, least: int, most: int | None, needs: str) -> Any:
-    """A list of so many."""
+def needs(test: Callable[[Any], bool], words: str) -> BeforeValidator:
+    """Refuse, in words, what does not pass a test."""
 
     def check(value: Any) -> Any:
-        if not isinstance(value, list) or not least <= len(value) <= (most or len(value)):
-            raise ValueError(needs)
+        if not test(value):
+            raise ValueError(words)
         return value
 
+    return BeforeValidator(check)
+
+
+def _list(item: Any, least: int, most: int | None, words: str) -> Any:
+    """A list of so many."""
     of_item = types.GenericAlias(list, (item,))
-    return Annotated[of_item, Field(min_length=least, max_length=most), BeforeValidator(check)]
+    many = needs(lambda x: isinstance(x, list) and least <= len(x) <= (most or len(x)), words)
+    return Annotated[of_item, Field(min_length=least, max_length=most), many]
 
 
 def _box(given: list[Any]) -> Variation:
