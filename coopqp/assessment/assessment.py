@@ -121,12 +121,10 @@ class TaskEnd:
 
 @dataclass(frozen=True)
 class Inputs:
-    """Whether inputs were followed as sent.
+    """Whether inputs were followed as sent: ticks in which they were refused, or nothing new came.
 
-    Attributes:
-        refused, stale: in how many ticks something was refused, and nothing new had arrived.
-        nothing_at: names of those at which nothing that can be used has arrived.
-        refused_at_end: whether the run ends with what arrives being refused.
+    ``nothing_at`` names those at which nothing that can be used has arrived; ``refused_at_end``
+    says whether the run ends with what arrives being refused.
     """
 
     refused: int
@@ -377,12 +375,10 @@ def assess(trace: Trace) -> Assessment:
 
 
 class Accelerations(NamedTuple):
-    """Of all joints in all ticks.
+    """Of all joints in all ticks: change of the velocity over dt, and what is allowed of it.
 
-    Attributes:
-        change: of the velocity, over dt; it begins at rest, shape (T, n) [rad/s2, m/s2].
-        share: of what the loop for robots allows, 0 for joints without a motor, shape (T, n).
-        allowed: shape (n,) [rad/s2, m/s2].
+    ``change``, from rest, and its ``share`` of that, 0 without a motor, have the shape (T, n),
+    ``allowed`` (n,) [rad/s2, m/s2].
     """
 
     change: Array

@@ -43,12 +43,8 @@ def oscillation(
 ) -> Oscillation | None:
     """The widest oscillation of joints; None where nothing oscillates.
 
-    Args:
-        q: since all references rest, shape (T + 1, n) [rad, m].
-        units: of the joints.
-        dt: control period [s].
-        longest: time in which what still moves is as good as at rest, in ticks.
-        noise: standard deviation of the encoders' [rad].
+    q is since all references rest, shape (T + 1, n) [rad, m]. What still moves after ``longest``
+    ticks is as good as at rest; the encoders' noise has this standard deviation [rad].
     """
     third = (len(q) - 1) // 3
     if third < SHORTEST or not np.isfinite(q).all():

@@ -106,15 +106,10 @@ class Calibration:
 
 
 def calibrate(chain: ClosedChain, q: Array, *, encoders: bool = False) -> Calibration:
-    """Identify the constant errors that explain the loop errors.
+    """Identify the constant errors that explain the loop errors of a chain as modelled.
 
-    Args:
-        chain: as modelled.
-        q: measured joints with the real loops closed, passive ones too, in order, shape (T, n).
-        encoders: whether to identify offsets of the motors' encoders as well.
-
-    Raises:
-        InvalidValueError: only one arm holds; too few ticks; or the hands are where the model says.
+    q are measured joints with the real loops closed, passive ones too, in order, shape (T, n); with
+    ``encoders`` offsets of the motors' encoders are identified as well.
     """
     if chain.holding < 2:
         raise InvalidValueError("nothing to calibrate: one arm holds the object, no loop is closed")

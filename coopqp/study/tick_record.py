@@ -206,9 +206,7 @@ def record_tick(
 class NamedBounds:
     """The limits of a problem one by one, so that each bound on v has the name of one.
 
-    Attributes:
-        lb, ub, G, h: the tightest bounds; rows of one limit after the other.
-        below, above: the limits that lb and ub come from.
+    lb and ub are the tightest, from the limits ``below`` and ``above``; G and h their rows.
     """
 
     def __init__(self, problem: ControlProblem, state: State) -> None:

@@ -87,17 +87,18 @@ class Room:
             self.sides[i, str(row.side)] = replace(row, label=label)
 
     @cached_property
-    def _left(self) -> list[Clearance]:
-        return [left for limit in self.limits if (left := limit.clearance(self.chain))]
-
-    @cached_property
-    def _rows(self) -> list[tuple[Row, ...]]:
-        left = zip(self.limits, self._left, strict=True)
-        return [limit.rows(self.chain)[: len(each(self._state))] for limit, each in left]
+    def _spaces(self) -> list[tuple[tuple[Row, ...], Clearance, Callable[[State], Array]]]:
+        """Rows, clearances and their gradient of each limit in space."""
+        found = []
+        for limit in self.limits:
+            if left := limit.clearance(self.chain):
+                rows = limit.rows(self.chain)[: len(left(self._state))]
+                found.append((rows, left, _slope(limit, self.chain, self._dt, len(rows))))
+        return found
 
     @cached_property
     def rows(self) -> tuple[Row, ...]:
-        return tuple(itertools.chain(*self._rows))
+        return tuple(row for rows, _, _ in self._spaces for row in rows)
 
     @cached_property
     def all_rows(self) -> tuple[Row, ...]:
@@ -106,26 +107,22 @@ class Room:
     @cached_property
     def owners(self) -> NDArray[np.intp]:
         sides = len(self.sides)
-        spaces = (sides + i for i, rows in enumerate(self._rows) for _ in rows)
+        spaces = (sides + i for i, (rows, _, _) in enumerate(self._spaces) for _ in rows)
         return np.array([*range(sides), *spaces], np.intp)
-
-    @cached_property
-    def _slopes(self) -> list[Callable[[State], Array]]:
-        counts = zip(self.limits, map(len, self._rows), strict=True)
-        return [_slope(limit, self.chain, self._dt, count) for limit, count in counts]
 
     def at(self, q: Array) -> Array:
         """Clearances of the limits in space at a configuration, shape (p,) [m]."""
-        if self._left and not np.array_equal(self._state.q, q):
+        if self._spaces and not np.array_equal(self._state.q, q):
             self._state.q[:] = q
             self._state.update()
-        return np.concatenate([np.zeros(0), *(left(self._state) for left in self._left)])
+        left = (left(self._state) for _, left, _ in self._spaces)
+        return np.concatenate([np.zeros(0), *left])
 
     def both(self, q: Array) -> tuple[Array, Array]:
         """Clearances and their gradient, shape (p, n), cached until q changes."""
         if self._kept is None or not np.array_equal(self._kept[2], q):
             clearances = self.at(q)
-            slopes = (slope(self._state) for slope in self._slopes)
+            slopes = (slope(self._state) for _, _, slope in self._spaces)
             self._kept = clearances, np.vstack([np.zeros((0, len(q))), *slopes]), q.copy()
         return self._kept[:2]
 
@@ -200,15 +197,7 @@ def least_relaxation(
         minimise    costs' r
         subject to  A d = b,   W d - r[owners] <= left,   r >= 0,   |d_i| <= most
 
-    Args:
-        equal: A and b.
-        limits: W and left; rows with an infinite one bound nothing.
-        owners: the relaxation of each row of W.
-        costs: of each relaxation.
-        most: farthest that a variable goes.
-
-    Returns:
-        d and r; None where no relaxation is enough.
+    ``equal`` is A and b, ``limits`` is W and left. None where no relaxation is enough.
     """
     from scipy.optimize import linprog  # its import takes a sixth of a second
 
@@ -375,9 +364,9 @@ def _level_weight(task: Task) -> float:
 
 @dataclass(frozen=True)
 class Place:
-    """Where a search ended: q, shape (n,), errors e, shape (k,), the goal's miss.
+    """Where a search ended, valid where loops are closed and limits kept.
 
-    Valid where loops are closed and limits kept.
+    It has q, shape (n,), errors e, shape (k,), and the goal's miss.
     """
 
     q: Array

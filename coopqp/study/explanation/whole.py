@@ -60,9 +60,6 @@ def explain_run(
     """Say why a run of one of a scenario's controllers did not reach its goals.
 
     ``report`` is called now and then with the share that is done.
-
-    Raises:
-        CoopqpError: no such controller, or the scenario cannot be run again.
     """
     found, phases = assess(trace), list(explained_phases(scenario.held_by(trace.controller), trace))
     phase = next((phase for phase in phases if phase.missed), phases[-1])
@@ -332,13 +329,7 @@ def _again(phase: ExplainedPhase, **changed: Any) -> Trace | None:
 
 @dataclass(frozen=True)
 class Standing:
-    """How arms stand to their goals.
-
-    Attributes:
-        reached: whether all tasks with a place are within their tolerances.
-        blocked: whether geometry keeps the arms from one that is not.
-        sentence: in words.
-    """
+    """How arms stand to their goals: at all of them, or kept by geometry from one, in words."""
 
     reached: bool
     blocked: bool
@@ -350,11 +341,8 @@ def explain_standing(
 ) -> Standing:
     """Say what keeps arms from their goals, by geometry alone; relaxations are not tried.
 
-    Args:
-        problem: with the limits that count.
-        tasks: of the problem, each with its reference at its goal.
-        q: shape (n,) [rad, m].
-        rests: whether they stay there; else the explanation says how near they can get.
+    The problem has the limits that count, and each task its reference at its goal. Unless the arms
+    rest at q, shape (n,) [rad, m], the explanation says how near they can get.
     """
     chain = problem.chain
     goal = Goal(chain, placed(tasks, chain), 0.0)

@@ -63,9 +63,7 @@ class Study:
     """What is asked.
 
     Attributes:
-        scenario: the scenario's, with slots on the way to what is varied written out.
-        scenario_text: path and text of its file.
-        controllers: names; each variant is run under all of them.
+        scenario: with slots on the way to what is varied written out; path and text of its file.
         points: a dimension for each number that is varied.
         notes: what is odd, but no fault.
     """

@@ -171,13 +171,10 @@ class Pair:
 
 @dataclass(frozen=True)
 class Summary:
-    """A study in few numbers.
+    """A study in few numbers, exact where nothing was drawn, so that there is nothing to estimate.
 
-    Attributes:
-        exact: whether nothing was drawn, so that there is nothing to estimate.
-        pairs: one for each controller but the reference.
-        reasons: how often each was given by rows that are not done, the most frequent first; those
-            that only differ in numbers together.
+    ``pairs`` has one for each controller but the reference, ``reasons`` how often each was given by
+    rows that are not done, the most frequent first; those that only differ in numbers together.
     """
 
     rows: int

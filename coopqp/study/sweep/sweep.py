@@ -62,12 +62,10 @@ HERE = Engine()
 
 @dataclass
 class Progress:
-    """How far a sweep is.
+    """How far a sweep is: so many variants of this share were there before, and are done.
 
-    Attributes:
-        total: variants of this share; so many were there ``before``, and are ``done``.
-        states: of the rows that came since it began.
-        damaged: records that were not as they were written; what they said is done again.
+    ``states`` are those of the rows that came since it began; ``damaged`` are records that were not
+    as they were written: what they said is done again.
     """
 
     total: int
@@ -98,16 +96,7 @@ def sweep(
     """Run the variants that are not in the folder yet; at the end write ``results.parquet``.
 
     Killed at any moment, it goes on from there when called again; the file is the same in the end.
-
-    Args:
-        study: what is asked.
-        folder: for its journal and results; made if it does not exist.
-        engine: where, and which share; on all cores when omitted.
-        progress: called after each batch.
-
-    Raises:
-        CoopqpError: the folder belongs to another study, or cannot be written to; nobody answers
-            at the scheduler's address.
+    The folder is made if it does not exist; ``progress`` is called after each batch.
     """
     needs_arrow()
     head = _head_for(study)
@@ -340,8 +329,6 @@ def kept_study(folder: Path, catalog: Catalog | None = None) -> Study:
 
     No plug-ins are looked for where it was run: who opens a folder runs none of its code. Who runs
     it gives a catalogue of what its scenario can name; shipped and installed plug-ins when omitted.
-
-    Refused is one that holds none, or whose points cannot be drawn again.
     """
     head = _head(folder)
     path, text = head["scenario"]
