@@ -1,13 +1,10 @@
 """What runs many rollouts: the results of all items, whatever becomes of the workers.
 
-Items go to workers, of this machine or of a Dask cluster, in batches of about a second: one costs
-the engine some milliseconds, on a cluster some more, so single items of a few milliseconds would be
-mostly overhead; and much longer ones would be much to do again where a worker is lost. How long an
-item takes is measured where it is done, and the next batches follow that.
+Items go to workers, processes of this machine or of a Dask cluster, in joblib's batches.
 
-A worker that dies takes down what all of them have under way. New ones then do those batches one
-at a time, so that the one that ends its worker is known; of that one the items are done one at a
-time. An item that ends its worker although it is alone is tried once more, and is then lost.
+A worker that dies takes down what all of them have under way. New ones then do those items in
+halves, so that the one that ends its worker is known; what ends its worker although it is alone is
+tried once more, and is then lost.
 """
 
 from __future__ import annotations
@@ -25,46 +22,26 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
-from itertools import islice
+from functools import cache, partial
 from multiprocessing import resource_tracker
-from typing import Any, NamedTuple, Protocol, TypeVar
+from operator import length_hint
+from typing import Any, Protocol, TypeVar
 
 from coopqp.base.errors import CoopqpError, InvalidValueError, MissingDependencyError
 
 Item = TypeVar("Item")
 
-SECONDS = 1.0  # that a batch shall take
-MOST = 500  # items in a batch
-GROWTH = 4.0  # a batch has at most so many times as many items as the largest that came back
-LAST = 2  # what is left is dealt out so that each worker gets so many batches of it
-FOLLOWED = 0.5  # share of the newest batch in the time an item takes
 TRIES = 2  # of an item that is done alone
 MOST_SHARES = 100_000  # commands that may share a job; job arrays of clusters have fewer
 LOOKS = 1.0  # s between two looks of a process whether its parent still lives
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 PATIENCE = 15.0  # s within which a scheduler must answer, and have a worker
-AHEAD = 2  # batches that are handed out before they are asked for, a worker
 
-Work = Callable[[Sequence[Any]], Sequence[Any]]
-"""A function of a module, so that other processes find it: the results of some items, in order."""
+Work = Callable[[Any], Any]
+"""What comes of an item: a function of a module, so that other processes find it."""
 
-Done = list[tuple[Any, Any]]
-"""Items with what came of each."""
-
-
-class Batch(NamedTuple):
-    """Items that are done one after the other by one worker; its number is that of the first."""
-
-    number: int
-    items: tuple[Any, ...]
-
-
-class Outcome(NamedTuple):
-    """A batch that is done: the results of its items, in order, and the time that they took."""
-
-    number: int
-    results: Sequence[Any]
-    seconds: float
+Numbered = Iterator[tuple[int, Any]]
+"""Items by number, or what came of them."""
 
 
 class WorkersLostError(CoopqpError):
@@ -72,13 +49,10 @@ class WorkersLostError(CoopqpError):
 
 
 class Workers(Protocol):
-    """Who does batches, ``count`` at a time."""
+    """Who does items."""
 
-    @property
-    def count(self) -> int: ...
-
-    def outcomes(self, work: Work, batches: Iterable[Batch]) -> Iterator[Outcome]:
-        """What came of the batches, in the order in which they are done.
+    def outcomes(self, work: Work, items: Numbered) -> Numbered:
+        """What came of the items, in the order in which they are done.
 
         Where a worker dies, WorkersLostError; whoever asks again gets new ones.
         """
@@ -132,132 +106,100 @@ class Engine:
     scheduler: str = ""
     share: Share = field(default_factory=Share)
 
-    def batches(self, work: Work, items: Iterable[Any], count: int) -> Iterator[Done]:
-        """So many items with their results, or Lost, in batches as they are done.
+    def results(
+        self, work: Work, items: Iterable[Item], count: int | None = None
+    ) -> Iterator[tuple[Item, Any]]:
+        """Items with their results, or Lost, as they are done; so many, where they have no length.
 
         What the work raises comes out here, and ends all; so does that no scheduler answers.
         """
         if self.scheduler:
             with Cluster.at(self.scheduler) as cluster:
-                yield from _results(cluster, work, Batches(items, count, cluster.count))
+                yield from _results(cluster, work, items)
             return
-        jobs = min(self.jobs or cores(), count)
-        workers = Processes(jobs) if jobs > 1 else Here()
-        yield from _results(workers, work, Batches(items, count, workers.count))
-
-    def results(self, work: Work, items: Sequence[Any]) -> Iterator[tuple[Any, Any]]:
-        """The same one by one."""
-        for batch in self.batches(work, items, len(items)):
-            yield from batch
+        jobs = min(self.jobs or cores(), length_hint(items) if count is None else count)
+        yield from _results(Processes(jobs) if jobs > 1 else Here(), work, items)
 
 
-def _results(workers: Workers, work: Work, batches: Batches) -> Iterator[Done]:
+def _results(workers: Workers, work: Work, items: Iterable[Item]) -> Iterator[tuple[Item, Any]]:
+    left, under_way = enumerate(items), dict[int, Item]()
     while True:
         try:
-            for outcome in workers.outcomes(work, batches):
-                batch = batches.back(outcome.number, outcome.seconds)
-                yield list(zip(batch.items, outcome.results, strict=True))
-            return
+            yield from _as_done(workers, work, left, under_way)
+            if not under_way:
+                return
         except WorkersLostError:
-            for batch in batches.lost():
-                yield from _alone(workers, work, batch)
+            pass
+        lost = [under_way.pop(number) for number in list(under_way)]
+        yield from _again(workers, work, lost)
 
 
-def _alone(workers: Workers, work: Work, batch: Batch) -> Iterator[Done]:
-    """A batch with nothing beside it."""
-    reason, single = "", len(batch.items) == 1
-    for _ in range(TRIES if single else 1):
-        try:
-            (outcome,) = workers.outcomes(work, [batch])
-        except WorkersLostError as error:
-            reason = str(error)
+def _as_done(
+    workers: Workers, work: Work, items: Iterable[tuple[int, Item]], under_way: dict[int, Item]
+) -> Iterator[tuple[Item, Any]]:
+    """Items with their results; those that are handed out without one stay under way."""
+
+    def handed_out() -> Numbered:
+        for number, item in items:
+            under_way[number] = item
+            yield number, item
+
+    for number, result in workers.outcomes(work, handed_out()):
+        yield under_way.pop(number), result
+
+
+def _again(
+    workers: Workers, work: Work, items: Sequence[Item], tries: int = TRIES
+) -> Iterator[tuple[Item, Any]]:
+    """Items that were lost, with nothing beside them."""
+    left, under_way = enumerate(items), dict[int, Item]()
+    try:
+        yield from _as_done(workers, work, left, under_way)
+    except WorkersLostError as error:
+        lost = [*under_way.values(), *(item for _, item in left)]
+        half = len(lost) // 2
+        if half:
+            yield from _again(workers, work, lost[:half])
+            yield from _again(workers, work, lost[half:])
+        elif tries > 1:
+            yield from _again(workers, work, lost, tries - 1)
         else:
-            yield list(zip(batch.items, outcome.results, strict=True))
-            return
-    if single:
-        yield [(batch.items[0], Lost(reason))]
-        return
-    for item in batch.items:
-        yield from _alone(workers, work, Batch(batch.number, (item,)))
-
-
-class Batches:
-    """An iterator of batches, which several threads may ask, and what became of them."""
-
-    def __init__(self, items: Iterable[Any], count: int, workers: int) -> None:
-        self._items, self._count, self._workers = iter(items), count, workers
-        self._next, self._largest, self._time = 0, 0, 0.0
-        self._under_way: dict[int, Batch] = {}
-        self._lock = threading.Lock()
-
-    def __iter__(self) -> Iterator[Batch]:
-        return self
-
-    def __next__(self) -> Batch:
-        with self._lock:
-            batch = Batch(self._next, tuple(islice(self._items, self._size())))
-            if not batch.items:
-                raise StopIteration
-            self._next += len(batch.items)
-            self._under_way[batch.number] = batch
-            return batch
-
-    def _size(self) -> int:
-        if not self._largest:
-            return 1
-        left = self._count - self._next
-        dealt = -(-left // (LAST * self._workers))
-        wanted = SECONDS / max(self._time, SECONDS / MOST)
-        return max(1, min(int(wanted), int(GROWTH * self._largest), dealt, MOST))
-
-    def back(self, number: int, seconds: float) -> Batch:
-        """A batch that is done, in so much time."""
-        with self._lock:
-            batch = self._under_way.pop(number)
-            each = seconds / len(batch.items)
-            self._time += (FOLLOWED if self._largest else 1.0) * (each - self._time)
-            self._largest = max(self._largest, len(batch.items))
-            return batch
-
-    def lost(self) -> list[Batch]:
-        """Those that were under way when the workers were lost; nobody waits for them any more."""
-        with self._lock:
-            lost = list(self._under_way.values())
-            self._under_way.clear()
-            return lost
-
-
-def _done(work: Work, batch: Batch) -> Outcome:
-    """Do a batch."""
-    begun = time.perf_counter()
-    results = work(batch.items)
-    return Outcome(batch.number, results, time.perf_counter() - begun)
+            yield lost[0], Lost(str(error))
 
 
 @dataclass(frozen=True)
 class Here:
     """No worker but this process, as a debugger wants it; an item that ends it ends all."""
 
-    count: int = 1
-
-    def outcomes(self, work: Work, batches: Iterable[Batch]) -> Iterator[Outcome]:
+    def outcomes(self, work: Work, items: Numbered) -> Numbered:
         """One after the other."""
-        return (_done(work, batch) for batch in batches)
+        return ((number, work(item)) for number, item in items)
 
 
-def _by_joblib(
-    do: Callable[[Work, Batch], Outcome],
-    work: Work,
-    batches: Iterable[Batch],
-    count: int,
-    **settings: Any,
-) -> Any:
-    """Have joblib's workers do batches: a generator of outcomes, which can be closed."""
+def _by_joblib(work: Work, items: Numbered, **settings: Any) -> Any:
+    """Have joblib's workers do items: a generator of outcomes, which can be closed."""
     from joblib import Parallel, delayed
 
-    settings = {"n_jobs": count, "batch_size": 1, "pre_dispatch": AHEAD * count} | settings
     parallel = Parallel(return_as="generator_unordered", **settings)
-    return parallel(delayed(do)(work, batch) for batch in batches)
+    return parallel(delayed(_numbered)(work, *item) for item in items)
+
+
+def _numbered(work: Work, number: int, item: Any) -> tuple[int, Any]:
+    return number, work(item)
+
+
+def _for_good(item: Any, *, work: Work) -> Any:
+    """Do an item. What there is after a process's first, most of it imported, is there for good.
+
+    No more cycles are looked for in it, which would take some 60 ms each time: where psutil is not
+    installed loky has them looked for every second, and Python does when the worker ends.
+    """
+    result = work(item)
+    _freeze()
+    return result
+
+
+_freeze = cache(gc.freeze)  # once
 
 
 @dataclass(frozen=True)
@@ -266,7 +208,7 @@ class Processes:
 
     count: int
 
-    def outcomes(self, work: Work, batches: Iterable[Batch]) -> Iterator[Outcome]:
+    def outcomes(self, work: Work, items: Numbered) -> Numbered:
         """Those of processes that are started, or go on from the last call."""
         from joblib import parallel_config
         from joblib.externals.loky.process_executor import BrokenProcessPool
@@ -275,7 +217,8 @@ class Processes:
         try:
             with _quiet(), ExitStack() as opened:
                 with _unsignalled(), parallel_config("loky", inner_max_num_threads=1, **settings):
-                    started = _by_joblib(_done_for_good, work, batches, self.count)
+                    own = partial(_for_good, work=work)
+                    started = _by_joblib(own, items, n_jobs=self.count)
                     outcomes = opened.enter_context(closing(started))
                 yield from outcomes
         except BrokenProcessPool as error:
@@ -345,18 +288,6 @@ def _leave_with(parent: int) -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-def _done_for_good(work: Work, batch: Batch) -> Outcome:
-    """Do a batch. What there is after a worker's first, most of it imported, is there for good.
-
-    No more cycles are looked for in it, which would take some 60 ms each time: where psutil is not
-    installed loky has them looked for every second, and Python does when the worker ends.
-    """
-    outcome = _done(work, batch)
-    if not gc.get_freeze_count():
-        gc.freeze()
-    return outcome
-
-
 @dataclass(frozen=True)
 class Cluster:
     """The workers of the scheduler at an address, to which the client is connected."""
@@ -395,12 +326,7 @@ class Cluster:
                 warnings.simplefilter("ignore")
                 client.close(timeout=PATIENCE)
 
-    @property
-    def count(self) -> int:
-        """Threads of all workers."""
-        return max(1, int(sum(self.client.ncores().values())))
-
-    def outcomes(self, work: Work, batches: Iterable[Batch]) -> Iterator[Outcome]:
+    def outcomes(self, work: Work, items: Numbered) -> Numbered:
         """Dask itself does again what a worker had under way that went, up to three times."""
         from distributed import KilledWorker
 
@@ -408,7 +334,7 @@ class Cluster:
             backend = _answering()(client=self.client, wait_for_workers_timeout=PATIENCE)
             with warnings.catch_warnings():
                 warnings.filterwarnings("ignore", module=r"(joblib|distributed)\.")
-                started = _by_joblib(_done, work, batches, self.count, n_jobs=-1, backend=backend)
+                started = _by_joblib(work, items, n_jobs=-1, backend=backend)
                 with closing(started) as outcomes:
                     yield from outcomes
         except KilledWorker as error:

@@ -10,7 +10,7 @@ import json
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from hashlib import sha256
@@ -58,6 +58,7 @@ from coopqp.study.sweep.study import (
 from coopqp.trace import Trace
 
 HERE = Engine()
+EVERY = 0.1  # s between what is written to the journal, at least
 
 
 @dataclass
@@ -96,7 +97,7 @@ def sweep(
     """Run the variants that are not in the folder yet; at the end write ``results.parquet``.
 
     Killed at any moment, it goes on from there when called again; the file is the same in the end.
-    The folder is made if it does not exist; ``progress`` is called after each batch.
+    The folder is made if it does not exist; ``progress`` is called when something was written.
     """
     needs_arrow()
     head = _head_for(study)
@@ -108,17 +109,28 @@ def sweep(
         missing = index.missing(mine)
         there = len(mine) - len(missing)
         state = Progress(len(mine), there, there, damaged=index.damaged)
+        found: dict[int, list[Row]] = {}
         variants = map(study.variant, missing.tolist())
-        for batch in engine.batches(partial(run_variants, job=job), variants, len(missing)):
-            found = {
-                variant.index: _without(job, FAILED, x.reason) if isinstance(x, Lost) else x
-                for variant, x in batch
-            }
+        work, written = partial(run_variant, job=job), -math.inf
+
+        def write() -> None:
             journal.append((index, {"variant": index, "rows": x}) for index, x in found.items())
             state.done += len(found)
             state.states.update(row["state"] for rows in found.values() for row in rows)
+            found.clear()
             if progress:
                 progress(state)
+
+        try:
+            for variant, rows in engine.results(work, variants, len(missing)):
+                lost = isinstance(rows, Lost)
+                found[variant.index] = _without(job, FAILED, rows.reason) if lost else rows
+                if time.monotonic() - written > EVERY:
+                    write()
+                    written = time.monotonic()
+        finally:
+            if found:
+                write()
     compact(study, folder)
     return state
 
@@ -143,18 +155,13 @@ def job_of(study: Study) -> Job:
     return Job(path, text, data, study.locations, study.controllers, study.metrics, folders)
 
 
-def run_variants(variants: Sequence[Variant], *, job: Job) -> list[list[Row]]:
-    """A batch; what the engine has a worker do."""
-    with np.errstate(all="ignore"):  # laws that run away leave the range of numbers
-        return [_rows(job, variant) for variant in variants]
-
-
 @lru_cache(maxsize=2)
 def _prepared(job: Job) -> tuple[YamlFile, Mapping[str, Any], Catalog, Known]:
     return parsed(job.path, job.text), json.loads(job.data), Catalog(*job.folders), Known()
 
 
-def _rows(job: Job, variant: Variant) -> list[Row]:
+def run_variant(variant: Variant, *, job: Job) -> list[Row]:
+    """What the engine has a worker do."""
     file, data, catalog, known = _prepared(job)
     try:
         own = file.changed(changed(data, job.places, variant))
@@ -163,7 +170,8 @@ def _rows(job: Job, variant: Variant) -> list[Row]:
         return _without(job, INVALID, str(error))
     except Exception as error:  # noqa: BLE001 - one variant is not to end a study
         return _without(job, FAILED, raised(error))
-    return [_row(job, scenario, name) for name in job.controllers]
+    with np.errstate(all="ignore"):  # laws that run away leave the range of numbers
+        return [_row(job, scenario, name) for name in job.controllers]
 
 
 def _row(job: Job, scenario: Scenario, controller: str) -> Row:
