@@ -22,7 +22,6 @@ import threading
 from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -174,11 +173,7 @@ class LiveRecording:
         """Go on from another state than the last tick's, as after a stop.
 
         A tick is repeated from the velocity of the one before. Where that is not the state's, a
-        number is left out between them.
-
-        Args:
-            state: before its first tick.
-            since: start of its own time, as in a later phase [s].
+        number is left out between them. ``since`` is when its own time began [s].
         """
         self._remember(state)
         self._since = since
@@ -238,12 +233,7 @@ class LiveRecording:
     def __enter__(self) -> LiveRecording:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def _open(self) -> None:

@@ -44,7 +44,7 @@ class _File(Sent):
         self.path, self.written = path, False
 
     def flush(self, now: float) -> None:
-        """Write all rows before a time, after which no other can have their times [s]."""
+        """Write all rows before a time [s]."""
         if not (lines := self.take(now)):
             return
         whole = self.path.stat().st_size if self.written else 0
@@ -59,11 +59,7 @@ class _File(Sent):
 
 
 class Session:
-    """The files of a session.
-
-    Raises:
-        CoopqpError: there is a session already, or it cannot be written.
-    """
+    """The files of a session; CoopqpError: there is one already, or it cannot be written."""
 
     def __init__(self, folder: Path, scenario: Scenario, given: Scenario, controller: str) -> None:
         self._folder, self._scenario, self._given = Path(folder), scenario, given
@@ -87,14 +83,13 @@ class Session:
         self._sent[name].add(t, sent, value)
 
     def flush(self, now: float, phases: Sequence[PhaseRun]) -> None:
-        before = {name for name, sent in self._sent.items() if sent.written}
+        before = self._feeds()
         for sent in self._sent.values():
             sent.flush(now)
-        if before != {name for name, sent in self._sent.items() if sent.written}:
+        if before != self._feeds():
             self._write_scenario(phases)
 
     def close(self, phases: Sequence[PhaseRun]) -> None:
-        """Write the rest, and the durations of the phases."""
         self.flush(float("inf"), phases)
         self._write_scenario(phases)
 
@@ -121,10 +116,9 @@ class Session:
         text = scenario_text(
             self._scenario, self._given, self._controller, phases, self._feeds(), self._folder
         )
-        path = self._folder / "scenario.yaml"
-        fresh = path.with_suffix(".new")
+        fresh = self._folder / "scenario.new"
         fresh.write_text(text, encoding="utf-8")
-        fresh.replace(path)
+        fresh.replace(fresh.with_suffix(".yaml"))
 
 
 def _duration(run: PhaseRun) -> float:
@@ -213,12 +207,10 @@ def _set_durations(data: dict[str, Any], runs: Sequence[PhaseRun]) -> None:
 
 
 class Record(Protocol):
-    """Records ticks; raises nothing and waits for nothing."""
+    """Records ticks, as :class:`coopqp.online.recording.LiveRecording`; raises nothing."""
 
-    def tick(
-        self, state: State, command: Command, us: float, also: Array | Sequence[float] = ()
-    ) -> None:
-        """As :meth:`coopqp.online.recording.LiveRecording.tick`."""
+    def tick(self, state: State, command: Command, us: float) -> None:
+        """Record a tick, before the state advances."""
 
     def begin(self, state: State, since: float = 0.0) -> None:
         """Go on from another state than the last tick's, as after a stop."""
