@@ -18,7 +18,7 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -202,15 +202,17 @@ class OnlineLoop:
         check_options(locals())
         self._turn = threading.RLock()
         self._reactions = checked_reactions(reactions)
-        self._chosen = controller_of(scenario, controller)
+        chosen = controller_of(scenario, controller)
         own, self.controller = scenario.held_by(controller), controller
-        self.by_torques = torques = self._chosen.commands_torques
+        self.by_torques = torques = chosen.commands_torques
         limits = own.limits if torques else with_acceleration(own.limits, own.chain, speed_up)
         self._given = own.changed(limits=limits, observer=observer or own.observer)
         self._observed = reference == "commanded" and not torques
-        self._as_held = grasp == "as_held"
+        self._new_phases = partial(
+            Phases, self._given, chosen,
+            observed=self._observed, by_time=phases == "by_time", held=grasp == "as_held",
+        )  # fmt: skip
         self._time = LoopTime(clock or (lambda: self.ticks * own.dt), own.dt)
-        self._by_time = phases == "by_time"
         self.patience, self.simulated = patience, clock is None
         chain, dt = self._given.chain, self._given.dt
         self.history = History(chain, max(1, round(keep / dt)), dt)
@@ -227,8 +229,7 @@ class OnlineLoop:
         """Forget all but the history; the next tick begins where the robot is then."""
         with self._turn:
             self._keeper.close()
-            how = {"observed": self._observed, "by_time": self._by_time}
-            self._phases = Phases(self._given, self._chosen, **how)
+            self._phases = self._new_phases()
             for part in (self._readings, self._waiting, self._stops, self._time):
                 part.forget()
             self.watch = Watch(self._given.dt)
@@ -437,7 +438,7 @@ class OnlineLoop:
         self.close()
 
     def _begin(self, pose: Pose | None = None) -> None:
-        self._phases.begin(self._readings.q.copy(), pose, held=self._as_held)
+        self._phases.begin(self._readings.q.copy(), pose)
         self._keeper.begin(self._given)
         self.begun = self._built = True
 
@@ -507,13 +508,16 @@ class OnlineLoop:
             self.state.q[:] = measured
             if self.by_torques:
                 self.state.v[:] = self._readings.v
-        if measured is None or stops.why or not self._phases.over:
-            return
-        self._built = self._phases.hand_over(measured.copy())
-        if self._built and not self._phases.fault:
+        if measured is not None and not stops.why and self._phases.can_hand_over:
+            self._hand_over(measured.copy())
+
+    def _hand_over(self, q: Array) -> None:
+        self._built = True
+        try:
+            self._phases.hand_over(q)
             self._keeper.go_on()
-        elif self._phases.fault:
-            self._stops.halt(self._phases.fault)
+        except CoopqpError as error:
+            self._stops.halt(str(error))
 
     def _take_up(self, q: Array) -> None:
         try:

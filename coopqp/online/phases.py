@@ -202,33 +202,32 @@ OBJECT_POSE = "object_pose"
 
 
 class Phases:
-    """The phases so far of a scenario as ``given``, each until its time is up, or until asked.
+    """The phases so far of a scenario as ``given``; ``held`` is whether it is ``as_held``.
 
     Attributes:
         scenario: as begun.
         done: the phases so far, the running one last; none before the beginning.
         now: the running phase. arrivals: at its inputs. braking: brings it to rest. holding: the
             same of torques, else None. monitor: of the robot's faults.
-        fault: why the next phase could not begin; empty if it could.
         grippers: what each arm's gripper shall do in this phase, "open" or "close".
         missed: which tasks of the phase before ended out of tolerance, for its first tick to say.
         seen: where the object was last seen in this phase; None where it was not.
     """
 
     def __init__(
-        self, given: Scenario, controller: Controller, *, observed: bool, by_time: bool
+        self, given: Scenario, controller: Controller, *, observed: bool, by_time: bool, held: bool
     ) -> None:
         self.scenario = self._given = given
         self._controller, self._observed, self._by_time = controller, observed, by_time
-        self._asked, self.fault = False, ""
+        self._asked, self._held = False, held
         self.done: tuple[PhaseRun, ...] = ()
         self.seen: Pose | None = None
         self._unseen: tuple[str, ...] = ()
         self._enter(None, None)
 
-    def begin(self, q: Array, pose: Pose | None, *, held: bool) -> None:
+    def begin(self, q: Array, pose: Pose | None) -> None:
         given = self._given
-        if pose and not held:
+        if pose and not self._held:
             raise InvalidValueError(
                 'object_pose: needs grasp="as_held"; "as_written" has the object where the '
                 "scenario says"
@@ -236,7 +235,7 @@ class Phases:
         if pose or not np.array_equal(q, given.chain.q_start):
             if not given.start_outside:
                 check_range(given.chain, q)
-            if held:
+            if self._held:
                 self.scenario = as_held(given, q, pose)
             else:
                 check_hands(given.chain, q, placed=False)
@@ -277,18 +276,19 @@ class Phases:
         name = self.scenario.schedule[number].name
         return f"'{name}'" if name else str(number + 1)
 
-    def hand_over(self, q: Array) -> bool:
-        """Whether the next phase was tried, as the arms can stop in a tick; see :attr:`fault`."""
-        if not self.braking.can_stop(self.now.state):
-            return False
+    @property
+    def can_hand_over(self) -> bool:
+        """Whether the next phase may begin, as the arms can stop in a tick."""
+        return self.over and self.braking.can_stop(self.now.state)
+
+    def hand_over(self, q: Array) -> None:
+        """Begin the next phase at the present speed; CoopqpError where it cannot begin."""
         self._asked, missed = False, self._out_of_tolerance()
         try:
             self._enter(self.now, q)
         except CoopqpError as error:
-            self.fault = f"phase '{self.now.phase.name}' does not end: {error}"
-            return True
+            raise CoopqpError(f"phase '{self.now.phase.name}' does not end: {error}") from error
         self.done, self.missed = (*self.done, self.now), missed
-        return True
 
     def _out_of_tolerance(self) -> tuple[str, ...]:
         """Which tasks end how far from their references; empty where none is, or nobody knows."""
