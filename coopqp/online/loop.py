@@ -247,10 +247,7 @@ class OnlineLoop:
     @property
     def source(self) -> str:
         """The scenario's text with the loop's changes; empty where it was made in Python."""
-        begun = self.scenario
-        if not begun.source:
-            return ""
-        return scenario_text(begun, self._given, self.controller, (), {}, Path())
+        return scenario_text(self, self._given)
 
     @property
     def phases(self) -> tuple[PhaseRun, ...]:
@@ -412,7 +409,7 @@ class OnlineLoop:
         if self._keeper.session is None:
             raise InvalidValueError("nothing is written: give the loop a folder, out")
         self.flush()
-        return self._keeper.session.replay(self.phases)
+        return self._keeper.session.replay()
 
     def close(self) -> None:
         """Write the record.
