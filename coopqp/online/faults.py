@@ -36,7 +36,8 @@ JOINTS = {
     "velocities_wrong": "{} does not move at its measured velocity: is its sign or unit wrong?",
 }
 #: What is done about each kind of fault.
-REACTIONS: Mapping[str, Reaction] = dict.fromkeys(JOINTS, "rest") | {
+REACTIONS: Mapping[str, Reaction] = {
+    **dict.fromkeys(JOINTS, "rest"),
     "loop_offset_at_bound": "go_on",
     "force_sensor_dead": "rest",
     "force_sensor_stuck": "rest",
@@ -86,7 +87,8 @@ class FaultMonitor:
         self._joints = JointFollowing(chain, dt, law.observer) if observed else None
         self._forces = ForceMonitor(law)
         self.found: tuple[Fault, ...] = before.found if before else ()
-        self._misled = law.observer.paused = before._misled if before else False
+        self._misled: bool = before._misled if before else False
+        law.observer.paused = self._misled
 
     def forget(self) -> None:
         self.found = ()

@@ -94,7 +94,8 @@ class Session:
         self._write_scenario()
 
     def replay(self) -> Scenario:
-        begun, feeds = self._loop.scenario, self._feeds()
+        begun: Scenario = self._loop.scenario
+        feeds = self._feeds()
         inputs = {
             name: replace(settings, feed=None, feed_file=feeds.get(name))
             for name, settings in begun.inputs.items()

@@ -259,6 +259,8 @@ class MujocoModel(DynamicModel):
             by arm [N, N m], world axes, and those of :class:`HandSignals`.
     """
 
+    _data: Any
+
     def __init__(
         self, problem: ControlProblem, settings: Mujoco, seed: int, disturbance: Disturbance
     ) -> None:
