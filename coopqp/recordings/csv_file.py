@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from coopqp.base.errors import CoopqpError
 from coopqp.base.reading import open_bytes
 from coopqp.recordings import column
-from coopqp.recordings.format import Format
-from coopqp.recordings.run import Run, run_of, typed
+from coopqp.recordings.run import Format, Run, run_of, typed
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario

@@ -6,12 +6,11 @@ from pathlib import Path
 
 from coopqp.base.errors import CoopqpError, UnknownNameError, UnreadableFileError
 from coopqp.recordings.csv_file import CsvFile
-from coopqp.recordings.format import ExportFormat, Format
 from coopqp.recordings.lerobot import Lerobot
 from coopqp.recordings.mcap import Mcap
 from coopqp.recordings.parquet import ArrowStream, Parquet
 from coopqp.recordings.rosbag2 import Rosbag2
-from coopqp.recordings.run import Run, check
+from coopqp.recordings.run import ExportFormat, Format, Run, check
 from coopqp.scenario.scenario import Scenario
 
 EXPORTS: tuple[ExportFormat, ...] = (Mcap(), Rosbag2(), Parquet(), Lerobot())

@@ -17,8 +17,7 @@ from coopqp import __version__
 from coopqp.base.errors import CoopqpError
 from coopqp.base.reading import open_bytes
 from coopqp.recordings import column
-from coopqp.recordings.format import ExportFormat, Format, needs, readable
-from coopqp.recordings.run import Run, run_of
+from coopqp.recordings.run import ExportFormat, Format, Run, needs, readable, run_of
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.loader import load_text
 from coopqp.scenario.scenario import Scenario

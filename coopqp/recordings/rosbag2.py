@@ -17,10 +17,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from coopqp.base.errors import CoopqpError
-from coopqp.recordings.format import ExportFormat, needs, readable
 from coopqp.recordings.messages import POSE, TF, TICK, WORLD, Instant, Joints, Placed, Remark, flat
 from coopqp.recordings.messages import instants as instants_of
-from coopqp.recordings.run import Run, read_rows
+from coopqp.recordings.run import ExportFormat, Run, needs, read_rows, readable
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.loader import load_text
 from coopqp.scenario.scenario import Scenario
