@@ -54,8 +54,7 @@ class Parquet(ExportFormat):
 
     def scenario(self, path: Path, catalog: Catalog) -> Scenario:
         with parquet_file(path) as file:
-            kept = file.schema_arrow.metadata
-        return scenario_in(path, kept, catalog)
+            return scenario_in(path, file.schema_arrow.metadata, catalog)
 
 
 @contextmanager

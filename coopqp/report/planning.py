@@ -18,9 +18,9 @@ from coopqp.base.table import csv_text
 from coopqp.planning import Plan, Reach
 from coopqp.planning.time_along import NOTHING, TimedPath, table_of_phases
 from coopqp.report import strict_json
+from coopqp.report.curves import BLACK, PALETTE
 from coopqp.report.files import write_one
 from coopqp.report.page import asset, text
-from coopqp.report.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 from coopqp.scenario.loader import load
 from coopqp.scenario.planned import NEAR
 from coopqp.scenario.scenario import Scenario
@@ -33,7 +33,7 @@ TIMED, PAGE = "timed.csv", "timed.html"
 TITLES = ("active limit", "time [s]", "share", "with 20 % more of it [s]")
 #: Size of a picture, and of its margin [px]; colours of the limits that are active longest.
 WIDTH, HEIGHT, MARGIN, GRAY = 940, 320, 40, "#555555"
-COLORS = (BLUE, VERMILION, GREEN, PURPLE, SKY, ORANGE)
+COLORS = PALETTE[:-1]  # the frame is black
 
 
 def configurations(found: Reach) -> Table:

@@ -101,6 +101,16 @@ class ControllerFrame:
 
 
 @dataclass(frozen=True)
+class Explanation:
+    """Whether geometry keeps the arms from their goals, and why; active limits of the tick."""
+
+    blocked: bool = False
+    sentence: str = ""
+    active: tuple[str, ...] = ()
+    detail: str = ""
+
+
+@dataclass(frozen=True)
 class Frame:
     """Everything at one instant.
 
@@ -109,8 +119,7 @@ class Frame:
         laws: in the order of ``PageSetup.laws``. main: index of the one that is explained.
         gizmos: poses, shape (7,); None in other phases.
         outlines: of the tasks' markers, shape (s, 2, 3) [m].
-        active: names of limits at their bound. detail: of the last tick that was explained.
-        explained: whether the explainer is alive.
+        explanation: the last one. explained: whether the explainer is alive.
         recorded: duration of the recording [s]. note: remarks on it.
         tick_us: longest tick of the last second [us].
         ghost: somewhere along the way round that is offered; None where none is.
@@ -126,8 +135,7 @@ class Frame:
     outlines: Array
     tone: Tone
     sentence: str
-    active: tuple[str, ...]
-    detail: str
+    explanation: Explanation
     explained: bool
     recorded: float
     note: str
@@ -191,13 +199,3 @@ class Way:
     t: Array = field(default_factory=_no_rows)
     q: Array = field(default_factory=_no_rows)
     object: Array = field(default_factory=_no_rows)
-
-
-@dataclass(frozen=True)
-class Explanation:
-    """Whether geometry keeps the arms from their goals, and why; active limits of the tick."""
-
-    blocked: bool = False
-    sentence: str = ""
-    active: tuple[str, ...] = ()
-    detail: str = ""

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from coopqp.base.errors import CoopqpError, InternalError, InvalidValueError, MissingDependencyError
-from coopqp.viewer import explainer, page, planner
+from coopqp.viewer import explainer, page
 from coopqp.viewer.gate import checked_origins
 from coopqp.viewer.messages import Explanation
 from coopqp.viewer.player import Player
@@ -138,7 +138,7 @@ class _Clock:
         player = self._player
         if self.planner is None:
             if player.is_stuck:
-                self.planner = Worker(planner.serve, replace(player.scenario))
+                self.planner = Worker(explainer.serve_ways, replace(player.scenario))
             return
         try:
             for message in self.planner.received():

@@ -16,8 +16,8 @@ from coopqp.base.errors import CoopqpError
 from coopqp.base.spec import Array
 from coopqp.execution.controller_run import check_plant, controller_of
 from coopqp.model.state import State
-from coopqp.report.scene.markers import Place
-from coopqp.report.style import chosen_styles
+from coopqp.report.curves import chosen_styles
+from coopqp.report.scene.playback import Place
 from coopqp.scenario.input import FARTHEST
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import Kind
@@ -178,8 +178,7 @@ class Player:
             outlines=self._outlines(controller, gizmos),
             tone=tone,
             sentence=sentence,
-            active=self.explanation.active,
-            detail=self.explanation.detail,
+            explanation=self.explanation,
             explained=self.has_explainer,
             recorded=self.recording.seconds,
             note="; ".join(filter(None, (recorded, self.note))),

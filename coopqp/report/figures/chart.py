@@ -13,8 +13,7 @@ from coopqp.controller import ControlProblem
 from coopqp.execution.comparison import Comparison
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.report import curves
-from coopqp.report.curves import Figure, Json, Window
-from coopqp.report.style import styles
+from coopqp.report.curves import Figure, Json, Window, styles
 from coopqp.trace import Trace
 
 ALWAYS = slice(None)  # rows of a trace
