@@ -40,11 +40,7 @@ def is_run(path: Path) -> bool:
 
 
 def read(path: Path | Run) -> Run:
-    """A recorded run; one that was read already as it is.
-
-    Raises:
-        CoopqpError: no such file, a damaged one, or one without rows.
-    """
+    """A recorded run; one that was read already as it is; CoopqpError: none, or damaged."""
     if isinstance(path, Run):
         return path
     run = format_of(path).read(path)
@@ -53,11 +49,7 @@ def read(path: Path | Run) -> Run:
 
 
 def export(run: Run, scenario: Scenario, to: str, controller: str, out: Path) -> None:
-    """Write one controller's run in another format.
-
-    Raises:
-        CoopqpError: no such format or controller; the run is damaged; the file cannot be written.
-    """
+    """Write one controller's run in another format; CoopqpError: none such, damaged, unwritable."""
     chosen = {known.name: known for known in EXPORTS}.get(to)
     if chosen is None:
         raise UnknownNameError("format", to, NAMES)

@@ -47,19 +47,13 @@ OTHER = "the trace is damaged, or it is of another scenario than the one beside 
 
 @dataclass(frozen=True, kw_only=True)
 class Run:
-    """A recorded run; in ``trace.csv``, those of all controllers.
-
-    Attributes:
-        rows: what each row is called in the file, behind ``at``.
-        at: the file, and what its rows are.
-        header: where the names of the columns stand.
-    """
+    """A recorded run; in ``trace.csv``, those of all controllers."""
 
     path: Path
     columns: column.Columns
-    rows: NDArray[np.int64]
-    at: str
-    header: str
+    rows: NDArray[np.int64]  # what each row is called in the file, behind ``at``
+    at: str  # the file, and what its rows are
+    header: str  # where the names of the columns stand
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -94,14 +88,9 @@ class Run:
         return self.only(self.columns["status"] != "")
 
     def numbers(self, names: Sequence[str], *, empty: bool = False) -> Array:
-        """Columns beside each other, shape (rows, names).
+        """Columns beside each other, shape (rows, names); cells and columns that are empty are NaN.
 
-        Args:
-            names: of the columns.
-            empty: whether cells, or columns, may be missing, which are NaN.
-
-        Raises:
-            InvalidValueError: no such column, no finite number in it, or one that cannot be.
+        InvalidValueError: one may not be ``empty``, or has a number that cannot be.
         """
         nothing = np.full(len(self), np.nan)
         for name in names:
@@ -117,11 +106,7 @@ class Run:
         return values
 
     def joints(self, name: str, joints: Sequence[str], *, empty: bool = False) -> Array:
-        """A column a joint of a field, shape (rows, joints).
-
-        Raises:
-            InvalidValueError: as :meth:`numbers`.
-        """
+        """A column a joint of a field, shape (rows, joints), as :meth:`numbers`."""
         columns = column.of_field(name, column.Layout(joints=tuple(joints)))
         return self.numbers(columns, empty=empty)
 
@@ -217,18 +202,12 @@ class Format(ABC):
     def read(self, path: Path) -> Run:
         """All rows of a file.
 
-        Raises:
-            CoopqpError: no such file, or a damaged one.
-            MissingDependencyError: the package that reads it is not installed.
+        CoopqpError: none, or damaged; MissingDependencyError: no package that reads it.
         """
 
     @abstractmethod
     def scenario(self, path: Path, catalog: Catalog) -> Scenario:
-        """The scenario that was run.
-
-        Raises:
-            CoopqpError: as :meth:`read`; the scenario cannot be loaded.
-        """
+        """The scenario that was run; CoopqpError: as :meth:`read`, or it cannot be loaded."""
 
     def cut_short(self, path: Path) -> bool:
         """Whether its writer was killed, so that the end is missing."""
@@ -249,25 +228,13 @@ class ExportFormat(Format):
 
     @abstractmethod
     def write(self, run: Run, scenario: Scenario, path: Path) -> None:
-        """Write a new file.
+        """Write a new file of one controller's run, and the scenario as the controller holds it.
 
-        Args:
-            run: of one controller.
-            scenario: as the controller holds it, :meth:`Scenario.held_by`.
-            path: of the file.
-
-        Raises:
-            CoopqpError: a row is damaged.
-            MissingDependencyError: the package that writes it is not installed.
-            OSError: the file cannot be written.
+        CoopqpError: a row is damaged; MissingDependencyError: no package that writes it; OSError.
         """
 
     def replace(self, run: Run, scenario: Scenario, path: Path) -> None:
-        """Write a file, as :meth:`write`; one that is there stays until the new one is whole.
-
-        Raises:
-            CoopqpError: it cannot be written, with the reason.
-        """
+        """:meth:`write`, but a file that is there stays until the new one is whole; CoopqpError."""
         if path.is_dir() and not self.holds(path):
             raise CoopqpError(f"'{path}' is a folder, and none of this format; choose another name")
         aside = path.with_name(f".{path.name}-{secrets.token_hex(8)}")

@@ -28,16 +28,11 @@ MOST_LINES = 14  # of the timeline
 
 @dataclass(frozen=True)
 class Audited:
-    """A limit, or that of one joint, such as "position of RElbowRoll".
-
-    Attributes:
-        row: the one of its rows that had least left.
-        margin: least of all its rows after each tick, shape (T,) [the row's unit].
-    """
+    """A limit, or that of one joint, such as "position of RElbowRoll"."""
 
     name: str
-    row: Row
-    margin: Array
+    row: Row  # the one of its rows that had least left
+    margin: Array  # least of all its rows after each tick, shape (T,) [the row's unit]
 
     @property
     def least(self) -> float:

@@ -91,23 +91,16 @@ def chosen_styles(keeps_limits: Mapping[str, bool]) -> dict[str, Style]:
 
 @dataclass(frozen=True, kw_only=True)
 class Figure:
-    """One figure of the page, with data and layout for Plotly.
-
-    Attributes:
-        unit: of the vertical axis.
-        notes: below the title, such as what lies off the chart. about: beside the title.
-        alone: whether nothing is shown beside it.
-        over_time: whether its horizontal axis is time.
-    """
+    """One figure of the page, with data and layout for Plotly."""
 
     title: str
-    unit: str
+    unit: str  # of the vertical axis
     data: list[Json]
     layout: Json
-    notes: tuple[str, ...] = ()
-    about: str = ""
-    alone: bool = False
-    over_time: bool = True
+    notes: tuple[str, ...] = ()  # below the title, such as what lies off the chart
+    about: str = ""  # beside the title
+    alone: bool = False  # whether nothing is shown beside it
+    over_time: bool = True  # whether its horizontal axis is time
 
 
 @dataclass(frozen=True)

@@ -96,8 +96,7 @@ def write_plan(
 ) -> list[Path]:
     """Write the path, and the scenario with it, and the tasks to keep, as its reference.
 
-    Raises:
-        CoopqpError: it cannot be written, or the scenario is refused, and then nothing is.
+    CoopqpError: it cannot be written, or the scenario is refused, and then nothing is.
     """
     keys = {"keep": list(keep)} if keep else {}
     with TemporaryDirectory() as tried:
@@ -109,11 +108,7 @@ def write_plan(
 def write_timed(
     parts: Sequence[TimedPath], tried: Sequence[dict[str, float]], scenario: Scenario, folder: Path
 ) -> list[Path]:
-    """Write a timed path as a table and as a page, and, from its start, the scenario that follows.
-
-    Raises:
-        CoopqpError: it cannot be written.
-    """
+    """Write a timed path as a table and a page, and, from its start, the scenario that follows."""
     apart = float(np.abs(parts[0].at(0.0).q - scenario.chain.q_start).max())
     fits = apart < NEAR and not parts[0].speed[0]
     fits = fits and len(phase_titles(parts, scenario)) == len(parts)

@@ -60,10 +60,8 @@ def play(
 ) -> None:
     """Play until Ctrl-C, or until ``goes_on`` is false; ``opened`` is called with the address.
 
-    Pages of ``origins`` may use it beside its own, such as https://lab.example.
-
-    Raises:
-        CoopqpError: an origin is none, the page cannot be opened, or breaks down.
+    Pages of ``origins`` may use it beside its own, such as https://lab.example; CoopqpError: one is
+    none, or the page cannot be opened, or breaks down.
     """
     allowed = checked_origins(origins)
     server = Worker(page.serve, player.show(), host, port, allowed)

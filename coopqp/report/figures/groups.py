@@ -32,20 +32,15 @@ MAX_TICKS = 5  # as many as fit side by side on a narrow page
 
 @dataclass(frozen=True, kw_only=True)
 class Group:
-    """Figures that belong together, with a hint how to read them, and words explained.
-
-    Attributes:
-        folded: shown on demand, and on paper. more: what those are.
-        leads: whether it stands directly below the result.
-    """
+    """Figures that belong together, with a hint how to read them, and words explained."""
 
     title: str
     hint: str
     words: dict[str, str] = field(default_factory=dict)
     figures: list[Figure] = field(default_factory=list)
-    folded: list[Figure] = field(default_factory=list)
-    more: str = ""
-    leads: bool = False
+    folded: list[Figure] = field(default_factory=list)  # shown on demand, and on paper
+    more: str = ""  # what those are
+    leads: bool = False  # whether it stands directly below the result
 
 
 def groups(comparison: Comparison) -> list[Group]:

@@ -242,18 +242,13 @@ def _cells(columns: Columns, name: str, rows: Sequence[int]) -> list[str]:
 
 @dataclass(frozen=True)
 class Axis:
-    """A varied quantity, in bins with labels or edges (one more than bins).
-
-    Attributes:
-        log: whether the edges are evenly spaced in their logarithm.
-        code: bin of each row, shape (rows,).
-    """
+    """A varied quantity, in bins with labels or edges (one more than bins)."""
 
     name: str
     labels: tuple[str, ...]
     edges: tuple[float, ...]
-    log: bool
-    code: Codes
+    log: bool  # whether the edges are evenly spaced in their logarithm
+    code: Codes  # bin of each row, shape (rows,)
 
     @property
     def count(self) -> int:
