@@ -88,7 +88,6 @@ class Kind:
 
     @property
     def rate_columns(self) -> tuple[str, ...]:
-        """Names of a rate's numbers."""
         return (*self.columns[: self.numbers], *(TURN_RATES if self.turns else ()))
 
     @property

@@ -278,7 +278,6 @@ class TaskStack:
         return tuple(row for task in self.tasks for row in rows_of(task, self._chain))
 
     def update(self, state: State) -> None:
-        """Fill all rows for a state."""
         evaluate_all(self.bound, state)
         self.wanted[:] = self.rate - self._gains * self.e
 
@@ -321,7 +320,6 @@ class Programs:
         self._made: dict[int, tuple[Task, tuple[Primitive, ...] | None]] = {}
 
     def of(self, task: Task) -> tuple[Primitive, ...] | None:
-        """A task's program; None where it has none."""
         if id(task) not in self._made:
             self._made[id(task)] = task, task.program(self.start)  # its id is taken as long
         return self._made[id(task)][1]

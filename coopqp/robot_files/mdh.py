@@ -167,9 +167,8 @@ def build_model(name: str, rows: Sequence[MdhRow], tips: Mapping[str, Tip]) -> p
     ``transform`` with theta + q (or r + q). Rows are listed arm by arm (depth first); tips are
     frames to add at the end of a row, such as a hand, by name.
 
-    Raises:
-        UnknownNameError: an antecedent or tip parent is not in the table above it.
-        InvalidValueError: two rows share a name, or rows are not depth first.
+    UnknownNameError: an antecedent or tip parent is not in the table above it. InvalidValueError:
+    two rows share a name, or rows are not depth first.
     """
     model = pin.Model()
     model.name = name

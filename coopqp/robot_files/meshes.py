@@ -143,8 +143,7 @@ NOT_READ = ("lookat", "skew", "instance_controller")
 def _collada(path: Path) -> tuple[Array, Ints]:
     """Vertices, shape (v, 3), and the rows of them that each triangle has, shape (t, 3).
 
-    Raises:
-        InvalidValueError: no such file, no COLLADA file, or one whose parts do not fit together.
+    InvalidValueError: no such file, no COLLADA file, or one whose parts do not fit together.
     """
     xml = read_xml(path, ["COLLADA"], "COLLADA", texts=True)
     library, points, corners = _Library(xml), [np.zeros((0, 3))], [np.zeros(0, np.int64)]
@@ -167,7 +166,6 @@ class _Library:
         self._read: dict[ET.Element, list[tuple[Array, Ints]]] = {}
 
     def named(self, user: ET.Element, tag: str, key: str) -> ET.Element:
-        """The element that an attribute refers to by ``#id``."""
         address = user.get(key, "")
         found = self._by_id.get((tag, address.removeprefix("#")))
         if found is None or not address.startswith("#"):
@@ -302,7 +300,6 @@ def _corners(part: ET.Element, counts: Ints, total: int) -> Ints:
 
 
 def _whole(element: ET.Element, key: str, default: int, maximum: int) -> int:
-    """A count in an attribute."""
     text = element.get(key, str(default))
     if not (text.isascii() and text.isdigit() and len(text) <= 9 and int(text) <= maximum):
         raise fault(element, f"found '{text[:40]}', needs a whole number of at most {maximum}", key)
@@ -310,7 +307,6 @@ def _whole(element: ET.Element, key: str, default: int, maximum: int) -> int:
 
 
 def _floats(element: ET.Element) -> Array:
-    """The numbers in an element."""
     try:
         values = np.array((element.text or "").split(), float)
     except ValueError:
@@ -346,8 +342,7 @@ class Mesh:
 def read_mesh(path: Path, scale: tuple[float, ...]) -> Mesh:
     """Read an .stl, .obj or .dae file, with scale factors along its axes.
 
-    Raises:
-        InvalidValueError: no such file, another kind of file, or no surface in it; with the line.
+    InvalidValueError: no such file, another kind of file, or no surface in it; with the line.
     """
     read = READERS.get(path.suffix.lower())
     if read is None:

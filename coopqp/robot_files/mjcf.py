@@ -105,9 +105,8 @@ KEYWORDS = (
 def read_mjcf(path: Path) -> Description:
     """Read a MuJoCo file.
 
-    Raises:
-        InvalidValueError: no such file, or not an MJCF file.
-        MissingDependencyError: mujoco is not installed.
+    InvalidValueError: no such file, or not an MJCF file. MissingDependencyError: mujoco is not
+    installed.
     """
     xml = read_xml(path, ["mujoco"], "MJCF")
     _Includes(absolute(path)).fill_in(xml)
@@ -201,8 +200,6 @@ def _lines(xml: ET.Element) -> tuple[str, list[ET.Element]]:
 
 
 class _Compiled:
-    """A file, with its includes, compiled by MuJoCo."""
-
     def __init__(self, mujoco: ModuleType, xml: ET.Element, path: Path) -> None:
         self._path = path
         text, self._elements = _lines(xml)

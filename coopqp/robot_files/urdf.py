@@ -47,8 +47,7 @@ def read_urdf(path: Path, package_dirs: Sequence[Path] = ()) -> Description:
         path: of the file.
         package_dirs: folders of ``package://`` packages, besides those above the file.
 
-    Raises:
-        InvalidValueError: no such file, or not a URDF file.
+    InvalidValueError: no such file, or not a URDF file.
     """
     xml = read_xml(path, ["robot"], "URDF")
     for element in xml.iter():
@@ -131,7 +130,6 @@ class Known:
 
 
 def _check_known(element: Element, entry: str) -> None:
-    """Check an element and its contents against an entry of KNOWN."""
     known = KNOWN[entry]
     names = [*known.attributes.split(), *known.numbers]
     for name in element.attrib:
@@ -166,7 +164,6 @@ def _nearest(kind: str, name: str, known: Collection[str]) -> str:
 
 
 def _check_numbers(element: Element, attributes: Mapping[str, Numbers]) -> None:
-    """Check those attributes of an element that hold numbers."""
     for key, needs in attributes.items():
         text = element.get(key)
         if text is not None and (wrong := _wrong(text, needs)):
@@ -207,7 +204,6 @@ def _negative_moment(element: Element) -> str:
 
 
 def _check_names(elements: Iterable[Element], kind: str) -> None:
-    """Refuse two elements of one kind with one name."""
     taken = set[str]()
     for element in elements:
         name = element.get("name")
@@ -351,7 +347,6 @@ def _check_tree(xml: Element) -> None:
 
 
 def _end(joint: Element, tag: str, links: Collection[str]) -> Element:
-    """A joint's <parent> or <child>."""
     end = joint.find(tag)
     if end is None:
         raise fault(joint, f"needs <{tag} link=>")
@@ -384,7 +379,6 @@ def _check_circles(xml: Element) -> None:
 
 
 def _link(joint: Element, tag: str) -> str:
-    """Name of a joint's parent or child link."""
     end = joint.find(tag)
     return "" if end is None else end.get("link", "")
 
@@ -453,7 +447,6 @@ def _why_unseen(frame: str, part: Element) -> str:
 
 
 def _parts(xml: Element, tag: str) -> Iterator[tuple[str, pin.SE3, Element]]:
-    """Link, pose in it and geometry of each part."""
     for link in xml.findall("link"):
         for part in link.findall(tag):
             geometry = part.find("geometry")

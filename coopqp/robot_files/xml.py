@@ -49,8 +49,7 @@ def read_xml(path: Path, roots: Sequence[str], kind: str, *, texts: bool = False
 
     Messages call the file of this ``kind``; ``texts`` between elements are read if wanted.
 
-    Raises:
-        InvalidValueError: no such file, or no such kind of file.
+    InvalidValueError: no such file, or no such kind of file.
     """
     try:
         content = read_bytes(path, MAX_BYTES)

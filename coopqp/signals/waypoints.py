@@ -214,8 +214,6 @@ class _Track:
 
 
 class _Way(Trajectory):
-    """Along the way-points."""
-
     moves = True
 
     def __init__(self, kind: Kind, track: _Track) -> None:
