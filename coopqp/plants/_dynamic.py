@@ -28,8 +28,6 @@ ROUNDING = 1e-3
 class HandSignals:
     """Signals of the hands, in the robot's order of arms; zero for those that hold nothing.
 
-    ``chain`` is the true one, and ``friction`` that of real contacts over the modelled one.
-
     Attributes:
         hands: those that hold, in the chain's order. at: their indices in the robot's.
         signals: ``hand_wrench`` (6 N,), of each hand on the object at its point, world axes [N,
@@ -61,7 +59,6 @@ class HandSignals:
 
     @property
     def pressing(self) -> bool:
-        """Whether a hand holds by pressing."""
         return bool(self._pressing)
 
     def write(
@@ -76,22 +73,18 @@ class HandSignals:
             borne: sum of the friction forces' sizes over all points of each contact, shape
                 (holding,) [N]; by the contact's own model of friction if omitted.
         """
-        for name, signal in self.signals.items():
-            if name not in ("held", "slip"):
-                signal[:] = 0.0
-        by_arm = self.signals["hand_wrench"].reshape(-1, 6)
-        by_arm[self.at] = wrenches.reshape(-1, 6)
-        self.signals["hand_point"].reshape(-1, 3)[self.at] = points
+        told = self.signals
+        for name in told.keys() - {"held", "slip"}:
+            told[name][:] = 0.0
+        told["hand_wrench"].reshape(-1, 6)[self.at] = wrenches.reshape(-1, 6)
+        told["hand_point"].reshape(-1, 3)[self.at] = points
         for k, _, contact, i in self._pressing:
             w = in_contacts[k]
-            self.signals["normal_force"][i] = w[2]
-            self.signals["tangential_force"][i] = np.hypot(w[0], w[1])
-            self.signals["edge_use"][i] = contact.edge_use(w)
-            self.signals["friction_use"][i] = np.nan
+            told["normal_force"][i], told["tangential_force"][i] = w[2], np.hypot(w[0], w[1])
+            told["edge_use"][i], told["friction_use"][i] = contact.edge_use(w), np.nan
             if w[2] > NO_CONTACT:
                 needed = contact.friction_needed(w) if borne is None else borne[k] / w[2]
-                use = needed / (self._friction * contact.friction)
-                self.signals["friction_use"][i] = min(use, MAX_USE)
+                told["friction_use"][i] = min(needed / (self._friction * contact.friction), MAX_USE)
 
     def touch(self, dt: float) -> None:
         """Count how long hands have not pressed, by dt [s]; the object is lost after some time."""
@@ -112,7 +105,6 @@ class HandSignals:
                 self.lose(f"{hand.arm} needs more friction than there is")
 
     def lose(self, why: str) -> None:
-        """Declare the object lost from now on."""
         self.lost = self.lost or why
         self.signals["held"][0] = 0.0
 
@@ -124,12 +116,7 @@ MAX_USE = 10.0
 class DynamicModel(PlantModel):
     """A plant with masses, driven by velocities through servos or by torques.
 
-    Args:
-        problem: chain and control period.
-        servo: of the joints.
-        time_step: of the integration [s]; must divide the control period.
-        seed: of the noise.
-        disturbance: unknown to the controller.
+    InvalidValueError: the time step [s] does not divide the control period; a robot without mass.
 
     Attributes:
         true: the state of the true chain, before noise; its time goes on from phase to phase.
@@ -137,9 +124,6 @@ class DynamicModel(PlantModel):
         signals: ``tau`` (n,) [N m] at the end of the period; ``saturated`` (n,), share of the
             period's steps that a motor was at its limit; ``energy`` (2,), kinetic and potential
             [J]; ``push`` (6,), on the object at the end of the period [N, N m].
-
-    Raises:
-        InvalidValueError: the time step does not divide the control period; a robot without mass.
     """
 
     def __init__(
@@ -156,29 +140,28 @@ class DynamicModel(PlantModel):
             raise InvalidValueError(
                 f"robot {problem.chain.robot.name} has no masses; use plant: kinematic"
             )
-        self.disturbance, self._seed = disturbance, seed
+        self.disturbance, self.servo, self._seed = disturbance, servo, seed
         self._dt, self._slipped = problem.dt, 0.0
         firm = true_chain(problem.chain, seed, disturbance)
         self.true, self._truth = State(firm), State(firm)
         self.hand_signals = HandSignals(firm, disturbance.friction)
-        self.servo = servo
         self._steps = _whole_steps(problem.dt, time_step)
         self.h = problem.dt / self._steps
         self._rng = seeded(seed)
         self._late: deque[Command] = deque(Command(n) for _ in range(disturbance.delay))
         self._at_limit = np.zeros(n)
-        self.signals = {
-            "tau": self.servo.tau,
-            "saturated": np.zeros(n),
-            "energy": np.zeros(2),
-            "push": np.zeros(6),
-        }
+        self.signals = {"tau": servo.tau, "saturated": np.zeros(n), "energy": np.zeros(2)}
+        self.signals["push"] = np.zeros(6)
         self.measured = self._noisy(self.true.q, disturbance.noise_position)
         self.servo.hold(self.measured)
 
     def step(self, state: State, command: Command) -> None:
         self._slip()
-        self.servo.begin(self._delayed(command), self.true.q)
+        carried_out = command
+        if self._late:
+            self._late.append(command.copy())
+            carried_out = self._late.popleft()
+        self.servo.begin(carried_out, self.true.q)
         self._at_limit[:] = 0.0
         for _ in range(self._steps):
             self.integrate()
@@ -200,9 +183,8 @@ class DynamicModel(PlantModel):
     def resume(self, before: PlantModel) -> None:
         """Take over time, motion, servos, commands on their way and the stream of noise.
 
-        The arms hold the object where they really are. With velocity commands, the servos hold the
-        last measured angles, from where the controller goes on, and delayed commands are dropped;
-        with torques nothing stops.
+        With velocity commands, the servos hold the last measured angles, from where the controller
+        goes on, and delayed commands are dropped; with torques nothing stops.
         """
         assert isinstance(before, DynamicModel)
         old, released = before.true, self.true.chain.hold.released
@@ -246,12 +228,6 @@ class DynamicModel(PlantModel):
     @abstractmethod
     def energy(self) -> tuple[float, float]:
         """Kinetic and potential energy [J]."""
-
-    def _delayed(self, command: Command) -> Command:
-        if not self._late:
-            return command
-        self._late.append(command.copy())
-        return self._late.popleft()
 
     def _measure(self, state: State, command: Command) -> None:
         true, disturbance = self.true, self.disturbance

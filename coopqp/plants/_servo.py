@@ -48,9 +48,8 @@ class ServoLaw:
     """The servos of one chain.
 
     Attributes:
-        tau: torques as of the last :meth:`torque`, shape (n,) [N m].
-        effort: their limits, zero for passive joints, shape (n,) [N m].
-        asked: the same torques before they were limited.
+        tau, asked: torques as of the last :meth:`torque`, and before they were limited by
+            ``effort``, which is zero for passive joints, shape (n,) [N m].
         stiffness: K, zero for passive joints, shape (n,) [N m/rad]; not used with a frequency.
         follows: whether the last command was a velocity, or there was none.
     """
@@ -60,16 +59,12 @@ class ServoLaw:
         motors = np.zeros(chain.n, bool)
         motors[self._model.actuated] = True
         self.effort = np.where(motors, chain.model.effortLimit, 0.0)
-        self._rest = np.zeros(chain.n)
         self.stiffness = full_effort(chain) / servo.saturation_angle
         self._ratio, self._frequency = servo.damping_ratio, servo.frequency
-        self._damping = np.zeros(chain.n)
         self._compensate = servo.gravity_compensation
-        self._q_d, self._v_d = chain.q_start.copy(), np.zeros(chain.n)
-        self._forward = np.zeros(chain.n)
-        self.follows = True
-        self.tau, self.asked = np.zeros(chain.n), np.zeros(chain.n)
-        self._least = -self.effort
+        self._q_d, self.follows = chain.q_start.copy(), True
+        self._rest, self._damping, self._v_d, self._forward = np.zeros((4, chain.n))
+        self.tau, self.asked = np.zeros((2, chain.n))
 
     def resume(self, before: ServoLaw) -> None:
         """Keep the desired angles of the servos of the phase before."""
@@ -98,9 +93,8 @@ class ServoLaw:
 
     def weight(self, q: Array) -> Array:
         """Motor torques that hold the modelled arms and object at q, shape (n,) [N m]."""
-        model = self._model
+        model, passive = self._model, self._model.passive
         Gamma = model.gravity(q)
-        passive = model.passive
         if len(passive):
             wrench = least_squares(model.J[:, passive].T, Gamma[passive])
             Gamma = Gamma - model.J.T @ wrench
@@ -108,28 +102,25 @@ class ServoLaw:
         return Gamma
 
     def advance(self, h: float) -> None:
-        """Move the desired angles by a time h [s]."""
         if self.follows:
             self._q_d += h * self._v_d
 
     def torque(self, q: Array, v: Array) -> Array:
         """Motor torques at a state, within their limits, shape (n,) [N m]."""
-        if self.follows:
-            self._ask(np.add(self._following(q, v), self._forward, self.asked))
-        return self.tau
-
-    def _following(self, q: Array, v: Array) -> Array:
-        """Torques for errors of position and velocity."""
+        if not self.follows:
+            return self.tau
         behind, slower = self._q_d - q, self._v_d - v
-        if self._frequency is not None:
-            w = self._frequency
-            return np.asarray(self._model.A @ (w**2 * behind + 2.0 * self._ratio * w * slower))
-        return self.stiffness * behind + self._damping * slower
+        if (w := self._frequency) is not None:
+            following = self._model.A @ (w**2 * behind + 2.0 * self._ratio * w * slower)
+        else:
+            following = self.stiffness * behind + self._damping * slower
+        self._ask(following + self._forward)
+        return self.tau
 
     def _ask(self, asked: Array) -> None:
         """Torques within the motors' limits; those of a command stay for its period."""
         self.asked[:] = asked
-        np.maximum(asked, self._least, out=self.tau)
+        np.maximum(asked, -self.effort, out=self.tau)
         np.minimum(self.tau, self.effort, out=self.tau)
 
 
@@ -151,10 +142,9 @@ def full_effort(chain: ClosedChain) -> Array:
 
 
 def inertia_seen(A: Array, J: Array) -> Array:
-    """Inertia at each joint with the loops closed, shape (n,).
+    """Inertia at each joint, shape (n,), of a tree's A with the loops closed by rows J (m, n).
 
-    A (n, n) is the tree's inertia and J (m, n) has independent loop rows. Zero at a joint that the
-    loops fix: it is infinitely heavy and needs no damping.
+    Zero at a joint that the loops fix: it is infinitely heavy and needs no damping.
     """
     N = null_space(J)
     mobility = np.einsum("ij,ij->i", N @ np.linalg.inv(N.T @ A @ N), N)

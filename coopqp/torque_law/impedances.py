@@ -40,10 +40,8 @@ class Impedances:
 
     Attributes:
         rows: which of all task rows, shape (r,); the rest are ``others``.
-        B: acceleration by a wrench on the rows, shape (r, r) [1/kg, ...].
-        R: acceleration by their rate, shape (r, r) [1/s].
-        K: stiffness, shape (r,) [N/m, N m/rad].
-        stated: which have a stated mass, shape (r,).
+        B, R: acceleration by a wrench on the rows, by their rate, shape (r, r) [1/kg, ...], [1/s].
+        K: stiffness, shape (r,) [N/m, N m/rad]. stated: which have a stated mass, shape (r,).
     """
 
     def __init__(self, problem: ControlProblem, level: TaskDynamics) -> None:
@@ -63,23 +61,18 @@ class Impedances:
         self._axes = by_row(lambda i: i.axes).astype(int)
         self.K = by_row(lambda i: i.stiffness)
         self.stated = by_row(lambda i: i.mass is not None).astype(bool)
-        self._M = by_row(lambda i: 1.0 if i.mass is None else i.mass)
+        masses = by_row(lambda i: 1.0 if i.mass is None else i.mass)
         self._D = by_row(lambda i: 0.0 if i.damping is None else i.damping)
         self._z = by_row(lambda i: i.damping_ratio if i.damping is None else 0.0)
         self._level = level
         self.B, self.R = np.zeros((2, len(self.rows), len(self.rows)))
         self._X = np.zeros((len(stack.J.T), len(stack.J.T)))
-        self._fill_stated()
-
-    def _fill_stated(self) -> None:
-        """Constant entries: rows with a stated mass."""
-        own = np.flatnonzero(self.stated)
-        self.B[own, own] = 1.0 / self._M[own]
-        omega = np.sqrt(self.K[own] / self._M[own])
-        self.R[own, own] = self._D[own] / self._M[own] + 2.0 * self._z[own] * omega
+        own, M = np.flatnonzero(self.stated), masses[self.stated]  # their entries are constant
+        omega = np.sqrt(self.K[own] / M)
+        self.B[own, own] = 1.0 / M
+        self.R[own, own] = self._D[own] / M + 2.0 * self._z[own] * omega
 
     def update(self) -> None:
-        """Update to the state of the level."""
         if not len(self.rows):
             return
         self._X = self._level.inverse_inertia()
@@ -123,11 +116,7 @@ class Impedances:
 def require_impedances(
     problem: ControlProblem, level: TaskDynamics, name: str, *, knows_wrench: bool
 ) -> None:
-    """Refuse masses where the external wrench is unknown, and springs that oscillate.
-
-    Raises:
-        InvalidValueError: says which task, and what would do.
-    """
+    """Refuse masses where the external wrench is unknown, and springs that oscillate."""
     impedances = Impedances(problem, level)
     if not len(impedances.rows):
         return

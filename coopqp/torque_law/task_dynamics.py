@@ -9,7 +9,6 @@ from __future__ import annotations
 import numpy as np
 
 from coopqp.base.errors import GraspError
-from coopqp.base.rank import least_squares
 from coopqp.base.spec import Array
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.closed_loop.mobility import mobility
@@ -29,8 +28,7 @@ class TaskDynamics:
         dynamics: of the modelled object.
         tasks: e, J, rate as of the last update.
         gains: of the task rows, shape (k,) [1/s].
-        e_dot: J v - rate, shape (k,).
-        drift: e_ddot - J a, shape (k,).
+        e_dot: J v - rate, and drift: e_ddot - J a, shape (k,).
     """
 
     def __init__(self, problem: ControlProblem) -> None:
@@ -43,7 +41,6 @@ class TaskDynamics:
         self._effort = problem.chain.model.effortLimit
 
     def update(self, state: State) -> None:
-        """Update everything to a measured state."""
         ahead, tasks, v = self._ahead, self.tasks, state.v
         ahead.q[:], ahead.t = state.q + STEP * v, state.t + STEP
         for name, clock in state.inputs.items():
@@ -59,19 +56,12 @@ class TaskDynamics:
         self.dynamics.update(state.q, v)
 
     def holding(self, state: State, brake_time: float) -> Array:
-        """Gravity compensation and a brake over ``brake_time`` [s], within effort limits [N m].
-
-        The dynamics must be up to date with the state.
-        """
+        """Gravity compensation and a brake over ``brake_time`` [s], within effort limits [N m]."""
         dynamics = self.dynamics
+        dynamics.update(state.q, state.v)
         brake = dynamics.A.dot(state.v) / brake_time
         tau = dynamics.distribute(dynamics.gravity(state.q) - brake).tau
         return np.asarray(np.minimum(np.maximum(tau, -self._effort), self._effort), float)
-
-    def moving(self, e_ddot: Array) -> Array:
-        """Accelerations of the joints by forces of the task rows that give them e_ddot, (n,)."""
-        X, J = self.inverse_inertia(), self.tasks.J
-        return np.asarray(X @ J.T @ least_squares(J @ X @ J.T, e_ddot))
 
     def inverse_inertia(self) -> Array:
         """Acceleration of the joints per torque on them, the loops closed, shape (n, n).
@@ -102,11 +92,7 @@ def _of_free_arms(problem: ControlProblem, tasks: TaskStack) -> str:
 
 
 def require_motor_freedom(problem: ControlProblem, controller: str) -> None:
-    """Refuse tasks that the motors cannot decide with this grasp.
-
-    Raises:
-        GraspError: with the object motions that are missing.
-    """
+    """GraspError with the missing object motions: tasks that the motors cannot decide."""
     start = State(problem.chain)
     if problem.chain.standing:
         raise GraspError(
