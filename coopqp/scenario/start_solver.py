@@ -26,6 +26,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
+from scipy.sparse.csgraph import connected_components
 
 from coopqp.assessment.thresholds import AT_LIMIT, LOOP_CLOSED
 from coopqp.base.errors import GraspError
@@ -140,15 +141,13 @@ class StartProblem:
 
     def worth(self, q: Array, columns: Sequence[int]) -> float:
         """How good a start is: its margin, or its distance to the posture to be near."""
-        asked = [i for i in columns if i in self.near]
-        if not asked:
-            return self.margin(q, columns)
-        return -float(np.linalg.norm((q - self.middle)[asked]))
+        if asked := [i for i in columns if i in self.near]:
+            return -float(np.linalg.norm((q - self.middle)[asked]))
+        return float(self.room(q)[list(columns)].min(initial=np.inf))
 
-    def margin(self, q: Array, columns: Sequence[int]) -> float:
-        """Least distance to a limit [rad or m]."""
-        room = np.minimum(q - self.lower, self.upper - q)[list(columns)]
-        return float(room.min(initial=np.inf))
+    def room(self, q: Array) -> Array:
+        """Distance of each joint to its nearer limit, shape (n,) [rad or m]."""
+        return np.minimum(q - self.lower, self.upper - q)
 
 
 Progress = Callable[[int, int], None]
@@ -172,6 +171,13 @@ CENTERING_STEPS, CLOSING_WEIGHT = 30, 1e4
 DIGITS = 8
 #: The same of starts that were nearly closed: over-constrained loops move only where they close.
 FINE_DIGITS = 12
+
+#: What to do where arms cannot reach, or miss by rounding alone.
+MOVE = "move object.pose or change object_in_hand"
+ROUNDED = (
+    "the pose is rounded: leave object.pose out and give a start (or start_near), near which the "
+    "loops are closed then"
+)
 
 #: What joints of grippers are called; they place no arm, and turn or slide into their limits.
 GRIPPERS = re.compile(r"finger|gripper|jaw|knuckle", re.IGNORECASE)
@@ -232,25 +238,17 @@ def solve_start(
     problem = StartProblem(robot, grasp_of, held, near or {})
     groups = _groups(problem.columns)
     rng = seeded(seed)
-    total, searches = TRIES * len(groups), list[_Search]()
+    searches = [_Search(problem, arms, rng) for arms in groups]
     failed: list[str] = []
-    off = 0.0
-    for i, arms in enumerate(groups):
-        before = i * TRIES
-
-        def report(done: int, before: int = before) -> None:
+    for i, search in enumerate(searches):
+        for done in itertools.chain(search.run(), [TRIES]):
             if progress:
-                progress(before + done, total)
-
-        search = _Search(problem, arms, rng)
-        search.run(report)
+                progress(i * TRIES + done, TRIES * len(groups))
         if not search.kept:
-            failed += _cannot_reach(problem, search, rng)
-            off = max(off, search.gap)
-        searches.append(search)
-        report(TRIES)
+            failed += _cannot_reach(search)
     if failed:
-        raise GraspError("; ".join([*failed, _advice(off)]))
+        rounded = max(search.gap for search in searches if not search.kept) < LOOP_CLOSED
+        raise GraspError("; ".join([*failed, ROUNDED if rounded else MOVE]))
     for solution in _ranked(problem, searches):
         if fits(solution.start):
             return solution
@@ -265,8 +263,8 @@ def _ranked(problem: StartProblem, searches: Sequence[_Search]) -> Iterator[Star
     for choice in sorted(choices, key=lambda ones: sum(rank for rank, _ in ones))[:LOOKED_AT]:
         for search, (_, one) in zip(searches, choice, strict=True):
             q[search.columns] = one[search.columns]
-        room = np.minimum(q - problem.lower, problem.upper - q)
-        yield _solution(problem.robot, list(problem.model.names)[1:], q, room, tries, found)
+        names = list(problem.model.names)[1:]
+        yield _solution(problem.robot, names, q, problem.room(q), tries, found)
 
 
 def close_start(
@@ -323,16 +321,6 @@ def start_text(start: Mapping[str, float | list[float]], remark: str, digits: in
     return "\n".join([*lines, ""])
 
 
-def _advice(off: float) -> str:
-    """What to do where arms are off by so much [m]."""
-    if off < LOOP_CLOSED:
-        return (
-            "the pose is rounded: leave object.pose out and give a start (or start_near), near "
-            "which the loops are closed then"
-        )
-    return "move object.pose or change object_in_hand"
-
-
 def _without_object(grasps: Mapping[str, Grasp]) -> str:
     unknown = [arm for arm, grasp in grasps.items() if grasp.object_in_hand is None]
     return f"object_in_hand in the grasp of {' and '.join(unknown)}" if unknown else ""
@@ -360,7 +348,7 @@ class _Search:
     def __init__(
         self, problem: StartProblem, arms: Sequence[str], rng: np.random.Generator
     ) -> None:
-        self.problem, self.arms, self._rng = problem, tuple(arms), rng
+        self.problem, self.arms, self.rng = problem, tuple(arms), rng
         self.columns = sorted({j for arm in arms for j in problem.columns[arm]})
         self.kept: list[tuple[float, Array]] = []
         self.nearest = problem.middle.copy()
@@ -369,11 +357,12 @@ class _Search:
         self._bounds = problem.lower[self.columns], problem.upper[self.columns]
         self._steps = BoundedSteps(len(self.columns))
 
-    def run(self, report: Callable[[int], None]) -> None:
+    def run(self) -> Iterator[int]:
+        """Try until enough has been found; yields the number of tries made."""
         while self.tries < TRIES and self.found < ENOUGH:
             q = self.problem.middle.copy()
             if self.tries:
-                q[self.columns] = self.problem.sample(self._rng)[self.columns]
+                q[self.columns] = self.problem.sample(self.rng)[self.columns]
             self.tries += 1
             gap = self._close(q)
             if gap < self.gap:
@@ -384,7 +373,7 @@ class _Search:
                 self._center(q)
                 if self._close(q) < CLOSED:
                     self._keep(q)
-            report(self.tries)
+            yield self.tries
 
     def _keep(self, q: Array) -> None:
         turns = np.round((q - self.problem.middle) / (2.0 * np.pi))
@@ -428,27 +417,22 @@ class _Search:
 
 
 def _groups(columns: Mapping[str, Sequence[int]]) -> list[tuple[str, ...]]:
-    """Arms that share joints, directly or through others, in the order of the arms."""
-    groups: list[tuple[set[int], list[str]]] = []
-    for arm, joints in columns.items():
-        own, names = set(joints), [arm]
-        for group in [g for g in groups if g[0] & own]:
-            groups.remove(group)
-            own, names = own | group[0], [*group[1], *names]
-        groups.append((own, names))
-    return [tuple(names) for _, names in groups]
+    """Arms that share joints, directly or through others."""
+    share = [
+        [not set(one).isdisjoint(other) for other in columns.values()] for one in columns.values()
+    ]
+    count, labels = connected_components(np.array(share))
+    return [tuple(np.array(list(columns))[labels == k].tolist()) for k in range(count)]
 
 
-def _cannot_reach(problem: StartProblem, search: _Search, rng: np.random.Generator) -> list[str]:
-    alone = []
-    for arm in search.arms if len(search.arms) > 1 else ():
-        single = _Search(problem, [arm], rng)
-        single.run(lambda done: None)
-        if not single.kept:
-            alone.append(single)
-    if len(search.arms) == 1:
-        alone = [search]
-    if alone:
+def _cannot_reach(search: _Search) -> list[str]:
+    each = [search]
+    if len(search.arms) > 1:
+        each = [_Search(search.problem, [arm], search.rng) for arm in search.arms]
+        for single in each:
+            for _ in single.run():
+                pass
+    if alone := [single for single in each if not single.kept]:
         return [f"arm {s.arms[0]} cannot reach its grasp: {_how_far(s)}" for s in alone]
     return [
         f"arms {' and '.join(search.arms)} reach their grasps each by itself, but not with "
@@ -464,7 +448,7 @@ def _how_far(search: _Search) -> str:
         gap, angle = 1e3 * np.linalg.norm(part[:3]), np.degrees(np.linalg.norm(part[3:]) / LENGTH)
         of = f"{arm} " if len(search.arms) > 1 else ""
         offsets.append(f"{of}{gap:.1f} mm and {angle:.1f} degrees")
-    room = np.minimum(q - problem.lower, problem.upper - q)
+    room = problem.room(q)
     names = [problem.model.names[1 + j] for j in search.columns if room[j] < AT_LIMIT]
     held_back = f", with {', '.join(names)} at the limit" if names else ""
     if fingers := [name for name in names if GRIPPERS.search(name)]:
