@@ -177,7 +177,7 @@ def check_start(data: Mapping[str, Any], scenario: Scenario, known: Known) -> No
         grasp_of_each(robot, scenario.grasps)
     outside = [] if allowed else joints_outside(robot, of_robot, q, key)
     refuse([*_released(scenario), *outside])
-    with at(_longest(scenario)):
+    with at(_longest(data, scenario)):
         scenario.check_size()
     of_chain = _of_chain(data, scenario)
     if before := known.get("chain", of_chain):
@@ -268,12 +268,15 @@ def _badly_held(data: Mapping[str, Any], places: Mapping[str, Places]) -> Iterat
             yield Wrong(["grasp"], f"{arm}: {words}" if arm else words)
 
 
-def _longest(scenario: Scenario) -> Location:
-    """What makes a run long: a phase's duration, or the control period where that is shorter."""
+def _longest(data: Mapping[str, Any], scenario: Scenario) -> Location:
+    """What makes a run long: a phase, the way to it, or the control period where that is short."""
     if scenario.dt < SHORT:
         return ["dt"]
-    durations = [phase.duration for phase in scenario.phases]
-    return ["phases", durations.index(max(durations)), "duration"] if durations else ["duration"]
+    longest = max(scenario.schedule, key=lambda phase: phase.duration)
+    if longest.leads:
+        return ["reference", "late"] if "late" in data["reference"] else ["reference"]
+    own = [phase for phase in scenario.schedule if not phase.leads]
+    return ["phases", own.index(longest), "duration"] if "phases" in data else ["duration"]
 
 
 def _released(scenario: Scenario) -> Iterator[Wrong]:
