@@ -46,9 +46,33 @@ from coopqp.robot import RobotModel
 from coopqp.scenario.bounded_steps import LEAST_DAMPING, BoundedSteps, Stop
 from coopqp.scenario.start import Start, by_arm, start_of
 
+Progress = Callable[[int, int], None]
+"""Called after each try with the number of tries made and the most there can be."""
+
 #: How far a joint without limits is turned at random [rad or m].
 UNLIMITED = np.pi
 
+#: Random configurations that are tried per group of arms, and starts after which that ends.
+TRIES, ENOUGH = 120, 12
+#: Starts of a group that differ by more [rad or m], and of all, that are looked at.
+EACH, APART, LOOKED_AT = 8, 0.1, 64
+#: Steps of one try, and farthest that a joint goes in one [rad or m].
+STEPS, STEP = 80, 0.5
+#: A start is closed when no part of r is larger [m].
+CLOSED = 1e-11
+#: Steps away from the limits, and the weight W of |r|^2 in them [1/m2].
+CENTERING_STEPS, CLOSING_WEIGHT = 30, 1e4
+#: Digits after the point of joint values to be pasted; loops then close to about 1e-8 m. Of starts
+#: that were nearly closed there are more: over-constrained loops move only where they close.
+DIGITS, FINE_DIGITS = 8, 12
+#: What joints of grippers are called; they place no arm, and turn or slide into their limits.
+GRIPPERS = re.compile(r"finger|gripper|jaw|knuckle", re.IGNORECASE)
+#: What to do where arms cannot reach, or miss by rounding alone.
+MOVE = "move object.pose or change object_in_hand"
+ROUNDED = (
+    "the pose is rounded: leave object.pose out and give a start (or start_near), near which the "
+    "loops are closed then"
+)
 #: Starts keep this far off the limits, so that rounded values are inside them too [rad or m].
 INSIDE = 1e-7
 
@@ -57,11 +81,10 @@ class StartProblem:
     """The robot with its passive joints, and where each arm carries the object.
 
     Attributes:
-        frames: the object as carried by each arm, by arm; ids of frames.
-        columns: the joints that move each arm, by arm; indices into q.
-        middle: configuration half-way between the limits; zero without limits, shape (n,).
-        half: half the range; infinite without limits, shape (n,).
-        near: joints that have a posture to be near, which is their middle then; indices into q.
+        frames: of the object as each arm carries it, by arm.
+        columns: indices of the joints that move each arm, by arm.
+        middle, half: of the ranges, shape (n,); zero and infinite without limits.
+        near: indices of joints that have a posture to be near, which is their middle then.
     """
 
     def __init__(
@@ -98,15 +121,14 @@ class StartProblem:
 
     def _place(self, near: Mapping[str, float | Sequence[float]]) -> None:
         """Let a posture take the place of the middle."""
-        model, robot = self.model, self.robot
+        robot = self.robot
         arms = {arm.name: robot.arm_joints(arm) for arm in robot.arms}
-        q = robot.configuration(near)
-        self.near = np.zeros(0, int)
-        for joint in dict.fromkeys(name for key in near for name in arms.get(key, (key,))):
-            i = model.idx_qs[model.getJointId(joint)]
-            value = float(q[robot.model.idx_qs[robot.model.getJointId(joint)]])
-            self.middle[i] = min(max(value, self.lower[i]), self.upper[i])
-            self.half[i], self.near = self._reach[i], np.append(self.near, i)
+        joints = dict.fromkeys(name for key in near for name in arms.get(key, (key,)))
+        names, own = list(self.model.names)[1:], list(robot.joint_names)
+        self.near = np.array([names.index(joint) for joint in joints], int)
+        q = robot.configuration(near)[[own.index(joint) for joint in joints]]
+        self.middle[self.near] = np.clip(q, self.lower[self.near], self.upper[self.near])
+        self.half[self.near] = self._reach[self.near]
 
     def _center(self) -> None:
         """Middle of the ranges; with one end open, as far from the other as a joint is turned."""
@@ -150,46 +172,12 @@ class StartProblem:
         return np.minimum(q - self.lower, self.upper - q)
 
 
-Progress = Callable[[int, int], None]
-"""Called after each try with the number of tries made and the most there can be."""
-
-#: Random configurations that are tried per group of arms, and starts after which that ends.
-TRIES, ENOUGH = 120, 12
-#: Starts of a group that differ by more [rad or m], and of all, that are looked at.
-EACH, APART, LOOKED_AT = 8, 0.1, 64
-
-#: Steps of one try, and farthest that a joint goes in one [rad or m].
-STEPS, STEP = 80, 0.5
-
-#: A start is closed when no part of r is larger [m].
-CLOSED = 1e-11
-
-#: Steps away from the limits, and the weight W of |r|^2 in them [1/m2].
-CENTERING_STEPS, CLOSING_WEIGHT = 30, 1e4
-
-#: Digits after the point of joint values to be pasted; loops then close to about 1e-8 m.
-DIGITS = 8
-#: The same of starts that were nearly closed: over-constrained loops move only where they close.
-FINE_DIGITS = 12
-
-#: What to do where arms cannot reach, or miss by rounding alone.
-MOVE = "move object.pose or change object_in_hand"
-ROUNDED = (
-    "the pose is rounded: leave object.pose out and give a start (or start_near), near which the "
-    "loops are closed then"
-)
-
-#: What joints of grippers are called; they place no arm, and turn or slide into their limits.
-GRIPPERS = re.compile(r"finger|gripper|jaw|knuckle", re.IGNORECASE)
-
-
 @dataclass(frozen=True)
 class StartSolution:
     """A start that closes all loops.
 
     Attributes:
-        q: of the robot's joints, shape (robot.model.nq,) [rad, m].
-        passive: of the grasps' passive joints, by name [rad, m].
+        q: of the robot's joints, (robot.model.nq,); passive: of the grasps', by name [rad, m].
         start: the same as a scenario has it, by arm and passive joint.
         margin: least distance of a joint to its limit [rad, m]; infinite without limits.
         tries: random configurations it took; none where a given start was closed.
@@ -232,8 +220,8 @@ def solve_start(
         UnknownNameError: a grasp for an arm that the robot does not have.
     """
     grasp_of = grasp_of_each(robot, grasps)
-    missing = [*([] if held.pose else ["object.pose"]), *filter(None, [_without_object(grasp_of)])]
-    if missing:
+    missing = ["" if held.pose else "object.pose", _without_object(grasp_of)]
+    if missing := list(filter(None, missing)):
         raise GraspError(f"to solve for a start, give {' and '.join(missing)}")
     problem = StartProblem(robot, grasp_of, held, near or {})
     groups = _groups(problem.columns)
@@ -300,8 +288,7 @@ def close_start(
 
 def yaml_text(solution: StartSolution) -> str:
     """The start as a scenario file has it, with a comment on how it was found."""
-    inside = f"{solution.margin:.3g} rad or m inside the limits"
-    room = inside if solution.margin < np.inf else "no limits"
+    room = f"{solution.margin:.3g} rad or m inside the limits" if solution.tightest else "no limits"
     if GRIPPERS.search(solution.tightest):
         room += f" (at {solution.tightest}, which seems to be a gripper's: lock it)"
     if not solution.tries:
