@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 import pinocchio as pin
 
+from coopqp.assessment.thresholds import within
 from coopqp.base.rank import null_space
 from coopqp.base.spec import Array
 from coopqp.base.wording import suppressed
@@ -21,6 +22,7 @@ from coopqp.kernel.trajectory_evaluation import TrajectoryEvaluation, joint_poin
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.plant import PlantModel
+from coopqp.signal import InputValues
 from coopqp.task import Task, TaskStack
 from coopqp.trace import TaskInfo
 
@@ -142,7 +144,9 @@ class Instants:
             self.points[arm] = found.points[:, at : at + len(points)]
             at += len(points)
 
-    def directional_manipulability(self, start: State, end: State) -> Array:
+    def directional_manipulability(
+        self, t: float, q: Array, v: Array, inputs: InputValues
+    ) -> Array:
         """Directional manipulability of each part's error at the end over that at the start.
 
         With N a basis of the joint motions that keep the loops closed, J the rows of a task and u
@@ -150,11 +154,17 @@ class Instants:
         that has all but vanished, the pose is singular in that direction: the arms are stretched,
         and no limit is to blame.
 
-        ``start`` of the run has the time of its end. The result, shape (K,), is 1 where nothing is
-        missed or nothing could be done at the start.
+        ``t`` and ``v`` are of the end, ``q`` of start and end. The result, shape (K,), is 1 where
+        nothing is missed or nothing could be done at the start.
         """
         ratios = np.ones(len(self.parts))
-        if not (np.isfinite(start.q).all() and np.isfinite(end.q).all()):
+        parts = zip(self.task_error[-1], self.parts, strict=True)
+        if all(within(error, info.tolerance) for error, (info, _) in parts):
+            return ratios
+        start, end = (State(self._problem.chain, each, t) for each in q)
+        start.inputs = end.inputs = inputs
+        end.v[:] = v
+        if not np.isfinite(q).all():
             return ratios
         tasks = None if self.at_end else self._stacks[0][0]
         tasks = tasks or TaskStack(self._problem.tasks, self._begin)

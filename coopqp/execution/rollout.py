@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterable, Iterator
 import numpy as np
 
 from coopqp.assessment.limits import audit
-from coopqp.assessment.thresholds import within
 from coopqp.base.spec import Array
 from coopqp.base.wording import raised
 from coopqp.controller import NO_FEATURES, Command, Features, Law
@@ -46,7 +45,8 @@ class GuardedPlant(PlantModel):
             self.why = Status.OBJECT_LOST
             return
         true = self.truth(state)
-        before = [_Kept(state)] if true is state else [_Kept(state), _Kept(true)]
+        states = [state] if true is state else [state, true]
+        before = [(each, each.t, each.q.copy(), each.q_measured) for each in states]
         why = ""
         try:
             with np.errstate(all="ignore"):  # what overflows is found below
@@ -62,9 +62,10 @@ class GuardedPlant(PlantModel):
             why = raised(error)
         if why:
             self.broken = f"the plant: {why}"
-            for kept in before:
-                kept.put_back()
-            self._true = before[-1].state
+            for each, t, q, measured in before:
+                each.t, each.q[:], each.v[:], each.q_measured = t, q, 0.0, measured
+                each.update()
+            self._true = states[-1]
             for signal in self.signals.values():
                 signal[:] = 0.0
 
@@ -76,20 +77,6 @@ class GuardedPlant(PlantModel):
 
     def resume(self, before: PlantModel) -> None:
         self._plant.resume(before)
-
-
-class _Kept:
-    """Joints of a state, to be put back at rest."""
-
-    def __init__(self, state: State) -> None:
-        self.state, self._t, self._q = state, state.t, state.q.copy()
-        self._measured = state.q_measured
-
-    def put_back(self) -> None:
-        state = self.state
-        state.t, state.q[:], state.q_measured = self._t, self._q, self._measured
-        state.v[:] = 0.0
-        state.update()
 
 
 def _bounded(state: State) -> bool:
@@ -108,6 +95,12 @@ Progress = Callable[[int], None]
 
 PROGRESS_EVERY = 50  # ticks
 OPTIMAL = (Status.OPTIMAL,)
+#: What of a trace a recorder has under the same name, and what its instants have.
+TICKS = (
+    "t", "q", "v", "commanded", "measured", "gap", "memory", "usable", "inaccurate", "scale",
+    "compiled", "rows_us", "tick_us", "signals", "inputs",
+)  # fmt: skip
+INSTANTS = "position", "rotation", "task_error", "goal_error", "e", "rate", "points"
 
 
 def rollout(
@@ -289,17 +282,6 @@ class _Recorder:
             self.usable[k] = False
             self.failures.append(Failure(k, status.value, note))
 
-    def _directional_manipulability(self, errors: Array) -> Array:
-        """Directional manipulability of what is missed, over the start's; shape (K,)."""
-        parts = zip(errors, self.instants.parts, strict=True)
-        if all(within(error, info.tolerance) for error, (info, _) in parts):
-            return np.ones(len(errors))
-        chain = self._law.problem.chain
-        start, end = (State(chain, q, self.t[-1]) for q in self.q[[0, -1]])
-        start.inputs = end.inputs = self._inputs_at_end
-        end.v[:] = self.v[-1] if len(self.v) else 0.0
-        return self.instants.directional_manipulability(start, end)
-
     def trace(self, controller: str, solver: str | None, supports: Features) -> Trace:
         """Everything recorded, frozen."""
         problem, instants = self._law.problem, self.instants
@@ -319,37 +301,19 @@ class _Recorder:
             velocity=chain.velocity,
             effort=chain.model.effortLimit.copy(),
             tasks=tuple(info for info, _ in instants.parts),
-            t=self.t,
-            q=self.q,
-            v=self.v,
-            commanded=self.commanded,
-            measured=self.measured,
-            gap=self.gap,
-            memory=self.memory,
-            position=instants.position,
-            rotation=instants.rotation,
+            manipulability=instants.directional_manipulability(
+                self.t[-1], self.q[[0, -1]], self.v[-1:].sum(axis=0), self._inputs_at_end
+            ),
             loop_position=instants.loop[:, 0],
             loop_orientation=instants.loop[:, 1],
-            task_error=instants.task_error,
-            manipulability=self._directional_manipulability(instants.task_error[-1]),
-            goal_error=instants.goal_error,
             task_rows=rows_of((*problem.tasks, *problem.wrenches), chain),
-            e=instants.e,
-            rate=instants.rate,
-            usable=self.usable,
-            inaccurate=self.inaccurate,
             status=tuple(self.status),
-            scale=self.scale,
             margins=kept.margins,
             starts=kept.starts,
             unaudited=kept.unaudited,
-            compiled=self.compiled,
             rows_in_python=self._law.rows_in_python,
-            rows_us=self.rows_us,
-            tick_us=self.tick_us,
-            points=instants.points,
             supports=supports,
             failures=tuple(self.failures),
-            signals=self.signals,
-            inputs=self.inputs,
+            **{name: getattr(self, name) for name in TICKS},
+            **{name: getattr(instants, name) for name in INSTANTS},
         )

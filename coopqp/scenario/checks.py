@@ -162,6 +162,10 @@ def _of_chain(data: Mapping[str, Any], scenario: Scenario) -> tuple[object, ...]
     return *(data.get(key) for key in CHAIN), scenario.start, released, held
 
 
+def _at(data: Any, place: Location) -> Any:
+    return reduce(getitem, place, data)
+
+
 def check_start(data: Mapping[str, Any], scenario: Scenario, known: Known) -> None:
     """Build what can fail and refuse a start outside the limits."""
     key = "start" if "start" in data else "start_deg"
@@ -196,7 +200,7 @@ def check_start(data: Mapping[str, Any], scenario: Scenario, known: Known) -> No
     }
     refuse(_badly_held(data, places))
     of_tasks = {} if scenario.follows else {
-        tuple(place): (of_chain, data.get("inputs"), phase.duration, reduce(getitem, place, data))
+        tuple(place): (of_chain, data.get("inputs"), phase.duration, _at(data, place))
         for place, task, phase in placed_tasks(scenario)
         if not task.of_forces
     }  # fmt: skip
@@ -359,7 +363,7 @@ def _broken_inputs(
 
 
 def _used(data: Any, place: Location, name: str) -> Location:
-    waiting: list[tuple[list[str | int], Any]] = [([*place], reduce(getitem, place, data))]
+    waiting: list[tuple[list[str | int], Any]] = [([*place], _at(data, place))]
     while waiting:
         where, found = waiting.pop()
         if isinstance(found, dict):
