@@ -81,13 +81,9 @@ def run(scenario: str, controller: str, solver: str | None, catalog: Any, **to: 
 @catalogued
 @JSON
 def mobility(
-    scenario: str,
-    actuated: str | None,
-    phase: str | None,
-    page: Path | None,
-    catalog: Any,
+    scenario: str, actuated: str | None, phase: str | None, page: Path | None, catalog: Any,
     as_json: bool,
-) -> None:
+) -> None:  # fmt: skip
     """Tell what a scenario's grasp allows, before anything moves."""
     from coopqp.report import files
     from coopqp.report import mobility as report
@@ -166,14 +162,9 @@ def reach(scenario: str, seed: int | None, catalog: Any, as_json: bool) -> None:
 @catalogued
 @JSON
 def plan(
-    scenario: str,
-    out: Path | None,
-    keep: tuple[str, ...],
-    seconds: float,
-    seed: int | None,
-    catalog: Any,
-    as_json: bool,
-) -> None:
+    scenario: str, out: Path | None, keep: tuple[str, ...], seconds: float, seed: int | None,
+    catalog: Any, as_json: bool,
+) -> None:  # fmt: skip
     """Find a way to a scenario's goals round what is in the way, with the loops closed all along.
 
     SCENARIO is a YAML file or the name of a shipped scenario (coopqp list scenarios).
@@ -415,16 +406,9 @@ def compare_on(scenario: Any, controllers: list[str], out: Path | None, *, as_js
 @SOLVER
 @catalogued
 def play(
-    scenario: str,
-    controllers: tuple[str, ...],
-    port: int,
-    host: str,
-    origins: tuple[str, ...],
-    speed: float,
-    record: Path | None,
-    solver: str | None,
-    catalog: Any,
-) -> None:
+    scenario: str, controllers: tuple[str, ...], port: int, host: str, origins: tuple[str, ...],
+    speed: float, record: Path | None, solver: str | None, catalog: Any,
+) -> None:  # fmt: skip
     """Play a scenario on a page in the browser, where its goals can be dragged.
 
     SCENARIO is a YAML file or the name of a shipped scenario (coopqp list scenarios).

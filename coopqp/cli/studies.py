@@ -124,13 +124,9 @@ def _beside(table: Path) -> str:
 @catalogued
 @JSON
 def explain(
-    trace: Path,
-    tick: int | None,
-    controller: str | None,
-    save: Path | None,
-    catalog: Any,
+    trace: Path, tick: int | None, controller: str | None, save: Path | None, catalog: Any,
     as_json: bool,
-) -> None:
+) -> None:  # fmt: skip
     """Say why a run did not reach its goal, and what would do.
 
     TRACE is a trace.csv, or its folder, written by 'coopqp compare --out', or what 'coopqp export'
@@ -230,13 +226,9 @@ def calibrate(
 @catalogued
 @JSON
 def replay(
-    file: Path,
-    tick: int | None,
-    controller: str | None,
-    solver: tuple[str, ...],
-    catalog: Any,
+    file: Path, tick: int | None, controller: str | None, solver: tuple[str, ...], catalog: Any,
     as_json: bool,
-) -> None:
+) -> None:  # fmt: skip
     """Solve a tick again, with any solver.
 
     FILE is a tick saved by 'coopqp explain --save', or a recorded run as for 'coopqp explain'.
@@ -289,15 +281,9 @@ statistics = _moved("statistics", "goals", "random_goals")
 @catalogued
 @JSON
 def sweep(
-    what: Path,
-    out: Path | None,
-    engine: Any,
-    watch: bool,
-    table: bool,
-    show: int | None,
-    catalog: Any,
-    as_json: bool,
-) -> None:
+    what: Path, out: Path | None, engine: Any, watch: bool, table: bool, show: int | None,
+    catalog: Any, as_json: bool,
+) -> None:  # fmt: skip
     """Run a scenario in many variants, and go on where it was when it is called again.
 
     STUDY is a YAML file or the name of a shipped study (coopqp list studies).
