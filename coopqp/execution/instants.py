@@ -228,20 +228,10 @@ def _springs(task: Task) -> tuple[tuple[int, int, float], ...]:
 
 def arm_points(chain: ClosedChain, q: Array) -> dict[str, Array]:
     """Joint origins and hand of each arm, base first, shape (T, p, 3) [m], at q (T, n)."""
-    model, data, arms = chain.model, chain.model.createData(), chain.arms[chain.standing :]
-    joints = {
-        arm.name: [model.getJointId(name) for name in chain.robot.arm_joints(arm)] for arm in arms
-    }
-    tips = {arm.name: model.getFrameId(arm.tip) for arm in arms}
-    points = {name: np.zeros((len(q), len(ids) + 1, 3)) for name, ids in joints.items()}
-    # Views into pinocchio's data, which stay valid, instead of asking in each row.
-    places = [
-        (points[name][:, i], X.translation)
-        for name, ids in joints.items()
-        for i, X in enumerate([*(data.oMi[joint] for joint in ids), data.oMf[tips[name]]])
-    ]
+    model, data, own = chain.model, chain.model.createData(), chain.once(joint_points)
+    points = {arm: np.zeros((len(q), len(places), 3)) for arm, places in own.items()}
     for k, row in enumerate(q):
-        pin.framesForwardKinematics(model, data, row)
-        for found, place in places:
-            found[k] = place
+        pin.forwardKinematics(model, data, row)
+        for arm, places in own.items():
+            points[arm][k] = [data.oMi[joint].act(p) for joint, p in places]
     return points
