@@ -25,9 +25,7 @@ FARTHEST, FASTEST = 1e8, 1e12
 class GuardedPlant(PlantModel):
     """Wraps a plant; where it raises or leaves all numbers, everything stays where it was.
 
-    Attributes:
-        broken: the failure; empty so far.
-        why: that as a status.
+    ``broken`` is the failure, empty so far; ``why`` that as a status.
     """
 
     def __init__(self, plant: PlantModel) -> None:
@@ -116,23 +114,12 @@ def rollout(
     feed: Sender | None = None,
     timed: bool = True,
 ) -> Trace:
-    """Run a law on a plant.
+    """Run a law on a plant at its start, for so many ticks; name, solver and supports are noted.
 
     Without timing and on a plant without errors, all ticks are computed at once, with the same bits
-    (:meth:`coopqp.controller.Law.run`).
-
-    Args:
-        law: the controller, built.
-        plant: at the start.
-        ticks: how many.
-        controller: its name, for the trace.
-        solver: its name, for the trace.
-        supports: what of the problem the law reads, for the trace.
-        progress: called every few ticks.
-        state: of the law's own start, from which the run begins; written up to its end. At rest
-            where the plant's sensors say when omitted.
-        feed: sender to the inputs; nothing arrives when omitted.
-        timed: whether ticks are timed.
+    (:meth:`coopqp.controller.Law.run`). ``progress`` is called every few ticks. The run begins in
+    ``state``, which is of the law's own start, and is written up to the end; at rest where the
+    plant's sensors say when omitted. Nothing arrives at inputs without a ``feed``.
     """
     if state is None:
         state = law.start(q_measured=plant.measured, hand_wrench=plant.hand_wrench)
@@ -159,12 +146,8 @@ def drive(
 ) -> Iterator[tuple[Command, float]]:
     """The control loop: take inputs, decide, send the command, step the plant.
 
-    Args:
-        law: the controller, built.
-        plant: where the state is.
-        state: written; after the last step its kinematics are up to date.
-        ticks: how many, or as many as there are items.
-        feed: sender to the inputs; nothing arrives when omitted.
+    The plant is where the state is, which is written; after the last step its kinematics are up to
+    date. There are so many ticks, or as many as there are items.
 
     Yields:
         The command and how long the tick took [us], before the plant carries it out.
