@@ -26,7 +26,7 @@ from coopqp.report import strict_json
 from coopqp.report.page import render
 from coopqp.scenario.planned import FOLLOWED
 from coopqp.scenario.yaml import with_keys
-from coopqp.study.sweep.journal import OLDER, PATTERN
+from coopqp.study.sweep.results import OLDER, PATTERN
 
 NAMES = ("report.html", "metrics.json", "trace.csv", "scenario.yaml", FOLLOWED)
 POINTER = ".report"

@@ -19,7 +19,7 @@ from coopqp.assessment import assess
 from coopqp.execution.controller_run import run
 from coopqp.scenario.loader import load
 from coopqp.study.sweep import read_study, sweep
-from coopqp.study.sweep.journal import HEAD, Journal, head_of
+from coopqp.study.sweep.results import HEAD, Journal, head_of
 
 pytest.importorskip("pyarrow.parquet")
 
