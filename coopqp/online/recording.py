@@ -31,8 +31,8 @@ from coopqp.base.spec import Array
 from coopqp.controller import Command, Law
 from coopqp.model.state import State
 from coopqp.recordings.column import Layout, names, of_field
-from coopqp.recordings.format import needs
 from coopqp.recordings.parquet import SUFFIX, arrow_schema
+from coopqp.recordings.run import needs
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status, written
 
