@@ -119,11 +119,11 @@ class Reflections {
         }
         const int count = int(lane_.size());
         for (int k = 0; k < count; k++) {
-            const double *of_lane = C_ + lane_[std::size_t(k)], *h = h_;
+            const double* of_lane = C_ + lane_[std::size_t(k)];
             v4 row[B];
             for (int b = 0; b < B; b++) row[b] = lanes(units_ + k * WIDTH)[b];
-            for (int s = std::min(rank_, k + 1); s-- > 0; of_lane += WIDTH, h += WIDTH)
-                for (int b = 0; b < B; b++) row[b] -= lanes(h)[b] * *of_lane;
+            for (int at = 0, end = std::min(rank_, k + 1) * WIDTH; at < end; at += WIDTH)
+                for (int b = 0; b < B; b++) row[b] -= lanes(h_ + at)[b] * of_lane[at];
             for (int b = 0; b < B; b++) lanes(Q + k * WIDTH)[b] = row[b];
         }
     }
