@@ -44,7 +44,6 @@ from coopqp.qp_law.bounds import Bounds
 from coopqp.solver import Solution, Status
 from coopqp.torque_law.external_wrench import HandSensors, MomentumObserver
 from coopqp.torque_law.hand_wrenches import HandWrenches, require_forces
-from coopqp.torque_law.impedances import Impedances, require_impedances
 from coopqp.torque_law.margins import (
     ReferenceModel,
     damped,
@@ -53,7 +52,12 @@ from coopqp.torque_law.margins import (
     row_loop,
 )
 from coopqp.torque_law.program import Costs, HeldTorques, Layout, hard_rows, programs
-from coopqp.torque_law.task_dynamics import TaskDynamics, require_motor_freedom
+from coopqp.torque_law.task_dynamics import (
+    Impedances,
+    TaskDynamics,
+    require_impedances,
+    require_motor_freedom,
+)
 
 #: Ticks in which a motion may die out, or a joint brake, at the fastest.
 MIN_TICKS = 4

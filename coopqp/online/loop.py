@@ -127,8 +127,7 @@ class History:
             kept.position[i], kept.rotation[i] = state.p_WO, state.R_WO
             kept.loop_position[i] = state.loop_position_error
             kept.loop_orientation[i] = state.loop_orientation_error
-            np.multiply(v, dt, out=setpoint)
-            np.add(q, setpoint, out=setpoint)
+            setpoint[:] = q + dt * v
         kept.number[i], kept.causes[i] = self.count, _bits(command.causes)
         self.count += 1
         return i

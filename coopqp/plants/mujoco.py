@@ -31,8 +31,7 @@ from coopqp.grasp import Contact
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.plant import Disturbance, Plant, PlantModel
-from coopqp.plants._dynamic import DynamicModel
-from coopqp.plants._servo import Servo, ServoLaw
+from coopqp.plants._dynamic import DynamicModel, Servo, ServoLaw
 
 #: A link without mass gets this much, because MuJoCo moves no massless body [kg], [kg m2].
 LEAST_MASS, LEAST_INERTIA = 2e-3, 2e-6

@@ -28,8 +28,7 @@ from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.loop_observer import GRIP_SIZE, stiffness_by_joint
 from coopqp.model.state import State
 from coopqp.plant import Disturbance, Plant, PlantModel
-from coopqp.plants._dynamic import DynamicModel
-from coopqp.plants._servo import Servo, ServoLaw
+from coopqp.plants._dynamic import DynamicModel, Servo, ServoLaw
 
 #: Damping of joints without a motor, such as hinges [N m s/rad].
 PASSIVE_DAMPING = 1e-3

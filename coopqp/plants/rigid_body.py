@@ -15,9 +15,9 @@ from coopqp.closed_loop.hands import in_axes, into_contacts, points
 from coopqp.controller import ControlProblem
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.plant import Disturbance, Plant, PlantModel
-from coopqp.plants._dynamic import DynamicModel
-from coopqp.plants._servo import (
+from coopqp.plants._dynamic import (
     UNLIMITED_EFFORT,
+    DynamicModel,
     Servo,
     ServoLaw,
     fair_shares,
