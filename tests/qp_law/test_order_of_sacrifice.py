@@ -191,7 +191,7 @@ def test_least_is_given_up_first(chain: ClosedChain) -> None:
     law = PLAIN.build(problem(narrow, TURN, limits=limits))
     causes = law.tick(State(narrow, q)).causes
     assert causes[:1] == (Status.DRIFT_SLOWED,)
-    # Joints have 1e-5 rad left: whether the last digits suffice for a certificate is up to the BLAS.
+    # Joints have 1e-5 rad left: whether the digits suffice for a certificate is up to the BLAS.
     assert tuple(c for c in causes[1:] if c is not Status.INACCURATE) == (Status.TASKS_RELAXED,)
 
 
