@@ -94,6 +94,7 @@ def ran(
     return trace
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("plant", "law"),
     [

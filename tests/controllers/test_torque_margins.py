@@ -71,6 +71,7 @@ def stepped(controller: str, dt: float, delay: int) -> tuple[Trace, np.ndarray, 
     return gone(jump(TORQUE[controller], dt=dt, delay=delay))
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("delay", [0, 1])
 @pytest.mark.parametrize("dt", [0.002, 0.01])
 @pytest.mark.parametrize("controller", TORQUE)

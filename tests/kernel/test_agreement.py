@@ -32,6 +32,7 @@ def test_shipped_scenarios_move_alike(name: str) -> None:
     assert seen.v < SAME
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("name", OF_ROBOTS)
 def test_bodies_are_kept_apart_alike(name: str) -> None:
     """With self-collision and things nearby, towards a goal, also without any other limit."""

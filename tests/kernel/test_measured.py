@@ -171,6 +171,7 @@ def test_a_limit_of_following_is_the_kernels() -> None:
     assert np.abs(states[0].q - behind).max() > 1.1e-3
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(("n", "m"), [(10, 6), (14, 6), (56, 42), (6, 3), (6, 8), (5, 1)])
 def test_directions_are_those_of_lapack(n: int, m: int) -> None:
     """With parallel columns, and rows of very different size."""

@@ -120,6 +120,7 @@ def test_where_no_way_is_found_the_file_is_refused_at_its_line() -> None:
         in_one_go("planar_pair", plan="false")
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("name", "speed"), [("shelves", 4.0), ("two_pandas", -4.0)])
 def test_pushed_off_a_run_goes_on_where_it_has_left_the_path(name: str, speed: float) -> None:
     calm = in_one_go(name)
@@ -228,6 +229,7 @@ def test_a_phase_in_which_nothing_moves_is_held(tmp_path: Path) -> None:
     assert np.abs(now.tau - weight + at_hands).max() < 2.0 * box
 
 
+@pytest.mark.full
 def test_of_an_object_that_stands_only_the_joints_are_planned(tmp_path: Path) -> None:
     shipped = load("pick_and_place")
     _, path = write_plan(plan(shipped, budget=AMPLE), shipped, tmp_path)
@@ -248,6 +250,7 @@ def test_a_scenario_that_is_refused_with_its_plan_leaves_nothing(tmp_path: Path)
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.full
 def test_ticks_in_which_the_clock_waits_can_be_repeated(tmp_path: Path) -> None:
     held = replace(in_one_go("shelves"), plant=Shoved(start=2.0, duration=0.2, speed=4.0))
     write(coopqp.compare(held, controllers=["qp"]), tmp_path)
@@ -285,6 +288,7 @@ def beside(shipped: Scenario, by: str) -> Scenario:
     return load_text(Path("beside.yaml"), f"{text}\n{more}", shipped.catalog)
 
 
+@pytest.mark.full
 def test_laws_alone_stand_beside_the_one_that_follows_a_plan(tmp_path: Path) -> None:
     """The QP is stuck at the board, the pseudoinverse goes through it, the plan goes round."""
     scenario = beside(load("shelves"), "planned")

@@ -115,6 +115,7 @@ def test_attitudes_at_a_goal_are_pinocchios() -> None:
             )
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("goal", BEHIND)
 def test_behind_naos_back_no_configuration_is_in_the_starts_part(goal: tuple[float, ...]) -> None:
     """By surfaces of attitudes, which know nothing of Newton steps, and by random starts."""

@@ -87,6 +87,7 @@ def acting(k: int) -> bool:
     return BEGIN <= k + 1 < END
 
 
+@pytest.mark.each_value
 @each_plant
 @pytest.mark.parametrize("kind", [k for k in FAULTS if k.startswith(("encoder", "readings"))])
 def test_readings_are_as_the_fault_says_while_it_lasts(plant: str, kind: str) -> None:

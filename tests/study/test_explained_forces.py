@@ -53,6 +53,7 @@ def test_a_pad_whose_pressure_reaches_its_edge_is_named_and_a_squeeze_that_holds
     assert "equal: {squeeze: 37.5} it is held (tried)" in found.sentence
 
 
+@pytest.mark.full
 def test_springs_that_bear_a_weight_that_is_wrong_ask_for_the_mass_that_helps(
     tmp_path: Path,
 ) -> None:
