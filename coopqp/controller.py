@@ -230,6 +230,11 @@ class Command:
         """Set all that is true of this tick, the gravest first."""
         self.causes = causes
 
+    def add(self, status: Status, *told: str) -> None:
+        """Add what else is true of this tick, after what is graver."""
+        self.causes = *(c for c in self.causes if c is not Status.OPTIMAL), status
+        self.told = (*self.told, *told)
+
     def __repr__(self) -> str:
         what = f"v={self.v}" if self.tau is None else f"tau={self.tau}"
         return f"Command({self.status.name}, {what})"

@@ -91,8 +91,7 @@ def engined(command: Callable[..., None]) -> Callable[..., None]:
     @wraps(command)
     def with_engine(*, jobs: int, scheduler: str | None, shard: str, **options: Any) -> None:
         from coopqp.base.errors import InvalidValueError
-        from coopqp.study.engine import Engine, Share
-        from coopqp.study.engine.workers import cores
+        from coopqp.study.engine import Engine, Share, cores
 
         if jobs > MAX_PER_CORE and jobs > (limit := MAX_PER_CORE * cores()):
             words = f"--jobs: found {jobs}; needs at most {limit}, {MAX_PER_CORE} for each core"
@@ -146,7 +145,7 @@ def read_trace(trace: Path, catalog: Any) -> tuple[Any, Any]:
 def _refuse_other(path: Path) -> None:
     """Refuse what runs come from, a scenario or a study, with what is to be given instead."""
     from coopqp.scenario.loader import shipped
-    from coopqp.study.sweep.journal import PATTERN
+    from coopqp.study.sweep.results import PATTERN
 
     if path.is_dir() and any(path.glob(PATTERN)):
         words = f"holds a study; 'coopqp sweep {path} --show ROW' runs one of its rows"

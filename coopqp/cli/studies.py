@@ -395,7 +395,7 @@ def _show(study: Any, folder: Path, row: int) -> None:
     from coopqp.report.files import write_one
     from coopqp.report.sweep.page import ROWS
     from coopqp.study.sweep import scenario_of_row
-    from coopqp.study.sweep.folder import check_plugins
+    from coopqp.study.sweep.sweep import check_plugins
 
     for odd in check_plugins(folder, study):
         say(f"warning: {odd}")

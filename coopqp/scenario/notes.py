@@ -31,7 +31,7 @@ from coopqp.scenario.start import FAR
 from coopqp.signal import POINT, POSE, Kind, Moment
 from coopqp.task import TaskStack
 from coopqp.torque_law.hand_wrenches import unreachable_wrenches
-from coopqp.torque_law.impedances import leaks
+from coopqp.torque_law.task_dynamics import leaks
 
 #: A push along an axis without a spring that is felt by less than this share is not worth a word.
 LEAKS = 0.05
