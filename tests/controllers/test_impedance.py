@@ -110,6 +110,7 @@ def test_a_steady_push_moves_it_by_force_over_stiffness(plant: str, law: TorqueQ
     np.testing.assert_allclose(trace.e[-1], PUSHED / STIFF, rtol=0.02)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("settings", [{"mode": "hard"}, {"priority": 1}], ids=["hard", "later"])
 def test_one_axis_gives_way_beside_other_tasks(settings: dict[str, Any]) -> None:
     """The box stays on a line and level, and moves along it by the push along it over K."""

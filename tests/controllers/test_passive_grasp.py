@@ -140,6 +140,7 @@ def test_the_internal_force_is_what_the_hands_do_against_each_other() -> None:
     assert np.abs(internal).max() > 1e-6
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("plant", PLANTS)
 def test_the_pid_squeezes_as_it_is_asked_to_while_it_carries(plant: str) -> None:
     scenario = hurried(plant=PLANTS[plant])

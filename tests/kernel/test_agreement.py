@@ -18,6 +18,7 @@ pytestmark = needs_kernel
 SAME = 1e-10  # [rad/s, m/s]
 
 
+@pytest.mark.few(12)
 @pytest.mark.parametrize("name", LOADABLE)
 def test_shipped_scenarios_move_alike(name: str) -> None:
     """Every tick is the kernel's, and as the plain law's to rounding."""

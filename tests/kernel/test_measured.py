@@ -46,6 +46,7 @@ def told(one: Law, state: State) -> np.ndarray:
     ])  # fmt: skip
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize("name", SCENARIOS)
 @pytest.mark.parametrize("observer", [
     Observer(most=0.1), Observer(stiffness=80.0, most=0.1), Observer(stiffness=80.0, most=BOUND),

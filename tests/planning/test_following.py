@@ -186,6 +186,7 @@ def test_a_regrasp_is_planned_through_and_followed(tmp_path: Path) -> None:
     assert "leads to 3 phases, and the scenario has 4" in result.output
 
 
+@pytest.mark.full
 def test_a_regrasp_is_timed_phase_by_phase_and_followed(tmp_path: Path) -> None:
     """Each with the arms that hold the object then, at rest at its ends, within its limits."""
     shipped = load("regrasp")
@@ -260,6 +261,7 @@ def test_ticks_in_which_the_clock_waits_can_be_repeated(tmp_path: Path) -> None:
     assert run.columns["followed[way].t"][220] < 2.19
 
 
+@pytest.mark.full
 def test_a_tray_that_is_kept_level_is_so_on_the_way_round_a_beam(tmp_path: Path) -> None:
     scenario = load("tray_round_beam")
     alone = coopqp.run(scenario, controller="qp")
@@ -309,6 +311,7 @@ def test_laws_alone_stand_beside_the_one_that_follows_a_plan(tmp_path: Path) -> 
         beside(load("shelves"), "planed")
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("elsewhere", [False, True])
 def test_results_have_the_plan_that_was_followed(tmp_path: Path, elsewhere: bool) -> None:
     """Without the plan's folder; with another file's path the results stay on this machine."""

@@ -155,6 +155,7 @@ FRONT = "front: {box: [0.30, 0.20, 0.02], position: [0.26, 0.45, 0.40]}"
 MESH = "board: {mesh: board.stl, scale: [0.001, 0.001, 0.001], position: [0.65, 0.45, 0.40]}"
 
 
+@pytest.mark.full
 def test_past_a_mesh_and_a_second_board(tmp_path: Path) -> None:
     trimesh = pytest.importorskip("trimesh")
     trimesh.creation.box((300.0, 500.0, 20.0)).export(tmp_path / "board.stl")

@@ -50,6 +50,7 @@ def test_what_the_model_gets_wrong_is_not_blamed_on_the_law(tmp_path: Path) -> N
     assert "what the model gets wrong" in found.sentence
 
 
+@pytest.mark.full
 @pytest.mark.usefixtures("hurried_reruns")
 def test_a_run_that_an_injected_fault_keeps_from_its_goal_is_told_of_it(tmp_path: Path) -> None:
     fault = Fault(kind="motor_reversed", joint="LElbowRoll", start=0.5)
