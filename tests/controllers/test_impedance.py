@@ -252,6 +252,7 @@ def test_numbers_that_are_none_are_refused(settings: dict[str, Any], words: str)
         Impedance(**(given | settings))
 
 
+@pytest.mark.full
 def test_what_is_felt_of_a_push_along_an_axis_without_a_spring_is_as_foretold() -> None:
     """A torque about z, which nobody knows of, on a box that is kept level by another task."""
     springs = Impedance(goal=here(), stiffness={axis: K[axis] for axis in ("x", "y", "z")})

@@ -176,7 +176,7 @@ def test_a_session_with_a_fault_names_it_before_it_hurts(seed: int) -> None:
     assert session.most < 2.0 * max(session.force_named, EFFECT)
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @needs_robots
 @pytest.mark.parametrize("seed", range(5))
 def test_a_sound_session_names_nothing(seed: int) -> None:
@@ -434,6 +434,7 @@ def test_slip_is_near_where_friction_is_used_up(share: float, near: bool) -> Non
     assert kinds == ({"slip_near"} if near else set())
 
 
+@pytest.mark.full
 @needs_robots
 def test_a_load_that_the_servos_feel_is_weighed_within_seconds() -> None:
     """Without force sensors; with the true mass written the loop finds nothing wrong."""

@@ -53,7 +53,7 @@ def speed(robot: SimulatedRobot) -> float:
     return float(np.abs(robot.state.v).max())
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("law", "plant"),
     [("torque_qp", "rigid_body"), ("torque_qp", "mujoco"), ("passive_grasp_pid", "mujoco")],
@@ -126,7 +126,7 @@ def test_a_load_that_the_integral_has_learned_is_held_at_rest(law: str) -> None:
     assert np.linalg.norm(place(robot) - stopped) < 5e-3
 
 
-@pytest.mark.few(1)
+@pytest.mark.full
 @needs_robots
 @pytest.mark.parametrize("dt", [0.005, 0.01])
 def test_friction_alone_holds_at_every_period_with_the_default_kappa(dt: float) -> None:
@@ -238,7 +238,7 @@ def test_a_velocity_that_does_not_fit_the_way_is_named_and_the_arms_rest(wrong: 
     assert speed(robot) < 0.3
 
 
-@pytest.mark.few(1)
+@pytest.mark.full
 @pytest.mark.parametrize("name", ["press_and_lift", "heavy_object"])
 def test_velocities_that_are_all_in_degrees_are_named_before_the_arms_run_away(name: str) -> None:
     """Where only those already found wrong are taken from positions Pandas reach 89 rad/s."""

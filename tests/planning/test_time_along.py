@@ -185,7 +185,7 @@ def test_limits_are_kept_between_the_places_and_one_is_met(name: str) -> None:
     assert max(speed, torque) > 0.99
 
 
-@pytest.mark.few(1)
+@pytest.mark.full
 @pytest.mark.parametrize("name", ["point_on_point", "joint_limit_stress"])
 def test_limits_are_kept_on_a_grid_that_is_too_coarse_for_the_path(name: str) -> None:
     scenario = load(name)
@@ -425,7 +425,7 @@ def test_torques_that_follow_it_squeeze_as_planned(tmp_path: Path) -> None:
     assert np.median(forces[1]) < 0.2 * np.median(planned)
 
 
-@pytest.mark.few(1)
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("name", "law"),
     [

@@ -276,6 +276,7 @@ def test_time_step_that_divides_the_period(chain: ClosedChain, time_step: float)
     assert state.t == pytest.approx(DT, rel=1e-12)
 
 
+@pytest.mark.full
 def test_run_does_not_depend_on_the_time_step() -> None:
     """A pose where the arms are nearly stretched: the same box at the same place.
 
