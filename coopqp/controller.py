@@ -240,7 +240,6 @@ class Command:
         return f"Command({self.status.name}, {what})"
 
     def copy(self) -> Command:
-        """The same, in arrays of its own."""
         other = Command(len(self.v))
         other.v[:] = self.v
         other.tau = None if self.tau is None else self.tau.copy()
@@ -380,8 +379,7 @@ class Law(ABC):
 
         Threads take turns.
 
-        Raises:
-            InvalidValueError: ``ticks`` is no whole number from 0 to ``MAX_TICKS``.
+        InvalidValueError: ``ticks`` is no whole number from 0 to ``MAX_TICKS``.
         """
         if type(ticks) is not int or not 0 <= ticks <= MAX_TICKS:
             raise InvalidValueError(

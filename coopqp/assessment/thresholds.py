@@ -29,17 +29,15 @@ class Threshold(float):
 
 
 BEYOND = Threshold(
-    1e-4, "rad, m", "More breaks a limit of place: a tenth of what hobby servos resolve."
+    1e-4, "rad, m", "More breaks a limit of place: servos resolve ten times as much."
 )
 BEYOND_SPEED = Threshold(
-    1e-3, "m/s", "More breaks a limit of the object's speed: sensors see no less."
+    1e-3, "m/s", "More breaks the object's limit of speed: sensors see no less."
 )
 BEYOND_ACCELERATION = Threshold(0.1, "rad/s2, m/s2", "More breaks one: rounding of v, over dt.")
 TOO_FAST = Threshold(1e-3, "share", "A joint is too fast beyond (1 + this) times its speed limit.")
 OUTSIDE = Threshold(ROUNDING, "rad, m", "A joint is outside its limits beyond rounding.")
-AT_LIMIT = Threshold(
-    1e-4, "row's unit", "Less room is none: walls are approached ever more slowly."
-)
+AT_LIMIT = Threshold(1e-4, "row's unit", "Less room is none: walls are neared ever more slowly.")
 HELD_UP = Threshold(0.25, "of ticks", "A limit of speed met in more of the ticks holds a run up.")
 AT_REST = Threshold(1e-3, "rad/s, m/s", "Slower joints are at rest: 0.06 degrees in a second.")
 OSCILLATES = Threshold(1e-4, "m; 2 rad", "A narrower one is none: arms repeat to 0.1 mm, 0.2 mrad.")
@@ -47,16 +45,14 @@ LOOP_CLOSED = Threshold(CLOSED_POSITION, "m", "Hands farther apart pull: 10 kN/m
 LOOP_CLOSED_ANGLE = Threshold(CLOSED_ORIENTATION, "rad", "The same, on a lever of 0.1 m.")
 TORN = Threshold(Budget().loop_position, "m", "Farther apart no object is held.")
 TORN_ANGLE = Threshold(Budget().loop_orientation, "rad", "The same: `budget.loop_orientation`.")
-SETTLED = Threshold(
-    0.2, "s", "A force stays within its tolerance so long: an oscillation only passes it."
-)
+SETTLED = Threshold(0.2, "s", "A force keeps its tolerance so long: an oscillation only passes it.")
 SINGULAR = Threshold(
-    0.02, "share", "With less manipulability than this of the start a task is singular."
+    0.02, "share", "With less of its manipulability at the start a task is singular."
 )
 SATURATED = Threshold(0.01, "of ticks", "A motor at its limit in less of them is only passing.")
 AT_EFFORT = Threshold(0.999, "share", "From this share of its torque on a motor is at its limit.")
 SPEED_UP = Threshold(
-    0.2, "s", "From rest to full speed: the loop for robots limits accelerations by it."
+    0.2, "s", "Rest to full speed: the loop for robots limits accelerations by it."
 )
 ACCELERATION_UNLIMITED = Threshold(10.0, "rad/s2, m/s2", "Of joints without a speed limit.")
 SLIPPED = Threshold(1e-3, "m", "An object that moves along a hand by less creeps, as simulated.")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import wraps
 from pathlib import Path
 from typing import Any
@@ -177,6 +177,34 @@ def _warn(scenario: Any) -> None:
 def say(line: str, *, aside: bool = True) -> None:
     """Print one line, whatever the names in it hold, to the error stream if aside."""
     click.echo(one_line(line), err=aside)
+
+
+def say_wrote(*paths: Path, aside: bool = False) -> None:
+    """Name the files that a command has written; what machines read is JSON alone."""
+    for path in paths:
+        say(f"wrote {path}", aside=aside)
+
+
+def say_left_out(refused: Mapping[str, object], place: str = "") -> None:
+    """Name the controllers that cannot be used, and why."""
+    for name, why in refused.items():
+        say(f"warning: {place}{name} is left out: {why}")
+
+
+def show(*parts: Any) -> None:
+    """Print tables, and sentences as they are."""
+    from coopqp.report.table import console
+
+    for part in parts:
+        styled = not isinstance(part, str)
+        console().print(part, markup=styled, highlight=styled)
+
+
+def print_json(data: Any) -> None:
+    """Print data for machines."""
+    from coopqp.report import strict_json
+
+    click.echo(strict_json.text(data))
 
 
 def print_notes(scenario: Any, controllers: Sequence[str] = (), *, steered: bool = False) -> None:

@@ -212,7 +212,6 @@ class Field:
         return [[f"{name}{rest}" for rest in rests] for rests in self.shape.columns(layout)]
 
     def columns(self, layout: Layout) -> list[str]:
-        """Names of its columns."""
         return [column for group in self.groups(layout) for column in group]
 
     def values(self, trace: Trace) -> Any:

@@ -82,7 +82,6 @@ class _Messages:
         self._said: dict[str, tuple[int, str]] = {}
 
     def log(self, instant: Instant) -> None:
-        """Write all messages of a row."""
         of, ns = self._of, instant.ns
         stamp = of.Timestamp(ns // NS, ns % NS)
         for topic, joints in instant.joints.items():

@@ -89,18 +89,15 @@ class _Bag:
         self._topics: dict[str, Any] = {}
 
     def new(self, kind: str, **values: Any) -> Any:
-        """A message."""
         return self._store.types[kind](**values)
 
     def write(self, topic: str, kind: str, ns: int, message: Any) -> None:
-        """Write a message to its topic."""
         if topic not in self._topics:
             added = self._writer.add_connection(topic, kind, typestore=self._store)
             self._topics[topic] = added
         self._writer.write(self._topics[topic], ns, self._store.serialize_cdr(message, kind))
 
     def log(self, instant: Instant) -> None:
-        """Write all messages of a row."""
         ns = instant.ns
         stamp = self.new("builtin_interfaces/msg/Time", sec=ns // NS, nanosec=ns % NS)
         head = self._head(stamp, WORLD)

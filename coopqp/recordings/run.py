@@ -60,7 +60,6 @@ class Run:
 
     @cached_property
     def controllers(self) -> list[str]:
-        """Their names, in their order."""
         return list(dict.fromkeys(self.columns["controller"].tolist()))
 
     def place(self, k: int) -> str:
@@ -72,12 +71,10 @@ class Run:
         return InvalidValueError(f"{self.place(k)}: {words}; the trace is damaged")
 
     def only(self, which: Any) -> Run:
-        """Some of the rows."""
         kept = {name: values[which] for name, values in self.columns.items()}
         return replace(self, columns=kept, rows=self.rows[which])
 
     def of(self, controller: str) -> Run:
-        """The rows of one controller."""
         if controller not in self.controllers:
             raise UnknownNameError("controller", controller, self.controllers, f"{self.path}: ")
         return self.only(self.columns["controller"] == controller)

@@ -142,8 +142,7 @@ def _limit(assessed: Assessment, violation: float, unit: str) -> Cell:
 
 def _acceleration(found: Assessment) -> Cell:
     """The worst joint's, and how many times what the loop for robots allows."""
-    worst = found.acceleration
-    if worst is None:
+    if (worst := found.acceleration) is None:
         return Cell(("-",))
     times = f"{number(worst.value / worst.allowed)} x allowed"
     return Cell((f"{number(worst.value)}{NBSP}{worst.unit}", times), worst.exceeds)

@@ -161,16 +161,14 @@ def _bound_json(bound: Bound | None) -> dict[str, Any] | None:
 def rows(result: Study) -> list[tuple[str, str, str]]:
     """Name of a quantity, its value at generic poses, at the start."""
     m = result.mobility
-    schemes = f"of {m.schemes_total}" if m.schemes_complete else f"of {len(m.schemes)} tried"
-    motors = (str(m.motor_freedom), str(m.motor_freedom_start))
-    inadmissible = (f"{m.inadmissible} {schemes}", f"{m.inadmissible_start} {schemes}")
+    tried = f"of {m.schemes_total}" if m.schemes_complete else f"of {len(m.schemes)} tried"
     lines = [
         ("joints (passive)", f"{len(m.joints)} ({len(m.passive)})", ""),
         ("rank of J_c", ", ".join(map(str, m.ranks)), str(m.rank_start)),
         ("degrees of freedom, l - rank", str(m.freedom), str(m.freedom_start)),
         ("object motions (largest task)", str(m.object_freedom), str(m.object_freedom_start)),
-        ("object motions the motors decide", *motors),
-        ("inadmissible schemes", *inadmissible),
+        ("object motions the motors decide", str(m.motor_freedom), str(m.motor_freedom_start)),
+        ("inadmissible schemes", f"{m.inadmissible} {tried}", f"{m.inadmissible_start} {tried}"),
     ]
     lines += [("redundant loop row", name, "") for name in m.dropped]
     lines += [

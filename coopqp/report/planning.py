@@ -81,9 +81,8 @@ def check_written(folder: Path | None, scenario: Scenario, name: str) -> None:
     follows = (folder or Path()) / f"{scenario.name}.yaml"
     if folder is None or not follows.is_file():
         return
-    with suppress(
-        CoopqpError, LookupError, OSError, TypeError, ValueError
-    ):  # what is broken is not ours
+    broken = (CoopqpError, LookupError, OSError, TypeError, ValueError)
+    with suppress(*broken):  # what is broken is not ours
         plan = parsed(follows, follows.read_text(encoding="utf-8")).data["reference"]["plan"]
         if Path(plan).name == name:
             return

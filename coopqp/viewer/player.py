@@ -128,7 +128,6 @@ class Player:
         return path
 
     def show(self) -> messages.PageSetup:
-        """All that does not change."""
         low, high = picture.space(self.scenario, self._bodies)
         keeps = {c.name: "limits" in c.run.controller.supports for c in self.controllers}
         return messages.PageSetup(

@@ -15,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # what tests share, for work
 
 from coopqp import __version__
 from coopqp.base.errors import CoopqpError
-from coopqp.cli.ending import Command
+from coopqp.cli import Command
 from coopqp.cli.options import JSON, WRITTEN, engined
 from coopqp.report import strict_json
 from coopqp.report.table import console, progress_bars

@@ -92,11 +92,6 @@ def joint_rows(chain: ClosedChain) -> list[JointRow]:
     return [JointRow(row, tuple(captions.get(j, "") for j in row)) for row in every]
 
 
-def joint_order(chain: ClosedChain) -> list[int]:
-    """Indices of the joints in the order in which they are shown."""
-    return [j for row in joint_rows(chain) for j in row.joints]
-
-
 def _min_margin(chart: Chart, i: int) -> float:
     """Smallest margin of a joint under any controller, over its range; inf without limits."""
     lower, upper = chart.any.lower[i], chart.any.upper[i]
@@ -288,7 +283,8 @@ def torques(chart: Chart) -> list[Figure]:
     """One a motor, those of two equal arms side by side."""
     if not any("tau" in trace.signals for trace in chart.traces.values()):
         return []
-    return [_torque(chart, i) for i in joint_order(chart.chain) if chart.any.effort[i] > 0.0]
+    order = (i for row in joint_rows(chart.chain) for i in row.joints)
+    return [_torque(chart, i) for i in order if chart.any.effort[i] > 0.0]
 
 
 def _torque(chart: Chart, i: int) -> Figure:

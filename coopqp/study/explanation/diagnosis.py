@@ -151,13 +151,14 @@ class Elsewhere:
 
     shares: tuple[Share, ...]
     place: Place
+    tasks: tuple[Task, ...] = ()
 
 
 @dataclass(frozen=True)
 class TooFewFreedoms:
-    """The loops leave fewer motions than the goal's one task asks for."""
+    """The loops leave fewer motions than the one task asks for."""
 
-    goal: Goal
+    tasks: tuple[Task, ...]
     asked: int
     left: int
 
@@ -183,6 +184,10 @@ class TooFar:
     shares: tuple[Share, ...]
     elsewhere: Place | None
     in_world: bool
+
+    @property
+    def tasks(self) -> tuple[Task, ...]:
+        return (self.part.task,)
 
     @property
     def distance(self) -> float:
@@ -239,7 +244,7 @@ def _too_few(goal: Goal, q: Array) -> TooFewFreedoms | None:
     rows = independent_rows(best, most=left)
     if left >= asked or not rows or not Search(goal.masked(rows)).best(q).reached:
         return None
-    return TooFewFreedoms(goal, int(asked), left)
+    return TooFewFreedoms(goal.tasks, int(asked), left)
 
 
 def _unreachable(goal: Goal, room: Room, q: Array) -> TooFar:

@@ -46,7 +46,6 @@ from coopqp.study.explanation.goal import (
     PLACE_UNITS,
     Goal,
     Missed,
-    PartOfTask,
     Room,
     Search,
     Share,
@@ -69,7 +68,7 @@ class ExplainedPhase:
         index, first: in the schedule; its first tick. phase_name: empty if it is the only one.
         q: shape (K + 1, n). v: shape (K, n). tau: shape (K, n), or empty.
         inputs: values of the whole run, by name.
-        parts, errors: of all tasks; at the end [the part's unit].
+        errors: at the end of each part of a task, by name [the part's unit].
         missed: parts that ended outside their tolerance, with their errors, as the assessment
             orders them. gave_way: those of them that come after the first.
         ordered: whether its law lets tasks of later levels give way.
@@ -85,8 +84,7 @@ class ExplainedPhase:
     v: Array
     tau: Array
     causes: tuple[tuple[Status, ...], ...]
-    parts: tuple[PartOfTask, ...]
-    errors: tuple[float, ...]
+    errors: Mapping[str, float]
     missed: tuple[Missed, ...]
     gave_way: tuple[Missed, ...]
     ordered: bool
@@ -132,8 +130,8 @@ def explained_phases(scenario: Scenario, trace: Trace) -> Iterator[ExplainedPhas
     problems = scenario.problems(lambda first: trace.q[first])
     phases = zip(problems, scenario.schedule, ends, strict=True)
     for i, (problem, phase, (first, end)) in enumerate(phases):
-        parts = tuple(parts_of(phase.tasks, problem.chain))
-        named = {f"{phase.name}.{p.name}" if scenario.phases else p.name: p for p in parts}
+        begin = f"{phase.name}." if scenario.phases else ""
+        named = {begin + part.name: part for part in parts_of(phase.tasks, problem.chain)}
         if strange := [name for name in named if name not in errors]:
             why = "the trace is of another scenario than the one beside it"
             raise InvalidValueError(f"no error of '{strange[0]}' in the trace; {why}")
@@ -143,7 +141,7 @@ def explained_phases(scenario: Scenario, trace: Trace) -> Iterator[ExplainedPhas
             problem=problem if "limits" in controller.supports else replace(problem, limits=()),
             q=trace.q[first : end + 1], v=trace.v[ticks], tau=tau[ticks],
             causes=tuple(causes_of(word) for word in trace.status[ticks]),
-            parts=parts, errors=tuple(errors[name] for name in named), inputs=trace.inputs,
+            errors={part.name: errors[name] for name, part in named.items()}, inputs=trace.inputs,
             missed=tuple((named[of.name], of.error) for of in found.missed if of.name in named),
             gave_way=tuple((named[of.name], of.error) for of in found.gave_way if of.name in named),
             ordered=trace.orders_tasks,

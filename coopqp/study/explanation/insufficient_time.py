@@ -79,8 +79,9 @@ def explain(
     slow = speed_share(held) > MOSTLY
     if not slow and (waits := _waits_for_measured(phase)):
         return base.because("speed", waits, tried=True)
-    after = rerun(phase, longer=True)
-    if after.missed and not _falls(phase, after):
+    after, (part, error) = rerun(phase, longer=True), phase.missed[0]
+    falls = after.errors[part.name] < (1.0 - FALLS) * error
+    if after.missed and not falls:
         if misled := _misled_by_model(phase):
             return base.because("model", misled, tried=True)
         at = tuple(place.q.tolist())
@@ -113,22 +114,17 @@ def _too_short(
 def behind(phase: ExplainedPhase, found: TooFar) -> str:
     """What lack of time adds to an unreachable goal, where a rerun comes to rest nearer to it."""
     part, unit = found.part, found.part.part.unit
-    error = _error_of(phase, part.name)
+    error = phase.errors[part.name]
     if error - found.distance - found.cost <= max(part.part.tolerance, FALLS * error):
         return ""
     after = rerun(phase, longer=True)
-    then = _error_of(after, part.name)
+    then = after.errors[part.name]
     if error - then <= part.part.tolerance or not rests(after.v[-1]):
         return ""
     moves = "" if rests(phase.v[-1]) else ", still moving"
     ends = f"{part.name} ends {words.size(error, unit)} off{moves}"
     later = f"after {after.t_end:.3g} s {words.size(then, unit)} are left (tried)"
     return f"; {ends}, {words.size(error - then, unit)} of it for lack of time: {later}"
-
-
-def _error_of(phase: ExplainedPhase, name: str) -> float:
-    """What a part of a task ends off by."""
-    return next(e for p, e in zip(phase.parts, phase.errors, strict=True) if p.name == name)
 
 
 def _rests(phase: ExplainedPhase, place: Place, held: Sequence[Share]) -> str:
@@ -214,12 +210,6 @@ def _motors(phase: ExplainedPhase) -> str:
         return ""
     verb = "is at its torque limit" if len(names) == 1 else "are at their torque limits"
     return f"{words.listed(names)} {verb}"
-
-
-def _falls(before: ExplainedPhase, after: ExplainedPhase) -> bool:
-    """Whether more time brought it nearer."""
-    part, error = before.missed[0]
-    return bool(_error_of(after, part.name) < (1.0 - FALLS) * error)
 
 
 def _gives_way(phase: ExplainedPhase, goal: Goal, base: RunExplanation) -> RunExplanation | None:

@@ -32,7 +32,7 @@ from coopqp.study.explanation.diagnosis import (
     Diagnosis,
     Elsewhere,
     NotBlocked,
-    TooFar,
+    TooFewFreedoms,
     Unreachable,
     diagnose,
 )
@@ -209,21 +209,17 @@ def _diagnosed(phase: ExplainedPhase, goal: Goal) -> tuple[Goal, Diagnosis]:
 
 def _by_geometry(phase: ExplainedPhase, found: Unreachable, base: RunExplanation) -> RunExplanation:
     sentence = words.geometry(found, phase.missed, phase.problem.chain, ordered=phase.ordered)
-    base = replace(base, sentence="")
+    base = replace(base, sentence="", tasks=tuple(task.name for task in found.tasks))
     if isinstance(found, Elsewhere):
         at = tuple(found.place.q.tolist())
         return base.because("elsewhere", sentence, found.shares, elsewhere=at)
     if isinstance(found, Contradiction):
-        names = tuple(task.name for task in found.tasks)
-        return base.because("contradiction", sentence, tasks=names, any_robot=found.any_robot)
-    if isinstance(found, TooFar):
-        sentence += insufficient_time.behind(phase, found)
-        way = tuple((found.gap / max(found.distance, 1e-300)).tolist()) if found.in_world else ()
-        tasks = (found.part.task.name,)
-        return base.because(
-            "reach", sentence, found.shares, tasks=tasks, distance=found.distance, way=way
-        )
-    return base.because("freedom", sentence, tasks=(found.goal.tasks[0].name,))
+        return base.because("contradiction", sentence, any_robot=found.any_robot)
+    if isinstance(found, TooFewFreedoms):
+        return base.because("freedom", sentence)
+    sentence += insufficient_time.behind(phase, found)
+    way = tuple((found.gap / max(found.distance, 1e-300)).tolist()) if found.in_world else ()
+    return base.because("reach", sentence, found.shares, distance=found.distance, way=way)
 
 
 #: Share of a contact's capacity from which it is at its limit.

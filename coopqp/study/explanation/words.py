@@ -99,8 +99,8 @@ def geometry(
     short = stops_short(*missed[0])
     if isinstance(found, Elsewhere):
         return f"{short}; {holding(found.shares)}; {elsewhere(found.place, chain)}"
-    name = found.goal.tasks[0].name
-    return f"{short}; {name} asks for {found.asked} motions, the loops leave {found.left}"
+    asks = f"{found.tasks[0].name} asks for {found.asked} motions"
+    return f"{short}; {asks}, the loops leave {found.left}"
 
 
 def elsewhere(place: Place, chain: ClosedChain) -> str:
