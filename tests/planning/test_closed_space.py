@@ -157,7 +157,7 @@ def test_a_search_ends_where_the_caller_raises() -> None:
 
     space._others = lambda q: bool(np.abs(q - space.chain.q_start).max() < 0.3)
     with pytest.raises(KeyboardInterrupt):
-        space.way(space.chain.q_start[None], goals, Budget(seconds=60.0), stop)
+        space.way(space.chain.q_start[None], goals, Budget(seconds=60.0, most=10**9), stop)
 
 
 def test_charts_lead_with_as_many_joints_as_there_are_freedoms() -> None:
