@@ -22,7 +22,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from benchmarks.studies import written
-from coopqp.study.sweep.journal import Journal, head_of, records
+from coopqp.study.sweep.results import Journal, head_of, records
 
 LEFT = 100  # variants that are run after the others were copied
 LIMIT = 2048  # MB

@@ -32,7 +32,7 @@ from coopqp.model.state import State
 from coopqp.plant import Disturbance, Plant, PlantModel, Slip
 from coopqp.plants import Mujoco, QuasiStatic
 from coopqp.plants import mujoco as mujoco_plant
-from coopqp.plants._servo import Servo, ServoLaw
+from coopqp.plants._dynamic import Servo, ServoLaw
 from coopqp.scenario.scenario import Scenario
 
 ERRORS = Disturbance(link_length=1e-3, grasp_offset=1e-3, encoder_offset=5e-3)

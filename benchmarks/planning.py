@@ -54,7 +54,7 @@ from coopqp.scenario.planned import Followed, Way, following, way_tasks
 from coopqp.scenario.scenario import Scenario
 from coopqp.study.explanation.goal import Room
 from coopqp.tasks import PointOnPoint
-from coopqp.viewer.planner import inside
+from coopqp.viewer.explainer import inside
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 ROBOTS = ("point_on_point", "two_so101", "baxter_tray", "two_pandas", "three_ur")

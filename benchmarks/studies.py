@@ -37,8 +37,8 @@ from pyarrow import parquet as pq
 from coopqp.scenario.loader import shipped
 from coopqp.study.engine import Engine
 from coopqp.study.sweep import Progress, Study, read_study, sweep
-from coopqp.study.sweep.journal import head_of, records
-from coopqp.study.sweep.study import job_of, run_variants
+from coopqp.study.sweep.results import head_of, records
+from coopqp.study.sweep.sweep import job_of, run_variant
 
 STUDY = """scenario: short.yaml
 vary:
@@ -74,10 +74,10 @@ def processor() -> float:
 def loop(study: Study, first: int, step: int) -> float:
     """Time that every so manyeth variant takes, one after the other in this process [s]."""
     job, count = job_of(study), study.points.count
-    run_variants([study.variant(0)], job=job)  # what is imported late is imported
+    run_variant(study.variant(0), job=job)  # what is imported late is imported
     begun = time.perf_counter()
     for k in range(first, count, step):
-        run_variants([study.variant(k)], job=job)
+        run_variant(study.variant(k), job=job)
     return time.perf_counter() - begun
 
 

@@ -230,12 +230,16 @@ class Command:
         """Set all that is true of this tick, the gravest first."""
         self.causes = causes
 
+    def add(self, status: Status, *told: str) -> None:
+        """Add what else is true of this tick, after what is graver."""
+        self.causes = *(c for c in self.causes if c is not Status.OPTIMAL), status
+        self.told = (*self.told, *told)
+
     def __repr__(self) -> str:
         what = f"v={self.v}" if self.tau is None else f"tau={self.tau}"
         return f"Command({self.status.name}, {what})"
 
     def copy(self) -> Command:
-        """The same, in arrays of its own."""
         other = Command(len(self.v))
         other.v[:] = self.v
         other.tau = None if self.tau is None else self.tau.copy()
@@ -375,8 +379,7 @@ class Law(ABC):
 
         Threads take turns.
 
-        Raises:
-            InvalidValueError: ``ticks`` is no whole number from 0 to ``MAX_TICKS``.
+        InvalidValueError: ``ticks`` is no whole number from 0 to ``MAX_TICKS``.
         """
         if type(ticks) is not int or not 0 <= ticks <= MAX_TICKS:
             raise InvalidValueError(

@@ -161,21 +161,13 @@ class Disturbance:
     @property
     def kinematic(self) -> Disturbance:
         """The part that does not need masses."""
-        return Disturbance(
-            link_length=self.link_length,
-            encoder_offset=self.encoder_offset,
-            grasp_offset=self.grasp_offset,
-            grasp_offset_angle=self.grasp_offset_angle,
-            slip=self.slip,
-            faults=self.faults,
-        )
+        kept = ("link_length", "encoder_offset", "grasp_offset", "grasp_offset_angle", "slip")
+        return Disturbance(**{key: getattr(self, key) for key in (*kept, "faults")})
 
     def slipped(self, t: float) -> float:
-        """How far the object has slipped at time t [m]."""
         return self.slip.distance(t) if self.slip else 0.0
 
     def wrench(self, t: float) -> Array | None:
-        """The push at time t [s]."""
         return self.push.wrench(t) if self.push else None
 
 

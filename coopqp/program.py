@@ -1,35 +1,45 @@
-"""A task as a list of geometric primitives.
+"""A task as a list of geometric primitives: one description for laws, kernel and pictures.
 
 A primitive is a few rows of one kind: a point seen from a reference, a distance, an axis that
-leans, a line's angle to a plane, a rotation, a twist, or a joint objective. Whatever a task's
-reference needs from the start is read from the start state here, once. The compiled kernel
-evaluates all kinds, :func:`evaluated` in numpy those that several tasks share.
+leans, a line's angle to a plane, a rotation, a twist, or a joint objective. What it needs from
+where it sets out is :func:`begin`. The compiled kernel evaluates all kinds, :func:`evaluated` all
+but manipulability in numpy.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
 from coopqp.base.spec import Array, Vector3, unit
+from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.geometry import (
     TINY,
-    Alignment,
-    Approach,
     PointInReference,
     Reference,
     RotationError,
+    inverse_alignment,
     polar,
 )
+from coopqp.model.marker import (
+    CircleMarker,
+    LineMarker,
+    Marker,
+    PlaneMarker,
+    PointMarker,
+    PoseMarker,
+    SphereMarker,
+    TrackedMarker,
+)
 from coopqp.model.profile import Profile
-from coopqp.model.state import State
-from coopqp.signal import ROTATION, Trajectory, quaternion_of
+from coopqp.model.state import PointOfObject, State
+from coopqp.signal import Instant, Trajectory
 
 AT_ONCE = Profile(kind="step")
 WORLD = Reference()  # at rest, so that nobody ever writes to it
@@ -63,16 +73,14 @@ class Primitive:
         profile: how the error goes to zero, or the objective to its goal.
         point: of the object, in the object frame [m].
         axis: of the object, in the object frame, of length one.
-        e_start: error at the start, one number a row.
-        goal: of a rotation, in the reference's axes.
-        phi: rotation vector from start to goal [rad].
-        Q_start: orientation at the start, shape (3, 3).
+        goal: of a rotation, in the reference's axes, None as at the start; of a relative motion, a
+            pose; of a posture, all joints, NaN where nothing is asked; of a twist, its components.
+        order: which number of a twist's goal each row follows.
         length: a distance [m]; of a barrier, where its slope stops to grow; of manipulability m_0.
-        velocity: of a twist, six numbers [m/s, rad/s].
         planar: for a distance, whether it is measured in the plane of the reference's first two
             axes; for a twist, whether it is along the object's axes.
-        numbers: of joint objectives, one after the other, each by joint; of a relative motion, the
-            loop that the arm closes with the first.
+        numbers: of joint objectives, one after the other, each by joint.
+        loop: that the arm of a relative motion closes with the first.
     """
 
     kind: Kind
@@ -81,14 +89,12 @@ class Primitive:
     profile: Profile = AT_ONCE
     point: Vector3 = (0.0, 0.0, 0.0)
     axis: Sequence[float] = (0.0, 0.0, 1.0)
-    e_start: Sequence[float] = ()
     goal: Trajectory | None = None
-    phi: Sequence[float] = (0.0, 0.0, 0.0)
-    Q_start: Array = field(default_factory=lambda: np.eye(3))
+    order: Sequence[int] = ()
     length: float = 0.0
-    velocity: Sequence[float] = (0.0,) * 6
     planar: bool = False
     numbers: Sequence[Array] = ()
+    loop: int = 0
 
     @property
     def of_joints(self) -> bool:
@@ -105,7 +111,14 @@ class Primitive:
         """Whether the kernel can evaluate it: it reads no rotation that follows a signal."""
         return self.profile.compiles and (self.goal is None or not self.goal.moves)
 
-    def flat(self) -> dict[str, Any]:
+    def flat(self, start: State) -> dict[str, Any]:
+        begins, numbers, velocity = begin(self, start), self.numbers, np.zeros(6)
+        if self.kind is Kind.TWIST and self.goal:
+            velocity[list(self.rows)] = self.goal.value[list(self.order)]
+        elif self.kind is Kind.POSTURE:
+            numbers = start.q, -begins.e
+        elif self.kind is Kind.RELATIVE:
+            numbers = (np.array([float(self.loop)]),)
         return {
             "kind": float(self.kind),
             "rows": np.array(self.rows, float),
@@ -113,35 +126,76 @@ class Primitive:
             "profile": np.array(self.profile.numbers),
             "point": np.array(self.point, float),
             "axis": np.array(self.axis, float),
-            "e_start": np.array([*self.e_start, 0.0, 0.0, 0.0][:3]),
-            "phi": np.array(self.phi, float),
-            "Q_start": np.ascontiguousarray(self.Q_start, float),
+            "e_start": np.array([*begins.e, 0.0, 0.0, 0.0][:3]),
+            "phi": np.array(begins.phi, float),
+            "Q_start": np.ascontiguousarray(begins.Q, float),
             "length": float(self.length),
-            "velocity": np.array(self.velocity, float),
+            "velocity": velocity,
             "planar": float(self.planar),
-            "numbers": np.concatenate([np.zeros(0), *self.numbers]),
+            "numbers": np.concatenate([np.zeros(0), *numbers]),
         }
 
 
-class Programmed(Protocol):
-    """A task, as far as its program goes."""
-
-    def program(self, start: State) -> tuple[Primitive, ...] | None:
-        """The rows as primitives."""
+def point(reference: Reference, p_O: Vector3, profile: Profile, rows: tuple[int, ...]) -> Primitive:
+    """A point's place along the reference's axes in ``rows``; its error shrinks to zero."""
+    return Primitive(kind=Kind.POINT, rows=rows, reference=reference, point=p_O, profile=profile)
 
 
-class Programs:
-    """The programs of tasks that set out from one unchanging state, each made when first needed."""
+def lean(reference: Reference, axis: Vector3, profile: Profile) -> Primitive:
+    """An axis of the object goes to the reference's third."""
+    a_O = unit(axis).tolist()
+    return Primitive(kind=Kind.LEAN, rows=(0, 1), reference=reference, axis=a_O, profile=profile)
 
-    def __init__(self, start: State) -> None:
-        self.start = start
-        self._made: dict[int, tuple[Programmed, tuple[Primitive, ...] | None]] = {}
 
-    def of(self, task: Programmed) -> tuple[Primitive, ...] | None:
-        """A task's program; None where it has none."""
-        if id(task) not in self._made:
-            self._made[id(task)] = task, task.program(self.start)  # its id is taken as long
-        return self._made[id(task)][1]
+def rotation(goal: Trajectory | None, profile: Profile, reference: Reference = WORLD) -> Primitive:
+    """An orientation goes to its goal, ``geometry.RotationError``."""
+    return Primitive(
+        kind=Kind.ROTATION, rows=(0, 1, 2), reference=reference, goal=goal, profile=profile
+    )
+
+
+class Begin(NamedTuple):
+    """Where a primitive sets out.
+
+    Attributes:
+        e: its error to the goal, one number a row.
+        phi: rotation vector from there to the goal [rad].
+        Q: the orientation there, shape (3, 3).
+    """
+
+    e: Array = np.zeros(0)
+    phi: Array = np.zeros(3)
+    Q: Array = np.eye(3)
+
+
+def begin(p: Primitive, start: State) -> Begin:
+    """Error and rotation of a primitive at a state from which its reference sets out."""
+    if p.goal:
+        p.goal.update(start)
+    p.reference.update(start)
+    RT, goal = p.reference.RT, p.goal
+    x = RT @ (start.point(np.array(p.point)) - p.reference.c)
+    if p.kind is Kind.POINT:
+        return Begin(x[list(p.rows)])
+    if p.kind is Kind.RADIAL:
+        away = math.hypot(x[0], x[1]) if p.planar else math.hypot(*x)
+        return Begin(np.array([away - p.length]))
+    if p.kind in (Kind.LEAN, Kind.TILT):
+        seen = polar(RT @ start.R_WO @ np.array(p.axis))
+        if p.kind is Kind.TILT:
+            return Begin(np.array([0.5 * math.pi - seen.angle]))
+        return Begin(phi=seen.angle * np.array([-seen.way[1], seen.way[0], 0.0]))
+    if p.kind is Kind.ROTATION:
+        Q = RT @ start.R_WO
+        return Begin(phi=np.array(pin.log3(goal.R @ Q.T)) if goal else np.zeros(3), Q=Q)
+    if p.kind is Kind.RELATIVE and goal:
+        arms = RelativePose(start.chain, p.loop)
+        arms.update(start)
+        e, phi = arms.R_0.T @ arms.gap - goal.value[:3], pin.log3(goal.R @ arms.Q.T)
+        return Begin(e, np.array(phi), arms.Q)
+    if p.kind is Kind.POSTURE and goal:
+        return Begin(np.where(np.isfinite(goal.value), start.q - goal.value, 0.0))
+    return Begin()
 
 
 def sees_twist(program: Sequence[Primitive] | None) -> bool:
@@ -149,71 +203,33 @@ def sees_twist(program: Sequence[Primitive] | None) -> bool:
     return program is not None and not any(p.of_joints or p.over_joints for p in program)
 
 
-def point(
-    start: State, reference: Reference, p_O: Vector3, profile: Profile, rows: tuple[int, ...]
-) -> Primitive:
-    """A point's place along the reference's axes in ``rows``; its error shrinks to zero."""
-    return Primitive(
-        kind=Kind.POINT, rows=rows, reference=reference, point=p_O, profile=profile,
-        e_start=_place(start, reference, p_O)[list(rows)].tolist(),
-    )  # fmt: skip
-
-
-def radial(
-    start: State, reference: Reference, p_O: Vector3, profile: Profile, length: float, *,
-    planar: bool,
-) -> Primitive:  # fmt: skip
-    """A point's distance from the reference's origin, or from its third axis."""
-    x = _place(start, reference, p_O)
-    away = math.hypot(x[0], x[1]) if planar else math.hypot(*x)
-    return Primitive(
-        kind=Kind.RADIAL, rows=(0,), reference=reference, point=p_O, profile=profile,
-        e_start=(away - length,), length=length, planar=planar,
-    )  # fmt: skip
-
-
-def lean(start: State, reference: Reference, axis: Sequence[float], profile: Profile) -> Primitive:
-    """An axis of the object goes to the reference's third, ``geometry.Alignment``."""
-    reference.update(start)
-    a_O = unit((axis[0], axis[1], axis[2]))
-    seen = polar(reference.RT @ start.R_WO @ a_O)
-    phi = seen.angle * np.array([-seen.way[1], seen.way[0], 0.0])
-    return Primitive(
-        kind=Kind.LEAN, rows=(0, 1), reference=reference, axis=a_O.tolist(), profile=profile,
-        phi=phi.tolist(),
-    )  # fmt: skip
-
-
-def tilt(start: State, reference: Reference, axis: Sequence[float], profile: Profile) -> Primitive:
-    """A line of the object goes into the plane of the reference's first two axes."""
-    reference.update(start)
-    a_O = unit((axis[0], axis[1], axis[2]))
-    angle = 0.5 * math.pi - polar(reference.RT @ start.R_WO @ a_O).angle
-    return Primitive(
-        kind=Kind.TILT, rows=(0,), reference=reference, axis=a_O.tolist(), profile=profile,
-        e_start=(angle,),
-    )  # fmt: skip
-
-
-def rotation(
-    goal: Trajectory, profile: Profile, Q_start: Array, reference: Reference = WORLD
-) -> Primitive:
-    """An orientation goes to its goal, ``geometry.RotationError``."""
-    return Primitive(
-        kind=Kind.ROTATION, rows=(0, 1, 2), reference=reference, profile=profile, goal=goal,
-        phi=np.asarray(pin.log3(goal.R @ Q_start.T)).tolist(), Q_start=Q_start.copy(),
-    )  # fmt: skip
-
-
-def fixed(R: Array) -> Trajectory:
-    """A rotation that does not move, as a goal."""
-    return Trajectory(ROTATION, quaternion_of(R))
-
-
-def _place(start: State, reference: Reference, p_O: Vector3) -> Array:
-    reference.update(start)
-    seen: Array = reference.RT @ (start.point(np.array(p_O)) - reference.c)
-    return seen
+def markers(geometry: Sequence[Primitive], at: Instant) -> tuple[Marker, ...]:
+    """What the object is steered to at an instant, then its point that is."""
+    for p in geometry:
+        if p.goal:
+            p.goal.update(at)
+        p.reference.update(at)
+    found, of = list[Marker](), {p.kind: p for p in geometry}
+    spot, radial, turned = of.get(Kind.POINT), of.get(Kind.RADIAL), of.get(Kind.ROTATION)
+    placed = spot or radial or of.get(Kind.TWIST)
+    if radial:
+        c, normal = radial.reference.c, radial.reference.RT[2]
+        ball = SphereMarker(center=c, radius=radial.length)
+        circle = CircleMarker(center=c, normal=normal, radius=radial.length)
+        found.append(circle if radial.planar else ball)
+    elif spot and spot.rows == (2,):
+        found.append(PlaneMarker(normal=spot.reference.RT[2], through=spot.reference.c))
+    elif spot and (spot.rows == (0, 1) or Kind.LEAN in of):
+        found.append(LineMarker(direction=spot.reference.RT[2], through=spot.reference.c))
+    elif Kind.LEAN in of:
+        found.append(LineMarker(direction=of[Kind.LEAN].reference.RT[2]))
+    whole = spot.reference.c if spot and len(spot.rows) == 3 else None
+    if turned and turned.goal:
+        R = turned.reference.RT.T @ turned.goal.R
+        found.append(PoseMarker(rotation=R, position=whole))
+    elif whole is not None:
+        found.append(PointMarker(at=whole))
+    return (*found, TrackedMarker(point=placed.point)) if placed else tuple(found)
 
 
 Fill = Callable[[State, Array, Array, Array], None]
@@ -222,47 +238,59 @@ Fill = Callable[[State, Array, Array, Array], None]
 
 def evaluated(program: Sequence[Primitive], start: State) -> Fill:
     """The rows of a task's primitives, in numpy; their references move once a state."""
-    moving: dict[int, Reference | Trajectory] = {id(p.reference): p.reference for p in program}
     goals: dict[int, Reference | Trajectory] = {id(p.goal): p.goal for p in program if p.goal}
+    moving: dict[int, Reference | Trajectory] = {id(p.reference): p.reference for p in program}
     seen: dict[tuple[int, Vector3], PointInReference] = {}
     for p in program:
         if p.kind in (Kind.POINT, Kind.RADIAL):
             place = PointInReference(p.point, p.reference, start.chain.n)
             seen.setdefault((id(p.reference), p.point), place)
     moves = [*goals.values(), *moving.values()]  # a reference may be a goal's place
-    for move in moves:
-        move.update(start)
     blocks, at = list[tuple[Fill, slice]](), 0
     for p in program:
-        part = slice(at, at + len(p.rows))
+        of_all = p.of_joints or p.kind is Kind.POSTURE
+        part = slice(None) if of_all else slice(at, at + len(p.rows))
         blocks.append((_FILLS[p.kind](p, start, seen.get((id(p.reference), p.point))), part))
-        at = part.stop
+        at += len(p.rows)
 
     def fill(state: State, e: Array, J: Array, rate: Array) -> None:
         for move in moves:
             move.update(state)
-        for point in seen.values():
-            point.update(state)
+        for place in seen.values():
+            place.update(state)
         for block, part in blocks:
             block(state, e[part], J[part], rate[part])
 
     return fill
 
 
+def _approach(p: Primitive, start: State) -> Callable[[float, Array, Array], None]:
+    """Lets an error shrink to zero: subtracts (1 - s) e_start from e, and adds its rate, at t."""
+    profile, e_start = p.profile, begin(p, start).e
+
+    def shift(t: float, e: Array, rate: Array) -> None:
+        share, speed = profile.at(t)
+        if share < 1.0:
+            e -= e_start * (1.0 - share)
+            rate -= e_start * speed
+
+    return shift
+
+
 def _point_rows(p: Primitive, start: State, seen: PointInReference | None) -> Fill:
     assert seen is not None
-    approach, rows = Approach(p.profile, p.e_start), slice(p.rows[0], p.rows[-1] + 1)
+    shift, rows = _approach(p, start), slice(p.rows[0], p.rows[-1] + 1)
 
     def fill(state: State, e: Array, J: Array, rate: Array) -> None:
         e[:], J[:], rate[:] = seen.x[rows], seen.J[rows], seen.rate[rows]
-        approach.shift(state.t, e, rate)
+        shift(state.t, e, rate)
 
     return fill
 
 
 def _radial_rows(p: Primitive, start: State, seen: PointInReference | None) -> Fill:
     assert seen is not None
-    approach, away = Approach(p.profile, p.e_start), np.zeros(3)
+    shift, away = _approach(p, start), np.zeros(3)
     across = slice(0, 2 if p.planar else 3)
 
     def fill(state: State, e: Array, J: Array, rate: Array) -> None:
@@ -272,17 +300,37 @@ def _radial_rows(p: Primitive, start: State, seen: PointInReference | None) -> F
             np.divide(seen.x[across], distance, away[across])
         e[0], rate[0] = distance - p.length, away.dot(seen.rate)
         away.dot(seen.J, J[0])
-        approach.shift(state.t, e, rate)
+        shift(state.t, e, rate)
 
     return fill
 
 
 def _lean_rows(p: Primitive, start: State, seen: PointInReference | None) -> Fill:
-    return Alignment((p.axis[0], p.axis[1], p.axis[2]), p.reference, p.profile, start).fill
+    """An axis of the object goes into the direction of the reference, :func:`inverse_alignment`.
+
+    The reference direction goes from the axis at the start to the reference's third axis on the
+    shortest way; D turns it, D(s) = exp((1 - s) phi). With y = D' R' a, its angle theta from the
+    third axis and its way u from it,
+
+        e = theta u,   J = E D' R' J_omega,   rate = E (D' R' omega - s_dot phi)
+    """
+    a_O, reference, phi = np.array(p.axis), p.reference, begin(p, start).phi
+
+    def fill(state: State, e: Array, J: Array, rate: Array) -> None:
+        share, speed = p.profile.at(state.t)
+        C = pin.exp3(phi * (share - 1.0)).dot(reference.RT)
+        found = polar(C.dot(state.R_WO.dot(a_O)))
+        E = inverse_alignment(found)
+        e[0], e[1] = found.angle * found.way[0], found.angle * found.way[1]
+        J[:] = E.dot(C).dot(state.J_task[3:])
+        rate[:] = E.dot(C.dot(reference.omega) - speed * phi)
+
+    return fill
 
 
 def _tilt_rows(p: Primitive, start: State, seen: PointInReference | None) -> Fill:
-    approach, a_O, plane = Approach(p.profile, p.e_start), np.array(p.axis), p.reference
+    """A line of the object goes into the plane of the reference's first two axes."""
+    shift, a_O, plane = _approach(p, start), np.array(p.axis), p.reference
     aside, across = np.zeros(3), np.zeros(3)  # normal to the line's way; in the world's axes
 
     def fill(state: State, e: Array, J: Array, rate: Array) -> None:
@@ -291,14 +339,14 @@ def _tilt_rows(p: Primitive, start: State, seen: PointInReference | None) -> Fil
         aside.dot(plane.RT, across)
         e[0], rate[0] = 0.5 * math.pi - line.angle, across.dot(plane.omega)
         across.dot(state.J_task[3:], J[0])
-        approach.shift(state.t, e, rate)
+        shift(state.t, e, rate)
 
     return fill
 
 
 def _rotation_rows(p: Primitive, start: State, seen: PointInReference | None) -> Fill:
-    assert p.goal is not None
-    error, reference, Q = RotationError(p.goal, p.profile, p.Q_start), p.reference, np.zeros((3, 3))
+    begins, reference, Q = begin(p, start), p.reference, np.zeros((3, 3))
+    error = RotationError(p.goal, p.profile, begins.phi, begins.Q)
 
     def fill(state: State, e: Array, J: Array, rate: Array) -> None:
         reference.RT.dot(state.R_WO, Q)
@@ -309,7 +357,106 @@ def _rotation_rows(p: Primitive, start: State, seen: PointInReference | None) ->
     return fill
 
 
+def _twist_rows(p: Primitive, start: State, seen: PointInReference | None) -> Fill:
+    assert p.goal is not None
+    tracked, goal = PointOfObject(p.point, start.chain.n), p.goal
+    rows, order, V = np.array(p.rows), np.array(p.order), np.zeros((6, start.chain.n))
+
+    def fill(state: State, e: Array, J: Array, rate: Array) -> None:
+        share, _ = p.profile.at(state.t)
+        tracked.update(state)
+        if p.planar:
+            state.R_WO.T.dot(tracked.J, V[:3])
+            state.R_WO.T.dot(state.J_task[3:], V[3:])
+        else:
+            V[:3], V[3:] = tracked.J, state.J_task[3:]
+        np.take(V, rows, axis=0, out=J, mode="clip")
+        np.multiply(goal.value[order], share, rate)
+
+    return fill
+
+
+def _centering_rows(p: Primitive, start: State, seen: PointInReference | None) -> Fill:
+    middle, scale = p.numbers
+
+    def fill(state: State, e: Array, J: Array, rate: Array) -> None:
+        np.subtract(state.q, middle, out=e)
+        np.multiply(e, scale, out=e)
+
+    return fill
+
+
+def _barrier_rows(p: Primitive, start: State, seen: PointInReference | None) -> Fill:
+    middle, per_half, per_range = p.numbers
+    x = np.zeros(start.chain.n)
+
+    def fill(state: State, e: Array, J: Array, rate: Array) -> None:
+        np.subtract(state.q, middle, out=x)
+        np.multiply(x, per_half, out=x)
+        np.clip(x, -p.length, p.length, out=x)
+        np.multiply(x, per_range, out=e)
+        np.divide(e, 1.0 - x * x, out=e)
+
+    return fill
+
+
+def _posture_rows(p: Primitive, start: State, seen: PointInReference | None) -> Fill:
+    assert p.goal is not None
+    goal, shift, diagonal = p.goal, _approach(p, start), np.arange(start.chain.n)
+    given = np.isfinite(goal.value).astype(float)
+
+    def fill(state: State, e: Array, J: Array, rate: Array) -> None:
+        J[diagonal, diagonal] = given  # joints without a goal are not asked to stand still
+        np.subtract(state.q, goal.value, e)
+        e[given == 0.0] = 0.0
+        rate[:] = goal.rate
+        shift(state.t, e, rate)
+
+    return fill
+
+
+class RelativePose:
+    """R_0, Q = R_0' R_i, shapes (3, 3), and gap = p_i - p_0 in the world, shape (3,) [m]."""
+
+    def __init__(self, chain: ClosedChain, loop: int) -> None:
+        self.at, self._alpha = 6 * loop, chain.alpha[1:]
+        self.R_0, self.Q, self.gap = np.eye(3), np.eye(3), np.zeros(3)
+
+    def update(self, state: State) -> None:
+        errors, at, R_0 = state.loop_error.reshape(-1, 6), self.at, self.R_0
+        pin.exp3(-self._alpha.dot(errors[:, 3:])).dot(state.R_WO, R_0)
+        self.gap[:] = state.loop_error[at : at + 3]
+        turned = pin.exp3(state.loop_error[at + 3 : at + 6])  # R_i R_0'
+        R_0.T.dot(turned.dot(R_0), self.Q)
+
+
+def _relative_rows(p: Primitive, start: State, seen: PointInReference | None) -> Fill:
+    assert p.goal is not None
+    chain, goal, shift, begins = start.chain, p.goal, _approach(p, start), begin(p, start)
+    arms = RelativePose(chain, p.loop)
+    error = RotationError(goal, p.profile, begins.phi, begins.Q)
+    first = np.linalg.inv(chain.mixing)[3:6]  # J_0 = J_task - sum alpha_i J_rel,i
+    J_gap, J_omega_0 = np.zeros((3, chain.n)), np.zeros((3, chain.n))
+
+    def fill(state: State, e: Array, J: Array, rate: Array) -> None:
+        arms.update(state)
+        R_0, gap, J_rel = arms.R_0, arms.gap, state.J_rel[arms.at : arms.at + 6]
+        R_0.T.dot(gap, e[:3])
+        e[:3] -= goal.value[:3]
+        first.dot(state.J_ext, J_omega_0)
+        pin.skew(gap).dot(J_omega_0, J_gap)
+        np.add(J_gap, J_rel[:3], J_gap)
+        R_0.T.dot(J_gap, J[:3])
+        rate[:3] = goal.rate[:3]
+        shift(state.t, e[:3], rate[:3])
+        error.fill(state.t, arms.Q, R_0.T, J_rel[3:], (e[3:], J[3:], rate[3:]))
+
+    return fill
+
+
 _FILLS = {
     Kind.POINT: _point_rows, Kind.RADIAL: _radial_rows, Kind.LEAN: _lean_rows,
-    Kind.TILT: _tilt_rows, Kind.ROTATION: _rotation_rows,
+    Kind.TILT: _tilt_rows, Kind.ROTATION: _rotation_rows, Kind.TWIST: _twist_rows,
+    Kind.CENTERING: _centering_rows, Kind.BARRIER: _barrier_rows, Kind.POSTURE: _posture_rows,
+    Kind.RELATIVE: _relative_rows,
 }  # fmt: skip

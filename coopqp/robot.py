@@ -155,7 +155,6 @@ class RobotModel:
 
     @cached_property
     def joint_units(self) -> tuple[str, ...]:
-        """Unit of each joint's coordinate: "m" where it slides, else "rad"."""
         return joint_units(self.model)
 
     def arm_joints(self, arm: Arm) -> tuple[str, ...]:

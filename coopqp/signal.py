@@ -13,6 +13,7 @@ A constant value with a profile, as most tasks have, is the signal that stays wh
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextlib import suppress
@@ -87,7 +88,6 @@ class Kind:
 
     @property
     def rate_columns(self) -> tuple[str, ...]:
-        """Names of a rate's numbers."""
         return (*self.columns[: self.numbers], *(TURN_RATES if self.turns else ()))
 
     @property
@@ -327,6 +327,19 @@ def axes_along(direction: Vector3 | Array) -> Array:
     first = np.eye(3)[farthest] - d[farthest] * d
     first /= np.linalg.norm(first)
     return np.array([first, cross(d, first), d])
+
+
+def shortest_way(a: Array, b: Array) -> Array:
+    """Rotation vector of the shortest way from one unit vector to another, shape (3,)."""
+    across, cosine = np.cross(a, b), float(a @ b)
+    sine = float(np.linalg.norm(across))
+    if sine > 1e-9:
+        return np.asarray(across * (math.atan2(sine, cosine) / sine))
+    if cosine > 0.0:
+        return np.zeros(3)
+    aside = np.eye(3)[int(np.argmin(np.abs(a)))]  # opposite: any way is as short
+    across = np.cross(a, aside)
+    return np.asarray(math.pi * across / np.linalg.norm(across))
 
 
 @lru_cache(maxsize=1024)

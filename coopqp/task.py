@@ -29,7 +29,7 @@ from coopqp.model.geometry import Turn
 from coopqp.model.marker import Marker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
-from coopqp.program import Primitive, evaluated
+from coopqp.program import Primitive, evaluated, markers
 from coopqp.signal import Instant, Signal
 
 Mode = Literal["soft", "hard", "scaled"]
@@ -149,11 +149,12 @@ class Task(ABC):
     def bind(self, start: State) -> Evaluate:
         """Fix the reference's start and return the function that fills the rows each tick.
 
-        A task gives this, or a :meth:`program` of primitives of the object, or both.
+        A task gives this, or its :meth:`geometry` or :meth:`program`.
         """
         program = self.program(start)
         if program is None:
-            raise InvalidValueError(f"{type_name(type(self))}: needs a method bind, or program")
+            words = "needs a method bind, geometry or program"
+            raise InvalidValueError(f"{type_name(type(self))}: {words}")
         fill = evaluated(program, start)
 
         def evaluate(state: State, rows: TaskRows) -> None:
@@ -161,9 +162,13 @@ class Task(ABC):
 
         return evaluate
 
+    def geometry(self, at: Instant) -> tuple[Primitive, ...]:
+        """The rows as primitives of the object, its references setting out at an instant."""
+        return ()
+
     def program(self, start: State) -> tuple[Primitive, ...] | None:
         """The rows as primitives, which the kernel evaluates; None where they are none."""
-        return None
+        return self.geometry(start) or None
 
     def parts(self, chain: ClosedChain) -> tuple[Part, ...]:
         """The rows by unit, in their order; one part for most tasks."""
@@ -171,7 +176,7 @@ class Task(ABC):
 
     def marks(self, at: Instant) -> tuple[Marker, ...]:
         """What pictures show of it: the goal at an instant, not the way there."""
-        return ()
+        return markers(self.geometry(at), at)
 
     def at_goal(self) -> Task:
         """The same task with its reference (``profile``) at the goal at once."""
@@ -273,7 +278,6 @@ class TaskStack:
         return tuple(row for task in self.tasks for row in rows_of(task, self._chain))
 
     def update(self, state: State) -> None:
-        """Fill all rows for a state."""
         evaluate_all(self.bound, state)
         self.wanted[:] = self.rate - self._gains * self.e
 
@@ -306,6 +310,19 @@ def refuse_impedances(tasks: Sequence[Task]) -> None:
                 f"task '{task.name}' asks for an impedance, which this controller does not have; "
                 "use torque_qp, with plant: rigid_body or plant: mujoco"
             )
+
+
+class Programs:
+    """The programs of tasks that set out from one unchanging state, each made when first needed."""
+
+    def __init__(self, start: State) -> None:
+        self.start = start
+        self._made: dict[int, tuple[Task, tuple[Primitive, ...] | None]] = {}
+
+    def of(self, task: Task) -> tuple[Primitive, ...] | None:
+        if id(task) not in self._made:
+            self._made[id(task)] = task, task.program(self.start)  # its id is taken as long
+        return self._made[id(task)][1]
 
 
 def rows_of(task: Task, chain: ClosedChain) -> tuple[Row, ...]:

@@ -355,7 +355,6 @@ class Trace:
 
     @property
     def ticks(self) -> int:
-        """T."""
         return len(self.v)
 
     def moment(self, k: int, t: float) -> Moment:

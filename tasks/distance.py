@@ -10,13 +10,13 @@ Where the two points coincide u is the world's x axis: the row stays finite and 
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from coopqp.base.spec import Positive, Vector3, spec
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.geometry import Reference
-from coopqp.model.marker import Marker, SphereMarker, TrackedMarker
 from coopqp.model.profile import Profile
-from coopqp.model.state import State
-from coopqp.program import Primitive, radial
+from coopqp.program import Kind, Primitive, point
 from coopqp.signal import Instant, MovingPoint
 from coopqp.task import Task
 
@@ -44,14 +44,7 @@ class Distance(Task):
     def curvature(self) -> float:
         return 1.0 / self.length
 
-    def program(self, start: State) -> tuple[Primitive, ...]:
-        of = self.point, self.profile
-        return (radial(start, self._other(start), *of, self.length, planar=False),)
-
-    def marks(self, at: Instant) -> tuple[Marker, ...]:
-        other = self._other(at)
-        other.update(at)
-        return SphereMarker(center=other.c, radius=self.length), TrackedMarker(point=self.point)
-
-    def _other(self, start: Instant) -> Reference:
-        return Reference(self.to, velocity=self.velocity, start=start)
+    def geometry(self, at: Instant) -> tuple[Primitive, ...]:
+        other = Reference(self.to, velocity=self.velocity, start=at)
+        place = point(other, self.point, self.profile, (0,))
+        return (replace(place, kind=Kind.RADIAL, length=self.length),)

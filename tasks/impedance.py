@@ -22,10 +22,10 @@ from pydantic import BeforeValidator, Field
 
 from coopqp.base.spec import Array, NonNegative, Positive, spec
 from coopqp.model.closed_chain import AXES, ClosedChain
-from coopqp.model.marker import Marker, PoseMarker, TrackedMarker
+from coopqp.model.marker import Marker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
-from coopqp.signal import POSE, Instant, MovingPose, trajectory_of
+from coopqp.signal import Instant, MovingPose
 from coopqp.task import Evaluate, Part, Task, TaskRows, pose_parts
 from coopqp.task import Impedance as OfRows
 from coopqp.tasks.pose import Pose
@@ -119,6 +119,4 @@ class Impedance(Task):
         return evaluate
 
     def marks(self, at: Instant) -> tuple[Marker, ...]:
-        goal = trajectory_of(self.goal, POSE, at)
-        goal.update(at)
-        return PoseMarker(rotation=goal.R, position=goal.value[:3]), TrackedMarker()
+        return Pose(goal=self.goal).marks(at)

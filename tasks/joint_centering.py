@@ -17,7 +17,7 @@ from coopqp.base.spec import Array, spec
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.program import Kind, Primitive
-from coopqp.task import Evaluate, Task, TaskRows
+from coopqp.task import Task
 
 
 @spec
@@ -31,23 +31,11 @@ class JointCentering(Task):
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:
         return chain.joint_names
 
-    def bind(self, start: State) -> Evaluate:
-        middle, scale = self._slopes(start.chain)
-
-        def evaluate(state: State, rows: TaskRows) -> None:
-            np.subtract(state.q, middle, out=rows.e)
-            np.multiply(rows.e, scale, out=rows.e)
-
-        return evaluate
-
     def program(self, start: State) -> tuple[Primitive, ...]:
-        middle, scale = self._slopes(start.chain)
-        return (Primitive(kind=Kind.CENTERING, rows=(), numbers=(middle, scale)),)
-
-    def _slopes(self, chain: ClosedChain) -> tuple[Array, Array]:
         """Middle and slope of each joint; zero for joints without limits."""
-        limited, middle, width = ranges(chain)
-        return middle, np.divide(2.0, width**2, out=np.zeros(chain.n), where=limited)
+        limited, middle, width = ranges(start.chain)
+        slope = np.divide(2.0, width**2, out=np.zeros(len(width)), where=limited)
+        return (Primitive(kind=Kind.CENTERING, rows=(), numbers=(middle, slope)),)
 
 
 def ranges(chain: ClosedChain) -> tuple[NDArray[np.bool_], Array, Array]:

@@ -16,11 +16,11 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import Field
 
-from coopqp.base.spec import Array, spec
+from coopqp.base.spec import spec
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.program import Kind, Primitive
-from coopqp.task import Evaluate, Task, TaskRows
+from coopqp.task import Task
 from coopqp.tasks.joint_centering import ranges
 
 
@@ -38,26 +38,11 @@ class JointLimitBarrier(Task):
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:
         return chain.joint_names
 
-    def bind(self, start: State) -> Evaluate:
-        middle, per_half, per_range = self._middles(start.chain)
-        most, x = 1.0 - self.width, np.zeros(start.chain.n)
-
-        def evaluate(state: State, rows: TaskRows) -> None:
-            np.subtract(state.q, middle, out=x)
-            np.multiply(x, per_half, out=x)
-            np.clip(x, -most, most, out=x)
-            np.multiply(x, per_range, out=rows.e)
-            np.divide(rows.e, 1.0 - x * x, out=rows.e)
-
-        return evaluate
-
     def program(self, start: State) -> tuple[Primitive, ...]:
-        numbers = self._middles(start.chain)
-        return (Primitive(kind=Kind.BARRIER, rows=(), length=1.0 - self.width, numbers=numbers),)
-
-    def _middles(self, chain: ClosedChain) -> tuple[Array, Array, Array]:
         """Middle, 2 / range and 1 / range of each joint; zero for joints without limits."""
-        limited, middle, width = ranges(chain)
-        per_range = np.divide(1.0, width, out=np.zeros(chain.n), where=limited)
-        per_half = np.divide(2.0, width, out=np.zeros(chain.n), where=limited)
-        return middle, per_half, per_range
+        limited, middle, width = ranges(start.chain)
+        per_half, per_range = (
+            np.divide(share, width, out=np.zeros(len(width)), where=limited) for share in (2.0, 1.0)
+        )
+        numbers = middle, per_half, per_range
+        return (Primitive(kind=Kind.BARRIER, rows=(), length=1.0 - self.width, numbers=numbers),)

@@ -3,7 +3,8 @@
 The object's line goes through the point p along the axis a, the one in space through c along the
 unit vector d; that may move, c_dot, and turn about an axis through c, omega. With T = [t_1 t_2] a
 basis of the plane normal to d that turns with the line, h(t) the reference offset, which shrinks
-from the start to 0, and theta u the angle and way of a from its reference (``geometry.Alignment``):
+from the start to 0, and theta u the angle and way of a from its reference
+(``geometry.inverse_alignment``):
 
     e = [T'(p - c) - h; theta u]
 
@@ -17,7 +18,6 @@ import numpy as np
 from coopqp.base.spec import Direction, Positive, Vector3, spec
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.geometry import Reference, Turn
-from coopqp.model.marker import LineMarker, Marker, TrackedMarker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.program import Primitive, lean, point
@@ -55,18 +55,11 @@ class LineOnLine(Task):
     def parts(self, chain: ClosedChain) -> tuple[Part, ...]:
         return pose_parts(2, 2, self.tolerance, self.tolerance_angle)
 
-    def program(self, start: State) -> tuple[Primitive, ...]:
-        line = self._line(start)
-        offset = point(start, line, self.point, self.profile, (0, 1))
-        against = self.either_way and line.RT[2] @ start.R_WO @ np.array(self.axis) < 0.0
-        axis = -np.array(self.axis) if against else np.array(self.axis)
-        return offset, lean(start, line, axis.tolist(), self.profile)
-
-    def marks(self, at: Instant) -> tuple[Marker, ...]:
-        line = self._line(at)
-        line.update(at)
-        return LineMarker(direction=line.RT[2], through=line.c), TrackedMarker(point=self.point)
-
-    def _line(self, start: Instant) -> Reference:
+    def geometry(self, at: Instant) -> tuple[Primitive, ...]:
         place = self.through, self.direction, self.velocity, self.turn
-        return Reference(*place, start=start, point=self.point, axis=self.axis)
+        line = Reference(*place, start=at, point=self.point, axis=self.axis)
+        x, y, z = axis = np.array(self.axis)
+        if self.either_way and isinstance(at, State) and line.RT[2] @ at.R_WO @ axis < 0.0:
+            x, y, z = -axis
+        offset = point(line, self.point, self.profile, (0, 1))
+        return offset, lean(line, (x, y, z), self.profile)

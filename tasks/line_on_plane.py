@@ -15,13 +15,13 @@ plane's axes. The row of beta has length one everywhere. Khalil and Dombre 2004.
 
 from __future__ import annotations
 
-from coopqp.base.spec import Direction, Positive, Vector3, spec
+from dataclasses import replace
+
+from coopqp.base.spec import Direction, Positive, Vector3, spec, unit
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.geometry import Reference, Turn
-from coopqp.model.marker import Marker, PlaneMarker, TrackedMarker
 from coopqp.model.profile import Profile
-from coopqp.model.state import State
-from coopqp.program import Primitive, point, tilt
+from coopqp.program import Kind, Primitive, point
 from coopqp.signal import Instant, MovingDirection, MovingPoint
 from coopqp.task import Part, Task, pose_parts
 
@@ -54,16 +54,8 @@ class LineOnPlane(Task):
     def parts(self, chain: ClosedChain) -> tuple[Part, ...]:
         return pose_parts(1, 1, self.tolerance, self.tolerance_angle)
 
-    def program(self, start: State) -> tuple[Primitive, ...]:
-        plane = self._plane(start)
-        height = point(start, plane, self.point, self.profile, (2,))
-        return height, tilt(start, plane, self.axis, self.profile)
-
-    def marks(self, at: Instant) -> tuple[Marker, ...]:
-        plane = self._plane(at)
-        plane.update(at)
-        return PlaneMarker(normal=plane.RT[2], through=plane.c), TrackedMarker(point=self.point)
-
-    def _plane(self, start: Instant) -> Reference:
-        held = {"point": self.point}
-        return Reference(self.through, self.normal, self.velocity, self.turn, start=start, **held)
+    def geometry(self, at: Instant) -> tuple[Primitive, ...]:
+        place = self.through, self.normal, self.velocity, self.turn
+        plane = Reference(*place, start=at, point=self.point)
+        height, a_O = point(plane, self.point, self.profile, (2,)), unit(self.axis).tolist()
+        return height, replace(height, kind=Kind.TILT, rows=(0,), axis=a_O)

@@ -15,7 +15,7 @@ from coopqp.base.spec import spec
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.program import Kind, Primitive
-from coopqp.task import Evaluate, Task, TaskRows
+from coopqp.task import Task
 
 
 @spec
@@ -28,13 +28,6 @@ class MinimumVelocity(Task):
 
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:
         return chain.joint_names
-
-    def bind(self, start: State) -> Evaluate:
-        def evaluate(state: State, rows: TaskRows) -> None:
-            rows.e[:] = 0.0
-            rows.rate[:] = 0.0
-
-        return evaluate
 
     def program(self, start: State) -> tuple[Primitive, ...]:
         zero = np.zeros(start.chain.n)

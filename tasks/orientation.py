@@ -10,12 +10,11 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from coopqp.base.spec import Array, Pose, Positive, Vector3, one_angle, spec
+from coopqp.base.spec import Pose, Positive, Vector3, one_angle, spec
 from coopqp.grasp import pose_matrix
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.marker import Marker, PoseMarker
+from coopqp.model.geometry import object_at
 from coopqp.model.profile import Profile
-from coopqp.model.state import State
 from coopqp.program import Primitive, rotation
 from coopqp.signal import ROTATION, Instant, MovingRotation, Trajectory, quaternion_of
 from coopqp.task import Task
@@ -46,19 +45,11 @@ class Orientation(Task):
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:
         return ("rot_x", "rot_y", "rot_z")
 
-    def program(self, start: State) -> tuple[Primitive, ...]:
-        """The reference sets out from how the object is turned now."""
-        goal = self._trajectory(start, quaternion_of(start.R_WO))
-        goal.update(start)
-        return (rotation(goal, self.profile, start.R_WO),)
-
-    def marks(self, at: Instant) -> tuple[Marker, ...]:
-        goal = self._trajectory(at)
-        goal.update(at)
-        return (PoseMarker(rotation=goal.R),)
-
-    def _trajectory(self, start: Instant, here: Array | None = None) -> Trajectory:
+    def geometry(self, at: Instant) -> tuple[Primitive, ...]:
+        """The reference sets out from how the object is turned then."""
         if self.goal is not None:
-            return self.goal.bind(ROTATION, start, here)
-        R = pose_matrix(Pose(rpy=self.rpy, rpy_deg=self.rpy_deg)).rotation
-        return Trajectory(ROTATION, quaternion_of(R))
+            goal = self.goal.bind(ROTATION, at, object_at(at, ROTATION))
+        else:
+            R = pose_matrix(Pose(rpy=self.rpy, rpy_deg=self.rpy_deg)).rotation
+            goal = Trajectory(ROTATION, quaternion_of(R))
+        return (rotation(goal, self.profile),)

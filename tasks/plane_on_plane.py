@@ -4,7 +4,7 @@ The object's plane goes through the point p with normal a, the one in space thro
 normal n; that may move, c_dot, and turn about an axis through c, omega. The normals point the same
 way; to lay the faces against each other turn one round. With h(t) the reference height, which
 shrinks from the start to 0, and theta u the angle and way of a from its reference
-(``geometry.Alignment``):
+(``geometry.inverse_alignment``):
 
     e = [n'(p - c) - h; theta u]
 
@@ -16,9 +16,7 @@ from __future__ import annotations
 from coopqp.base.spec import Direction, Positive, Vector3, spec
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.geometry import Reference, Turn
-from coopqp.model.marker import Marker, PlaneMarker, TrackedMarker
 from coopqp.model.profile import Profile
-from coopqp.model.state import State
 from coopqp.program import Primitive, lean, point
 from coopqp.signal import Instant, MovingDirection, MovingPoint
 from coopqp.task import Part, Task, pose_parts
@@ -52,16 +50,8 @@ class PlaneOnPlane(Task):
     def parts(self, chain: ClosedChain) -> tuple[Part, ...]:
         return pose_parts(1, 2, self.tolerance, self.tolerance_angle)
 
-    def program(self, start: State) -> tuple[Primitive, ...]:
-        plane = self._plane(start)
-        height = point(start, plane, self.point, self.profile, (2,))
-        return height, lean(start, plane, self.axis, self.profile)
-
-    def marks(self, at: Instant) -> tuple[Marker, ...]:
-        plane = self._plane(at)
-        plane.update(at)
-        return PlaneMarker(normal=plane.RT[2], through=plane.c), TrackedMarker(point=self.point)
-
-    def _plane(self, start: Instant) -> Reference:
-        held = {"point": self.point, "axis": self.axis}
-        return Reference(self.through, self.normal, self.velocity, self.turn, start=start, **held)
+    def geometry(self, at: Instant) -> tuple[Primitive, ...]:
+        place = self.through, self.normal, self.velocity, self.turn
+        plane = Reference(*place, start=at, point=self.point, axis=self.axis)
+        height = point(plane, self.point, self.profile, (2,))
+        return height, lean(plane, self.axis, self.profile)

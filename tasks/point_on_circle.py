@@ -12,13 +12,13 @@ stay finite and the point leaves the axis.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from coopqp.base.spec import Positive, Vector3, spec
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.geometry import Reference, Turn
-from coopqp.model.marker import CircleMarker, Marker, TrackedMarker
 from coopqp.model.profile import Profile
-from coopqp.model.state import State
-from coopqp.program import Primitive, point, radial
+from coopqp.program import Kind, Primitive, point
 from coopqp.signal import Instant, MovingDirection, MovingPoint
 from coopqp.task import Task
 
@@ -50,18 +50,8 @@ class PointOnCircle(Task):
     def curvature(self) -> float:
         return 1.0 / self.radius
 
-    def program(self, start: State) -> tuple[Primitive, ...]:
-        circle, of = self._circle(start), (self.point, self.profile)
-        distance = radial(start, circle, *of, self.radius, planar=True)
-        return distance, point(start, circle, *of, (2,))
-
-    def marks(self, at: Instant) -> tuple[Marker, ...]:
-        circle = self._circle(at)
-        circle.update(at)
-        return (
-            CircleMarker(center=circle.c, normal=circle.RT[2], radius=self.radius),
-            TrackedMarker(point=self.point),
-        )
-
-    def _circle(self, start: Instant) -> Reference:
-        return Reference(self.center, self.normal, self.velocity, self.turn, start=start)
+    def geometry(self, at: Instant) -> tuple[Primitive, ...]:
+        circle = Reference(self.center, self.normal, self.velocity, self.turn, start=at)
+        height = point(circle, self.point, self.profile, (2,))
+        distance = replace(height, kind=Kind.RADIAL, rows=(0,), length=self.radius, planar=True)
+        return distance, height

@@ -14,9 +14,7 @@ from __future__ import annotations
 from coopqp.base.spec import Vector3, spec
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.geometry import Reference, Turn
-from coopqp.model.marker import LineMarker, Marker, TrackedMarker
 from coopqp.model.profile import Profile
-from coopqp.model.state import State
 from coopqp.program import Primitive, point
 from coopqp.signal import Instant, MovingDirection, MovingPoint
 from coopqp.task import Task
@@ -43,14 +41,7 @@ class PointOnLine(Task):
         """The offset along two directions normal to the line."""
         return ("across_1", "across_2")
 
-    def program(self, start: State) -> tuple[Primitive, ...]:
-        return (point(start, self._line(start), self.point, self.profile, (0, 1)),)
-
-    def marks(self, at: Instant) -> tuple[Marker, ...]:
-        line = self._line(at)
-        line.update(at)
-        return LineMarker(direction=line.RT[2], through=line.c), TrackedMarker(point=self.point)
-
-    def _line(self, start: Instant) -> Reference:
+    def geometry(self, at: Instant) -> tuple[Primitive, ...]:
         place = self.through, self.direction, self.velocity, self.turn
-        return Reference(*place, start=start, point=self.point)
+        line = Reference(*place, start=at, point=self.point)
+        return (point(line, self.point, self.profile, (0, 1)),)

@@ -12,9 +12,7 @@ from __future__ import annotations
 from coopqp.base.spec import Vector3, spec
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.geometry import Reference, Turn
-from coopqp.model.marker import Marker, PlaneMarker, TrackedMarker
 from coopqp.model.profile import Profile
-from coopqp.model.state import State
 from coopqp.program import Primitive, point
 from coopqp.signal import Instant, MovingDirection, MovingPoint
 from coopqp.task import Task
@@ -40,14 +38,7 @@ class PointOnPlane(Task):
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:
         return ("normal",)
 
-    def program(self, start: State) -> tuple[Primitive, ...]:
-        return (point(start, self._plane(start), self.point, self.profile, (2,)),)
-
-    def marks(self, at: Instant) -> tuple[Marker, ...]:
-        plane = self._plane(at)
-        plane.update(at)
-        return PlaneMarker(normal=plane.RT[2], through=plane.c), TrackedMarker(point=self.point)
-
-    def _plane(self, start: Instant) -> Reference:
-        held = {"point": self.point}
-        return Reference(self.through, self.normal, self.velocity, self.turn, start=start, **held)
+    def geometry(self, at: Instant) -> tuple[Primitive, ...]:
+        place = self.through, self.normal, self.velocity, self.turn
+        plane = Reference(*place, start=at, point=self.point)
+        return (point(plane, self.point, self.profile, (2,)),)

@@ -11,11 +11,9 @@ from __future__ import annotations
 from coopqp.base.spec import Vector3, spec
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.geometry import Reference
-from coopqp.model.marker import Marker, PointMarker, TrackedMarker
 from coopqp.model.profile import Profile
-from coopqp.model.state import State
 from coopqp.program import Primitive, point
-from coopqp.signal import POINT, Instant, MovingPoint, trajectory_of
+from coopqp.signal import Instant, MovingPoint
 from coopqp.task import Task
 
 
@@ -33,11 +31,6 @@ class PointOnPoint(Task):
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:
         return ("x", "y", "z")
 
-    def program(self, start: State) -> tuple[Primitive, ...]:
-        goal = Reference(self.goal, start=start, point=self.point)
-        return (point(start, goal, self.point, self.profile, (0, 1, 2)),)
-
-    def marks(self, at: Instant) -> tuple[Marker, ...]:
-        goal = trajectory_of(self.goal, POINT, at)
-        goal.update(at)
-        return PointMarker(at=goal.value), TrackedMarker(point=self.point)
+    def geometry(self, at: Instant) -> tuple[Primitive, ...]:
+        goal = Reference(self.goal, start=at, point=self.point)
+        return (point(goal, self.point, self.profile, (0, 1, 2)),)

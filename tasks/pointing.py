@@ -2,7 +2,7 @@
 
 The direction d may turn. The reference direction goes from where the axis a points at the start to
 d on the shortest way. With theta the angle between them and u the way the axis leans, in a basis
-normal to the reference that turns with it (``geometry.Alignment``),
+normal to the reference that turns with it (``geometry.inverse_alignment``),
 
     e = theta u,   |e| = theta
 """
@@ -14,9 +14,7 @@ from typing import ClassVar
 from coopqp.base.spec import Direction, Positive, spec
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.geometry import Reference, Turn
-from coopqp.model.marker import LineMarker, Marker
 from coopqp.model.profile import Profile
-from coopqp.model.state import State
 from coopqp.program import Primitive, lean
 from coopqp.signal import Instant, MovingDirection
 from coopqp.task import Task
@@ -43,13 +41,6 @@ class Pointing(Task):
         """How far the axis leans two ways normal to the direction."""
         return ("lean_1", "lean_2")
 
-    def program(self, start: State) -> tuple[Primitive, ...]:
-        return (lean(start, self._reference(start), self.axis, self.profile),)
-
-    def marks(self, at: Instant) -> tuple[Marker, ...]:
-        reference = self._reference(at)
-        reference.update(at)
-        return (LineMarker(direction=reference.RT[2]),)
-
-    def _reference(self, start: Instant) -> Reference:
-        return Reference(direction=self.direction, turn=self.turn, start=start, axis=self.axis)
+    def geometry(self, at: Instant) -> tuple[Primitive, ...]:
+        reference = Reference(direction=self.direction, turn=self.turn, start=at, axis=self.axis)
+        return (lean(reference, self.axis, self.profile),)

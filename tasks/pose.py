@@ -11,16 +11,12 @@ With R_e = R R_r' and Jl the left Jacobian of SO(3),
 
 from __future__ import annotations
 
-import numpy as np
-
 from coopqp.base.spec import Positive, spec
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.geometry import PlaceOf, Reference
-from coopqp.model.marker import Marker, PoseMarker, TrackedMarker
+from coopqp.model.geometry import PlaceOf, Reference, object_at
 from coopqp.model.profile import Profile
-from coopqp.model.state import State
 from coopqp.program import Primitive, point, rotation
-from coopqp.signal import POSE, Instant, MovingPose, quaternion_of, trajectory_of
+from coopqp.signal import POSE, Instant, MovingPose, trajectory_of
 from coopqp.task import Part, Task, pose_parts
 
 
@@ -41,14 +37,8 @@ class Pose(Task):
     def parts(self, chain: ClosedChain) -> tuple[Part, ...]:
         return pose_parts(3, 3, self.tolerance, self.tolerance_angle)
 
-    def program(self, start: State) -> tuple[Primitive, ...]:
-        here = np.concatenate([start.p_WO, quaternion_of(start.R_WO)])
-        goal = trajectory_of(self.goal, POSE, start, here)
-        goal.update(start)
-        place = point(start, Reference(PlaceOf(goal)), (0.0, 0.0, 0.0), self.profile, (0, 1, 2))
-        return place, rotation(goal, self.profile, start.R_WO)
-
-    def marks(self, at: Instant) -> tuple[Marker, ...]:
-        goal = trajectory_of(self.goal, POSE, at)
+    def geometry(self, at: Instant) -> tuple[Primitive, ...]:
+        goal = trajectory_of(self.goal, POSE, at, object_at(at, POSE))
         goal.update(at)
-        return PoseMarker(rotation=goal.R, position=goal.value[:3]), TrackedMarker()
+        place = point(Reference(PlaceOf(goal)), (0.0, 0.0, 0.0), self.profile, (0, 1, 2))
+        return place, rotation(goal, self.profile)

@@ -18,13 +18,12 @@ from coopqp.base.errors import InvalidValueError, UnknownNameError, under
 from coopqp.base.spec import Array, spec
 from coopqp.base.wording import counted
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.geometry import Approach
 from coopqp.model.marker import Marker, PostureMarker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.program import Kind, Primitive
 from coopqp.signal import Instant, Reads, Signal, Trajectory, of_joints
-from coopqp.task import Evaluate, Task, TaskRows
+from coopqp.task import Task
 
 JointValues = Annotated[float | list[float] | Signal, Reads(float | list[float])]
 _Constants = dict[str, JointValues] | list[float]
@@ -48,36 +47,11 @@ class Posture(Task):
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:
         return chain.joint_names
 
-    def bind(self, start: State) -> Evaluate:
+    def program(self, start: State) -> tuple[Primitive, ...]:
         goal = _Goal(self.goal, start)
         goal.update(start)
-        given = np.isfinite(goal.value).astype(float)
-        approach = Approach(self.profile, np.where(given > 0.0, start.q - goal.value, 0.0))
-        diagonal = np.arange(start.chain.n)
-
-        def evaluate(state: State, rows: TaskRows) -> None:
-            goal.update(state)
-            rows.J[diagonal, diagonal] = given  # joints without a goal are not asked to stand still
-            np.subtract(state.q, goal.value, rows.e)
-            rows.e[given == 0.0] = 0.0
-            rows.rate[:] = goal.rate
-            approach.shift(state.t, rows.e, rows.rate)
-
-        return evaluate
-
-    def program(self, start: State) -> tuple[Primitive, ...] | None:
-        """As primitives; None where a signal is a goal."""
-        goal, q_start = _Goal(self.goal, start), start.q.copy()
-        if goal.moves:
-            return None
-        given = np.isfinite(goal.value)
-        way = np.where(given, goal.value - q_start, 0.0)
-        return (
-            Primitive(
-                kind=Kind.POSTURE, rows=tuple(np.flatnonzero(given).tolist()), profile=self.profile,
-                numbers=(q_start, way),
-            ),
-        )  # fmt: skip
+        rows = tuple(np.flatnonzero(np.isfinite(goal.value)).tolist())
+        return (Primitive(kind=Kind.POSTURE, rows=rows, profile=self.profile, goal=goal),)
 
     def marks(self, at: Instant) -> tuple[Marker, ...]:
         """The arms as they shall stand, where that is constant."""
@@ -88,14 +62,14 @@ class Posture(Task):
         return (PostureMarker(goal=goal),) if goal else ()
 
 
-class _Goal:
+class _Goal(Trajectory):
     """Where all joints shall be, shape (n,) [rad, m; rad/s, m/s]; NaN and zero if not given."""
 
     def __init__(
         self, goal: Mapping[str, JointValues] | list[float] | Signal, start: State
     ) -> None:
         chain = start.chain
-        self.value, self.rate = np.full(chain.n, np.nan), np.zeros(chain.n)
+        super().__init__(of_joints(chain.joint_names), np.full(chain.n, np.nan))
         self._trajectories: list[tuple[list[int], Trajectory]] = []
         for joints, given in _given(goal, chain):
             at, kind = [chain.joint_names.index(joint) for joint in joints], of_joints(joints)

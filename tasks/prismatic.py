@@ -15,15 +15,20 @@ Jl is the left Jacobian of SO(3) at log Q_e. Khalil and Dombre 2004.
 
 from __future__ import annotations
 
-from coopqp.base.spec import Array, Pose, Positive, Vector3, one_angle, spec
+from coopqp.base.spec import Pose, Positive, Vector3, one_angle, spec
 from coopqp.grasp import pose_matrix
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.geometry import Reference, Turn
-from coopqp.model.marker import LineMarker, Marker, PoseMarker, TrackedMarker
 from coopqp.model.profile import Profile
-from coopqp.model.state import State
-from coopqp.program import Primitive, fixed, point, rotation
-from coopqp.signal import Instant, MovingDirection, MovingPoint
+from coopqp.program import Primitive, point, rotation
+from coopqp.signal import (
+    ROTATION,
+    Instant,
+    MovingDirection,
+    MovingPoint,
+    Trajectory,
+    quaternion_of,
+)
 from coopqp.task import Part, Task, pose_parts
 
 
@@ -60,29 +65,12 @@ class Prismatic(Task):
     def parts(self, chain: ClosedChain) -> tuple[Part, ...]:
         return pose_parts(2, 3, self.tolerance, self.tolerance_angle)
 
-    def program(self, start: State) -> tuple[Primitive, ...]:
-        line, R_goal = self._line(start), self._goal()
-        Q_goal = line.RT @ (start.R_WO if R_goal is None else R_goal)
-        offset = point(start, line, self.point, self.profile, (0, 1))
-        return offset, rotation(fixed(Q_goal), self.profile, line.RT @ start.R_WO, line)
-
-    def marks(self, at: Instant) -> tuple[Marker, ...]:
-        """The line, the point that goes there and, when it is given, the orientation."""
-        line, R_goal = self._line(at), self._goal()
-        RT_0 = line.RT.copy()
-        line.update(at)
-        slide = LineMarker(direction=line.RT[2], through=line.c), TrackedMarker(point=self.point)
-        if R_goal is None:
-            return slide
-        return (*slide, PoseMarker(rotation=line.RT.T @ RT_0 @ R_goal))
-
-    def _line(self, start: Instant) -> Reference:
+    def geometry(self, at: Instant) -> tuple[Primitive, ...]:
         place = self.through, self.direction, self.velocity, self.turn
-        return Reference(*place, start=start, point=self.point)
-
-    def _goal(self) -> Array | None:
-        """How the object shall be turned before the line turns, shape (3, 3), if that is given."""
-        if self.rpy is None and self.rpy_deg is None:
-            return None
-        R: Array = pose_matrix(Pose(rpy=self.rpy, rpy_deg=self.rpy_deg)).rotation
-        return R
+        line = Reference(*place, start=at, point=self.point)
+        goal = None
+        if self.rpy is not None or self.rpy_deg is not None:
+            R = pose_matrix(Pose(rpy=self.rpy, rpy_deg=self.rpy_deg)).rotation
+            goal = Trajectory(ROTATION, quaternion_of(line.RT @ R))
+        offset = point(line, self.point, self.profile, (0, 1))
+        return offset, rotation(goal, self.profile, line)

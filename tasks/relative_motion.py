@@ -19,18 +19,17 @@ Chiaverini and Siciliano 1996.
 from __future__ import annotations
 
 import numpy as np
-import pinocchio as pin
 
 from coopqp.base.errors import UnknownNameError
 from coopqp.base.spec import Pose, Positive, spec
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.geometry import Approach, Reference, RotationError
+from coopqp.model.geometry import PlaceOf, Reference
 from coopqp.model.marker import Marker, RelativeMarker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
-from coopqp.program import Kind, Primitive
+from coopqp.program import Kind, Primitive, RelativePose
 from coopqp.signal import POSE, Instant, MovingPose, quaternion_of, trajectory_of
-from coopqp.task import Evaluate, Part, Task, TaskRows, pose_parts
+from coopqp.task import Part, Task, pose_parts
 
 
 @spec
@@ -53,50 +52,17 @@ class RelativeMotion(Task):
     def parts(self, chain: ClosedChain) -> tuple[Part, ...]:
         return pose_parts(3, 3, self.tolerance, self.tolerance_angle)
 
-    def bind(self, start: State) -> Evaluate:
+    def program(self, start: State) -> tuple[Primitive, ...]:
         """The reference sets out from the relative pose now; no such arm: UnknownNameError."""
-        chain, seen = start.chain, _Seen(start.chain, self._loop(start.chain))
-        at, R_0, Q, gap = seen.at, seen.R_0, seen.Q, seen.gap
-        first = np.linalg.inv(chain.mixing)[3:6]  # J_0 = J_task - sum alpha_i J_rel,i
-        J_gap, J_omega_0 = np.zeros((3, chain.n)), np.zeros((3, chain.n))
-        seen.update(start)
-        here = np.concatenate([R_0.T @ gap, quaternion_of(Q)])
-        goal = trajectory_of(self.goal, POSE, start, here)
-        goal.update(start)
-        p_goal, p_goal_dot = goal.value[:3], goal.rate[:3]
-        rotation = RotationError(goal, self.profile, Q)
-        approach = Approach(self.profile, R_0.T @ gap - p_goal)
-
-        def evaluate(state: State, rows: TaskRows) -> None:
-            seen.update(state)
-            goal.update(state)
-            e, J, rate, J_rel = rows.e, rows.J, rows.rate, state.J_rel[at : at + 6]
-            R_0.T.dot(gap, e[:3])
-            e[:3] -= p_goal
-            first.dot(state.J_ext, J_omega_0)
-            pin.skew(gap).dot(J_omega_0, J_gap)
-            np.add(J_gap, J_rel[:3], J_gap)
-            R_0.T.dot(J_gap, J[:3])
-            rate[:3] = p_goal_dot
-            approach.shift(state.t, e[:3], rate[:3])
-            rotation.fill(state.t, Q, R_0.T, J_rel[3:], (e[3:], J[3:], rate[3:]))
-
-        return evaluate
-
-    def program(self, start: State) -> tuple[Primitive, ...] | None:
-        """As a primitive; None where a signal is the goal."""
-        goal, loop = trajectory_of(self.goal, POSE, start), self._loop(start.chain)
-        if goal.moves:
-            return None
-        seen = _Seen(start.chain, loop)
-        seen.update(start)
-        x, y, z = goal.value[:3].tolist()
+        loop = self._loop(start.chain)
+        here = RelativePose(start.chain, loop)
+        here.update(start)
+        value = np.concatenate([here.R_0.T @ here.gap, quaternion_of(here.Q)])
+        goal = trajectory_of(self.goal, POSE, start, value)
         return (
             Primitive(
-                kind=Kind.RELATIVE, rows=tuple(range(6)), reference=Reference((x, y, z)),
-                profile=self.profile, e_start=(seen.R_0.T @ seen.gap - goal.value[:3]).tolist(),
-                phi=np.asarray(pin.log3(goal.R @ seen.Q.T)).tolist(), Q_start=seen.Q,
-                numbers=(np.array([float(loop)]),),
+                kind=Kind.RELATIVE, rows=tuple(range(6)), reference=Reference(PlaceOf(goal)),
+                profile=self.profile, goal=goal, loop=loop,
             ),
         )  # fmt: skip
 
@@ -112,18 +78,3 @@ class RelativeMotion(Task):
         if self.arm not in others:
             raise UnknownNameError("arm", self.arm, others, "relative_motion.arm: ").at("arm")
         return others.index(self.arm)
-
-
-class _Seen:
-    """R_0, Q = R_0' R_i, shapes (3, 3), and gap = p_i - p_0 in the world, shape (3,) [m]."""
-
-    def __init__(self, chain: ClosedChain, loop: int) -> None:
-        self.at, self._alpha = 6 * loop, chain.alpha[1:]
-        self.R_0, self.Q, self.gap = np.eye(3), np.eye(3), np.zeros(3)
-
-    def update(self, state: State) -> None:
-        errors, at, R_0 = state.loop_error.reshape(-1, 6), self.at, self.R_0
-        pin.exp3(-self._alpha.dot(errors[:, 3:])).dot(state.R_WO, R_0)
-        self.gap[:] = state.loop_error[at : at + 3]
-        turned = pin.exp3(state.loop_error[at + 3 : at + 6])  # R_i R_0'
-        R_0.T.dot(turned.dot(R_0), self.Q)

@@ -3,7 +3,7 @@
 The object's point p goes to c and its axis a to the unit vector d; the hinge may move, c_dot, and
 turn about an axis through c, omega. What stays free is a virtual revolute joint. With R the hinge's
 axes, the third along d, h(t) the reference offset, which shrinks from the start to 0, and theta u
-the angle and way of a from its reference (``geometry.Alignment``):
+the angle and way of a from its reference (``geometry.inverse_alignment``):
 
     e = [R'(p - c) - h; theta u]
 
@@ -15,9 +15,7 @@ from __future__ import annotations
 from coopqp.base.spec import Direction, Positive, Vector3, spec
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.geometry import Reference, Turn
-from coopqp.model.marker import LineMarker, Marker, PointMarker, TrackedMarker
 from coopqp.model.profile import Profile
-from coopqp.model.state import State
 from coopqp.program import Primitive, lean, point
 from coopqp.signal import Instant, MovingDirection, MovingPoint
 from coopqp.task import Part, Task, pose_parts
@@ -51,20 +49,8 @@ class Revolute(Task):
     def parts(self, chain: ClosedChain) -> tuple[Part, ...]:
         return pose_parts(3, 2, self.tolerance, self.tolerance_angle)
 
-    def program(self, start: State) -> tuple[Primitive, ...]:
-        hinge = self._hinge(start)
-        offset = point(start, hinge, self.point, self.profile, (0, 1, 2))
-        return offset, lean(start, hinge, self.axis, self.profile)
-
-    def marks(self, at: Instant) -> tuple[Marker, ...]:
-        hinge = self._hinge(at)
-        hinge.update(at)
-        return (
-            LineMarker(direction=hinge.RT[2], through=hinge.c),
-            PointMarker(at=hinge.c),
-            TrackedMarker(point=self.point),
-        )
-
-    def _hinge(self, start: Instant) -> Reference:
+    def geometry(self, at: Instant) -> tuple[Primitive, ...]:
         place = self.through, self.direction, self.velocity, self.turn
-        return Reference(*place, start=start, point=self.point, axis=self.axis)
+        hinge = Reference(*place, start=at, point=self.point, axis=self.axis)
+        offset = point(hinge, self.point, self.profile, (0, 1, 2))
+        return offset, lean(hinge, self.axis, self.profile)

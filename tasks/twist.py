@@ -16,12 +16,10 @@ from pydantic import Field
 
 from coopqp.base.spec import Positive, Vector3, spec
 from coopqp.model.closed_chain import AXES, ClosedChain
-from coopqp.model.marker import Marker, TrackedMarker
 from coopqp.model.profile import Profile
-from coopqp.model.state import PointOfObject, State
 from coopqp.program import Kind, Primitive
 from coopqp.signal import Instant, Reads, Signal, Trajectory, of_twist
-from coopqp.task import Evaluate, Part, Task, TaskRows
+from coopqp.task import Part, Task
 
 Axis = Literal["x", "y", "z", "rot_x", "rot_y", "rot_z"]
 Components = Annotated[dict[Axis, float], Field(min_length=1)]
@@ -67,52 +65,23 @@ class Twist(Task):
         )
         return tuple(part for part in parts if part.rows)
 
-    def bind(self, start: State) -> Evaluate:
-        names = self.rows(start.chain)
-        chosen = np.array([AXES.index(name) for name in names])
-        order = np.array([self._given.index(name) for name in names])
-        tracked, profile = PointOfObject(self.point, start.chain.n), self.profile
-        commanded = self._trajectory(start)
-        turned, J = self.axes == "object", np.zeros((6, start.chain.n))
-
-        def evaluate(state: State, rows: TaskRows) -> None:
-            share, _ = profile.at(state.t)
-            tracked.update(state)
-            if turned:
-                state.R_WO.T.dot(tracked.J, J[:3])
-                state.R_WO.T.dot(state.J_task[3:], J[3:])
-            else:
-                J[:3], J[3:] = tracked.J, state.J_task[3:]
-            np.take(J, chosen, axis=0, out=rows.J, mode="clip")
-            commanded.update(state)
-            np.multiply(commanded.value[order], share, rows.rate)
-
-        return evaluate
-
-    def program(self, start: State) -> tuple[Primitive, ...] | None:
-        """As primitives; None where a signal commands it."""
-        if isinstance(self.velocity, Signal):
-            return None
-        rows = tuple(AXES.index(name) for name in self.rows(start.chain))
-        velocity = [self.velocity.get(axis, 0.0) for axis in AXES]  # type: ignore[call-overload]
-        return (
-            Primitive(
-                kind=Kind.TWIST, rows=rows, point=self.point, profile=self.profile,
-                velocity=velocity, planar=self.axes == "object",
-            ),
-        )  # fmt: skip
-
-    def marks(self, at: Instant) -> tuple[Marker, ...]:
-        return (TrackedMarker(point=self.point),)
-
     @property
     def _given(self) -> tuple[str, ...]:
         if isinstance(self.velocity, Signal):
             return self.components or AXES
         return tuple(self.velocity)
 
-    def _trajectory(self, start: Instant) -> Trajectory:
-        kind = of_twist(self._given)
+    def geometry(self, at: Instant) -> tuple[Primitive, ...]:
+        given = self._given
+        kind, names = of_twist(given), [axis for axis in AXES if axis in given]
         if isinstance(self.velocity, Signal):
-            return self.velocity.bind(kind, start, kind.zero)
-        return Trajectory(kind, np.array(list(self.velocity.values())))
+            goal = self.velocity.bind(kind, at, kind.zero)
+        else:
+            goal = Trajectory(kind, np.array(list(self.velocity.values())))
+        return (
+            Primitive(
+                kind=Kind.TWIST, rows=tuple(map(AXES.index, names)), point=self.point, goal=goal,
+                order=tuple(map(given.index, names)), profile=self.profile,
+                planar=self.axes == "object",
+            ),
+        )  # fmt: skip

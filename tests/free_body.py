@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 import pinocchio as pin
@@ -14,21 +14,22 @@ from coopqp.model.state import State
 from coopqp.task import Task, TaskRows
 
 
+class FreeState(State):
+    """Where the object is, and how it moves with the six numbers v."""
+
+    J_task: Array = np.eye(6)
+
+    def __init__(self, p: Array, R: Array) -> None:
+        self.chain = cast(ClosedChain, SimpleNamespace(n=6))
+        self.t, self.p_WO, self.R_WO = 0.0, p, R
+
+
 class FreeBody:
-    """An object that nothing holds, so that a task has all six motions; stands in for a state."""
+    """An object that nothing holds, so that a task has all six motions."""
 
     def __init__(self, rng: np.random.Generator | None = None) -> None:
         p, phi = (np.zeros(3), np.zeros(3)) if rng is None else rng.normal(size=(2, 3))
-        self.state = cast(
-            State,
-            SimpleNamespace(
-                chain=SimpleNamespace(n=6), t=0.0, p_WO=p.copy(), R_WO=np.array(pin.exp3(phi)),
-                J_task=np.eye(6),
-            ),
-        )  # fmt: skip
-        state: Any = self.state
-        state.point = lambda p_O: State.point(state, p_O)
-        state.point_jacobian = lambda lever, out: State.point_jacobian(state, lever, out)
+        self.state = FreeState(p.copy(), np.array(pin.exp3(phi)))
 
     def step(self, v: Array, dt: float) -> None:
         self.state.p_WO += dt * v[:3]

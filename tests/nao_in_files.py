@@ -9,8 +9,9 @@ from typing import Any
 import pinocchio as pin
 
 from coopqp.robot import Robot, RobotModel
+from coopqp.robot_files.mdh import Tip
 from coopqp.robots import MdhTable, Mjcf, NaoT14, Urdf, nao_t14
-from coopqp.robots.mdh_table import TableRow, TableTip
+from coopqp.robots.mdh_table import TableRow
 
 HANDS = {"right": "RHand", "left": "LHand"}
 
@@ -120,5 +121,5 @@ def in_table(_: Path) -> Robot:
                 mass=link.mass, com=link.com, inertia=link.inertia, axes="base",
             )
         )  # fmt: skip
-    tips = {f"{s}Hand": TableTip(parent=f"{s}WristYaw", offset=nao_t14.HAND) for s in "RL"}
+    tips = {f"{s}Hand": Tip(parent=f"{s}WristYaw", offset=nao_t14.HAND) for s in "RL"}
     return MdhTable(rows=tuple(rows), tips=tips, arms=HANDS)

@@ -4,20 +4,16 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Sequence
 from pathlib import Path
 
 from coopqp.base.errors import MissingDependencyError
 
 
-def squares(items: Sequence[int]) -> list[int]:
+def square(item: int) -> int:
     """A number of -1 ends the process; other negative ones do the first time."""
-    found = []
-    for item in items:
-        if item == -1 or (isinstance(item, int) and item < 0 and _first(item)):
-            os.kill(os.getpid(), signal.SIGKILL)
-        found.append(item * item)
-    return found
+    if item == -1 or (isinstance(item, int) and item < 0 and _first(item)):
+        os.kill(os.getpid(), signal.SIGKILL)
+    return item * item
 
 
 def _first(item: int) -> bool:
@@ -29,5 +25,5 @@ def _first(item: int) -> bool:
     return True
 
 
-def refuses(items: Sequence[int]) -> list[int]:
+def refuses(item: int) -> int:
     raise MissingDependencyError("solver 'x'", "extra")

@@ -89,12 +89,11 @@ class Change:
     """Why a frame was changed.
 
     Attributes:
-        frame: from 0.
         limit: "not_finite", "joint_position", "joint_velocity", "self_collision" or "loop".
         names: keys of the action, or of two bodies or arms.
         by: how far the frame as given is beyond the limit, of loops how far it opens them; NaN
             where it is not known, as of bodies that are in each other.
-        unit: of it: deg or % as the action has, of speeds deg/s or %/s, of bodies and loops m.
+        unit: deg or % as the action has, of speeds deg/s or %/s, of bodies and loops m.
     """
 
     frame: int
@@ -218,10 +217,8 @@ class ChunkFilter:
             recorded: as for :meth:`filter_chunk`, an episode; nothing of the filter changes.
         """
         given = self._array(recorded, self._last())
-        x, holding = (
-            self.units.joints(given),
-            self._holding(given[:1, GRIPPERS], given[:, GRIPPERS]),
-        )
+        x, grips = self.units.joints(given), given[:, GRIPPERS]
+        holding = self._holding(grips[:1], grips)
         whole = np.isfinite(x).all(axis=1)
         first = x[np.argmax(whole)] if whole.any() else self._chain.q_start
         found, _ = self._follow(given, first, holding, None, recorded=True)
@@ -443,10 +440,6 @@ def _like(chunk: Any, actions: Array) -> Any:
 
 def _filled(x: Array, q: Array) -> Array:
     """The frames with the number before in the place of each that is none."""
-    bad = ~np.isfinite(x)
-    if not bad.any():
-        return x
-    x = x.copy()
-    for k in np.flatnonzero(bad.any(axis=1)).tolist():
-        x[k, bad[k]] = (x[k - 1] if k else q)[bad[k]]
-    return x
+    known = np.concatenate([q[None], x])
+    rows = np.where(np.isfinite(known), np.arange(len(known))[:, None], 0)
+    return known[np.maximum.accumulate(rows), np.arange(len(q))][1:]

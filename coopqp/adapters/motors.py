@@ -16,6 +16,7 @@ import numpy as np
 from pydantic import Field
 
 from coopqp.base.errors import InvalidValueError, UnknownNameError, UnreadableFileError
+from coopqp.base.reading import read_text
 from coopqp.base.spec import Array, spec
 from coopqp.model.closed_chain import ClosedChain
 
@@ -27,6 +28,8 @@ MOTORS = tuple(f"{side}_{joint}" for side in SIDES for joint in (*JOINTS, GRIPPE
 KEYS = tuple(f"{motor}.pos" for motor in MOTORS)
 #: Columns of the arms' joints and of the grippers in an action.
 ARMS, GRIPPERS = [0, 1, 2, 3, 4, 6, 7, 8, 9, 10], [5, 11]
+#: Of a calibration file.
+MOST_BYTES = 1 << 20
 #: Degrees of a count, as LeRobot reckons.
 COUNT = 360.0 / 4095.0
 
@@ -71,9 +74,7 @@ class MotorUnits:
         found = {}
         for side, file in zip(SIDES, (left, right), strict=True):
             try:
-                found[side] = json.loads(Path(file).read_text(encoding="utf-8"))
-            except OSError as error:
-                raise UnreadableFileError(file, f"cannot be read: {error.strerror}") from None
+                found[side] = json.loads(read_text(Path(file), MOST_BYTES))
             except ValueError as error:
                 words = f"is no calibration of LeRobot, which is JSON: {error}"
                 raise UnreadableFileError(file, words) from None

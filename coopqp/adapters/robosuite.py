@@ -54,15 +54,16 @@ def controllers(
         raise InvalidValueError(f"kind: found {kind!r}; needs positions or torques")
     settings: dict[str, Any] = load_composite_controller_config(controller=None, robot=robot)
     most = 1e4  # scaled one to one; the motors' limits clip
-    own: dict[str, Any] = {"type": "JOINT_POSITION", "kp": kp, "kp_limits": [0, 1e5]}
-    own |= {"input_type": "absolute", "damping_ratio": 1, "impedance_mode": "fixed"}
-    if kind == "torques":
-        own = {"type": "JOINT_TORQUE", "input_max": most, "input_min": -most}
-        own |= {"output_max": most, "output_min": -most, "use_torque_compensation": False}
-    own |= {"interpolation": None, "ramp_ratio": 0.2, "gripper": {"type": "GRIP"}}
+    own: dict[str, Any] = {
+        "type": "JOINT_POSITION", "kp": kp, "kp_limits": [0, 1e5], "input_type": "absolute",
+        "damping_ratio": 1, "impedance_mode": "fixed",
+    } if kind == "positions" else {
+        "type": "JOINT_TORQUE", "input_max": most, "input_min": -most, "output_max": most,
+        "output_min": -most, "use_torque_compensation": False,
+    }  # fmt: skip
     parts = settings["body_parts"].get("arms", settings["body_parts"])
     for arm in parts:
-        parts[arm] = dict(own)
+        parts[arm] = {**own, "interpolation": None, "ramp_ratio": 0.2, "gripper": {"type": "GRIP"}}
     return settings
 
 

@@ -20,10 +20,10 @@ from coopqp.assessment.limits import LimitViolation
 from coopqp.assessment.oscillation import Oscillation, oscillation
 from coopqp.assessment.thresholds import (
     ACCELERATION_UNLIMITED,
-    AT_EFFORT,
     SATURATED,
     SETTLED,
     SPEED_UP,
+    at_effort,
     closed,
     rests,
     torn,
@@ -81,19 +81,12 @@ LOOP, HOLD, PLANT = "loop", "hold", "plant"
 ENDED = {Status.PLANT_FAILED, Status.OBJECT_LOST}
 
 
-def assess(trace: Trace) -> Assessment:
-    """Assess a run; each answer is found when it is first asked for."""
-    return Assessment(trace)
-
-
 @dataclass(frozen=True)
 class TaskEnd:
     """How a task, or a part of it with a unit of its own, ended.
 
     Attributes:
-        name, unit, tolerance: of it.
-        mode: of it; soft where the law supports none.
-        level: where it comes among all tasks; the same for all where the law supports none.
+        mode, level: where it comes among all tasks; soft and the same where the law supports none.
         last: the last instant for which it counts.
         error: at its end [unit]; a force's largest of the last stretch.
         torn: whether no object was held any more before its end.
@@ -128,12 +121,10 @@ class TaskEnd:
 
 @dataclass(frozen=True)
 class Inputs:
-    """Whether inputs were followed as sent.
+    """Whether inputs were followed as sent: ticks in which they were refused, or nothing new came.
 
-    Attributes:
-        refused, stale: in how many ticks something was refused, and nothing new had arrived.
-        nothing_at: names of those at which nothing that can be used has arrived.
-        refused_at_end: whether the run ends with what arrives being refused.
+    ``nothing_at`` names those at which nothing that can be used has arrived; ``refused_at_end``
+    says whether the run ends with what arrives being refused.
     """
 
     refused: int
@@ -152,9 +143,7 @@ class Acceleration:
     """The joint whose speed changes most, measured by what the loop for robots allows it.
 
     Attributes:
-        joint: its name. unit: rad/s2 or m/s2.
-        value: the largest change of its velocity from tick to tick, over dt [unit].
-        at: when that was [s].
+        value, at: the largest change of its velocity from tick to tick, over dt [unit]; when [s].
         allowed: what :class:`coopqp.OnlineLoop` allows where a scenario has no limit of it [unit].
     """
 
@@ -316,9 +305,8 @@ class Assessment:
             return None
         change, share, allowed = accelerations(trace)
         k, i = divmod(int(share.argmax()), share.shape[1])
-        unit, value = f"{trace.units[i]}/s2", float(change[k, i])
-        at = float(trace.t[k])
-        return Acceleration(trace.joints[i], unit, value, at, float(allowed[i]))
+        joint, unit = trace.joints[i], f"{trace.units[i]}/s2"
+        return Acceleration(joint, unit, float(change[k, i]), float(trace.t[k]), float(allowed[i]))
 
     @property
     def acceleration_free(self) -> bool:
@@ -329,8 +317,10 @@ class Assessment:
     @cached_property
     def saturated(self) -> dict[str, float]:
         """Share of the ticks in which motors were at their limits, by joint, the largest first."""
-        at = self._at_effort
-        share = at.mean(axis=0) if at.size else np.zeros(0)
+        tau = self.trace.signals.get("tau")
+        if tau is None or not tau.size:
+            return {}
+        share = at_effort(tau, self.trace.effort).mean(axis=0)
         order = np.argsort(-share, kind="stable").tolist()
         return {self.trace.joints[i]: float(share[i]) for i in order if share[i] > SATURATED}
 
@@ -378,23 +368,17 @@ class Assessment:
         sizes = zip(trace.loop_position.tolist(), trace.loop_orientation.tolist(), strict=True)
         return np.array([torn(*size) for size in sizes])
 
-    @property
-    def _at_effort(self) -> NDArray[np.bool_]:
-        """Which motors were at their limits at each tick's end, shape (T, n), or (0, 0)."""
-        tau, effort = self.trace.signals.get("tau"), self.trace.effort
-        if tau is None:
-            return np.zeros((0, 0), bool)
-        limited = np.isfinite(effort) & (effort > 0.0)
-        return np.asarray((np.abs(tau) >= AT_EFFORT * effort) & limited)
+
+def assess(trace: Trace) -> Assessment:
+    """Assess a run; each answer is found when it is first asked for."""
+    return Assessment(trace)
 
 
 class Accelerations(NamedTuple):
-    """Of all joints in all ticks.
+    """Of all joints in all ticks: change of the velocity over dt, and what is allowed of it.
 
-    Attributes:
-        change: of the velocity, over dt; it begins at rest, shape (T, n) [rad/s2, m/s2].
-        share: of what the loop for robots allows, 0 for joints without a motor, shape (T, n).
-        allowed: shape (n,) [rad/s2, m/s2].
+    ``change``, from rest, and its ``share`` of that, 0 without a motor, have the shape (T, n),
+    ``allowed`` (n,) [rad/s2, m/s2].
     """
 
     change: Array

@@ -34,10 +34,8 @@ class LimitViolation:
     Attributes:
         name: of the joint, or of the limit; "speed of" the joint.
         row: the one of its rows that was broken most.
-        by: how far beyond the limit it was, at worst [the row's unit].
-        at: when that was [s].
-        at_start: how far it was when the run began, 0 inside.
-        at_end: how far it is when the run has ended, 0 inside.
+        by, at: how far beyond the limit it was, at worst [the row's unit], and when [s].
+        at_start, at_end: how far when the run began, and when it has ended; 0 inside.
     """
 
     name: str
@@ -60,18 +58,15 @@ def beyond(trace: Trace) -> Array:
 
 def joint_violations(trace: Trace) -> tuple[LimitViolation, ...]:
     """Of the places of joints, the farthest first."""
-    out = np.maximum(beyond(trace), 0.0)
-    found = []
+    out, found = np.maximum(beyond(trace), 0.0), []
     for i in np.flatnonzero(~(out.max(axis=0) <= 0.0)).tolist():
-        joint, unit = trace.joints[i], trace.units[i]
-        k = int(out[:, i].argmax())
+        joint, unit, k = trace.joints[i], trace.units[i], int(out[:, i].argmax())
         side = "upper" if trace.q[k, i] > trace.upper[i] else "lower"
         row = Row(
             name=joint, kind="limit", owner=joint, unit=unit, joint=joint, of_place=True,
             label=f"{joint} ({side})",
         )  # fmt: skip
-        start, end = float(out[0, i]), float(out[-1, i])
-        violation = LimitViolation(joint, row, float(out[k, i]), float(trace.t[k]), start, end)
+        violation = _violation(row, trace, out[:, i], float(out[0, i]))
         if matters(violation.by, unit):
             found.append(violation)
     return tuple(sorted(found, key=lambda violation: -np.nan_to_num(violation.by, nan=np.inf)))
@@ -84,13 +79,18 @@ def speed_violations(trace: Trace) -> tuple[LimitViolation, ...]:
     fast = np.flatnonzero(~(most <= (1.0 + TOO_FAST) * trace.velocity))
     found = []
     for i in sorted(fast.tolist(), key=lambda i: -most[i] / trace.velocity[i]):
-        joint, k = trace.joints[i], int(speed[:, i].argmax())
-        unit = f"{trace.units[i]}/s"
+        joint, unit = trace.joints[i], f"{trace.units[i]}/s"
         row = Row(name=f"speed of {joint}", kind="limit", owner=joint, unit=unit, joint=joint)
         over = np.maximum(speed[:, i] - trace.velocity[i], 0.0)
-        at = float(trace.t[k])
-        found.append(LimitViolation(row.name, row, float(over[k]), at, 0.0, float(over[-1])))
+        found.append(_violation(row, trace, over, 0.0))
     return tuple(found)
+
+
+def _violation(row: Row, trace: Trace, over: Array, at_start: float) -> LimitViolation:
+    """The worst of what a joint was over its limit."""
+    k = int(over.argmax())
+    by, at = float(over[k]), float(trace.t[k])
+    return LimitViolation(row.name, row, by, at, at_start, float(over[-1]))
 
 
 def other_violations(trace: Trace) -> tuple[LimitViolation, ...]:
@@ -143,21 +143,18 @@ def slowed_by(trace: Trace, k: int) -> tuple[str, ...]:
         for row, margin in trace.margins.items()
         if row.unit.endswith(tuple(RATES)) and np.mean(margin[ticks] < AT_LIMIT) > HELD_UP
     )
-    return tuple(dict.fromkeys(_rate_of(row) for row in met))
-
-
-def _rate_of(row: Row) -> str:
-    rate = next(word for end, word in RATES.items() if row.unit.endswith(end))
-    return f"{rate} of {row.joint}" if row.joint else row.owner
+    rates = {
+        row: next(word for end, word in RATES.items() if row.unit.endswith(end)) for row in met
+    }
+    named = (f"{rate} of {row.joint}" if row.joint else row.owner for row, rate in rates.items())
+    return tuple(dict.fromkeys(named))
 
 
 @dataclass(frozen=True)
 class Audit:
-    """Of all limits, as the trace has it.
+    """Of all limits, as the trace has it: margins after each tick, and at rest before the first.
 
-    Attributes:
-        margins: after each tick, by row. starts: before the first, at rest.
-        unaudited: limits that do not say so, by name, with why where they say it wrongly.
+    ``unaudited`` are limits that do not say so, by name, with why where they say it wrongly.
     """
 
     margins: dict[Row, Array]
@@ -185,8 +182,8 @@ def audit(
     for limit in limits:
         name = type_name(type(limit))
         try:
-            own = {row: of[first:] for row, of in left(limit, chain, q, v, dt).items()}
-            begun = left(limit, chain, start[[0, 0]], np.zeros_like(start), dt)
+            own = {row: of[first:] for row, of in _left(limit, chain, q, v, dt).items()}
+            begun = _left(limit, chain, start[[0, 0]], np.zeros_like(start), dt)
             if not limit.audited(chain):
                 unaudited.append(name)
         except InvalidValueError as error:
@@ -197,12 +194,8 @@ def audit(
     return Audit(margins, starts, tuple(dict.fromkeys(unaudited)))
 
 
-def left(limit: Limit, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
-    """What one limit had left after each tick: :meth:`coopqp.limit.Limit.margins`, checked.
-
-    Raises:
-        InvalidValueError: with its file, and what it raises or gives instead.
-    """
+def _left(limit: Limit, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
+    """What one limit had left after each tick: :meth:`coopqp.limit.Limit.margins`, checked."""
     file = written_in(limit, "bind")
     try:
         found = limit.margins(chain, q, v, dt)

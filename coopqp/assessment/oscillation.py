@@ -22,7 +22,6 @@ from coopqp.assessment.thresholds import OSCILLATES
 from coopqp.base.spec import Array
 
 RATIO = 2.5  # path over range of an oscillation: more than once there and back
-TURNS = 1.1  # ... and of what may become one
 KEPT = 0.7  # one whose range becomes less than this from one third to the next fades
 #: Ranges that nobody sees: what half a metre makes of 0.2 mrad is 0.1 mm.
 LEAST = {"rad": 2.0 * OSCILLATES, "m": float(OSCILLATES)}
@@ -32,13 +31,7 @@ SHORTEST = 8  # ticks of the shortest block
 
 @dataclass(frozen=True)
 class Oscillation:
-    """A joint that oscillates.
-
-    Attributes:
-        joint: its index.
-        size: range [rad, m].
-        frequency: of it [Hz].
-    """
+    """A joint, by its index, that oscillates: its range [rad, m] and frequency [Hz]."""
 
     joint: int
     size: float
@@ -50,20 +43,17 @@ def oscillation(
 ) -> Oscillation | None:
     """The widest oscillation of joints; None where nothing oscillates.
 
-    Args:
-        q: since all references rest, shape (T + 1, n) [rad, m].
-        units: of the joints.
-        dt: control period [s].
-        longest: time in which what still moves is as good as at rest, in ticks.
-        noise: standard deviation of the encoders' [rad].
+    q is since all references rest, shape (T + 1, n) [rad, m]. What still moves after ``longest``
+    ticks is as good as at rest; the encoders' noise has this standard deviation [rad].
     """
     third = (len(q) - 1) // 3
     if third < SHORTEST or not np.isfinite(q).all():
         return None
-    least = _least(units) + NOISY * noise
+    least = least_size(units) + NOISY * noise
     before, now = q[-1 - 2 * third : -third], q[-1 - third :]
     widest: Oscillation | None = None
-    for ticks in _lengths(third, longest):
+    doubled = [SHORTEST << k for k in range((third // SHORTEST).bit_length())]
+    for ticks in (ticks for ticks in (*doubled, third) if ticks <= longest):
         (was, was_ratio), (size, ratio) = _blocks(before, ticks), _blocks(now, ticks)
         found = (np.minimum(ratio, was_ratio) > RATIO) & (size > KEPT * was) & (size > least)
         over = np.where(found, size / least, 0.0)
@@ -74,24 +64,8 @@ def oscillation(
     return widest
 
 
-def turns(q: Array, units: Sequence[str]) -> bool:
-    """Whether a joint turns round in the last half of the time, so that it may oscillate.
-
-    q is since all references rest, shape (T + 1, n) [rad, m].
-    """
-    if len(q) <= SHORTEST:
-        return False
-    size, ratio = _extent(q[-(len(q) // 2) :])
-    return bool(((ratio > TURNS) & (size > _least(units))).any())
-
-
-def _lengths(third: int, longest: float) -> list[int]:
-    """Of blocks, in ticks."""
-    doubled = [SHORTEST << k for k in range((third // SHORTEST).bit_length())]
-    return [ticks for ticks in (*doubled, third) if ticks <= longest]
-
-
-def _least(units: Sequence[str]) -> Array:
+def least_size(units: Sequence[str]) -> Array:
+    """Smallest range of joints that is an oscillation, shape (n,)."""
     return np.array([LEAST[unit] for unit in units])
 
 
@@ -100,7 +74,7 @@ def _blocks(q: Array, ticks: int) -> tuple[Array, Array]:
     count = (len(q) - 1) // ticks
     first = len(q) - 1 - count * ticks
     inside = first + ticks * np.arange(count)[:, None] + np.arange(ticks + 1)
-    size, ratio = _extent(q[inside].swapaxes(0, 1))
+    size, ratio = extent(q[inside].swapaxes(0, 1))
     return _median(size), _median(ratio)
 
 
@@ -110,7 +84,7 @@ def _median(found: Array) -> Array:
     return np.asarray(0.5 * (found[(k - 1) // 2] + found[k // 2]))
 
 
-def _extent(q: Array) -> tuple[Array, Array]:
+def extent(q: Array) -> tuple[Array, Array]:
     """Range along the first axis, and path over range; 0 where nothing moves."""
     size = q.max(axis=0) - q.min(axis=0)
     path = np.abs(np.diff(q, axis=0)).sum(axis=0)

@@ -32,10 +32,13 @@ def verdict(found: Assessment, metrics: Mapping[str, Any], unseen: Sequence[str]
 
     ``unseen`` is what the limits ought to bound and cannot, one sentence each.
     """
+    opens = found.held is not False and not found.loop_closed
+    loop = f"lets the loop open by {loop_words(found)}" if opens else ""
     parts = [
         *_broken(found.trace), _hold(found, metrics), _arrival(found), _waits(found),
-        _motion(found), _limits(found, unseen), _speed(found), _acceleration(found), _loop(found),
-        _gap(metrics), _motors(found), _oscillation(found), _ticks(found, metrics),
+        _motion(found), _limits(found, unseen), _speed(found), _acceleration(found), loop,
+        _gap(metrics), saturation_words(found, "saturates "), _oscillation(found),
+        _ticks(found, metrics),
     ]  # fmt: skip
     text = "; ".join(part for part in parts if part)
     return text[0].upper() + text[1:] + "."
@@ -164,7 +167,9 @@ def listed_limits(names: Sequence[str]) -> str:
 def _limits(found: Assessment, unseen: Sequence[str]) -> str:
     if found.ended:
         return ""
-    silent = _unaudited(found.trace)
+    unaudited = found.trace.unaudited
+    verb = "is" if len(unaudited) == 1 else "are"
+    silent = [f"{_listed(unaudited)} {verb} not audited"] if unaudited else []
     others = "; ".join((*map(_beyond, found.limits), *silent))
     if not found.joints and not found.limits:
         return ", but ".join((f"keeps {_kept(found.trace, unseen)}", *silent))
@@ -182,18 +187,13 @@ def _limits(found: Assessment, unseen: Sequence[str]) -> str:
 def _kept(trace: Trace, unseen: Sequence[str]) -> str:
     """What is kept, where nothing was broken."""
     others = any(not row.joint for row in trace.margins)
-    kept = "every limit" if others else "every joint inside its limits"
-    if others and unseen:
-        told, *more = dict.fromkeys(line.partition(":")[0] for line in unseen)
-        others_too = f" and {len(more)} more, see the notes" if more else ""
-        kept = f"every limit as far as it is watched: {told}{others_too}"
-    return kept
-
-
-def _unaudited(trace: Trace) -> list[str]:
-    """Limits that do not say what they had left."""
-    verb = "is" if len(trace.unaudited) == 1 else "are"
-    return [f"{_listed(trace.unaudited)} {verb} not audited"] if trace.unaudited else []
+    if not others:
+        return "every joint inside its limits"
+    if not unseen:
+        return "every limit"
+    told, *more = dict.fromkeys(line.partition(":")[0] for line in unseen)
+    others_too = f" and {len(more)} more, see the notes" if more else ""
+    return f"every limit as far as it is watched: {told}{others_too}"
 
 
 def _beyond(violation: LimitViolation) -> str:
@@ -254,22 +254,11 @@ def _acceleration(found: Assessment) -> str:
     if worst is None or not worst.exceeds:
         return ""
     share = worst.value / worst.allowed
-    beyond = (
-        f"{_round(share)} times"
-        if share >= HARDLY
-        else f"{_round(100.0 * (share - 1.0))} % more than"
-    )
+    hardly = f"{_round(100.0 * (share - 1.0))} % more than"
+    beyond = hardly if share < HARDLY else f"{_round(share)} times"
+    what = f"accelerates {worst.joint} by {_amount(worst.value, worst.unit)}, {beyond} what"
     advice = ": add joint_acceleration to limits" if found.acceleration_free else ""
-    return (
-        f"accelerates {worst.joint} by {_amount(worst.value, worst.unit)}, {beyond} what the "
-        f"loop for robots allows{advice}"
-    )
-
-
-def _loop(found: Assessment) -> str:
-    if found.held is False or found.loop_closed:
-        return ""
-    return f"lets the loop open by {loop_words(found)}"
+    return f"{what} the loop for robots allows{advice}"
 
 
 def loop_words(found: Assessment) -> str:
@@ -295,15 +284,10 @@ def _gap(metrics: Mapping[str, Any]) -> str:
     return f"the hands are {_listed(apart)} apart from what the model says{advice}"
 
 
-def _motors(found: Assessment) -> str:
-    saturated = saturation_words(found)
-    return f"saturates {saturated}" if saturated else ""
-
-
-def saturation_words(found: Assessment) -> str:
-    """The motor that is most often at its limit; empty where none is."""
+def saturation_words(found: Assessment, verb: str) -> str:
+    """That it saturates the motor that is most often at its limit; empty where none is."""
     for joint, share in found.saturated.items():
-        return f"the motor of {joint} in {100.0 * share:.0f} % of the ticks"
+        return f"{verb}the motor of {joint} in {100.0 * share:.0f} % of the ticks"
     return ""
 
 
@@ -333,15 +317,13 @@ def _hold(found: Assessment, metrics: Mapping[str, Any]) -> str:
         lost = [f.note for f in failures if f.cause == Status.OBJECT_LOST.value]
         why = f": {lost[0].removeprefix('the object is lost: ')}" if lost else ""
         return f"loses the object at {held['lost_at']:.3g} s{why}"
-    margin, edge, slip = (
-        metrics[name] for name in ("friction_margin", "edge_margin", "slip_distance")
-    )
+    names = "friction_margin", "edge_margin", "slip_distance"
+    margin, edge, slip = (metrics[name] for name in names)
     if margin is None:  # a run that was over before they pressed
         return "holds the object so far"
     lately = found.trace.signals["slip"][-1 - round(thresholds.SETTLED / found.trace.dt) :]
-    if (
-        lately[-1] - lately[0]
-    ).max() > thresholds.SLIPPED:  # whether friction holds it yet is not known
+    slips = (lately[-1] - lately[0]).max() > thresholds.SLIPPED
+    if slips:  # whether friction holds it yet is not known
         return f"lets the object slip, by {_round(1e3 * slip)} mm and still at the end"
     said = "at the edge of its friction"
     if margin >= thresholds.FRICTION_LEFT:

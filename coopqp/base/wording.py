@@ -31,6 +31,7 @@ WORDS = {
     r"^needs a valid integer": "needs a whole number",
     r"^needs a valid boolean": "needs true or false",
     r"^needs a valid number": "needs a number",
+    r"^needs True$": "needs true",
     r"^(Dictionary|List|Tuple) should have (at (?:least|most) \d+) items? after validation, not.*":
         r"needs \2 in it",
     r"^String should have (at (?:least|most) \d+) characters?": r"needs \1 character(s)",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import wraps
 from pathlib import Path
 from typing import Any
@@ -91,8 +91,7 @@ def engined(command: Callable[..., None]) -> Callable[..., None]:
     @wraps(command)
     def with_engine(*, jobs: int, scheduler: str | None, shard: str, **options: Any) -> None:
         from coopqp.base.errors import InvalidValueError
-        from coopqp.study.engine import Engine, Share
-        from coopqp.study.engine.workers import cores
+        from coopqp.study.engine import Engine, Share, cores
 
         if jobs > MAX_PER_CORE and jobs > (limit := MAX_PER_CORE * cores()):
             words = f"--jobs: found {jobs}; needs at most {limit}, {MAX_PER_CORE} for each core"
@@ -146,7 +145,7 @@ def read_trace(trace: Path, catalog: Any) -> tuple[Any, Any]:
 def _refuse_other(path: Path) -> None:
     """Refuse what runs come from, a scenario or a study, with what is to be given instead."""
     from coopqp.scenario.loader import shipped
-    from coopqp.study.sweep.journal import PATTERN
+    from coopqp.study.sweep.results import PATTERN
 
     if path.is_dir() and any(path.glob(PATTERN)):
         words = f"holds a study; 'coopqp sweep {path} --show ROW' runs one of its rows"
@@ -178,6 +177,34 @@ def _warn(scenario: Any) -> None:
 def say(line: str, *, aside: bool = True) -> None:
     """Print one line, whatever the names in it hold, to the error stream if aside."""
     click.echo(one_line(line), err=aside)
+
+
+def say_wrote(*paths: Path, aside: bool = False) -> None:
+    """Name the files that a command has written; what machines read is JSON alone."""
+    for path in paths:
+        say(f"wrote {path}", aside=aside)
+
+
+def say_left_out(refused: Mapping[str, object], place: str = "") -> None:
+    """Name the controllers that cannot be used, and why."""
+    for name, why in refused.items():
+        say(f"warning: {place}{name} is left out: {why}")
+
+
+def show(*parts: Any) -> None:
+    """Print tables, and sentences as they are."""
+    from coopqp.report.table import console
+
+    for part in parts:
+        styled = not isinstance(part, str)
+        console().print(part, markup=styled, highlight=styled)
+
+
+def print_json(data: Any) -> None:
+    """Print data for machines."""
+    from coopqp.report import strict_json
+
+    click.echo(strict_json.text(data))
 
 
 def print_notes(scenario: Any, controllers: Sequence[str] = (), *, steered: bool = False) -> None:

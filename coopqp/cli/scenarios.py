@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -20,9 +19,13 @@ from coopqp.cli.options import (
     WRITTEN,
     bar,
     catalogued,
+    print_json,
     print_notes,
     read_scenario,
     say,
+    say_left_out,
+    say_wrote,
+    show,
 )
 
 COLLECTIONS = (
@@ -78,30 +81,22 @@ def run(scenario: str, controller: str, solver: str | None, catalog: Any, **to: 
 @catalogued
 @JSON
 def mobility(
-    scenario: str,
-    actuated: str | None,
-    phase: str | None,
-    page: Path | None,
-    catalog: Any,
+    scenario: str, actuated: str | None, phase: str | None, page: Path | None, catalog: Any,
     as_json: bool,
-) -> None:
+) -> None:  # fmt: skip
     """Tell what a scenario's grasp allows, before anything moves."""
-    from coopqp.report import files, strict_json
+    from coopqp.report import files
     from coopqp.report import mobility as report
-    from coopqp.report.table import console
 
     scheme = [name.strip() for name in actuated.split(",")] if actuated is not None else None
     study = report.study(read_scenario(scenario, catalog), scheme, phase=phase)
     if page:
         files.write_one(page, report.page(study))
     if as_json:
-        click.echo(strict_json.text(report.as_json(study)))
+        print_json(report.as_json(study))
     else:
-        for table in report.tables(study):
-            console().print(table)
-        console().print(study.verdict(), markup=False, highlight=False)
-        if page:
-            say(f"wrote {page}", aside=False)
+        show(*report.tables(study), study.verdict())
+        say_wrote(*filter(None, [page]))
     if study.refused:
         raise study.refused
 
@@ -117,7 +112,6 @@ def solve_start(scenario: str, seed: int | None, catalog: Any, as_json: bool) ->
     The scenario gives object.pose and every grasp's object_in_hand; its own start does not count.
     Without object.pose the loops are closed near its own start, wherever that puts the object.
     """
-    from coopqp.report import strict_json
     from coopqp.scenario.loader import load_and_solve
     from coopqp.scenario.start_solver import yaml_text
 
@@ -125,10 +119,9 @@ def solve_start(scenario: str, seed: int | None, catalog: Any, as_json: bool) ->
         report = lambda done, total: progress(done / total)  # noqa: E731
         start = load_and_solve(scenario, catalog, seed=seed, progress=report)
     if as_json:
-        keys = ("start", "margin", "tries", "found")
-        click.echo(strict_json.text({key: getattr(start, key) for key in keys}))
-        return
-    click.echo(yaml_text(start), nl=False)
+        print_json({key: getattr(start, key) for key in ("start", "margin", "tries", "found")})
+    else:
+        click.echo(yaml_text(start), nl=False)
 
 
 @click.command()
@@ -145,7 +138,6 @@ def reach(scenario: str, seed: int | None, catalog: Any, as_json: bool) -> None:
     """
     from coopqp.planning import reach as look
     from coopqp.report import planning as report
-    from coopqp.report.table import console
 
     with bar("looking") as progress:
         found = look(read_scenario(scenario, catalog), seed=seed, progress=progress)
@@ -154,7 +146,7 @@ def reach(scenario: str, seed: int | None, catalog: Any, as_json: bool) -> None:
         return
     say(found.sentence, aside=False)
     if found.found:
-        console().print(report.configurations(found))
+        show(report.configurations(found))
 
 
 @click.command()
@@ -170,14 +162,9 @@ def reach(scenario: str, seed: int | None, catalog: Any, as_json: bool) -> None:
 @catalogued
 @JSON
 def plan(
-    scenario: str,
-    out: Path | None,
-    keep: tuple[str, ...],
-    seconds: float,
-    seed: int | None,
-    catalog: Any,
-    as_json: bool,
-) -> None:
+    scenario: str, out: Path | None, keep: tuple[str, ...], seconds: float, seed: int | None,
+    catalog: Any, as_json: bool,
+) -> None:  # fmt: skip
     """Find a way to a scenario's goals round what is in the way, with the loops closed all along.
 
     SCENARIO is a YAML file or the name of a shipped scenario (coopqp list scenarios).
@@ -196,8 +183,7 @@ def plan(
             raise CoopqpError(found.sentence)
         written = report.write_plan(found, loaded, out, keep) if out else ()
     click.echo(report.plan_json(found)) if as_json else say(found.sentence, aside=False)
-    for path in written:
-        say(f"wrote {path}", aside=as_json)
+    say_wrote(*written, aside=as_json)
 
 
 @click.command(name="check-robot")
@@ -217,14 +203,13 @@ def check_robot(scenario: str, driver: Path | None, posed: bool, catalog: Any) -
     """
     from coopqp.online.joint_check import check_joints, first_reading, pose_faults
     from coopqp.online.loop import OnlineLoop
+    from coopqp.online.simulated import SimulatedRobot
 
     loaded = read_scenario(scenario, catalog)
-    simulated = driver is None
-    loop = OnlineLoop(loaded, next(iter(loaded.controllers)), clock=None) if simulated else (
-        OnlineLoop(loaded, next(iter(loaded.controllers)))
-    )  # fmt: skip
+    own_time: dict[str, Any] = {} if driver else {"clock": None}
+    loop = OnlineLoop(loaded, next(iter(loaded.controllers)), **own_time)
     with _blamed(driver):
-        robot = _driver(driver, loaded) if driver else _obedient(loop)
+        robot = _driver(driver, loaded) if driver else SimulatedRobot(loop)
         if posed and (faults := pose_faults(loaded.chain, first_reading(loop, robot))):
             raise CoopqpError("\n".join(f"{joint} {words}" for joint, words in faults.items()))
         found = check_joints(loop, robot)
@@ -254,10 +239,8 @@ def audit(
     from coopqp.adapters.dataset import audit as look
     from coopqp.adapters.motors import MotorUnits
 
-    degrees = not shares
-    units = MotorUnits.read(*calibration, use_degrees=degrees) if calibration else MotorUnits(
-        use_degrees=degrees
-    )  # fmt: skip
+    own: dict[str, Any] = {"use_degrees": not shares}
+    units = MotorUnits.read(*calibration, **own) if calibration else MotorUnits(**own)
     loaded = read_scenario(scenario, catalog)
     kept = {"distance": distance, "loop_position": loop}
     for episode in look(dataset, loaded, units, column=column, **kept):
@@ -271,44 +254,29 @@ def _driver(file: Path, scenario: Any) -> Any:
     from coopqp.base.wording import USERS
     from coopqp.online.real_time import check_driver
 
-    try:
+    with _blamed(file, always=True):
         make = runpy.run_path(str(file), run_name=f"{USERS}driver").get("robot")
         if not callable(make):
             raise CoopqpError(f"{file}: has no function robot(scenario)")
         robot = make(scenario)
-    except (KeyboardInterrupt, CoopqpError):
-        raise
-    except BaseException as error:  # noqa: BLE001 - it may raise anything, and exit
-        raise _fault(file, error) from None
     check_driver(robot)
     return robot
 
 
 @contextmanager
-def _blamed(file: Path | None) -> Iterator[None]:
-    """Say so where a driver's methods raise."""
-    from coopqp.base.wording import by_user
+def _blamed(file: Path | None, *, always: bool = False) -> Iterator[None]:
+    """Say so where a driver raises: its methods do so below our own, its file always."""
+    from coopqp.base.wording import by_user, raised
 
     try:
         yield
     except (KeyboardInterrupt, CoopqpError):
         raise
-    except BaseException as error:
-        if file is None or not by_user(error):
+    except BaseException as error:  # it may raise anything, and exit
+        if file is None or not (always or by_user(error)):
             raise
-        raise _fault(file, error) from None
-
-
-def _fault(file: Path, error: BaseException) -> CoopqpError:
-    from coopqp.base.wording import raised
-
-    return CoopqpError(raised(error, str(file)).replace(": raises ", ": your driver raises ", 1))
-
-
-def _obedient(loop: Any) -> Any:
-    from coopqp.online.simulated import SimulatedRobot
-
-    return SimulatedRobot(loop)
+        words = raised(error, str(file)).replace(": raises ", ": your driver raises ", 1)
+        raise CoopqpError(words) from None
 
 
 @click.command()
@@ -362,8 +330,7 @@ def _refused(scenario: Any, names: list[str], place: str = "") -> dict[str, Coop
         except CoopqpError as error:
             refused[name] = error
     if len(refused) < len(names):
-        for name, why in refused.items():
-            say(f"warning: {place}{name} is left out: {why}")
+        say_left_out(refused, place)
     print_notes(scenario, [name for name in names if name not in refused])
     return refused
 
@@ -374,13 +341,13 @@ def _refused(scenario: Any, names: list[str], place: str = "") -> dict[str, Coop
 @JSON
 def list_(kind: str | None, catalog: Any, as_json: bool) -> None:
     """List what scenarios can name, with a line of help each."""
-    from coopqp.report.table import console, help_lines, names_table
+    from coopqp.report.table import help_lines, names_table
 
     rows = {k: help_lines(k, catalog) for k in ([kind] if kind else COLLECTIONS)}
     if as_json:
-        click.echo(json.dumps(rows, indent=2))
-        return
-    console().print(names_table(rows))
+        print_json(rows)
+    else:
+        show(names_table(rows))
 
 
 @click.command()
@@ -392,32 +359,31 @@ def schema(catalog: Any, study: bool) -> None:
     from coopqp.study.sweep import reader
 
     data = reader.schema(catalog) if study else file_model(catalog).model_json_schema()
-    click.echo(json.dumps(data, indent=2))
+    print_json(data)
 
 
 def compare_on(scenario: Any, controllers: list[str], out: Path | None, *, as_json: bool) -> None:
     """Run, print the table or JSON, and write the report to a folder, if one is given."""
     from coopqp.execution.comparison import compare as run_all
     from coopqp.report import files, table
-    from coopqp.report.table import console, progress_bars
+    from coopqp.report.table import progress_bars
 
     told = _refused(scenario, controllers)
     if out:
         files.check_folder(out)
     with progress_bars(controllers, scenario.ticks) as progress:
         comparison = run_all(scenario, controllers=controllers, progress=progress)
-    later = {name: why for name, why in comparison.refused.items() if name not in told}
-    left_out = (f"{name} is left out: {why}" for name, why in later.items())
-    for line in (*left_out, *comparison.faults):
+    say_left_out({name: why for name, why in comparison.refused.items() if name not in told})
+    for line in comparison.faults:
         say(f"warning: {line}")
     if as_json:
         click.echo(files.metrics_json(comparison), nl=False)
     else:
-        console().print(table.summary(comparison))
+        show(table.summary(comparison))
     # Written last: what goes wrong here takes nothing away from what the run has shown.
     written = files.write(comparison, out) if out else []
-    for path in written if not as_json else ():
-        say(f"wrote {path}", aside=False)
+    if not as_json:
+        say_wrote(*written)
 
 
 @click.command()
@@ -440,16 +406,9 @@ def compare_on(scenario: Any, controllers: list[str], out: Path | None, *, as_js
 @SOLVER
 @catalogued
 def play(
-    scenario: str,
-    controllers: tuple[str, ...],
-    port: int,
-    host: str,
-    origins: tuple[str, ...],
-    speed: float,
-    record: Path | None,
-    solver: str | None,
-    catalog: Any,
-) -> None:
+    scenario: str, controllers: tuple[str, ...], port: int, host: str, origins: tuple[str, ...],
+    speed: float, record: Path | None, solver: str | None, catalog: Any,
+) -> None:  # fmt: skip
     """Play a scenario on a page in the browser, where its goals can be dragged.
 
     SCENARIO is a YAML file or the name of a shipped scenario (coopqp list scenarios).
@@ -467,8 +426,8 @@ def play(
     loaded = read_scenario(scenario, catalog, solver)
     player = Player(loaded, controllers, record)
     player.speed = speed
-    left_out = (f"{name} is left out: {why}" for name, why in player.refused.items())
-    for line in (*left_out, *player.faults):
+    say_left_out(player.refused)
+    for line in player.faults:
         say(f"warning: {line}")
     print_notes(loaded, [run.name for run in player.controllers], steered=True)
     try:

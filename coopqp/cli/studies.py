@@ -18,11 +18,14 @@ from coopqp.cli.options import (
     bar,
     catalogued,
     engined,
+    print_json,
     printed_aside,
     read_scenario,
     read_tick,
     read_trace,
     say,
+    say_wrote,
+    show,
 )
 
 FORMATS = ("mcap", "rosbag2", "parquet", "lerobot")
@@ -56,9 +59,8 @@ def time_(
     """
     from coopqp.planning.given_path import table_of
     from coopqp.planning.time_along import time_phases, would_do
-    from coopqp.report import files, strict_json
+    from coopqp.report import files
     from coopqp.report.planning import TIMED, check_written, limits_table, phase_titles, write_timed
-    from coopqp.report.table import console
 
     if scenario is None and (table := table_of(path)):
         scenario = _beside(table)
@@ -74,15 +76,14 @@ def time_(
         for part, more in zip(parts, tried, strict=True)
     ]
     if as_json:
-        click.echo(strict_json.text(data[0] if len(data) == 1 else data))
-    for title, part, more in zip(phase_titles(parts, loaded), parts, tried, strict=True):
-        if not as_json:
+        print_json(data[0] if len(data) == 1 else data)
+    else:
+        for title, part, more in zip(phase_titles(parts, loaded), parts, tried, strict=True):
             first = f"{title}:" if len(parts) > 1 else ""
             for line in filter(None, [first, *part.sentences, part.coarse(loaded.dt)]):
                 say(line, aside=False)
-            console().print(limits_table(part, more))
-    for file in written:
-        say(f"wrote {file}", aside=as_json)
+            show(limits_table(part, more))
+    say_wrote(*written, aside=as_json)
     if out and not any(file.suffix == ".yaml" for file in written):
         words = f"{loaded.name} does not begin where the path does, and at rest"
         say(f"no scenario that follows it is written, since {words}", aside=as_json)
@@ -123,13 +124,9 @@ def _beside(table: Path) -> str:
 @catalogued
 @JSON
 def explain(
-    trace: Path,
-    tick: int | None,
-    controller: str | None,
-    save: Path | None,
-    catalog: Any,
+    trace: Path, tick: int | None, controller: str | None, save: Path | None, catalog: Any,
     as_json: bool,
-) -> None:
+) -> None:  # fmt: skip
     """Say why a run did not reach its goal, and what would do.
 
     TRACE is a trace.csv, or its folder, written by 'coopqp compare --out', or what 'coopqp export'
@@ -145,7 +142,7 @@ def explain(
         click.echo(table.tick_text(record, as_json=as_json))
         if save:
             files.write_one(save, record.text())
-            say(f"wrote {save}", aside=as_json)  # what machines read is JSON alone
+            say_wrote(save, aside=as_json)
         return
     run, scenario = read_trace(trace, catalog)
     if controller:
@@ -188,7 +185,7 @@ def export(run: Path, to: str, controller: str | None, out: Path | None, catalog
             raise CoopqpError(f"'{name}' is no file's name; give --controller and --out")
         file = out or kept.path.parent / f"{name}{suffix}"
         write(kept, scenario, to, name, file)
-        say(f"wrote {file}", aside=False)
+        say_wrote(file)
 
 
 @click.command()
@@ -205,8 +202,6 @@ def calibrate(
     TRACE is a run with measured joints, as for 'coopqp explain'.
     """
     from coopqp.report import calibration as report
-    from coopqp.report import strict_json
-    from coopqp.report.table import console
     from coopqp.study.calibration import calibrate as find
     from coopqp.study.trace_file import measured_run
 
@@ -215,9 +210,9 @@ def calibrate(
     held = scenario.held_by(name)
     result = find(held.chain, q, encoders=encoders)
     if as_json:
-        click.echo(strict_json.text(report.as_json(result)))
+        print_json(report.as_json(result))
         return
-    console().print(report.table(result))
+    show(report.table(result))
     for sentence in report.sentences(result, encoders=encoders):
         click.echo(sentence)
     click.echo(f"\n{report.yaml_text(result, held)}", nl=False)
@@ -231,20 +226,15 @@ def calibrate(
 @catalogued
 @JSON
 def replay(
-    file: Path,
-    tick: int | None,
-    controller: str | None,
-    solver: tuple[str, ...],
-    catalog: Any,
+    file: Path, tick: int | None, controller: str | None, solver: tuple[str, ...], catalog: Any,
     as_json: bool,
-) -> None:
+) -> None:  # fmt: skip
     """Solve a tick again, with any solver.
 
     FILE is a tick saved by 'coopqp explain --save', or a recorded run as for 'coopqp explain'.
     """
     from coopqp.recordings.known import is_run
-    from coopqp.report import strict_json, table
-    from coopqp.report.table import console
+    from coopqp.report import table
     from coopqp.scenario.loader import solver_by_name, solver_names
     from coopqp.study.tick_record import TickRecord
     from coopqp.study.tick_record import replay as solve_again
@@ -256,9 +246,9 @@ def replay(
         for name in solver or solver_names(catalog)
     }
     if as_json:
-        click.echo(strict_json.text({name: a.as_json() for name, a in answers.items()}))
-        return
-    console().print(table.replay(record, answers))
+        print_json({name: answer.as_json() for name, answer in answers.items()})
+    else:
+        show(table.replay(record, answers))
 
 
 def _moved(name: str, what: str, module: str) -> click.Command:
@@ -291,15 +281,9 @@ statistics = _moved("statistics", "goals", "random_goals")
 @catalogued
 @JSON
 def sweep(
-    what: Path,
-    out: Path | None,
-    engine: Any,
-    watch: bool,
-    table: bool,
-    show: int | None,
-    catalog: Any,
-    as_json: bool,
-) -> None:
+    what: Path, out: Path | None, engine: Any, watch: bool, table: bool, show: int | None,
+    catalog: Any, as_json: bool,
+) -> None:  # fmt: skip
     """Run a scenario in many variants, and go on where it was when it is called again.
 
     STUDY is a YAML file or the name of a shipped study (coopqp list studies).
@@ -366,28 +350,25 @@ def _records(count: int) -> str:
 
 
 def _print(study: Any, folder: Path, *, as_json: bool) -> None:
-    from coopqp.report import strict_json
     from coopqp.report.sweep import table
     from coopqp.report.sweep.page import write
-    from coopqp.report.table import console
     from coopqp.study.sweep.results import Columns
     from coopqp.study.sweep.summary import summarize
 
     columns = Columns.of(folder)
     summary = summarize(columns, exact=study.exact)
     if as_json:
-        click.echo(strict_json.text(table.as_json(study.name, summary)))
+        print_json(table.as_json(study.name, summary))
     else:
-        console().print(table.table(study.name, summary))
+        show(table.table(study.name, summary))
         if compared := table.paired(summary):
-            console().print("", compared)
+            show("", compared)
         for sentence in table.sentences(summary):
             say(sentence, aside=False)
         if summary.rows < study.rows:
             say(f"{summary.rows:,} of {study.rows:,} rows are there yet", aside=False)
     page = write(study, columns, summary, folder)
-    for path in (columns.path, page):
-        say(f"wrote {path}", aside=as_json)
+    say_wrote(columns.path, page, aside=as_json)
 
 
 def _show(study: Any, folder: Path, row: int) -> None:
@@ -395,14 +376,14 @@ def _show(study: Any, folder: Path, row: int) -> None:
     from coopqp.report.files import write_one
     from coopqp.report.sweep.page import ROWS
     from coopqp.study.sweep import scenario_of_row
-    from coopqp.study.sweep.folder import check_plugins
+    from coopqp.study.sweep.sweep import check_plugins
 
     for odd in check_plugins(folder, study):
         say(f"warning: {odd}")
     text, controller = scenario_of_row(study, row)
     path = folder / ROWS / f"{row}.yaml"
     write_one(path, text)
-    say(f"wrote {path}", aside=False)
+    say_wrote(path)
     loaded = read_scenario(str(path), study.catalog)
     compare_on(loaded, [controller], folder / ROWS / str(row), as_json=False)
 

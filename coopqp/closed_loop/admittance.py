@@ -94,9 +94,8 @@ class InternalForceControl:
         memory_sizes: what a law must remember for it.
         note: details of the last tick's status.
 
-    Raises:
-        InvalidValueError: the tasks ask for more than one squeeze between two hands, kappa is 0, or
-            the gain is unstable with the stated stiffness.
+    InvalidValueError: the tasks ask for more than one squeeze between two hands, kappa is 0, or the
+    gain is unstable with the stated stiffness.
     """
 
     def __init__(self, problem: ControlProblem, settings: Admittance) -> None:
@@ -194,8 +193,7 @@ def internal_force_control(
 ) -> InternalForceControl | None:
     """The internal force control of a problem; None where no task asks for a force.
 
-    Raises:
-        InvalidValueError: a force is asked for without a stated stiffness; as the control itself.
+    InvalidValueError: a force is asked for without a stated stiffness; as the control itself.
     """
     if not problem.wrenches:
         return None

@@ -68,8 +68,7 @@ def constraint_equations(
     as there are degrees of freedom, and ``cut`` the joint at which each loop is cut: the last of
     each arm but the first if omitted.
 
-    Raises:
-        UnknownNameError, InvalidValueError: the choice is no scheme of this chain.
+    UnknownNameError, InvalidValueError: the choice is no scheme of this chain.
     """
     a, c = scheme(chain, actuated), _cut_joints(chain, cut, actuated)
     p = tuple(i for i in range(chain.n) if i not in a and i not in c)
@@ -103,9 +102,8 @@ def constraint_equations(
 def scheme(chain: ClosedChain, actuated: Sequence[str]) -> tuple[int, ...]:
     """Indices of the independent joints.
 
-    Raises:
-        UnknownNameError: an unknown joint.
-        InvalidValueError: a joint given twice, or more or fewer than the degrees of freedom.
+    UnknownNameError: an unknown joint. InvalidValueError: a joint given twice, or more or fewer
+    than the degrees of freedom.
     """
     motors, freedom = motor_indices(chain, actuated), chain.n - chain.loops.rank
     if len(motors) != freedom:
@@ -118,9 +116,7 @@ def scheme(chain: ClosedChain, actuated: Sequence[str]) -> tuple[int, ...]:
 def motor_indices(chain: ClosedChain, actuated: Sequence[str]) -> tuple[int, ...]:
     """Indices of joints that are driven by motors.
 
-    Raises:
-        UnknownNameError: an unknown joint.
-        InvalidValueError: a passive joint, or a joint given twice.
+    UnknownNameError: an unknown joint. InvalidValueError: a passive joint, or a joint given twice.
     """
     joints = chain.joint_names
     for name in actuated:

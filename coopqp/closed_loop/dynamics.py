@@ -100,11 +100,9 @@ class ClosedLoopDynamics:
         kept: which of the 6 L loop rows J has, shape (m,).
         actuated: indices of the actuated joints, shape (k,).
 
-    Raises:
-        InvalidValueError: shares that do not sum to one, too few or repeated actuated joints, or
-            a passive joint among them.
-        UnknownNameError: an unknown joint or arm.
-        GraspError: a released arm has passive joints, which nothing would hold.
+    InvalidValueError: shares that do not sum to one, too few or repeated actuated joints, or a
+    passive joint among them. UnknownNameError: an unknown joint or arm. GraspError: a released arm
+    has passive joints, which nothing would hold.
     """
 
     def __init__(
@@ -319,9 +317,8 @@ class ObjectWrenches:
 def actuated_joints(chain: ClosedChain, names: Sequence[str] | None) -> NDArray[np.intp]:
     """Indices of actuated joints by name; all but the passive ones if omitted.
 
-    Raises:
-        UnknownNameError: an unknown joint.
-        InvalidValueError: a passive or repeated joint, or fewer than the degrees of freedom.
+    UnknownNameError: an unknown joint. InvalidValueError: a passive or repeated joint, or fewer
+    than the degrees of freedom.
     """
     if names is None:
         return np.setdiff1d(np.arange(chain.n), chain.passive)

@@ -341,7 +341,6 @@ class Forces:
     why_not: str = ""
 
     def sentences(self) -> Iterator[str]:
-        """The report in sentences."""
         found = self.transmission
         yield f"Of {found.dimensions} internal wrenches {found.all.words}."
         for pair in found.pairs if len(found.arms) == 2 else ():

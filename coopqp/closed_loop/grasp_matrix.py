@@ -87,8 +87,7 @@ def walker(points: ArrayLike, origin: ArrayLike, shares: ArrayLike) -> Split:
     It is invariant to the object's origin, the hands' points and the units. ``shares`` a_i, shape
     (N,), are at least 0 and sum to 1.
 
-    Raises:
-        InvalidValueError: shares that are negative or do not sum to 1, or not one a hand.
+    InvalidValueError: shares that are negative or do not sum to 1, or not one a hand.
     """
     p, o = np.asarray(points, float), np.asarray(origin, float)
     a = _each("shares", shares, len(p))
@@ -105,8 +104,7 @@ def virtual_inertia(
 
     Of masses and inertias, each of shape (N,), only ratios count; inertias are about hands' points.
 
-    Raises:
-        InvalidValueError: masses or inertias that are not positive, or not one a hand.
+    InvalidValueError: masses or inertias that are not positive, or not one a hand.
     """
     p = np.asarray(points, float)
     m, j = _each("masses", masses, len(p)), _each("inertias", inertias, len(p))
@@ -175,8 +173,7 @@ class Section:
 def section(p_1: Array, p_2: Array) -> Section:
     """The section between two hands at points of shape (3,) [m].
 
-    Raises:
-        GraspError: the hands are in one place.
+    GraspError: the hands are in one place.
     """
     way = np.asarray(p_2, float) - p_1
     length = float(np.linalg.norm(way))
@@ -221,8 +218,7 @@ def virtual_linkage(points: Array) -> Array:
     Returns:
         E^+, from (f_1; f_2; f_3) to the pushes t [N], shape (3, 9).
 
-    Raises:
-        GraspError: the hands are on one line, or not three.
+    GraspError: the hands are on one line, or not three.
     """
     p = np.asarray(points, float)
     if p.shape != (3, 3):

@@ -144,7 +144,6 @@ class WrenchStack:
         ]
 
     def update(self, state: State) -> None:
-        """Fill all rows for a state."""
         evaluate_all(self._evaluate, state)
 
     def error(self, h: Array) -> Array:

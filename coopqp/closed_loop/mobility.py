@@ -154,9 +154,8 @@ def mobility(
         samples: number of generic poses.
         seed: of the generic poses.
 
-    Raises:
-        UnknownNameError, InvalidValueError: ``asked`` is no scheme of this chain.
-        InvalidValueError: a task's rows do not fit the joints, no sample, or a negative seed.
+    UnknownNameError, InvalidValueError: ``asked`` is no scheme of this chain. InvalidValueError: a
+    task's rows do not fit the joints, no sample, or a negative seed.
     """
     for name, J in task_rows:
         if np.shape(J)[1:] != (chain.n,):

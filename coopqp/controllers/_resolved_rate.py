@@ -20,19 +20,16 @@ from coopqp.controller import Command, ControlProblem
 from coopqp.kernel.formula import FormulaLaw
 from coopqp.model.state import State
 from coopqp.solver import Status
-from coopqp.task import Task, TaskStack
+from coopqp.task import TaskStack
 
 Invert = Callable[[Array], NDArray[np.floating[Any]]]
 
 
 class StackedRows:
-    """Task rows above loop rows, eq. (32).
+    """The k rows of ``tasks`` above m loop rows, eq. (32).
 
     Attributes:
-        tasks: the task rows alone.
-        A: H J_ext, shape (k + m, n).
-        b: [h_dot; V_rel], shape (k + m,).
-        k: number of task rows.
+        A: H J_ext, shape (k + m, n), and b: [h_dot; V_rel], shape (k + m,).
     """
 
     def __init__(self, problem: ControlProblem) -> None:
@@ -49,7 +46,6 @@ class StackedRows:
         return self.A[self.k :], self.b[self.k :]
 
     def update(self, state: State) -> None:
-        """Fill all rows for a state."""
         k, tasks = self.k, self.tasks
         tasks.update(state)
         self.A[:k], self.A[k:] = tasks.J, state.J_loop
@@ -58,27 +54,24 @@ class StackedRows:
 
 
 class ResolvedRateLaw(FormulaLaw):
-    """Eq. (33); ``invert`` maps H J_ext, shape (k + m, n), to its inverse, (n, k + m).
+    """Eq. (33); ``invert`` maps H J_ext, shape (k + m, n), to its inverse; damping for the kernel.
 
-    ``damping`` is what it is damped by, for the kernel. Secondary objectives enter as Z where
-    ``null_space`` is true.
+    Secondary objectives enter as Z where ``null_space`` is true.
     """
 
     def __init__(
         self, problem: ControlProblem, invert: Invert, *, null_space: bool, damping: float = 0.0
     ) -> None:
         super().__init__(problem, damping=damping, null_space=null_space)
-        start = State(problem.chain)
-        self._invert = invert
-        self._rows = StackedRows(problem)
-        self._secondary = TaskStack(problem.secondary if null_space else (), start)
+        self._invert, self._rows = invert, StackedRows(problem)
+        own = problem.secondary if null_space else ()
+        self._secondary = TaskStack(own, State(problem.chain))
         self._Z = np.zeros(problem.chain.n)
         # Several objectives share Z by their weights, as they share the cost of the QP.
         weights = np.array([task.weight for task in self._secondary.tasks])
         self._shares = weights / max(float(weights.sum()), 1e-300)
 
     def decide(self, state: State) -> Command:
-        """One evaluation of eq. (33)."""
         rows, command = self._rows, self.command
         rows.update(state)
         try:
@@ -97,12 +90,6 @@ class ResolvedRateLaw(FormulaLaw):
         Z, stack = self._Z, self._secondary
         Z[:] = 0.0
         for task, part, share in zip(stack.tasks, stack.slices, self._shares, strict=True):
-            Z += share * _alone(task, stack.J[part], stack.wanted[part])
+            J, wanted = stack.J[part], stack.wanted[part]
+            Z += share * (wanted if task.joint_space else least_squares(J, wanted))
         self.command.v += Z - inverse.dot(self._rows.A.dot(Z))  # dot, unlike @, warns of nothing
-
-
-def _alone(task: Task, J: Array, wanted: Array) -> Array:
-    """The least-norm joint velocity that an objective asks for by itself, shape (n,)."""
-    if task.joint_space:
-        return wanted
-    return least_squares(J, wanted)

@@ -83,11 +83,7 @@ class KinematicPid(Law):
 
 
 class TorquePid(Law):
-    """PID on the object's wrench; memory as in :func:`memory_of`.
-
-    Attributes:
-        loop: its linearisation at the start, for the margins.
-    """
+    """PID on the object's wrench, with memory as in :func:`memory_of`, and ``loop`` for margins."""
 
     def __init__(self, problem: ControlProblem, settings: PassiveGraspPid) -> None:
         super().__init__(problem, torques=True)
@@ -108,11 +104,10 @@ class TorquePid(Law):
         self._hands = hands(problem.chain)
 
     def decide(self, state: State) -> Command:
-        level, command = self._level, self.command
+        level, command, memory = self._level, self.command, state.memory
         level.update(state)
         kp, ki, kd = self._gains
         tasks, dynamics = level.tasks, level.dynamics
-        memory = state.memory
         self._model.update(memory, tasks.e)
         u = kp * memory["deviation"] + ki * memory["integral"]
         u += kd * (level.e_dot - memory["model_rate"])
@@ -125,12 +120,10 @@ class TorquePid(Law):
             tau = dynamics.distribute(dynamics.gravity(state.q)).tau
         beyond = np.abs(tau) > self._effort
         np.clip(tau, -self._effort, self._effort, out=command.tau)
-        command.note = ""
         command.say(Status.OPTIMAL if finite else Status.NOT_FINITE)
         if finite and beyond.any():
             names = (self.problem.chain.joint_names[i] for i in np.flatnonzero(beyond))
-            command.say(Status.TASKS_RELAXED)
-            command.note = f"motors at their limits: {', '.join(names)}"
+            command.add(Status.TASKS_RELAXED, f"motors at their limits: {', '.join(names)}")
         self._model.advance(memory, level.e_dot, integrate=finite and not beyond.any())
         return command
 
@@ -141,7 +134,6 @@ class TorquePid(Law):
 
     def hold_still(self, state: State) -> None:
         assert self.command.tau is not None
-        self._level.dynamics.update(state.q, state.v)
         self.command.tau[:] = self._level.holding(state, BRAKE_TIME)
 
     def _motors(self, Gamma: Array, state: State, a_r: Array) -> Array:
@@ -244,11 +236,7 @@ class PassiveGraspPid(Controller):
     def gains(
         self, problem: ControlProblem, defaults: Sequence[tuple[float, float]], rows: int
     ) -> tuple[Array, Array, Array]:
-        """kp, ki, kd by task row.
-
-        Raises:
-            InvalidValueError: a list that is neither of length one nor of the tasks' rows.
-        """
+        """kp, ki, kd by task row; InvalidValueError for lists of another length."""
         parts = [part for task in problem.tasks for part in task.parts(problem.chain)]
         turning = np.repeat([part.unit == "rad" for part in parts], [p.rows for p in parts])
         found = []
@@ -260,21 +248,17 @@ class PassiveGraspPid(Controller):
                 found.append(np.array(given) * np.ones(rows))
             else:
                 raise InvalidValueError(
-                    f"{self.name or 'passive_grasp_pid'}.{key}: found {len(given)} gains, needs 1 "
+                    f"{self.name}.{key}: found {len(given)} gains, needs 1 "
                     f"or {rows}, one for each task row"
                 )
         return found[0], found[1], found[2]
 
     def require_damping(self, problem: ControlProblem, loop: TorqueLoop | VelocityLoop) -> None:
-        """Refuse gains that oscillate at the start with commands one tick late.
-
-        Raises:
-            InvalidValueError: with the gains to lower, and by how much.
-        """
+        """Refuse gains that oscillate at the start with commands one tick late."""
         if damped(loop):
             return
         raise InvalidValueError(
-            f"{self.name or 'passive_grasp_pid'}: the gains oscillate at dt "
+            f"{self.name}: the gains oscillate at dt "
             f"{1e3 * problem.dt:g} ms with commands a tick late (damping ratio "
             f"{loop.damping():.2f}, needs {MIN_DAMPING:.2f}); {_fix(loop)}"
         )
@@ -294,8 +278,6 @@ def _fix(loop: TorqueLoop | VelocityLoop) -> str:
     return "needs gains of another size: all much lower, or more kd with the same kp and ki"
 
 
-def _damped_at(
-    loop: TorqueLoop | VelocityLoop, powers: tuple[int, int, int], factor: float
-) -> bool:
+def _damped_at(loop: TorqueLoop | VelocityLoop, powers: Sequence[int], factor: float) -> bool:
     kp, ki, kd = (factor**power for power in powers)
     return damped(replace(loop, kp=kp * loop.kp, ki=ki * loop.ki, kd=kd * loop.kd))

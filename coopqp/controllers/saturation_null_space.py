@@ -52,15 +52,10 @@ class Saturated(NamedTuple):
 def saturate(
     J: Array, wanted: Array, above: Array, v_above: Array, lb: Array, ub: Array
 ) -> Saturated | None:
-    """One level of the algorithm; None where no scale satisfies the bounds.
+    """One level of the algorithm; None where no scale satisfies the bounds lb, ub on v, (n,).
 
-    Args:
-        J: its rows, shape (k, n).
-        wanted: J v for s = 1, shape (k,).
-        above: C, rows that keep what the level above has decided, shape (m, n).
-        v_above: its solution, shape (n,).
-        lb: lower bounds on v, shape (n,).
-        ub: upper bounds on v, shape (n,).
+    J v = wanted are its rows for s = 1, shape (k, n). The rows ``above``, C (m, n), keep what the
+    level above has decided, v_above (n,).
     """
     n = J.shape[1]
     joints: list[int] = []
@@ -108,13 +103,12 @@ class SaturationNullSpaceLaw(Law):
     def __init__(self, problem: ControlProblem) -> None:
         super().__init__(problem)
         chain, start = problem.chain, State(problem.chain)
-        self._rows = StackedRows(problem)
-        self._nothing = np.zeros((0, chain.n))
+        self._rows, self._nothing = StackedRows(problem), np.zeros((0, chain.n))
         kept = [limit for limit in problem.limits if not limit.sacrificed_first]
-        self._tries = [(Bounds(chain, problem.limits, start, problem.dt), Status.OPTIMAL)]
+        tries = {Status.OPTIMAL: problem.limits}
         if len(kept) < len(problem.limits):
-            harder = Bounds(chain, kept, start, problem.dt)
-            self._tries.append((harder, Status.ACCELERATION_GIVEN_UP))
+            tries[Status.ACCELERATION_GIVEN_UP] = kept
+        self._tries = [(Bounds(chain, own, start, problem.dt), s) for s, own in tries.items()]
         if rows := self._tries[0][0].rows:
             raise InvalidValueError(
                 f"saturation_null_space keeps limits of single joints alone, found "

@@ -33,6 +33,7 @@ from pydantic import Field
 
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.qp import QP
+from coopqp.base.rank import least_squares
 from coopqp.base.spec import Array, NonNegative, Positive, spec
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.closed_loop.hands import WrenchStack
@@ -43,7 +44,6 @@ from coopqp.qp_law.bounds import Bounds
 from coopqp.solver import Solution, Status
 from coopqp.torque_law.external_wrench import HandSensors, MomentumObserver
 from coopqp.torque_law.hand_wrenches import HandWrenches, require_forces
-from coopqp.torque_law.impedances import Impedances, require_impedances
 from coopqp.torque_law.margins import (
     ReferenceModel,
     damped,
@@ -52,7 +52,12 @@ from coopqp.torque_law.margins import (
     row_loop,
 )
 from coopqp.torque_law.program import Costs, HeldTorques, Layout, hard_rows, programs
-from coopqp.torque_law.task_dynamics import TaskDynamics, require_motor_freedom
+from coopqp.torque_law.task_dynamics import (
+    Impedances,
+    TaskDynamics,
+    require_impedances,
+    require_motor_freedom,
+)
 
 #: Ticks in which a motion may die out, or a joint brake, at the fastest.
 MIN_TICKS = 4
@@ -61,11 +66,7 @@ MIN_TICKS = 4
 class TorqueQpLaw(Law):
     """The QPs of one problem; memory: those of ReferenceModel, HeldTorques and the observer.
 
-    Attributes:
-        settings: as given.
-        programs: one a level of priority.
-        hands: their wrenches.
-        wrenches: the rows of tasks on these.
+    There is one of ``programs`` a level of priority, and ``wrenches`` has rows of tasks on hands'.
     """
 
     def __init__(self, problem: ControlProblem, settings: TorqueQp) -> None:
@@ -87,7 +88,6 @@ class TorqueQpLaw(Law):
         self._has_hard = bool(hard_rows(level).any() or self.wrenches.hard.any())
         self._wrench: Array | None = None
         self._effort = chain.model.effortLimit[dynamics.actuated]
-        self._gains = level.gains
         self._impedances = Impedances(problem, level)
         self._followed = self._impedances.others
         self._model = ReferenceModel(level.gains[self._followed], problem.dt)
@@ -99,12 +99,10 @@ class TorqueQpLaw(Law):
 
     @property
     def qp(self) -> QP:
-        """The first level's program of the last tick."""
         return self.programs[0].qp
 
     @property
     def solution(self) -> Solution:
-        """Its solution."""
         return self.programs[0].solution
 
     def decide(self, state: State) -> Command:
@@ -112,7 +110,9 @@ class TorqueQpLaw(Law):
         command = self.command
         self.assemble(state)
         x, causes = self._solved(state)
-        self._say(causes)
+        command.say(*causes)
+        if self._estimator and self._estimator.fault:  # the hands' wrenches were not measured
+            command.add(Status.FORCE_NOT_MEASURED, self._estimator.fault)
         assert command.tau is not None
         command.tau[:] = 0.0
         self._held_torques.remember(state, self.qp, x)
@@ -127,14 +127,6 @@ class TorqueQpLaw(Law):
             command.tau[:] = self._level.holding(state, self.settings.damping_time)
         self._remember(state)
         return command
-
-    def _say(self, causes: tuple[Status, ...]) -> None:
-        """What became of the tick, and that the hands' wrenches were not measured."""
-        if self._estimator and self._estimator.fault:
-            self.command.note = self._estimator.fault
-            others = (cause for cause in causes if cause is not Status.OPTIMAL)
-            causes = (*others, Status.FORCE_NOT_MEASURED)
-        self.command.say(*causes)
 
     def assemble(self, state: State) -> None:
         """Evaluate tasks, dynamics, hands and limits at a state, and fill the first level's QP."""
@@ -187,7 +179,7 @@ class TorqueQpLaw(Law):
 
     def _wanted(self, state: State) -> Array:
         """J a that the rows of all tasks ask for."""
-        level, gains, given = self._level, self._gains, self._impedances
+        level, gains, given = self._level, self._level.gains, self._impedances
         held = level.tasks.e.copy()
         held[self._followed] += self._integral_gains * state.memory["integral"]
         wanted = -gains * (2.0 * level.e_dot + gains * held)
@@ -215,15 +207,15 @@ class TorqueQpLaw(Law):
 
     def learned(self, state: State) -> Array:
         """Accelerations of the joints that the integral adds, by wrong masses and pushes, (n,)."""
-        wanted, followed = np.zeros_like(self._gains), self._followed
-        g = self._gains[followed]
+        level, followed = self._level, self._followed
+        wanted, g = np.zeros_like(level.gains), level.gains[followed]
         wanted[followed] = -(g**2) * self._integral_gains * state.memory["integral"]
-        return self._level.moving(wanted)
+        X, J = level.inverse_inertia(), level.tasks.J
+        return np.asarray(X @ J.T @ least_squares(J @ X @ J.T, wanted))
 
     def hold_still(self, state: State) -> None:
         assert self.command.tau is not None
         self._held_torques.remember(state, self.qp, None)
-        self._level.dynamics.update(state.q, state.v)
         self.command.tau[:] = self._level.holding(state, self.settings.damping_time)
         self._remember(state)
 
@@ -306,7 +298,7 @@ class TorqueQp(Controller):
         try:
             return MomentumObserver(dynamics, gain=self.observer_gain, dt=dt)
         except InvalidValueError as error:
-            raise InvalidValueError(f"{self.name or 'torque_qp'}: observer_{error}") from None
+            raise InvalidValueError(f"{self.name}: observer_{error}") from None
 
     def _require_times(self, dt: float, name: str) -> None:
         """What dies out or brakes within a tick or two overshoots, and passes the stop."""

@@ -40,7 +40,6 @@ class TwoStepLaw(Law):
         self._motion[self._actuated] = np.eye(len(actuated))
 
     def decide(self, state: State) -> Command:
-        """Eq. (17), then eq. (8)."""
         self._rows.update(state)
         try:
             J_c, drift = self._rows.loops

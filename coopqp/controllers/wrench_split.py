@@ -80,7 +80,6 @@ class WrenchSplitLaw(Law):
         return np.asarray(closing + N @ free, float)
 
     def _squeeze(self) -> Array:
-        """The fixed squeeze along the line between two hands."""
         h = np.zeros(self._hands.size)
         if self._settings.squeeze:
             e = section(self._hands.points[0], self._hands.points[1]).axes[0]
@@ -97,7 +96,6 @@ class WrenchSplitLaw(Law):
 
     def hold_still(self, state: State) -> None:
         assert self.command.tau is not None
-        self._level.dynamics.update(state.q, state.v)
         self.command.tau[:] = self._level.holding(state, self._settings.damping_time)
 
 

@@ -78,11 +78,7 @@ def _one_line_errors(controller: str) -> Iterator[None]:
 
 
 def controller_of(scenario: Scenario, name: str) -> Controller:
-    """A controller of a scenario, or of its catalogue by type name.
-
-    Raises:
-        UnknownNameError: no such controller.
-    """
+    """A controller of a scenario, or of its catalogue by type name; or UnknownNameError."""
     if name in scenario.controllers:
         return scenario.controllers[name]
     known = scenario.catalog.entries("controllers")

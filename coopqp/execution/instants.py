@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 import pinocchio as pin
 
+from coopqp.assessment.thresholds import within
 from coopqp.base.rank import null_space
 from coopqp.base.spec import Array
 from coopqp.base.wording import suppressed
@@ -21,6 +22,7 @@ from coopqp.kernel.trajectory_evaluation import TrajectoryEvaluation, joint_poin
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.plant import PlantModel
+from coopqp.signal import InputValues
 from coopqp.task import Task, TaskStack
 from coopqp.trace import TaskInfo
 
@@ -142,7 +144,9 @@ class Instants:
             self.points[arm] = found.points[:, at : at + len(points)]
             at += len(points)
 
-    def directional_manipulability(self, start: State, end: State) -> Array:
+    def directional_manipulability(
+        self, t: float, q: Array, v: Array, inputs: InputValues
+    ) -> Array:
         """Directional manipulability of each part's error at the end over that at the start.
 
         With N a basis of the joint motions that keep the loops closed, J the rows of a task and u
@@ -150,11 +154,17 @@ class Instants:
         that has all but vanished, the pose is singular in that direction: the arms are stretched,
         and no limit is to blame.
 
-        ``start`` of the run has the time of its end. The result, shape (K,), is 1 where nothing is
-        missed or nothing could be done at the start.
+        ``t`` and ``v`` are of the end, ``q`` of start and end. The result, shape (K,), is 1 where
+        nothing is missed or nothing could be done at the start.
         """
         ratios = np.ones(len(self.parts))
-        if not (np.isfinite(start.q).all() and np.isfinite(end.q).all()):
+        parts = zip(self.task_error[-1], self.parts, strict=True)
+        if all(within(error, info.tolerance) for error, (info, _) in parts):
+            return ratios
+        start, end = (State(self._problem.chain, each, t) for each in q)
+        start.inputs = end.inputs = inputs
+        end.v[:] = v
+        if not np.isfinite(q).all():
             return ratios
         tasks = None if self.at_end else self._stacks[0][0]
         tasks = tasks or TaskStack(self._problem.tasks, self._begin)
@@ -218,20 +228,10 @@ def _springs(task: Task) -> tuple[tuple[int, int, float], ...]:
 
 def arm_points(chain: ClosedChain, q: Array) -> dict[str, Array]:
     """Joint origins and hand of each arm, base first, shape (T, p, 3) [m], at q (T, n)."""
-    model, data, arms = chain.model, chain.model.createData(), chain.arms[chain.standing :]
-    joints = {
-        arm.name: [model.getJointId(name) for name in chain.robot.arm_joints(arm)] for arm in arms
-    }
-    tips = {arm.name: model.getFrameId(arm.tip) for arm in arms}
-    points = {name: np.zeros((len(q), len(ids) + 1, 3)) for name, ids in joints.items()}
-    # Views into pinocchio's data, which stay valid, instead of asking in each row.
-    places = [
-        (points[name][:, i], X.translation)
-        for name, ids in joints.items()
-        for i, X in enumerate([*(data.oMi[joint] for joint in ids), data.oMf[tips[name]]])
-    ]
+    model, data, own = chain.model, chain.model.createData(), chain.once(joint_points)
+    points = {arm: np.zeros((len(q), len(places), 3)) for arm, places in own.items()}
     for k, row in enumerate(q):
-        pin.framesForwardKinematics(model, data, row)
-        for found, place in places:
-            found[k] = place
+        pin.forwardKinematics(model, data, row)
+        for arm, places in own.items():
+            points[arm][k] = [data.oMi[joint].act(p) for joint, p in places]
     return points

@@ -90,7 +90,7 @@ def run_many(
 
 
 def _run_all(laws: Sequence[Law], starts: Array, ticks: int) -> Motions:
-    """A law a thread."""
+    """By as many threads as there are laws."""
     m, n = starts.shape
     try:
         q, v = np.empty((m, ticks + 1, n)), np.empty((m, ticks, n))
@@ -99,14 +99,19 @@ def _run_all(laws: Sequence[Law], starts: Array, ticks: int) -> Motions:
         words = f"found {m} motions of {ticks} ticks, needs fewer: they do not fit into memory"
         raise InvalidValueError(f"starts: {words}") from None
     size = max(1, min(CHUNK, AT_ONCE // max(ticks, 1)))
-    left, plain = deque(range(0, m, size)), dict[int, TickBatch]()
-    with ThreadPoolExecutor(len(laws)) as pool:
-        work = [pool.submit(_take, law, left, size, starts, (q, v, said), plain) for law in laws]
+    free, plain = deque(laws), dict[int, TickBatch]()
+
+    def run(first: int) -> None:
+        law, part = free.pop(), slice(first, first + size)
         try:
-            for each in work:
-                each.result()
+            done = law.run_starts(starts[part], q[part], v[part], said[part])
+            for i in (first + np.flatnonzero(done < ticks)).tolist():  # in which Python decides
+                plain[i] = law.run(law.start(starts[i]), ticks)
         finally:
-            left.clear()
+            free.append(law)
+
+    with ThreadPoolExecutor(len(laws)) as pool:
+        list(pool.map(run, range(0, m, size)))
     compiled, index = np.ones((m, ticks), bool), np.zeros(256, np.uint8)
     causes: dict[tuple[Status, ...], int] = {(Status.OPTIMAL,): 0}
     by_kernel = np.isin(np.arange(m), list(plain), invert=True)
@@ -126,25 +131,3 @@ def _whole(name: str, value: int | None, omitted: int, least: int) -> int:
         words = f"found {value!r}, needs a whole number, {least} to {MAX_TICKS}"
         raise InvalidValueError(f"{name}: {words}")
     return found
-
-
-def _take(
-    law: Law,
-    left: deque[int],
-    size: int,
-    starts: Array,
-    found: tuple[Array, Array, NDArray[np.uint8]],
-    plain: dict[int, TickBatch],
-) -> None:
-    """Motions by one law, as long as any are left; ``plain`` are those in which Python decides."""
-    q, v, said = found
-    ticks = v.shape[1]
-    while left:
-        try:
-            first = left.popleft()
-        except IndexError:  # another thread was faster
-            return
-        part = slice(first, first + size)
-        done = law.run_starts(starts[part], q[part], v[part], said[part])
-        for i in first + np.flatnonzero(done < ticks):
-            plain[int(i)] = law.run(law.start(starts[i]), ticks)

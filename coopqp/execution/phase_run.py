@@ -22,17 +22,11 @@ from coopqp.scenario.scenario import Phase, Scenario
 
 
 class Measured(NamedTuple):
-    """A robot that replaces the plant.
+    """A robot that replaces the plant."""
 
-    Attributes:
-        q: as measured, shape (n,) [rad, m]; the chain's start when None.
-        observed: whether q stays a measurement, from which commands may differ.
-        X_WO: where the object that stands was seen; where it has been put when None.
-    """
-
-    q: Array | None
-    observed: bool
-    X_WO: pin.SE3 | None = None
+    q: Array | None  # as measured, shape (n,) [rad, m]; the chain's start when None
+    observed: bool  # whether q stays a measurement, from which commands may differ
+    X_WO: pin.SE3 | None = None  # where the standing object was seen; where it was put when None
 
     def start(self, law: Law) -> State:
         """The state of a law's first tick there."""
@@ -46,12 +40,9 @@ class PhaseRun:
 
     Attributes:
         scenario: as the controller holds it, :meth:`Scenario.held_by`.
-        controller: the settings of its law.
         index: of the phase in the schedule.
         first: number of ticks of the phases before it.
-        problem: of this phase. law: built for it.
-        plant: the simulated plant; None where a robot takes its place.
-        inputs: followed by tasks.
+        plant: None where a robot takes its place.
         state: now; whoever runs the phase leaves it at its end.
         ticks: number of ticks done.
     """
@@ -93,11 +84,7 @@ class PhaseRun:
         return self.state.q if measured is None else measured
 
     def feed(self) -> Feed | None:
-        """The scenario's senders to the inputs; None where nothing follows any.
-
-        Raises:
-            CoopqpError: a signal or a file cannot feed its input.
-        """
+        """The scenario's senders to the inputs; None where nothing follows any."""
         return Feed(self.scenario.inputs, self.inputs, self.since) if self.inputs.move else None
 
 
@@ -109,18 +96,11 @@ def begin_phase(
     robot: Measured | None = None,
     timed: bool = True,
 ) -> PhaseRun:
-    """Build what a phase needs.
+    """Build what a phase needs, of a scenario as the controller holds it.
 
-    Args:
-        scenario: as the controller holds it, :meth:`Scenario.held_by`.
-        controller: the settings of its law.
-        before: the phase before, which has been run; None for the first.
-        robot: replaces the plant.
-        timed: whether its ticks are, so that none may wait for what is built late.
-
-    Raises:
-        CoopqpError: the law or the plant cannot be built, or a task wants an input that is not
-            there, or as what it cannot be.
+    ``before`` has been run; ``robot`` replaces the plant. Where ticks are ``timed`` none may wait
+    for what is built late. CoopqpError: the law or the plant cannot be built, or a task wants an
+    input that is not there, or as what it cannot be.
     """
     index = before.index + 1 if before else 0
     phase, chain = scenario.schedule[index], None

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterable, Iterator
 import numpy as np
 
 from coopqp.assessment.limits import audit
-from coopqp.assessment.thresholds import within
 from coopqp.base.spec import Array
 from coopqp.base.wording import raised
 from coopqp.controller import NO_FEATURES, Command, Features, Law
@@ -26,9 +25,7 @@ FARTHEST, FASTEST = 1e8, 1e12
 class GuardedPlant(PlantModel):
     """Wraps a plant; where it raises or leaves all numbers, everything stays where it was.
 
-    Attributes:
-        broken: the failure; empty so far.
-        why: that as a status.
+    ``broken`` is the failure, empty so far; ``why`` that as a status.
     """
 
     def __init__(self, plant: PlantModel) -> None:
@@ -46,7 +43,8 @@ class GuardedPlant(PlantModel):
             self.why = Status.OBJECT_LOST
             return
         true = self.truth(state)
-        before = [_Kept(state)] if true is state else [_Kept(state), _Kept(true)]
+        states = [state] if true is state else [state, true]
+        before = [(each, each.t, each.q.copy(), each.q_measured) for each in states]
         why = ""
         try:
             with np.errstate(all="ignore"):  # what overflows is found below
@@ -62,9 +60,10 @@ class GuardedPlant(PlantModel):
             why = raised(error)
         if why:
             self.broken = f"the plant: {why}"
-            for kept in before:
-                kept.put_back()
-            self._true = before[-1].state
+            for each, t, q, measured in before:
+                each.t, each.q[:], each.v[:], each.q_measured = t, q, 0.0, measured
+                each.update()
+            self._true = states[-1]
             for signal in self.signals.values():
                 signal[:] = 0.0
 
@@ -76,20 +75,6 @@ class GuardedPlant(PlantModel):
 
     def resume(self, before: PlantModel) -> None:
         self._plant.resume(before)
-
-
-class _Kept:
-    """Joints of a state, to be put back at rest."""
-
-    def __init__(self, state: State) -> None:
-        self.state, self._t, self._q = state, state.t, state.q.copy()
-        self._measured = state.q_measured
-
-    def put_back(self) -> None:
-        state = self.state
-        state.t, state.q[:], state.q_measured = self._t, self._q, self._measured
-        state.v[:] = 0.0
-        state.update()
 
 
 def _bounded(state: State) -> bool:
@@ -108,6 +93,12 @@ Progress = Callable[[int], None]
 
 PROGRESS_EVERY = 50  # ticks
 OPTIMAL = (Status.OPTIMAL,)
+#: What of a trace a recorder has under the same name, and what its instants have.
+TICKS = (
+    "t", "q", "v", "commanded", "measured", "gap", "memory", "usable", "inaccurate", "scale",
+    "compiled", "rows_us", "tick_us", "signals", "inputs",
+)  # fmt: skip
+INSTANTS = "position", "rotation", "task_error", "goal_error", "e", "rate", "points"
 
 
 def rollout(
@@ -123,23 +114,12 @@ def rollout(
     feed: Sender | None = None,
     timed: bool = True,
 ) -> Trace:
-    """Run a law on a plant.
+    """Run a law on a plant at its start, for so many ticks; name, solver and supports are noted.
 
     Without timing and on a plant without errors, all ticks are computed at once, with the same bits
-    (:meth:`coopqp.controller.Law.run`).
-
-    Args:
-        law: the controller, built.
-        plant: at the start.
-        ticks: how many.
-        controller: its name, for the trace.
-        solver: its name, for the trace.
-        supports: what of the problem the law reads, for the trace.
-        progress: called every few ticks.
-        state: of the law's own start, from which the run begins; written up to its end. At rest
-            where the plant's sensors say when omitted.
-        feed: sender to the inputs; nothing arrives when omitted.
-        timed: whether ticks are timed.
+    (:meth:`coopqp.controller.Law.run`). ``progress`` is called every few ticks. The run begins in
+    ``state``, which is of the law's own start, and is written up to the end; at rest where the
+    plant's sensors say when omitted. Nothing arrives at inputs without a ``feed``.
     """
     if state is None:
         state = law.start(q_measured=plant.measured, hand_wrench=plant.hand_wrench)
@@ -166,12 +146,8 @@ def drive(
 ) -> Iterator[tuple[Command, float]]:
     """The control loop: take inputs, decide, send the command, step the plant.
 
-    Args:
-        law: the controller, built.
-        plant: where the state is.
-        state: written; after the last step its kinematics are up to date.
-        ticks: how many, or as many as there are items.
-        feed: sender to the inputs; nothing arrives when omitted.
+    The plant is where the state is, which is written; after the last step its kinematics are up to
+    date. There are so many ticks, or as many as there are items.
 
     Yields:
         The command and how long the tick took [us], before the plant carries it out.
@@ -289,17 +265,6 @@ class _Recorder:
             self.usable[k] = False
             self.failures.append(Failure(k, status.value, note))
 
-    def _directional_manipulability(self, errors: Array) -> Array:
-        """Directional manipulability of what is missed, over the start's; shape (K,)."""
-        parts = zip(errors, self.instants.parts, strict=True)
-        if all(within(error, info.tolerance) for error, (info, _) in parts):
-            return np.ones(len(errors))
-        chain = self._law.problem.chain
-        start, end = (State(chain, q, self.t[-1]) for q in self.q[[0, -1]])
-        start.inputs = end.inputs = self._inputs_at_end
-        end.v[:] = self.v[-1] if len(self.v) else 0.0
-        return self.instants.directional_manipulability(start, end)
-
     def trace(self, controller: str, solver: str | None, supports: Features) -> Trace:
         """Everything recorded, frozen."""
         problem, instants = self._law.problem, self.instants
@@ -319,37 +284,19 @@ class _Recorder:
             velocity=chain.velocity,
             effort=chain.model.effortLimit.copy(),
             tasks=tuple(info for info, _ in instants.parts),
-            t=self.t,
-            q=self.q,
-            v=self.v,
-            commanded=self.commanded,
-            measured=self.measured,
-            gap=self.gap,
-            memory=self.memory,
-            position=instants.position,
-            rotation=instants.rotation,
+            manipulability=instants.directional_manipulability(
+                self.t[-1], self.q[[0, -1]], self.v[-1:].sum(axis=0), self._inputs_at_end
+            ),
             loop_position=instants.loop[:, 0],
             loop_orientation=instants.loop[:, 1],
-            task_error=instants.task_error,
-            manipulability=self._directional_manipulability(instants.task_error[-1]),
-            goal_error=instants.goal_error,
             task_rows=rows_of((*problem.tasks, *problem.wrenches), chain),
-            e=instants.e,
-            rate=instants.rate,
-            usable=self.usable,
-            inaccurate=self.inaccurate,
             status=tuple(self.status),
-            scale=self.scale,
             margins=kept.margins,
             starts=kept.starts,
             unaudited=kept.unaudited,
-            compiled=self.compiled,
             rows_in_python=self._law.rows_in_python,
-            rows_us=self.rows_us,
-            tick_us=self.tick_us,
-            points=instants.points,
             supports=supports,
             failures=tuple(self.failures),
-            signals=self.signals,
-            inputs=self.inputs,
+            **{name: getattr(self, name) for name in TICKS},
+            **{name: getattr(instants, name) for name in INSTANTS},
         )

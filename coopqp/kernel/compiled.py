@@ -26,10 +26,10 @@ from coopqp.kernel.flat import (
 from coopqp.limit import Bounded, DistanceBounds, JointBounds, TwistBounds
 from coopqp.model.loop_observer import LoopObserver
 from coopqp.model.state import Memory, State
-from coopqp.program import Programs
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.equations import ALL_OF_IT
 from coopqp.signal import InputValues
+from coopqp.task import Programs
 
 
 class Limits:

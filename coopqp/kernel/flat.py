@@ -16,10 +16,10 @@ from coopqp.limit import DistanceBounds, JointBounds, TwistBounds, movers, openi
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.geometry import Reference
 from coopqp.model.state import State
-from coopqp.program import Programs, sees_twist
+from coopqp.program import sees_twist
 from coopqp.robot import Convex, axis_of
 from coopqp.signal import InputValues, Moment
-from coopqp.task import Task, TaskStack, evaluate_all, levers_of
+from coopqp.task import Programs, Task, TaskStack, evaluate_all, levers_of
 
 Flat = dict[str, Any]
 
@@ -266,7 +266,7 @@ class Levels:
                 if primitive.reference.follows:
                     of_kind = self.arriving if primitive.reference.arrives else self.followed
                     of_kind.append((len(self.primitives), primitive.reference))
-                self.primitives.append({**primitive.flat(), **numbers, "at": float(at)})
+                self.primitives.append({**primitive.flat(self._start), **numbers, "at": float(at)})
                 at += len(primitive.rows)
             levers = levers[: at - len(rows)]
         if not joints:

@@ -9,10 +9,9 @@ from coopqp.controller import Command, ControlProblem, Law
 from coopqp.kernel.compiled import Compiled, Limits, Outcome, plain_numbers
 from coopqp.kernel.flat import Group, why_not
 from coopqp.model.state import Memory, State
-from coopqp.program import Programs
 from coopqp.qp_law.law import memory_sizes
 from coopqp.solver import Status
-from coopqp.task import Task
+from coopqp.task import Programs, Task
 
 OPTIMAL = int(Outcome.OPTIMAL)
 

@@ -13,8 +13,7 @@ from coopqp.kernel import native
 from coopqp.kernel.flat import Flat, Group, Levels, flat_model, turned
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
-from coopqp.program import Programs
-from coopqp.task import Task
+from coopqp.task import Programs, Task
 
 
 @dataclass(frozen=True)

@@ -50,7 +50,6 @@ class JointPosition(Limit):
         return JointBounds(of=Bounded.POSITION, lower=lower, upper=upper, speed=speed)
 
     def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
-        """Distance to both ends after each tick [rad, m]."""
         lower, upper = self._ends(chain)
         return joint_margins("position", chain, q[1:] - lower, upper - q[1:])
 

@@ -73,16 +73,14 @@ class Obstacle(Pose):
     @property
     def shape(self) -> Shape:
         """As robots have it, in the world."""
-        if self.mesh is not None:
-            return self._shape("mesh", *self.scale)
+        kind: Literal["mesh", "box", "sphere", "cylinder"] = "mesh"
+        size: tuple[float, ...] = self.scale
         if self.box is not None:
-            return self._shape("box", *self.box)
-        if self.sphere is not None:
-            return self._shape("sphere", self.sphere)
-        assert self.cylinder is not None
-        return self._shape("cylinder", self.cylinder.radius, self.cylinder.length)
-
-    def _shape(self, kind: Literal["mesh", "box", "sphere", "cylinder"], *size: float) -> Shape:
+            kind, size = "box", self.box
+        elif self.sphere is not None:
+            kind, size = "sphere", (self.sphere,)
+        elif self.cylinder is not None:
+            kind, size = "cylinder", (self.cylinder.radius, self.cylinder.length)
         placement = pose_matrix(self)
         return Shape(frame="universe", placement=placement, kind=kind, size=size, mesh=self.mesh)
 
@@ -109,7 +107,6 @@ class Obstacles(Limit):
             raise ValueError(f"within: found {self.within:g}, needs more than distance")
 
     def rows(self, chain: ClosedChain) -> tuple[Row, ...]:
-        """One row for each body and thing, and some for corners of the closest ones."""
         return self._separation(chain).rows()
 
     def bind(self, chain: ClosedChain, dt: float) -> Tighten:
@@ -120,7 +117,6 @@ class Obstacles(Limit):
         return self._separation(chain).program(dt)
 
     def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
-        """Distance of each body from each thing after each tick, less what is kept free [m]."""
         return self._separation(chain).margins(q)
 
     def clearance(self, chain: ClosedChain) -> Clearance:

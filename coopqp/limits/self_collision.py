@@ -67,7 +67,6 @@ class SelfCollision(Limit):
             raise ValueError(f"within: found {self.within:g}, needs more than distance")
 
     def rows(self, chain: ClosedChain) -> tuple[Row, ...]:
-        """One row a pair, and some for corners of the closest ones."""
         return self._separation(chain).rows()
 
     def bind(self, chain: ClosedChain, dt: float) -> Tighten:
@@ -78,7 +77,6 @@ class SelfCollision(Limit):
         return self._separation(chain).program(dt)
 
     def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
-        """Distance of each pair after each tick, less what is kept free [m]."""
         return self._separation(chain).margins(q)
 
     def clearance(self, chain: ClosedChain) -> Clearance:

@@ -25,7 +25,17 @@ from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array, Direction, Vector3, one_angle, spec, unit
 from coopqp.model.profile import Profile
 from coopqp.model.state import PointOfObject, State
-from coopqp.signal import DIRECTION, POINT, Instant, Moment, Signal, Trajectory, trajectory_of
+from coopqp.signal import (
+    DIRECTION,
+    POINT,
+    Instant,
+    Kind,
+    Moment,
+    Signal,
+    Trajectory,
+    quaternion_of,
+    trajectory_of,
+)
 
 #: Below this two directions count as parallel, or a point as on an axis, and any way is taken.
 TINY = 1e-14  # sine of an angle, or [m]; below it are rounding and no way
@@ -142,6 +152,13 @@ class Reference:
             np.multiply(self._turn, speed, self.omega)
 
 
+def object_at(at: Instant, kind: Kind) -> Array | None:
+    """Where the object is, as a rotation or a pose; None at an instant without a state."""
+    if not isinstance(at, State):
+        return None
+    return np.concatenate([at.p_WO[: kind.numbers], quaternion_of(at.R_WO)])
+
+
 class PlaceOf(Trajectory):
     """The place of a pose, as the origin of a reference; its follower has moved the pose before."""
 
@@ -188,52 +205,30 @@ def polar(y: Array) -> Polar:
     return Polar(math.atan2(sine, y_2), sine, way)
 
 
-class Alignment:
-    """Two rows that bring an axis of the object into the direction of the reference.
+#: Diagonal of the inverse Jacobian next to the opposite direction.
+LOWEST = (math.pi - CONE) / math.tan(math.pi - CONE)
 
-    The reference direction goes from the axis at the start to the reference's third axis on the
-    shortest way; D turns it, D(s) = exp((1 - s) phi). With y = D' R' a, its angle theta from the
-    third axis and its way u from it,
 
-        e = theta u,   E = [ -(1-h) u_0 u_1     h + (1-h) u_0^2   -theta u_1 ]   h = theta cot theta
-                           [ -h - (1-h) u_1^2   (1-h) u_0 u_1      theta u_0 ]
+def inverse_alignment(seen: Polar) -> Array:
+    """E with e_dot = E omega, shape (2, 3), where an axis leans by e = theta u, turning at omega.
 
-        J = E D' R' J_omega,   rate = E (D' R' omega - s_dot phi)
+        E = [ -(1-h) u_0 u_1     h + (1-h) u_0^2   -theta u_1 ]   h = theta cot theta
+            [ -h - (1-h) u_1^2   (1-h) u_0 u_1      theta u_0 ]
 
     All is smooth but at theta = pi, where no way is shortest: one is taken at the start, and if the
     axis gets there later, as with a step, u is the reference's first axis, so the error is pi, not
     zero, and the object leaves. There h, the row sideways, would grow beyond bounds; within
     ``CONE`` of pi it keeps its value at the cone's edge.
-
-    The reference must be up to date at the start, and updated by the task before each tick.
     """
-
-    def __init__(self, axis: Vector3, reference: Reference, profile: Profile, start: State) -> None:
-        self._a_O, self._reference, self._profile = unit(axis), reference, profile
-        seen = polar(reference.RT @ start.R_WO @ self._a_O)
-        self._phi = seen.angle * np.array([-seen.way[1], seen.way[0], 0.0])
-        self._lowest = (math.pi - CONE) / math.tan(math.pi - CONE)
-
-    def fill(self, state: State, e: Array, J: Array, rate: Array) -> None:
-        """Write the rows, shapes (2,) [rad], (2, n) [rad/rad] and (2,) [rad/s]."""
-        reference, (share, speed) = self._reference, self._profile.at(state.t)
-        C = pin.exp3(self._phi * (share - 1.0)).dot(reference.RT)
-        seen = polar(C.dot(state.R_WO.dot(self._a_O)))
-        E = self._rows(seen)
-        e[0], e[1] = seen.angle * seen.way[0], seen.angle * seen.way[1]
-        J[:] = E.dot(C).dot(state.J_task[3:])
-        rate[:] = E.dot(C.dot(reference.omega) - speed * self._phi)
-
-    def _rows(self, seen: Polar) -> Array:
-        theta, (u, w) = seen.angle, seen.way
-        if seen.sine > TINY:
-            h = max(theta * math.cos(theta) / seen.sine, self._lowest)
-        else:
-            h = 1.0 if theta < 1.0 else self._lowest
-        k = 1.0 - h
-        return np.array(
-            [[-k * u * w, h + k * u * u, -theta * w], [-h - k * w * w, k * u * w, theta * u]]
-        )
+    theta, (u, w) = seen.angle, seen.way
+    if seen.sine > TINY:
+        h = max(theta * math.cos(theta) / seen.sine, LOWEST)
+    else:
+        h = 1.0 if theta < 1.0 else LOWEST
+    k = 1.0 - h
+    return np.array(
+        [[-k * u * w, h + k * u * u, -theta * w], [-h - k * w * w, k * u * w, theta * u]]
+    )
 
 
 class RotationError:
@@ -246,14 +241,15 @@ class RotationError:
         e = log Q_e,   J = Jl^-1(e) R' J_omega
         rate = Jl^-1(e) Q_e (s_dot phi + exp((s - 1) phi) omega_g)
 
-    Q_goal is a rotation or a pose that the task updates before this. ``rows`` is Jl^-1(e) R' of the
-    last tick, shape (3, 3): what R brings in by turning itself.
+    Q_goal is a rotation or a pose that is updated before this, None for Q_start. ``rows`` is
+    Jl^-1(e) R' of the last tick, shape (3, 3): what R brings in by turning itself.
     """
 
-    def __init__(self, goal: Trajectory, profile: Profile, start: Array) -> None:
-        self._profile, self._goal, self._omega = profile, goal, goal.rate[goal.kind.numbers :]
-        self._start = start.copy()
-        self._phi = np.array(pin.log3(goal.R @ start.T))
+    def __init__(
+        self, goal: Trajectory | None, profile: Profile, phi: Array, Q_start: Array
+    ) -> None:
+        self._profile, self._phi, self._start = profile, phi, Q_start
+        self._goal = goal if goal and goal.moves else None
         self.rows = np.zeros((3, 3))
 
     def fill(
@@ -266,10 +262,10 @@ class RotationError:
         e, J, rate = out
         share, speed = self._profile.at(t)
         turning = self._phi * speed
-        if self._goal.moves:
+        if goal := self._goal:
             left = pin.exp3(self._phi * (share - 1.0))
-            Q_r = left.dot(self._goal.R)
-            turning += left.dot(self._omega)
+            Q_r = left.dot(goal.R)
+            turning += left.dot(goal.rate[goal.kind.numbers :])
         else:  # the same, and exactly the start at the start
             Q_r = pin.exp3(self._phi * share).dot(self._start)
         Q_e = Q.dot(Q_r.T)
@@ -295,17 +291,3 @@ def _inverse_left_jacobian(w: Array) -> Array:
     S = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     J: Array = _ONE - 0.5 * S + c * S.dot(S)
     return J
-
-
-class Approach:
-    """Lets an error shrink from e_start, shape (k,), to zero: e_r = (1 - s) e_start."""
-
-    def __init__(self, profile: Profile, e_start: ArrayLike) -> None:
-        self._profile, self._e_start = profile, np.array(e_start, float)
-
-    def shift(self, t: float, e: Array, rate: Array) -> None:
-        """Subtract the reference from e and add its rate, in place, shapes (k,)."""
-        share, speed = self._profile.at(t)
-        if share < 1.0:
-            e -= self._e_start * (1.0 - share)
-            rate -= self._e_start * speed

@@ -136,11 +136,10 @@ def attach(
             m]; zero when omitted.
         released: names of the arms that do not hold the object.
 
-    Raises:
-        GraspError: fewer than two arms, grasps that do not close at the start, or no arm that holds
-            and no pose of the object.
-        UnknownNameError: a grasp, weight or passive joint that the robot does not have.
-        InvalidValueError: q_start of a wrong shape; weights that are negative or do not sum to 1.
+    GraspError: fewer than two arms, grasps that do not close at the start, or no arm that holds and
+    no pose of the object. UnknownNameError: a grasp, weight or passive joint that the robot does
+    not have. InvalidValueError: q_start of a wrong shape; weights that are negative or do not sum
+    to 1.
     """
     by_arm = grasp_of_each(robot, grasps)
     if len(robot.arms) < 2:

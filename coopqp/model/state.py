@@ -149,7 +149,6 @@ class State:
         self.__class__ = _Locked
 
     def unlock(self) -> None:
-        """Let it be written to again."""
         object.__setattr__(self, "__class__", State)
         self.__dict__.update(self._own)
 

@@ -18,7 +18,7 @@ import pinocchio as pin
 from ruckig import ControlInterface, InputParameter, OutputParameter, Ruckig, RuckigError
 
 from coopqp.base.spec import Array, Positive, spec
-from coopqp.signal import Instant, Kind, Trajectory, matrix, quaternion_of
+from coopqp.signal import Instant, Kind, Trajectory, matrix, quaternion_of, shortest_way
 
 #: Within these there is always a way; they are those of arms, and wider [SI].
 VELOCITIES, ACCELERATIONS, JERKS = (1e-3, 100.0), (1e-3, 1e4), (1e-3, 1e6)
@@ -140,7 +140,7 @@ class TrajectoryFilter(Trajectory):
             return quaternion
         R = self.R
         if self.kind.axis:
-            return _between(R[:, 2], matrix(quaternion)[:, 2])
+            return shortest_way(R[:, 2], matrix(quaternion)[:, 2])
         return np.array(pin.log3(matrix(quaternion).dot(R.T)))
 
     def _go(self) -> None:
@@ -166,16 +166,3 @@ def _plan(kind: Kind, bounds: Array, *, brakes: bool = False) -> InputParameter:
     plan.target_velocity = plan.target_acceleration = [0.0] * kind.rates
     plan.max_velocity, plan.max_acceleration, plan.max_jerk = bounds
     return plan
-
-
-def _between(a: Array, b: Array) -> Array:
-    """Rotation vector of the shortest way from one unit vector to another, shape (3,)."""
-    across, cosine = np.cross(a, b), float(a @ b)
-    sine = float(np.linalg.norm(across))
-    if sine > 1e-9:
-        return np.asarray(across * (math.atan2(sine, cosine) / sine))
-    if cosine > 0.0:
-        return np.zeros(3)
-    aside = np.eye(3)[int(np.argmin(np.abs(a)))]  # opposite: any way is as short
-    across = np.cross(a, aside)
-    return np.asarray(math.pi * across / np.linalg.norm(across))

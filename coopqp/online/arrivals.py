@@ -27,12 +27,9 @@ MAX_NAMES = 100
 
 
 class Arrivals:
-    """From a mapping of the user's to arrivals.
+    """From a mapping of the user's to arrivals at the inputs of a phase that began ``since`` [s].
 
-    Args:
-        inputs: of the phase.
-        names: of all inputs of the scenario; those that no task of this phase follows are ignored.
-        since: start of the phase in the time of the whole session [s].
+    ``names`` are those of all inputs; those that no task of this phase follows are ignored.
 
     Attributes:
         refused: what was wrong with the mapping of the last tick, a sentence each.
@@ -51,8 +48,6 @@ class Arrivals:
         Time stamps are of a clock that ``now`` is ahead of, since it was set back [s].
         """
         self.refused, self._ahead = [], ahead
-        if given is None:
-            return []
         if not isinstance(given, Mapping):
             self.refused = [f"inputs: found a {type(given).__name__}, needs values by name"]
             return []
@@ -75,10 +70,8 @@ class Arrivals:
             yield name, in_columns(channel.kind, value), self._shared(name, t)
             return
         value, given = value
-        stamp = as_time(given)
-        stamp = None if stamp is None else stamp + self._ahead
-        why = self._wrong_stamp(name, stamp, now)
-        if why or stamp is None:
+        stamp, why = self._stamp(name, given, now, self._ahead)
+        if why:
             self.refused.append(f"{name}: {why}")
             return
         # A late tick must not make a later value the older one.
@@ -88,12 +81,10 @@ class Arrivals:
 
     def check_seen(self, name: str, given: Any, now: float, ahead: float) -> None:
         """Refuse what cannot count that was sent then; InvalidValueError says why."""
-        stamp = as_time(given)
-        stamp = None if stamp is None else stamp + ahead
-        why = self._wrong_stamp(name, stamp, now)
-        if stamp is not None and now - stamp > InputSettings.stale_after:
-            why = why or f"is {now - stamp:.3g} s old"
-        if why or stamp is None:
+        stamp, why = self._stamp(name, given, now, ahead)
+        if not why and now - stamp > InputSettings.stale_after:
+            why = f"is {now - stamp:.3g} s old"
+        if why:
             raise InvalidValueError(f"{name}: {why}")
         self._stamped[name] = stamp
 
@@ -107,15 +98,17 @@ class Arrivals:
         self._sent[name] = (self._since + t) - self._since
         return self._sent[name]
 
-    def _wrong_stamp(self, name: str, stamp: float | None, now: float) -> str:
-        if stamp is None:
-            return "needs a value, or a value and when it was sent [s]"
+    def _stamp(self, name: str, given: Any, now: float, ahead: float) -> tuple[float, str]:
+        """When a value was sent by ``now``, and what is wrong with that."""
+        time, last = as_time(given), self._stamped.get(name, -math.inf)
+        if time is None:
+            return math.nan, "needs a value, or a value and when it was sent [s]"
+        stamp, why = time + ahead, ""
         if stamp > now + AHEAD:
-            return f"is from the future, sent at {stamp:.3f} s and it is {now:.3f} s"
-        last = self._stamped.get(name, -math.inf)
-        if stamp < last:
-            return f"is older than the last, sent at {stamp:.3f} s after {last:.3f} s"
-        return ""
+            why = f"is from the future, sent at {stamp:.3f} s and it is {now:.3f} s"
+        elif stamp < last:
+            why = f"is older than the last, sent at {stamp:.3f} s after {last:.3f} s"
+        return stamp, why
 
     def _refuse_unknown(self, name: str) -> None:
         new = name not in self._unknown and len(self._unknown) < MAX_NAMES
@@ -183,7 +176,7 @@ class Readings:
         self.v: Array | None = np.zeros(n) if rates else None
         self.misread: tuple[int, ...] = ()
         self._ways, self._slope, self._beyond = np.zeros((2, n)), np.zeros(n), np.zeros(n, bool)
-        self._reading, self._step = np.zeros((2, n))
+        self._reading = np.zeros(n)
         self._own = np.setdiff1d(np.arange(n), chain.passive)
         self._max_speed = FASTER * np.nan_to_num(np.abs(chain.velocity), posinf=UNLIMITED)
         self._since = 0.0
@@ -193,15 +186,11 @@ class Readings:
         self._quick: Any = found and found.Reading(self.q, *made).take
 
     def forget(self) -> None:
-        """Accept the next reading wherever it is."""
         self.q[:], self._read_at, self.misread = np.nan, -np.inf, ()
         self._ways[:] = self._slope[:] = 0.0
 
     def take(self, q: Any, commanded: Array, now: float) -> Status | None:
-        """What is wrong with a reading; None if nothing is, and then :attr:`q` is this reading.
-
-        It is of all n joints, or of the robot's own; None where there is none.
-        """
+        """What is wrong with a reading of all n joints or the robot's own; else it is in ``q``."""
         if q is None and now - self._read_at < self._silent_after:
             return self._fault
         if q is None:
@@ -245,12 +234,15 @@ class Readings:
         found = np.flatnonzero(off > NOISE).tolist()
         self.misread = tuple(dict.fromkeys((*self.misread, *found)))
 
-    def _with_rates(self, given: Any) -> tuple[Any, Any]:
-        """Joints and their velocities."""
+    def _numbers(self, given: Any) -> Array | None:
         try:
-            found = real(given)
+            return real(given)
         except Exception as error:  # noqa: BLE001 - anything can come from a driver
             self.note = said(error) or f"found {type(given).__name__}, needs numbers"
+            return None
+
+    def _with_rates(self, given: Any) -> tuple[Any, Any]:
+        if (found := self._numbers(given)) is None:
             return None, None
         if found.shape != (2, len(self.q)):
             words = "joints and their velocities, by which torques are computed"
@@ -266,22 +258,20 @@ class Readings:
             return None
         if not self._read(q, commanded):
             return Status.NOT_MEASURED
-        np.subtract(self._reading, self.q, self._step)
-        np.abs(self._step, self._step)
-        np.subtract(self._step, NOISE + self._max_speed * max(0.0, now - self._since), self._step)
-        if (self._step > 0.0).any():  # False before the first accepted reading: NaN
-            self._say_jump(now)
-            self._since = now  # so that a lasting jump does not become plausible with time
+        elapsed, moved = now - self._since, self._reading - self.q
+        beyond = np.abs(moved) - (NOISE + self._max_speed * max(0.0, elapsed))
+        self._since = now  # of a jump as well, which must not become plausible with time
+        if (beyond > 0.0).any():  # False before the first accepted reading: NaN
+            i = int(np.argmax(np.where(np.isnan(beyond), -np.inf, beyond)))
+            way = f"{moved[i]:+.3g} {self._chain.joint_units[i]}"
+            self.note = f"{self._chain.joint_names[i]} by {way} in {elapsed:.3g} s"
             return Status.MEASURED_JUMPED
-        self.q[:], self._since = self._reading, now
+        self.q[:] = self._reading
         return None
 
     def _read(self, q: Any, commanded: Array) -> bool:
-        reading = self._reading
-        try:
-            given = real(q)
-        except Exception as error:  # noqa: BLE001 - anything can come from a driver
-            self.note = said(error) or f"found {type(q).__name__}, needs numbers"
+        reading, given = self._reading, self._numbers(q)
+        if given is None:
             return False
         if given.shape == reading.shape:
             reading[:] = given
@@ -293,8 +283,3 @@ class Readings:
             return False
         self.note = self._chain.unusable(reading)
         return not self.note
-
-    def _say_jump(self, now: float) -> None:
-        i = int(np.argmax(np.where(np.isnan(self._step), -np.inf, self._step)))
-        way = f"{self._reading[i] - self.q[i]:+.3g} {self._chain.joint_units[i]}"
-        self.note = f"{self._chain.joint_names[i]} by {way} in {now - self._since:.3g} s"

@@ -24,15 +24,20 @@ Reaction = Literal["go_on", "slow_down", "rest"]
 Finding = tuple[str, tuple[str, ...], str]
 """Kind of a fault, where it is, and a note."""
 
+#: What is said of joints that do not follow.
+JOINTS = {
+    "joint_reversed": "{} moves against its commands: has its encoder or motor the wrong sign?",
+    "joint_stands_still": "{} stands still against its commands: is its encoder or motor dead?",
+    "joint_not_following": "{} does not follow its commands: is it blocked, or its motor off or "
+    "too weak?",
+    "joints_swapped": "{} move as the other is commanded to: are they swapped?",
+    "readings_stuck": "no reading of {} changes, though they shall move: is the driver stuck?",
+    "encoder_jumped": "the reading of {} has jumped: has its encoder slipped?",
+    "velocities_wrong": "{} does not move at its measured velocity: is its sign or unit wrong?",
+}
 #: What is done about each kind of fault.
 REACTIONS: Mapping[str, Reaction] = {
-    "joint_reversed": "rest",
-    "joint_stands_still": "rest",
-    "joint_not_following": "rest",
-    "joints_swapped": "rest",
-    "readings_stuck": "rest",
-    "encoder_jumped": "rest",
-    "velocities_wrong": "rest",
+    **dict.fromkeys(JOINTS, "rest"),
     "loop_offset_at_bound": "go_on",
     "force_sensor_dead": "rest",
     "force_sensor_stuck": "rest",
@@ -54,44 +59,38 @@ class Fault(NamedTuple):
 
 
 def checked_reactions(chosen: Any) -> dict[str, Reaction]:
-    """The reactions with those of the user.
-
-    Raises:
-        InvalidValueError: a kind or a reaction is none.
-    """
-    if chosen is not None and not isinstance(chosen, Mapping):
+    """The reactions with the user's; InvalidValueError where a kind or a reaction is none."""
+    chosen = {} if chosen is None else chosen
+    if not isinstance(chosen, Mapping):
         raise InvalidValueError(f"reactions: found {chosen!r}; needs a reaction for each kind")
-    for kind, reaction in (chosen or {}).items():
+    for kind, reaction in chosen.items():
         if kind not in REACTIONS:
             raise InvalidValueError(f"reactions: {unknown_name('fault', str(kind), REACTIONS)}")
         if reaction not in get_args(Reaction):
             known = unknown_name("reaction", str(reaction), get_args(Reaction))
             raise InvalidValueError(f"reactions.{kind}: {known}")
-    return {**REACTIONS, **(chosen or {})}
+    return {**REACTIONS, **chosen}
 
 
 class FaultMonitor:
     """The faults of one phase; joints are judged where commands differ from what is ``observed``.
 
+    Those of the phase ``before`` are kept.
+
     Attributes:
         found: the faults since :meth:`forget`, oldest first.
     """
 
-    def __init__(self, law: Law, *, observed: bool) -> None:
+    def __init__(self, law: Law, before: FaultMonitor | None = None, *, observed: bool) -> None:
         chain, dt = law.problem.chain, law.problem.dt
         self._names, self._law = chain.joint_names, law
         self._joints = JointFollowing(chain, dt, law.observer) if observed else None
         self._forces = ForceMonitor(law)
-        self.found: tuple[Fault, ...] = ()
-        self._misled = False
-
-    def take_over(self, before: FaultMonitor) -> None:
-        """Keep the faults of the phase before."""
-        self.found, self._misled = before.found, before._misled
-        self._law.observer.paused = self._misled
+        self.found: tuple[Fault, ...] = before.found if before else ()
+        self._misled: bool = before._misled if before else False
+        law.observer.paused = self._misled
 
     def forget(self) -> None:
-        """Begin anew, as after a rest."""
         self.found = ()
         self._forces.forget()
         self._misled = self._law.observer.paused = False
@@ -138,17 +137,6 @@ class FaultMonitor:
         return suspect.kind, names, JOINTS[suspect.kind].format(who)
 
 
-#: What is said of joints that do not follow.
-JOINTS = {
-    "joints_swapped": "{} move as the other is commanded to: are they swapped?",
-    "encoder_jumped": "the reading of {} has jumped: has its encoder slipped?",
-    "velocities_wrong": "{} does not move at its measured velocity: is its sign or unit wrong?",
-    "readings_stuck": "no reading of {} changes, though they shall move: is the driver stuck?",
-    "joint_stands_still": "{} stands still against its commands: is its encoder or motor dead?",
-    "joint_reversed": "{} moves against its commands: has its encoder or motor the wrong sign?",
-    "joint_not_following": "{} does not follow its commands: is it blocked, or its motor off or "
-    "too weak?",
-}
 #: Time for which a force must look wrong [s]; that of its low pass [s].
 LASTING, SMOOTH = 0.1, 0.05
 #: Forces below which nothing is said [N], as a share of the weight, and of the hands' forces; least
@@ -164,15 +152,12 @@ UNITS = {"kilograms-force": 9.80665, "pounds-force": 4.44822}
 
 
 class ForceMonitor:
-    """Judges readings of force sensors; the law's internal force control tells hands to close.
-
-    Attributes:
-        weight: of the object as the scenario says [N].
-    """
+    """Judges readings of force sensors; ``weight`` is the object's as the scenario says [N]."""
 
     def __init__(self, law: Law) -> None:
         chain, self._squeezer = law.problem.chain, law.force_control
         self._hands, self._readings = hands(chain), WrenchReadings(chain)
+        self._arms = tuple(hand.arm for hand in self._hands)
         self._dt, self._mass, up = law.problem.dt, chain.held.mass, -chain.model.gravity.linear
         self._g = max(float(np.linalg.norm(up)), 1e-9)  # or in space
         self._up, self.weight = up / self._g, self._mass * self._g
@@ -180,7 +165,6 @@ class ForceMonitor:
         self.forget()
 
     def forget(self) -> None:
-        """Begin anew."""
         N = len(self._hands)
         self._before, self._smooth = np.zeros((N, 6)), np.full((N, 3), np.nan)
         self._zero, self._same, self._changed = np.zeros((3, N))
@@ -220,15 +204,19 @@ class ForceMonitor:
         squeeze = 0.5 * float(self._squeezer.along[:3].dot(self._smooth[0] - self._smooth[1]))
         way = self._closed_in(state) - self._began
         contrary = abs(way) > CLOSED_IN and abs(squeeze) > SMALL and way * squeeze < 0.0
-        self._wrong[2] = self._wrong[2] + self._dt if contrary else 0.0
-        if self._wrong[2] < LASTING:
+        if self._lasts(2, contrary) < LASTING:
             return None
         told, pull = ("close", "pull") if way > 0.0 else ("part", "press")
         words = (
             f"the hands are told to {told}, and {pull} by what their forces say: are the sensors "
             "of the arms swapped, or of the wrong sign?"
         )
-        return "force_sensor_reversed", tuple(hand.arm for hand in self._hands), words
+        return "force_sensor_reversed", self._arms, words
+
+    def _lasts(self, which: int, wrong: bool) -> float:
+        """For how long now a look has found something wrong [s]."""
+        self._wrong[which] = self._wrong[which] + self._dt if wrong else 0.0
+        return float(self._wrong[which])
 
     def _closed_in(self, state: State) -> float:
         """How far the hands are told to be closer than the model says [m]."""
@@ -268,10 +256,10 @@ class ForceMonitor:
         allowed = max(SMALL, OF_WEIGHT * heavy, OF_FORCES * float(np.abs(f).sum()))
         # By a table, or somebody, but not more than the weight.
         borne = -(1.0 + OF_WEIGHT) * heavy < above < 0.0 and sideways < UNEXPLAINED
-        self._wrong[0] = self._wrong[0] + self._dt if size > allowed and not borne else 0.0
+        lasts = self._lasts(0, size > allowed and not borne)
         if size > allowed and borne and (scaled := self._scaled(1.0 + above / heavy, state)):
             return scaled
-        if self._wrong[0] < LASTING:
+        if lasts < LASTING:
             return None
         if sideways < UNEXPLAINED and above > 0.0:
             return self.heavier(heavy + above, "the hands bear {}; write that as object.mass")
@@ -282,7 +270,7 @@ class ForceMonitor:
                 return "force_sensor_reversed", (hand.arm,), words
         if np.linalg.norm(off - 2.0 * f.sum(axis=0)) < UNEXPLAINED * size:
             words = "all forces have the wrong sign: needed are those of the hands on the object"
-            return "force_sensor_reversed", tuple(hand.arm for hand in self._hands), words
+            return "force_sensor_reversed", self._arms, words
         words = f"forces and weight do not add up, by {size:.3g} N: is a sensor wrong, or a push?"
         return "forces_unbalanced", (), words
 
@@ -302,15 +290,14 @@ class ForceMonitor:
             return None
         cause = f"are forces in {unit}?" if unit else "is their scale wrong, or object.mass?"
         words = f"the hands bear {share:.2g} of the object's weight by their sensors: {cause}"
-        return "force_sensor_scaled", tuple(hand.arm for hand in self._hands), words
+        return "force_sensor_scaled", self._arms, words
 
     def _near_slip(self, w: Array, state: State) -> Finding | None:
         """A hand that presses and needs nearly all its friction."""
         for arm, contact, need in friction_needed(self._hands, w, state.R_WO):
             if need > NEAR_SLIP * contact.friction:
-                self._wrong[1] += self._dt
                 words = f"{arm} is about to slip: it needs {need:.2g} of {contact.friction:g}"
-                lasts = self._wrong[1] > LASTING
+                lasts = self._lasts(1, True) > LASTING
                 return ("slip_near", (arm,), f"{words} friction") if lasts else None
-        self._wrong[1] = 0.0
+        self._lasts(1, False)
         return None

@@ -168,7 +168,6 @@ class _Check:
         self.stopped = self.stopped or why
 
     def stand(self) -> None:
-        """Command to stay, whatever the driver does."""
         if self._moves:
             self.robot.write(self._q.copy(), np.zeros_like(self._q))
 

@@ -13,16 +13,14 @@ this, keeps the period, and stops the robot at the end.
 
 from __future__ import annotations
 
-import functools
 import threading
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
-from types import TracebackType
-from typing import Any, NoReturn, TypeVar, cast
+from typing import Any, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -54,7 +52,6 @@ from coopqp.solver import Status
 SLOW, SLOWING = 0.25, 0.5
 
 _STATUSES = tuple(Status)
-_NUMBER = {status: i for i, status in enumerate(_STATUSES)}
 
 
 @dataclass(frozen=True)
@@ -93,14 +90,12 @@ class LoopTicks:
 
     def share(self, status: Status) -> float:
         """Share of the ticks with a status."""
-        bit = 1 << _NUMBER[status]
-        return float(np.mean((self.causes & bit) != 0)) if len(self.causes) else 0.0
+        return float(np.mean((self.causes & _bits((status,))) != 0)) if len(self.causes) else 0.0
 
 
 @cache
 def _bits(causes: tuple[Status, ...]) -> int:
-    """One bit for each of them."""
-    return sum(1 << _NUMBER[cause] for cause in set(causes))
+    return sum(1 << _STATUSES.index(cause) for cause in set(causes))
 
 
 class History:
@@ -132,8 +127,7 @@ class History:
             kept.position[i], kept.rotation[i] = state.p_WO, state.R_WO
             kept.loop_position[i] = state.loop_position_error
             kept.loop_orientation[i] = state.loop_orientation_error
-            np.multiply(v, dt, out=setpoint)
-            np.add(q, setpoint, out=setpoint)
+            setpoint[:] = q + dt * v
         kept.number[i], kept.causes[i] = self.count, _bits(command.causes)
         self.count += 1
         return i
@@ -146,20 +140,6 @@ class History:
         return LoopTicks(
             *(getattr(self._all, name)[rows] for name in LoopTicks.__dataclass_fields__)
         )
-
-
-Method = TypeVar("Method", bound=Callable[..., Any])
-
-
-def in_turn(method: Method) -> Method:
-    """A method of the loop that threads call one after the other."""
-
-    @functools.wraps(method)
-    def taken(loop: OnlineLoop, *args: Any, **keys: Any) -> Any:
-        with loop._turn:
-            return method(loop, *args, **keys)
-
-    return cast(Method, taken)
 
 
 class OnlineLoop:
@@ -221,15 +201,17 @@ class OnlineLoop:
         check_options(locals())
         self._turn = threading.RLock()
         self._reactions = checked_reactions(reactions)
-        self._chosen = controller_of(scenario, controller)
+        chosen = controller_of(scenario, controller)
         own, self.controller = scenario.held_by(controller), controller
-        self.by_torques = torques = self._chosen.commands_torques
+        self.by_torques = torques = chosen.commands_torques
         limits = own.limits if torques else with_acceleration(own.limits, own.chain, speed_up)
         self._given = own.changed(limits=limits, observer=observer or own.observer)
         self._observed = reference == "commanded" and not torques
-        self._as_held = grasp == "as_held"
+        self._new_phases = partial(
+            Phases, self._given, chosen,
+            observed=self._observed, by_time=phases == "by_time", held=grasp == "as_held",
+        )  # fmt: skip
         self._time = LoopTime(clock or (lambda: self.ticks * own.dt), own.dt)
-        self._by_time = phases == "by_time"
         self.patience, self.simulated = patience, clock is None
         chain, dt = self._given.chain, self._given.dt
         self.history = History(chain, max(1, round(keep / dt)), dt)
@@ -242,23 +224,19 @@ class OnlineLoop:
         self._interrupts = Interrupts(self.end)
         self.reset()
 
-    @in_turn
     def reset(self) -> None:
         """Forget all but the history; the next tick begins where the robot is then."""
-        self._keeper.close()
-        self._phases = Phases(
-            self._given, self._chosen, observed=self._observed, by_time=self._by_time
-        )
-        self._readings.forget()
-        self._waiting.forget()
-        self._stops.forget()
-        self._time.forget()
-        self.watch = Watch(self._given.dt)
-        self.ticks, self.begun, self._built = 0, False, False
-        self._moved, self._behind, self._forgives = False, 0.0, False
-        self._pace = self._pace_before = 1.0
-        self.setpoint[:] = self._phases.now.problem.chain.q_start
-        self._say(self._refuse(Status.OPTIMAL, ""))
+        with self._turn:
+            self._keeper.close()
+            self._phases = self._new_phases()
+            for part in (self._readings, self._waiting, self._stops, self._time):
+                part.forget()
+            self.watch = Watch(self._given.dt)
+            self.ticks, self.begun, self._built = 0, False, False
+            self._moved, self._behind, self._forgives = False, 0.0, False
+            self._pace = self._pace_before = 1.0
+            self.setpoint[:] = self._phases.now.problem.chain.q_start
+            self._say(self._refuse(Status.OPTIMAL, ""))
 
     @property
     def scenario(self) -> Scenario:
@@ -268,10 +246,7 @@ class OnlineLoop:
     @property
     def source(self) -> str:
         """The scenario's text with the loop's changes; empty where it was made in Python."""
-        begun = self.scenario
-        if not begun.source:
-            return ""
-        return scenario_text(begun, self._given, self.controller, (), {}, Path())
+        return scenario_text(self, self._given)
 
     @property
     def phases(self) -> tuple[PhaseRun, ...]:
@@ -334,7 +309,7 @@ class OnlineLoop:
     @property
     def running(self) -> bool:
         """False once :meth:`end` was called and the robot is at rest."""
-        return not (self._stops.ends and self.at_rest)
+        return not (self._stops.ended and self.at_rest)
 
     def stop(self, why: object = "") -> None:
         """Come to rest, and stay there; references wait. Thread-safe."""
@@ -357,7 +332,6 @@ class OnlineLoop:
         """
         self._phases.ask()
 
-    @in_turn
     def begin(self, q: ArrayLike, object_pose: Pose | ArrayLike | None = None) -> None:
         """Take hold at measured joints, as in :meth:`tick`; else the first tick does it.
 
@@ -369,14 +343,13 @@ class OnlineLoop:
             CoopqpError: q or the pose is none, the object cannot be held so, nothing is written.
         """
         pose = None if object_pose is None else pose_of(object_pose, self._given.chain)
-        if self.begun:
-            raise InvalidValueError("the loop has begun; reset it first")
-        wrong = self._readings.take(q, self._given.chain.q_start, self.now)
-        if wrong:
-            raise InvalidValueError(f"q: {self._readings.note or wrong.value}")
-        self._begin(pose)
+        with self._turn:
+            if self.begun:
+                raise InvalidValueError("the loop has begun; reset it first")
+            if wrong := self._readings.take(q, self._given.chain.q_start, self.now):
+                raise InvalidValueError(f"q: {self._readings.note or wrong.value}")
+            self._begin(pose)
 
-    @in_turn
     def tick(self, q: Any, inputs: Mapping[str, Any] | None = None) -> Command:
         """One period.
 
@@ -396,26 +369,26 @@ class OnlineLoop:
             ``command.grippers`` says which hands shall be open and which closed.
             Torques are in ``tau``, which is None before the loop has begun.
         """
-        before, now = time.perf_counter_ns(), self._time.tick()
-        if left := self.watch.left(now):
-            self._waiting.keep(q, inputs)
-            return self._hold(left)
-        try:
-            command = self._say(self._tick(*self._waiting.take(q, inputs), now))
-            self._keep(command, now, before)
-        except Exception as error:  # noqa: BLE001 - a robot must not be left alone with its speed
-            command = self._say(self._refuse(Status.RAISED, raised(error)))
-            with suppress(Exception):  # the state's own arrays may be others by now
+        with self._turn:
+            before, now = time.perf_counter_ns(), self._time.tick()
+            if left := self.watch.left(now):
+                self._waiting.keep(q, inputs)
+                return self._hold(left)
+            try:
+                command = self._say(self._tick(*self._waiting.take(q, inputs), now))
                 self._keep(command, now, before)
-        self._last = command
-        self.ticks += 1
-        if self._built:
-            self.watch.forget()
-        self._built = False
-        return command
+            except Exception as error:  # noqa: BLE001 - a robot must not keep its speed alone
+                command = self._say(self._refuse(Status.RAISED, raised(error)))
+                with suppress(Exception):  # the state's own arrays may be others by now
+                    self._keep(command, now, before)
+            self._last = command
+            self.ticks += 1
+            if self._built:
+                self.watch.forget()
+            self._built = False
+            return command
 
     def _keep(self, command: Command, now: float, before: int) -> None:
-        """Record a tick that began at a time of the machine's clock [ns]."""
         state, history = self._phases.now.state, self.history
         measured = self._no_reading if self._wrong else self._readings.q
         i = history.add(now, state, measured, command, self.setpoint)
@@ -435,7 +408,7 @@ class OnlineLoop:
         if self._keeper.session is None:
             raise InvalidValueError("nothing is written: give the loop a folder, out")
         self.flush()
-        return self._keeper.session.replay(self.phases)
+        return self._keeper.session.replay()
 
     def close(self) -> None:
         """Write the record.
@@ -456,23 +429,18 @@ class OnlineLoop:
         self._interrupts.take()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self._interrupts.give_back()
         self.close()
 
     def _begin(self, pose: Pose | None = None) -> None:
-        self._phases.begin(self._readings.q.copy(), pose, held=self._as_held)
+        self._phases.begin(self._readings.q.copy(), pose)
         self._keeper.begin(self._given)
         self.begun = self._built = True
 
     def _tick(self, q: Any, inputs: Any, now: float) -> Command:
         self._advance()
-        self._phases.look(inputs, now, self._time.ahead)
+        others, felt = self._phases.sense(inputs, now, self._time.ahead)
         if self._stops.look():
             self._readings.forget()
         if self._forgives:  # it may have been slowed down, not stopped
@@ -483,22 +451,18 @@ class OnlineLoop:
         if self._time.wrong:
             self._wrong = Status.CLOCK_WRONG
         self._stops.wait(self._wrong, now, self.watch.elapsed)
-        if not self.begun:
-            refused = self._try_to_begin()
-            if refused:
-                return refused
+        if not self.begun and (refused := self._try_to_begin()):
+            return refused
         self._go_by_measurement()
         if is_late:
             self._phases.arrivals.age(self.watch.elapsed - self.problem.dt)
-        command = self._decide(inputs, now)
+        self._keeper.arrived(self._phases.take(others, felt, now, self._time.ahead))
+        command = self._decide()
         command.told, self._phases.missed = (*command.told, *self._phases.missed), ()
         if faults := self.faults:
-            command.say(*(c for c in command.causes if c is not Status.OPTIMAL), Status.FAULT)
-            command.told = (*command.told, *(fault.note for fault in faults))
+            command.add(Status.FAULT, *(fault.note for fault in faults))
         if is_late:
-            late = f"{1e3 * self.watch.elapsed:.3g} ms after the last tick"
-            command.say(*(c for c in command.causes if c is not Status.OPTIMAL), Status.LATE)
-            command.told = (*command.told, late)
+            command.add(Status.LATE, f"{1e3 * self.watch.elapsed:.3g} ms after the last tick")
         return command
 
     def _try_to_begin(self) -> Command | None:
@@ -509,20 +473,23 @@ class OnlineLoop:
                 self._begin(self._phases.seen)
                 return None
             except CoopqpError as error:  # not again by itself, when somebody moves the robot
-                self._stops.halt(str(error))
-                self._readings.forget()
+                self._give_up(error)
         return self._refuse(Status.NOT_BEGUN, self._stops.why)
+
+    def _give_up(self, error: CoopqpError) -> None:
+        self._stops.halt(str(error))
+        self._readings.forget()
 
     def _advance(self) -> None:
         """Integrate the last command; the loop's time stands still while it brakes."""
-        if self.begun:
-            now = self._phases.now
-            state, t, dt = now.state, now.state.t, now.problem.dt
-            if holding := self._phases.holding:
-                holding.foresee(state, moved=self._moved)
-            else:
-                state.advance(self._last.v, dt)
-            state.t = t + self._pace * dt if self._moved else t
+        if not self.begun:
+            return
+        state, t, dt = self.state, self.state.t, self.problem.dt
+        if holding := self._phases.holding:
+            holding.foresee(state, moved=self._moved)
+        else:
+            state.advance(self._last.v, dt)
+        state.t = t + self._pace * dt if self._moved else t
 
     def _go_by_measurement(self) -> None:
         """Use the measurement; begin anew after a stop, or with a new phase."""
@@ -537,25 +504,26 @@ class OnlineLoop:
             self.state.q[:] = measured
             if self.by_torques:
                 self.state.v[:] = self._readings.v
-        if measured is None or stops.why or not self._phases.over:
-            return
-        self._built = self._phases.hand_over(measured.copy())
-        if self._built and not self._phases.fault:
+        if measured is not None and not stops.why and self._phases.can_hand_over:
+            self._hand_over(measured.copy())
+
+    def _hand_over(self, q: Array) -> None:
+        self._built = True
+        try:
+            self._phases.hand_over(q)
             self._keeper.go_on()
-        elif self._phases.fault:
-            self._stops.halt(self._phases.fault)
+        except CoopqpError as error:
+            self._stops.halt(str(error))
 
     def _take_up(self, q: Array) -> None:
         try:
             self._phases.take_up(q)
             self._keeper.go_on()
         except CoopqpError as error:
-            self._stops.halt(str(error))
-            self._readings.forget()
+            self._give_up(error)
 
-    def _decide(self, inputs: Any, now: float) -> Command:
+    def _decide(self) -> Command:
         phases, run = self._phases, self._phases.now
-        self._keeper.arrived(phases.take(inputs, now, self._time.ahead))
         self._look_for_faults()
         halts = [self._wrong] if self._wrong else []
         if self._stops.why or phases.over:
@@ -623,7 +591,6 @@ class OnlineLoop:
         return command
 
     def _hold(self, left: float) -> Command:
-        """Hold the last command: early calls must not move the robot faster."""
         held = self._holding
         held.v[:], held.tau = self._last.v, self._last.tau
         held.say(Status.EARLY)

@@ -17,7 +17,6 @@ torque QP, see :class:`Holding`.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from typing import Any, Literal
 
@@ -89,8 +88,8 @@ class _Kept:
     def __init__(self, force_control: InternalForceControl) -> None:
         self.along = force_control.along
 
-    def update(self, state: State) -> Status | None:
-        return None
+    def update(self, state: State) -> None:
+        return
 
 
 class Braking:
@@ -167,11 +166,9 @@ class Holding:
         self._ticks = 0
 
     def can_stop(self, state: State) -> bool:
-        """The next phase begins at whatever speed."""
-        return True
+        return True  # the next phase begins at whatever speed
 
     def let_go(self) -> None:
-        """The next tick begins to hold anew."""
         self._ticks = 0
 
     def rests(self, state: State) -> bool:
@@ -179,11 +176,9 @@ class Holding:
         return self._ticks > 0 and (slow or self._ticks * self._dt > SURELY)
 
     def foresee(self, state: State, *, moved: bool) -> None:
-        """Go on to the next tick, where nothing may be measured."""
         state.advance(state.v if moved else (1.0 - self._gain * self._dt) * state.v, self._dt)
 
     def tick(self, state: State) -> Command:
-        """The torques of a tick; the state's kinematics are up to date after it."""
         own = state.memory, state.inputs
         if not self._ticks:
             self._memory.numbers[:] = 0.0
@@ -207,39 +202,32 @@ OBJECT_POSE = "object_pose"
 
 
 class Phases:
-    """The phases so far.
-
-    Args:
-        given: the scenario as written.
-        controller: its settings.
-        observed: whether commands may differ from what is measured.
-        by_time: whether a phase ends by itself.
+    """The phases so far of a scenario as ``given``; ``held`` is whether it is ``as_held``.
 
     Attributes:
         scenario: as begun.
         done: the phases so far, the running one last; none before the beginning.
         now: the running phase. arrivals: at its inputs. braking: brings it to rest. holding: the
             same of torques, else None. monitor: of the robot's faults.
-        fault: why the next phase could not begin; empty if it could.
         grippers: what each arm's gripper shall do in this phase, "open" or "close".
         missed: which tasks of the phase before ended out of tolerance, for its first tick to say.
         seen: where the object was last seen in this phase; None where it was not.
     """
 
     def __init__(
-        self, given: Scenario, controller: Controller, *, observed: bool, by_time: bool
+        self, given: Scenario, controller: Controller, *, observed: bool, by_time: bool, held: bool
     ) -> None:
         self.scenario = self._given = given
         self._controller, self._observed, self._by_time = controller, observed, by_time
-        self._asked, self.fault = False, ""
+        self._asked, self._held = False, held
         self.done: tuple[PhaseRun, ...] = ()
         self.seen: Pose | None = None
         self._unseen: tuple[str, ...] = ()
         self._enter(None, None)
 
-    def begin(self, q: Array, pose: Pose | None, *, held: bool) -> None:
+    def begin(self, q: Array, pose: Pose | None) -> None:
         given = self._given
-        if pose and not held:
+        if pose and not self._held:
             raise InvalidValueError(
                 'object_pose: needs grasp="as_held"; "as_written" has the object where the '
                 "scenario says"
@@ -247,7 +235,7 @@ class Phases:
         if pose or not np.array_equal(q, given.chain.q_start):
             if not given.start_outside:
                 check_range(given.chain, q)
-            if held:
+            if self._held:
                 self.scenario = as_held(given, q, pose)
             else:
                 check_hands(given.chain, q, placed=False)
@@ -259,9 +247,9 @@ class Phases:
         robot = Measured(q, self._observed, X_WO)
         self.now = now = begin_phase(self.scenario, self._controller, before, robot=robot)
         self._start = State(now.problem.chain, now.state.q, now.state.t)
-        self.missed: tuple[str, ...]
-        self._start.inputs, self.missed = now.state.inputs, ()
-        self._is_last, self.seen, hold = now.is_last, None, now.problem.chain.hold
+        self._start.inputs, self.seen, self._is_last = now.state.inputs, None, now.is_last
+        self.missed: tuple[str, ...] = ()
+        hold = now.problem.chain.hold
         self.grippers: dict[str, Gripper] = {
             arm.name: "close" if arm.name in hold.holders else "open" for arm in hold.robot.arms
         }
@@ -269,10 +257,8 @@ class Phases:
         self.arrivals = Arrivals(now.inputs, names, now.since)
         self.holding = Holding(now.law) if self._controller.commands_torques else None
         self.braking = self.holding or Braking(now.law)
-        monitor = FaultMonitor(now.law, observed=self._observed)
-        if before is not None:
-            monitor.take_over(self.monitor)
-        self.monitor: FaultMonitor = monitor
+        known = self.monitor if before else None
+        self.monitor: FaultMonitor = FaultMonitor(now.law, known, observed=self._observed)
 
     def ask(self) -> None:
         if self.now.is_last:
@@ -281,7 +267,6 @@ class Phases:
 
     @property
     def over(self) -> bool:
-        """Whether the next phase is due."""
         return not self._is_last and (self._asked or (self._by_time and self.now.over))
 
     @property
@@ -291,21 +276,19 @@ class Phases:
         name = self.scenario.schedule[number].name
         return f"'{name}'" if name else str(number + 1)
 
-    def hand_over(self, q: Array) -> bool:
-        """Begin the next phase at the present speed, if the arms can stop in a tick.
+    @property
+    def can_hand_over(self) -> bool:
+        """Whether the next phase may begin, as the arms can stop in a tick."""
+        return self.over and self.braking.can_stop(self.now.state)
 
-        Returns whether it was tried; :attr:`fault` says why it failed.
-        """
-        if not self.braking.can_stop(self.now.state):
-            return False
+    def hand_over(self, q: Array) -> None:
+        """Begin the next phase at the present speed; CoopqpError where it cannot begin."""
         self._asked, missed = False, self._out_of_tolerance()
         try:
             self._enter(self.now, q)
         except CoopqpError as error:
-            self.fault = f"phase '{self.now.phase.name}' does not end: {error}"
-            return True
+            raise CoopqpError(f"phase '{self.now.phase.name}' does not end: {error}") from error
         self.done, self.missed = (*self.done, self.now), missed
-        return True
 
     def _out_of_tolerance(self) -> tuple[str, ...]:
         """Which tasks end how far from their references; empty where none is, or nobody knows."""
@@ -324,11 +307,7 @@ class Phases:
         return (f"phase {name} ended with tasks missed: {', '.join(found)}",) if found else ()
 
     def take_up(self, q: Array) -> None:
-        """Go on from where the robot is, at rest, at the time when the phase stopped.
-
-        Raises:
-            CoopqpError: as of :func:`coopqp.online.beginning.check_resumed`.
-        """
+        """Go on from where the robot is, at rest; CoopqpError where it cannot be there."""
         now, before = self.now, self.now.state
         check_resumed(now.problem.chain, q, outside=self._given.start_outside)
         now.state = Measured(q, self._observed).start(now.law)
@@ -339,44 +318,36 @@ class Phases:
         self.rest_inputs()
         self.monitor.forget()
 
-    def take(self, inputs: Any, now: float, ahead: float) -> list[Arrival]:
-        """Pass on what has come since the last tick, as :meth:`Arrivals.read` takes it."""
-        state = self.now.state
-        if inputs is None and not self.now.inputs.move:
-            state.hand_wrench, state.inputs.refused = None, ()
-            return []
-        arrivals = self.arrivals.read(self._without_sensed(inputs), state.t, now, ahead)
-        self.now.inputs.step(state, arrivals)
-        state.inputs.refused = (*self._unseen, *self.arrivals.refused, *state.inputs.refused)
-        self._unseen = ()
-        return arrivals
+    def sense(self, inputs: Any, now: float, ahead: float) -> tuple[Any, Any]:
+        """Take where the object was seen, before a phase may begin by it; times as in `take`.
 
-    def _without_sensed(self, inputs: Any) -> Any:
-        """Move the readings of force sensors to the state."""
-        self.now.state.hand_wrench = None
-        with suppress(Exception):  # a mapping of a user's class may fail; who reads it says so
-            inputs = dict(inputs)
-        if type(inputs) is not dict or not inputs.keys() & {HAND_WRENCH, OBJECT_POSE}:
-            return inputs
-        self.now.state.hand_wrench = inputs.pop(HAND_WRENCH, None)  # anything; the law looks at it
-        inputs.pop(OBJECT_POSE, None)
-        return inputs
-
-    def look(self, inputs: Any, now: float, ahead: float) -> None:
-        """Take where the object was seen, before a phase may begin by it; times as in `take`."""
+        Returns the other inputs, and the readings of force sensors, whatever these are.
+        """
         try:
-            seen = inputs[OBJECT_POSE] if inputs and OBJECT_POSE in inputs else None
+            others = {} if inputs is None else dict(inputs)
         except Exception:  # noqa: BLE001 - a mapping of a user's class; who reads it says so
-            return
-        if seen is None:
-            return
+            return inputs, None
+        seen, felt = others.pop(OBJECT_POSE, None), others.pop(HAND_WRENCH, None)
         try:
             if type(seen) is tuple and len(seen) == 2:
                 seen, sent = seen
                 self.arrivals.check_seen(OBJECT_POSE, sent, now, ahead)
-            self.seen = pose_of(seen, self._given.chain)
+            self.seen = self.seen if seen is None else pose_of(seen, self._given.chain)
         except Exception as error:  # noqa: BLE001 - anything can come from a camera
             self._unseen = (said(error) or f"object_pose: found a {type(seen).__name__}",)
+        return others, felt
+
+    def take(self, inputs: Any, felt: Any, now: float, ahead: float) -> list[Arrival]:
+        """Pass on what has come since the last tick, as :meth:`Arrivals.read` takes it."""
+        state = self.now.state
+        state.hand_wrench, state.inputs.refused = felt, ()
+        if type(inputs) is dict and not (inputs or self._unseen or self.now.inputs.move):
+            return []
+        arrivals = self.arrivals.read(inputs, state.t, now, ahead)
+        self.now.inputs.step(state, arrivals)
+        state.inputs.refused = (*self._unseen, *self.arrivals.refused, *state.inputs.refused)
+        self._unseen = ()
+        return arrivals
 
     def rest_inputs(self) -> None:
         """Hold the references that follow inputs where they are."""
@@ -389,16 +360,9 @@ class Phases:
 
 
 def as_held(scenario: Scenario, q: Array, pose: Pose | None = None) -> Scenario:
-    """The scenario with its start where the robot is, and the grasp as it is held there.
+    """The scenario with its start at the robot's q, (n,), and the grasp as it is held there.
 
-    Args:
-        scenario: as written.
-        q: of the robot, shape (n,) [rad, m].
-        pose: of the object, where it has been measured.
-
-    Raises:
-        GraspError: as of :func:`coopqp.online.beginning.check_hands`.
-        InvalidValueError: q is no n finite numbers.
+    ``pose`` is the object's where it has been measured. CoopqpError where it cannot be held so.
     """
     chain = scenario.chain
     q = without_tiny(finite("q", vector("q", q, chain.n)))

@@ -126,7 +126,7 @@ def real_time(
             where it was ``write``.
     """
     _check(loop, robot, inputs, duration, slowest)
-    run = _Run(loop, robot, inputs, np.inf if duration is None else duration, slowest)
+    run = _Run(loop, robot, inputs, duration, slowest)
     with loop:
         try:
             run.begin()
@@ -165,17 +165,13 @@ def _check(loop: Any, robot: Any, inputs: Any, duration: Any, slowest: Any) -> N
 
 
 class UserCode:
-    """Calls a robot's driver and others; after the first error, ``fault``, none of them any more.
-
-    ``end`` brings the robot to rest first, and is told why.
-    """
+    """Calls a robot's driver and others until the first ``fault``, of which ``end`` is told."""
 
     def __init__(self, end: Callable[[str], None]) -> None:
         self._end = end
         self.fault: Exception | None = None
 
     def ask(self, who: Callable[[], Any] | None) -> Any:
-        """The result of a call; None where there is none."""
         if who is None or self.fault:
             return None
         try:
@@ -188,16 +184,11 @@ class UserCode:
 
 class _Run:
     def __init__(
-        self,
-        loop: OnlineLoop,
-        robot: Any,
-        inputs: InputsNow | None,
-        duration: float,
-        slowest: float | None,
+        self, loop: OnlineLoop, robot: Any, inputs: Any, duration: float | None, slowest: Any
     ) -> None:
         self._loop, self._robot, self._inputs = loop, robot, inputs
         self._dt = loop.problem.dt
-        self._duration = duration
+        self._duration = np.inf if duration is None else duration
         self._slowest = LONGEST * self._dt if slowest is None else slowest
         self.user = UserCode(loop.end)
         self._flushed = self._collected = 0.0
@@ -205,15 +196,15 @@ class _Run:
         self._gripped: Mapping[str, str] = {}
 
     def begin(self) -> None:
-        """Wait for the first measurement, and begin there."""
-        if self._loop.begun:
-            return
-        until = self._loop.now + self._loop.patience
-        while (q := self._robot.read()) is None:
-            if self._loop.now > until:
-                raise CoopqpError(f"the robot has said nothing for {self._loop.patience:g} s")
-            time.sleep(self._dt)
-        self._loop.begin(q)
+        loop = self._loop
+        until = loop.now + loop.patience
+        while not loop.begun:
+            if (q := self._robot.read()) is not None:
+                loop.begin(q)
+            elif loop.now > until:
+                raise CoopqpError(f"the robot has said nothing for {loop.patience:g} s")
+            else:
+                time.sleep(self._dt)
 
     def until_the_end(self) -> None:
         loop, due = self._loop, self._loop.now

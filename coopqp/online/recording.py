@@ -19,10 +19,9 @@ from __future__ import annotations
 
 import os
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -31,9 +30,9 @@ from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.spec import Array
 from coopqp.controller import Command, Law
 from coopqp.model.state import State
-from coopqp.recordings.column import Layout, kind_of, names, of_field
-from coopqp.recordings.format import needs
+from coopqp.recordings.column import Layout, names, of_field
 from coopqp.recordings.parquet import SUFFIX, arrow_schema
+from coopqp.recordings.run import needs
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status, written
 
@@ -71,7 +70,6 @@ class LiveRecording:
         start: the state before the first tick. Where it has measured joints, all ticks have.
         controller: the law's name in the scenario.
         source: the scenario's text, for repeating ticks; what it was read from if omitted.
-        also: names of further columns of numbers, such as ``input[hand].x``; NaN is empty.
         memory: largest size of the laws' memory, where later ones have more than the first.
         every: time between pieces [s]; 0 without a thread: the caller calls :meth:`flush`.
 
@@ -81,8 +79,7 @@ class LiveRecording:
 
     Raises:
         CoopqpError: the file exists, or cannot be made.
-        InvalidValueError: another ending than ``.arrows``; a scenario without a text; a further
-            column whose name is taken.
+        InvalidValueError: another ending than ``.arrows``; a scenario without a text.
         MissingDependencyError: pyarrow is not installed.
     """
 
@@ -95,7 +92,6 @@ class LiveRecording:
         *,
         controller: str,
         source: str = "",
-        also: Sequence[str] = (),
         memory: int = 0,
         every: float = EVERY,
     ) -> None:
@@ -111,10 +107,14 @@ class LiveRecording:
         without |= {"tau"} if law.command.tau is None else set()
         fields = {name: of for name, of in MEASURED.items() if name not in without}
         others = ("t", "memory", "followed", "followed_rate", "tick_us")
-        self._names = (*names(layout, {*fields, *others}), *also)
+        self._names = names(layout, {*fields, *others})
         columns = ("controller", "tick", *self._names, "status")
         text = source or scenario.portable
-        _check(self.path, text, columns, also)
+        if self.path.suffix != SUFFIX:
+            raise InvalidValueError(f"'{path}': needs a name that ends with {SUFFIX}")
+        if not text:
+            words = "a recording keeps its scenario's text, but this one was read from no file"
+            raise InvalidValueError(f"{words}; use coopqp.load, or give source")
         with needs("a recording of a live loop"):
             import pyarrow as pa
         self._pa: Any = pa
@@ -131,7 +131,6 @@ class LiveRecording:
         self._fields = [(self._view(name, layout), of) for name, of in fields.items()]
         self._t, self._us = self._view("t", layout), self._view("tick_us", layout)
         self._v, self._memory = self._view("v", layout), self._view("memory", layout)
-        self._also = self._row[len(self._names) - len(also) :]
         self._followed = []
         for name, kind in layout.inputs.items():
             own = Layout(joints=(), inputs={name: kind})
@@ -150,19 +149,12 @@ class LiveRecording:
         first = self._names.index(columns[0]) if columns else 0
         return self._row[first : first + len(columns)]
 
-    def tick(
-        self, state: State, command: Command, us: float, also: Array | Sequence[float] = ()
-    ) -> None:
-        """Record a tick, before the state advances; raises nothing and waits for nothing.
-
-        The law's computing time ``us`` [us], and ``also`` the numbers of the further columns.
-        """
+    def tick(self, state: State, command: Command, us: float) -> None:
+        """Record a tick before the state advances, and its computing time [us]; never waits."""
         tick, i = self._ticks, self._filled % self._capacity
         self._ticks = tick + 1
         if self._filled - self._emptied < self._capacity:
             self._fill(state, command, us)
-            if len(self._also):
-                self._also[:] = also
             self._numbers[:, i] = self._row
             self._numbered[i], self._causes[i] = tick, command.causes
             self._filled += 1
@@ -174,11 +166,7 @@ class LiveRecording:
         """Go on from another state than the last tick's, as after a stop.
 
         A tick is repeated from the velocity of the one before. Where that is not the state's, a
-        number is left out between them.
-
-        Args:
-            state: before its first tick.
-            since: start of its own time, as in a later phase [s].
+        number is left out between them. ``since`` is when its own time began [s].
         """
         self._remember(state)
         self._since = since
@@ -238,12 +226,7 @@ class LiveRecording:
     def __enter__(self) -> LiveRecording:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def _open(self) -> None:
@@ -272,15 +255,3 @@ class LiveRecording:
 
 
 _word = cache(written)
-
-
-def _check(path: Path, text: str, columns: Sequence[str], also: Sequence[str]) -> None:
-    """Refuse what could be written and not read."""
-    if path.suffix != SUFFIX:
-        raise InvalidValueError(f"'{path}': needs a name that ends with {SUFFIX}")
-    if not text:
-        words = "a recording keeps its scenario's text, but this one was read from no file"
-        raise InvalidValueError(f"{words}; use coopqp.load, or give source")
-    for name in also:
-        if list(columns).count(name) > 1 or kind_of(name) != "number":
-            raise InvalidValueError(f"also: '{name}' is the name of another column")

@@ -44,7 +44,7 @@ class _File(Sent):
         self.path, self.written = path, False
 
     def flush(self, now: float) -> None:
-        """Write all rows before a time, after which no other can have their times [s]."""
+        """Write all rows before a time [s]."""
         if not (lines := self.take(now)):
             return
         whole = self.path.stat().st_size if self.written else 0
@@ -59,24 +59,20 @@ class _File(Sent):
 
 
 class Session:
-    """The files of a session.
+    """The files of a loop's session; CoopqpError: there is one already, or it cannot be written."""
 
-    Raises:
-        CoopqpError: there is a session already, or it cannot be written.
-    """
-
-    def __init__(self, folder: Path, scenario: Scenario, given: Scenario, controller: str) -> None:
-        self._folder, self._scenario, self._given = Path(folder), scenario, given
-        self._controller = controller
+    def __init__(self, folder: Path, loop: Any, given: Scenario) -> None:
+        self._folder, self._loop, self._given = folder, loop, given
         self._sent: dict[str, _File] = {}
+        scenario: Scenario = loop.scenario
         try:
-            if (self._folder / "scenario.yaml").exists() or (self._folder / FOLDER).exists():
+            if (folder / "scenario.yaml").exists() or (folder / FOLDER).exists():
                 raise CoopqpError(f"'{folder}' holds a session already; name another folder")
-            (self._folder / FOLDER).mkdir(parents=True)
+            (folder / FOLDER).mkdir(parents=True)
             if scenario.source and scenario.follows:
                 plan = csv_text(scenario.follows.columns, 17)
-                (self._folder / FOLLOWED).write_text(plan, encoding="utf-8")
-            self._write_scenario(())
+                (folder / FOLLOWED).write_text(plan, encoding="utf-8")
+            self._write_scenario()
         except OSError as error:
             raise CoopqpError(f"cannot write to '{folder}': {error.strerror or error}") from error
 
@@ -86,45 +82,38 @@ class Session:
             self._sent[name] = _File(self._folder / FOLDER / file, kind)
         self._sent[name].add(t, sent, value)
 
-    def flush(self, now: float, phases: Sequence[PhaseRun]) -> None:
-        before = {name for name, sent in self._sent.items() if sent.written}
+    def flush(self, now: float) -> None:
+        before = self._feeds()
         for sent in self._sent.values():
             sent.flush(now)
-        if before != {name for name, sent in self._sent.items() if sent.written}:
-            self._write_scenario(phases)
+        if before != self._feeds():
+            self._write_scenario()
 
-    def close(self, phases: Sequence[PhaseRun]) -> None:
-        """Write the rest, and the durations of the phases."""
-        self.flush(float("inf"), phases)
-        self._write_scenario(phases)
+    def close(self) -> None:
+        self.flush(float("inf"))
+        self._write_scenario()
 
-    def replay(self, phases: Sequence[PhaseRun]) -> Scenario:
-        begun, feeds = self._scenario, self._feeds()
+    def replay(self) -> Scenario:
+        begun: Scenario = self._loop.scenario
+        feeds = self._feeds()
         inputs = {
             name: replace(settings, feed=None, feed_file=feeds.get(name))
             for name, settings in begun.inputs.items()
         }
-        found = replace(begun, inputs=inputs)
-        lasted = tuple(replace(run.phase, duration=_duration(run)) for run in phases)
-        if not lasted:
-            return found
-        if found.phases:
-            return replace(found, phases=lasted)
-        return replace(found, duration=lasted[0].duration)
+        lasted = tuple(replace(run.phase, duration=_duration(run)) for run in self._loop.phases)
+        if begun.phases and lasted:
+            return replace(begun, inputs=inputs, phases=lasted)
+        duration = lasted[0].duration if lasted else begun.duration
+        return replace(begun, inputs=inputs, duration=duration)
 
     def _feeds(self) -> dict[str, Path]:
         return {name: sent.path for name, sent in self._sent.items() if sent.written}
 
-    def _write_scenario(self, phases: Sequence[PhaseRun]) -> None:
-        if not self._scenario.source:
-            return  # it was made in Python, and is replayed there
-        text = scenario_text(
-            self._scenario, self._given, self._controller, phases, self._feeds(), self._folder
-        )
-        path = self._folder / "scenario.yaml"
-        fresh = path.with_suffix(".new")
-        fresh.write_text(text, encoding="utf-8")
-        fresh.replace(path)
+    def _write_scenario(self) -> None:
+        if text := scenario_text(self._loop, self._given, self._feeds(), self._folder):
+            fresh = self._folder / "scenario.new"
+            fresh.write_text(text, encoding="utf-8")
+            fresh.replace(fresh.with_suffix(".yaml"))
 
 
 def _duration(run: PhaseRun) -> float:
@@ -132,26 +121,24 @@ def _duration(run: PhaseRun) -> float:
 
 
 def scenario_text(
-    scenario: Scenario,
-    given: Scenario,
-    controller: str,
-    runs: Sequence[PhaseRun],
-    feeds: Mapping[str, Path],
-    folder: Path,
+    loop: Any, given: Scenario, feeds: Mapping[str, Path] | None = None, folder: Path = Path()
 ) -> str:
-    """The scenario of a session as a file's text.
+    """The scenario of a session as a file's text; empty where it was made in Python.
 
     A reference must end before its phase, so a phase that was cut short is written with the time
     that its references take.
     """
+    scenario: Scenario = loop.scenario
+    if not scenario.source:
+        return ""
     data = dict(parsed(Path(given.name), given.source).data)
     for key in ("start_deg", "start_near"):
         data.pop(key, None)
     data["start"] = {name: np.asarray(x, float).tolist() for name, x in scenario.start.items()}
     if not scenario.chain.starts_inside:
         data["start_outside"] = True
-    if controller in data.get("grasp_of", {}):
-        data["grasp"] = data.pop("grasp_of")[controller]
+    if loop.controller in data.get("grasp_of", {}):
+        data["grasp"] = data.pop("grasp_of")[loop.controller]
         data.pop("grasps", None)
     if scenario.held.pose != given.held.pose:
         _place_object(data, scenario)
@@ -163,7 +150,8 @@ def scenario_text(
         data["limits"] = [*written, {"joint_acceleration": keys}]
     if scenario.observer != Observer() or "observer" in data:
         data["observer"] = asdict(scenario.observer)
-    _name_files(data, scenario, feeds, folder)
+    _name_files(data, scenario, feeds or {}, folder)
+    runs = loop.phases if loop.begun and feeds is not None else ()
     _set_durations(data, [run for run in runs if not run.phase.leads])
     return json.dumps(data, indent=2) + "\n"
 
@@ -213,12 +201,10 @@ def _set_durations(data: dict[str, Any], runs: Sequence[PhaseRun]) -> None:
 
 
 class Record(Protocol):
-    """Records ticks; raises nothing and waits for nothing."""
+    """Records ticks, as :class:`coopqp.online.recording.LiveRecording`; raises nothing."""
 
-    def tick(
-        self, state: State, command: Command, us: float, also: Array | Sequence[float] = ()
-    ) -> None:
-        """As :meth:`coopqp.online.recording.LiveRecording.tick`."""
+    def tick(self, state: State, command: Command, us: float) -> None:
+        """Record a tick, before the state advances."""
 
     def begin(self, state: State, since: float = 0.0) -> None:
         """Go on from another state than the last tick's, as after a stop."""
@@ -239,7 +225,7 @@ class Keeper:
 
     def begin(self, given: Scenario) -> None:
         if self._out is not None:
-            self.session = Session(self._out, self._loop.scenario, given, self._loop.controller)
+            self.session = Session(self._out, self._loop, given)
             self._out, self._flushed = None, 0.0
         self._record = self._make(self._loop) if self._make else None
 
@@ -263,20 +249,18 @@ class Keeper:
             self.flush()
 
     def tick(self, state: State, command: Command, us: float) -> None:
-        if self._record is not None:
-            self._safely("_record", "tick", state, command, us)
+        self._safely("_record", "tick", state, command, us)
 
     def flush(self) -> None:
         if self.session is None or not self._loop.phases:
             return
         run = self._loop.phases[-1]
         self._flushed = run.since + run.state.t
-        self._safely("session", "flush", self._flushed, self._loop.phases)
+        self._safely("session", "flush", self._flushed)
 
     def close(self) -> None:
         self._safely("_record", "close")
-        if self.session is not None:
-            self._safely("session", "close", self._loop.phases)
+        self._safely("session", "close")
         self.session = self._record = None
 
     def _safely(self, whose: Literal["session", "_record"], method: str, *given: Any) -> None:

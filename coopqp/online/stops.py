@@ -54,17 +54,14 @@ class LoopTime:
         self.forget()
 
     def forget(self) -> None:
-        """Begin anew with whatever the clock says next."""
         self.now = self._seen = -math.inf
         self.ahead, self._stood, self.wrong, self._fault = 0.0, 0, "", ""
 
     def read(self) -> float:
-        """What the clock says [s], or would if it was right."""
         said = self._ask()
         return self._begun - self.ahead if said is None else said
 
     def tick(self) -> float:
-        """The time at a call of the loop's tick [s]."""
         before, seen, said = self.now, self._seen, self._ask()
         self.wrong = self._fault
         if said is None:
@@ -133,7 +130,6 @@ class Watch:
         return f"Watch(late={self.late}, early={self.early}, {slow})"
 
     def forget(self) -> None:
-        """Let the next tick be a first one, as after a pause."""
         self._last = math.nan
 
     def left(self, now: float) -> float:
@@ -201,18 +197,14 @@ class Stops:
 
     def forget(self) -> None:
         self.why, self.goes_on_again, self.by_itself = "", False, False
-        self._stopped = self._ended = ""
+        self._stopped = self.ended = ""
         self._resumed = False
         self._wrong_since: float | None = None
 
     @property
-    def ends(self) -> bool:
-        return bool(self._ended)
-
-    @property
     def requested(self) -> str:
         """The reason of the last request to stop or end; empty where it shall go on."""
-        return self._ended or self._stopped
+        return self.ended or self._stopped
 
     def stop(self, why: Any) -> None:
         """Stop; the first reason counts."""
@@ -220,16 +212,16 @@ class Stops:
 
     def end(self, why: Any) -> None:
         """Stop for good; the first reason counts."""
-        self._ended = self._ended or reason(why, "it was told to end")
+        self.ended = self.ended or reason(why, "it was told to end")
 
     def resume(self) -> None:
         """Go on, unless it has ended."""
-        if self.requested and not self.ends:
+        if self._stopped and not self.ended:
             self._resumed, self._stopped = True, ""
 
     def look(self) -> bool:
         """A tick begins; whether :meth:`resume` was called since the last."""
-        self.why, resumed = self._ended or self._stopped, self._resumed
+        self.why, resumed = self.requested, self._resumed
         if resumed:
             self._resumed, self._wrong_since = False, None
             self.goes_on_again, self.by_itself = True, False

@@ -27,9 +27,8 @@ from coopqp.limit import DistanceBounds
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.planning.verification import others
-from coopqp.program import Programs
 from coopqp.study.explanation.goal import Room
-from coopqp.task import Task, TaskStack
+from coopqp.task import Programs, Task, TaskStack
 
 LARGE = 1e300  # stands for no limit
 

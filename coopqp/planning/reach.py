@@ -29,11 +29,12 @@ from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.planning.closed_space import ClosedSpace
 from coopqp.planning.turns import CUT_OFF, cut_off
-from coopqp.program import Kind, Programs
+from coopqp.program import Kind
 from coopqp.scenario.scenario import Scenario, needs_scenario
 from coopqp.study.explanation import words
 from coopqp.study.explanation.diagnosis import BlockedByLimits, NotBlocked, diagnose
 from coopqp.study.explanation.goal import Goal, placed
+from coopqp.task import Programs
 
 #: Random starts of one look, and of all looks.
 BATCH, MOST = 64, 4096

@@ -1,4 +1,24 @@
-"""What plants with masses share: servos, delay, sensors, and their signals."""
+"""What plants with masses share: servos, delay, sensors, and their signals.
+
+Joint servos give motor torques within the motors' limits. A velocity command moves the desired
+angle, q_d += v dt, and each joint follows it:
+
+    tau = K (q_d - q) + D (v_d - v) + gravity compensation,   |tau| <= effort
+    K = effort / saturation_angle,   D = 2 damping_ratio sqrt(K min(1/W_jj, A_jj))
+
+with 1/W_jj the inertia at the joint with the loops closed, W = N (N' A N)^-1 N'. (The tree's
+A_jj, with all other joints locked, would overdamp the light motions of the closed chain; 1/W_jj
+is unbounded where the loops fix a joint, and the little that a real grasp yields there would be
+damped with the motor's whole torque.) A torque command goes to the motors as it is.
+
+With a ``frequency`` w, all joints follow alike by the tree's inertia A (computed torque):
+
+    tau = A (w^2 (q_d - q) + 2 damping_ratio w (v_d - v)) + gravity compensation
+
+Each arm carries its own weight and its share alpha of the object's, so that the servos of arms
+that hold one object do not squeeze it. Passive joints carry nothing: their weight torque is taken
+by the smallest wrench between the hands that can.
+"""
 
 from __future__ import annotations
 
@@ -9,15 +29,138 @@ from collections import deque
 import numpy as np
 
 from coopqp.base.errors import InvalidValueError
-from coopqp.base.spec import Array, seeded
+from coopqp.base.rank import least_squares, null_space
+from coopqp.base.spec import Array, Positive, seeded, spec
+from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.closed_loop.hands import Hand, hands, robot_indices
 from coopqp.controller import Command, ControlProblem
 from coopqp.grasp import BEYOND, NO_CONTACT
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.plant import Disturbance, PlantModel
-from coopqp.plants._servo import ServoLaw
 from coopqp.plants._true_chain import slipped, true_chain
+
+
+@spec
+class Servo:
+    """How the joints follow velocity commands; torque commands pass through."""
+
+    saturation_angle: Positive = 0.05
+    """Angle error at which a servo asks its full torque [rad]."""
+    frequency: Positive | None = None
+    """With which all joints follow, whatever they move [rad/s]; the angle does not count then."""
+    damping_ratio: Positive = 1.0
+    """With the inertia a joint sees; 1 is critical."""
+    gravity_compensation: bool = True
+    """Whether the torques that hold the modelled weight are added."""
+
+
+class ServoLaw:
+    """The servos of one chain.
+
+    Attributes:
+        tau, asked: torques as of the last :meth:`torque`, and before they were limited by
+            ``effort``, which is zero for passive joints, shape (n,) [N m].
+        stiffness: K, zero for passive joints, shape (n,) [N m/rad]; not used with a frequency.
+        follows: whether the last command was a velocity, or there was none.
+    """
+
+    def __init__(self, chain: ClosedChain, servo: Servo) -> None:
+        self._model = ClosedLoopDynamics(chain, shares=fair_shares(chain))
+        motors = np.zeros(chain.n, bool)
+        motors[self._model.actuated] = True
+        self.effort = np.where(motors, chain.model.effortLimit, 0.0)
+        self.stiffness = full_effort(chain) / servo.saturation_angle
+        self._ratio, self._frequency = servo.damping_ratio, servo.frequency
+        self._compensate = servo.gravity_compensation
+        self._q_d, self.follows = chain.q_start.copy(), True
+        self._rest, self._damping, self._v_d, self._forward = np.zeros((4, chain.n))
+        self.tau, self.asked = np.zeros((2, chain.n))
+
+    def resume(self, before: ServoLaw) -> None:
+        """Keep the desired angles of the servos of the phase before."""
+        self._q_d[:], self._v_d[:] = before._q_d, before._v_d
+        self._forward[:], self.follows = before._forward, before.follows
+        self._ask(self._forward)
+
+    def hold(self, q: Array) -> None:
+        """Hold these angles, from where velocity commands go on."""
+        self._q_d[:] = q
+
+    def begin(self, command: Command, q: Array) -> None:
+        """Take a command for the next control period."""
+        self.follows = command.tau is None
+        if command.tau is not None:
+            self._forward[:] = command.tau
+            self._ask(self._forward)
+            return
+        self._v_d[:] = command.v
+        self._model.update(q, self._rest)
+        A = self._model.A
+        inertia = np.minimum(inertia_seen(A, self._model.J), np.diag(A))
+        self._damping = 2.0 * self._ratio * np.sqrt(self.stiffness * inertia)
+        if self._compensate:
+            self._forward[:] = self.weight(q)
+
+    def weight(self, q: Array) -> Array:
+        """Motor torques that hold the modelled arms and object at q, shape (n,) [N m]."""
+        model, passive = self._model, self._model.passive
+        Gamma = model.gravity(q)
+        if len(passive):
+            wrench = least_squares(model.J[:, passive].T, Gamma[passive])
+            Gamma = Gamma - model.J.T @ wrench
+            Gamma[passive] = 0.0
+        return Gamma
+
+    def advance(self, h: float) -> None:
+        if self.follows:
+            self._q_d += h * self._v_d
+
+    def torque(self, q: Array, v: Array) -> Array:
+        """Motor torques at a state, within their limits, shape (n,) [N m]."""
+        if not self.follows:
+            return self.tau
+        behind, slower = self._q_d - q, self._v_d - v
+        if (w := self._frequency) is not None:
+            following = self._model.A @ (w**2 * behind + 2.0 * self._ratio * w * slower)
+        else:
+            following = self.stiffness * behind + self._damping * slower
+        self._ask(following + self._forward)
+        return self.tau
+
+    def _ask(self, asked: Array) -> None:
+        """Torques within the motors' limits; those of a command stay for its period."""
+        self.asked[:] = asked
+        np.maximum(asked, -self.effort, out=self.tau)
+        np.minimum(self.tau, self.effort, out=self.tau)
+
+
+#: Taken for the stiffness of a joint whose motor has no limit [N m].
+UNLIMITED_EFFORT = 100.0
+
+
+def fair_shares(chain: ClosedChain) -> dict[str, float]:
+    """Share of the object's weight that each arm carries: its weight alpha in the pose."""
+    return {arm.name: a for arm, a in zip(chain.arms, chain.alpha.tolist(), strict=True)}
+
+
+def full_effort(chain: ClosedChain) -> Array:
+    """The motors' limits as a basis of stiffness, zero at passive joints, shape (n,)."""
+    effort = chain.model.effortLimit.copy()
+    effort[chain.passive] = 0.0
+    # A file that gives no limit means a motor without one.
+    return np.where(np.isfinite(effort), effort, UNLIMITED_EFFORT)
+
+
+def inertia_seen(A: Array, J: Array) -> Array:
+    """Inertia at each joint, shape (n,), of a tree's A with the loops closed by rows J (m, n).
+
+    Zero at a joint that the loops fix: it is infinitely heavy and needs no damping.
+    """
+    N = null_space(J)
+    mobility = np.einsum("ij,ij->i", N @ np.linalg.inv(N.T @ A @ N), N)
+    return np.where(mobility > 1e-9, 1.0 / np.maximum(mobility, 1e-9), 0.0)
+
 
 #: A hand that presses and has not touched the object for so long has lost it [s].
 LOST = 0.02
@@ -27,8 +170,6 @@ ROUNDING = 1e-3
 
 class HandSignals:
     """Signals of the hands, in the robot's order of arms; zero for those that hold nothing.
-
-    ``chain`` is the true one, and ``friction`` that of real contacts over the modelled one.
 
     Attributes:
         hands: those that hold, in the chain's order. at: their indices in the robot's.
@@ -61,7 +202,6 @@ class HandSignals:
 
     @property
     def pressing(self) -> bool:
-        """Whether a hand holds by pressing."""
         return bool(self._pressing)
 
     def write(
@@ -76,22 +216,18 @@ class HandSignals:
             borne: sum of the friction forces' sizes over all points of each contact, shape
                 (holding,) [N]; by the contact's own model of friction if omitted.
         """
-        for name, signal in self.signals.items():
-            if name not in ("held", "slip"):
-                signal[:] = 0.0
-        by_arm = self.signals["hand_wrench"].reshape(-1, 6)
-        by_arm[self.at] = wrenches.reshape(-1, 6)
-        self.signals["hand_point"].reshape(-1, 3)[self.at] = points
+        told = self.signals
+        for name in told.keys() - {"held", "slip"}:
+            told[name][:] = 0.0
+        told["hand_wrench"].reshape(-1, 6)[self.at] = wrenches.reshape(-1, 6)
+        told["hand_point"].reshape(-1, 3)[self.at] = points
         for k, _, contact, i in self._pressing:
             w = in_contacts[k]
-            self.signals["normal_force"][i] = w[2]
-            self.signals["tangential_force"][i] = np.hypot(w[0], w[1])
-            self.signals["edge_use"][i] = contact.edge_use(w)
-            self.signals["friction_use"][i] = np.nan
+            told["normal_force"][i], told["tangential_force"][i] = w[2], np.hypot(w[0], w[1])
+            told["edge_use"][i], told["friction_use"][i] = contact.edge_use(w), np.nan
             if w[2] > NO_CONTACT:
                 needed = contact.friction_needed(w) if borne is None else borne[k] / w[2]
-                use = needed / (self._friction * contact.friction)
-                self.signals["friction_use"][i] = min(use, MAX_USE)
+                told["friction_use"][i] = min(needed / (self._friction * contact.friction), MAX_USE)
 
     def touch(self, dt: float) -> None:
         """Count how long hands have not pressed, by dt [s]; the object is lost after some time."""
@@ -112,7 +248,6 @@ class HandSignals:
                 self.lose(f"{hand.arm} needs more friction than there is")
 
     def lose(self, why: str) -> None:
-        """Declare the object lost from now on."""
         self.lost = self.lost or why
         self.signals["held"][0] = 0.0
 
@@ -124,12 +259,7 @@ MAX_USE = 10.0
 class DynamicModel(PlantModel):
     """A plant with masses, driven by velocities through servos or by torques.
 
-    Args:
-        problem: chain and control period.
-        servo: of the joints.
-        time_step: of the integration [s]; must divide the control period.
-        seed: of the noise.
-        disturbance: unknown to the controller.
+    InvalidValueError: the time step [s] does not divide the control period; a robot without mass.
 
     Attributes:
         true: the state of the true chain, before noise; its time goes on from phase to phase.
@@ -137,9 +267,6 @@ class DynamicModel(PlantModel):
         signals: ``tau`` (n,) [N m] at the end of the period; ``saturated`` (n,), share of the
             period's steps that a motor was at its limit; ``energy`` (2,), kinetic and potential
             [J]; ``push`` (6,), on the object at the end of the period [N, N m].
-
-    Raises:
-        InvalidValueError: the time step does not divide the control period; a robot without mass.
     """
 
     def __init__(
@@ -156,29 +283,28 @@ class DynamicModel(PlantModel):
             raise InvalidValueError(
                 f"robot {problem.chain.robot.name} has no masses; use plant: kinematic"
             )
-        self.disturbance, self._seed = disturbance, seed
+        self.disturbance, self.servo, self._seed = disturbance, servo, seed
         self._dt, self._slipped = problem.dt, 0.0
         firm = true_chain(problem.chain, seed, disturbance)
         self.true, self._truth = State(firm), State(firm)
         self.hand_signals = HandSignals(firm, disturbance.friction)
-        self.servo = servo
         self._steps = _whole_steps(problem.dt, time_step)
         self.h = problem.dt / self._steps
         self._rng = seeded(seed)
         self._late: deque[Command] = deque(Command(n) for _ in range(disturbance.delay))
         self._at_limit = np.zeros(n)
-        self.signals = {
-            "tau": self.servo.tau,
-            "saturated": np.zeros(n),
-            "energy": np.zeros(2),
-            "push": np.zeros(6),
-        }
+        self.signals = {"tau": servo.tau, "saturated": np.zeros(n), "energy": np.zeros(2)}
+        self.signals["push"] = np.zeros(6)
         self.measured = self._noisy(self.true.q, disturbance.noise_position)
         self.servo.hold(self.measured)
 
     def step(self, state: State, command: Command) -> None:
         self._slip()
-        self.servo.begin(self._delayed(command), self.true.q)
+        carried_out = command
+        if self._late:
+            self._late.append(command.copy())
+            carried_out = self._late.popleft()
+        self.servo.begin(carried_out, self.true.q)
         self._at_limit[:] = 0.0
         for _ in range(self._steps):
             self.integrate()
@@ -200,9 +326,8 @@ class DynamicModel(PlantModel):
     def resume(self, before: PlantModel) -> None:
         """Take over time, motion, servos, commands on their way and the stream of noise.
 
-        The arms hold the object where they really are. With velocity commands, the servos hold the
-        last measured angles, from where the controller goes on, and delayed commands are dropped;
-        with torques nothing stops.
+        With velocity commands, the servos hold the last measured angles, from where the controller
+        goes on, and delayed commands are dropped; with torques nothing stops.
         """
         assert isinstance(before, DynamicModel)
         old, released = before.true, self.true.chain.hold.released
@@ -246,12 +371,6 @@ class DynamicModel(PlantModel):
     @abstractmethod
     def energy(self) -> tuple[float, float]:
         """Kinetic and potential energy [J]."""
-
-    def _delayed(self, command: Command) -> Command:
-        if not self._late:
-            return command
-        self._late.append(command.copy())
-        return self._late.popleft()
 
     def _measure(self, state: State, command: Command) -> None:
         true, disturbance = self.true, self.disturbance

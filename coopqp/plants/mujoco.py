@@ -31,8 +31,7 @@ from coopqp.grasp import Contact
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.plant import Disturbance, Plant, PlantModel
-from coopqp.plants._dynamic import DynamicModel
-from coopqp.plants._servo import Servo, ServoLaw
+from coopqp.plants._dynamic import DynamicModel, Servo, ServoLaw
 
 #: A link without mass gets this much, because MuJoCo moves no massless body [kg], [kg m2].
 LEAST_MASS, LEAST_INERTIA = 2e-3, 2e-6
@@ -68,20 +67,16 @@ class SpringHand:
     damping: NonNegative = 50.0
     """[N s/m]"""
 
-    def fault(self, time_step: float) -> str:
-        """What of it an integration with this step [s] cannot follow; empty if nothing."""
-        most = {
-            "stiffness": HAND_MASS / time_step**2,
-            "damping": MOST_DAMPING * HAND_MASS / time_step,
-        }
-        for name, limit in most.items():
+    def require_step(self, time_step: float) -> None:
+        """Refuse what an integration with this step [s] cannot follow."""
+        stiffness, damping = HAND_MASS / time_step**2, MOST_DAMPING * HAND_MASS / time_step
+        for name, limit in (("stiffness", stiffness), ("damping", damping)):
             if getattr(self, name) > limit:
-                return (
-                    f"spring_hands.{name}: found {getattr(self, name):g}, and steps of "
-                    f"{time_step:g} s follow at most {limit:g}; make time_step shorter, or leave "
-                    "spring_hands out for hands that hardly yield"
+                raise InvalidValueError(
+                    f"plant mujoco: spring_hands.{name}: found {getattr(self, name):g}, and steps "
+                    f"of {time_step:g} s follow at most {limit:g}; make time_step shorter, or "
+                    "leave spring_hands out for hands that hardly yield"
                 )
-        return ""
 
 
 def mjcf(chain: ClosedChain, time_step: float, settings: Mujoco, disturbance: Disturbance) -> str:
@@ -111,7 +106,7 @@ def mjcf(chain: ClosedChain, time_step: float, settings: Mujoco, disturbance: Di
         if not grasp:
             body = "world"
         elif spring:
-            body, X = hand_name(arm.name), pin.SE3.Identity()
+            body, X = f"hand[{arm.name}]", pin.SE3.Identity()
         else:
             ends.setdefault(frame.parentJoint, []).append(_end(arm.name, X))
         place = f"{_numbers(X.translation)} {_quaternion(X)}"
@@ -126,8 +121,7 @@ def mjcf(chain: ClosedChain, time_step: float, settings: Mujoco, disturbance: Di
             ends.setdefault(frame.parentJoint, []).append(hand)
     stops = _stops(chain, weld) if settings.end_stops else {}
     arms = "".join(_body(model, joint, children, ends, stops) for joint in children.get(0, []))
-    held = chain.held.body()
-    mass = disturbance.object_mass
+    held, mass = chain.held.body(), disturbance.object_mass
     scaled = pin.Inertia(mass * held.mass, held.lever, mass * held.inertia)
     flags = "" if pairs else ' contact="disable"'
     gravity, half = _numbers(model.gravity.linear), _numbers(0.5 * np.array(chain.held.size))
@@ -155,11 +149,6 @@ def free_joints(chain: ClosedChain) -> frozenset[str]:
     )
 
 
-def hand_name(arm: str) -> str:
-    """Of the body that a spring holds at an arm's end, where the object is."""
-    return f"hand[{arm}]"
-
-
 def _end(arm: str, X: pin.SE3) -> str:
     return f'<site name="end[{arm}]" {_pose(X)}/>'
 
@@ -172,7 +161,7 @@ def _spring_hand(arm: str, X_JO: pin.SE3, spring: SpringHand) -> str:
         for axis in ("1 0 0", "0 1 0", "0 0 1")
     )
     ball = pin.Inertia.FromSphere(HAND_MASS, HAND_RADIUS)
-    body = f'<body name="{hand_name(arm)}" gravcomp="1" {_pose(X_JO)}>{axes}{_inertial(ball)}'
+    body = f'<body name="hand[{arm}]" gravcomp="1" {_pose(X_JO)}>{axes}{_inertial(ball)}'
     return f"{body}{_end(arm, pin.SE3.Identity())}</body>"
 
 
@@ -202,8 +191,7 @@ def _body(
 ) -> str:
     below = children.get(joint, [])
     inside = "".join(_body(model, child, children, ends, stops) for child in below)
-    kind, axis = _axis(model, joint)
-    name = model.names[joint]
+    (kind, axis), name = _axis(model, joint), model.names[joint]
     return (
         f'<body name="{name}" {_pose(model.jointPlacements[joint])}>'
         f'<joint name="{name}" type="{kind}" axis="{_numbers(axis)}"{stops.get(name, "")}/>'
@@ -268,11 +256,9 @@ class MujocoModel(DynamicModel):
         signals: also ``gap`` (1,), the largest distance between the object and where a hand holds
             it [m], ``internal_wrench`` (6 N,), the part of the hands' wrenches that cancels, arm
             by arm [N, N m], world axes, and those of :class:`HandSignals`.
-
-    Raises:
-        MissingDependencyError: mujoco is not installed.
-        InvalidValueError: a hand presses where the object has no face.
     """
+
+    _data: Any
 
     def __init__(
         self, problem: ControlProblem, settings: Mujoco, seed: int, disturbance: Disturbance
@@ -285,8 +271,8 @@ class MujocoModel(DynamicModel):
             raise MissingDependencyError("plant 'mujoco'", "mujoco") from None
         self._mujoco: Any = mujoco
         self._settings = settings
-        if settings.spring_hands and (fault := settings.spring_hands.fault(self.h)):
-            raise InvalidValueError(f"plant mujoco: {fault}")
+        if settings.spring_hands:
+            settings.spring_hands.require_step(self.h)
         self._require_faces()
         self._open()
         self._data.qpos[self._q] = self.true.q[self._moved]
@@ -299,13 +285,14 @@ class MujocoModel(DynamicModel):
         """Refuse contacts that do not touch the box that the object is."""
         half = 0.5 * np.array(self.true.chain.held.size)
         for hand in self.hand_signals.hands:
-            if hand.contact and abs(overhang(hand, half)[0]) > OFF_FACE:
+            if not hand.contact:
+                continue
+            if (off := abs(overhang(hand, half)[0])) > OFF_FACE:
                 raise InvalidValueError(
-                    f"plant mujoco: the contact of {hand.arm} is "
-                    f"{1e3 * abs(overhang(hand, half)[0]):.1f} mm from the object's face; change "
-                    "object.size, or the contact's position"
+                    f"plant mujoco: the contact of {hand.arm} is {1e3 * off:.1f} mm from the "
+                    "object's face; change object.size, or the contact's position"
                 ).at("object")
-            if hand.contact and self._settings.spring_hands:
+            if self._settings.spring_hands:
                 raise InvalidValueError(
                     f"plant mujoco: {hand.arm} presses, and spring_hands are fastened to the "
                     "object; use another grasp, or leave spring_hands out"
@@ -327,20 +314,17 @@ class MujocoModel(DynamicModel):
     def attach(self, before: PlantModel) -> None:
         """Motion goes on; the welds stop hands that move otherwise."""
         assert isinstance(before, MujocoModel)
-        self._go_on(before._data)
+        self._data = before._data
+        self.grip()
 
     def grip(self) -> None:
-        """The welds pull the object to where it is held now."""
-        self._go_on(self._data)
-
-    def _go_on(self, before: Any) -> None:
-        """Rebuild for the true chain, with the same bodies and joints in the same order."""
+        """Rebuild for the true chain, the same bodies and joints in the same order; welds pull."""
+        before = self._data
         self._open()
         self._data.qpos[:], self._data.qvel[:] = before.qpos, before.qvel
         self._mujoco.mj_forward(self._model, self._data)
 
     def _open(self) -> None:
-        """Make MuJoCo's model of the true chain."""
         chain, mujoco = self.true.chain, self._mujoco
         text = mjcf(chain, self.h, self._settings, self.disturbance)
         self._model = mujoco.MjModel.from_xml_string(text)
@@ -355,17 +339,13 @@ class MujocoModel(DynamicModel):
         self._object_v = self._model.joint(OBJECT).dofadr[0] + np.arange(6)
         held = self.hand_signals.hands
         self._ends = [self._model.site(f"end[{hand.arm}]").id for hand in held]
-        self._pads = {
-            self._model.geom(f"pad[{hand.arm}]").id: i
-            for i, hand in enumerate(held)
-            if hand.contact
-        }
+        pressing = [(i, hand.arm) for i, hand in enumerate(held) if hand.contact]
+        self._pads = {self._model.geom(f"pad[{arm}]").id: i for i, arm in pressing}
         self._balls = list(_balls(chain))
         yielding = held if self._settings.spring_hands else ()
-        self._yielding = [self._model.body(hand_name(hand.arm)).id for hand in yielding]
+        self._yielding = [self._model.body(f"hand[{hand.arm}]").id for hand in yielding]
 
     def integrate(self) -> None:
-        """One step of MuJoCo with the servos' torques."""
         true, data = self.true, self._data
         data.qfrc_applied[self._v] = self.servo.torque(true.q, true.v)[self._moved]
         push = self.disturbance.wrench(true.t)
@@ -451,8 +431,7 @@ class MujocoModel(DynamicModel):
     def _wrenches(self) -> tuple[Array, Array]:
         """Each hand's wrench on the object, at its origin in world axes, shape (holding, 6).
 
-        And the sum of the friction forces' sizes over all points of each contact, shape (holding,)
-        [N], which is at most friction times normal force.
+        And the sum of the friction forces' sizes over all points of each contact, shape (holding,).
         """
         data, mujoco = self._data, self._mujoco
         by_arm, generalised = np.zeros((len(self._ends), 6)), np.zeros(self._model.nv)
@@ -495,13 +474,8 @@ def _balls(chain: ClosedChain) -> Iterator[tuple[Any, Array, Array, str]]:
 
 def angles_xyz(R: Array) -> Array:
     """The angles of successive turns about x, y and z, R = Rx Ry Rz, shape (3,) [rad]."""
-    return np.array(
-        [
-            np.arctan2(-R[1, 2], R[2, 2]),
-            np.arcsin(np.clip(R[0, 2], -1.0, 1.0)),
-            np.arctan2(-R[0, 1], R[0, 0]),
-        ]
-    )
+    middle = np.arcsin(np.clip(R[0, 2], -1.0, 1.0))
+    return np.array([np.arctan2(-R[1, 2], R[2, 2]), middle, np.arctan2(-R[0, 1], R[0, 0])])
 
 
 @spec

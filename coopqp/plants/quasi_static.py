@@ -28,8 +28,7 @@ from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.loop_observer import GRIP_SIZE, stiffness_by_joint
 from coopqp.model.state import State
 from coopqp.plant import Disturbance, Plant, PlantModel
-from coopqp.plants._dynamic import DynamicModel
-from coopqp.plants._servo import Servo, ServoLaw
+from coopqp.plants._dynamic import DynamicModel, Servo, ServoLaw
 
 #: Damping of joints without a motor, such as hinges [N m s/rad].
 PASSIVE_DAMPING = 1e-3
@@ -53,7 +52,6 @@ class SpringServo(ServoLaw):
         self._v_d[:] = command.v
 
     def setpoint(self, h: float) -> Array:
-        """The desired angles after a time h [s], shape (n,)."""
         return np.asarray(self._q_d + h * self._v_d, float)
 
 
@@ -73,8 +71,7 @@ class QuasiStaticModel(DynamicModel):
         servo = SpringServo(problem.chain, settings)
         super().__init__(problem, servo, problem.dt, seed, disturbance)
         self._settings = settings
-        robot = problem.chain.robot
-        self._order = [arm.name for arm in robot.arms]
+        self._order = [arm.name for arm in problem.chain.robot.arms]
         self._crept = np.zeros((len(self._order), 6))
         self._integral = np.zeros(problem.chain.n)
         self._X_WO = self.true.chain.object_pose(self.true.q)
@@ -112,7 +109,6 @@ class QuasiStaticModel(DynamicModel):
         self._moves[chain.passive] = False
 
     def integrate(self) -> None:
-        """One implicit step of the joints, the object and the grips."""
         true, servo, h, settings = self.true, self.servo, self.h, self._settings
         assert isinstance(servo, SpringServo)
         d, J = self._placed()
@@ -167,10 +163,8 @@ class QuasiStaticModel(DynamicModel):
         most, firm = self._settings.slip_force, 1.0 / self._settings.grip
         if most is None:
             return slips
-        found, sizes = (
-            np.zeros((len(self._hands), 6)),
-            np.linalg.norm(wrench.reshape(-1, 6)[:, :3], axis=1),
-        )
+        found = np.zeros((len(self._hands), 6))
+        sizes = np.linalg.norm(wrench.reshape(-1, 6)[:, :3], axis=1)
         found[:, :3] = np.maximum((slips[::6] + firm) * sizes / most - firm, 0.0)[:, None]
         return found.ravel()
 
@@ -221,10 +215,8 @@ class QuasiStaticModel(DynamicModel):
 
     def _load(self) -> Array:
         """What weight and pushes do to the object at its origin, shape (6,)."""
-        load, push = (
-            self._weight(self.disturbance.object_mass),
-            self.disturbance.wrench(self.true.t),
-        )
+        load = self._weight(self.disturbance.object_mass)
+        push = self.disturbance.wrench(self.true.t)
         return load if push is None else load + push
 
     def _feed_forward(self, J: Array) -> Array:

@@ -15,9 +15,9 @@ from coopqp.closed_loop.hands import in_axes, into_contacts, points
 from coopqp.controller import ControlProblem
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.plant import Disturbance, Plant, PlantModel
-from coopqp.plants._dynamic import DynamicModel
-from coopqp.plants._servo import (
+from coopqp.plants._dynamic import (
     UNLIMITED_EFFORT,
+    DynamicModel,
     Servo,
     ServoLaw,
     fair_shares,
@@ -175,26 +175,21 @@ class EndStops:
         self._firm = np.where(effort > 0.0, effort, least) / STOP_ANGLE
         self._k, self._d = self._firm, np.zeros(chain.n)
         self._most = (STABLE / h) ** 2
-        self._A, self._J = np.zeros((0, 0)), np.zeros((0, 0))
-        self._follows, self._nothing = True, np.zeros(chain.n)
+        self._seen: tuple[Array, Array] | None = None
+        self._nothing = np.zeros(chain.n)
 
     def update(self, dynamics: ClosedLoopDynamics) -> None:
-        """Update the inertia at the joints, after ``dynamics.update``."""
         # Kept until a joint is at its stop, which few are: the inertia takes a decomposition.
-        self._A, self._J, self._follows = dynamics.A.copy(), dynamics.J.copy(), False
-
-    def _follow(self) -> None:
-        W = inertia_seen(self._A, self._J)
-        self._k = np.minimum(self._firm, W * self._most)
-        self._d = 2.0 * np.sqrt(self._k * W)
-        self._follows = True
+        self._seen = dynamics.A.copy(), dynamics.J.copy()
 
     def torque(self, q: Array, v: Array) -> Array:
         """Torques of the stops on the joints, shape (n,) [N m]; not to be written to."""
         if not (np.count_nonzero(q > self._upper) or np.count_nonzero(q < self._lower)):
             return self._nothing
-        if not self._follows:
-            self._follow()
+        if self._seen:
+            W = inertia_seen(*self._seen)
+            self._k = np.minimum(self._firm, W * self._most)
+            self._d, self._seen = 2.0 * np.sqrt(self._k * W), None
         above, below = q - self._upper, self._lower - q
         push = np.where(below > 0.0, np.maximum(self._k * below - self._d * v, 0.0), 0.0)
         push -= np.where(above > 0.0, np.maximum(self._k * above + self._d * v, 0.0), 0.0)

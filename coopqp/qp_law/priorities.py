@@ -29,11 +29,10 @@ from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.limit import states_along
 from coopqp.model.state import State
-from coopqp.program import Programs
 from coopqp.qp_law.equations import MOST_DAMPING, held_pull
 from coopqp.qp_law.level import Given, Step
 from coopqp.solver import Status
-from coopqp.task import Task, TaskStack
+from coopqp.task import Programs, Task, TaskStack
 
 SAMPLES = 6  # configurations at which ranks are taken, beside the start
 #: Singular values of task rows up to the first ask for nothing, from there to the second in part

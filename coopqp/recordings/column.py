@@ -32,21 +32,15 @@ _WRENCH = {"fx": "N", "fy": "N", "fz": "N", "tx": "N m", "ty": "N m", "tz": "N m
 
 @dataclass(frozen=True, kw_only=True)
 class Layout:
-    """What there is one column of each.
-
-    Attributes:
-        joints, tasks, rows, arms: names; of tasks also their parts, of rows those of all tasks.
-        loops: how many. memory: how many numbers the law remembers.
-        inputs: by name. limits: name and unit.
-    """
+    """What there is one column of each."""
 
     joints: tuple[str, ...]
     loops: int = 0
-    memory: int = 0
+    memory: int = 0  # numbers that the law remembers
     inputs: Mapping[str, Kind] = field(default_factory=dict)
-    tasks: tuple[str, ...] = ()
-    rows: tuple[str, ...] = ()
-    limits: tuple[tuple[str, str], ...] = ()
+    tasks: tuple[str, ...] = ()  # and their parts
+    rows: tuple[str, ...] = ()  # of all tasks
+    limits: tuple[tuple[str, str], ...] = ()  # name and unit
     arms: tuple[str, ...] = ()
 
 
@@ -70,21 +64,15 @@ def layout_of(traces: Collection[Trace]) -> Layout:
 
 @dataclass(frozen=True)
 class Shape:
-    """What a field has one column of each.
+    """What a field has one column of each."""
 
-    Attributes:
-        words: how the docs write its columns, after the field's name.
-        units: of what it depends on, as the docs write them.
-        columns: what follows the field's name, in a list for each key.
-        unit: of a column's key and part, where it depends on them.
-        named: whether its columns begin with the field's name.
-    """
-
-    words: str
+    words: str  # how the docs write its columns, after the field's name
+    # what follows the field's name, in a list for each key
     columns: Callable[[Layout], list[list[str]]]
-    units: tuple[str, ...] = ()
+    units: tuple[str, ...] = ()  # of what it depends on, as the docs write them
+    # of a column's key and part, where it depends on them
     unit: Callable[[Units, str, str], str] = lambda units, key, part: ""
-    named: bool = True
+    named: bool = True  # whether its columns begin with the field's name
 
 
 def _each(keys: Iterable[object]) -> list[list[str]]:
@@ -204,26 +192,19 @@ def _phase(trace: Trace) -> Any:
 
 @dataclass(frozen=True)
 class Field:
-    """A line of the table.
-
-    Attributes:
-        name: of the field. shape: what it has one column of each.
-        unit: of its columns; {} is the shape's.
-        meaning: for the docs.
-        per: what it has a row of; there is an instant more than ticks.
-        of: its values in a trace, shape (rows, columns), or None where it has none; the attribute
-            or the plant's signal of its name if omitted.
-        beside: whether its columns stand beside those of the line before, key by key.
-    """
+    """A line of the table."""
 
     name: str
-    shape: Shape
-    unit: str
+    shape: Shape  # what it has one column of each
+    unit: str  # of its columns; {} is the shape's
     meaning: str
+    # what it has a row of; there is an instant more than ticks
     per: Literal["tick", "instant"] = "tick"
+    # its values in a trace, shape (rows, columns), or None where it has none; the attribute or the
+    # plant's signal of its name if omitted
     of: Callable[[Trace], Any] | None = None
     kind: Literal["number", "text", "whole"] = "number"
-    beside: bool = False
+    beside: bool = False  # whether its columns stand beside those of the line before, key by key
 
     def groups(self, layout: Layout) -> list[list[str]]:
         """Names of its columns, in a list for each key."""
@@ -231,7 +212,6 @@ class Field:
         return [[f"{name}{rest}" for rest in rests] for rests in self.shape.columns(layout)]
 
     def columns(self, layout: Layout) -> list[str]:
-        """Names of its columns."""
         return [column for group in self.groups(layout) for column in group]
 
     def values(self, trace: Trace) -> Any:

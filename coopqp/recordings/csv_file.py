@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from coopqp.base.errors import CoopqpError
 from coopqp.base.reading import open_bytes
 from coopqp.recordings import column
-from coopqp.recordings.format import Format
-from coopqp.recordings.run import Run, run_of, typed
+from coopqp.recordings.run import Format, Run, run_of, typed
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario
@@ -28,11 +27,7 @@ BLOCK = 4096  # rows that are texts at a time
 
 
 def text(traces: Sequence[Trace]) -> str:
-    """``trace.csv``: a row for each controller and instant, with numbers that read back exactly.
-
-    The last row of a controller is the end of its run, after which there is no command. Columns
-    are empty where a controller has nothing to say.
-    """
+    """``trace.csv``: a row for each controller and instant, with numbers that read back exactly."""
     parts = [column.columns_of(trace) for trace in traces]
     header = [x for x in column.names(column.layout_of(traces)) if any(x in own for own in parts)]
     stream = io.StringIO()

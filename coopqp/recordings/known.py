@@ -6,12 +6,11 @@ from pathlib import Path
 
 from coopqp.base.errors import CoopqpError, UnknownNameError, UnreadableFileError
 from coopqp.recordings.csv_file import CsvFile
-from coopqp.recordings.format import ExportFormat, Format
 from coopqp.recordings.lerobot import Lerobot
 from coopqp.recordings.mcap import Mcap
 from coopqp.recordings.parquet import ArrowStream, Parquet
 from coopqp.recordings.rosbag2 import Rosbag2
-from coopqp.recordings.run import Run, check
+from coopqp.recordings.run import ExportFormat, Format, Run, check
 from coopqp.scenario.scenario import Scenario
 
 EXPORTS: tuple[ExportFormat, ...] = (Mcap(), Rosbag2(), Parquet(), Lerobot())
@@ -41,11 +40,7 @@ def is_run(path: Path) -> bool:
 
 
 def read(path: Path | Run) -> Run:
-    """A recorded run; one that was read already as it is.
-
-    Raises:
-        CoopqpError: no such file, a damaged one, or one without rows.
-    """
+    """A recorded run; one that was read already as it is; CoopqpError: none, or damaged."""
     if isinstance(path, Run):
         return path
     run = format_of(path).read(path)
@@ -54,11 +49,7 @@ def read(path: Path | Run) -> Run:
 
 
 def export(run: Run, scenario: Scenario, to: str, controller: str, out: Path) -> None:
-    """Write one controller's run in another format.
-
-    Raises:
-        CoopqpError: no such format or controller; the run is damaged; the file cannot be written.
-    """
+    """Write one controller's run in another format; CoopqpError: none such, damaged, unwritable."""
     chosen = {known.name: known for known in EXPORTS}.get(to)
     if chosen is None:
         raise UnknownNameError("format", to, NAMES)

@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 
 from coopqp.base.errors import CoopqpError
 from coopqp.base.spec import Array
-from coopqp.recordings.format import ExportFormat, needs
 from coopqp.recordings.parquet import Parquet, parquet_file, scenario_in
-from coopqp.recordings.run import Run
+from coopqp.recordings.run import ExportFormat, Run, needs
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.scenario import Scenario
 

@@ -17,10 +17,9 @@ from typing import Any, ClassVar
 from coopqp import __version__
 from coopqp.base.errors import CoopqpError
 from coopqp.base.reading import open_bytes
-from coopqp.recordings.format import ExportFormat, needs, readable
 from coopqp.recordings.messages import POSE, TF, TICK, WORLD, Instant, Joints, Placed, Remark, flat
 from coopqp.recordings.messages import instants as instants_of
-from coopqp.recordings.run import Run, read_rows
+from coopqp.recordings.run import ExportFormat, Run, needs, read_rows, readable
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.loader import load_text
 from coopqp.scenario.scenario import Scenario
@@ -83,7 +82,6 @@ class _Messages:
         self._said: dict[str, tuple[int, str]] = {}
 
     def log(self, instant: Instant) -> None:
-        """Write all messages of a row."""
         of, ns = self._of, instant.ns
         stamp = of.Timestamp(ns // NS, ns % NS)
         for topic, joints in instant.joints.items():
@@ -103,16 +101,18 @@ class _Messages:
     def _write(self, topic: str, ns: int, message: Any) -> None:
         if topic not in self._channels:
             schema = type(message).get_schema()
-            known = self._writer.register_schema(schema.name, schema.encoding, schema.data)
-            self._channels[topic] = self._writer.register_channel(topic, "protobuf", known)
+            self._open(topic, "protobuf", schema.name, schema.encoding, schema.data)
         self._writer.add_message(self._channels[topic], ns, message.encode(), ns)
 
     def _write_row(self, ns: int, row: Mapping[str, Any]) -> None:
         if TICK not in self._channels:
             schema = json.dumps({"title": "coopqp.Tick", **_schema(row)}).encode("utf-8")
-            known = self._writer.register_schema("coopqp.Tick", "jsonschema", schema)
-            self._channels[TICK] = self._writer.register_channel(TICK, "json", known)
+            self._open(TICK, "json", "coopqp.Tick", "jsonschema", schema)
         self._writer.add_message(self._channels[TICK], ns, json.dumps(row).encode("utf-8"), ns)
+
+    def _open(self, topic: str, encoding: str, *schema: Any) -> None:
+        known = self._writer.register_schema(*schema)
+        self._channels[topic] = self._writer.register_channel(topic, encoding, known)
 
     def _log(self, stamp: Any, remark: Remark) -> Any:
         level = (self._of.LogLevel.Info, self._of.LogLevel.Warning, self._of.LogLevel.Error)
@@ -142,10 +142,8 @@ class _Messages:
         )
 
     def _vectors(self, placed: Placed) -> tuple[Any, Any]:
-        of = self._of
-        return of.Vector3(**dict(zip("xyz", placed.p, strict=True))), of.Quaternion(
-            **dict(zip("xyzw", placed.q, strict=True))
-        )
+        (x, y, z), (qx, qy, qz, qw) = placed.p, placed.q
+        return self._of.Vector3(x=x, y=y, z=z), self._of.Quaternion(x=qx, y=qy, z=qz, w=qw)
 
 
 def _schema(row: Mapping[str, Any]) -> dict[str, Any]:

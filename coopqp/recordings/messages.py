@@ -7,8 +7,7 @@ names links, else of its joints and hands. The object's pose is that of the row,
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -34,60 +33,36 @@ ABOUT_TASKS = (column.TASK, column.ROW)
 AT, BROKEN = 1e-6, -1e-6
 
 
-@dataclass(frozen=True, kw_only=True)
-class Joints:
-    """Values of joints, all by name and in one order; empty where nothing is known.
-
-    Attributes:
-        position: [rad, m]. velocity: [rad/s, m/s]. effort: [N m, N].
-    """
+class Joints(NamedTuple):
+    """Values of joints, all by name and in one order; empty where nothing is known."""
 
     names: tuple[str, ...]
-    position: list[float]
-    velocity: list[float]
-    effort: list[float]
+    position: list[float]  # [rad, m]
+    velocity: list[float]  # [rad/s, m/s]
+    effort: list[float]  # [N m, N]
 
 
-@dataclass(frozen=True)
-class Placed:
-    """A frame in the world.
-
-    Attributes:
-        p: its origin [m]. q: its orientation as a quaternion (x, y, z, w).
-    """
+class Placed(NamedTuple):
+    """A frame in the world: its origin [m] and its orientation as a quaternion (x, y, z, w)."""
 
     name: str
     p: list[float]
     q: list[float]
 
 
-@dataclass(frozen=True)
-class Remark:
-    """What is to be said of the law, the loops, a task or a limit.
-
-    Attributes:
-        about: such as "limit position".
-        level: 0 all is well, 1 something is held back or given up, 2 not usable or broken.
-        words: a sentence, or a short one.
-        values: further numbers and texts, by name with unit.
-    """
+class Remark(NamedTuple):
+    """What is to be said of the law, the loops, a task or a limit, such as "limit position"."""
 
     about: str
-    level: int
+    level: int  # 0 all is well, 1 something is held back or given up, 2 not usable or broken
     words: str
-    values: Mapping[str, str]
+    values: Mapping[str, str]  # by name with unit
 
 
-@dataclass(frozen=True, kw_only=True)
-class Instant:
-    """A row.
+class Instant(NamedTuple):
+    """A row: its time [ns], joints by topic, frames of the robot, the object, remarks.
 
-    Attributes:
-        ns: its time [ns].
-        joints: by topic.
-        frames: of the robot. held: the object.
-        remarks: in a fixed order.
-        row: all of it, as objects inside each other, :func:`nested`.
+    All of it is in ``row``, as objects inside each other, :func:`nested`.
     """
 
     ns: int
@@ -165,21 +140,12 @@ def _joints(run: Run, names: tuple[str, ...]) -> dict[str, list[Joints]]:
 
     def of(name: str) -> list[list[float]]:
         values = run.joints(name, names, empty=True)
-        rows: list[list[float]] = values.tolist()
-        for k in np.flatnonzero(~np.isfinite(values).all(axis=1)):
-            rows[k] = []
-        return rows
+        return [row.tolist() if np.isfinite(row).all() else [] for row in values]
 
-    nothing: list[list[float]] = [[]] * len(run)
-    fields = {JOINTS: (of("q"), of("v"), of("tau"))}
-    fields |= {f"{JOINTS}/{name}": (of(name), nothing, nothing) for name in OTHER_JOINTS}
-    return {
-        topic: [
-            Joints(names=names, position=q, velocity=v, effort=tau)
-            for q, v, tau in zip(*values, strict=True)
-        ]
-        for topic, values in fields.items()
-    }
+    found = {JOINTS: [Joints(names, *row) for row in zip(of("q"), of("v"), of("tau"), strict=True)]}
+    for name in OTHER_JOINTS:
+        found[f"{JOINTS}/{name}"] = [Joints(names, q, [], []) for q in of(name)]
+    return found
 
 
 class _Remarks:
@@ -231,9 +197,8 @@ class _Remarks:
 
     def _values(self, k: int, names: list[str]) -> dict[str, str]:
         """Values with their units in their names, empty ones left out."""
-        told = [name for name in names if name in self._cells]
-        found = {self._shown[name]: self._cells[name][k] for name in told}
-        return {name: str(value) for name, value in found.items() if value is not None}
+        cells = ((name, self._cells[name][k]) for name in names if name in self._cells)
+        return {self._shown[name]: str(value) for name, value in cells if value is not None}
 
 
 def level_of(cause: Status) -> int:

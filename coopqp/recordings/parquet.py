@@ -17,8 +17,7 @@ from coopqp import __version__
 from coopqp.base.errors import CoopqpError
 from coopqp.base.reading import open_bytes
 from coopqp.recordings import column
-from coopqp.recordings.format import ExportFormat, Format, needs, readable
-from coopqp.recordings.run import Run, run_of
+from coopqp.recordings.run import ExportFormat, Format, Run, needs, readable, run_of
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.loader import load_text
 from coopqp.scenario.scenario import Scenario
@@ -55,8 +54,7 @@ class Parquet(ExportFormat):
 
     def scenario(self, path: Path, catalog: Catalog) -> Scenario:
         with parquet_file(path) as file:
-            kept = file.schema_arrow.metadata
-        return scenario_in(path, kept, catalog)
+            return scenario_in(path, file.schema_arrow.metadata, catalog)
 
 
 @contextmanager

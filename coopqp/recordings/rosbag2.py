@@ -17,10 +17,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from coopqp.base.errors import CoopqpError
-from coopqp.recordings.format import ExportFormat, needs, readable
-from coopqp.recordings.messages import POSE, TF, TICK, WORLD, Instant, Joints, Placed, Remark, flat
+from coopqp.recordings.messages import POSE, TF, TICK, WORLD, Instant, Placed, Remark, flat
 from coopqp.recordings.messages import instants as instants_of
-from coopqp.recordings.run import Run, read_rows
+from coopqp.recordings.run import ExportFormat, Run, needs, read_rows, readable
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.loader import load_text
 from coopqp.scenario.scenario import Scenario
@@ -90,24 +89,24 @@ class _Bag:
         self._topics: dict[str, Any] = {}
 
     def new(self, kind: str, **values: Any) -> Any:
-        """A message."""
         return self._store.types[kind](**values)
 
     def write(self, topic: str, kind: str, ns: int, message: Any) -> None:
-        """Write a message to its topic."""
         if topic not in self._topics:
             added = self._writer.add_connection(topic, kind, typestore=self._store)
             self._topics[topic] = added
         self._writer.write(self._topics[topic], ns, self._store.serialize_cdr(message, kind))
 
     def log(self, instant: Instant) -> None:
-        """Write all messages of a row."""
         ns = instant.ns
         stamp = self.new("builtin_interfaces/msg/Time", sec=ns // NS, nanosec=ns % NS)
         head = self._head(stamp, WORLD)
         for topic, joints in instant.joints.items():
-            kind = "sensor_msgs/msg/JointState"
-            self.write(topic, kind, ns, self.new(kind, **self._joints(stamp, joints)))
+            kind, head_of_joints = "sensor_msgs/msg/JointState", self._head(stamp, "")
+            names, *values = joints
+            fields = zip(("position", "velocity", "effort"), map(np.array, values), strict=True)
+            own = self.new(kind, header=head_of_joints, name=list(names), **dict(fields))
+            self.write(topic, kind, ns, own)
         frames = [self._frame(head, placed) for placed in (*instant.frames, instant.held)]
         kind = "tf2_msgs/msg/TFMessage"
         self.write(TF, kind, ns, self.new(kind, transforms=frames))
@@ -122,15 +121,6 @@ class _Bag:
 
     def _head(self, stamp: Any, frame: str) -> Any:
         return self.new("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
-
-    def _joints(self, stamp: Any, joints: Joints) -> dict[str, Any]:
-        return {
-            "header": self._head(stamp, ""),
-            "name": list(joints.names),
-            "position": np.array(joints.position),
-            "velocity": np.array(joints.velocity),
-            "effort": np.array(joints.effort),
-        }
 
     def _frame(self, head: Any, placed: Placed) -> Any:
         moved = self.new(

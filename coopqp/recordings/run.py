@@ -1,23 +1,37 @@
-"""A recorded run that was read from a file: columns, and where each row of them stands there.
+"""A recorded run that was read from a file, and what a format of such files is.
 
-A file that is damaged is refused with the place that shows it.
+A run is columns, and where each row of them stands in the file. A file that is damaged is refused
+with the place that shows it.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+import os
+import secrets
+import shutil
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from coopqp.base.errors import CoopqpError, InvalidValueError, UnknownNameError, one_line
+from coopqp.base.errors import (
+    CoopqpError,
+    InvalidValueError,
+    MissingDependencyError,
+    UnknownNameError,
+    one_line,
+)
 from coopqp.base.spec import Array
 from coopqp.recordings import column
+from coopqp.scenario.catalog import Catalog
+from coopqp.scenario.scenario import Scenario
 from coopqp.solver import HALTS, Status
 
 #: A joint beyond it, or faster, is damage, and so is an error [rad, m; rad/s, m/s; N, N m].
@@ -33,26 +47,19 @@ OTHER = "the trace is damaged, or it is of another scenario than the one beside 
 
 @dataclass(frozen=True, kw_only=True)
 class Run:
-    """A recorded run; in ``trace.csv``, those of all controllers.
-
-    Attributes:
-        rows: what each row is called in the file, behind ``at``.
-        at: the file, and what its rows are.
-        header: where the names of the columns stand.
-    """
+    """A recorded run; in ``trace.csv``, those of all controllers."""
 
     path: Path
     columns: column.Columns
-    rows: NDArray[np.int64]
-    at: str
-    header: str
+    rows: NDArray[np.int64]  # what each row is called in the file, behind ``at``
+    at: str  # the file, and what its rows are
+    header: str  # where the names of the columns stand
 
     def __len__(self) -> int:
         return len(self.rows)
 
     @cached_property
     def controllers(self) -> list[str]:
-        """Their names, in their order."""
         return list(dict.fromkeys(self.columns["controller"].tolist()))
 
     def place(self, k: int) -> str:
@@ -64,12 +71,10 @@ class Run:
         return InvalidValueError(f"{self.place(k)}: {words}; the trace is damaged")
 
     def only(self, which: Any) -> Run:
-        """Some of the rows."""
         kept = {name: values[which] for name, values in self.columns.items()}
         return replace(self, columns=kept, rows=self.rows[which])
 
     def of(self, controller: str) -> Run:
-        """The rows of one controller."""
         if controller not in self.controllers:
             raise UnknownNameError("controller", controller, self.controllers, f"{self.path}: ")
         return self.only(self.columns["controller"] == controller)
@@ -80,14 +85,9 @@ class Run:
         return self.only(self.columns["status"] != "")
 
     def numbers(self, names: Sequence[str], *, empty: bool = False) -> Array:
-        """Columns beside each other, shape (rows, names).
+        """Columns beside each other, shape (rows, names); cells and columns that are empty are NaN.
 
-        Args:
-            names: of the columns.
-            empty: whether cells, or columns, may be missing, which are NaN.
-
-        Raises:
-            InvalidValueError: no such column, no finite number in it, or one that cannot be.
+        InvalidValueError: one may not be ``empty``, or has a number that cannot be.
         """
         nothing = np.full(len(self), np.nan)
         for name in names:
@@ -95,23 +95,15 @@ class Run:
                 raise InvalidValueError(f"{self.header}: has no column '{name}'; {OTHER}")
         found = [self.columns.get(name, nothing) for name in names]
         values = np.stack(found, axis=1) if found else np.zeros((len(self), 0))
-        wrong = np.argwhere(np.isinf(values) if empty else ~np.isfinite(values))
-        if len(wrong):
-            k, i = wrong[0].tolist()
-            found_there = "nothing" if np.isnan(values[k, i]) else values[k, i]
-            raise self.fault(k, f"{names[i]}: found {found_there}, needs a finite number")
-        far = np.argwhere(np.abs(values) > FARTHEST)
-        if len(far):
-            k, i = far[0].tolist()
+        for k, i in np.argwhere(np.isinf(values) if empty else ~np.isfinite(values))[:1].tolist():
+            seen = "nothing" if np.isnan(values[k, i]) else values[k, i]
+            raise self.fault(k, f"{names[i]}: found {seen}, needs a finite number")
+        for k, i in np.argwhere(np.abs(values) > FARTHEST)[:1].tolist():
             raise self.fault(k, f"{names[i]}: found {values[k, i]:g}, which cannot be")
         return values
 
     def joints(self, name: str, joints: Sequence[str], *, empty: bool = False) -> Array:
-        """A column a joint of a field, shape (rows, joints).
-
-        Raises:
-            InvalidValueError: as :meth:`numbers`.
-        """
+        """A column a joint of a field, shape (rows, joints), as :meth:`numbers`."""
         columns = column.of_field(name, column.Layout(joints=tuple(joints)))
         return self.numbers(columns, empty=empty)
 
@@ -154,13 +146,12 @@ def typed(name: str, values: Any, at: str, rows: NDArray[np.int64]) -> NDArray[A
         k = next(k for k, value in enumerate(values) if not _is_number(value))
         words = f"{name}: found '{one_line(str(values[k])[:40])}', needs a number"
         raise InvalidValueError(f"{at}{rows[k]}: {words}; the trace is damaged") from None
-    if kind == "whole":
-        wrong = np.flatnonzero(~((numbers >= 0) & (numbers < MOST) & (numbers % 1 == 0)))
-        if len(wrong):
-            words = f"{name}: found {numbers[wrong[0]]:g}, needs a whole number"
-            raise InvalidValueError(f"{at}{rows[wrong[0]]}: {words}")
-        return numbers.astype(np.int64)
-    return numbers
+    if kind == "number":
+        return numbers
+    for k in np.flatnonzero(~((numbers >= 0) & (numbers < MOST) & (numbers % 1 == 0)))[:1]:
+        words = f"{name}: found {numbers[k]:g}, needs a whole number"
+        raise InvalidValueError(f"{at}{rows[k]}: {words}")
+    return numbers.astype(np.int64)
 
 
 def _floats(values: Any) -> Array:
@@ -195,3 +186,83 @@ def _check_time(run: Run) -> None:
         rested = t[k + 1] >= t[k] - ROUNDING and _STANDS.intersection(said[k].split("+"))
         if not rested:
             raise run.fault(k + 1, f"t: found {t[k + 1]:g} after {t[k]:g}")
+
+
+class Format(ABC):
+    """A format that can be read."""
+
+    @abstractmethod
+    def holds(self, path: Path) -> bool:
+        """Whether a path is of this format, by its name."""
+
+    @abstractmethod
+    def read(self, path: Path) -> Run:
+        """All rows of a file.
+
+        CoopqpError: none, or damaged; MissingDependencyError: no package that reads it.
+        """
+
+    @abstractmethod
+    def scenario(self, path: Path, catalog: Catalog) -> Scenario:
+        """The scenario that was run; CoopqpError: as :meth:`read`, or it cannot be loaded."""
+
+    def cut_short(self, path: Path) -> bool:
+        """Whether its writer was killed, so that the end is missing."""
+        return False
+
+
+class ExportFormat(Format):
+    """A format that can be written too."""
+
+    name: ClassVar[str]
+    """As ``--to`` has it."""
+
+    suffix: ClassVar[str]
+    """Of its files' names."""
+
+    def holds(self, path: Path) -> bool:
+        return path.suffix == self.suffix
+
+    @abstractmethod
+    def write(self, run: Run, scenario: Scenario, path: Path) -> None:
+        """Write a new file of one controller's run, and the scenario as the controller holds it.
+
+        CoopqpError: a row is damaged; MissingDependencyError: no package that writes it; OSError.
+        """
+
+    def replace(self, run: Run, scenario: Scenario, path: Path) -> None:
+        """:meth:`write`, but a file that is there stays until the new one is whole; CoopqpError."""
+        if path.is_dir() and not self.holds(path):
+            raise CoopqpError(f"'{path}' is a folder, and none of this format; choose another name")
+        aside = path.with_name(f".{path.name}-{secrets.token_hex(8)}")
+        try:
+            aside.mkdir(parents=True)
+            self.write(run, scenario, aside / path.name)  # files in it are named after it
+            if path.is_dir():
+                shutil.rmtree(path)
+            os.replace(aside / path.name, path)
+        except OSError as error:
+            raise CoopqpError(f"cannot write '{path}': {error.strerror or error}") from error
+        finally:
+            shutil.rmtree(aside, ignore_errors=True)
+
+
+@contextmanager
+def needs(what: str) -> Iterator[None]:
+    """Name the extra where a package is missing."""
+    try:
+        yield
+    except ImportError:
+        raise MissingDependencyError(what, "recordings") from None
+
+
+@contextmanager
+def readable(path: Path) -> Iterator[None]:
+    """One line for whatever a library raises over a file that is damaged."""
+    try:
+        yield
+    except CoopqpError:
+        raise
+    except Exception as error:  # noqa: BLE001 - each library has its own, and names them anew
+        words = " ".join(str(error).split()) or type(error).__name__
+        raise CoopqpError(f"{path}: cannot be read: {words[:200]}; the file is damaged") from None

@@ -7,6 +7,7 @@ points and pairs of a wall, what is shown is what was nearest.
 from __future__ import annotations
 
 import html
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -18,8 +19,7 @@ from coopqp.base.qp import Row
 from coopqp.base.spec import Array
 from coopqp.report import curves
 from coopqp.report.cells import length, number
-from coopqp.report.curves import Figure, Json
-from coopqp.report.style import Style
+from coopqp.report.curves import Figure, Json, Style
 from coopqp.trace import Trace
 
 SHOWN = 10  # limits of each controller in the table
@@ -28,25 +28,18 @@ MOST_LINES = 14  # of the timeline
 
 @dataclass(frozen=True)
 class Audited:
-    """A limit, or that of one joint, such as "position of RElbowRoll".
-
-    Attributes:
-        row: the one of its rows that had least left.
-        margin: least of all its rows after each tick, shape (T,) [the row's unit].
-    """
+    """A limit, or that of one joint, such as "position of RElbowRoll"."""
 
     name: str
-    row: Row
-    margin: Array
+    row: Row  # the one of its rows that had least left
+    margin: Array  # least of all its rows after each tick, shape (T,) [the row's unit]
 
     @property
     def least(self) -> float:
-        """Negative where it was broken."""
         return float(self.margin.min())
 
     @property
     def broken(self) -> bool:
-        """By more than is negligible."""
         return matters(-self.least, self.row.unit)
 
     @property
@@ -57,9 +50,12 @@ class Audited:
 
 def rows(traces: Mapping[str, Trace]) -> str:
     """Rows of the table: broken limits first, then those at the bound for longest."""
-    return "".join(
-        _row(name, limit) for name, trace in audited(traces).items() for limit in _tightest(trace)
-    )
+
+    def use(limit: Audited) -> tuple[bool, int, float]:
+        return not limit.broken, -int(limit.active.sum()), limit.least
+
+    tightest = {k: sorted(limits_of(of), key=use)[:SHOWN] for k, of in audited(traces).items()}
+    return "".join(_row(name, limit) for name, limits in tightest.items() for limit in limits)
 
 
 def _row(name: str, limit: Audited) -> str:
@@ -79,13 +75,13 @@ def _row(name: str, limit: Audited) -> str:
 def timeline(traces: Mapping[str, Trace], styles: Mapping[str, Style]) -> Figure | None:
     """When which limit was active, a line each; None when none ever was."""
     found = {
-        name: {limit.name: limit.active for limit in limits_of(trace)}
+        name: {limit.name: limit.active for limit in limits_of(trace) if limit.active.any()}
         for name, trace in audited(traces).items()
     }
-    used: dict[str, int] = {}
-    for name, active in (item for of in found.values() for item in of.items()):
-        used[name] = max(used.get(name, 0), int(active.sum()))
-    shown = sorted((k for k, ticks in used.items() if ticks), key=lambda k: -used[k])[:MOST_LINES]
+    used = Counter[str]()
+    for of in found.values():
+        used |= Counter({name: int(active.sum()) for name, active in of.items()})  # the most
+    shown = [name for name, _ in used.most_common(MOST_LINES)]
     if not shown:
         return None
     data: list[Json] = []
@@ -123,10 +119,3 @@ def limits_of(trace: Trace) -> list[Audited]:
         )
         for name, group in groups.items()
     ]
-
-
-def _tightest(trace: Trace) -> list[Audited]:
-    def use(limit: Audited) -> tuple[bool, int, float]:
-        return not limit.broken, -int(limit.active.sum()), limit.least
-
-    return sorted(limits_of(trace), key=use)[:SHOWN]

@@ -16,7 +16,7 @@ from coopqp.model.grasp_configuration import with_passive_joints
 from coopqp.scenario.scenario import Scenario
 from coopqp.scenario.start import by_arm
 from coopqp.scenario.start_solver import DIGITS, start_text
-from coopqp.study.calibration import Calibration, not_shown
+from coopqp.study.calibration import Calibration
 
 
 def table(result: Calibration) -> Table:
@@ -60,7 +60,7 @@ def sentences(result: Calibration, *, encoders: bool) -> Iterator[str]:
     if result.hidden:
         yield (
             f"The motion does not show {result.hidden} combination{'s' * (result.hidden > 1)} of "
-            f"{', '.join(not_shown(result.offsets))}; taken for zero."
+            f"{', '.join(result.not_shown)}; taken for zero."
         )
     chain = result.chain
     for i in chain.passive:

@@ -14,7 +14,7 @@ from coopqp.assessment.limits import beyond
 from coopqp.assessment.thresholds import OUTSIDE, matters
 from coopqp.base.spec import Array, type_name
 from coopqp.execution.comparison import Comparison
-from coopqp.scenario.scenario import Scenario
+from coopqp.scenario.scenario import Phase
 from coopqp.trace import Trace
 
 NBSP = "\N{NO-BREAK SPACE}"
@@ -142,8 +142,7 @@ def _limit(assessed: Assessment, violation: float, unit: str) -> Cell:
 
 def _acceleration(found: Assessment) -> Cell:
     """The worst joint's, and how many times what the loop for robots allows."""
-    worst = found.acceleration
-    if worst is None:
+    if (worst := found.acceleration) is None:
         return Cell(("-",))
     times = f"{number(worst.value / worst.allowed)} x allowed"
     return Cell((f"{number(worst.value)}{NBSP}{worst.unit}", times), worst.exceeds)
@@ -162,28 +161,24 @@ def _motors(found: Assessment) -> Cell:
 def facts(comparison: Comparison) -> list[tuple[str, str]]:
     """What the runs have in common, as name and value."""
     scenario = comparison.scenario
-    dropped = scenario.chain.loops.dropped
     limits = ", ".join(type_name(type(limit)) for limit in scenario.limits) or "none"
     listed = [
         ("robot", scenario.robot_model.name),
         ("control period", f"{1e3 * scenario.dt:g} ms"),
         ("duration", f"{scenario.ticks * scenario.dt:g} s"),
-        *([("phases", _phases(scenario))] if scenario.phases else []),
+        ("phases", ", ".join(map(_phase, scenario.phases))),
         ("Baumgarte gain κ", f"{scenario.drift_gain:g} 1/s ({_worst_gap(comparison)})"),
         ("QP solver", _solvers(comparison)),
         ("limits of the QP", limits),
         ("plant", type_name(type(scenario.plant))),
+        ("redundant loop rows left out", ", ".join(scenario.chain.loops.dropped)),
     ]
-    if dropped:
-        listed.append(("redundant loop rows left out", ", ".join(dropped)))
-    return listed
+    return [(name, value) for name, value in listed if value]
 
 
-def _phases(scenario: Scenario) -> str:
-    return ", ".join(
-        f"{phase.name} ({' and '.join(phase.released)} released)" if phase.released else phase.name
-        for phase in scenario.phases
-    )
+def _phase(phase: Phase) -> str:
+    released = f" ({' and '.join(phase.released)} released)" if phase.released else ""
+    return f"{phase.name}{released}"
 
 
 def length(value: float, unit: str) -> tuple[float, str]:

@@ -1,4 +1,7 @@
-"""Parts of all figures, as the data of ``Plotly.newPlot``: lines, hatched regions, layouts."""
+"""Parts of all figures, as the data of ``Plotly.newPlot``: lines, hatched regions, layouts.
+
+Each controller has a style that is safe for the colour-blind, and distinct in black and white.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +10,28 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import count
 from typing import Any
 
 import numpy as np
 
 from coopqp.base.spec import Array
-from coopqp.report.style import Style
+from coopqp.trace import Trace
+
+# Colours of Okabe and Ito, Color Universal Design (2008).
+BLUE, VERMILION, GREEN, PURPLE = "#0072B2", "#D55E00", "#009E73", "#CC79A7"
+BLACK, SKY, ORANGE = "#000000", "#56B4E9", "#E69F00"
+PALETTE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)
+
+QP_COLORS = (BLUE, SKY, BLACK, PURPLE, GREEN, ORANGE)
+OTHER_COLORS = (VERMILION, GREEN, PURPLE, BLACK, ORANGE, SKY)
+
+#: Lengths of dash, gap, dash, gap ... [px]; the empty one is a full line.
+QP_DASHES = ("", "16,4", "8,4", "3,4", "16,4,3,4", "8,3,2,3,2,3")
+OTHER_DASHES = ("8,4", "2,3", "9,3,2,3", "16,4", "5,2", "12,3,2,3,2,3")
+
+# The QP lies under the others and each of these under the next, so that all show where they agree.
+QP_WIDTH, OTHER_WIDTHS = 4.5, (2.4, 1.9, 1.5)  # px
 
 Json = dict[str, Any]
 
@@ -32,25 +51,56 @@ LEVEL = NAME | {"xanchor": "right", "bgcolor": "rgba(255,255,255,0.6)", "borderp
 UPRIGHT = {"showarrow": False, "font": {"size": 10.5, "color": "#555"}, "yref": "paper"}
 
 
+@dataclass(frozen=True)
+class Style:
+    """A line: colour such as "#0072B2", dashes and gaps or none [px], width [px]."""
+
+    color: str
+    dash: str
+    width: float
+
+    def line(self) -> dict[str, object]:
+        dash = ",".join(f"{length}px" for length in self.dash.split(",")) if self.dash else "solid"
+        return {"color": self.color, "dash": dash, "width": self.width, "simplify": False}
+
+    def swatch(self) -> str:
+        """A sample of the line, as SVG."""
+        return (
+            '<svg class="swatch" width="46" height="12" aria-hidden="true">'
+            f'<line x1="1" y1="6" x2="45" y2="6" stroke="{self.color}" '
+            f'stroke-width="{self.width}" stroke-dasharray="{self.dash or "none"}"/></svg>'
+        )
+
+
+def styles(traces: Mapping[str, Trace]) -> dict[str, Style]:
+    """A style for each controller; who keeps limits is thick, the first of them full blue."""
+    return chosen_styles({name: trace.keeps_limits for name, trace in traces.items()})
+
+
+def chosen_styles(keeps_limits: Mapping[str, bool]) -> dict[str, Style]:
+    """The same by whether each controller keeps limits."""
+    chosen: dict[str, Style] = {}
+    before = {True: count(), False: count()}
+    for name, keeps in keeps_limits.items():
+        colors, dashes = (QP_COLORS, QP_DASHES) if keeps else (OTHER_COLORS, OTHER_DASHES)
+        i = next(before[keeps])
+        width = QP_WIDTH if keeps else OTHER_WIDTHS[min(i, len(OTHER_WIDTHS) - 1)]
+        chosen[name] = Style(colors[i % len(colors)], dashes[i % len(dashes)], width)
+    return chosen
+
+
 @dataclass(frozen=True, kw_only=True)
 class Figure:
-    """One figure of the page, with data and layout for Plotly.
-
-    Attributes:
-        unit: of the vertical axis.
-        notes: below the title, such as what lies off the chart. about: beside the title.
-        alone: whether nothing is shown beside it.
-        over_time: whether its horizontal axis is time.
-    """
+    """One figure of the page, with data and layout for Plotly."""
 
     title: str
-    unit: str
+    unit: str  # of the vertical axis
     data: list[Json]
     layout: Json
-    notes: tuple[str, ...] = ()
-    about: str = ""
-    alone: bool = False
-    over_time: bool = True
+    notes: tuple[str, ...] = ()  # below the title, such as what lies off the chart
+    about: str = ""  # beside the title
+    alone: bool = False  # whether nothing is shown beside it
+    over_time: bool = True  # whether its horizontal axis is time
 
 
 @dataclass(frozen=True)

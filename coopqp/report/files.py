@@ -26,7 +26,7 @@ from coopqp.report import strict_json
 from coopqp.report.page import render
 from coopqp.scenario.planned import FOLLOWED
 from coopqp.scenario.yaml import with_keys
-from coopqp.study.sweep.journal import OLDER, PATTERN
+from coopqp.study.sweep.results import OLDER, PATTERN
 
 NAMES = ("report.html", "metrics.json", "trace.csv", "scenario.yaml", FOLLOWED)
 POINTER = ".report"
@@ -34,14 +34,10 @@ PREFIX = ".report-"
 
 
 def write(comparison: Comparison, folder: Path) -> list[Path]:
-    """Write ``report.html``, ``metrics.json``, ``trace.csv``, ``scenario.yaml`` and its plan.
+    """Write the page, ``metrics.json``, ``trace.csv``, ``scenario.yaml`` and its plan, all at once.
 
-    They change all at once, also when the process is killed.
-
-    Raises:
-        CoopqpError: the folder cannot be made or written to; a user's code keeps the page from
-            being drawn, and all else is written.
-        InternalError: the page could not be drawn; all else is written.
+    CoopqpError: the folder cannot be written to; or, as InternalError, the page cannot be drawn,
+    and all else is written.
     """
     contents = {"metrics.json": metrics_json(comparison), "trace.csv": trace_csv(comparison)}
     if (scenario := comparison.scenario).source:
@@ -71,11 +67,7 @@ def write(comparison: Comparison, folder: Path) -> list[Path]:
 
 
 def write_one(path: Path, content: str) -> None:
-    """Write one file; the old one stays when that fails.
-
-    Raises:
-        CoopqpError: it cannot be written.
-    """
+    """Write one file; the old one stays when that fails; CoopqpError: it cannot be written."""
     aside = path.parent / _new_name()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -89,11 +81,7 @@ def write_one(path: Path, content: str) -> None:
 
 
 def check_folder(folder: Path) -> None:
-    """Refuse a folder that no report can be written to, before a long run and not after it.
-
-    Raises:
-        CoopqpError: with the reason.
-    """
+    """CoopqpError for a folder that no report can be written to, before a long run."""
     if any(next(folder.glob(pattern), None) for pattern in (PATTERN, OLDER)):
         words = "holds a study, whose page a report would replace; give another --out"
         raise CoopqpError(f"'{folder}' {words}")
@@ -145,9 +133,7 @@ def trace_csv(comparison: Comparison) -> str:
 def publish(contents: Mapping[str, str], folder: Path) -> list[Path]:
     """Replace the files of a folder by others, by name, in one step; what is not ours stays.
 
-    Raises:
-        OSError: the folder cannot be made or written to, or has no symbolic links; the old report
-            is then as it was.
+    OSError: it cannot be written to, or has no symbolic links; the old report is as it was.
     """
     folder.mkdir(parents=True, exist_ok=True)
     with _alone(folder):

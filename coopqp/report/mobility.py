@@ -34,24 +34,18 @@ MAX_POINTS = 400  # of the manipulability curve
 
 @dataclass(frozen=True)
 class Study:
-    """Mobility of a scenario's grasp, and manipulability of its tasks on the way.
-
-    Attributes:
-        mobility: at generic poses and at the start.
-        forces: between the hands at the start; None for a single arm, or hands in one place.
-        t: shape (K,) [s].
-        manipulability: of the tasks along the run of the scenario's first controller, shape (K,);
-            at the start alone where that controller is refused.
-        refused: why it is.
-    """
+    """Mobility of a scenario's grasp, and manipulability of its tasks on the way."""
 
     scenario: Scenario
     phase: str
-    mobility: Mobility
+    mobility: Mobility  # at generic poses and at the start
+    # between the hands at the start; None for a single arm, or hands in one place
     forces: Forces | None
-    t: Array
+    t: Array  # shape (K,) [s]
+    # of the tasks along the run of the scenario's first controller, shape (K,); at the start alone
+    # where that controller is refused
     manipulability: Array
-    refused: CoopqpError | None = None
+    refused: CoopqpError | None = None  # why it is
 
     @property
     def name(self) -> str:
@@ -68,9 +62,7 @@ def study(
 ) -> Study:
     """Analyse a phase, the first if none is named, and a scheme: joints by name, or q1, q2 ...
 
-    Raises:
-        CoopqpError: there is no such phase or scheme, the scenario cannot be built, or its first
-            controller is refused before a later phase.
+    CoopqpError: none such, or the first controller is refused before the phase.
     """
     if phase is not None and not scenario.phases:
         raise InvalidValueError("phase: this scenario has no phases; leave it out")
@@ -169,16 +161,14 @@ def _bound_json(bound: Bound | None) -> dict[str, Any] | None:
 def rows(result: Study) -> list[tuple[str, str, str]]:
     """Name of a quantity, its value at generic poses, at the start."""
     m = result.mobility
-    schemes = f"of {m.schemes_total}" if m.schemes_complete else f"of {len(m.schemes)} tried"
-    motors = (str(m.motor_freedom), str(m.motor_freedom_start))
-    inadmissible = (f"{m.inadmissible} {schemes}", f"{m.inadmissible_start} {schemes}")
+    tried = f"of {m.schemes_total}" if m.schemes_complete else f"of {len(m.schemes)} tried"
     lines = [
         ("joints (passive)", f"{len(m.joints)} ({len(m.passive)})", ""),
         ("rank of J_c", ", ".join(map(str, m.ranks)), str(m.rank_start)),
         ("degrees of freedom, l - rank", str(m.freedom), str(m.freedom_start)),
         ("object motions (largest task)", str(m.object_freedom), str(m.object_freedom_start)),
-        ("object motions the motors decide", *motors),
-        ("inadmissible schemes", *inadmissible),
+        ("object motions the motors decide", str(m.motor_freedom), str(m.motor_freedom_start)),
+        ("inadmissible schemes", f"{m.inadmissible} {tried}", f"{m.inadmissible_start} {tried}"),
     ]
     lines += [("redundant loop row", name, "") for name in m.dropped]
     lines += [

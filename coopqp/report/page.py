@@ -22,10 +22,9 @@ from coopqp.execution.comparison import Comparison
 from coopqp.limits import JointAcceleration
 from coopqp.report import audit
 from coopqp.report.cells import COLUMNS, SYMBOLS, Cell, Column, cells, facts
-from coopqp.report.curves import Figure
+from coopqp.report.curves import Figure, Style, styles
 from coopqp.report.figures.groups import Group, groups
 from coopqp.report.scene.playback import scene
-from coopqp.report.style import Style, styles
 
 HERE = Path(__file__).parent
 KINDS = {None: "", True: "bad", False: "good"}  # of cells, by whether they are bad

@@ -18,9 +18,9 @@ from coopqp.base.table import csv_text
 from coopqp.planning import Plan, Reach
 from coopqp.planning.time_along import NOTHING, TimedPath, table_of_phases
 from coopqp.report import strict_json
+from coopqp.report.curves import BLACK, PALETTE
 from coopqp.report.files import write_one
 from coopqp.report.page import asset, text
-from coopqp.report.style import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 from coopqp.scenario.loader import load
 from coopqp.scenario.planned import NEAR
 from coopqp.scenario.scenario import Scenario
@@ -33,7 +33,7 @@ TIMED, PAGE = "timed.csv", "timed.html"
 TITLES = ("active limit", "time [s]", "share", "with 20 % more of it [s]")
 #: Size of a picture, and of its margin [px]; colours of the limits that are active longest.
 WIDTH, HEIGHT, MARGIN, GRAY = 940, 320, 40, "#555555"
-COLORS = (BLUE, VERMILION, GREEN, PURPLE, SKY, ORANGE)
+COLORS = PALETTE[:-1]  # the frame is black
 
 
 def configurations(found: Reach) -> Table:
@@ -81,9 +81,8 @@ def check_written(folder: Path | None, scenario: Scenario, name: str) -> None:
     follows = (folder or Path()) / f"{scenario.name}.yaml"
     if folder is None or not follows.is_file():
         return
-    with suppress(
-        CoopqpError, LookupError, OSError, TypeError, ValueError
-    ):  # what is broken is not ours
+    broken = (CoopqpError, LookupError, OSError, TypeError, ValueError)
+    with suppress(*broken):  # what is broken is not ours
         plan = parsed(follows, follows.read_text(encoding="utf-8")).data["reference"]["plan"]
         if Path(plan).name == name:
             return
@@ -96,8 +95,7 @@ def write_plan(
 ) -> list[Path]:
     """Write the path, and the scenario with it, and the tasks to keep, as its reference.
 
-    Raises:
-        CoopqpError: it cannot be written, or the scenario is refused, and then nothing is.
+    CoopqpError: it cannot be written, or the scenario is refused, and then nothing is.
     """
     keys = {"keep": list(keep)} if keep else {}
     with TemporaryDirectory() as tried:
@@ -109,11 +107,7 @@ def write_plan(
 def write_timed(
     parts: Sequence[TimedPath], tried: Sequence[dict[str, float]], scenario: Scenario, folder: Path
 ) -> list[Path]:
-    """Write a timed path as a table and as a page, and, from its start, the scenario that follows.
-
-    Raises:
-        CoopqpError: it cannot be written.
-    """
+    """Write a timed path as a table and a page, and, from its start, the scenario that follows."""
     apart = float(np.abs(parts[0].at(0.0).q - scenario.chain.q_start).max())
     fits = apart < NEAR and not parts[0].speed[0]
     fits = fits and len(phase_titles(parts, scenario)) == len(parts)

@@ -12,13 +12,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 import pinocchio as pin
+from pydantic import BeforeValidator
 
 from coopqp.base.errors import InvalidValueError, UnknownNameError
-from coopqp.base.spec import Array
+from coopqp.base.spec import Array, Vector3, spec
 from coopqp.model.held_object import check_inertia, inertia_matrix
 
 #: sin(alpha) below which two axes count as parallel.
@@ -108,15 +109,19 @@ class MdhRow:
             )
 
 
-@dataclass(frozen=True, kw_only=True)
+def name_of(value: Any) -> Any:
+    """A row's name, or its number j as one."""
+    return str(value) if type(value) is int else value
+
+
+@spec
 class Tip:
-    """A frame fixed to the parent row's link, with the base's axes at the zero pose.
+    """A hand: a frame fixed to a row, with the base's axes at the zero pose."""
 
-    ``offset``: from that row's origin, along the base axes at the zero pose, shape (3,) [m].
-    """
-
-    parent: str
-    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    parent: Annotated[str, BeforeValidator(name_of)]
+    """Name of the row."""
+    offset: Vector3 = (0.0, 0.0, 0.0)
+    """From the row's origin, along the base's axes at the zero pose [m]."""
 
 
 def transform(p: MdhParameters) -> pin.SE3:
@@ -162,9 +167,8 @@ def build_model(name: str, rows: Sequence[MdhRow], tips: Mapping[str, Tip]) -> p
     ``transform`` with theta + q (or r + q). Rows are listed arm by arm (depth first); tips are
     frames to add at the end of a row, such as a hand, by name.
 
-    Raises:
-        UnknownNameError: an antecedent or tip parent is not in the table above it.
-        InvalidValueError: two rows share a name, or rows are not depth first.
+    UnknownNameError: an antecedent or tip parent is not in the table above it. InvalidValueError:
+    two rows share a name, or rows are not depth first.
     """
     model = pin.Model()
     model.name = name

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from coopqp.base.errors import InvalidValueError, UnreadableFileError
 from coopqp.base.reading import read_bytes
 from coopqp.base.spec import FARTHEST, Array
-from coopqp.robot_files.xml import MAX_DEPTH, place_of, read_xml
+from coopqp.robot_files.xml import MAX_DEPTH, fault, read_xml
 
 Ints = NDArray[np.int64]
 
@@ -143,8 +143,7 @@ NOT_READ = ("lookat", "skew", "instance_controller")
 def _collada(path: Path) -> tuple[Array, Ints]:
     """Vertices, shape (v, 3), and the rows of them that each triangle has, shape (t, 3).
 
-    Raises:
-        InvalidValueError: no such file, no COLLADA file, or one whose parts do not fit together.
+    InvalidValueError: no such file, no COLLADA file, or one whose parts do not fit together.
     """
     xml = read_xml(path, ["COLLADA"], "COLLADA", texts=True)
     library, points, corners = _Library(xml), [np.zeros((0, 3))], [np.zeros(0, np.int64)]
@@ -155,8 +154,7 @@ def _collada(path: Path) -> tuple[Array, Ints]:
             points.append(places @ X[:3, :3].T + X[:3, 3])
             before, total = before + len(places), total + len(rows)
             if max(before, total) > MAX_CORNERS:
-                words = f"its instances have more than {MAX_CORNERS} corners"
-                raise InvalidValueError(f"{place_of(geometry)}: {words}")
+                raise fault(geometry, f"its instances have more than {MAX_CORNERS} corners")
     return np.concatenate(points), np.concatenate(corners).reshape(-1, 3)
 
 
@@ -168,11 +166,10 @@ class _Library:
         self._read: dict[ET.Element, list[tuple[Array, Ints]]] = {}
 
     def named(self, user: ET.Element, tag: str, key: str) -> ET.Element:
-        """The element that an attribute refers to by ``#id``."""
         address = user.get(key, "")
         found = self._by_id.get((tag, address.removeprefix("#")))
         if found is None or not address.startswith("#"):
-            raise InvalidValueError(f"{place_of(user)} {key}: no {tag} '{address[:40]}'")
+            raise fault(user, f"no {tag} '{address[:40]}'", key)
         return found
 
     def faces(self, geometry: ET.Element) -> list[tuple[Array, Ints]]:
@@ -185,7 +182,7 @@ class _Library:
     def _faces(self, part: ET.Element) -> tuple[Array, Ints]:
         inputs = {e.get("semantic"): e for e in part.findall("input")}
         if "VERTEX" not in inputs:
-            raise InvalidValueError(f"{place_of(part)}: needs an input of vertices")
+            raise fault(part, "needs an input of vertices")
         points = self._points(inputs["VERTEX"])
         offsets = [_whole(e, "offset", 0, 99) for e in part.findall("input")]
         step, offset = max(offsets) + 1, _whole(inputs["VERTEX"], "offset", 0, 99)
@@ -193,13 +190,12 @@ class _Library:
         for p in part.findall("p"):
             numbers = _ints(p)
             if len(numbers) % step:
-                words = f"found {len(numbers)} numbers, needs a multiple of {step}"
-                raise InvalidValueError(f"{place_of(p)}: {words}")
+                raise fault(p, f"found {len(numbers)} numbers, needs a multiple of {step}")
             rows = np.concatenate([rows, numbers[offset::step]])
             counts = np.append(counts, len(numbers) // step)
         if len(rows) and not (rows.min() >= 0 and rows.max() < len(points)):
             wrong = int(rows[(rows < 0) | (rows >= len(points))][0])
-            raise InvalidValueError(f"{place_of(part)}: no vertex {wrong}; it has {len(points)}")
+            raise fault(part, f"no vertex {wrong}; it has {len(points)}")
         return points, rows[_corners(part, counts, len(rows))]
 
     def _points(self, user: ET.Element) -> Array:
@@ -207,17 +203,17 @@ class _Library:
         vertices = self.named(user, "vertices", "source")
         places = [e for e in vertices.findall("input") if e.get("semantic") == "POSITION"]
         if not places:
-            raise InvalidValueError(f"{place_of(vertices)}: needs an input of positions")
+            raise fault(vertices, "needs an input of positions")
         source = self.named(places[0], "source", "source")
         accessor, numbers = source.find("technique_common/accessor"), source.find("float_array")
         if accessor is None or numbers is None:
-            raise InvalidValueError(f"{place_of(source)}: needs numbers and an accessor to them")
+            raise fault(source, "needs numbers and an accessor to them")
         values = _floats(numbers)
         step, first = _whole(accessor, "stride", 1, 99), _whole(accessor, "offset", 0, len(values))
         count = _whole(accessor, "count", 0, len(values))
         if step < 3 or first + count * step > len(values):
             words = f"{len(values)} numbers are not {count} times {step}, at least 3, from {first}"
-            raise InvalidValueError(f"{place_of(accessor)}: {words} on")
+            raise fault(accessor, f"{words} on")
         return values[first : first + count * step].reshape(count, step)[:, :3]
 
 
@@ -225,18 +221,19 @@ def _instances(xml: ET.Element, library: _Library) -> Iterator[tuple[Array, ET.E
     """Each geometry of the scene, and the transform to where it is, shape (4, 4)."""
     scene = xml.find("scene/instance_visual_scene")
     if scene is None:
-        raise InvalidValueError(f"{place_of(xml)}: has no scene")
+        raise fault(xml, "has no scene")
     waiting, nodes = [(np.eye(4), library.named(scene, "visual_scene", "url"), 0)], 0
     while waiting:
         X, holder, depth = waiting.pop()
         nodes += 1
         if nodes > MAX_NODES or depth > MAX_DEPTH:
-            words = f"nodes inside nodes are more than {MAX_NODES}, or go round in a circle"
-            raise InvalidValueError(f"{place_of(holder)}: {words}")
+            raise fault(
+                holder, f"nodes inside nodes are more than {MAX_NODES}, or go round in a circle"
+            )
         X = X @ _transform(holder) if holder.tag == "node" else X
         for other in holder:
             if other.tag in NOT_READ:
-                raise InvalidValueError(f"{place_of(other)}: is not read; take it out")
+                raise fault(other, "is not read; take it out")
         for user in holder.findall("instance_geometry"):
             yield X, library.named(user, "geometry", "url")
         inside = [library.named(e, "node", "url") for e in holder.findall("instance_node")]
@@ -253,8 +250,7 @@ def _transform(node: ET.Element) -> Array:
         count, made = TRANSFORMS[part.tag]
         values = _floats(part)
         if len(values) != count:
-            words = f"found {len(values)} numbers, needs {count}"
-            raise InvalidValueError(f"{place_of(part)}: {words}")
+            raise fault(part, f"found {len(values)} numbers, needs {count}")
         X = X @ made(values)
     return X
 
@@ -288,13 +284,13 @@ def _corners(part: ET.Element, counts: Ints, total: int) -> Ints:
     """Indices of triangles' corners among an element's; counts: corners of each ``p`` in it."""
     if part.tag == "triangles":
         if total % 3:
-            raise InvalidValueError(f"{place_of(part)}: {total} corners are no whole triangles")
+            raise fault(part, f"{total} corners are no whole triangles")
         return np.arange(total)
     if part.tag == "polylist":
         vcount = part.find("vcount")
         counts = _ints(vcount) if vcount is not None else np.zeros(0, np.int64)
         if (counts < 0).any() or counts.astype(float).sum() != total:
-            raise InvalidValueError(f"{place_of(part)}: vcount does not sum to {total} corners")
+            raise fault(part, f"vcount does not sum to {total} corners")
     # Triangles of each polygon: its first, i-th and next corner; of a strip the i-th from there.
     each = np.maximum(counts - 2, 0)
     first = np.repeat(np.cumsum(counts) - counts, each)
@@ -304,22 +300,19 @@ def _corners(part: ET.Element, counts: Ints, total: int) -> Ints:
 
 
 def _whole(element: ET.Element, key: str, default: int, maximum: int) -> int:
-    """A count in an attribute."""
     text = element.get(key, str(default))
     if not (text.isascii() and text.isdigit() and len(text) <= 9 and int(text) <= maximum):
-        words = f"found '{text[:40]}', needs a whole number of at most {maximum}"
-        raise InvalidValueError(f"{place_of(element)} {key}: {words}")
+        raise fault(element, f"found '{text[:40]}', needs a whole number of at most {maximum}", key)
     return int(text)
 
 
 def _floats(element: ET.Element) -> Array:
-    """The numbers in an element."""
     try:
         values = np.array((element.text or "").split(), float)
     except ValueError:
         values = np.full(1, np.nan)
     if not np.isfinite(values).all():
-        raise InvalidValueError(f"{place_of(element)}: needs finite numbers alone")
+        raise fault(element, "needs finite numbers alone")
     return values
 
 
@@ -327,7 +320,7 @@ def _ints(element: ET.Element) -> Ints:
     try:
         return np.array((element.text or "").split(), np.int64)
     except (ValueError, OverflowError):
-        raise InvalidValueError(f"{place_of(element)}: needs whole numbers alone") from None
+        raise fault(element, "needs whole numbers alone") from None
 
 
 #: By suffix, readers of vertices and of triangles as rows of them.
@@ -349,8 +342,7 @@ class Mesh:
 def read_mesh(path: Path, scale: tuple[float, ...]) -> Mesh:
     """Read an .stl, .obj or .dae file, with scale factors along its axes.
 
-    Raises:
-        InvalidValueError: no such file, another kind of file, or no surface in it; with the line.
+    InvalidValueError: no such file, another kind of file, or no surface in it; with the line.
     """
     read = READERS.get(path.suffix.lower())
     if read is None:

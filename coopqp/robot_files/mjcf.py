@@ -35,8 +35,8 @@ from coopqp.robot_files.xml import (
     ALIKE,
     MAX_DEPTH,
     MAX_ELEMENTS,
+    fault,
     pinocchio_says,
-    place_of,
     read_xml,
     stderr_lines,
 )
@@ -105,15 +105,14 @@ KEYWORDS = (
 def read_mjcf(path: Path) -> Description:
     """Read a MuJoCo file.
 
-    Raises:
-        InvalidValueError: no such file, or not an MJCF file.
-        MissingDependencyError: mujoco is not installed.
+    InvalidValueError: no such file, or not an MJCF file. MissingDependencyError: mujoco is not
+    installed.
     """
     xml = read_xml(path, ["mujoco"], "MJCF")
     _Includes(absolute(path)).fill_in(xml)
     _take_out(xml)
     if xml.find("worldbody//body") is None:
-        raise InvalidValueError(f"{place_of(xml)}: is not a robot: has no <body>")
+        raise fault(xml, "is not a robot: has no <body>")
     return _Compiled(_mujoco(), xml, path).description()
 
 
@@ -135,8 +134,7 @@ class _Includes:
     def fill_in(self, element: ET.Element, depth: int = 0) -> None:
         """Replace the includes in an element; none may be included twice, or too large."""
         if depth > MAX_DEPTH:
-            words = f"elements inside elements are more than {MAX_DEPTH} deep"
-            raise InvalidValueError(f"{place_of(element)}: {words}")
+            raise fault(element, f"elements inside elements are more than {MAX_DEPTH} deep")
         children: list[ET.Element] = []
         for child in element:
             if child.tag == "include":
@@ -150,16 +148,15 @@ class _Includes:
         path = absolute(self._folder / include.get("file", ""))
         if path in self._seen:  # as in MuJoCo; else ten small files can be ten billion
             name = include.get("file")
-            raise InvalidValueError(f"{place_of(include)}: file '{name}' is included already")
+            raise fault(include, f"file '{name}' is included already")
         self._seen.add(path)
         try:
             found = read_xml(path, ["mujocoinclude", "mujoco"], "MJCF")
         except InvalidValueError as error:
-            raise InvalidValueError(f"{place_of(include)}: {error}") from None
+            raise fault(include, f"{error}") from None
         self._left -= sum(1 for _ in found.iter())
         if self._left < 0:
-            words = f"what is included has more than {MAX_ELEMENTS} elements"
-            raise InvalidValueError(f"{place_of(include)}: {words}")
+            raise fault(include, f"what is included has more than {MAX_ELEMENTS} elements")
         self.fill_in(found, depth)
         return found
 
@@ -168,7 +165,7 @@ def _take_out(xml: ET.Element) -> None:
     """Leave out what is not read, and refuse what MuJoCo would not refuse."""
     for element in xml.iter():
         if element.tag in NOT_READ:
-            raise InvalidValueError(f"{place_of(element)}: is not read; {NOT_READ[element.tag]}")
+            raise fault(element, f"is not read; {NOT_READ[element.tag]}")
         texts = [text for key, text in element.attrib.items() if key not in LONG]
         said = (element.tag, *element.attrib, *texts)
         if len(longest := max(said, key=len)) > LONGEST:
@@ -176,8 +173,7 @@ def _take_out(xml: ET.Element) -> None:
             raise InvalidValueError(f"{getattr(element, 'place', '')}: {words}")
         for key, text in element.attrib.items():
             if key not in NAMES and NOT_A_NUMBER.search(text):
-                words = f"found '{text[:40]}', needs finite numbers"
-                raise InvalidValueError(f"{place_of(element)} {key}: {words}")
+                raise fault(element, f"found '{text[:40]}', needs finite numbers", key)
         out = LEFT_OUT.get(element.tag, "").split()
         element[:] = [child for child in element if child.tag not in out]
         if element.tag == "actuator":
@@ -204,8 +200,6 @@ def _lines(xml: ET.Element) -> tuple[str, list[ET.Element]]:
 
 
 class _Compiled:
-    """A file, with its includes, compiled by MuJoCo."""
-
     def __init__(self, mujoco: ModuleType, xml: ET.Element, path: Path) -> None:
         self._path = path
         text, self._elements = _lines(xml)
@@ -226,8 +220,9 @@ class _Compiled:
         try:
             model = pinocchio_model(self._model, named)
         except ValueError as error:  # of names
-            words = f"is not a robot that can be read: {pinocchio_says(error)}"
-            raise InvalidValueError(f"{place_of(self._elements[0])}: {words}") from None
+            raise fault(
+                self._elements[0], f"is not a robot that can be read: {pinocchio_says(error)}"
+            ) from None
         drawn, collide = self._geoms.shapes(self._model, named)
         return Description(
             name=self._elements[0].get("model") or self._path.stem,
@@ -259,8 +254,8 @@ class _Compiled:
             element = element if (own := element.find("inertial")) is None else own
         if words == "unknown element":
             words += f" '{element.tag}'"
-        place = f"{place_of(element)}{_attribute(words, element)}"
-        return InvalidValueError(f"{place}: {words}{self._hint(words, element)}")
+        hint = self._hint(words, element)
+        return fault(element, f"{words}{hint}", _attribute(words, element))
 
     def _hint(self, words: str, element: ET.Element) -> str:
         """What an unknown word may have been meant to be."""
@@ -288,19 +283,18 @@ class _Compiled:
             if not (values <= maximum).all():
                 row = int(np.argwhere(~(values <= maximum))[0][0])
                 wrong = next(e for e in getattr(self._spec, elements) if e.id == row)
-                place = f"{place_of(self._element(wrong.info))} {array.partition('_')[2]}"
                 words = f"comes to {np.max(values[row]):g}, needs sizes of at most {maximum:g}"
-                raise InvalidValueError(f"{place}: {words}")
+                raise fault(self._element(wrong.info), words, array.partition("_")[2])
 
 
 def _attribute(words: str, element: ET.Element) -> str:
     """The attribute that a message is about, if that is clear."""
     for key, text in element.attrib.items():
         if f"'{text}'" in words:
-            return f" {key}"
+            return key
     for key, text in element.attrib.items():
         if key not in NAMES and re.search(rf"\b{key}\b", words):
-            return f" {key}: found '{text[:40]}'"
+            return f"{key}: found '{text[:40]}'"
     return ""
 
 

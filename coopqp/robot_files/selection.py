@@ -164,10 +164,9 @@ def robot_model(
         locked: joints fixed at a value [rad or m]; None: at zero, or the limit nearest to zero.
         joint_limits: by name of a joint, or a pattern such as ``left_*``.
 
-    Raises:
-        UnknownNameError: no such frame or joint.
-        InvalidValueError: an arm without joints of its own, a free joint that cannot be one
-            coordinate, a value outside the limits, a joint both free and locked.
+    UnknownNameError: no such frame or joint. InvalidValueError: an arm without joints of its own, a
+    free joint that cannot be one coordinate, a value outside the limits, a joint both free and
+    locked.
     """
     moving = _free_joints(description, arms, free, locked)
     reduced = _without_locked_joints(description, moving, locked)
@@ -337,7 +336,6 @@ def _way_to_tip(
 
 
 def _named(name: str, arm: ArmJoints, way: Sequence[str], known: Sequence[str]) -> Sequence[str]:
-    """The joints an arm names, checked."""
     joints = arm.joints or ()
     for joint in joints:
         if joint not in known:

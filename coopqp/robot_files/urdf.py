@@ -30,6 +30,7 @@ from coopqp.robot import Shape
 from coopqp.robot_files.selection import Description, Follower
 from coopqp.robot_files.xml import (
     ALIKE,
+    fault,
     missing_meshes,
     numbers_of,
     pinocchio_says,
@@ -46,16 +47,14 @@ def read_urdf(path: Path, package_dirs: Sequence[Path] = ()) -> Description:
         path: of the file.
         package_dirs: folders of ``package://`` packages, besides those above the file.
 
-    Raises:
-        InvalidValueError: no such file, or not a URDF file.
+    InvalidValueError: no such file, or not a URDF file.
     """
     xml = read_xml(path, ["robot"], "URDF")
     for element in xml.iter():
         if "xacro" in element.tag:
-            words = "is a xacro file; make a URDF of it first: xacro FILE"
-            raise InvalidValueError(f"{place_of(element)}: {words}")
+            raise fault(element, "is a xacro file; make a URDF of it first: xacro FILE")
     if xml.find("link") is None:
-        raise InvalidValueError(f"{place_of(xml)}: is not a URDF file: has no <link>")
+        raise fault(xml, "is not a URDF file: has no <link>")
     impossible = _check(xml)
     heard: list[str] = []
     try:
@@ -131,24 +130,23 @@ class Known:
 
 
 def _check_known(element: Element, entry: str) -> None:
-    """Check an element and its contents against an entry of KNOWN."""
     known = KNOWN[entry]
     names = [*known.attributes.split(), *known.numbers]
     for name in element.attrib:
         absent = [other for other in names if other not in element.attrib]
         if name not in names and _is_refused(name, absent, "attributes" in known.lenient):
             words = _nearest("attribute", name, names)
-            raise InvalidValueError(f"{place_of(element)}: {words}")
+            raise fault(element, f"{words}")
     for name in known.required.split():
         if not element.get(name):
-            raise InvalidValueError(f"{place_of(element)}: needs {name}")
+            raise fault(element, f"needs {name}")
     for child in element:
         inner = known.inside.get(child.tag)
         if inner:
             _check_known(child, inner)
         elif inner is None and _is_refused(child.tag, known.inside, "elements" in known.lenient):
             words = _nearest("element", child.tag, known.inside)
-            raise InvalidValueError(f"{place_of(child)} in <{element.tag}>: {words}")
+            raise fault(child, words, f"in <{element.tag}>")
 
 
 def _is_refused(name: str, known: Collection[str], lenient: bool) -> bool:
@@ -166,12 +164,11 @@ def _nearest(kind: str, name: str, known: Collection[str]) -> str:
 
 
 def _check_numbers(element: Element, attributes: Mapping[str, Numbers]) -> None:
-    """Check those attributes of an element that hold numbers."""
     for key, needs in attributes.items():
         text = element.get(key)
         if text is not None and (wrong := _wrong(text, needs)):
             shown = text if len(text) <= 40 else text[:37] + "..."
-            raise InvalidValueError(f"{place_of(element)} {key}: found '{shown}', {wrong}")
+            raise fault(element, f"found '{shown}', {wrong}", key)
 
 
 def _wrong(text: str, needs: Numbers) -> str:
@@ -207,15 +204,12 @@ def _negative_moment(element: Element) -> str:
 
 
 def _check_names(elements: Iterable[Element], kind: str) -> None:
-    """Refuse two elements of one kind with one name."""
     taken = set[str]()
     for element in elements:
         name = element.get("name")
         if name is not None:
             if name in taken:
-                raise InvalidValueError(
-                    f"{place_of(element)}: another {kind} has this name already; rename one"
-                )
+                raise fault(element, f"another {kind} has this name already; rename one")
             taken.add(name)
 
 
@@ -304,10 +298,10 @@ def _check_schema(xml: Element) -> list[str]:
     _check_known(xml, "robot")
     for part in (*xml.findall("link/visual"), *xml.findall("link/collision")):
         if part.find("geometry/*") is None:
-            raise InvalidValueError(f"{place_of(part)}: needs a <geometry> with a shape in it")
+            raise fault(part, "needs a <geometry> with a shape in it")
     for joint in xml.findall("joint"):
         if (kind := joint.get("type", "")) not in KINDS:
-            raise InvalidValueError(f"{place_of(joint)} type: {_nearest('type', kind, KINDS)}")
+            raise fault(joint, f"{_nearest('type', kind, KINDS)}", "type")
         _check_limit(joint)
     _check_tree(xml)
     names = [joint.get("name", "") for joint in xml.findall("joint")]
@@ -324,15 +318,11 @@ def _check_limit(joint: Element) -> None:
         return
     if limit is None:
         without = " or type 'continuous'" if kind == "revolute" else ""
-        raise InvalidValueError(
-            f"{place_of(joint)}: needs <limit lower= upper= effort= velocity=>{without}"
-        )
+        raise fault(joint, f"needs <limit lower= upper= effort= velocity=>{without}")
     lower, upper = float(limit.get("lower", 0.0)), float(limit.get("upper", 0.0))
     if lower > upper:
-        raise InvalidValueError(
-            f"{place_of(limit)} of joint {joint.get('name')}: lower {lower:g} is above upper "
-            f"{upper:g}; swap them"
-        )
+        words = f"lower {lower:g} is above upper {upper:g}; swap them"
+        raise fault(limit, words, f"of joint {joint.get('name')}")
 
 
 def _check_tree(xml: Element) -> None:
@@ -344,32 +334,24 @@ def _check_tree(xml: Element) -> None:
         child = _end(joint, "child", links)
         name, link = joint.get("name", ""), child.get("link", "")
         if link in carried:
-            raise InvalidValueError(
-                f"{place_of(child)} of joint {name}: link {link} is the child of joint "
-                f"{carried[link]} already"
-            )
+            words = f"link {link} is the child of joint {carried[link]} already"
+            raise fault(child, words, f"of joint {name}")
         carried[link] = name
     roots = [link for link in links if link not in carried]
     if not roots:
-        raise InvalidValueError(
-            f"{place_of(next(iter(links.values())))}: every link is the child of a joint; one, the "
-            "base, must be none"
-        )
+        words = "every link is the child of a joint; one, the base, must be none"
+        raise fault(next(iter(links.values())), words)
     for name in roots[1:]:
-        raise InvalidValueError(
-            f"{place_of(links[name])}: is the child of no joint, as is link {roots[0]}; only the "
-            "base may be"
-        )
+        words = f"is the child of no joint, as is link {roots[0]}; only the base may be"
+        raise fault(links[name], words)
 
 
 def _end(joint: Element, tag: str, links: Collection[str]) -> Element:
-    """A joint's <parent> or <child>."""
     end = joint.find(tag)
     if end is None:
-        raise InvalidValueError(f"{place_of(joint)}: needs <{tag} link=>")
+        raise fault(joint, f"needs <{tag} link=>")
     if (link := end.get("link", "")) not in links:
-        words = unknown_name("link", link, links)
-        raise InvalidValueError(f"{place_of(end)} of joint {joint.get('name')}: {words}")
+        raise fault(end, unknown_name("link", link, links), f"of joint {joint.get('name')}")
     return end
 
 
@@ -386,18 +368,17 @@ def _check_circles(xml: Element) -> None:
         while link in moved_by and link not in joints_to:
             if link in way:
                 words = f"link '{link}' moves itself: the joints from it on go round in a circle"
-                raise InvalidValueError(f"{place_of(moved_by[link])}: {words}")
+                raise fault(moved_by[link], words)
             way[link] = None
             link = _link(moved_by[link], "parent")
         before = joints_to.get(link, 0)
         joints_to.update((link, before + i) for i, link in enumerate(reversed(way), 1))
         if joints_to[first] > LONGEST:
             words = f"more than {LONGEST} joints are between link '{first}' and the base"
-            raise InvalidValueError(f"{place_of(moved_by[first])}: {words}")
+            raise fault(moved_by[first], words)
 
 
 def _link(joint: Element, tag: str) -> str:
-    """Name of a joint's parent or child link."""
     end = joint.find(tag)
     return "" if end is None else end.get("link", "")
 
@@ -466,7 +447,6 @@ def _why_unseen(frame: str, part: Element) -> str:
 
 
 def _parts(xml: Element, tag: str) -> Iterator[tuple[str, pin.SE3, Element]]:
-    """Link, pose in it and geometry of each part."""
     for link in xml.findall("link"):
         for part in link.findall(tag):
             geometry = part.find("geometry")

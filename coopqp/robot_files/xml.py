@@ -39,13 +39,17 @@ def place_of(element: ET.Element) -> str:
     return f"{place}: {tag}" if place else tag
 
 
+def fault(element: ET.Element, words: str, where: str = "") -> InvalidValueError:
+    """What is wrong with an element, ``where`` in it, such as an attribute."""
+    return InvalidValueError(f"{place_of(element)}{where and f' {where}'}: {words}")
+
+
 def read_xml(path: Path, roots: Sequence[str], kind: str, *, texts: bool = False) -> ET.Element:
     """Read an XML file of a robot; ``roots`` are names that its outermost element may have.
 
     Messages call the file of this ``kind``; ``texts`` between elements are read if wanted.
 
-    Raises:
-        InvalidValueError: no such file, or no such kind of file.
+    InvalidValueError: no such file, or no such kind of file.
     """
     try:
         content = read_bytes(path, MAX_BYTES)

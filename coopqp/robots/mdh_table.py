@@ -23,19 +23,15 @@ def _word(value: Any) -> Any:
     return SIGMA[value] if type(value) is int and 0 <= value <= 2 else value
 
 
-def _name(value: Any) -> Any:
-    return str(value) if type(value) is int else value
-
-
 def _antecedent(value: Any) -> Any:
-    return None if type(value) is int and value == 0 else _name(value)
+    return None if type(value) is int and value == 0 else mdh.name_of(value)
 
 
 @spec
 class TableRow:
     """Row j of the table."""
 
-    name: Annotated[str, BeforeValidator(_name)]
+    name: Annotated[str, BeforeValidator(mdh.name_of)]
     """Of the joint, or its number j."""
     antecedent: Annotated[str | None, BeforeValidator(_antecedent)] = None
     """a(j): name of the row before it; the base when omitted or 0."""
@@ -123,16 +119,6 @@ class TableRow:
 
 
 @spec
-class TableTip:
-    """A hand: a frame fixed to a row, with the base's axes at the zero pose."""
-
-    parent: Annotated[str, BeforeValidator(_name)]
-    """Name of the row."""
-    offset: Vector3 = (0.0, 0.0, 0.0)
-    """From the row's origin, along the base's axes at the zero pose [m]."""
-
-
-@spec
 class MdhTable(Robot):
     """A robot from its table after Khalil and Kleinfinger (modified Denavit-Hartenberg)."""
 
@@ -140,7 +126,7 @@ class MdhTable(Robot):
     """The table, arm by arm, each row after its antecedent."""
     arms: Arms
     """Arms by name, each its tip (a row or one of tips) or {tip: frame, joints: [...]}."""
-    tips: dict[str, TableTip] = Field(default_factory=dict)
+    tips: dict[str, mdh.Tip] = Field(default_factory=dict)
     """Frames of the hands, by name: {parent: row, offset: [m]}."""
     free: tuple[str, ...] = ()
     """Joints that join in besides those of the arms."""
@@ -148,14 +134,11 @@ class MdhTable(Robot):
     """Joints kept still: names, or names with values [rad or m]; others that move no tip too."""
 
     def build(self) -> RobotModel:
-        tips = {
-            name: mdh.Tip(parent=tip.parent, offset=tip.offset) for name, tip in self.tips.items()
-        }
         rows = []
         for i, row in enumerate(self.rows):
             with under("rows", i):
                 rows.append(row.read())
-        model = mdh.build_model("mdh_table", rows, tips)
+        model = mdh.build_model("mdh_table", rows, self.tips)
         return robot_model(
             Description(name=model.name, model=model),
             arms=self.arms,

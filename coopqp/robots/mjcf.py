@@ -31,7 +31,6 @@ class Mjcf(Robot):
     """Limits instead of the file's, by joint or pattern such as left_*; MJCF has no velocities."""
 
     def build(self) -> RobotModel:
-        """The joints of the arms; all others locked."""
         with under("path"):
             description = read_mjcf(self.path)
         return robot_model(

@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, Protocol
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import pinocchio as pin
@@ -109,7 +109,6 @@ def joints_of(
     """
     own = np.setdiff1d(np.arange(chain.n), chain.passive)
     index = {ros_name(chain.joint_names[i]): int(i) for i in own}
-    ordered: dict[str, NDArray[np.intp]] = {}
     named: dict[str, Sequence[str]] = {}
     moved: list[str] = []
     for name in controllers:
@@ -123,9 +122,10 @@ def joints_of(
             if joint in moved:
                 raise InvalidValueError(f"{name}.joints: '{joint}' is there twice")
             moved.append(joint)
-        named[name], ordered[name] = given, np.array([index[joint] for joint in given])
+        named[name] = given
     if left := [joint for joint in index if joint not in moved]:
         raise InvalidValueError(f"joints: no controller moves {', '.join(left)}")
+    ordered = {name: np.array([index[x] for x in given]) for name, given in named.items()}
     return Joints(tuple(index), named, ordered)
 
 
@@ -250,43 +250,20 @@ class JointStates:
     def silence(self, now: float) -> str:
         """Which joints have not come for too long, as a sentence; empty if none."""
         age = now - self._sent
-        if not (age > self._silent_after).any():
+        late = np.isinf(age) if np.isinf(age).any() else age > self._silent_after
+        names = [name for name, i in self._index.items() if late[i]]
+        if not names:
             return ""
-        if never := [name for name, i in self._index.items() if np.isinf(age[i])]:
-            return f"nothing has come of {_first_three(never)}"
-        old = [name for name, i in self._index.items() if age[i] > self._silent_after]
-        return f"nothing has come for {age.max():.3g} s of {_first_three(old)}"
-
-
-def _first_three(names: Sequence[str]) -> str:
-    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
-    return ", ".join(names[:3]) + more
-
-
-class Transport(Protocol):
-    """Carries messages."""
-
-    def now(self) -> int:
-        """By the clock of stamps [ns]."""
-
-    def command(self, controller: str, q: list[float], v: list[float]) -> None:
-        """Send joint positions at the end of the period [rad, m], and velocities until then.
-
-        Both are in the order of the controller.
-        """
-
-    def grip(self, arm: str, closed: bool) -> None:
-        """Send that an arm's gripper shall be closed, or open."""
-
-    def place(self, position: list[float], quaternion: list[float]) -> None:
-        """Send the object's position in the world [m] and its orientation (x, y, z, w)."""
-
-    def diagnose(self, remarks: Sequence[Remark]) -> None:
-        """Send diagnostics."""
+        since = "" if np.isinf(age).any() else f" for {age.max():.3g} s"
+        more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+        return f"nothing has come{since} of {', '.join(names[:3])}{more}"
 
 
 class Bridge:
-    """A robot and inputs for :func:`coopqp.real_time`, made of messages; kinds are by input."""
+    """A robot and inputs for :func:`coopqp.real_time`, made of messages.
+
+    ``kinds`` are by input; ``transport`` carries messages, as :class:`coopqp.ros.node.Topics`.
+    """
 
     def __init__(
         self,
@@ -294,7 +271,7 @@ class Bridge:
         joints: Joints,
         kinds: Mapping[str, Kind],
         settings: RosSettings,
-        transport: Transport,
+        transport: Any,
     ) -> None:
         self._loop, self._joints, self._kinds = loop, joints, kinds
         self._settings, self._transport = settings, transport
@@ -345,17 +322,16 @@ class Bridge:
 
     def write(self, q: Array, v: Array) -> None:
         """Send commands to the controllers, and diagnostics when they are due."""
-        settings, state = self._settings, self._loop.state
+        settings, state, command = self._settings, self._loop.state, self._loop.command
         velocity = self._with_position_gain(v) if settings.command == "velocity" else v
         for name, indices in self._joints.ordered.items():
             self._transport.command(name, q[indices].tolist(), velocity[indices].tolist())
         if settings.object_frame:
             turned = pin.Quaternion(state.R_WO).coeffs()
             self._transport.place(state.p_WO.tolist(), turned.tolist())
-        command = self._loop.command
         self._causes |= dict.fromkeys(command.causes)
         self._told = command.told or self._told
-        if self._loop.now - self._reported_at >= self._settings.diagnostics_every:
+        if self._loop.now - self._reported_at >= settings.diagnostics_every:
             self.say()
 
     def grip(self, grippers: Mapping[str, Gripper]) -> None:

@@ -53,7 +53,7 @@ def run_node(scenario: Scenario, arguments: Sequence[str] = ()) -> Ended:
         options: dict[str, Any] = {key: getattr(settings, key) for key in given}
         joints = joints_of(scenario.chain, settings.controllers, orders)
         kinds = kinds_of(scenario)
-        topics = _Topics(node, settings, joints, scenario.dt)
+        topics = Topics(node, settings, joints, scenario.dt)
         if topics.simulated:
             options["clock"] = topics.seconds
         loop = OnlineLoop(scenario, settings.law, out=settings.out or None, **options)
@@ -68,7 +68,7 @@ def run_node(scenario: Scenario, arguments: Sequence[str] = ()) -> Ended:
             return _run(loop, bridge, topics)
 
 
-def _run(loop: OnlineLoop, bridge: Bridge, topics: _Topics) -> Ended:
+def _run(loop: OnlineLoop, bridge: Bridge, topics: Topics) -> Ended:
     """Wait for the robot and run the loop; at the end say why it has ended."""
     why = "the node was cut off"
     try:
@@ -85,7 +85,7 @@ def _run(loop: OnlineLoop, bridge: Bridge, topics: _Topics) -> Ended:
             topics.wait()
 
 
-def _when_measured(loop: OnlineLoop, bridge: Bridge, topics: _Topics) -> Ended:
+def _when_measured(loop: OnlineLoop, bridge: Bridge, topics: Topics) -> Ended:
     while loop.running:
         q = bridge.read()
         if q is not None and topics.now():  # simulated time is zero until it has come
@@ -164,12 +164,8 @@ def _type(name: str) -> Any:
     return getattr(importlib.import_module(f"{package}.msg"), kind)
 
 
-class _Topics:
-    """The node's publishers and subscriptions.
-
-    Attributes:
-        simulated: whether time is that of /clock.
-    """
+class Topics:
+    """The node's publishers and subscriptions; ``simulated`` if its time is that of /clock."""
 
     def __init__(self, node: Any, settings: RosSettings, joints: Joints, dt: float) -> None:
         self._node, self._settings, self._joints, self._dt = node, settings, joints, dt
@@ -200,6 +196,7 @@ class _Topics:
             raise CoopqpError(f"topic '{topic}': {words}") from None
 
     def now(self) -> int:
+        """By the clock of stamps [ns]."""
         return int(self._node.get_clock().now().nanoseconds)
 
     def seconds(self) -> float:
@@ -207,6 +204,7 @@ class _Topics:
         return 1e-9 * self.now()
 
     def command(self, controller: str, q: list[float], v: list[float]) -> None:
+        """Send positions at the end of the period [rad, m], or velocities until then."""
         if self._settings.command == "trajectory":
             # A header without a stamp: the point is to be reached a period after it has come.
             point = _type(POINT)(positions=q, velocities=v)
@@ -219,7 +217,7 @@ class _Topics:
         self._commands[controller].publish(message)
 
     def grip(self, arm: str, closed: bool) -> None:
-        """On a topic that keeps its last message for who comes later."""
+        """Send whether a gripper shall be closed, on a topic that keeps its last message."""
         from rclpy.qos import DurabilityPolicy, QoSProfile
 
         if arm not in self._grippers:
@@ -229,6 +227,7 @@ class _Topics:
         self._grippers[arm].publish(_type(CLOSED)(data=closed))
 
     def place(self, position: list[float], quaternion: list[float]) -> None:
+        """Send the object's position in the world [m] and its orientation (x, y, z, w)."""
         transform = _type("geometry_msgs/msg/TransformStamped")()
         transform.header.stamp = self._node.get_clock().now().to_msg()
         transform.header.frame_id = self._settings.frame

@@ -8,7 +8,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import fields
-from functools import partial
+from functools import partial, reduce
+from operator import getitem
 from typing import Any
 
 from coopqp.base.errors import CoopqpError, MissingDependencyError, ScenarioError, unknown_name
@@ -135,87 +136,34 @@ def placed_tasks(scenario: Scenario) -> Iterator[Placed]:
 
 
 class Known:
-    """The last scenario that has passed, for who reads one variant of a file after the other.
+    """What has been built and tried for one variant of a file after the other.
 
-    Variants of one file differ in a key or two: robot, chain and trials of all others are then
-    taken from the variant before. After :meth:`lend_chain` this says what else is the same.
+    Variants of one file differ in a key or two. What follows from the same parts of the file as in
+    the variant before is taken from there.
     """
 
     def __init__(self) -> None:
-        self._data: Mapping[str, Any] = {}
-        self._now: Mapping[str, Any] = {}
-        self._scenario: Scenario | None = None
-        self._places: Mapping[str, Places] = {}
-        self._alike = False
+        self._kept: dict[object, tuple[object, Any]] = {}
 
-    def keep(
-        self, data: Mapping[str, Any], scenario: Scenario, places: Mapping[str, Places]
-    ) -> None:
-        """A scenario has passed; its tasks and limits were tried at these places, by phase."""
-        self._data, self._scenario, self._places = data, scenario, places
+    def get(self, what: object, source: object) -> Any:
+        """What was kept, if it follows from the same; else None."""
+        before, found = self._kept.get(what, (None, None))
+        return found if before == source else None
 
-    def lend_robot(self, data: Mapping[str, Any], scenario: Scenario) -> None:
-        """Give a scenario the robot of the last one, where it is the same."""
-        self._now, self._alike = data, False
-        if self._scenario and self._same("robot", "folder"):
-            vars(scenario)["robot_model"] = self._scenario.robot_model
-
-    def lend_chain(self, scenario: Scenario) -> None:
-        """Give it the closed chain as well, where it is the same but for the object's inertia."""
-        before = self._scenario
-        if before is None or not self._same_chain(before, scenario):
-            return
-        self._alike, chain = True, before.chain
-        if scenario.held != before.held:
-            chain = chain.carrying(scenario.held)
-        vars(scenario)["chain"] = chain
-
-    def place(self, phase: str) -> Places | None:
-        """Where plug-ins were tried in a phase of the same chain."""
-        return self._places.get(phase) if self._alike else None
-
-    def task(self, at: Location, task: Task) -> bool:
-        """Whether a task is the same, inputs are followed alike, and phases as long."""
-        if not self._alike or task.of_forces or not self._same("inputs", "duration"):
-            return False
-        durations = [[p["duration"] for p in x.get("phases") or ()] for x in self._both]
-        tasks = [_at(data, at) for data in self._both]
-        return bool(durations[0] == durations[1] and tasks[0] == tasks[1])
-
-    @property
-    def limits(self) -> bool:
-        """Whether all limits are the same."""
-        return self._alike and self._same("limits", "dt", "start_outside")
-
-    @property
-    def _both(self) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
-        return self._data, self._now
-
-    def _same(self, *keys: str) -> bool:
-        return all(self._data.get(key) == self._now.get(key) for key in keys)
-
-    def _same_chain(self, before: Scenario, scenario: Scenario) -> bool:
-        released = [[phase.released for phase in x.schedule] for x in (before, scenario)]
-        objects = [
-            {key: x for key, x in (data.get("object") or {}).items() if key not in INERTIAL}
-            for data in self._both
-        ]
-        return (
-            self._same(*CHAIN)
-            and scenario.start == before.start
-            and released[0] == released[1]
-            and objects[0] == objects[1]
-        )
+    def keep(self, what: object, source: object, found: Any = True) -> None:
+        """Keep what has been built of a part of a file, or that it has passed."""
+        self._kept[what] = source, found
 
 
-def _at(data: Any, location: Location) -> Any:
-    """What is at a place of a file; None where that is not."""
-    for key in location:
-        try:
-            data = data[key]
-        except (KeyError, IndexError, TypeError):
-            return None
-    return data
+def _of_chain(data: Mapping[str, Any], scenario: Scenario) -> tuple[object, ...]:
+    """All from which a chain follows, but for the object's inertia, which it can exchange."""
+    released = [phase.released for phase in scenario.schedule]
+    held = {k: x for k, x in (data.get("object") or {}).items() if k not in INERTIAL}
+    return *(data.get(key) for key in CHAIN), scenario.start, released, held
+
+
+def _at(data: Any, place: Location) -> Any:
+    return reduce(getitem, place, data)
 
 
 def check_start(data: Mapping[str, Any], scenario: Scenario, known: Known) -> None:
@@ -233,9 +181,13 @@ def check_start(data: Mapping[str, Any], scenario: Scenario, known: Known) -> No
         grasp_of_each(robot, scenario.grasps)
     outside = [] if allowed else joints_outside(robot, of_robot, q, key)
     refuse([*_released(scenario), *outside])
-    with at(_longest(scenario)):
+    with at(_longest(data, scenario)):
         scenario.check_size()
-    known.lend_chain(scenario)
+    of_chain = _of_chain(data, scenario)
+    if before := known.get("chain", of_chain):
+        chain = before.chain
+        chain = chain if scenario.held == before.held else chain.carrying(scenario.held)
+        vars(scenario)["chain"] = chain
     chain = _closed(data, scenario, key)
     refuse([*_too_large(chain), *_unknown_springs(scenario)])
     if not allowed:
@@ -243,13 +195,23 @@ def check_start(data: Mapping[str, Any], scenario: Scenario, known: Known) -> No
     problems = list(scenario.problems(lambda _: chain.q_start))
     # Later phases are tried where the first begins: nobody knows yet where the motion leads.
     places = {
-        phase.name: Places(problem.chain, known.place(phase.name))
+        phase.name: Places(problem.chain, known.get(("places", phase.name), of_chain))
         for phase, problem in zip(scenario.schedule, problems, strict=True)
     }
     refuse(_badly_held(data, places))
-    tasks = [placed for placed in placed_tasks(scenario) if not known.task(*placed[:2])]
-    wrong_plugins, new_limits = [*_broken_tasks(tasks, places)], not known.limits
-    if new_limits:
+    of_tasks = {} if scenario.follows else {
+        tuple(place): (of_chain, data.get("inputs"), phase.duration, _at(data, place))
+        for place, task, phase in placed_tasks(scenario)
+        if not task.of_forces
+    }  # fmt: skip
+    tasks = [
+        (place, task, phase)
+        for place, task, phase in placed_tasks(scenario)
+        if not known.get(tuple(place), of_tasks.get(tuple(place)))
+    ]
+    of_limits = of_chain, [data.get(key) for key in ("limits", "dt", "start_outside")]
+    wrong_plugins = [*_broken_tasks(tasks, places)]
+    if new_limits := not known.get("limits", of_limits):
         wrong_plugins += _broken_limits(scenario, next(iter(places.values())))
     refuse(wrong_plugins)
     refuse(_alike(scenario, places))
@@ -259,7 +221,12 @@ def check_start(data: Mapping[str, Any], scenario: Scenario, known: Known) -> No
             wrong_starts += [Wrong(["limits", i], words) for words in limit.start_faults(chain)]
     refuse(wrong_starts)
     _check_plant(scenario)
-    known.keep(data, scenario, places)
+    known.keep("chain", of_chain, scenario)
+    known.keep("limits", of_limits)
+    for name, tried in places.items():
+        known.keep(("places", name), of_chain, tried)
+    for place, source in of_tasks.items():
+        known.keep(place, source)
 
 
 def _closed(data: Mapping[str, Any], scenario: Scenario, key: str) -> ClosedChain:
@@ -305,12 +272,15 @@ def _badly_held(data: Mapping[str, Any], places: Mapping[str, Places]) -> Iterat
             yield Wrong(["grasp"], f"{arm}: {words}" if arm else words)
 
 
-def _longest(scenario: Scenario) -> Location:
-    """What makes a run long: a phase's duration, or the control period where that is shorter."""
+def _longest(data: Mapping[str, Any], scenario: Scenario) -> Location:
+    """What makes a run long: a phase, the way to it, or the control period where that is short."""
     if scenario.dt < SHORT:
         return ["dt"]
-    durations = [phase.duration for phase in scenario.phases]
-    return ["phases", durations.index(max(durations)), "duration"] if durations else ["duration"]
+    longest = max(scenario.schedule, key=lambda phase: phase.duration)
+    if longest.leads:
+        return ["reference", "late"] if "late" in data["reference"] else ["reference"]
+    own = [phase for phase in scenario.schedule if not phase.leads]
+    return ["phases", own.index(longest), "duration"] if "phases" in data else ["duration"]
 
 
 def _released(scenario: Scenario) -> Iterator[Wrong]:
@@ -393,9 +363,7 @@ def _broken_inputs(
 
 
 def _used(data: Any, place: Location, name: str) -> Location:
-    for key in place:
-        data = data[key]
-    waiting: list[tuple[list[str | int], Any]] = [([*place], data)]
+    waiting: list[tuple[list[str | int], Any]] = [([*place], _at(data, place))]
     while waiting:
         where, found = waiting.pop()
         if isinstance(found, dict):

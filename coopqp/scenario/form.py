@@ -87,6 +87,7 @@ class Slot(BaseModel):
     model_config = ConfigDict(**STRICT, json_schema_extra={"minProperties": 1, "maxProperties": 1})
 
 
+@functools.lru_cache(maxsize=64)
 def one_of(catalog: Catalog, kind: str) -> Any:
     """Type of a slot that takes one plug-in of a collection."""
     entries = catalog.entries(kind)
@@ -186,6 +187,8 @@ def _type(hint: Any, catalog: Catalog) -> Any:
     return hint
 
 
+#: Plug-ins that others have inside, and their ideas.
+INNER: dict[str, type] = {"robots": Robot, "signals": Signal}
 #: Settings of the loop for robots that people look for in a file.
 OF_LOOP = {"reactions": "is an argument of OnlineLoop; a scenario has none"}
 #: Keys that each phase has for itself, where there are phases.
@@ -206,25 +209,27 @@ def _phases_or_not(data: Mapping[str, Any]) -> Iterator[Wrong]:
 def check(file: YamlFile, catalog: Catalog) -> BaseModel:
     """Check a file against the form that a catalogue gives it."""
     model = file_model(catalog)
-    robot, signal_slot = _adapters(catalog)
 
-    def read_robot(value: Any) -> Any:
-        """A robot inside a robot, such as one of several."""
-        return _inner(robot, value, context)
+    def inner(kind: str, value: Any) -> Any:
+        """A plug-in inside another, such as one of several robots."""
+        read = _adapter(catalog, kind).validate_json(json.dumps(value), context=context)
+        for place, words in _mistaken(value, read):
+            raise ValueError(f"{wording.dotted(place)}: {words}")
+        return chosen(read)[1]
 
     def read_signal(value: dict[str, Any], needed: bool) -> Signal | None:
         """A signal where a task may have one."""
-        if not needed and not (len(value) == 1 and set(value) <= set(catalog.entries("signals"))):
-            return None
-        signal: Signal = _inner(signal_slot, value, context)
-        return signal
+        named = len(value) == 1 and set(value) <= set(catalog.entries("signals"))
+        found: Signal | None = inner("signals", value) if needed or named else None
+        return found
 
-    context = {"folder": file.folder, "robot": read_robot, "signal": read_signal}
+    robot = functools.partial(inner, "robots")
+    context = {"folder": file.folder, "robot": robot, "signal": read_signal}
     found = list(_phases_or_not(file.data))
     try:
         read = model.model_validate_json(json.dumps(file.data), context=context)
     except ValidationError as error:
-        slots: dict[type, Any] = {Robot: _slot(model, "robot"), Signal: one_of(catalog, "signals")}
+        slots: dict[type, Any] = {idea: one_of(catalog, kind) for kind, idea in INNER.items()}
         wrong = wording.faults(error, file.data, model, slots)
         found += [Wrong(place, OF_LOOP.get(wording.dotted(place), words)) for place, words in wrong]
     except (CoopqpError, KeyboardInterrupt):
@@ -282,18 +287,6 @@ def _plain(value: Any) -> Any:
     return Phase(**given(value)) if isinstance(value, BaseModel) else value
 
 
-def _inner(slot: TypeAdapter[Any], value: Any, context: dict[str, Any]) -> Any:
-    read = slot.validate_json(json.dumps(value), context=context)
-    for place, words in _mistaken(value, read):
-        raise ValueError(f"{wording.dotted(place)}: {words}")
-    return chosen(read)[1]
-
-
-@functools.lru_cache(maxsize=8)
-def _adapters(catalog: Catalog) -> tuple[TypeAdapter[Any], TypeAdapter[Any]]:
-    """Of a robot and of a signal; kept as the model is."""
-    return TypeAdapter(_slot(file_model(catalog), "robot")), TypeAdapter(one_of(catalog, "signals"))
-
-
-def _slot(model: type[BaseModel], key: str) -> Any:
-    return typing.get_type_hints(model, include_extras=True)[key]
+@functools.lru_cache(maxsize=16)
+def _adapter(catalog: Catalog, kind: str) -> TypeAdapter[Any]:
+    return TypeAdapter(one_of(catalog, kind))

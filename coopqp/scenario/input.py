@@ -227,10 +227,6 @@ class Sender(Protocol):
         """Let what has been sent arrive, for the tick of a state."""
 
 
-_Row = tuple[float, float, Array]
-"""When it arrives and when it was sent [s], and the value."""
-
-
 class Feed:
     """Who sends, in a comparison, from ``since`` [s] on; CoopqpError: not of the input's kind."""
 
@@ -239,8 +235,8 @@ class Feed:
     ) -> None:
         self._inputs, self._since = inputs, since
         self._signals: dict[str, Trajectory] = {}
-        self._rows: dict[str, Iterator[_Row]] = {}
-        self._next: dict[str, _Row | None] = {}
+        self._rows: dict[str, tuple[Array, Array, Array]] = {}
+        self._next = dict[str, int]()
         for name, channel in inputs.channels.items():
             given, kind = settings[name], channel.kind
             if given.feed is not None:
@@ -253,9 +249,7 @@ class Feed:
                 table = read_table(given.feed_file)
                 t = table.times()
                 sent = table.take(["sent"])[:, 0] if "sent" in table.columns else t
-                values = table.take(kind.columns)
-                self._rows[name] = zip(t.tolist(), sent.tolist(), values, strict=True)
-                self._next[name] = next(self._rows[name])
+                self._rows[name], self._next[name] = (t, sent, table.take(kind.columns)), 0
 
     def step(self, state: State) -> None:
         """Let what has been sent arrive, for the tick of a state."""
@@ -267,8 +261,8 @@ class Feed:
         for name, signal in self._signals.items():
             signal.update(Moment(now))
             yield name, signal.value, t
-        for name, row in self._next.items():
-            while row is not None and row[0] <= now + SUMMED:
-                yield name, row[2], row[1] - self._since
-                row = next(self._rows[name], None)
-            self._next[name] = row
+        for name, (arrives, sent, values) in self._rows.items():
+            until = int(np.searchsorted(arrives, now + SUMMED, side="right"))
+            for i in range(self._next[name], until):
+                yield name, values[i], float(sent[i]) - self._since
+            self._next[name] = max(until, self._next[name])

@@ -56,7 +56,9 @@ def load_file(file: YamlFile, catalog: Catalog, known: Known | None = None) -> S
     known = known or Known()
     with file.lines():
         scenario, planned = _read(file, catalog)
-        known.lend_robot(file.data, scenario)
+        of_robot = file.data.get("robot"), file.data.get("folder")
+        if before := known.get("robot", of_robot):
+            vars(scenario)["robot_model"] = before
         if file.data.get("start") == SOLVE:
             scenario = scenario.changed(start=_solved(file, scenario, scenario.seed, None).start)
         elif file.data.get("start_deg") is not None:
@@ -72,6 +74,7 @@ def load_file(file: YamlFile, catalog: Catalog, known: Known | None = None) -> S
             with at(["reference"]):
                 scenario = following(scenario, planned)
         check_start(file.data, scenario, known)
+        known.keep("robot", of_robot, scenario.robot_model)
         return scenario
 
 

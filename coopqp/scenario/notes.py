@@ -27,11 +27,11 @@ from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.scenario.input import InputSettings, wanted
 from coopqp.scenario.scenario import Scenario
-from coopqp.scenario.start import FAR
+from coopqp.scenario.start import too_far
 from coopqp.signal import POINT, POSE, Kind, Moment
 from coopqp.task import TaskStack
 from coopqp.torque_law.hand_wrenches import unreachable_wrenches
-from coopqp.torque_law.impedances import leaks
+from coopqp.torque_law.task_dynamics import leaks
 
 #: A push along an axis without a spring that is felt by less than this share is not worth a word.
 LEAKS = 0.05
@@ -263,10 +263,8 @@ def _far(scenario: Scenario) -> Iterator[str]:
             offsets = (float(np.linalg.norm(p - chain.start_position)) for p in places)
             distances.append((f"the input '{name}' is sent a place", max(offsets, default=0.0)))
     for what, far in distances:
-        if far > FAR * chain.reach:
-            meant = ": are these millimetres?" if 1e-3 * far <= FAR * chain.reach else ""
-            reach = f"but the arms reach {chain.reach:.2g} m; lengths are metres{meant}"
-            yield f"{what} {far:.3g} m from where the object starts, {reach}"
+        if words := too_far(far, chain):
+            yield f"{what} {far:.3g} m from where the object starts, {words}"
 
 
 def _unmovable(scenario: Scenario) -> Iterator[str]:

@@ -324,7 +324,7 @@ class Scenario:
             raise InvalidValueError(
                 f"found {self.ticks} ticks, more than are kept; needs at most {MOST_KEPT // each} "
                 f"with {len(self.controllers)} controllers and {len(self.robot_model.joint_names)} "
-                "joints, so make the duration shorter, or dt longer"
+                "joints, so make the run shorter, or dt longer"
             )
 
     @cached_property

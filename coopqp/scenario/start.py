@@ -10,48 +10,41 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from coopqp.base.errors import InvalidValueError
-from coopqp.base.spec import Array, Pose, array, near, real, vector
+from coopqp.base.spec import Array, Pose, array, near
 from coopqp.base.wording import Location
 from coopqp.grasp import Grasp
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.robot import RobotModel, unit_of
-from coopqp.scenario.yaml import Wrong
+from coopqp.scenario.yaml import LEAST, Wrong
+from coopqp.signal import POSE
 
 Start = Mapping[str, float | Sequence[float]]
 
-#: Smallest size of a number in a scenario file that is not zero.
-SMALLEST = 1e-30
 #: A place this many times the arms' reach from where the object starts cannot be meant [-].
 FAR = 3.0
-#: A quaternion's length may differ from 1 by so much.
-UNIT_QUATERNION = 1e-3
 
 
 def pose_of(where: Pose | ArrayLike, chain: ClosedChain) -> Pose:
-    """A pose, or one as x, y, z [m] and a quaternion x, y, z, w, as inputs have it.
+    """A pose, or what else an input of poses takes (:meth:`coopqp.signal.Kind.read`).
 
-    InvalidValueError: it is neither, the quaternion is not of length 1, or it is :data:`FAR` away.
+    InvalidValueError: it is none, or :data:`FAR` away.
     """
-    pose = where if isinstance(where, Pose) else _from_numbers(where)
-    far = float(np.linalg.norm(np.array(pose.position) - chain.start_position))
-    if far > FAR * chain.reach:
-        meant = ": are these millimetres?" if 1e-3 * far <= FAR * chain.reach else ""
-        words = f"the arms reach {chain.reach:.2g} m; lengths are metres{meant}"
-        raise InvalidValueError(f"object_pose: {far:.3g} m from where the file has it, but {words}")
-    return pose
-
-
-def _from_numbers(where: ArrayLike) -> Pose:
     try:
-        given = real(where)
-    except ValueError as error:
+        numbers = POSE.read(where)
+    except InvalidValueError as error:
         raise InvalidValueError(f"object_pose: {error}") from None
-    numbers = near("object_pose", vector("object_pose", given, 7))
-    length = float(np.linalg.norm(numbers[3:]))
-    if abs(length - 1.0) > UNIT_QUATERNION:
-        words = f"the quaternion has length {length:.3g}, needs 1; give x y z, then qx qy qz qw"
-        raise InvalidValueError(f"object_pose: {words}")
-    return pose_at(pin.XYZQUATToSE3(np.append(numbers[:3], numbers[3:] / length)))
+    far = float(np.linalg.norm(numbers[:3] - chain.start_position))
+    if words := too_far(far, chain):
+        raise InvalidValueError(f"object_pose: {far:.3g} m from where the file has it, {words}")
+    return where if isinstance(where, Pose) else pose_at(pin.XYZQUATToSE3(numbers))
+
+
+def too_far(far: float, chain: ClosedChain) -> str:
+    """What to say of a place so far from the start [m]; empty where arms may reach it."""
+    if far <= FAR * chain.reach:
+        return ""
+    meant = ": are these millimetres?" if 1e-3 * far <= FAR * chain.reach else ""
+    return f"but the arms reach {chain.reach:.2g} m; lengths are metres{meant}"
 
 
 def pose_at(X: pin.SE3) -> Pose:
@@ -62,7 +55,7 @@ def pose_at(X: pin.SE3) -> Pose:
 
 def without_tiny(numbers: Array) -> Array:
     """With zero where a scenario file could not have a number."""
-    return np.where(np.abs(numbers) < SMALLEST, 0.0, numbers)
+    return np.where(np.abs(numbers) < LEAST, 0.0, numbers)
 
 
 def start_of(robot: RobotModel, start: Start) -> tuple[Start, dict[str, float]]:

@@ -26,6 +26,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
+from scipy.sparse.csgraph import connected_components
 
 from coopqp.assessment.thresholds import AT_LIMIT, LOOP_CLOSED
 from coopqp.base.errors import GraspError
@@ -45,9 +46,33 @@ from coopqp.robot import RobotModel
 from coopqp.scenario.bounded_steps import LEAST_DAMPING, BoundedSteps, Stop
 from coopqp.scenario.start import Start, by_arm, start_of
 
+Progress = Callable[[int, int], None]
+"""Called after each try with the number of tries made and the most there can be."""
+
 #: How far a joint without limits is turned at random [rad or m].
 UNLIMITED = np.pi
 
+#: Random configurations that are tried per group of arms, and starts after which that ends.
+TRIES, ENOUGH = 120, 12
+#: Starts of a group that differ by more [rad or m], and of all, that are looked at.
+EACH, APART, LOOKED_AT = 8, 0.1, 64
+#: Steps of one try, and farthest that a joint goes in one [rad or m].
+STEPS, STEP = 80, 0.5
+#: A start is closed when no part of r is larger [m].
+CLOSED = 1e-11
+#: Steps away from the limits, and the weight W of |r|^2 in them [1/m2].
+CENTERING_STEPS, CLOSING_WEIGHT = 30, 1e4
+#: Digits after the point of joint values to be pasted; loops then close to about 1e-8 m. Of starts
+#: that were nearly closed there are more: over-constrained loops move only where they close.
+DIGITS, FINE_DIGITS = 8, 12
+#: What joints of grippers are called; they place no arm, and turn or slide into their limits.
+GRIPPERS = re.compile(r"finger|gripper|jaw|knuckle", re.IGNORECASE)
+#: What to do where arms cannot reach, or miss by rounding alone.
+MOVE = "move object.pose or change object_in_hand"
+ROUNDED = (
+    "the pose is rounded: leave object.pose out and give a start (or start_near), near which the "
+    "loops are closed then"
+)
 #: Starts keep this far off the limits, so that rounded values are inside them too [rad or m].
 INSIDE = 1e-7
 
@@ -56,11 +81,10 @@ class StartProblem:
     """The robot with its passive joints, and where each arm carries the object.
 
     Attributes:
-        frames: the object as carried by each arm, by arm; ids of frames.
-        columns: the joints that move each arm, by arm; indices into q.
-        middle: configuration half-way between the limits; zero without limits, shape (n,).
-        half: half the range; infinite without limits, shape (n,).
-        near: joints that have a posture to be near, which is their middle then; indices into q.
+        frames: of the object as each arm carries it, by arm.
+        columns: indices of the joints that move each arm, by arm.
+        middle, half: of the ranges, shape (n,); zero and infinite without limits.
+        near: indices of joints that have a posture to be near, which is their middle then.
     """
 
     def __init__(
@@ -97,15 +121,14 @@ class StartProblem:
 
     def _place(self, near: Mapping[str, float | Sequence[float]]) -> None:
         """Let a posture take the place of the middle."""
-        model, robot = self.model, self.robot
+        robot = self.robot
         arms = {arm.name: robot.arm_joints(arm) for arm in robot.arms}
-        q = robot.configuration(near)
-        self.near = np.zeros(0, int)
-        for joint in dict.fromkeys(name for key in near for name in arms.get(key, (key,))):
-            i = model.idx_qs[model.getJointId(joint)]
-            value = float(q[robot.model.idx_qs[robot.model.getJointId(joint)]])
-            self.middle[i] = min(max(value, self.lower[i]), self.upper[i])
-            self.half[i], self.near = self._reach[i], np.append(self.near, i)
+        joints = dict.fromkeys(name for key in near for name in arms.get(key, (key,)))
+        names, own = list(self.model.names)[1:], list(robot.joint_names)
+        self.near = np.array([names.index(joint) for joint in joints], int)
+        q = robot.configuration(near)[[own.index(joint) for joint in joints]]
+        self.middle[self.near] = np.clip(q, self.lower[self.near], self.upper[self.near])
+        self.half[self.near] = self._reach[self.near]
 
     def _center(self) -> None:
         """Middle of the ranges; with one end open, as far from the other as a joint is turned."""
@@ -140,41 +163,13 @@ class StartProblem:
 
     def worth(self, q: Array, columns: Sequence[int]) -> float:
         """How good a start is: its margin, or its distance to the posture to be near."""
-        asked = [i for i in columns if i in self.near]
-        if not asked:
-            return self.margin(q, columns)
-        return -float(np.linalg.norm((q - self.middle)[asked]))
+        if asked := [i for i in columns if i in self.near]:
+            return -float(np.linalg.norm((q - self.middle)[asked]))
+        return float(self.room(q)[list(columns)].min(initial=np.inf))
 
-    def margin(self, q: Array, columns: Sequence[int]) -> float:
-        """Least distance to a limit [rad or m]."""
-        room = np.minimum(q - self.lower, self.upper - q)[list(columns)]
-        return float(room.min(initial=np.inf))
-
-
-Progress = Callable[[int, int], None]
-"""Called after each try with the number of tries made and the most there can be."""
-
-#: Random configurations that are tried per group of arms, and starts after which that ends.
-TRIES, ENOUGH = 120, 12
-#: Starts of a group that differ by more [rad or m], and of all, that are looked at.
-EACH, APART, LOOKED_AT = 8, 0.1, 64
-
-#: Steps of one try, and farthest that a joint goes in one [rad or m].
-STEPS, STEP = 80, 0.5
-
-#: A start is closed when no part of r is larger [m].
-CLOSED = 1e-11
-
-#: Steps away from the limits, and the weight W of |r|^2 in them [1/m2].
-CENTERING_STEPS, CLOSING_WEIGHT = 30, 1e4
-
-#: Digits after the point of joint values to be pasted; loops then close to about 1e-8 m.
-DIGITS = 8
-#: The same of starts that were nearly closed: over-constrained loops move only where they close.
-FINE_DIGITS = 12
-
-#: What joints of grippers are called; they place no arm, and turn or slide into their limits.
-GRIPPERS = re.compile(r"finger|gripper|jaw|knuckle", re.IGNORECASE)
+    def room(self, q: Array) -> Array:
+        """Distance of each joint to its nearer limit, shape (n,) [rad or m]."""
+        return np.minimum(q - self.lower, self.upper - q)
 
 
 @dataclass(frozen=True)
@@ -182,8 +177,7 @@ class StartSolution:
     """A start that closes all loops.
 
     Attributes:
-        q: of the robot's joints, shape (robot.model.nq,) [rad, m].
-        passive: of the grasps' passive joints, by name [rad, m].
+        q: of the robot's joints, (robot.model.nq,); passive: of the grasps', by name [rad, m].
         start: the same as a scenario has it, by arm and passive joint.
         margin: least distance of a joint to its limit [rad, m]; infinite without limits.
         tries: random configurations it took; none where a given start was closed.
@@ -226,31 +220,23 @@ def solve_start(
         UnknownNameError: a grasp for an arm that the robot does not have.
     """
     grasp_of = grasp_of_each(robot, grasps)
-    missing = [*([] if held.pose else ["object.pose"]), *filter(None, [_without_object(grasp_of)])]
-    if missing:
+    missing = ["" if held.pose else "object.pose", _without_object(grasp_of)]
+    if missing := list(filter(None, missing)):
         raise GraspError(f"to solve for a start, give {' and '.join(missing)}")
     problem = StartProblem(robot, grasp_of, held, near or {})
     groups = _groups(problem.columns)
     rng = seeded(seed)
-    total, searches = TRIES * len(groups), list[_Search]()
+    searches = [_Search(problem, arms, rng) for arms in groups]
     failed: list[str] = []
-    off = 0.0
-    for i, arms in enumerate(groups):
-        before = i * TRIES
-
-        def report(done: int, before: int = before) -> None:
+    for i, search in enumerate(searches):
+        for done in itertools.chain(search.run(), [TRIES]):
             if progress:
-                progress(before + done, total)
-
-        search = _Search(problem, arms, rng)
-        search.run(report)
+                progress(i * TRIES + done, TRIES * len(groups))
         if not search.kept:
-            failed += _cannot_reach(problem, search, rng)
-            off = max(off, search.gap)
-        searches.append(search)
-        report(TRIES)
+            failed += _cannot_reach(search)
     if failed:
-        raise GraspError("; ".join([*failed, _advice(off)]))
+        rounded = max(search.gap for search in searches if not search.kept) < LOOP_CLOSED
+        raise GraspError("; ".join([*failed, ROUNDED if rounded else MOVE]))
     for solution in _ranked(problem, searches):
         if fits(solution.start):
             return solution
@@ -265,8 +251,8 @@ def _ranked(problem: StartProblem, searches: Sequence[_Search]) -> Iterator[Star
     for choice in sorted(choices, key=lambda ones: sum(rank for rank, _ in ones))[:LOOKED_AT]:
         for search, (_, one) in zip(searches, choice, strict=True):
             q[search.columns] = one[search.columns]
-        room = np.minimum(q - problem.lower, problem.upper - q)
-        yield _solution(problem.robot, list(problem.model.names)[1:], q, room, tries, found)
+        names = list(problem.model.names)[1:]
+        yield _solution(problem.robot, names, q, problem.room(q), tries, found)
 
 
 def close_start(
@@ -302,8 +288,7 @@ def close_start(
 
 def yaml_text(solution: StartSolution) -> str:
     """The start as a scenario file has it, with a comment on how it was found."""
-    inside = f"{solution.margin:.3g} rad or m inside the limits"
-    room = inside if solution.margin < np.inf else "no limits"
+    room = f"{solution.margin:.3g} rad or m inside the limits" if solution.tightest else "no limits"
     if GRIPPERS.search(solution.tightest):
         room += f" (at {solution.tightest}, which seems to be a gripper's: lock it)"
     if not solution.tries:
@@ -321,16 +306,6 @@ def start_text(start: Mapping[str, float | list[float]], remark: str, digits: in
         text = f"[{', '.join(numbers)}]" if isinstance(value, list) else numbers[0]
         lines.append(f"  {name}: {text}")
     return "\n".join([*lines, ""])
-
-
-def _advice(off: float) -> str:
-    """What to do where arms are off by so much [m]."""
-    if off < LOOP_CLOSED:
-        return (
-            "the pose is rounded: leave object.pose out and give a start (or start_near), near "
-            "which the loops are closed then"
-        )
-    return "move object.pose or change object_in_hand"
 
 
 def _without_object(grasps: Mapping[str, Grasp]) -> str:
@@ -360,7 +335,7 @@ class _Search:
     def __init__(
         self, problem: StartProblem, arms: Sequence[str], rng: np.random.Generator
     ) -> None:
-        self.problem, self.arms, self._rng = problem, tuple(arms), rng
+        self.problem, self.arms, self.rng = problem, tuple(arms), rng
         self.columns = sorted({j for arm in arms for j in problem.columns[arm]})
         self.kept: list[tuple[float, Array]] = []
         self.nearest = problem.middle.copy()
@@ -369,11 +344,12 @@ class _Search:
         self._bounds = problem.lower[self.columns], problem.upper[self.columns]
         self._steps = BoundedSteps(len(self.columns))
 
-    def run(self, report: Callable[[int], None]) -> None:
+    def run(self) -> Iterator[int]:
+        """Try until enough has been found; yields the number of tries made."""
         while self.tries < TRIES and self.found < ENOUGH:
             q = self.problem.middle.copy()
             if self.tries:
-                q[self.columns] = self.problem.sample(self._rng)[self.columns]
+                q[self.columns] = self.problem.sample(self.rng)[self.columns]
             self.tries += 1
             gap = self._close(q)
             if gap < self.gap:
@@ -384,7 +360,7 @@ class _Search:
                 self._center(q)
                 if self._close(q) < CLOSED:
                     self._keep(q)
-            report(self.tries)
+            yield self.tries
 
     def _keep(self, q: Array) -> None:
         turns = np.round((q - self.problem.middle) / (2.0 * np.pi))
@@ -428,27 +404,22 @@ class _Search:
 
 
 def _groups(columns: Mapping[str, Sequence[int]]) -> list[tuple[str, ...]]:
-    """Arms that share joints, directly or through others, in the order of the arms."""
-    groups: list[tuple[set[int], list[str]]] = []
-    for arm, joints in columns.items():
-        own, names = set(joints), [arm]
-        for group in [g for g in groups if g[0] & own]:
-            groups.remove(group)
-            own, names = own | group[0], [*group[1], *names]
-        groups.append((own, names))
-    return [tuple(names) for _, names in groups]
+    """Arms that share joints, directly or through others."""
+    share = [
+        [not set(one).isdisjoint(other) for other in columns.values()] for one in columns.values()
+    ]
+    count, labels = connected_components(np.array(share))
+    return [tuple(np.array(list(columns))[labels == k].tolist()) for k in range(count)]
 
 
-def _cannot_reach(problem: StartProblem, search: _Search, rng: np.random.Generator) -> list[str]:
-    alone = []
-    for arm in search.arms if len(search.arms) > 1 else ():
-        single = _Search(problem, [arm], rng)
-        single.run(lambda done: None)
-        if not single.kept:
-            alone.append(single)
-    if len(search.arms) == 1:
-        alone = [search]
-    if alone:
+def _cannot_reach(search: _Search) -> list[str]:
+    each = [search]
+    if len(search.arms) > 1:
+        each = [_Search(search.problem, [arm], search.rng) for arm in search.arms]
+        for single in each:
+            for _ in single.run():
+                pass
+    if alone := [single for single in each if not single.kept]:
         return [f"arm {s.arms[0]} cannot reach its grasp: {_how_far(s)}" for s in alone]
     return [
         f"arms {' and '.join(search.arms)} reach their grasps each by itself, but not with "
@@ -464,7 +435,7 @@ def _how_far(search: _Search) -> str:
         gap, angle = 1e3 * np.linalg.norm(part[:3]), np.degrees(np.linalg.norm(part[3:]) / LENGTH)
         of = f"{arm} " if len(search.arms) > 1 else ""
         offsets.append(f"{of}{gap:.1f} mm and {angle:.1f} degrees")
-    room = np.minimum(q - problem.lower, problem.upper - q)
+    room = problem.room(q)
     names = [problem.model.names[1 + j] for j in search.columns if room[j] < AT_LIMIT]
     held_back = f", with {', '.join(names)} at the limit" if names else ""
     if fingers := [name for name in names if GRIPPERS.search(name)]:

@@ -75,10 +75,10 @@ class Places:
 
     def _around(self, spread: float) -> tuple[_Nearby, ...]:
         rng = np.random.default_rng(0)
-        return tuple(_place(self.start, rng, spread) for _ in SHARES)
+        return tuple(_nearby(self.start, rng, spread) for _ in SHARES)
 
 
-def _place(start: State, rng: np.random.Generator, spread: float) -> _Nearby:
+def _nearby(start: State, rng: np.random.Generator, spread: float) -> _Nearby:
     chain, n = start.chain, start.chain.n
     way = rng.standard_normal(n)
     for nearer in (1.0, 0.5, 0.25, 0.0):  # where the loops cannot be closed, go less far
@@ -89,8 +89,7 @@ def _place(start: State, rng: np.random.Generator, spread: float) -> _Nearby:
     free = null_space(here.J_loop)
     v = free @ rng.standard_normal(free.shape[1])
     v /= max(float(np.linalg.norm(v)), STEP)
-    ahead, behind = (State(chain, here.q + side * STEP * v) for side in (1.0, -1.0))
-    return _Nearby(here, ahead, behind, v)
+    return _Nearby(here, State(chain, here.q + STEP * v), State(chain, here.q - STEP * v), v)
 
 
 def try_task(task: Task, places: Places, duration: float) -> None:
@@ -106,12 +105,13 @@ def try_task(task: Task, places: Places, duration: float) -> None:
             _check_marks(task.marks(Moment(t)))
         end = min(task.end, duration) or duration
         times = [start.t + share * end for share in SHARES]
-        nearby = zip(places.nearby, times, strict=True)
-        rows = [look.at(place.here, t) for place, t in nearby]
+        rows = [look.at(place.here, t) for place, t in zip(places.nearby, times, strict=True)]
         if task.joint_space:
-            _check_joint_space(names, rows)
+            for each in rows:
+                _check_identity(names, each.J)
         elif task.asks_velocity:
-            _check_zero_error(names, rows)
+            for each in rows:
+                _check_zero(names, each.e)
         elif not task.of_forces and any(r.e.any() or r.rate.any() for r in rows):
             for i, t in enumerate(times):
                 if look.disagreement(places.nearby[i], t) and (
@@ -126,10 +126,8 @@ def _check_parts(names: Sequence[str], parts: Sequence[Part]) -> None:
         raise _PromiseError(f"rows() names {counted(len(names), 'row')}, parts() has {count}")
     _check_names("rows", names)
     _check_names("parts", [part.name for part in parts])
-    for part in parts:
-        if not part.tolerance > 0.0:
-            words = f"found a tolerance of {part.tolerance}, needs more than 0"
-            raise _PromiseError(f"parts(): {words}")
+    if wrong := [part.tolerance for part in parts if not part.tolerance > 0.0]:
+        raise _PromiseError(f"parts(): found a tolerance of {wrong[0]}, needs more than 0")
 
 
 def _check_names(method: str, names: Sequence[str]) -> None:
@@ -186,22 +184,20 @@ class _Look:
         )
 
 
-def _check_joint_space(names: Sequence[str], rows: Sequence[TaskRows]) -> None:
-    for J in (r.J for r in rows):
-        if len(J) != J.shape[1]:
-            raise _PromiseError(f"joint_space needs a row a joint, {J.shape[1]}; found {len(J)}")
-        wrong = (np.diag(np.diag(J) != 0.0) != J).any(axis=1)
-        if wrong.any():
-            words = "joint_space needs J to be the identity, or zero where nothing is asked"
-            raise _PromiseError(f"row {names[int(np.argmax(wrong))]}: {words}")
+def _check_identity(names: Sequence[str], J: Array) -> None:
+    if len(J) != J.shape[1]:
+        raise _PromiseError(f"joint_space needs a row a joint, {J.shape[1]}; found {len(J)}")
+    wrong = (np.diag(np.diag(J) != 0.0) != J).any(axis=1)
+    if wrong.any():
+        words = "joint_space needs J to be the identity, or zero where nothing is asked"
+        raise _PromiseError(f"row {names[int(np.argmax(wrong))]}: {words}")
 
 
-def _check_zero_error(names: Sequence[str], rows: Sequence[TaskRows]) -> None:
-    for e in (r.e for r in rows):
-        if e.any():
-            row = int(np.argmax(e != 0.0))
+def _check_zero(names: Sequence[str], e: Array) -> None:
+    for name, found in zip(names, e, strict=True):
+        if found != 0.0:
             words = "but a task that asks_velocity has e = 0"
-            raise _PromiseError(f"row {names[row]}: e is {e[row]:.4g}, {words}")
+            raise _PromiseError(f"row {name}: e is {found:.4g}, {words}")
 
 
 def try_limit(limit: Limit, places: Places, dt: float) -> None:
@@ -213,7 +209,7 @@ def try_limit(limit: Limit, places: Places, dt: float) -> None:
         tighten = limit.bind(chain, dt)
         _check_marks(limit.marks(0.0))
         for state in (start, *(place.here for place in places.nearby)):
-            open_, shut = (_limit_rows(chain, names, width) for width in (np.inf, 0.0))
+            open_, shut = (_limit_rows(chain.n, len(names), width) for width in (np.inf, 0.0))
             evaluate_all([(tighten, open_), (tighten, shut)], state)
             _check_finite("G", names, open_.G, chain)
             for name, h in zip(names, open_.h, strict=True):
@@ -222,12 +218,9 @@ def try_limit(limit: Limit, places: Places, dt: float) -> None:
             _check_bounds(chain, open_, shut, inside=state is start and chain.starts_inside)
 
 
-def _limit_rows(chain: ClosedChain, names: Sequence[str], width: float) -> LimitRows:
-    n, p = chain.n, len(names)
+def _limit_rows(n: int, p: int, width: float) -> LimitRows:
     # Rows that a limit leaves as they were show as NaN in h; zeros of G need not be written.
-    return LimitRows(
-        np.full(n, -width), np.full(n, width), np.zeros((p, n)), np.full(p, np.nan)
-    )  # fmt: skip
+    return LimitRows(np.full(n, -width), np.full(n, width), np.zeros((p, n)), np.full(p, np.nan))
 
 
 def _check_finite(key: str, names: Sequence[str], values: Array, chain: ClosedChain) -> None:

@@ -59,8 +59,6 @@ class Circle(Signal):
 
 
 class _Round(Trajectory):
-    """Going round."""
-
     moves = True
 
     def __init__(self, kind: Kind, circle: Circle) -> None:

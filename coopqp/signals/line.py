@@ -42,8 +42,6 @@ class Line(Signal):
 
 
 class _ThereAndBack(Trajectory):
-    """There and back."""
-
     moves = True
 
     def __init__(self, kind: Kind, start: Array, end: Array, period: float) -> None:

@@ -34,10 +34,13 @@ from coopqp.signal import (
     check_speed,
     matrix,
     quaternion_of,
+    shortest_way,
 )
 
 #: How far apart first and last value may be where they have to be the same [unit].
 SAME = 1e-6
+#: Directions that add up to less are opposite, and have no shortest way between them.
+OPPOSITE = 1e-9
 
 
 def _rows(values: Any) -> Any:
@@ -164,28 +167,17 @@ def _carry_over(quaternions: Array, *, round_trip: bool) -> None:
     """
     axes = [axes_along(matrix(quaternions[0])[:, 2]).T]
     for i, q in enumerate(quaternions[1:], start=1):
-        before = axes[-1]
-        turn = shortest_turn(before[:, 2], matrix(q)[:, 2], f"waypoints.values[{i}]: ")
-        axes.append(turn @ before)
+        before, there = axes[-1], matrix(q)[:, 2]
+        if np.linalg.norm(before[:, 2] + there) < OPPOSITE:
+            words = "is the opposite of the direction before; put one between them"
+            raise InvalidValueError(f"waypoints.values[{i}]: {words}")
+        axes.append(pin.exp3(shortest_way(before[:, 2], there)) @ before)
     spin = 0.0
     if round_trip and np.linalg.norm(axes[0][:, 2] - axes[-1][:, 2]) < SAME:
         back = axes[0].T @ axes[-1]
         spin = float(np.arctan2(back[1, 0], back[0, 0])) / (len(axes) - 1)
     for i, (q, R) in enumerate(zip(quaternions, axes, strict=True)):
         q[:] = quaternion_of(R @ pin.exp3(np.array([0.0, 0.0, -i * spin])))
-
-
-def shortest_turn(a: Array, b: Array, place: str = "") -> Array:
-    """The shortest rotation from one unit vector to another; InvalidValueError if opposite."""
-    across, cosine = np.cross(a, b), float(a @ b)
-    sine = float(np.linalg.norm(across))
-    if sine < 1e-9:
-        if cosine < 0.0:
-            words = "is the opposite of the direction before; put one between them"
-            raise InvalidValueError(f"{place}{words}")
-        return np.eye(3)
-    R: Array = pin.exp3(across / sine * np.arctan2(sine, cosine))
-    return R
 
 
 class _Track:
@@ -222,8 +214,6 @@ class _Track:
 
 
 class _Way(Trajectory):
-    """Along the way-points."""
-
     moves = True
 
     def __init__(self, kind: Kind, track: _Track) -> None:

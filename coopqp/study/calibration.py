@@ -16,7 +16,6 @@ Hand-eye calibration by closed loops: Hollerbach and Wampler 1996.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -49,10 +48,9 @@ WORLD = pin.LOCAL_WORLD_ALIGNED
 
 @dataclass(frozen=True)
 class Offset:
-    """A parameter.
+    """A parameter, such as "left.rot_x" of the object in a hand, in its axes, or "encoder[J1]".
 
     Attributes:
-        name: such as "left.rot_x" of the object in a hand, in its axes, or "encoder[LElbowRoll]".
         unit, value: "m" or "rad"; in this unit.
         deviation: standard deviation by noise alone; infinite where the motion does not identify
             the parameter, NaN where there is one instant only.
@@ -94,6 +92,11 @@ class Calibration:
     travel: float
 
     @property
+    def not_shown(self) -> tuple[str, ...]:
+        """Names of the offsets that the motion does not identify."""
+        return tuple(offset.name for offset in self.offsets if np.isinf(offset.deviation))
+
+    @property
     def explains(self) -> bool | None:
         """Whether the offsets explain the run but for noise; None where nothing moved."""
         if self.predicted is None or self.unfitted is None:
@@ -103,15 +106,10 @@ class Calibration:
 
 
 def calibrate(chain: ClosedChain, q: Array, *, encoders: bool = False) -> Calibration:
-    """Identify the constant errors that explain the loop errors.
+    """Identify the constant errors that explain the loop errors of a chain as modelled.
 
-    Args:
-        chain: as modelled.
-        q: measured joints with the real loops closed, passive ones too, in order, shape (T, n).
-        encoders: whether to identify offsets of the motors' encoders as well.
-
-    Raises:
-        InvalidValueError: only one arm holds; too few ticks; or the hands are where the model says.
+    q are measured joints with the real loops closed, passive ones too, in order, shape (T, n); with
+    ``encoders`` offsets of the motors' encoders are identified as well.
     """
     if chain.holding < 2:
         raise InvalidValueError("nothing to calibrate: one arm holds the object, no loop is closed")
@@ -157,7 +155,6 @@ class _Fit:
 
     def __init__(self, chain: ClosedChain, *, encoders: bool) -> None:
         self.chain, self._loops = chain, chain.holding - 1
-        self._data = chain.model.createData()
         motors = [i for i in range(chain.n) if i not in chain.passive] if encoders else []
         self._motors = np.array(motors, int)
         arms = chain.arms[1 : chain.holding]
@@ -172,6 +169,11 @@ class _Fit:
         offsets[self._motors] = x[6 * self._loops :]
         return offsets
 
+    def _moves(self, x: Array) -> list[pin.SE3]:
+        """Shift and rotation in each hand but the first, both in the object's axes."""
+        poses = x[: 6 * self._loops].reshape(-1, 6)
+        return [pin.SE3(pin.exp3(xi[3:]), xi[:3]) for xi in poses]
+
     def chain_with(self, x: Array) -> ClosedChain:
         """The chain with the object elsewhere in the hands."""
         hold, arms = self.chain.hold, self.chain.arms[1 : self.chain.holding]
@@ -179,21 +181,16 @@ class _Fit:
         moved = {arm.name: hold.X_EO[arm.name] * X for arm, X in moves}
         return ClosedChain(replace(hold, X_EO={**hold.X_EO, **moved}))
 
-    def _moves(self, x: Array) -> list[pin.SE3]:
-        """Shift and rotation in each hand but the first, both in the object's axes."""
-        poses = x[: 6 * self._loops].reshape(-1, 6)
-        return [pin.SE3(pin.exp3(xi[3:]), xi[:3]) for xi in poses]
-
     def errors(self, q: Array, x: Array) -> Array:
         """Error of each loop in each tick, shape (T, L, 2, 3) [m; rad]."""
-        return self._linearised(q, x, slopes=False)[0]
+        return self._linearised(q, x)[0]
 
     def solve(self, q: Array) -> _Solution:
         """The least-squares parameters."""
         x, sigma = np.zeros(len(self.names)), FIRST
         solution = _Solution(x, x, np.zeros((len(x), 0)))
         for _ in range(STEPS):
-            e, J = self._linearised(q, solution.x, slopes=True)
+            e, J = self._linearised(q, solution.x)
             solution = _step(e, J, sigma, solution.x)
             residual = e + np.einsum("tlkip,p->tlki", J, solution.x - x)
             sigma = np.maximum(np.sqrt(np.mean(residual**2, axis=(0, 1, 3))), SMALLEST)
@@ -207,32 +204,22 @@ class _Fit:
         of = zip(self.names, self.units, solution.x.tolist(), deviations.tolist(), strict=True)
         return tuple(Offset(*each) for each in of)
 
-    def _linearised(self, q: Array, x: Array, *, slopes: bool) -> tuple[Array, Array]:
+    def _linearised(self, q: Array, x: Array) -> tuple[Array, Array]:
         """Errors and their derivatives, shapes (T, L, 2, 3) and (T, L, 2, 3, P)."""
-        model, data, loops = self.chain.model, self._data, self._loops
-        offsets = self.encoder_offsets(x)
-        moved = self._moves(x)
+        chain, loops, moves = self.chain_with(x), self._loops, self._moves(x)
+        model, data, frames = chain.model, chain.model.createData(), chain.frames[: loops + 1]
         e = np.zeros((len(q), loops, 2, 3))
-        J = np.zeros((len(q) if slopes else 0, loops, 2, 3, len(x)))
-        frames, levers = self.chain.frames[: loops + 1], np.zeros((loops, 3, 3))
-        for k, row in enumerate(q):
-            pin.framesForwardKinematics(model, data, row - offsets)
-            X_0, *others = (data.oMf[frame] for frame in frames)
-            for i, X in enumerate(others):
-                X_i = X * moved[i]
-                e[k, i] = X_i.translation - X_0.translation, pin.log3(X_i.rotation @ X_0.rotation.T)
-                if slopes:
-                    # First order; the rotation also turns what comes after it.
-                    J[k, i, 0, :, 6 * i : 6 * i + 3] = X.rotation
-                    J[k, i, 1, :, 6 * i + 3 : 6 * i + 6] = X_i.rotation
-                    levers[i] = pin.skew(X_i.translation - X.translation)
-            if slopes and len(self._motors):
-                pin.computeJointJacobians(model, data, row - offsets)
-                J_0, *J_arms = (pin.getFrameJacobian(model, data, f, WORLD) for f in frames)
-                of_q = (J_0 - np.array(J_arms))[:, :, self._motors].reshape(loops, 2, 3, -1)
-                for i, J_i in enumerate(J_arms):  # of the object where it has been moved to
-                    of_q[i, 0] += levers[i] @ J_i[3:, self._motors]
-                J[k, ..., 6 * loops :] = of_q
+        J = np.zeros((*e.shape, len(x)))
+        for k, row in enumerate(q - self.encoder_offsets(x)):
+            pin.computeJointJacobians(model, data, row)
+            X_0, *others = (pin.updateFramePlacement(model, data, frame) for frame in frames)
+            J_0, *J_arms = (pin.getFrameJacobian(model, data, frame, WORLD) for frame in frames)
+            for i, (X, J_i) in enumerate(zip(others, J_arms, strict=True)):
+                e[k, i] = X.translation - X_0.translation, pin.log3(X.rotation @ X_0.rotation.T)
+                # First order; the rotation also turns what comes after it.
+                J[k, i, 0, :, 6 * i : 6 * i + 3] = X.rotation @ moves[i].rotation.T
+                J[k, i, 1, :, 6 * i + 3 : 6 * i + 6] = X.rotation
+                J[k, i, ..., 6 * loops :] = (J_0 - J_i)[:, self._motors].reshape(2, 3, -1)
         return e, J
 
 
@@ -268,8 +255,3 @@ def _noise(errors: Array) -> Array:
     """The same of noise, by second differences."""
     curvature = errors[2:] - 2.0 * errors[1:-1] + errors[:-2]
     return _size(curvature) / np.sqrt(6.0) if len(curvature) else np.zeros(2)
-
-
-def not_shown(offsets: Sequence[Offset]) -> tuple[str, ...]:
-    """Names of the offsets that the motion does not identify."""
-    return tuple(offset.name for offset in offsets if np.isinf(offset.deviation))

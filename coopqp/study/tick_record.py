@@ -22,7 +22,6 @@ from coopqp.limit import bound_rows
 from coopqp.model.state import State
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.law import QPLaw
-from coopqp.qp_law.level import Level
 from coopqp.solver import Budget, Solution, Solver, Status, Verifier, written
 from coopqp.task import Mode, TaskStack
 
@@ -85,30 +84,23 @@ class TickRecord:
         return json.dumps(asdict(self), indent=1) + "\n"
 
     def save(self, path: Path) -> None:
-        """Write :meth:`text`."""
         path.write_text(self.text(), encoding="utf-8")
 
     @staticmethod
     def read(path: Path) -> TickRecord:
-        """Read what :meth:`save` wrote.
-
-        Raises:
-            CoopqpError: no such file, or not a saved tick.
-        """
+        """Read what :meth:`save` wrote; CoopqpError where it is no saved tick."""
         text = read_text(path, MOST_BYTES)
         try:
             record = _RECORD.validate_json(text)
         except ValidationError as error:
             detail = error.errors(include_url=False, include_context=False)[0]
             raise _refused(path, text, detail["loc"], detail["msg"]) from None
-        if wrong := record.wrong():
+        if wrong := record._misfit() or record._wrong():
             raise _refused(path, text, *wrong)
         return record
 
-    def wrong(self) -> tuple[Location, str] | None:
+    def _wrong(self) -> tuple[Location, str] | None:
         """Location and reason of the first fault; None if there is none."""
-        if wrong := self._misfit():
-            return wrong
         unknown = [row.owner for row in self.task_rows if row.owner not in self.modes]
         if unknown:
             return ("modes",), f"has no task '{one_line(unknown[0])}', which has rows"
@@ -176,17 +168,16 @@ def _refused(path: Path, text: str, location: Location, why: str) -> CoopqpError
 def record_tick(
     law: QPLaw, state: State, *, scenario: str, controller: str, tick: int
 ) -> TickRecord:
-    """Record the tick that a law would do at an updated state with the law's memory.
-
-    Raises:
-        InvalidValueError: code of a task, a limit or a solver raises in it, so that it has no QP.
-    """
+    """Record the tick that a law would do at an updated state with the law's memory."""
     memory = state.memory.numbers.tolist()
     command = law.tick(state)
     if command.status is Status.RAISED:
         raise InvalidValueError(f"tick {tick} of '{controller}' has no QP: {command.note}")
     state.memory.numbers[:] = memory  # as the tick had it
-    level, problem = _first_level(law, state), law.problem
+    problem, kappa = law.problem, law.assemble(state)
+    level, holds = law.first, law.first.solve().usable and not state.memory["missed"].any()
+    if not holds and problem.on_infeasible == "scale" and law.nearest.of_hard(state, kappa).usable:
+        level = law.nearest.hard  # where hard tasks cannot hold, theirs decides first
     qp = level.qp
     shares = qp.rows.variables[problem.chain.n :]
     pad = ((0, 0), (0, len(shares)))
@@ -212,21 +203,10 @@ def record_tick(
     )  # fmt: skip
 
 
-def _first_level(law: QPLaw, state: State) -> Level:
-    """The level that decides first in a tick, solved: where hard tasks cannot hold, theirs."""
-    kappa, relaxes = law.assemble(state), law.problem.on_infeasible == "scale"
-    holds = law.first.solve().usable and not state.memory["missed"].any()
-    if not holds and relaxes and law.nearest.of_hard(state, kappa).usable:
-        return law.nearest.hard
-    return law.first
-
-
 class NamedBounds:
     """The limits of a problem one by one, so that each bound on v has the name of one.
 
-    Attributes:
-        lb, ub, G, h: the tightest bounds; rows of one limit after the other.
-        below, above: the limits that lb and ub come from.
+    lb and ub are the tightest, from the limits ``below`` and ``above``; G and h their rows.
     """
 
     def __init__(self, problem: ControlProblem, state: State) -> None:
@@ -238,13 +218,9 @@ class NamedBounds:
             ]
             for side in SIDES
         ]
-        self._each = [
-            (
-                Bounds(chain, [limit], state, problem.dt),
-                [bound_rows(limit, chain, side) for side in SIDES],
-            )
-            for limit in problem.limits
-        ]
+        alone = [Bounds(chain, [limit], state, problem.dt) for limit in problem.limits]
+        rows = [[bound_rows(limit, chain, side) for side in SIDES] for limit in problem.limits]
+        self._each = list(zip(alone, rows, strict=True))
         self.update(state)
 
     def update(self, state: State) -> None:
@@ -293,7 +269,6 @@ class Replay:
     difference: float
 
     def as_json(self) -> dict[str, Any]:
-        """The replay as JSON data."""
         return {**asdict(self), "status": self.status.value, "v": self.v.tolist()}
 
 

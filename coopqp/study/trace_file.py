@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from itertools import islice, pairwise
 from pathlib import Path
@@ -21,7 +21,7 @@ from coopqp.assessment.limits import audit
 from coopqp.base.errors import CoopqpError, InvalidValueError, UnknownNameError
 from coopqp.base.reading import absolute
 from coopqp.base.spec import Array
-from coopqp.controller import ControlProblem, Features, Law
+from coopqp.controller import ControlProblem, Law
 from coopqp.controllers.qp import QPController
 from coopqp.execution.controller_run import controller_of
 from coopqp.execution.instants import parts_of, rows_of
@@ -33,7 +33,7 @@ from coopqp.recordings.csv_file import CsvFile
 from coopqp.recordings.known import format_of, read
 from coopqp.recordings.run import OTHER, Run
 from coopqp.scenario.input import wanted
-from coopqp.scenario.scenario import Phase, Scenario
+from coopqp.scenario.scenario import Scenario
 from coopqp.signal import InputValues, Kind, Trajectory
 from coopqp.solver import HALTS, Status, causes_of
 from coopqp.study.tick_record import TickRecord, record_tick
@@ -44,11 +44,7 @@ OF_A_TICK, ROUNDING = 0.01, 1e-9
 
 
 def trace_from_file(path: Path | Run, scenario: Scenario, controller: str) -> Trace:
-    """A controller's whole run, as far as a file tells it; what it does not is left empty.
-
-    Raises:
-        CoopqpError: no such file or controller, or a damaged file.
-    """
+    """A controller's whole run, as far as a file tells it; what it does not is left empty."""
     run, held = read(path).of(controller), scenario.held_by(controller)
     ticks = held.ticks
     if len(run) != ticks + 1:
@@ -61,25 +57,15 @@ def trace_from_file(path: Path | Run, scenario: Scenario, controller: str) -> Tr
     if "" in status:
         raise run.fault(status.index(""), "status: found nothing, needs what became of the tick")
     _check_moves(run, held)
-    supports = controller_of(held, controller).supports
     q = run.joints("q", held.chain.joint_names)
-    ends = pairwise((*held.first_ticks, ticks))
-    phases = zip(held.problems(lambda first: q[first]), held.schedule, ends, strict=True)
     v = np.nan_to_num(run.joints("v", held.chain.joint_names, empty=True))
-    parts = [
-        (
-            PhaseInfo(phase.name, first, phase.released),
-            _phase(
-                run.only(slice(first, end + 1)),
-                held,
-                phase,
-                problem,
-                supports,
-                v[first - 1] if first else None,
-            ),
-        )
-        for problem, phase, (first, end) in phases
-    ]
+    ends, parts = pairwise((*held.first_ticks, ticks)), []
+    problems = held.problems(lambda first: q[first])
+    for problem, phase, (first, end) in zip(problems, held.schedule, ends, strict=True):
+        begin = f"{phase.name}." if held.phases else ""
+        v_before = v[first - 1] if first else None
+        part = _phase(run.only(slice(first, end + 1)), problem, begin, v_before)
+        parts.append((PhaseInfo(phase.name, first, phase.released), part))
     told = run.only(slice(ticks))
     inputs = {name: _input(told, name, kind) for name, kind in held.followed().items()}
     signals = {
@@ -89,16 +75,14 @@ def trace_from_file(path: Path | Run, scenario: Scenario, controller: str) -> Tr
     }
     signals = {name: np.nan_to_num(of) for name, of in signals.items() if np.isfinite(of).any()}
     trace = join(parts) if held.phases else parts[0][1]
-    return replace(trace, inputs=inputs, signals=signals)
+    supports = controller_of(held, controller).supports
+    return replace(trace, inputs=inputs, signals=signals, supports=supports)
 
 
 def worth_explaining(run: Run, scenario: Scenario) -> Trace:
     """The run of the first controller that falls short, those that solve QPs before others.
 
     Where all succeed, the first of them.
-
-    Raises:
-        CoopqpError: as :func:`trace_from_file`.
     """
     own = scenario.controllers
     names = sorted(run.controllers, key=lambda name: not (name in own and own[name].uses_solver))
@@ -109,22 +93,14 @@ def worth_explaining(run: Run, scenario: Scenario) -> Trace:
     return trace_from_file(run, scenario, names[0])
 
 
-def _phase(
-    run: Run,
-    scenario: Scenario,
-    phase: Phase,
-    problem: ControlProblem,
-    supports: Features,
-    v_before: Array | None,
-) -> Trace:
-    """The rows of one phase, with its end."""
+def _phase(run: Run, problem: ControlProblem, begin: str, v_before: Array | None) -> Trace:
+    """The rows of one phase, with its end; with ``begin`` the names of its tasks begin there."""
     chain, dt, told = problem.chain, problem.dt, run.only(slice(-1))
     joints, ticks, nothing = chain.joint_names, len(told), np.zeros((len(run), 0))
     q, v = run.joints("q", joints), told.joints("v", joints)
     loop = run.numbers(["loop_position", "loop_orientation"])
     asked = (*problem.tasks, *problem.wrenches)
     tasks, rows = tuple(info for info, _ in parts_of(asked, chain)), rows_of(asked, chain)
-    begin = f"{phase.name}." if scenario.phases else ""
     layout = Layout(
         joints=(),
         tasks=tuple(begin + of.name for of in tasks),
@@ -147,7 +123,7 @@ def _phase(
         usable=np.array([cause.usable for cause in causes]), inaccurate=np.zeros(ticks, bool),
         status=tuple(told.columns["status"].tolist()), scale=np.ones(ticks),
         margins=kept.margins, starts=kept.starts, unaudited=kept.unaudited,
-        compiled=np.zeros(ticks, bool), tick_us=np.zeros(ticks), points={}, supports=supports,
+        compiled=np.zeros(ticks, bool), tick_us=np.zeros(ticks), points={}, supports=frozenset(),
         failures=tuple(Failure(*each) for each in failed),
     )  # fmt: skip
 
@@ -171,9 +147,6 @@ def check_trace(run: Run, scenario: Scenario, controller: str) -> None:
     """Refuse a controller's run that is damaged, or of another scenario.
 
     A live loop's run, which is in no CSV file, is as long as it was, with gaps where nobody ticked.
-
-    Raises:
-        CoopqpError: no such controller, or a damaged run.
     """
     if isinstance(format_of(run.path), CsvFile):
         trace_from_file(run, scenario, controller)
@@ -221,9 +194,6 @@ def recorded_tick(
     Where a live loop came to rest instead, its law's problem is kept, with what the loop said.
     Without a controller it is the first QP controller of the trace, without a tick the first that
     relaxed something, else the last.
-
-    Raises:
-        CoopqpError: no such file, controller or tick; no controller that solves a QP.
     """
     run, known = read(path), scenario.controllers
     solving = [name for name in run.controllers if isinstance(known.get(name), QPController)]
@@ -244,7 +214,7 @@ def recorded_tick(
     state = state_from_trace(run, chosen, k, law, held.first_ticks[phase] * held.dt)
     name = absolute(run.path.parent).name
     record = record_tick(law, state, scenario=name, controller=chosen, tick=k)
-    rested = halted(run, chosen, k)
+    rested = _halted(run, chosen, k)
     return replace(record, status=rested) if rested else record
 
 
@@ -252,13 +222,10 @@ def off_the_record(path: Path | Run, record: TickRecord) -> float:
     """How far a tick that was done again is from the velocities that were recorded [rad/s, m/s].
 
     More than rounding says that its scenario is not the one that was run, or that the code is not.
-
-    Raises:
-        CoopqpError: as :func:`recorded_tick`.
     """
     run = read(path).of(record.controller)
-    row = row_of(run, record.tick)
-    if row is None or halted(run, record.controller, record.tick):
+    row = _row_of(run, record.tick)
+    if row is None or _halted(run, record.controller, record.tick):
         return 0.0  # the law did not make it
     joints = [x.joint for x in record.variables if x.joint]
     was = run.only([row]).joints("v", joints, empty=True)[0]
@@ -271,13 +238,10 @@ def state_from_trace(run: Run, controller: str, tick: int, law: Law, t_start: fl
 
     The gap is what the observer had made of the measured joints already, and who squeezes of the
     forces, so neither adds to it. The law gives the joints; its phase began at t_start [s].
-
-    Raises:
-        CoopqpError: no such controller or tick; a damaged row.
     """
     run = run.of(controller).ticks
     joints, state = law.problem.chain.joint_names, law.start()
-    own, before = row_of(run, tick), row_of(run, tick - 1)
+    own, before = _row_of(run, tick), _row_of(run, tick - 1)
     if own is None or (before is None and tick):
         words = f"has tick {tick}, but not the one before it, which it follows from"
         if own is None:
@@ -299,16 +263,12 @@ def state_from_trace(run: Run, controller: str, tick: int, law: Law, t_start: fl
     causes = causes_of(row.columns["status"][0])
     if Status.FORCE_NOT_MEASURED not in causes:
         state.hand_wrench = np.zeros(6 * len(law.problem.chain.robot.arms))
-    state.inputs = _followed(row, law)
-    if Status.INPUT_STALE in causes:
-        state.inputs.stale = tuple(state.inputs)
-    if Status.INPUT_REFUSED in causes:
-        state.inputs.refused = tuple(state.inputs)
+    state.inputs = _followed(row, law, causes)
     state.update()
     return state
 
 
-def _followed(row: Run, law: Law) -> InputValues:
+def _followed(row: Run, law: Law, causes: Collection[Status]) -> InputValues:
     """What was made of the inputs in a tick."""
     found = InputValues()
     for name, (kind, _) in wanted(law.problem.all_tasks, law.start()).items():
@@ -316,33 +276,30 @@ def _followed(row: Run, law: Law) -> InputValues:
         if np.isfinite(kept.value).any():
             found[name] = Trajectory(kind, kept.value[0])
             found[name].rate[:] = kept.rate[0]
+    found.stale = tuple(found) if Status.INPUT_STALE in causes else ()
+    found.refused = tuple(found) if Status.INPUT_REFUSED in causes else ()
     return found
 
 
-def row_of(run: Run, tick: int) -> int | None:
-    """Which row of one controller's run is of a tick; None if there is none."""
+def _row_of(run: Run, tick: int) -> int | None:
     rows = np.flatnonzero(run.columns["tick"] == tick)
     return int(rows[0]) if len(rows) else None
 
 
-def halted(run: Run, controller: str, tick: int) -> str:
+def _halted(run: Run, controller: str, tick: int) -> str:
     """The causes of a tick in which a live loop came to rest; empty where its law was asked.
 
     Its time stands still then, so that is how it shows.
     """
     run = run.of(controller)
-    row, t = row_of(run.ticks, tick), run.columns["t"]
+    row, t = _row_of(run.ticks, tick), run.columns["t"]
     status = "" if row is None else str(run.columns["status"][row])
     stands = row is not None and row + 1 < len(run) and t[row + 1] <= t[row]
     return status if stands or (status and HALTS.intersection(causes_of(status))) else ""
 
 
 def blocked_tick(run: Run, controller: str) -> int:
-    """The tick worth explaining: the first that gave something up or failed, else the last.
-
-    Raises:
-        CoopqpError: no such controller.
-    """
+    """The tick worth explaining: the first that gave something up or failed, else the last."""
     run = run.of(controller).ticks
     fine = np.isin(run.columns["status"], (Status.OPTIMAL.name, Status.INACCURATE.name))
     ticks = run.columns["tick"]
@@ -360,9 +317,6 @@ def measured_run(
 
     Returns:
         The controller's name, and the joints, shape (T, n) [rad, m].
-
-    Raises:
-        CoopqpError: no such file or controller, or no measured joints in it.
     """
     run, phases = read(path), zip(scenario.schedule, scenario.first_ticks, strict=True)
     arms = set(scenario.schedule[0].released)

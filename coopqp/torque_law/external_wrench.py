@@ -36,17 +36,14 @@ from coopqp.model.state import State
 class MomentumObserver:
     """Estimates the external wrench on one chain from torques; its state is in the law's memory.
 
-    ``dynamics``, with the modelled object, must be up to date at each update. ``gain`` is K [1/s],
-    at most 1/dt.
+    ``dynamics``, with the modelled object, must be up to date at each update. InvalidValueError for
+    a gain K [1/s] above 1/dt, where it would overshoot.
 
     Attributes:
         wrench: force and torque on the object at its origin, world axes, as of the last update,
             shape (6,) [N, N m].
         memory_sizes: what to remember; whoever commands torques writes "observer.tau".
         fault: why a measurement cannot be used: none is needed.
-
-    Raises:
-        InvalidValueError: gain times dt is above one, where it would overshoot.
     """
 
     def __init__(
@@ -66,11 +63,7 @@ class MomentumObserver:
         }  # fmt: skip
 
     def update(self, state: State) -> Array:
-        """The wrench at the end of a period; zero at the first update.
-
-        The state's memory is written; its "observer.tau" are the torques of all joints in the
-        period [N m].
-        """
+        """The wrench at the end of a period with joint torques "observer.tau"; zero at first."""
         dt, dynamics, memory = self._dt, self._dynamics, state.memory
         now, momentum = self._forces(state.q, state.v), dynamics.A.dot(state.v)
         integral, known = memory["observer.integral"], memory["observer.known"]
@@ -109,8 +102,7 @@ class HandSensors:
     def __init__(self, dynamics: ClosedLoopDynamics, *, gain: float, dt: float) -> None:
         chain = dynamics.chain
         self._dynamics, self._dt, self._share = dynamics, dt, 1.0 - math.exp(-gain * dt)
-        self._hands = hands(chain)
-        self._readings = WrenchReadings(chain)
+        self._hands, self._readings = hands(chain), WrenchReadings(chain)
         self.wrench = np.zeros(6)
         self.memory_sizes = {"sensors.begun": 1, "sensors.twist": 6, "sensors.wrench": 6}
 

@@ -27,7 +27,7 @@ from coopqp.base.qp import Row
 from coopqp.base.rank import least_squares
 from coopqp.base.spec import Array
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
-from coopqp.closed_loop.forces import Bound, StaticHold, cannot_carry
+from coopqp.closed_loop.forces import StaticHold, cannot_carry
 from coopqp.closed_loop.grasp_matrix import UNITS, Split, grasp_matrix, virtual_inertia, walker
 from coopqp.closed_loop.hands import WrenchStack, hands, into_contacts, points
 from coopqp.closed_loop.screw import LENGTH
@@ -48,10 +48,9 @@ SHARE_SUM = 1e-6
 
 
 class HandWrenches:
-    """The wrenches of one problem's hands.
+    """The wrenches of one problem's hands; InvalidValueError for shares that are none.
 
     Args:
-        chain: the closed chain.
         safety: by which friction is divided.
         split: which one defines what is internal; minimum_norm is the pseudoinverse.
         shares: of the object's weight by arm; "weights" as in the object's pose, "motors" in
@@ -59,21 +58,15 @@ class HandWrenches:
         inertia: of a virtual body over its mass, for virtual_inertia [m2].
 
     Attributes:
-        variables: rows of h.
-        cone_rows: rows of the cones.
+        variables, cone_rows: rows of h and of the cones.
         pressing: whether any hand holds by contact.
-        points: of the hands as of the last update, shape (N, 3) [m].
-        turned: R_CW of each hand where any presses, likewise, shape (N, 3, 3).
+        points: of the hands, shape (N, 3) [m]. turned: R_CW where any presses, shape (N, 3, 3).
         G: grasp matrix, shape (6, 6 N).
         feels: sum_i (J_i - J_0)' G_i as a matrix on h, shape (n, 6 N).
         cones: shape (c, 6 N), and stated: cones @ h <= stated, shape (c,).
         most: the right side in this tick, shape (c,); see :mod:`coopqp.torque_law.program`.
         in_cone: 1 for rows of cones, 0 for bounds of the normal force, shape (c,).
         split: of this instant.
-
-    Raises:
-        UnknownNameError: a share of an arm that does not exist.
-        InvalidValueError: shares that are negative or do not sum to 1 over the arms that hold.
     """
 
     def __init__(
@@ -94,8 +87,7 @@ class HandWrenches:
             for hand in self.hands
             for axis, unit in zip(AXES, UNITS, strict=True)
         )
-        self._by_motors = shares == "motors"
-        self.shares = _shares(chain, shares)
+        self._by_motors, self.shares = shares == "motors", _shares(chain, shares)
         self._prepare_cones(safety)
         self.points, self.G = np.zeros((N, 3)), np.zeros((6, 6 * N))
         self.turned = np.zeros((N, 3, 3))
@@ -107,27 +99,21 @@ class HandWrenches:
         self._loop_pulls = 1.0 - np.repeat([*pressed, *idle], 6)
 
     def _prepare_cones(self, safety: float) -> None:
-        self._local, names, most = [], [], []
-        for i, hand in enumerate(self.hands):
-            if not hand.contact:
-                continue
-            rows = hand.contact.force_rows(safety)
-            self._local.append((i, rows.rows))
-            names += [(hand.arm, label) for label in rows.labels]
-            most.append(rows.most)
-        self.pressing = bool(self._local)
+        contacts = [(i, hand.arm, hand.contact) for i, hand in enumerate(self.hands)]
+        pressing = [(i, arm, c.force_rows(safety)) for i, arm, c in contacts if c]
+        self._local = [(i, rows.rows) for i, _, rows in pressing]
+        self.pressing = bool(pressing)
+        names = [(arm, label) for _, arm, rows in pressing for label in rows.labels]
         self.cone_rows = tuple(
             Row(name=f"contact[{arm}].{label}", kind="hand", owner=arm, unit="N")
             for arm, label in names
         )
-        self.stated = np.concatenate([*most, np.zeros(0)])
+        self.stated = np.concatenate([*(rows.most for *_, rows in pressing), np.zeros(0)])
         self.most = self.stated.copy()
-        of_force = [label in ("least", "most") for _, label in names]
-        self.in_cone = 1.0 - np.array(of_force, float)
+        self.in_cone = np.array([label not in ("least", "most") for _, label in names], float)
         self.cones = np.zeros((len(self.most), self.size))
 
     def update(self, state: State, dynamics: ClosedLoopDynamics) -> None:
-        """Update to a state; dynamics must be up to date, with the object's mass on arm 0."""
         self.points[:] = points(self.hands, state.p_WO, state.R_WO)
         self.G[:] = grasp_matrix(self.points, state.p_WO)
         J = dynamics.J_arms
@@ -231,13 +217,7 @@ ROUNDING = 1e-6
 
 
 def require_forces(problem: ControlProblem, safety: float, name: str) -> None:
-    """Refuse grasps that do not hold with friction over ``safety``, and unreachable wrenches.
-
-    Raises:
-        GraspError: hands that press cannot carry the object, or hard tasks ask for wrenches that
-            the grasp cannot transmit together; says which.
-        InvalidValueError: a wrench beyond what motors and friction give; says how much they do.
-    """
+    """Refuse grasps that do not hold with friction over ``safety``, and unreachable wrenches."""
     pressing = any(grasp.contact for grasp in problem.chain.grasps.values())
     if problem.chain.holding < 2 or not (pressing or problem.wrenches):
         return
@@ -251,7 +231,15 @@ def require_forces(problem: ControlProblem, safety: float, name: str) -> None:
     asked.update(start)
     for fault in unreachable_wrenches(hold, asked):
         raise InvalidValueError(f"{name}: {fault}")
-    _require_together(hold, asked, name)
+    hard = np.flatnonzero(asked.hard)
+    if not len(hard) or _can(hold, asked, hard):
+        return
+    culprits = [asked.rows[i].name for i in hard if _can(hold, asked, hard[hard != i])]
+    which = ", ".join(culprits) or "several of them"
+    raise GraspError(
+        f"{name}: the grasp cannot bear all hard wrenches together; without one of {which} it "
+        "could. Leave that component free, or make it soft"
+    )
 
 
 def unreachable_wrenches(hold: StaticHold, asked: WrenchStack) -> Iterator[str]:
@@ -265,23 +253,11 @@ def unreachable_wrenches(hold: StaticHold, asked: WrenchStack) -> Iterator[str]:
             return  # the object cannot be carried; reported elsewhere where hands press
         if least.value - ROUNDING <= wanted <= most.value + ROUNDING:
             continue
-        near: Bound = least if wanted < least.value else most
+        near = least if wanted < least.value else most
         yield (
             f"{row.name} wants {wanted:.3g} {row.unit}, but at rest at the start the hands "
             f"can do {least.value:.3g} to {most.value:.3g} {row.unit}; {near.holds} back"
         )
-
-
-def _require_together(hold: StaticHold, asked: WrenchStack, name: str) -> None:
-    hard = np.flatnonzero(asked.hard)
-    if not len(hard) or _can(hold, asked, hard):
-        return
-    culprits = [asked.rows[i].name for i in hard if _can(hold, asked, hard[hard != i])]
-    which = ", ".join(culprits) or "several of them"
-    raise GraspError(
-        f"{name}: the grasp cannot bear all hard wrenches together; without one of {which} it "
-        "could. Leave that component free, or make it soft"
-    )
 
 
 def _can(hold: StaticHold, asked: WrenchStack, rows: NDArray[np.intp]) -> bool:

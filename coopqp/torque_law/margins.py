@@ -51,9 +51,7 @@ def memory_of(k: int) -> dict[str, int]:
 class ReferenceModel:
     """The model of all task rows with gains of shape (k,) [1/s]; its state is in the law's memory.
 
-    Attributes:
-        memory_sizes: see :func:`memory_of`.
-        e_ddot: e_m_ddot as of the last :meth:`update`, shape (k,).
+    ``e_ddot`` is e_m_ddot as of the last :meth:`update`, shape (k,).
     """
 
     def __init__(self, gains: Array, dt: float) -> None:
@@ -67,14 +65,10 @@ class ReferenceModel:
         self.e_ddot[:] = -g * (2.0 * memory["model_rate"] + g * model_error)
 
     def advance(self, memory: Memory, e_dot: Array, *, integrate: bool) -> None:
-        """Advance the memory to the next tick, after :meth:`update`, with the measured e_dot, (k,).
-
-        Integrate is False while motors are at their limits (anti-windup).
-        """
+        """To the next tick; without integration while motors are at their limits (anti-windup)."""
         dt, deviation, model_rate = self._dt, memory["deviation"], memory["model_rate"]
         if integrate:
-            integral = memory["integral"]
-            integral += dt * deviation
+            memory["integral"][:] += dt * deviation
         deviation += dt * (e_dot - model_rate)
         model_rate += dt * self.e_ddot
 
@@ -110,8 +104,7 @@ class TorqueLoop:
     """All rows of a torque law: e_ddot = forward e_m_ddot - W (kp w + ki int w + kd w_dot).
 
     Attributes:
-        gains: of the reference model, shape (k,) [1/s].
-        kp, ki, kd: shape (k,).
+        gains: of the reference model [1/s], and kp, ki, kd, shape (k,).
         W: acceleration by a wrench, shape (k, k) [1/kg, ...].
         dt: control period [s].
         forward: 1 where the model's acceleration is fed forward, 0 where not.
@@ -126,7 +119,6 @@ class TorqueLoop:
     forward: float = 1.0
 
     def damping(self, delay: int = DELAY) -> float:
-        """Smallest damping ratio with commands late by some ticks."""
         model = ReferenceModel(self.gains, self.dt)
         memory = Memory(model.memory_sizes)
 
@@ -163,7 +155,6 @@ class VelocityLoop:
         return model_rate - self.kp * deviation - self.ki * integral - self.kd * w_dot
 
     def damping(self, delay: int = DELAY) -> float:
-        """Smallest damping ratio with commands late by some ticks."""
         k = len(self.kp)
         memory = Memory(memory_of(k))
         decide = partial(self.decide, memory)
@@ -198,10 +189,7 @@ def damped(loop: TorqueLoop | VelocityLoop) -> bool:
 
 
 def largest(good: Callable[[float], bool], most: float) -> float:
-    """Largest number below ``most``, which is too large, that is good; 0 below a hundredth.
-
-    Rounded down to two digits.
-    """
+    """Largest good number below ``most``, which is not, to two digits; 0 below a hundredth."""
     low, high = 0.0, most
     for _ in range(20):
         middle = 0.5 * (low + high)
@@ -213,11 +201,7 @@ def largest(good: Callable[[float], bool], most: float) -> float:
 
 
 def require_damped_models(problem: ControlProblem, controller: str) -> None:
-    """Refuse tasks whose reference decays faster than torque control can follow at this rate.
-
-    Raises:
-        InvalidValueError: with the task, and the largest gain.
-    """
+    """Refuse tasks whose reference decays faster than torque control can follow at this rate."""
     dt = problem.dt
     for task in problem.tasks:
         if task.impedance is None and not damped(row_loop(task.gain, 0.0, dt)):

@@ -85,32 +85,27 @@ class Layout:
         )
         self.inequalities = (*bounds.rows, *hands.cone_rows)
         self.cones = slice(len(bounds.rows), len(self.inequalities))
-        object_rows = (
-            Row(name=f"object.{axis}", kind="dynamics", unit=unit)
-            for axis, unit in zip(AXES, UNITS, strict=True)
-        )
         self.equalities = (
             *(
                 Row(name=f"dynamics[{name}]", kind="dynamics", unit=efforts[unit], joint=name)
                 for name, unit in zip(names, units, strict=True)
             ),
-            *object_rows,
+            *(
+                Row(name=f"object.{axis}", kind="dynamics", unit=unit)
+                for axis, unit in zip(AXES, UNITS, strict=True)
+            ),
             *chain.loops.kept_rows[: self.m],
         )
         self.common = len(self.equalities)
 
 
 class Program:
-    """One level.
+    """One level, with the last tick's ``qp`` and its ``solution``.
 
     Args:
         problem, layout: shared by all levels.
         own: which motion rows and which wrench rows are its own.
         must: which must hold: hard ones, and the soft ones of the levels before.
-
-    Attributes:
-        qp: the last tick's program.
-        solution: its solution.
     """
 
     def __init__(
@@ -139,7 +134,6 @@ class Program:
         self._solve = problem.solver.open(self.qp, self.solution)
 
     def solve(self) -> Status:
-        """Solve and verify."""
         self._solve()
         self.solution.status = self._verifier.check()
         return self.solution.status
@@ -181,43 +175,42 @@ class Program:
     def _fill_cost(self, state: State, wanted: Array, soften: bool) -> None:
         qp, layout, costs = self.qp, self._layout, self._layout.costs
         tasks, hands, wrenches = layout.level.tasks, layout.hands, layout.wrenches
-        motion, forces = self._own
-        if soften and self._must[0].size + self._must[1].size:
-            motion = np.concatenate([motion, self._must[0]])
-            forces = np.concatenate([forces, self._must[1]])
-        J, w = tasks.J[motion], tasks.weights[motion].copy()
-        w[len(self._own[0]) :] *= SOFTENED
         qp.P[:], qp.q[:] = 0.0, 0.0
-        weighted = J * w[:, None]
-        qp.P[layout.a, layout.a] = weighted.T @ J
-        qp.q[layout.a] = -wanted[motion] @ weighted
-        P, q = hands.cost(wrenches)
-        C, v = wrenches.C[forces], wrenches.weights[forces].copy()
-        v[len(self._own[1]) :] *= SOFTENED
-        weighted = C * v[:, None]
-        qp.P[layout.h, layout.h] = costs.grip * P + weighted.T @ C
-        qp.q[layout.h] = costs.grip * q - wrenches.wanted[forces] @ weighted
+        P, q = self._asked(0, tasks.J, tasks.weights, wanted, soften)
+        qp.P[layout.a, layout.a], qp.q[layout.a] = P, q
+        grip, pull = hands.cost(wrenches)
+        P, q = self._asked(1, wrenches.C, wrenches.weights, wrenches.wanted, soften)
+        qp.P[layout.h, layout.h], qp.q[layout.h] = costs.grip * grip + P, costs.grip * pull + q
         qp.P[: len(self._diagonal), : len(self._diagonal)] += np.diag(self._diagonal)
         qp.q[layout.a] += costs.damping / costs.damping_time * state.v
         if hands.pressing:
             qp.q[layout.sigma], qp.P[layout.sigma, layout.sigma] = LEAVING
 
+    def _asked(
+        self, of: int, rows: Array, weights: Array, wanted: Array, soften: bool
+    ) -> tuple[Array, Array]:
+        """P and q of the level's own motion rows (0) or wrench rows (1), and of softened ones."""
+        own, must = self._own[of], self._must[of]
+        at = np.concatenate([own, must]) if soften else own
+        J, w = rows[at], weights[at]
+        w[len(own) :] *= SOFTENED
+        weighted = J * w[:, None]
+        return weighted.T @ J, -wanted[at] @ weighted
+
     def _fill_dynamics(self, loops: Array, wrench: Array | None) -> None:
         qp, layout = self.qp, self._layout
         dynamics, hands = layout.level.dynamics, layout.hands
-        n, m, J_0 = layout.n, layout.m, dynamics.J_object
-        qp.A[:n, :n] = dynamics.A
-        qp.A[:n, layout.h] = hands.feels
-        qp.b[:n] = -dynamics.H
-        M, b = dynamics.object_inertia()
-        qp.A[n : n + 6, layout.a] = M @ J_0
-        qp.A[n : n + 6, layout.h] = -hands.G
-        qp.b[n : n + 6] = -(M @ dynamics.drift_arms[:6] + b)
+        n = layout.n
+        tree, body, closed = slice(0, n), slice(n, n + 6), slice(n + 6, layout.common)
+        J_0, (M, b) = dynamics.J_object, dynamics.object_inertia()
+        qp.A[tree, layout.a], qp.A[tree, layout.h] = dynamics.A, hands.feels
+        qp.b[tree] = -dynamics.H
+        qp.A[body, layout.a], qp.A[body, layout.h] = M @ J_0, -hands.G
+        qp.b[body] = -(M @ dynamics.drift_arms[:6] + b)
         if wrench is not None:
-            qp.b[:n] += J_0.T @ wrench
-            qp.b[n : n + 6] += wrench
-        qp.A[n + 6 : n + 6 + m, layout.a] = dynamics.J
-        qp.b[n + 6 : n + 6 + m] = loops
+            qp.b[tree] += J_0.T @ wrench
+            qp.b[body] += wrench
+        qp.A[closed, layout.a], qp.b[closed] = dynamics.J, loops
 
     def _fill_bounds(self, bounds: tuple[Array, Array, Array, Array]) -> None:
         qp, layout, hands = self.qp, self._layout, self._layout.hands

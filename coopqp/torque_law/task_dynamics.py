@@ -2,21 +2,43 @@
 
 A task e(q, t) with e_dot = J v - rate has e_ddot = J a + drift, where drift is the change of
 J v - rate along v, by a forward difference of the task, so that a task needs no second derivative.
+
+Task rows with an impedance have accelerations e_ddot = B (w - K e) - R e_dot.
+Rows with a stated mass M have B = M^-1; w has to be known there. All others have the inertia of
+object and arms with the loops closed, B = W = J N (N' A N)^-1 N' J', through which an unknown
+wrench acts as well: with w = 0 in the law they move as above.
+
+R = B D where the damping is stated, and else gives every mode its damping ratio z. With
+S = K^1/2 the modes are those of C = S W S, and
+
+    R = 2 S^-1 C^1/4 z C^1/4 S         (M stated: 2 z (K/M)^1/2)
+
+which is the double diagonalisation of Albu-Schaeffer, Ott, Frese and Hirzinger 2003.
+
+A law that corrects open loops asks for accelerations J_c a = -drift_c - c that closed ones do not
+have. Torques for a then produce a + d, with J_c d = c and N' A d = 0, and J d would appear as a
+push: it is subtracted.
 """
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Callable
 
-from coopqp.base.errors import GraspError
+import numpy as np
+from numpy.typing import ArrayLike
+
+from coopqp.base.errors import GraspError, InvalidValueError
 from coopqp.base.rank import least_squares
 from coopqp.base.spec import Array
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.closed_loop.mobility import mobility
+from coopqp.closed_loop.screw import LENGTH
 from coopqp.controller import ControlProblem
+from coopqp.model.closed_chain import AXES
 from coopqp.model.state import State
 from coopqp.signal import CLOCK, Trajectory
-from coopqp.task import TaskStack
+from coopqp.task import Impedance, TaskStack
+from coopqp.torque_law.margins import DELAY, MIN_DAMPING, spring_damping
 
 #: Step of the forward difference [s]: its error is this times a second derivative.
 STEP = 1e-6
@@ -29,8 +51,7 @@ class TaskDynamics:
         dynamics: of the modelled object.
         tasks: e, J, rate as of the last update.
         gains: of the task rows, shape (k,) [1/s].
-        e_dot: J v - rate, shape (k,).
-        drift: e_ddot - J a, shape (k,).
+        e_dot: J v - rate, and drift: e_ddot - J a, shape (k,).
     """
 
     def __init__(self, problem: ControlProblem) -> None:
@@ -43,7 +64,6 @@ class TaskDynamics:
         self._effort = problem.chain.model.effortLimit
 
     def update(self, state: State) -> None:
-        """Update everything to a measured state."""
         ahead, tasks, v = self._ahead, self.tasks, state.v
         ahead.q[:], ahead.t = state.q + STEP * v, state.t + STEP
         for name, clock in state.inputs.items():
@@ -59,19 +79,12 @@ class TaskDynamics:
         self.dynamics.update(state.q, v)
 
     def holding(self, state: State, brake_time: float) -> Array:
-        """Gravity compensation and a brake over ``brake_time`` [s], within effort limits [N m].
-
-        The dynamics must be up to date with the state.
-        """
+        """Gravity compensation and a brake over ``brake_time`` [s], within effort limits [N m]."""
         dynamics = self.dynamics
+        dynamics.update(state.q, state.v)
         brake = dynamics.A.dot(state.v) / brake_time
         tau = dynamics.distribute(dynamics.gravity(state.q) - brake).tau
         return np.asarray(np.minimum(np.maximum(tau, -self._effort), self._effort), float)
-
-    def moving(self, e_ddot: Array) -> Array:
-        """Accelerations of the joints by forces of the task rows that give them e_ddot, (n,)."""
-        X, J = self.inverse_inertia(), self.tasks.J
-        return np.asarray(X @ J.T @ least_squares(J @ X @ J.T, e_ddot))
 
     def inverse_inertia(self) -> Array:
         """Acceleration of the joints per torque on them, the loops closed, shape (n, n).
@@ -102,11 +115,7 @@ def _of_free_arms(problem: ControlProblem, tasks: TaskStack) -> str:
 
 
 def require_motor_freedom(problem: ControlProblem, controller: str) -> None:
-    """Refuse tasks that the motors cannot decide with this grasp.
-
-    Raises:
-        GraspError: with the object motions that are missing.
-    """
+    """GraspError with the missing object motions: tasks that the motors cannot decide."""
     start = State(problem.chain)
     if problem.chain.standing:
         raise GraspError(
@@ -131,3 +140,140 @@ def require_motor_freedom(problem: ControlProblem, controller: str) -> None:
             f"{controller}: the tasks ask {rows} rows, but with this grasp the motors decide only "
             f"{found.motor_freedom_start} object motions; {why}"
         )
+
+
+class Impedances:
+    """All rows of one problem that have an impedance, r of them.
+
+    Attributes:
+        rows: which of all task rows, shape (r,); the rest are ``others``.
+        B, R: acceleration by a wrench on the rows, by their rate, shape (r, r) [1/kg, ...], [1/s].
+        K: stiffness, shape (r,) [N/m, N m/rad]. stated: which have a stated mass, shape (r,).
+    """
+
+    def __init__(self, problem: ControlProblem, level: TaskDynamics) -> None:
+        stack = level.tasks
+        given = [
+            (np.arange(part.start, part.stop), impedance)
+            for task, part in zip(stack.tasks, stack.slices, strict=True)
+            if (impedance := task.impedance) is not None
+        ]
+
+        def by_row(value: Callable[[Impedance], ArrayLike]) -> Array:
+            values = (np.broadcast_to(value(i), len(i.axes)) for _, i in given)
+            return np.concatenate([np.zeros(0), *values])
+
+        self.rows = np.concatenate([np.zeros(0, int), *(rows for rows, _ in given)])
+        self.others = np.setdiff1d(np.arange(len(stack.e)), self.rows)
+        self._axes = by_row(lambda i: i.axes).astype(int)
+        self.K = by_row(lambda i: i.stiffness)
+        self.stated = by_row(lambda i: i.mass is not None).astype(bool)
+        masses = by_row(lambda i: 1.0 if i.mass is None else i.mass)
+        self._D = by_row(lambda i: 0.0 if i.damping is None else i.damping)
+        self._z = by_row(lambda i: i.damping_ratio if i.damping is None else 0.0)
+        self._level = level
+        self.B, self.R = np.zeros((2, len(self.rows), len(self.rows)))
+        self._X = np.zeros((len(stack.J.T), len(stack.J.T)))
+        own, M = np.flatnonzero(self.stated), masses[self.stated]  # their entries are constant
+        omega = np.sqrt(self.K[own] / M)
+        self.B[own, own] = 1.0 / M
+        self.R[own, own] = self._D[own] / M + 2.0 * self._z[own] * omega
+
+    def update(self) -> None:
+        if not len(self.rows):
+            return
+        self._X = self._level.inverse_inertia()
+        real = np.flatnonzero(~self.stated)
+        if not len(real):
+            return
+        J = self._level.tasks.J[self.rows[real]]
+        W, S = J @ self._X @ J.T, np.sqrt(self.K[real])
+        squares, U = np.linalg.eigh(S[:, None] * W * S)
+        root = (U * np.maximum(squares, 0.0) ** 0.25) @ U.T
+        R = 2.0 * (root * self._z[real]) @ root * S / S[:, None] + W * self._D[real]
+        self.B[np.ix_(real, real)], self.R[np.ix_(real, real)] = W, R
+
+    def guess(self) -> Array | None:
+        """The external wrench where it is unknown, shape (6,): equal to the springs' forces.
+
+        None without rows. At rest that is so, and the hands bear it; until then it does not change
+        the torques' effect, since the springs pull against it by as much.
+        """
+        if not len(self.rows):
+            return None
+        wrench = np.zeros(6)
+        np.add.at(wrench, self._axes, self.K * self._level.tasks.e[self.rows])
+        return wrench
+
+    def accelerations(self, wrench: Array, correction: Array) -> Array:
+        """e_ddot of the rows that torques must produce, shape (r,).
+
+        ``wrench``, shape (6,), is of the surroundings on the object, or the :meth:`guess`;
+        ``correction``, shape (m,), is c of the loop rows.
+        """
+        level, rows = self._level, self.rows
+        found = self.B.dot(wrench[self._axes] - self.K * level.tasks.e[rows])
+        found -= self.R.dot(level.e_dot[rows])
+        if correction.any():
+            d = least_squares(level.dynamics.J, correction)
+            found -= level.tasks.J[rows].dot(d - self._X.dot(level.dynamics.A.dot(d)))
+        return np.asarray(found, float)
+
+
+def require_impedances(
+    problem: ControlProblem, level: TaskDynamics, name: str, *, knows_wrench: bool
+) -> None:
+    """Refuse masses where the external wrench is unknown, and springs that oscillate."""
+    impedances = Impedances(problem, level)
+    if not len(impedances.rows):
+        return
+    tasks = [task.name for task in problem.tasks if task.impedance is not None]
+    which = f"{name}: task {' and '.join(tasks)}"
+    if impedances.stated.any() and not knows_wrench:
+        raise InvalidValueError(
+            f"{which} states a mass, which needs the external wrench; say "
+            "external_wrench: observed, or leave mass out for the inertia of object and arms"
+        )
+    level.update(State(problem.chain))
+    impedances.update()
+    C, R, dt = impedances.B * impedances.K, impedances.R, problem.dt
+    asked, found = spring_damping(C, R, dt, None), spring_damping(C, R, dt, DELAY)
+    if found < (needed := min(MIN_DAMPING, 0.5 * asked)):
+        at_least = f"{needed:.2f}" if needed >= 5e-3 else "more than 0"  # where none was asked for
+        raise InvalidValueError(
+            f"{which} oscillates at dt {1e3 * dt:g} ms when commands are a tick late (damping "
+            f"ratio {found:.2f}, needs {at_least}); lower stiffness and damping, or dt, "
+            "or state more mass"
+        )
+
+
+def leaks(problem: ControlProblem) -> tuple[str, str, float] | None:
+    """The largest cross-coupling of a push along an axis without a spring into a sprung axis.
+
+    At rest, with an unknown push, object and arms must not accelerate along the springs: with W the
+    inverse inertia of the object's six axes, s those with a spring and o the others,
+
+        W_ss (w_s - K e) + W_so w_o = 0,       so that K e = w_s + W_ss^-1 W_so w_o
+
+    Returns:
+        The axis along which it is felt, that along which it pushes, and the force felt of a push by
+        1 N or 1 N m [N, N m]; None where all axes have a spring, none has, or one cannot move.
+    """
+    given = [task.impedance for task in problem.tasks if task.impedance is not None]
+    sprung = sorted({axis for impedance in given for axis in impedance.axes})
+    others = [axis for axis in range(6) if axis not in sprung]
+    massless = not any(body.mass for body in problem.chain.robot.model.inertias)
+    if not sprung or not others or massless:
+        return None
+    level, state = TaskDynamics(problem), State(problem.chain)
+    state.update()
+    level.update(state)
+    W = state.J_task @ level.inverse_inertia() @ state.J_task.T
+    own = W[np.ix_(sprung, sprung)]
+    if np.linalg.matrix_rank(own) < len(sprung):
+        return None  # an axis that cannot move; laws refuse that
+    felt = np.linalg.solve(own, W[np.ix_(sprung, others)])
+    lengths = np.array([1.0 if axis < 3 else LENGTH for axis in range(6)])
+    share = np.abs(felt) * lengths[others] / lengths[sprung][:, None]
+    i, j = np.unravel_index(int(share.argmax()), share.shape)
+    return AXES[sprung[i]], AXES[others[j]], float(felt[i, j])

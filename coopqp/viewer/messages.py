@@ -53,115 +53,86 @@ class Dial:
 
 @dataclass(frozen=True)
 class PageSetup:
-    """All that does not change while a scenario is played.
-
-    Attributes:
-        laws: colour such as "#0072B2" by controller. bodies: of the robot and its surroundings.
-        size: edges of the object [m]. low, high: corners of the visible space [m].
-        dials: gains and the like. knobs: inputs without a gizmo, a number each.
-        phases: names; one for scenarios without phases.
-        forces: whether the plant gives the hands' wrenches.
-        folder: for recordings; empty if there is none.
-    """
+    """All that does not change while a scenario is played."""
 
     title: str
     description: str
-    laws: Mapping[str, str]
-    bodies: tuple[Surface, ...]
-    size: tuple[float, float, float]
-    low: Array
+    laws: Mapping[str, str]  # colour such as "#0072B2" by controller
+    bodies: tuple[Surface, ...]  # of the robot and its surroundings
+    size: tuple[float, float, float]  # edges of the object [m]
+    low: Array  # low, high: corners of the visible space [m]
     high: Array
     gizmos: tuple[Gizmo, ...]
-    dials: tuple[Dial, ...]
-    knobs: tuple[Dial, ...]
-    phases: tuple[str, ...]
-    forces: bool
-    folder: str
+    dials: tuple[Dial, ...]  # gains and the like
+    knobs: tuple[Dial, ...]  # inputs without a gizmo, a number each
+    phases: tuple[str, ...]  # names; one for scenarios without phases
+    forces: bool  # whether the plant gives the hands' wrenches
+    folder: str  # for recordings; empty if there is none
 
 
 @dataclass(frozen=True)
 class ControllerFrame:
-    """One controller at one instant.
+    """One controller at one instant."""
 
-    Attributes:
-        bodies: poses of their joints, shape (b, 7). held: pose of the object, shape (7,).
-        left: distance of each joint to its nearer limit over half its range, shape (n,).
-        arrows: start and end of the hands' forces, shape (., 2, 3) [m]. weight: of the object's.
-        words: distance to the goals. broken: what is violated, such as a joint limit, or empty.
-    """
-
-    bodies: Array
-    held: Array
-    left: Array
-    arrows: Array
-    weight: Array
+    bodies: Array  # poses of their joints, shape (b, 7)
+    held: Array  # pose of the object, shape (7,)
+    left: Array  # distance of each joint to its nearer limit over half its range, shape (n,)
+    arrows: Array  # start and end of the hands' forces, shape (., 2, 3) [m]
+    weight: Array  # of the object's
     reached: bool
-    words: str
-    broken: str
+    words: str  # distance to the goals
+    broken: str  # what is violated, such as a joint limit, or empty
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """Whether geometry keeps the arms from their goals, and why; active limits of the tick."""
+
+    blocked: bool = False
+    sentence: str = ""
+    active: tuple[str, ...] = ()
+    detail: str = ""
 
 
 @dataclass(frozen=True)
 class Frame:
-    """Everything at one instant.
+    """Everything at one instant."""
 
-    Attributes:
-        t: since the beginning [s]. factor: measured speed of time.
-        laws: in the order of ``PageSetup.laws``. main: index of the one that is explained.
-        gizmos: poses, shape (7,); None in other phases.
-        outlines: of the tasks' markers, shape (s, 2, 3) [m].
-        active: names of limits at their bound. detail: of the last tick that was explained.
-        explained: whether the explainer is alive.
-        recorded: duration of the recording [s]. note: remarks on it.
-        tick_us: longest tick of the last second [us].
-        ghost: somewhere along the way round that is offered; None where none is.
-    """
-
-    t: float
+    t: float  # since the beginning [s]
     phase: int
     playing: bool
-    factor: float
-    laws: tuple[ControllerFrame, ...]
-    main: int
-    gizmos: tuple[Array | None, ...]
-    outlines: Array
+    factor: float  # measured speed of time
+    laws: tuple[ControllerFrame, ...]  # in the order of ``PageSetup.laws``
+    main: int  # index of the one that is explained
+    gizmos: tuple[Array | None, ...]  # poses, shape (7,); None in other phases
+    outlines: Array  # of the tasks' markers, shape (s, 2, 3) [m]
     tone: Tone
     sentence: str
-    active: tuple[str, ...]
-    detail: str
-    explained: bool
-    recorded: float
-    note: str
-    tick_us: float
+    explanation: Explanation  # the last one
+    explained: bool  # whether the explainer is alive
+    recorded: float  # duration of the recording [s]
+    note: str  # remarks on it
+    tick_us: float  # longest tick of the last second [us]
+    # somewhere along the way round that is offered; None where none is
     ghost: ControllerFrame | None = None
 
 
 @dataclass(frozen=True)
 class Action:
-    """What somebody has done on the page.
+    """What somebody has done on the page."""
 
-    Attributes:
-        what: play, pause, step, reset, speed, drag, carry, dial, knob, main, save or follow.
-        which: index of a gizmo or controller, key of a dial or knob.
-        value: a pose, a position, or one number.
-    """
-
-    what: str
-    which: int | str = 0
-    value: tuple[float, ...] = ()
+    what: str  # play, pause, step, reset, speed, drag, carry, dial, knob, main, save or follow
+    which: int | str = 0  # index of a gizmo or controller, key of a dial or knob
+    value: tuple[float, ...] = ()  # a pose, a position, or one number
 
 
 @dataclass(frozen=True)
 class Snapshot:
-    """A state to explain; inputs with kind, value and rate, and their targets, by name.
+    """A state to explain; inputs with kind, value and rate, and their targets, by name."""
 
-    Attributes:
-        law: the controller, with the values of its dials.
-        starts: q where each later phase has begun, shape (n,) each.
-    """
-
-    law: str
+    law: str  # the controller, with the values of its dials
     dials: Mapping[str, float]
-    starts: tuple[Array, ...]
+    starts: tuple[Array, ...]  # q where each later phase has begun, shape (n,) each
     t: float
     q: Array
     v: Array
@@ -181,23 +152,9 @@ def _no_rows() -> Array:
 
 @dataclass(frozen=True)
 class Way:
-    """A way round tick by tick, and what is said of it; without rows where there is none.
-
-    Attributes:
-        t: shape (T,) [s]. q: joints, shape (T, n) [rad, m]. object: poses, shape (T, 7).
-    """
+    """A way round tick by tick, and what is said of it; without rows where there is none."""
 
     sentence: str
-    t: Array = field(default_factory=_no_rows)
-    q: Array = field(default_factory=_no_rows)
-    object: Array = field(default_factory=_no_rows)
-
-
-@dataclass(frozen=True)
-class Explanation:
-    """Whether geometry keeps the arms from their goals, and why; active limits of the tick."""
-
-    blocked: bool = False
-    sentence: str = ""
-    active: tuple[str, ...] = ()
-    detail: str = ""
+    t: Array = field(default_factory=_no_rows)  # shape (T,) [s]
+    q: Array = field(default_factory=_no_rows)  # joints, shape (T, n) [rad, m]
+    object: Array = field(default_factory=_no_rows)  # poses, shape (T, 7)

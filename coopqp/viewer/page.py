@@ -178,17 +178,16 @@ def _head(setup: PageSetup) -> str:
 
 
 def _verdict(frame: Frame) -> str:
-    color = TONES[frame.tone]
-    active = ", ".join(map(escape, frame.active[:MAX_LIMITS]))
-    if len(frame.active) > MAX_LIMITS:
-        active += f" and {len(frame.active) - MAX_LIMITS} more"
+    color, explained = TONES[frame.tone], frame.explanation
+    active = ", ".join(map(escape, explained.active[:MAX_LIMITS]))
+    if len(explained.active) > MAX_LIMITS:
+        active += f" and {len(explained.active) - MAX_LIMITS} more"
     active = active or ("none" if frame.explained else "unknown")
     rows = [f'<div style="font-weight:600" data-tone="{frame.tone}">{escape(frame.sentence)}</div>']
     rows.append(f'<div style="margin-top:0.35em">Limits at their bound: {active}</div>')
-    if frame.detail and frame.tone in ("blocked", "broken"):
-        rows.append(
-            f'<div style="opacity:0.7;margin-top:0.35em">This tick: {escape(frame.detail)}</div>'
-        )
+    if explained.detail and frame.tone in ("blocked", "broken"):
+        detail = f"This tick: {escape(explained.detail)}"
+        rows.append(f'<div style="opacity:0.7;margin-top:0.35em">{detail}</div>')
     style = (
         f"border-left:5px solid {color};padding:0.5em 0.6em;background:{color}14;border-radius:3px;"
         "min-height:5.5em"

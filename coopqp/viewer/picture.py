@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -14,8 +15,7 @@ from coopqp.base.spec import Array
 from coopqp.model.marker import SolidMarker, asked
 from coopqp.model.state import State
 from coopqp.report.scene.bodies import robot_bodies, solid_body
-from coopqp.report.scene.markers import Place
-from coopqp.report.scene.playback import MIN_FORCE, squeeze_words, weight
+from coopqp.report.scene.playback import MIN_FORCE, Place, squeeze_words, weight
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import axes_along, quaternion_of
 from coopqp.study.explanation.words import listed, size
@@ -30,6 +30,7 @@ ABOVE, BELOW = 1.0, 0.6
 ROUND = 48  # corners of a circle
 MAX_NAMED = 2
 DIGITS = 6  # of errors that are shown [m, rad]
+NOTHING = np.zeros((0, 2, 3))
 
 
 def surfaces(scenario: Scenario) -> tuple[tuple[Surface, ...], tuple[str, ...]]:
@@ -60,13 +61,10 @@ def space(scenario: Scenario, bodies: Sequence[Surface]) -> tuple[Array, Array]:
 def drawn(controller: SimulatedController, bodies: Sequence[Surface]) -> ControllerFrame:
     """A controller at its last tick."""
     state = controller.plant.truth(controller.state)
-    places = [pin.SE3ToXYZQUAT(_joint_pose(state, body.joint)) for body in bodies]
     reached, words = _goal_errors(controller, state)
     arrows, weight, squeeze = _forces(controller, state)
-    return ControllerFrame(
-        bodies=np.array(places).reshape(-1, 7),
-        held=np.concatenate([state.p_WO, quaternion_of(state.R_WO)]),
-        left=_left(state),
+    return replace(
+        still(state, bodies),
         arrows=arrows,
         weight=weight,
         reached=reached,
@@ -79,14 +77,13 @@ def still(state: State, bodies: Sequence[Surface]) -> ControllerFrame:
     """Arms and object at a state, without a controller."""
     places = [pin.SE3ToXYZQUAT(_joint_pose(state, body.joint)) for body in bodies]
     held = np.concatenate([state.p_WO, quaternion_of(state.R_WO)])
-    none = np.zeros((0, 2, 3))
     bodies_at = np.array(places).reshape(-1, 7)
-    return ControllerFrame(bodies_at, held, _left(state), none, none, False, "", "")
+    return ControllerFrame(bodies_at, held, _left(state), NOTHING, NOTHING, False, "", "")
 
 
 def outlines(controller: SimulatedController, place: Place) -> Array:
     """The tasks' markers as line segments, shape (s, 2, 3) [m]."""
-    state, segments = controller.state, [np.zeros((0, 2, 3))]
+    state, segments = controller.state, [NOTHING]
     for task in controller.run.problem.tasks:
         for mark in asked(task.name, partial(task.marks, state), []):
             kind, values = place.drawn(mark)
@@ -171,7 +168,7 @@ def _forces(controller: SimulatedController, state: State) -> tuple[Array, Array
     """Arrows of the hands' forces, shape (arms, 2, 3), and the weight, (1, 2, 3) [m]; squeeze."""
     wrenches, points = (controller.plant.signals.get(name) for name in (FORCES, "hand_point"))
     if wrenches is None or points is None:
-        return np.zeros((0, 2, 3)), np.zeros((0, 2, 3)), ""
+        return NOTHING, NOTHING, ""
     forces, down = wrenches.reshape(-1, 6)[:, :3], weight(controller.run.scenario)
     longest = max(float(np.linalg.norm(forces, axis=1).max()), down, MIN_FORCE)
     size = max(controller.run.scenario.held.size)

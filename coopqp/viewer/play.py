@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from coopqp.base.errors import CoopqpError, InternalError, InvalidValueError, MissingDependencyError
-from coopqp.viewer import explainer, page, planner
+from coopqp.viewer import explainer, page
 from coopqp.viewer.gate import checked_origins
 from coopqp.viewer.messages import Explanation
 from coopqp.viewer.player import Player
@@ -60,10 +60,8 @@ def play(
 ) -> None:
     """Play until Ctrl-C, or until ``goes_on`` is false; ``opened`` is called with the address.
 
-    Pages of ``origins`` may use it beside its own, such as https://lab.example.
-
-    Raises:
-        CoopqpError: an origin is none, the page cannot be opened, or breaks down.
+    Pages of ``origins`` may use it beside its own, such as https://lab.example; CoopqpError: one is
+    none, or the page cannot be opened, or breaks down.
     """
     allowed = checked_origins(origins)
     server = Worker(page.serve, player.show(), host, port, allowed)
@@ -138,7 +136,7 @@ class _Clock:
         player = self._player
         if self.planner is None:
             if player.is_stuck:
-                self.planner = Worker(planner.serve, replace(player.scenario))
+                self.planner = Worker(explainer.serve_ways, replace(player.scenario))
             return
         try:
             for message in self.planner.received():

@@ -16,8 +16,8 @@ from coopqp.base.errors import CoopqpError
 from coopqp.base.spec import Array
 from coopqp.execution.controller_run import check_plant, controller_of
 from coopqp.model.state import State
-from coopqp.report.scene.markers import Place
-from coopqp.report.style import chosen_styles
+from coopqp.report.curves import chosen_styles
+from coopqp.report.scene.playback import Place
 from coopqp.scenario.input import FARTHEST
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import Kind
@@ -39,30 +39,22 @@ ENDED = "explanations have ended with their process; begin coopqp play anew to h
 class Player:
     """A scenario that is played, by all of its controllers if none is named.
 
-    Raises:
-        CoopqpError: a controller that was named cannot be built, or none can.
-
-    Attributes:
-        scenario: with inputs for all that can be dragged.
-        controllers: that are played. refused: those that are left out, and why.
-        explanation: the explainer's last one. has_explainer: whether it is alive.
-        recording: since the last reset. note: a remark for the page.
-        way: round what the arms are stuck at, for where the goals are; None where none is known.
-        has_planner: whether the one who looks for ways is alive.
+    CoopqpError: a controller that was named cannot be built, or none can.
     """
 
     def __init__(
         self, scenario: Scenario, names: Sequence[str] = (), folder: Path | None = None
     ) -> None:
         self._read, self._folder = scenario, folder
-        self.scenario, self._steered = with_inputs(scenario)
+        self.scenario, self._steered = with_inputs(scenario)  # for all that can be dragged
         self._handles = handles(self.scenario, self._steered)
         self._dials = {dial.key: dial for dial in dials_of(self.scenario)}
         self._values: dict[str, float] = {}
         self._hands: dict[str, list[float]] = {}
         self.playing, self.speed = False, 1.0
-        self._main, self.has_explainer, self.has_planner = 0, True, True
-        self.refused: dict[str, str] = {}
+        self._main = 0
+        self.has_explainer = self.has_planner = True  # whether their processes are alive
+        self.refused: dict[str, str] = {}  # controllers that are left out, and why
         self._names = self._playable(tuple(names))
         self._bodies, self.faults = picture.surfaces(self.scenario)
         self._place = Place(self.scenario)
@@ -77,7 +69,7 @@ class Player:
         self.controllers = [SimulatedController(scenario, n, self._hands) for n in self._names]
         self.recording = Recording(self._read, self._steered, self._names, self._values)
         self.explanation, self._changed, self.note = messages.Explanation(), False, ""
-        self.way: messages.Way | None = None
+        self.way: messages.Way | None = None  # round what the arms are stuck at, if it is known
         self._asked: object = None
         self._ghost = 0
         self.tick()
@@ -136,7 +128,6 @@ class Player:
         return path
 
     def show(self) -> messages.PageSetup:
-        """All that does not change."""
         low, high = picture.space(self.scenario, self._bodies)
         keeps = {c.name: "limits" in c.run.controller.supports for c in self.controllers}
         return messages.PageSetup(
@@ -178,8 +169,7 @@ class Player:
             outlines=self._outlines(controller, gizmos),
             tone=tone,
             sentence=sentence,
-            active=self.explanation.active,
-            detail=self.explanation.detail,
+            explanation=self.explanation,
             explained=self.has_explainer,
             recorded=self.recording.seconds,
             note="; ".join(filter(None, (recorded, self.note))),

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -26,23 +25,15 @@ FILE = "scenario.yaml"
 
 def check_folder(folder: Path) -> None:
     """Raise a CoopqpError for a folder that has a session or cannot be written to."""
-    made: list[Path] = []
     try:
         if (folder / FILE).exists() or (folder / FOLDER).exists():
             raise CoopqpError(f"--record: '{folder}' holds a session already; name another folder")
-        for path in (*reversed(folder.parents), folder):
-            if not path.exists():
-                path.mkdir()
-                made.append(path)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
+        there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+        with tempfile.TemporaryDirectory(dir=there) as trial:
+            (Path(trial) / folder.name).mkdir(exist_ok=True)
     except (OSError, ValueError) as error:
         why = f"{getattr(error, 'strerror', None) or error}; name another folder"
         raise CoopqpError(f"--record: cannot write to '{folder}': {why}") from error
-    finally:
-        for path in reversed(made):
-            with suppress(OSError):
-                path.rmdir()
 
 
 class Recording:
@@ -130,13 +121,12 @@ class Recording:
 
     def _phases(self, data: dict[str, Any]) -> list[dict[str, Any]]:
         """Put the phases that were played into the mapping, with their durations."""
-        phases = []
-        for given, phase, ticks in zip(
-            data.get("phases", [data]), self._scenario.schedule, self.ticks, strict=False
-        ):
+        given_phases, phases = data.get("phases", [data]), []
+        played = zip(given_phases, self._scenario.schedule, self.ticks, strict=False)
+        for given, phase, ticks in played:
             end = max((task.end for task in phase.tasks), default=0.0)
-            played = {"duration": max(ticks * self._scenario.dt, end)}
-            phases.append(given | played | {"tasks": [*map(_spelled, given["tasks"])]})
+            tasks = [*map(_spelled, given["tasks"])]
+            phases.append(given | {"duration": max(ticks * self._scenario.dt, end), "tasks": tasks})
         data |= {"phases": phases} if "phases" in data else phases[0]
         return phases
 

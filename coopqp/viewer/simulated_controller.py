@@ -54,28 +54,20 @@ class HandFeed:
 
 
 class SimulatedController:
-    """A controller that is played.
+    """A controller that is played; CoopqpError: it or the plant cannot be built."""
 
-    Raises:
-        CoopqpError: the controller or the plant cannot be built.
-
-    Attributes:
-        run: the current phase. starts: q at the start of each later phase.
-        command: of the last tick. us: time that it took [us].
-        torn: whether the hands were once too far apart for one object, or have lost it.
-        goals: error of each task to its goal, by the tasks' rows.
-        follows: tells the time along a way round; None where the phase's own tasks count.
-    """
-
-    command: Command
-    run: PhaseRun
+    run: PhaseRun  # the current phase
     feed: HandFeed
+    command: Command  # of the last tick
+    goals: TaskStack  # error of each task to its goal, by the tasks' rows
 
     def __init__(self, scenario: Scenario, name: str, hands: Hands) -> None:
-        self.name, self._hands, self.us = name, hands, 0.0
-        self.starts: list[Array] = []
-        self._ending = self.torn = False
-        self.follows: Clock | None = None
+        self.name, self._hands = name, hands
+        self.us = 0.0  # time that the last tick took [us]
+        self.starts: list[Array] = []  # q at the start of each later phase
+        self.torn = False  # whether the hands were once too far apart for one object, or lost it
+        self.follows: Clock | None = None  # the time along a way round, in the tasks' place
+        self._ending = False
         self._enter(begin_phase(scenario.held_by(name), controller_of(scenario, name)))
 
     @property
@@ -117,11 +109,7 @@ class SimulatedController:
             self.torn |= torn(true.loop_position_error, true.loop_orientation_error)
 
     def change(self, scenario: Scenario) -> None:
-        """Build the controller for other gains and the like, and continue from the current state.
-
-        Raises:
-            CoopqpError: it cannot be built.
-        """
+        """Go on from the current state with other gains and the like; CoopqpError: it cannot."""
         if self.follows is not None:
             self._leave_way()
         run, other = self.run, scenario.held_by(self.name)
@@ -132,11 +120,7 @@ class SimulatedController:
         self._start_driving()
 
     def follow(self, way: Way) -> None:
-        """Go along a way, from where its clock waits for the joints, then on with the own tasks.
-
-        Raises:
-            CoopqpError: the controller cannot be built for it.
-        """
+        """Go along a way, from where its clock waits for the joints, then on with the own tasks."""
         self._leave_way()
         run, problem = self.run, self.run.problem
         along = Along(way.t, way.q, way.object, np.zeros((0, 0)))

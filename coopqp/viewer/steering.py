@@ -51,18 +51,14 @@ MIN_GAIN, STEPS = 0.1, 200
 
 @dataclass(frozen=True)
 class SteeredField:
-    """A field of a task that follows an input.
+    """A field of a task that follows an input."""
 
-    Attributes:
-        name: of the input. kind: of its values. phase, task: indices.
-        start: the constant that it replaces, as in a file; None for a scenario's own input.
-    """
-
-    name: str
-    phase: int
-    task: int
+    name: str  # of the input
+    phase: int  # index
+    task: int  # index in its phase
     field: str
-    kind: Kind
+    kind: Kind  # of its values
+    # the constant that it replaces, as in a file; None for a scenario's own input
     start: tuple[float, ...] | None = None
 
 

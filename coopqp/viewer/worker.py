@@ -68,11 +68,7 @@ class Worker:
         return True
 
     def received(self, timeout: float = 0.0) -> Iterator[Any]:
-        """Messages that have come; waits for the first one as long as ``timeout`` [s].
-
-        Raises:
-            EOFError: the worker has ended.
-        """
+        """Messages; waits for the first so long [s]. EOFError: the worker has ended."""
         try:
             while self._connection.poll(timeout):
                 message = self._connection.recv()

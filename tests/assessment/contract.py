@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from pathlib import Path
-from unittest import mock
 
 from random_goals.trial import _judge
 from stress.draw import DAQP, LAW, draw
@@ -18,12 +16,13 @@ from coopqp.assessment.verdict import MOST_NAMES, verdict
 from coopqp.controller import ControlProblem
 from coopqp.execution.comparison import summarize
 from coopqp.execution.rollout import rollout
+from coopqp.metrics.reached import Reached
 from coopqp.plant import Disturbance
 from coopqp.plants import Kinematic
 from coopqp.report.cells import cells
 from coopqp.scenario.scenario import Scenario
 from coopqp.study.explanation import explain_run
-from coopqp.study.sweep import study
+from coopqp.study.sweep.sweep import row_of
 from coopqp.trace import Trace
 from coopqp.viewer.picture import drawn
 from coopqp.viewer.simulated_controller import SimulatedController
@@ -57,7 +56,7 @@ def disagreements(
         "held": ((metrics["held"] or {}).get("held", found.held), found.held),
         **_verdict(said, found),
         **_cells(cells(trace, metrics), found),
-        **_row(scenario, trace, found),
+        **_row(trace, found),
         **_judged(scenario.problem(), trace, found),
     }
     if explained:
@@ -100,12 +99,9 @@ def _cells(row: dict[str, object], found: Assessment) -> dict[str, tuple[object,
     }
 
 
-def _row(scenario: Scenario, trace: Trace, found: Assessment) -> dict[str, tuple[object, object]]:
+def _row(trace: Trace, found: Assessment) -> dict[str, tuple[object, object]]:
     """What a study writes down."""
-    nowhere = Path("none.yaml")
-    job = study.Job(nowhere, "", "", (), (trace.controller,), ("reached",), ((), ()))
-    with mock.patch.object(study, "run", return_value=trace):
-        row = study._row(job, scenario, trace.controller)
+    row = row_of(trace, {"reached": Reached()})
     return {
         "study, success": (row["success"], found.succeeds),
         "study, reached": (row["reached"], found.reached),

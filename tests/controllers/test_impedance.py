@@ -30,7 +30,7 @@ from coopqp.solver import Status
 from coopqp.task import Task
 from coopqp.tasks import Impedance, Orientation, PointOnLine, PointOnPlane, RelativeMotion
 from coopqp.tasks import Pose as PoseTask
-from coopqp.torque_law.impedances import leaks
+from coopqp.torque_law.task_dynamics import leaks
 from coopqp.trace import Trace
 
 FORCE, TORQUE = np.array([2.0, -1.5, 2.5]), np.array([0.05, 0.1, -0.08])  # [N], [N m]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import pinocchio as pin
@@ -13,7 +13,8 @@ from online_loops import FOLLOWS, Scripted, Told, follows, go, simulated
 from scenario_files import needs_robots
 
 import coopqp
-from coopqp.base.errors import GraspError, InvalidValueError
+import coopqp.online.phases
+from coopqp.base.errors import CoopqpError, GraspError, InvalidValueError
 from coopqp.execution.controller_run import run
 from coopqp.limits import JointAcceleration
 from coopqp.model.state import State
@@ -349,6 +350,28 @@ def test_phases_wait_to_be_asked() -> None:
     loop.resume()
     go(loop, robot, 2)
     assert loop.phase is scenario.schedule[2]
+
+
+@needs_robots
+def test_a_phase_that_could_not_begin_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    scenario = coopqp.load("regrasp")
+    loop, robot = simulated(scenario, phases="asked")
+    go(loop, robot, scenario.first_ticks[1] + 20)
+
+    def refuse(*given: Any, **keys: Any) -> NoReturn:
+        raise CoopqpError("the hand is empty")
+
+    with monkeypatch.context() as now:
+        now.setattr(coopqp.online.phases, "begin_phase", refuse)
+        loop.next_phase()
+        go(loop, robot, 1)
+    assert loop.stopped.endswith("does not end: the hand is empty")
+    assert loop.phase is scenario.schedule[0]
+    loop.next_phase()
+    loop.resume()
+    go(loop, robot, 20)
+    assert loop.phase is scenario.schedule[1]
+    assert not loop.stopped
 
 
 @needs_robots

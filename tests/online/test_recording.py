@@ -92,14 +92,12 @@ def test_the_ring_goes_round_and_counts_what_it_cannot_hold(
 
 def test_after_a_stop_the_loop_begins_anew(scenario: Scenario, law: Law, tmp_path: Path) -> None:
     path, state = tmp_path / "live.arrows", law.start(q_measured=scenario.chain.q_start)
-    names = ["input[hand].x"]
-    with LiveRecording(path, scenario, law, state, controller="qp", also=names) as recording:
-        recording.tick(state, law.tick(state), 1.0, [0.25])
+    with LiveRecording(path, scenario, law, state, controller="qp") as recording:
+        recording.tick(state, law.tick(state), 1.0)
         state = law.start(q_measured=scenario.chain.q_start)
         recording.begin(state)
-        recording.tick(state, law.tick(state), 1.0, [np.nan])
+        recording.tick(state, law.tick(state), 1.0)
     assert column(path, "tick") == [0, 2]
-    assert column(path, "input[hand].x") == [0.25, None]  # NaN is nothing
 
 
 def test_phases_go_into_one_recording(tmp_path: Path) -> None:
@@ -224,7 +222,6 @@ def test_a_full_disk_does_not_reach_the_loop(
     [
         ("live.csv", {}, "needs a name that ends with .arrows"),
         ("there.arrows", {}, "File exists"),
-        ("live.arrows", {"also": ["x"]}, "'x' is the name of another column"),
         ("live.arrows", {"source": ""}, "was read from no file"),
     ],
 )
@@ -232,10 +229,7 @@ def test_what_could_not_be_read_is_refused(
     name: str, wrong: dict[str, Any], words: str, scenario: Scenario, law: Law, tmp_path: Path
 ) -> None:
     (tmp_path / "there.arrows").write_bytes(b"another's")
-    also = wrong.pop("also", [])
+    given = replace(scenario, **wrong)
     with pytest.raises(CoopqpError, match=words):
-        LiveRecording(
-            tmp_path / name, replace(scenario, **wrong), law, law.start(),
-            controller="qp", also=also,
-        )  # fmt: skip
+        LiveRecording(tmp_path / name, given, law, law.start(), controller="qp")
     assert (tmp_path / "there.arrows").read_bytes() == b"another's"

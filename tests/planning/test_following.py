@@ -95,6 +95,21 @@ def astray(trace: Trace) -> np.ndarray:
     return trace.task_error[trace.tasks[column].rows, column]
 
 
+@pytest.mark.parametrize(
+    ("reference", "words"),
+    [
+        ("{plan: true, late: 1.0e+9}", r"reference.late: found \d+ ticks, more than are kept"),
+        ("{plan: false}", "reference.plan: found false; needs a path or true"),
+    ],
+)
+def test_a_plan_that_cannot_be_followed_is_refused_at_its_own_key(
+    reference: str, words: str
+) -> None:
+    shipped = load("planar_pair")
+    with pytest.raises(ScenarioError, match=words):
+        load_text(Path("a.yaml"), f"{shipped.source}\nreference: {reference}\n", shipped.catalog)
+
+
 def test_a_plan_in_one_go_is_the_plan_of_the_command_followed(tmp_path: Path) -> None:
     scenario = load("planar_pair")
     _, path = write_plan(plan(scenario, budget=AMPLE), scenario, tmp_path)

@@ -20,7 +20,7 @@ from coopqp.model.held_object import HeldObject
 from coopqp.model.state import State
 from coopqp.plant import Disturbance, Plant, PlantModel
 from coopqp.plants import Mujoco, RigidBody
-from coopqp.plants._servo import Servo, ServoLaw
+from coopqp.plants._dynamic import Servo, ServoLaw
 from coopqp.robot import RobotModel
 from coopqp.solvers import Daqp
 

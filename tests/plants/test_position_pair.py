@@ -24,7 +24,7 @@ from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.plant import Disturbance
 from coopqp.plants import Mujoco, RigidBody
-from coopqp.plants._servo import Servo
+from coopqp.plants._dynamic import Servo
 from coopqp.plants.mujoco import SpringHand
 from coopqp.robot import RobotModel
 from coopqp.scenario.scenario import Scenario

@@ -16,7 +16,7 @@ from coopqp.model.held_object import HeldObject
 from coopqp.model.state import State
 from coopqp.plant import Disturbance, Plant, PlantModel
 from coopqp.plants import Mujoco, QuasiStatic, RigidBody
-from coopqp.plants._servo import Servo
+from coopqp.plants._dynamic import Servo
 from coopqp.robot import RobotModel
 from coopqp.solvers import Daqp
 

@@ -21,7 +21,7 @@ from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.plant import Disturbance, PlantModel
 from coopqp.plants import RigidBody
-from coopqp.plants._servo import Servo
+from coopqp.plants._dynamic import Servo
 from coopqp.robot import RobotModel
 from coopqp.solvers import Daqp
 

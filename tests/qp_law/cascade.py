@@ -176,9 +176,9 @@ def _moved(problem: ControlProblem, state: State, best: Optimum, seed: int) -> f
     return max(float(np.abs(one.v - best.v).max()) for one in found)
 
 
-def compared(seeds: Sequence[tuple[int, str]]) -> list[Tick]:
-    """A batch of ticks."""
-    return [compare(*one) for one in seeds]
+def compared(one: tuple[int, str]) -> Tick:
+    """What the engine has a worker do."""
+    return compare(*one)
 
 
 def main() -> int:

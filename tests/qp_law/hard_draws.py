@@ -67,14 +67,9 @@ class Outcome:
         return (*oscillates, *([self.short] if self.short == FARTHER_OFF else []))
 
 
-def outcomes(seeds: Sequence[int]) -> list[Outcome]:
-    """What a batch of draws comes to."""
-    sys.path.insert(0, str(Path(__file__).parents[1]))
-    return [outcome(seed) for seed in seeds]
-
-
 def outcome(seed: int) -> Outcome:
     """What one draw comes to."""
+    sys.path.insert(0, str(Path(__file__).parents[1]))
     try:
         drawn = draw(seed)
         firm = drawn.firm
@@ -98,7 +93,7 @@ def main() -> int:
         return max([of_file(path) for path in asked.file])
     before, done = time.perf_counter(), list[Outcome]()
     seeds = range(asked.seed, asked.seed + asked.draws)
-    found = Engine(asked.jobs).results(outcomes, seeds)
+    found = Engine(asked.jobs).results(outcome, seeds)
     with click.progressbar(found, length=asked.draws, label="draws", file=sys.stderr) as bar:
         for seed, one in bar:
             done.append(Outcome(seed, raised=one.reason) if isinstance(one, Lost) else one)

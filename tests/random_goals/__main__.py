@@ -15,11 +15,11 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # what tests share, for work
 
 from coopqp import __version__
 from coopqp.base.errors import CoopqpError
-from coopqp.cli.ending import Command
+from coopqp.cli import Command
 from coopqp.cli.options import JSON, WRITTEN, engined
 from coopqp.report import strict_json
 from coopqp.report.table import console, progress_bars
-from coopqp.study.sweep.journal import Journal, head_of, records
+from coopqp.study.sweep.results import Journal, head_of, records
 from random_goals import trial
 from random_goals.draw import arenas
 from random_goals.summary import summarize

@@ -24,7 +24,7 @@ from coopqp.model.state import State
 from coopqp.plant import Disturbance
 from coopqp.plants import Kinematic
 from coopqp.report import strict_json
-from coopqp.study.sweep.journal import records
+from coopqp.study.sweep.results import records
 from coopqp.study.sweep.summary import wilson
 from coopqp.tasks import PointOnPoint
 from random_goals import __main__ as command

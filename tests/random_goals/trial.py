@@ -126,7 +126,7 @@ def statistics(
     before = {(goal.robot, goal.seed): goal for goal in known}
     mine = engine.share.taken(asked)
     done = [before[one] for one in mine if one in before]
-    for (robot, own), goal in engine.results(_goals, [x for x in mine if x not in before]):
+    for (robot, own), goal in engine.results(_goal, [x for x in mine if x not in before]):
         if isinstance(goal, Lost):
             raise CoopqpError(f"{robot}, seed {own}: {goal.reason}")
         done.append(goal)
@@ -142,9 +142,9 @@ def kept(line: Mapping[str, Any]) -> GoalRun:
     return GoalRun(**{**line, "runs": tuple(LawRun(**run) for run in line["runs"])})
 
 
-def _goals(asked: Sequence[tuple[str, int]]) -> list[GoalRun]:
-    """A batch; what the engine has a worker do."""
-    return [one_goal(robot, seed) for robot, seed in asked]
+def _goal(asked: tuple[str, int]) -> GoalRun:
+    """What the engine has a worker do."""
+    return one_goal(*asked)
 
 
 def one_goal(robot: str, seed: int) -> GoalRun:

@@ -179,7 +179,7 @@ TURNED: dict[str, tuple[Task, slice, Callable[[tuple[Marker, ...], State], float
     "prismatic": (
         PLACED["prismatic"][0],
         slice(2, 5),
-        lambda marks, state: turned_off(marks[-1], state),
+        lambda marks, state: turned_off(marks[1], state),
     ),
     "orientation": (
         tasks.Orientation(rpy=RPY, profile=AT_ONCE),

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from coopqp.report.sweep import table
-from coopqp.report.sweep.bins import BINS, Binned, bins_for, worst_error, worst_rows
-from coopqp.report.sweep.page import write
+from coopqp.report.sweep.page import BINS, Binned, bins_for, worst_error, worst_rows, write
 from coopqp.study.sweep import Study, read_study
 from coopqp.study.sweep.results import Columns
 from coopqp.study.sweep.summary import summarize

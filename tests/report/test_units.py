@@ -21,8 +21,7 @@ from coopqp.limits import JointAcceleration, Workspace
 from coopqp.report import audit
 from coopqp.report.cells import COLUMNS, cells
 from coopqp.report.figures.chart import Chart
-from coopqp.report.figures.forces import torques
-from coopqp.report.figures.joints import limit_figures
+from coopqp.report.figures.joints import limit_figures, torques
 from coopqp.report.scene.playback import scene
 from coopqp.report.table import summary
 from coopqp.robots import NaoT14

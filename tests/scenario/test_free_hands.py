@@ -170,7 +170,10 @@ def test_the_loop_takes_the_object_where_it_is_seen_and_tells_the_grippers(tmp_p
         robot.write(loop.setpoint, command.v)
         if k == 20:
             assert command.causes[0] is Status.INPUT_REFUSED
-            assert loop.note == "object_pose: found shape (2,), needs (7,)"
+            assert (
+                loop.note
+                == "object_pose: found shape (2,), needs 7 numbers: x, y, z, qx, qy, qz, qw"
+            )
         if loop.phase.name == "lift" and "lift" not in gripped:
             taken[:] = loop.state.p_WO
         gripped[loop.phase.name] = command.grippers

@@ -16,7 +16,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))  # what tests share, for work
 from rich.table import Table
 from stress.trial import stress, tried
 
-from coopqp.cli.ending import Command
+from coopqp.cli import Command
 from coopqp.cli.options import engined
 from coopqp.report.table import console, progress_bars
 from sessions.session import EFFECT, KINDS, OPENED, Session, run

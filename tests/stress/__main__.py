@@ -13,7 +13,7 @@ import click
 sys.path.insert(0, str(Path(__file__).parents[1]))  # what tests share, for workers as well
 
 from coopqp.base.errors import InvalidValueError, UnknownNameError
-from coopqp.cli.ending import Command
+from coopqp.cli import Command
 from coopqp.cli.options import JSON, engined
 from coopqp.report import strict_json
 from coopqp.report.table import console, progress_bars

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
-from coopqp.assessment.oscillation import turns
+from coopqp.assessment.oscillation import SHORTEST, extent, least_size
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem, Law
 from coopqp.kernel.trajectory_evaluation import survey
@@ -18,6 +19,8 @@ from . import many_poses, signs
 from .ending import PartErrors
 from .signs import Record
 
+#: Path over range of a joint that may come to oscillate.
+TURNS = 1.1
 FEWEST, ROUND, MOST = 200, 100, 500  # ticks; after each round it is asked whether it has ended
 LONGEST = 24.0  # who may oscillate goes on for so long: a third is 1.6 periods of 0.2 Hz [s]
 #: Targets with a velocity turn by at most 0.35 rad in this time, and move by a fifth of the reach:
@@ -92,6 +95,17 @@ def _goes_on(state: State, record: Record, errors: PartErrors, *, patient: bool)
     if ticks >= MOST and not turning and not patient:
         return False
     return ticks * record.dt < LONGEST and (turning or not _ended(state, record, errors))
+
+
+def turns(q: Array, units: Sequence[str]) -> bool:
+    """Whether a joint turns round in the last half of the time, so that it may oscillate.
+
+    q is since all references rest, shape (T + 1, n) [rad, m].
+    """
+    if len(q) <= SHORTEST:
+        return False
+    size, ratio = extent(q[-(len(q) // 2) :])
+    return bool(((ratio > TURNS) & (size > least_size(units))).any())
 
 
 def _ended(state: State, record: Record, errors: PartErrors) -> bool:

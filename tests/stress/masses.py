@@ -32,8 +32,7 @@ from coopqp.model.loop_observer import TICKS, TIME
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.plant import Disturbance, Plant, PlantModel, Push, Slip
-from coopqp.plants._dynamic import DynamicModel
-from coopqp.plants._servo import fair_shares
+from coopqp.plants._dynamic import DynamicModel, fair_shares
 from coopqp.solver import Solver
 from coopqp.task import Task
 from coopqp.tasks import JointCentering

@@ -17,7 +17,7 @@ import pytest
 from laws import problem
 from numpy.typing import NDArray
 
-from coopqp.assessment.oscillation import LEAST, Oscillation, oscillation, turns
+from coopqp.assessment.oscillation import LEAST, Oscillation, oscillation
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem, Law
 from coopqp.limits import JointPosition, JointVelocity
@@ -28,7 +28,7 @@ from coopqp.solver import Status
 from coopqp.tasks import PointOnPoint, Twist
 from coopqp.trace import TickBatch
 from stress.draw import LAW
-from stress.driving import LONGEST, drive_on, record_of
+from stress.driving import LONGEST, drive_on, record_of, turns
 from stress.ending import PartErrors
 from stress.firmness import as_soft, missed_hard_tasks, worse_than_soft
 from stress.signs import Record

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import gc
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import TypeVar
@@ -51,7 +51,7 @@ def stress(
         MissingDependencyError: solver or plant needs a package that is not installed.
     """
     done: dict[int, One] = {}
-    work = partial(_batch, one=one or one_rollout)
+    work = partial(_rollout, one=one or one_rollout)
     for own, found in engine.results(work, engine.share.taken(range(seed, seed + count))):
         done[own] = kind(own, broken=(found.reason,)) if isinstance(found, Lost) else found
         if progress:
@@ -59,7 +59,7 @@ def stress(
     return [done[own] for own in sorted(done)]
 
 
-def _batch(seeds: Sequence[int], *, one: Callable[[int], One]) -> list[One]:
+def _rollout(seed: int, *, one: Callable[[int], One]) -> One:
     """What the engine has a worker do.
 
     Python looks for cycles that nobody holds once in some rollouts, not 50 times in each.
@@ -67,7 +67,7 @@ def _batch(seeds: Sequence[int], *, one: Callable[[int], One]) -> list[One]:
     before = gc.get_threshold()
     gc.set_threshold(COLLECTED, *before[1:])
     try:
-        return [one(seed) for seed in seeds]
+        return one(seed)
     finally:
         gc.set_threshold(*before)
 

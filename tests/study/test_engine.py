@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 
 import pytest
-from work_that_dies import refuses, squares
+from work_that_dies import refuses, square
 
 from coopqp.base.errors import (
     CoopqpError,
@@ -19,7 +19,6 @@ from coopqp.base.errors import (
     UnknownNameError,
 )
 from coopqp.study.engine import Engine, Lost, Share
-from coopqp.study.engine.workers import Batches
 
 
 @pytest.fixture
@@ -34,7 +33,7 @@ def marks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_a_worker_that_dies_takes_no_more_than_its_item(marks: Path) -> None:
     items = [*range(1, 20), -1, -7, *range(20, 30)]
-    found = dict(Engine(jobs=2).results(squares, items))
+    found = dict(Engine(jobs=2).results(square, items))
     assert isinstance(found.pop(-1), Lost)
     assert found == {item: item * item for item in items if item != -1}
 
@@ -60,23 +59,6 @@ def test_errors_go_from_process_to_process(error: CoopqpError) -> None:
     assert vars(again) == vars(error)
 
 
-def test_batches_grow_to_a_second_and_end_small() -> None:
-    batches: Batches = Batches(range(3000), workers=2)
-    sizes, seen = [], []
-    for batch in batches:
-        sizes.append(len(batch.items))
-        seen += batches.back(batch.number, 0.01 * len(batch.items)).items
-    assert seen == list(range(3000))
-    assert sizes[0] == 1
-    assert max(sizes) == 100  # of 10 ms each
-    assert sizes[-1] == 1
-
-
-def test_slow_items_go_one_by_one() -> None:
-    batches: Batches = Batches(range(20), workers=2)
-    assert [len(batches.back(b.number, 3.0 * len(b.items)).items) for b in batches] == [1] * 20
-
-
 def test_shares_are_all_there_is_and_nothing_twice() -> None:
     shares = [Share.read(f"{i}/3").taken(range(10)) for i in (1, 2, 3)]
     assert sorted(item for share in shares for item in share) == list(range(10))
@@ -90,13 +72,13 @@ def test_no_share(text: str) -> None:
 
 def test_a_scheduler_that_does_not_answer_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed")
-    monkeypatch.setattr("coopqp.study.engine.cluster.PATIENCE", 0.5)
+    monkeypatch.setattr("coopqp.study.engine.PATIENCE", 0.5)
     unraised: list[object] = []
     monkeypatch.setattr("sys.unraisablehook", unraised.append)
     begun = time.monotonic()
     for address in ("tcp://127.0.0.1:9", "nonsense"):
         with pytest.raises(CoopqpError, match=f"no Dask scheduler answers at '{address}'"):
-            list(Engine(scheduler=address).results(squares, range(3)))
+            list(Engine(scheduler=address).results(square, range(3)))
         gc.collect()  # what the client has begun is not waited for
     assert time.monotonic() - begun < 10.0
     assert not unraised

@@ -21,7 +21,7 @@ from coopqp.base.errors import CoopqpError
 from coopqp.scenario.catalog import Catalog
 from coopqp.study.engine import Engine, Share
 from coopqp.study.sweep import Progress, Study, kept_study, read_study, sweep
-from coopqp.study.sweep.journal import Journal, path_of, records
+from coopqp.study.sweep.results import Journal, path_of, records
 
 pytest.importorskip("pyarrow.parquet")
 

@@ -19,7 +19,7 @@ from coopqp.assessment import assess
 from coopqp.execution.controller_run import run
 from coopqp.scenario.loader import load
 from coopqp.study.sweep import read_study, sweep
-from coopqp.study.sweep.journal import HEAD, Journal, head_of
+from coopqp.study.sweep.results import HEAD, Journal, head_of
 
 pytest.importorskip("pyarrow.parquet")
 
@@ -64,7 +64,7 @@ def test_a_journal_with_only_its_head_has_a_table(plate: Path) -> None:
 def test_null_has_a_bin_of_its_own(
     plate: Path, key: str, values: list[str], labels: list[str]
 ) -> None:
-    from coopqp.report.sweep.bins import Binned
+    from coopqp.report.sweep.page import Binned
     from coopqp.study.sweep.results import Columns
 
     path = study_in(plate, (MASS, f"{key}: {{choice: [{', '.join(values)}]}}"))
@@ -83,7 +83,7 @@ def test_null_has_a_bin_of_its_own(
 
 
 def test_many_numbers_and_null_are_in_bins_with_labels() -> None:
-    from coopqp.report.sweep.bins import BINS, _axis
+    from coopqp.report.sweep.page import BINS, _axis
 
     class Found:
         def __init__(self) -> None:

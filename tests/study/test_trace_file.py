@@ -23,11 +23,7 @@ from coopqp.recordings.known import read
 from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario
 from coopqp.study.tick_record import TickRecord
-from coopqp.study.trace_file import (
-    blocked_tick,
-    state_from_trace,
-    trace_from_file,
-)
+from coopqp.study.trace_file import blocked_tick, state_from_trace, trace_from_file
 
 
 @pytest.mark.parametrize("tick", [0, 1, 57, 150, 299])
@@ -137,16 +133,9 @@ def test_a_column_that_says_nothing_is_damage(
         trace_from_file(tmp_path / "trace.csv", scenario, "qp")
 
 
-@pytest.mark.parametrize("wrong", ["file", "controller"])
-def test_tick_of_nothing_is_refused(wrong: str, trace_csv: Path, tmp_path: Path) -> None:
-    path = tmp_path / "none.csv" if wrong == "file" else trace_csv
-    with pytest.raises(CoopqpError):
-        blocked_tick(read(path), "nobody" if wrong == "controller" else "qp")
-
-
-def test_state_from_a_missing_trace_is_refused(tmp_path: Path, law: QPLaw) -> None:
-    with pytest.raises(CoopqpError):
-        state_from_trace(read(tmp_path / "none.csv"), "qp", 0, law)
+def test_a_tick_of_nobody_is_refused(trace_csv: Path) -> None:
+    with pytest.raises(CoopqpError, match="unknown controller 'nobody'"):
+        blocked_tick(read(trace_csv), "nobody")
 
 
 def off_the_trace(folder: Path, text: str, tick: int) -> float:

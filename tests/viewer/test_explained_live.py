@@ -16,9 +16,8 @@ from coopqp.execution.controller_run import run
 from coopqp.model.profile import Profile
 from coopqp.scenario.loader import load
 from coopqp.study.explanation import explain_standing
-from coopqp.viewer.explainer import serve
+from coopqp.viewer.explainer import found, serve
 from coopqp.viewer.messages import Action, Explanation, Way
-from coopqp.viewer.planner import found
 from coopqp.viewer.player import Player
 from coopqp.viewer.worker import Peer
 

@@ -291,7 +291,7 @@ def test_without_the_explainer_nothing_is_said_in_its_place() -> None:
         frame = player.frame()
         assert frame.tone == "waiting"
         assert "explanations have ended" in frame.sentence
-        assert not frame.active
+        assert not frame.explanation.active
         assert "Limits at their bound: unknown" in _verdict(frame)
         player.do(Action("reset"))
     with pytest.raises(CoopqpError, match="ended from outside by SIGKILL"):

@@ -13,8 +13,7 @@ from coopqp.controller import ControlProblem
 from coopqp.execution.comparison import Comparison
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.report import curves
-from coopqp.report.curves import Figure, Json, Window
-from coopqp.report.style import styles
+from coopqp.report.curves import Figure, Json, Window, styles
 from coopqp.trace import Trace
 
 ALWAYS = slice(None)  # rows of a trace
@@ -22,19 +21,14 @@ Lines = dict[str, Array]  # values over time by controller
 
 
 class Chart:
-    """Lines of all controllers of a comparison over the whole run.
-
-    Attributes:
-        names: of the controllers in drawing order.
-        any: the trace with most joints; grasps may differ between controllers.
-        end: of the run [s].
-    """
+    """Lines of all controllers of a comparison over the whole run."""
 
     def __init__(self, comparison: Comparison) -> None:
         self.comparison, self.traces = comparison, comparison.traces
-        # Those that keep limits first, so that the thin lines lie on top of the thick ones.
+        # In drawing order: who keeps limits first, so that thin lines lie on top of thick ones.
         self.names = sorted(self.traces, key=lambda name: not self.traces[name].keeps_limits)
         self.styles = styles(self.traces)
+        # The trace with most joints; grasps may differ between controllers.
         self.any = max(self.traces.values(), key=lambda trace: len(trace.joints))
         self.end = float(self.any.t[-1])
 

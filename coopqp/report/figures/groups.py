@@ -19,10 +19,9 @@ from coopqp.execution.comparison import Comparison
 from coopqp.report import audit, curves
 from coopqp.report.cells import LANGUAGES, length, tick_times_in
 from coopqp.report.curves import Figure, Json
-from coopqp.report.figures import forces
+from coopqp.report.figures import joints
 from coopqp.report.figures.chart import ALWAYS, Chart, Lines
 from coopqp.report.figures.freedom import freedom_figures
-from coopqp.report.figures.joints import PAPER_ROBOT, joint_figures, limit_figures
 from coopqp.report.figures.object import object_figures
 from coopqp.trace import TaskInfo
 
@@ -33,20 +32,15 @@ MAX_TICKS = 5  # as many as fit side by side on a narrow page
 
 @dataclass(frozen=True, kw_only=True)
 class Group:
-    """Figures that belong together, with a hint how to read them, and words explained.
-
-    Attributes:
-        folded: shown on demand, and on paper. more: what those are.
-        leads: whether it stands directly below the result.
-    """
+    """Figures that belong together, with a hint how to read them, and words explained."""
 
     title: str
     hint: str
     words: dict[str, str] = field(default_factory=dict)
     figures: list[Figure] = field(default_factory=list)
-    folded: list[Figure] = field(default_factory=list)
-    more: str = ""
-    leads: bool = False
+    folded: list[Figure] = field(default_factory=list)  # shown on demand, and on paper
+    more: str = ""  # what those are
+    leads: bool = False  # whether it stands directly below the result
 
 
 def groups(comparison: Comparison) -> list[Group]:
@@ -98,16 +92,16 @@ def _limits(chart: Chart) -> Group:
             "Null-space term": "motion of the joints that neither tasks nor loops feel, so that it "
             "is free for a second purpose.",
         },
-        figures=limit_figures(chart),
+        figures=joints.limit_figures(chart),
     )
 
 
 def _joints(chart: Chart) -> tuple[Group, Group]:
-    decisive, first, others = joint_figures(chart)
+    decisive, first, others = joints.joint_figures(chart)
     paper = (
         " The paper's figures 4 to 8 are q1 to q5 of the right arm: its pseudo is pseudoinverse "
         "here, its joint limit motion pseudoinverse_null_space."
-        if chart.comparison.scenario.robot_model.name == PAPER_ROBOT
+        if chart.comparison.scenario.robot_model.name == joints.PAPER_ROBOT
         else ""
     )
     nearest = Group(
@@ -145,7 +139,7 @@ def _freedom(chart: Chart) -> Group:
 
 
 def _hands(chart: Chart) -> Group:
-    figures = forces.hands(chart)
+    figures = joints.hands(chart)
     return Group(
         title="Hands that press",
         hint="Hatched: beyond friction, where the object slips along the hand, and beyond a pad's "
@@ -156,14 +150,14 @@ def _hands(chart: Chart) -> Group:
             "Pressure": "where the normal force is on the pad: 0 in the middle, 1 at the edge.",
         },
         figures=figures,
-        folded=forces.load_shares(chart) if figures else [],
+        folded=joints.load_shares(chart) if figures else [],
         more="Share of the load by arm",
     )
 
 
 def _torques(chart: Chart) -> Group:
-    shares = [] if forces.hands(chart) else forces.load_shares(chart)
-    internal = forces.internal_forces(chart)
+    shares = [] if joints.hands(chart) else joints.load_shares(chart)
+    internal = joints.internal_forces(chart)
     return Group(
         title="Torques and forces",
         hint="Hatched: beyond what the motor can do.",
@@ -174,8 +168,8 @@ def _torques(chart: Chart) -> Group:
         }
         if internal
         else {},
-        figures=[*forces.squeeze_of_fastened(chart), *internal],
-        folded=[*forces.torques(chart), *shares],
+        figures=[*joints.squeeze_of_fastened(chart), *internal],
+        folded=[*joints.torques(chart), *shares],
         more="Torque of each motor" + (", share of the load by arm" if shares else ""),
     )
 

@@ -54,14 +54,10 @@ NOTHING = Triangles(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
 
 @dataclass(frozen=True)
 class Body:
-    """What a joint carries, in its frame.
+    """What a joint carries, in its frame."""
 
-    Attributes:
-        joint: its index in the robot's model; 0 is the base.
-        arm: number of the arm that alone is moved by it; None for the base and what arms share.
-    """
-
-    joint: int
+    joint: int  # its index in the robot's model; 0 is the base
+    # number of the arm that alone is moved by it; None for the base and what arms share
     arm: int | None
     surface: Triangles
 

@@ -1,14 +1,12 @@
 """Why a run did not reach its goal and what would do, and why a tick fell short.
 
-whole                 a run, or arms at rest now: from the end to a sentence
-explained_phase       a phase of a run as recorded, and as rerun with something changed
-goal                  errors of tasks, position limits with their multipliers, inverse kinematics
-diagnosis             limits, reach, contradiction, too few degrees of freedom
-suggested_relaxation  the minimal violation of limits at the goal, and a rerun that allows it
-grasp_lost            objects that pressing hands have lost
-insufficient_time     what slows a run that geometry does not block, and velocities not followed
-tick                  one tick: its rows and answer, tasks not met in full; what blocks it
-words                 the explanation of a run, and the sentences
+whole              a run, or arms at rest now: from the end to a sentence; objects lost
+explained_phase    a phase of a run as recorded, and rerun, such as with limits relaxed
+goal               errors of tasks, position limits with their multipliers, inverse kinematics
+diagnosis          limits, reach, contradiction, too few degrees of freedom
+insufficient_time  what slows a run that geometry does not block, and velocities not followed
+tick               one tick: its rows and answer, tasks not met in full; what blocks it
+words              the explanation of a run, and the sentences
 """
 
 from coopqp.study.explanation.tick import Explanation, Relaxation, at_bound, explain

@@ -71,17 +71,17 @@ def contradicting(tasks: Sequence[T], fails: Callable[[tuple[T, ...]], bool]) ->
     return found if len(found) > 1 else ()
 
 
-def on_a_free_object(goal: Goal) -> tuple[Task, ...]:
-    """Tasks of the object that contradict each other on any robot; empty where none do."""
-    if goal.chain.n < 6:
-        return ()
-    own = tuple(task for task in goal.tasks if _of_object(goal.only([task])))
-    return contradicting(own, lambda some: _free_fails(goal.only(some)))
+def _contradiction(goal: Goal, q: Array) -> Contradiction:
+    """A minimal set of tasks of the object alone, else of any, which may then be one.
 
-
-def on_this_robot(goal: Goal, q: Array) -> tuple[Task, ...]:
-    """A minimal set of tasks, maybe one, that cannot hold on the robot without limits."""
-    return irreducible(goal.tasks, lambda some: not Search(goal.only(some)).best(q).reached)
+    They cannot hold together, on any robot or on this one without limits.
+    """
+    if goal.chain.n >= 6:
+        own = tuple(task for task in goal.tasks if _of_object(goal.only([task])))
+        if tasks := contradicting(own, lambda some: _free_fails(goal.only(some))):
+            return Contradiction(tasks, any_robot=True)
+    tasks = irreducible(goal.tasks, lambda some: not Search(goal.only(some)).best(q).reached)
+    return Contradiction(tasks, any_robot=False)
 
 
 def _of_object(goal: Goal) -> bool:
@@ -133,12 +133,10 @@ class NotBlocked:
 
 @dataclass(frozen=True)
 class BlockedByLimits:
-    """The goal is reachable without the limits only.
+    """The goal is reachable without the limits only, at ``start``.
 
-    Attributes:
-        place: where the search inside the limits ends; ``shares``: of the limits that hold it back.
-        start: a configuration at the goal, outside the limits.
-        elsewhere: one at the goal inside the limits, that cannot be reached from here.
+    The search inside the limits ends at ``place``, where limits with ``shares`` hold it back;
+    ``elsewhere`` is a place at the goal inside the limits that cannot be reached from here.
     """
 
     shares: tuple[Share, ...]
@@ -153,13 +151,14 @@ class Elsewhere:
 
     shares: tuple[Share, ...]
     place: Place
+    tasks: tuple[Task, ...] = ()
 
 
 @dataclass(frozen=True)
 class TooFewFreedoms:
-    """The loops leave fewer motions than the goal's one task asks for."""
+    """The loops leave fewer motions than the one task asks for."""
 
-    goal: Goal
+    tasks: tuple[Task, ...]
     asked: int
     left: int
 
@@ -187,6 +186,10 @@ class TooFar:
     in_world: bool
 
     @property
+    def tasks(self) -> tuple[Task, ...]:
+        return (self.part.task,)
+
+    @property
     def distance(self) -> float:
         return float(np.linalg.norm(self.gap))
 
@@ -204,29 +207,18 @@ def diagnose(goal: Goal, room: Room, q: Array) -> Diagnosis:
     near = free.from_(at.q)
     found = near if near.reached else free.best(at.q)
     if found.reached:
-        return _blocked(goal, room, inside, at, near, found)
-    tasks = on_a_free_object(goal)
-    if len(tasks) > 1:
-        return Contradiction(tasks, any_robot=True)
-    tasks = on_this_robot(goal, at.q) if len(goal.tasks) > 1 else goal.tasks
-    if len(tasks) > 1:
-        return Contradiction(tasks, any_robot=False)
-    alone = goal.only(tasks)
+        held, other = _held_back(goal, room, at.q), inside.best(at.q)
+        if other.reached and not (near.reached and room.violation(near.q) > BEYOND):
+            return Elsewhere(held, other)
+        return BlockedByLimits(held, at, found.q, other if other.reached else None)
+    contradiction = _contradiction(goal, at.q)
+    if len(contradiction.tasks) > 1:
+        return contradiction
+    alone = goal.only(contradiction.tasks)
     return _too_few(alone, at.q) or _unreachable(alone, room, q)
 
 
-def _blocked(
-    goal: Goal, room: Room, inside: Search, at: Place, near: Place, found: Place
-) -> BlockedByLimits | Elsewhere:
-    held = held_back(goal, room, at.q)
-    other = inside.best(at.q)
-    other_or_none = other if other.reached else None
-    if other_or_none and not (near.reached and room.violation(near.q) > BEYOND):
-        return Elsewhere(held, other)
-    return BlockedByLimits(held, at, found.q, other_or_none)
-
-
-def held_back(goal: Goal, room: Room, q: Array) -> tuple[Share, ...]:
+def _held_back(goal: Goal, room: Room, q: Array) -> tuple[Share, ...]:
     """Shares of the limits that hold the goal back at a configuration."""
     goal.look(q)
     Z = null_space(goal.state.J_loop)
@@ -252,7 +244,7 @@ def _too_few(goal: Goal, q: Array) -> TooFewFreedoms | None:
     rows = independent_rows(best, most=left)
     if left >= asked or not rows or not Search(goal.masked(rows)).best(q).reached:
         return None
-    return TooFewFreedoms(goal, int(asked), left)
+    return TooFewFreedoms(goal.tasks, int(asked), left)
 
 
 def _unreachable(goal: Goal, room: Room, q: Array) -> TooFar:
@@ -272,7 +264,7 @@ def _unreachable(goal: Goal, room: Room, q: Array) -> TooFar:
         gap=-here.e[part.rows],
         nearest=here,
         cost=cost if worth_telling else 0.0,
-        shares=held_back(goal, room, at.q) if worth_telling else (),
+        shares=_held_back(goal, room, at.q) if worth_telling else (),
         elsewhere=best if nearer else None,
         in_world=_in_world(goal, part, here.q),
     )

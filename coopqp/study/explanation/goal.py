@@ -28,6 +28,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from coopqp.assessment.limits import audit
 from coopqp.assessment.thresholds import within
@@ -54,8 +55,9 @@ class Room:
     Attributes:
         lower, upper: of the joints, infinite without limits, shape (n,) [rad, m].
         sides: the row of each finite joint bound, by index and side.
-        limits, rows: limits in space, and rows of their clearances.
-        owners: index into ``limits`` of each of these rows.
+        limits, rows: limits in space, and rows of their p clearances.
+        all_rows: of the s sides, then of the clearances.
+        owners: index of what each of these rows belongs to: a side, or s and an index in limits.
     """
 
     def __init__(self, problem: ControlProblem, programs: Sequence[Program | None] = ()) -> None:
@@ -66,81 +68,77 @@ class Room:
         self.limits: list[Limit] = []
         self._state = State(chain)
         self._kept: tuple[Array, Array, Array] | None = None
+        q, v = np.vstack([chain.q_start] * 2), np.zeros((1, chain.n))
         for limit, program in itertools.zip_longest(problem.limits, programs):
-            self._add(limit, program)
-
-    def _add(self, limit: Limit, program: Program | None) -> None:
-        if isinstance(program, DistanceBounds) or limit.clearance(self.chain) is not None:
-            self.limits.append(limit)
-            return
-        q, v = np.vstack([self.chain.q_start] * 2), np.zeros((1, self.chain.n))
-        for row, margin in audit([limit], self.chain, q, v, self._dt).margins.items():
-            if row.joint and row.side and row.unit in PLACE_UNITS:
-                self._bound(row, float(margin[0]))
+            if isinstance(program, DistanceBounds) or limit.clearance(chain) is not None:
+                self.limits.append(limit)
+                continue
+            for row, margin in audit([limit], chain, q, v, problem.dt).margins.items():
+                if row.joint and row.side and row.unit in PLACE_UNITS:
+                    self._bound(row, float(margin[0]))
 
     def _bound(self, row: Row, margin: float) -> None:
-        i = self.chain.joint_names.index(row.joint)
-        at = float(self.chain.q_start[i])
-        end = at - margin if row.side == "lower" else at + margin
-        tighter = end > self.lower[i] if row.side == "lower" else end < self.upper[i]
-        if tighter:
-            (self.lower if row.side == "lower" else self.upper)[i] = end
+        i, below = self.chain.joint_names.index(row.joint), row.side == "lower"
+        end = float(self.chain.q_start[i]) + (-margin if below else margin)
+        if end > self.lower[i] if below else end < self.upper[i]:
+            (self.lower if below else self.upper)[i] = end
             # Two limits of one place, such as braking before a stop, are one to people.
             label = row.label.rpartition(" of ")[2]
             self.sides[i, str(row.side)] = replace(row, label=label)
 
     @cached_property
-    def _left(self) -> list[Clearance]:
-        return [left for limit in self.limits if (left := limit.clearance(self.chain))]
-
-    @cached_property
-    def _rows(self) -> list[tuple[Row, ...]]:
-        left = zip(self.limits, self._left, strict=True)
-        return [limit.rows(self.chain)[: len(each(self._state))] for limit, each in left]
+    def _spaces(self) -> list[tuple[tuple[Row, ...], Clearance, Callable[[State], Array]]]:
+        """Rows, clearances and their gradient of each limit in space."""
+        found = []
+        for limit in self.limits:
+            if left := limit.clearance(self.chain):
+                rows = limit.rows(self.chain)[: len(left(self._state))]
+                found.append((rows, left, _slope(limit, self.chain, self._dt, len(rows))))
+        return found
 
     @cached_property
     def rows(self) -> tuple[Row, ...]:
-        return tuple(itertools.chain(*self._rows))
+        return tuple(row for rows, _, _ in self._spaces for row in rows)
 
     @cached_property
-    def owners(self) -> list[int]:
-        return [i for i, rows in enumerate(self._rows) for _ in rows]
+    def all_rows(self) -> tuple[Row, ...]:
+        return (*self.sides.values(), *self.rows)
 
     @cached_property
-    def _slopes(self) -> list[Callable[[State], Array]]:
-        counts = zip(self.limits, map(len, self._rows), strict=True)
-        return [_slope(limit, self.chain, self._dt, count) for limit, count in counts]
+    def owners(self) -> NDArray[np.intp]:
+        sides = len(self.sides)
+        spaces = (sides + i for i, (rows, _, _) in enumerate(self._spaces) for _ in rows)
+        return np.array([*range(sides), *spaces], np.intp)
 
     def at(self, q: Array) -> Array:
         """Clearances of the limits in space at a configuration, shape (p,) [m]."""
-        self._look(q)
-        return np.concatenate([np.zeros(0), *(left(self._state) for left in self._left)])
-
-    def gradient(self, q: Array) -> Array:
-        """Gradient of the clearances, shape (p, n)."""
-        self._look(q)
-        slopes = (slope(self._state) for slope in self._slopes)
-        return np.vstack([np.zeros((0, self.chain.n)), *slopes])
-
-    def both(self, q: Array) -> tuple[Array, Array]:
-        """Clearances and gradient, cached until q changes."""
-        if self._kept is None or not np.array_equal(self._kept[2], q):
-            self._kept = self.at(q), self.gradient(q), q.copy()
-        return self._kept[:2]
-
-    def _look(self, q: Array) -> None:
-        if self._left and not np.array_equal(self._state.q, q):
+        if self._spaces and not np.array_equal(self._state.q, q):
             self._state.q[:] = q
             self._state.update()
+        left = (left(self._state) for _, left, _ in self._spaces)
+        return np.concatenate([np.zeros(0), *left])
 
-    def nearest(self, owner: str, q: Array) -> tuple[Row, float] | None:
-        """The pair of bodies of a limit with the smallest clearance, and its distance [m]."""
-        left = zip(self.rows, self.at(q).tolist(), strict=True)
-        found = [(x + row.kept, row) for row, x in left if row.owner == owner and row.bodies]
-        if not found:
-            return None
-        distance, row = min(found, key=lambda pair: pair[0] - pair[1].kept)
-        return row, distance
+    def both(self, q: Array) -> tuple[Array, Array]:
+        """Clearances and their gradient, shape (p, n), cached until q changes."""
+        if self._kept is None or not np.array_equal(self._kept[2], q):
+            clearances = self.at(q)
+            slopes = (slope(self._state) for _, _, slope in self._spaces)
+            self._kept = clearances, np.vstack([np.zeros((0, len(q))), *slopes]), q.copy()
+        return self._kept[:2]
+
+    def slack(self, q: Array) -> Array:
+        """What all rows have left at a configuration, shape (s + p,) [rad, m]."""
+        sides = [
+            q[i] - self.lower[i] if side == "lower" else self.upper[i] - q[i]
+            for i, side in self.sides
+        ]
+        return np.concatenate([sides, self.at(q)])
+
+    def ways(self, q: Array) -> Array:
+        """The joint motion that violates each row, shape (s + p, n)."""
+        eye = np.eye(len(q))
+        sides = [-eye[i] if side == "lower" else eye[i] for i, side in self.sides]
+        return np.vstack([*sides, -self.both(q)[1]])
 
     def violation(self, q: Array) -> float:
         """Largest violation at a configuration [rad, m]."""
@@ -149,15 +147,8 @@ class Room:
 
     def at_bound(self, q: Array) -> list[tuple[Row, Array]]:
         """Active limits, each with the joint motion that violates it."""
-        found = []
-        for (i, side), row in self.sides.items():
-            outward = np.zeros(len(q))
-            outward[i] = -1.0 if side == "lower" else 1.0
-            left = q[i] - self.lower[i] if side == "lower" else self.upper[i] - q[i]
-            if left < AT_BOUND:
-                found.append((row, outward))
-        rooms = zip(self.rows, self.at(q), self.gradient(q), strict=True)
-        return found + [(row, -way) for row, left, way in rooms if left < AT_BOUND]
+        found = zip(self.all_rows, self.slack(q), self.ways(q), strict=True)
+        return [(row, way) for row, left, way in found if left < AT_BOUND]
 
 
 def _slope(limit: Limit, chain: ClosedChain, dt: float, count: int) -> Callable[[State], Array]:
@@ -192,6 +183,35 @@ def forces(pull: Array, Z: Array, ways: Sequence[tuple[Row, Array]]) -> list[tup
     columns = np.column_stack([way for _, way in within])
     amounts = nnls(columns, pull)[0] * np.linalg.norm(columns, axis=0)
     return [(row, float(amount)) for (row, _), amount in zip(within, amounts, strict=True)]
+
+
+def least_relaxation(
+    equal: tuple[Array, Array],
+    limits: tuple[Array, Array],
+    owners: NDArray[np.intp],
+    costs: Sequence[float],
+    most: float = np.inf,
+) -> tuple[Array, Array] | None:
+    """A motion d with the cheapest relaxations r of limits, by an open solver (HiGHS).
+
+        minimise    costs' r
+        subject to  A d = b,   W d - r[owners] <= left,   r >= 0,   |d_i| <= most
+
+    ``equal`` is A and b, ``limits`` is W and left. None where no relaxation is enough.
+    """
+    from scipy.optimize import linprog  # its import takes a sixth of a second
+
+    (A, b), (W, left), n, count = equal, limits, limits[0].shape[1], len(costs)
+    bounded = np.isfinite(left)
+    found = linprog(
+        np.concatenate([np.zeros(n), costs]),
+        A_ub=np.hstack([W, -np.eye(count)[owners]])[bounded],
+        b_ub=left[bounded],
+        A_eq=np.hstack([A, np.zeros((len(A), count))]),
+        b_eq=b,
+        bounds=[(-most, most)] * n + [(0.0, None)] * count,
+    )
+    return (found.x[:n], found.x[n:]) if found.success else None
 
 
 def shares(found: Iterable[tuple[Row, float]]) -> tuple[Share, ...]:
@@ -344,9 +364,9 @@ def _level_weight(task: Task) -> float:
 
 @dataclass(frozen=True)
 class Place:
-    """Where a search ended: q, shape (n,), errors e, shape (k,), the goal's miss.
+    """Where a search ended, valid where loops are closed and limits kept.
 
-    Valid where loops are closed and limits kept.
+    It has q, shape (n,), errors e, shape (k,), and the goal's miss.
     """
 
     q: Array

@@ -1,11 +1,9 @@
 """What geometry allows and the run missed: too slow, no loop budget, too short, at rest.
 
-A velocity has no goal to search for. At the last tick, with u the direction that is missed and Z
-the motions that keep the loops closed:
+A velocity has no goal to search for. At the last tick
 
     contradiction   all tasks' rows together have no solution within the loops, each alone has one
-    reach           |Z' J' u| has fallen below a share of what it was at the start, or the speed
-                    that is needed is far beyond the joints'
+    reach           the speed that is needed is far beyond the joints', or the loops leave none
     limits, speed   by the multipliers of the ticks, as in :mod:`coopqp.study.explanation.tick`
 """
 
@@ -13,11 +11,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from coopqp.assessment.thresholds import AT_EFFORT, HELD_UP, rests
-from coopqp.base.rank import null_space
+from coopqp.assessment.thresholds import HELD_UP, at_effort, rests
 from coopqp.base.spec import Array, type_name
 from coopqp.closed_loop.screw import LENGTH
 from coopqp.model.closed_chain import AXES
@@ -25,13 +23,28 @@ from coopqp.plant import Disturbance
 from coopqp.solver import Status
 from coopqp.study.explanation import words
 from coopqp.study.explanation.diagnosis import TooFar
-from coopqp.study.explanation.diagnosis import contradicting as smallest_contradiction
-from coopqp.study.explanation.explained_phase import ExplainedPhase, arrival, rerun
-from coopqp.study.explanation.goal import Goal, PartOfTask, Place, Room, Share
-from coopqp.study.explanation.suggested_relaxation import by_rerun, with_suggestion
-from coopqp.study.explanation.tick import PhaseTicks, held_up, speed_share
+from coopqp.study.explanation.explained_phase import (
+    ExplainedPhase,
+    arrival,
+    by_rerun,
+    rerun,
+    with_suggestion,
+)
+from coopqp.study.explanation.goal import (
+    Goal,
+    PartOfTask,
+    Place,
+    Room,
+    Share,
+    least_relaxation,
+)
+from coopqp.study.explanation.tick import (
+    PhaseTicks,
+    contradicting_rows,
+    held_up,
+    speed_share,
+)
 from coopqp.study.explanation.words import RunExplanation
-from coopqp.task import Task
 
 #: The loop budget is what slows where more than MANY of the LAST ticks were cut for it.
 LAST, MANY = 20, 5
@@ -66,8 +79,9 @@ def explain(
     slow = speed_share(held) > MOSTLY
     if not slow and (waits := _waits_for_measured(phase)):
         return base.because("speed", waits, tried=True)
-    after = rerun(phase, longer=True)
-    if after.missed and not _falls(phase, after):
+    after, (part, error) = rerun(phase, longer=True), phase.missed[0]
+    falls = after.errors[part.name] < (1.0 - FALLS) * error
+    if after.missed and not falls:
         if misled := _misled_by_model(phase):
             return base.because("model", misled, tried=True)
         at = tuple(place.q.tolist())
@@ -91,7 +105,7 @@ def _too_short(
     then = (
         f"{time:.3g} s instead of {phase.t_end:.3g} s would do (tried: reached)"
         if time is not None
-        else f"after {after.t_end:.3g} s {words.stops(after)}"
+        else f"after {after.t_end:.3g} s {words.stops_short(*after.missed[0])}"
     )
     kind = "speed" if slow else "short"
     return base.because(kind, f"{why}{gain}; {then}", held, tried=time is not None, time=time)
@@ -100,22 +114,17 @@ def _too_short(
 def behind(phase: ExplainedPhase, found: TooFar) -> str:
     """What lack of time adds to an unreachable goal, where a rerun comes to rest nearer to it."""
     part, unit = found.part, found.part.part.unit
-    error = _error_of(phase, part.name)
+    error = phase.errors[part.name]
     if error - found.distance - found.cost <= max(part.part.tolerance, FALLS * error):
         return ""
     after = rerun(phase, longer=True)
-    then = _error_of(after, part.name)
+    then = after.errors[part.name]
     if error - then <= part.part.tolerance or not rests(after.v[-1]):
         return ""
     moves = "" if rests(phase.v[-1]) else ", still moving"
-    lacks = f"{words.ends_off(part, error)}{moves}, {words.size(error - then, unit)} of it"
+    ends = f"{part.name} ends {words.size(error, unit)} off{moves}"
     later = f"after {after.t_end:.3g} s {words.size(then, unit)} are left (tried)"
-    return f"; {lacks} for lack of time: {later}"
-
-
-def _error_of(phase: ExplainedPhase, name: str) -> float:
-    """What a part of a task ends off by."""
-    return next(e for p, e in zip(phase.parts, phase.errors, strict=True) if p.name == name)
+    return f"; {ends}, {words.size(error - then, unit)} of it for lack of time: {later}"
 
 
 def _rests(phase: ExplainedPhase, place: Place, held: Sequence[Share]) -> str:
@@ -129,11 +138,13 @@ def _rests(phase: ExplainedPhase, place: Place, held: Sequence[Share]) -> str:
 
 def _with_nearest_pair(share: Share, room: Room, q: Array) -> Share:
     """With the nearest pair of bodies and its distance, where these hold it up."""
-    pair = room.nearest(share.row.owner, q)
-    if pair is None:
+    pairs = zip(room.at(q).tolist(), room.rows, strict=True)
+    own = [(left, row) for left, row in pairs if row.owner == share.row.owner and row.bodies]
+    if not own:
         return share
-    row, distance = pair
-    return replace(share, row=replace(row, label=f"{row.words} ({1e3 * distance:.1f} mm)"))
+    left, row = min(own, key=lambda pair: pair[0])
+    label = f"{row.words} ({1e3 * (left + row.kept):.1f} mm)"
+    return replace(share, row=replace(row, label=label))
 
 
 def _waits_for_measured(phase: ExplainedPhase) -> str:
@@ -150,31 +161,25 @@ def _waits_for_measured(phase: ExplainedPhase) -> str:
 
 def _misled_by_model(phase: ExplainedPhase) -> str:
     """Whether the disturbance keeps it from the goal, in words; empty where it does not."""
-    perfect = Disturbance()
-    if phase.scenario.disturbance == perfect or rerun(phase, disturbance=perfect).missed:
-        return ""
-    if faults := phase.scenario.disturbance.faults:
-        named = words.listed([fault.words for fault in faults])
-        return f"it has faults ({named}): without the disturbance the goal is reached (tried)"
-    if mass := _true_mass(phase):
-        way = "heavier" if mass > phase.scenario.held.mass else "lighter"
-        told = f"the object is {way} than told: with object.mass {mass:.3g}"
-        return f"{told} the goal is reached (tried)"
-    known = phase.scenario.disturbance
-    if known.push and not rerun(phase, disturbance=replace(known, push=None)).missed:
-        return "a push holds it away: without it the goal is reached (tried)"
-    why = "this is what the model gets wrong: without the disturbance the goal is reached (tried)"
-    return f"{why}; 'coopqp calibrate' may find out what"
-
-
-def _true_mass(phase: ExplainedPhase) -> float:
-    """The object's mass [kg], where the goal is reached once the model knows it; else zero."""
     known, held = phase.scenario.disturbance, phase.scenario.held
-    mass = known.object_mass * held.mass
-    if known.object_mass == 1.0:
-        return 0.0
-    told, right = replace(held, mass=mass), replace(known, object_mass=1.0)
-    return 0.0 if rerun(phase, disturbance=right, held=told).missed else mass
+    reached = "the goal is reached (tried)"
+
+    def reaches(**changed: Any) -> bool:
+        return not rerun(phase, **changed).missed
+
+    if known == Disturbance() or not reaches(disturbance=Disturbance()):
+        return ""
+    if known.faults:
+        named = words.listed([fault.words for fault in known.faults])
+        return f"it has faults ({named}): without the disturbance {reached}"
+    mass, right = known.object_mass * held.mass, replace(known, object_mass=1.0)
+    if right != known and reaches(disturbance=right, held=replace(held, mass=mass)):
+        way = "heavier" if mass > held.mass else "lighter"
+        return f"the object is {way} than told: with object.mass {mass:.3g} {reached}"
+    if known.push and reaches(disturbance=replace(known, push=None)):
+        return f"a push holds it away: without it {reached}"
+    why = f"this is what the model gets wrong: without the disturbance {reached}"
+    return f"{why}; 'coopqp calibrate' may find out what"
 
 
 def _out_of_budget(phase: ExplainedPhase) -> bool:
@@ -190,29 +195,21 @@ def _budget(phase: ExplainedPhase, base: RunExplanation) -> RunExplanation:
     after = rerun(phase, kappa=most)
     sentence = f"{text}; kappa: {most:g} would do (tried: reached)"
     if after.missed:
-        sentence = f"{text}; with kappa: {most:g} {words.stops(after)}"
+        sentence = f"{text}; with kappa: {most:g} {words.stops_short(*after.missed[0])}"
     return base.because("budget", sentence, tried=not after.missed)
 
 
 def _motors(phase: ExplainedPhase) -> str:
     """Motors at their limits; empty where none was."""
-    effort = phase.problem.chain.model.effortLimit
-    tau = phase.tau[-LAST:]
+    effort, tau = phase.problem.chain.model.effortLimit, phase.tau[-LAST:]
     if not tau.size:
         return ""
-    often = (np.abs(tau) >= AT_EFFORT * effort).mean(axis=0)
-    often[~np.isfinite(effort) | (effort <= 0.0)] = 0.0
+    often = at_effort(tau, effort).mean(axis=0)
     names = [phase.problem.chain.joint_names[i] for i in np.flatnonzero(often > HELD_UP)]
     if not names:
         return ""
     verb = "is at its torque limit" if len(names) == 1 else "are at their torque limits"
     return f"{words.listed(names)} {verb}"
-
-
-def _falls(before: ExplainedPhase, after: ExplainedPhase) -> bool:
-    """Whether more time brought it nearer."""
-    part, error = before.missed[0]
-    return bool(_error_of(after, part.name) < (1.0 - FALLS) * error)
 
 
 def _gives_way(phase: ExplainedPhase, goal: Goal, base: RunExplanation) -> RunExplanation | None:
@@ -222,27 +219,22 @@ def _gives_way(phase: ExplainedPhase, goal: Goal, base: RunExplanation) -> RunEx
     if springs is None or not rests(phase.v[-1]):
         return None
     forces = springs.stiffness * goal.stack.e[goal.stack.slices[goal.tasks.index(task)]]
-    loads = _by_axis(tuple(AXES[axis] for axis in springs.axes), forces)
-    why = f"it gives way as asked: its springs bear {loads} there, and move by F/K"
+    axes = [AXES[axis] for axis in springs.axes]
+    turns = np.array([axis.startswith("rot") for axis in axes])
+    sizes, loads = np.abs(forces) / np.where(turns, LENGTH, 1.0), []
+    for i in np.flatnonzero(sizes > WORTH_TELLING * sizes.max()):
+        unit, way = ("N m", "about") if turns[i] else ("N", "along")
+        loads.append(f"{forces[i]:.3g} {unit} {way} {axes[i].removeprefix('rot_')}")
+    bear = words.listed(loads)
+    why = f"it gives way as asked: its springs bear {bear} there, and move by F/K"
     if misled := _misled_by_model(phase):
         return base.because("model", f"{why}; {misled}", tried=True)
     others = "that is a push, a weight that is wrong, or another task that pulls"
     return base.because("springs", f"{why}; {others}")
 
 
-def _by_axis(axes: tuple[str, ...], forces: Array) -> str:
-    """Forces and torques, without negligible ones."""
-    turns = np.array([axis.startswith("rot") for axis in axes])
-    sizes = np.abs(forces) / np.where(turns, LENGTH, 1.0)
-    named = []
-    for i in np.flatnonzero(sizes > WORTH_TELLING * sizes.max()):
-        unit, way = ("N m", "about") if turns[i] else ("N", "along")
-        named.append(f"{forces[i]:.3g} {unit} {way} {axes[i].removeprefix('rot_')}")
-    return words.listed(named)
-
-
-#: Singular below this share of the start's, or when so many times the joints' speed is needed.
-SINGULAR, BEYOND = 0.02, 20.0
+#: Singular where so many times the joints' speed is needed.
+BEYOND = 20.0
 #: Rows have a solution where the least-squares residual is a smaller share of what is wanted.
 SOLVED = 1e-3
 #: Singular values below this share of the largest are no motion.
@@ -255,15 +247,13 @@ def explain_velocity(phase: ExplainedPhase, base: RunExplanation) -> RunExplanat
     """Why a velocity was missed, at the last tick."""
     part = next(part for part, _ in phase.missed if part.task.asks_velocity)
     look, k = PhaseTicks(phase), len(phase.v) - 1
-    if tasks := contradicting(phase):
-        names = tuple(task.name for task in tasks)
+    if names := contradicting(phase):
         sentence = f"{words.listed(names)} cannot hold together: they ask for different motions"
         return base.because("contradiction", sentence, tasks=names)
     u = look.look(k)[part.rows]
-    needed, now = _speed_needed(look, part.rows), _freedom(look, part, u)
+    needed = _speed_needed(look, part.rows)
     axes = [row.name.rpartition(".")[2] for row in look.stack.rows[part.rows]]
-    look.look(0)
-    if now < SINGULAR * _freedom(look, part, u) or needed > BEYOND:
+    if needed > BEYOND:
         return _at_the_edge(part, axes, u, base)
     held = held_up(phase, range(max(0, k - EVALUATED), k + 1))
     if held and speed_share(held) <= MOSTLY:
@@ -294,42 +284,28 @@ def _at_the_edge(
 def _speed_needed(look: PhaseTicks, rows: slice) -> float:
     """Least share of the joints' speeds with which some rows could be followed in the last look.
 
-    Infinite where the loops leave no such motion. A linear program: minimise the largest |v|/v_max
-    under J_c v = 0 and J v = wanted.
+    Infinite where the loops leave no such motion.
     """
-    from scipy.optimize import linprog  # which takes a sixth of a second to come
-
-    J, most = look.stack.J[rows], look.state.chain.velocity
-    known, n = np.isfinite(most), len(most)
-    sides = np.vstack([np.eye(n)[known], -np.eye(n)[known]])
-    G = np.hstack([sides, -np.tile(most[known], 2)[:, None]])
-    loops = look.state.J_loop
-    A = np.hstack([np.vstack([loops, J]), np.zeros((len(loops) + len(J), 1))])
-    b = np.concatenate([np.zeros(len(loops)), look.stack.wanted[rows]])
-    cost = np.concatenate([np.zeros(n), [1.0]])
-    found = linprog(cost, A_ub=G, b_ub=np.zeros(len(G)), A_eq=A, b_eq=b, bounds=(None, None))
-    return float(found.fun) if found.success else np.inf
+    J, loops, most = look.stack.J[rows], look.state.J_loop, look.state.chain.velocity
+    shares = np.diag(1.0 / np.maximum(most, 1e-9))  # none of joints without a limit
+    equal = np.vstack([loops, J]), np.concatenate([np.zeros(len(loops)), look.stack.wanted[rows]])
+    limits, owners = (
+        (np.vstack([shares, -shares]), np.zeros(2 * len(most))),
+        np.zeros(2 * len(most), int),
+    )
+    found = least_relaxation(equal, limits, owners, [1.0])
+    return float(found[1][0]) if found else np.inf
 
 
-def _freedom(look: PhaseTicks, part: PartOfTask, u: Array) -> float:
-    """How much of the direction u the loops leave."""
-    Z = null_space(look.state.J_loop)
-    return float(np.linalg.norm(Z.T @ look.stack.J[part.rows].T @ (u / np.linalg.norm(u))))
-
-
-def contradicting(phase: ExplainedPhase) -> tuple[Task, ...]:
+def contradicting(phase: ExplainedPhase) -> tuple[str, ...]:
     """Tasks whose velocities at the last tick rule each other out; none where they do not."""
     look = PhaseTicks(phase)
     look.look(len(phase.v) - 1)
-    Z, stack = null_space(look.state.J_loop), look.stack
-    rows = dict(zip((task.name for task in stack.tasks), stack.slices, strict=True))
-
-    def fails(some: tuple[Task, ...]) -> bool:
-        chosen = np.concatenate([np.arange(rows[t.name].start, rows[t.name].stop) for t in some])
-        JZ, wanted = stack.J[chosen] @ Z, stack.wanted[chosen]
-        if not np.linalg.norm(wanted):
-            return False
-        y = np.linalg.lstsq(JZ, wanted, rcond=CUT)[0]
-        return bool(np.linalg.norm(JZ @ y - wanted) > SOLVED * np.linalg.norm(wanted))
-
-    return smallest_contradiction([task for task in stack.tasks if not task.joint_space], fails)
+    stack, loops = look.stack, look.state.J_loop
+    free = {task.name for task in stack.tasks if not task.joint_space}
+    own = [i for i, row in enumerate(stack.rows) if row.owner in free]
+    wanted, owners = stack.wanted[own], [stack.rows[i].owner for i in own]
+    allowed = np.full(len(own), SOLVED * np.linalg.norm(wanted))
+    return contradicting_rows(
+        loops, np.zeros(len(loops)), stack.J[own], wanted, owners, allowed, CUT
+    )

@@ -17,10 +17,7 @@ An explanation of a tick, which is its QP with the names of all rows, has
 * task rows that the loops alone rule out, and tasks that ask for motions which rule each other out,
 * active limits that hold the tasks back, by force,
 * the relaxation of limits with the smallest sum, with which loops and tasks can all hold in this
-  tick, by an open solver (HiGHS):
-
-    minimise    sum r
-    subject to  J_c v = b,   J_task v = wanted,   lb - r <= v <= ub + r,   G v <= h + r,   r >= 0
+  tick, one for each of lb <= v, v <= ub and G v <= h.
 
 Limits in it that are not active now would come next. It is of one tick, a twentieth of the way or
 less; :mod:`coopqp.study.explanation.whole` has what would do in all.
@@ -29,7 +26,7 @@ less; :mod:`coopqp.study.explanation.whole` has what would do in all.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -37,15 +34,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coopqp.assessment.thresholds import AT_LIMIT
-from coopqp.base.qp import Row, names_of
+from coopqp.base.qp import QP, Row, names_of
 from coopqp.base.rank import null_space
 from coopqp.base.spec import Array
 from coopqp.model.state import State
-from coopqp.qp_law.safety import drift_gain
 from coopqp.solver import HALTS, Budget, Status, causes_of
 from coopqp.study.explanation.diagnosis import contradicting
 from coopqp.study.explanation.explained_phase import ExplainedPhase
-from coopqp.study.explanation.goal import PLACE_UNITS, Share, forces, shares, thing_of
+from coopqp.study.explanation.goal import (
+    PLACE_UNITS,
+    Share,
+    forces,
+    least_relaxation,
+    shares,
+    thing_of,
+)
 from coopqp.study.explanation.words import Relaxed, listed, percent, with_note
 from coopqp.study.tick_record import NamedBounds, TickRecord
 from coopqp.task import Mode, TaskStack
@@ -57,44 +60,36 @@ WORTH_COUNTING = 0.02
 
 
 @dataclass(frozen=True, kw_only=True)
-class Asked:
-    """A tick without its solver's program.
+class TickRows:
+    """The rows of a tick and its answer v: A v = b of loops, J v = wanted of tasks, limits."""
 
-    Attributes:
-        A, b: rows of the closed loops, A v = b.
-        lb, ub, G, h: the limits, lb <= v <= ub and G v <= h.
-        J, wanted, task_rows: rows of all tasks, J v = wanted.
-        modes: soft, hard or scaled, by the task's name.
-        v: the answer, followed by shares of scaled tasks if there are any.
-        limit_rows: the limits that lb, ub and h come from, in this order.
-    """
-
-    causes: tuple[Status, ...]
-    dt: float
     A: Array
-    b: Array
-    lb: Array
-    ub: Array
-    G: Array
-    h: Array
     J: Array
     wanted: Array
-    task_rows: Sequence[Row]
-    modes: Mapping[str, Mode]
-    v: Array
+    limits: QP | NamedBounds
     limit_rows: Sequence[Row]
+    v: Array
+
+    @cached_property
+    def left(self) -> Array:
+        """What lb, ub and h leave at v = 0."""
+        return np.concatenate([-self.limits.lb, self.limits.ub, self.limits.h])
+
+    @cached_property
+    def ways(self) -> Array:
+        """The joint motion that violates each limit."""
+        eye = np.eye(len(self.v))
+        return np.vstack([-eye, eye, self.limits.G])
 
     @cached_property
     def slack(self) -> Array:
-        """Slack of lb, ub and h at the answer."""
-        return np.concatenate([self.v - self.lb, self.ub - self.v, self.h - self.G @ self.v])
+        """What limits leave at the answer."""
+        return self.left - self.ways @ self.v
 
     def at_limits(self, near: float) -> list[tuple[Row, Array]]:
         """Limits with less slack than ``near``, each with the joint motion that violates it."""
-        eye = np.eye(len(self.v))
-        ways = np.vstack([-eye, eye, self.G])
         at = np.flatnonzero(self.slack < near).tolist()
-        return [(self.limit_rows[i], ways[i]) for i in at]
+        return [(self.limit_rows[i], self.ways[i]) for i in at]
 
     def forces(self, near: float, weights: Array | float = 1.0) -> list[tuple[Row, float]]:
         """Forces, :func:`forces`, of the limits with less slack than ``near``."""
@@ -102,17 +97,16 @@ class Asked:
         return forces(Z.T @ self.J.T @ (weights * missed), Z, self.at_limits(near))
 
 
-def asked_then(record: TickRecord) -> Asked:
-    """Of a saved tick; hard and scaled tasks are tasks here."""
+def _rows_then(record: TickRecord) -> tuple[TickRows, Array]:
+    """Of a saved tick, and b; hard and scaled tasks are tasks here."""
     qp = record.qp()
     loops = [i for i, row in enumerate(record.equality_rows) if row.kind == "loop"]
-    return Asked(
-        causes=causes_of(record.status), dt=record.dt,
-        A=qp.A[loops], b=qp.b[loops], lb=qp.lb, ub=qp.ub, G=qp.G, h=qp.h,
-        J=np.array(record.J).reshape(-1, qp.n), wanted=np.array(record.wanted),
-        task_rows=record.task_rows, modes=record.modes, v=np.array(record.answer),
-        limit_rows=[*record.lb_rows, *record.ub_rows, *record.inequality_rows],
+    tick = TickRows(
+        A=qp.A[loops], J=np.array(record.J).reshape(-1, qp.n), wanted=np.array(record.wanted),
+        limits=qp, limit_rows=[*record.lb_rows, *record.ub_rows, *record.inequality_rows],
+        v=np.array(record.answer),
     )  # fmt: skip
+    return tick, qp.b[loops]
 
 
 class PhaseTicks:
@@ -142,20 +136,15 @@ class PhaseTicks:
 
     def forces(self, k: int) -> list[tuple[Row, float]]:
         """What held tick k back, each limit with its force; their sum is what was missed."""
-        missed, phase, limits = self.look(k), self._phase, self._limits
+        missed, limits, stack = self.look(k), self._limits, self.stack
         if np.abs(missed).max(initial=0.0) <= BEHIND:
             return []
         limits.update(self.state)
-        state, stack, problem = self.state, self.stack, phase.problem
-        tick = Asked(
-            causes=phase.causes[k], dt=problem.dt,
-            A=state.J_loop, b=state.e_loop * -drift_gain(problem, state),
-            lb=limits.lb, ub=limits.ub, G=limits.G, h=limits.h,
-            J=stack.J, wanted=stack.wanted, task_rows=stack.rows,
-            modes={task.name: task.mode for task in problem.tasks}, v=phase.v[k],
-            limit_rows=limits.rows,
+        tick = TickRows(
+            A=self.state.J_loop, J=stack.J, wanted=stack.wanted, v=self._phase.v[k],
+            limits=limits, limit_rows=limits.rows,
         )  # fmt: skip
-        held = tick.forces(AT_LIMIT, self.stack.weights)
+        held = tick.forces(AT_LIMIT, stack.weights)
         total, size = sum(amount for _, amount in held), float(np.linalg.norm(missed))
         return [(row, amount / total * size) for row, amount in held if total > 0.0]
 
@@ -181,27 +170,27 @@ class Unmet:
     mode: Mode
     share: float
 
-    @property
-    def words(self) -> str:
-        return f"{self.mode} task '{self.task}'"
 
-
-def part_of_rate(got: Array, wanted: Array) -> float:
-    """The share of its rate that a task gets."""
+def _part_of_rate(got: Array, wanted: Array) -> float:
     off, size = float(np.linalg.norm(got - wanted)), float(np.linalg.norm(wanted))
     return 1.0 - off / max(size, off, 1e-300)
 
 
-def relaxed(explained_phases: Sequence[ExplainedPhase]) -> tuple[Relaxed, ...]:
+def relaxed(phases: Sequence[ExplainedPhase]) -> tuple[Relaxed, ...]:
     """Tasks not met in full in relaxed ticks, the most frequent first; none under torque laws."""
     modes: dict[str, Mode] = {}
     ticks, missing = Counter[str](), dict[str, float]()
-    for phase in explained_phases:
-        if phase.controller.commands_torques:
-            break
-        missing = {}
-        modes |= {task.name: task.mode for task in phase.problem.tasks}
-        for k, lacks in _lacks(phase):
+    for phase in phases if not phases[0].controller.commands_torques else ():
+        missing, look = {}, PhaseTicks(phase)
+        every = zip(phase.problem.tasks, look.stack.slices, strict=True)
+        firm = [(task, rows) for task, rows in every if task.mode != "soft"]
+        modes |= {task.name: task.mode for task, _ in firm}
+        for k in (k for k, causes in enumerate(phase.causes) if Status.TASKS_RELAXED in causes):
+            off, wanted = look.look(k), look.stack.wanted
+            got = wanted - off
+            lacks = {task.name: 1.0 - _part_of_rate(got[own], wanted[own]) for task, own in firm}
+            least = min(max(lacks.values(), default=0.0), WORTH_COUNTING)
+            lacks = {name: lack for name, lack in lacks.items() if lack >= least > 0.0}
             ticks.update(lacks.keys())
             missing = lacks if k == len(phase.v) - 1 else {}
     return tuple(
@@ -209,21 +198,6 @@ def relaxed(explained_phases: Sequence[ExplainedPhase]) -> tuple[Relaxed, ...]:
         for name, count in ticks.most_common()
     )
 
-
-def _lacks(phase: ExplainedPhase) -> Iterator[tuple[int, dict[str, float]]]:
-    """Relaxed ticks of a phase, with the share that each task lacks."""
-    look = PhaseTicks(phase)
-    every = zip(phase.problem.tasks, look.stack.slices, strict=True)
-    firm = [(task.name, rows) for task, rows in every if task.mode != "soft"]
-    for k in (k for k, causes in enumerate(phase.causes) if Status.TASKS_RELAXED in causes):
-        off, wanted = look.look(k), look.stack.wanted
-        got = wanted - off
-        lacks = {name: 1.0 - part_of_rate(got[rows], wanted[rows]) for name, rows in firm}
-        least = min(max(lacks.values(), default=0.0), WORTH_COUNTING)
-        yield k, {name: x for name, x in lacks.items() if x >= least > 0.0}
-
-
-Mask = NDArray[np.bool_]
 
 #: A relaxation below this is nothing [rad/s, m/s].
 NOTHING = 1e-7
@@ -281,102 +255,93 @@ class Explanation:
 
 def explain(record: TickRecord) -> Explanation:
     """Why a saved tick could not do what its tasks asked."""
-    tick = asked_then(record)
-    causes = tick.causes
+    causes = causes_of(record.status)
     if halts := [cause for cause in causes if cause in HALTS]:
         return Explanation((), (), (), f"the law was not asked; the loop {halts[0].value}")
-    status = causes[0]
-    if not status.usable and status not in CONFLICTS:
-        return Explanation((), (), (), f"the tick stands still: {status.value}")
-    allowed = _allowed(tick)
-    over = np.abs(tick.J @ tick.v - tick.wanted) > allowed
-    missed = tuple(row.name for row, o in zip(tick.task_rows, over, strict=True) if o)
-    if not missed:
+    if not causes[0].usable and causes[0] not in CONFLICTS:
+        return Explanation((), (), (), f"the tick stands still: {causes[0].value}")
+    missed = _missed(record)
+    if not missed.any():
         return Explanation((), (), (), "nothing was in the way: every task row was met")
-    unmet, first = _unmet(tick, over), _until_missed(tick, over)
-    task_rows = [tick.task_rows[i] for i in first]
-    tick = replace(tick, J=tick.J[first], wanted=tick.wanted[first], task_rows=task_rows)
-    rows, names, over = _Rows(tick), names_of(task_rows), over[first]
-    impossible = tuple(names[i] for i in rows.impossible)
-    against = rows.contradicting(allowed[first])
-    answer = None if against else _relax(tick, rows.kept)
+    missed_names = tuple(record.task_rows[i].name for i in np.flatnonzero(missed))
+    unmet, record = _unmet(record, missed), _until_missed(record, missed)
+    tick, b = _rows_then(record)
+    names, open_rows, impossible = names_of(record.task_rows), *_possible(tick, record.task_rows)
+    against = _contradiction(record, tick, b, impossible)
     held = () if against else shares(tick.forces(AT_BOUND))
-    holding = tuple(share.row.name for share in held)
-    found = Explanation(missed, impossible, answer or (), "", against, holding, unmet)
-    along = [names[i] for i in np.flatnonzero(over) if names[i] not in impossible]
+    answer = None if against else _relaxations(record, tick, b, open_rows)
+    found = Explanation(
+        missed=missed_names,
+        impossible=tuple(names[i] for i in impossible),
+        relaxations=answer or (),
+        sentence="",
+        contradicting=against,
+        holding=tuple(share.row.name for share in held),
+        unmet=unmet,
+    )
+    along = [names[i] for i in np.flatnonzero(_missed(record)) if i not in impossible]
     return replace(found, sentence=_sentence(found, along, held, relaxed=answer is not None))
 
 
 def at_bound(record: TickRecord) -> tuple[Row, ...]:
     """Active limits, each side of a joint and each limit in space once."""
-    tick = asked_then(record)
+    tick, _ = _rows_then(record)
     return tuple({thing_of(row): row for row, _ in tick.at_limits(AT_BOUND)}.values())
 
 
-def _allowed(tick: Asked) -> Array:
+def _allowed(record: TickRecord) -> Array:
     """What each task row may be off by and count as met."""
-    exact = {"hard", "scaled"} if Status.TASKS_RELAXED in tick.causes else {"hard"}
-    firm = [tick.modes[row.owner] in exact for row in tick.task_rows]
-    return np.where(firm, HELD, MISSED + MISSED_SHARE * np.abs(tick.wanted))
+    exact = {"hard", "scaled"} if "TASKS_RELAXED" in record.status else {"hard"}
+    firm = [record.modes[row.owner] in exact for row in record.task_rows]
+    return np.where(firm, HELD, MISSED + MISSED_SHARE * np.abs(record.wanted))
 
 
-def _unmet(tick: Asked, over: Mask) -> tuple[Unmet, ...]:
+def _missed(record: TickRecord) -> NDArray[np.bool_]:
+    """Which task rows the answer misses."""
+    J = np.array(record.J).reshape(-1, len(record.answer))
+    return np.asarray(np.abs(J @ record.answer - record.wanted) > _allowed(record))
+
+
+def _unmet(record: TickRecord, missed: NDArray[np.bool_]) -> tuple[Unmet, ...]:
     """Hard tasks that miss rows, then scaled ones, each with the share of its rate."""
-    owners, got = np.array([row.owner for row in tick.task_rows]), tick.J @ tick.v
+    owners = np.array([row.owner for row in record.task_rows])
+    got, wanted = np.array(record.J) @ record.answer, np.array(record.wanted)
     return tuple(
-        Unmet(name, mode, part_of_rate(got[owners == name], tick.wanted[owners == name]))
+        Unmet(name, mode, _part_of_rate(got[owners == name], wanted[owners == name]))
         for mode in ("hard", "scaled")
-        for name in dict.fromkeys(owners[over].tolist())
-        if tick.modes[name] == mode
+        for name in dict.fromkeys(owners[missed].tolist())
+        if record.modes[name] == mode
     )
 
 
-def _until_missed(tick: Asked, over: Mask) -> list[int]:
-    """Task rows up to the first mode, of hard, scaled and soft, that misses any."""
-    modes = [tick.modes[row.owner] for row in tick.task_rows]
-    missing = {mode for mode, o in zip(modes, over, strict=True) if o}
-    order = ("hard", "scaled", "soft")
-    first_modes = order[: 1 + min(map(order.index, missing))]
-    return [i for i, mode in enumerate(modes) if mode in first_modes]
+def _until_missed(record: TickRecord, missed: NDArray[np.bool_]) -> TickRecord:
+    """With task rows up to the first mode, of hard, scaled and soft, that misses any."""
+    levels = [("hard", "scaled", "soft").index(record.modes[r.owner]) for r in record.task_rows]
+    first = np.flatnonzero(levels <= np.min(np.array(levels)[missed])).tolist()
+    J, wanted, rows = record.J, record.wanted, record.task_rows
+    own = [J[i] for i in first], [wanted[i] for i in first], [rows[i] for i in first]
+    return replace(record, J=own[0], wanted=own[1], task_rows=own[2])
 
 
-class _Rows:
-    """``kept``: task rows that loops and earlier rows leave open.
+def _possible(tick: TickRows, task_rows: Sequence[Row]) -> tuple[list[int], list[int]]:
+    """Task rows that loops and earlier rows leave open, and impossible ones.
 
-    ``impossible``: those that the loops and other rows of the same task rule out.
+    These are ruled out by the loops and other rows of the same task.
     """
-
-    def __init__(self, tick: Asked) -> None:
-        self._tick, self._owners = tick, [row.owner for row in tick.task_rows]
-        self.kept: list[int] = []
-        self.impossible: list[int] = []
-        own = kept = loops = np.linalg.qr(tick.A.T)[0].T
-        for i, row in enumerate(tick.J):
-            if i and self._owners[i] != self._owners[i - 1]:
-                own = loops
-            more = _spanned(own, row)
-            if more is None:
-                self.impossible.append(i)
-                continue
-            own, more = more, _spanned(kept, row)
-            if more is not None:
-                self.kept.append(i)
-                kept = more
-
-    def contradicting(self, allowed: Array) -> tuple[str, ...]:
-        """Tasks that cannot hold together, limits or not; none where they can."""
-        possible = [i for i in range(len(allowed)) if i not in self.impossible]
-        owners = tuple(dict.fromkeys(self._owners[i] for i in possible))
-        A, b, J, wanted = self._tick.A, self._tick.b, self._tick.J, self._tick.wanted
-
-        def fails(some: tuple[str, ...]) -> bool:
-            chosen = [i for i in possible if self._owners[i] in some]
-            M = np.vstack([A, J[chosen]])
-            r = np.concatenate([b, wanted[chosen]])
-            off = M @ np.linalg.lstsq(M, r, rcond=IMPOSSIBLE)[0] - r
-            return bool((np.abs(off[len(b) :]) > allowed[chosen]).any())
-
-        return contradicting(owners, fails)
+    kept, impossible = list[int](), list[int]()
+    own = known = loops = np.linalg.qr(tick.A.T)[0].T
+    for i, row in enumerate(tick.J):
+        if i and task_rows[i].owner != task_rows[i - 1].owner:
+            own = loops
+        more = _spanned(own, row)
+        if more is None:
+            impossible.append(i)
+            continue
+        own, more = more, _spanned(known, row)
+        if more is not None:
+            kept.append(i)
+            known = more
+    return kept, impossible
 
 
 def _spanned(basis: Array, row: Array) -> Array | None:
@@ -389,32 +354,49 @@ def _spanned(basis: Array, row: Array) -> Array | None:
     return np.vstack([basis, left / size])
 
 
-def _relax(tick: Asked, kept: Sequence[int]) -> tuple[Relaxation, ...] | None:
-    """The smallest with which some task rows hold as well; None where none helps."""
-    from scipy.optimize import linprog  # its import takes a sixth of a second
+def _contradiction(
+    record: TickRecord, tick: TickRows, b: Array, impossible: Sequence[int]
+) -> tuple[str, ...]:
+    """Tasks that cannot hold together, limits or not; none where they can."""
+    possible = [i for i in range(len(tick.J)) if i not in impossible]
+    owners, allowed = [record.task_rows[i].owner for i in possible], _allowed(record)[possible]
+    rows = tick.A, b, tick.J[possible], tick.wanted[possible]
+    return contradicting_rows(*rows, owners, allowed, IMPOSSIBLE)
 
-    n, more = len(tick.v), 2 * len(tick.v) + len(tick.h)
-    equal = np.vstack([tick.A, tick.J[kept]])
-    sides = np.vstack([-np.eye(n), np.eye(n), tick.G])
-    bounds = np.concatenate([-tick.lb, tick.ub, tick.h])
-    bounded = np.isfinite(bounds)
-    result = linprog(
-        np.repeat([0.0, 1.0], [n, more]),
-        A_ub=np.hstack([sides, -np.eye(more)])[bounded],
-        b_ub=bounds[bounded],
-        A_eq=np.hstack([equal, np.zeros((len(equal), more))]),
-        b_eq=np.concatenate([tick.b, tick.wanted[kept]]),
-        bounds=[(None, None)] * n + [(0.0, None)] * more,
-    )
-    if not result.success:
+
+def contradicting_rows(
+    A: Array, b: Array, J: Array, wanted: Array, owners: Sequence[str], allowed: Array, cut: float
+) -> tuple[str, ...]:
+    """Owners of rows J v = wanted that A v = b lets hold one by one, but not together.
+
+    Rows may be off by what is ``allowed``; smaller shares of the largest singular value than
+    ``cut`` are no motion.
+    """
+
+    def fails(some: tuple[str, ...]) -> bool:
+        chosen = [i for i, owner in enumerate(owners) if owner in some]
+        M, r = np.vstack([A, J[chosen]]), np.concatenate([b, wanted[chosen]])
+        off = M @ np.linalg.lstsq(M, r, rcond=cut)[0] - r
+        return bool((np.abs(off[len(b) :]) > allowed[chosen]).any())
+
+    return contradicting(tuple(dict.fromkeys(owners)), fails)
+
+
+def _relaxations(
+    record: TickRecord, tick: TickRows, b: Array, kept: Sequence[int]
+) -> tuple[Relaxation, ...] | None:
+    """The smallest with which some task rows hold as well; None where none helps."""
+    equal = np.vstack([tick.A, tick.J[kept]]), np.concatenate([b, tick.wanted[kept]])
+    count = len(tick.left)
+    result = least_relaxation(equal, (tick.ways, tick.left), np.arange(count), [1.0] * count)
+    if result is None:
         return None
-    amounts = np.asarray(result.x[n:], float)
-    rows = tick.limit_rows if (amounts > NOTHING).any() else ()
+    rows = zip(tick.limit_rows, result[1].tolist(), tick.slack.tolist(), strict=False)
     found = [
         Relaxation(
-            row.name, x * (tick.dt if row.of_place else 1.0), row.unit, row.words, left < AT_BOUND
+            row.name, x * (record.dt if row.of_place else 1.0), row.unit, row.words, left < AT_BOUND
         )
-        for row, x, left in zip(rows, amounts.tolist(), tick.slack.tolist(), strict=False)
+        for row, x, left in rows
         if x > NOTHING
     ]
     return tuple(sorted(found, key=lambda relaxation: -relaxation.amount))
@@ -423,7 +405,10 @@ def _relax(tick: Asked, kept: Sequence[int]) -> tuple[Relaxation, ...] | None:
 def _sentence(
     found: Explanation, along: Sequence[str], held: Sequence[Share], *, relaxed: bool
 ) -> str:
-    clauses = [f"{task.words} gets {percent(task.share)} of its rate" for task in found.unmet]
+    clauses = [
+        f"{task.mode} task '{task.task}' gets {percent(task.share)} of its rate"
+        for task in found.unmet
+    ]
     if found.impossible:
         clauses.append(f"the loops alone leave no motion along {listed(found.impossible)}")
     if found.contradicting:

@@ -1,16 +1,28 @@
-"""Why a run did not reach its goal and what would do; the same of arms at one instant."""
+"""Why a run did not reach its goal and what would do; the same of arms at one instant.
+
+Where pressing hands have lost the object, the run is made again, because a recorded one has no
+forces. The hands are named whose contacts were the first at their limit without a break until
+something had slipped: at the pad's edge, or else at the friction limit. Tried are more friction,
+and more of what the controller presses with.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from coopqp.assessment import Assessment, assess
+from coopqp.assessment.thresholds import SLIPPED
 from coopqp.assessment.verdict import listed_limits, loop_words, not_followed, saturation_words
+from coopqp.base.errors import CoopqpError
 from coopqp.base.spec import Array
+from coopqp.closed_loop.hands import hands
 from coopqp.controller import ControlProblem
+from coopqp.execution.controller_run import run
+from coopqp.metrics.friction_margin import FrictionMargin
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status
 from coopqp.study.explanation import insufficient_time, words
@@ -20,19 +32,19 @@ from coopqp.study.explanation.diagnosis import (
     Diagnosis,
     Elsewhere,
     NotBlocked,
-    TooFar,
+    TooFewFreedoms,
     Unreachable,
     diagnose,
 )
-from coopqp.study.explanation.explained_phase import ExplainedPhase, explained_phases
-from coopqp.study.explanation.goal import Goal, Room, Search, placed
-from coopqp.study.explanation.grasp_lost import lost
-from coopqp.study.explanation.suggested_relaxation import (
+from coopqp.study.explanation.explained_phase import (
+    ExplainedPhase,
     by_geometry,
+    explained_phases,
     minimal_relaxations,
     needed,
     with_suggestion,
 )
+from coopqp.study.explanation.goal import Goal, Room, Search, placed
 from coopqp.study.explanation.tick import relaxed
 from coopqp.study.explanation.words import MissedPart, RunExplanation, listed
 from coopqp.task import Task
@@ -48,17 +60,16 @@ def explain_run(
     """Say why a run of one of a scenario's controllers did not reach its goals.
 
     ``report`` is called now and then with the share that is done.
-
-    Raises:
-        CoopqpError: no such controller, or the scenario cannot be run again.
     """
     found, phases = assess(trace), list(explained_phases(scenario.held_by(trace.controller), trace))
     phase = next((phase for phase in phases if phase.missed), phases[-1])
     explained = _explained(found, phases, phase, report)
-    saturated = saturation_words(found) if explained.kind != "motors" else ""
-    more = f"it saturates {saturated}" if saturated else ""
-    clauses = [explained.sentence, more, _rows_in_python(phase)]
-    return replace(explained, sentence="; ".join(filter(None, clauses)))
+    more = saturation_words(found, "it saturates ") if explained.kind != "motors" else ""
+    return _sentence(explained, explained.sentence, more, _rows_in_python(phase))
+
+
+def _sentence(base: RunExplanation, *clauses: str) -> RunExplanation:
+    return replace(base, sentence="; ".join(filter(None, dict.fromkeys(clauses))))
 
 
 def _rows_in_python(phase: ExplainedPhase) -> str:
@@ -87,69 +98,61 @@ def _explained(
     base = RunExplanation(controller=phase.name, phase=phase.phase_name, tick=last, missed=missed)
     torn = any(task.torn for task in found.tasks)
     suspect = phase.missed or torn or found.held is False
-    if suspect and (gone := lost(phase, base)):
+    if suspect and (gone := _lost(phase, base)):
         return gone
     if unfollowed := not_followed(found):
         return base.because("input", f"no goal counts as reached: {unfollowed}")
     if torn and not phase.missed:
         why = f"no goal counts as reached: the loop came open by {loop_words(found)} on the way"
         return base.because("open", why)
-    stops = replace(base, sentence=words.stops(phase)) if phase.missed else base
+    stops = replace(base, sentence=words.stops_short(*phase.missed[0])) if phase.missed else base
     if (phase.missed or not found.reached) and (failed := _failed(phase)):
         return stops.because("failed", failed)
-    if strange := [
-        words.stops_short(part, error) for part, error in phase.missed if np.isnan(error)
-    ]:
-        sentence = "; ".join(dict.fromkeys((stops.sentence, *strange)))
-        return replace(base, kind="failed", sentence=sentence)
+    strange = [words.stops_short(part, error) for part, error in phase.missed if np.isnan(error)]
+    if strange:
+        return _sentence(replace(base, kind="failed"), stops.sentence, *strange)
     given_up = relaxed([phase] if phase.missed else phases)
+    violated = words.opened(found, phases[0].problem.kappa), words.broken(found)
     if not phase.missed:
-        return _kept(found, phases, replace(base, relaxed=given_up))
+        return _kept(found, phases, violated, replace(base, relaxed=given_up))
     answer = _blocked(phase, replace(stops, relaxed=given_up), report)
-    clauses = [answer.sentence, *_gave_way(phase, answer), *(task.words for task in given_up)]
-    clauses += [_at_limits(found, answer), *_violated(found, phases)]
-    return replace(answer, sentence="; ".join(filter(None, clauses)))
-
-
-def _at_limits(found: Assessment, answer: RunExplanation) -> str:
-    """The limits of the verdict, where not all of them are named as what holds back."""
     names = found.at_limits(found.tasks.index(found.missed[0]))
-    if all(name in answer.sentence for name in names):
-        return ""
-    return f"it ends with {listed_limits(names)} at the limit"
+    ends = f"it ends with {listed_limits(names)} at the limit"
+    said = all(name in answer.sentence for name in names)
+    relaxed_tasks = (task.words for task in given_up)
+    clauses = (*_gave_way(phase, answer), *relaxed_tasks, "" if said else ends, *violated)
+    return _sentence(answer, answer.sentence, *clauses)
 
 
 def _gave_way(phase: ExplainedPhase, answer: RunExplanation) -> Iterator[str]:
     """Errors of tasks that come after the first that is missed, where that is not said yet."""
-    goal = phase.goal()
+    goal, first = phase.goal(), phase.missed[0][0].name
     for part, error in phase.gave_way:
         if part.task.name in answer.tasks:
             continue
         alone = [task for task in goal.tasks if task is part.task]
         free = alone and Search(goal.only(alone), phase.room).best(phase.q[-1]).reached
-        yield words.gave_way(part, error, phase.missed[0][0], because=bool(free))
-
-
-def _violated(found: Assessment, phases: Sequence[ExplainedPhase]) -> list[str]:
-    """Loops that came open and limits that were exceeded."""
-    return [words.opened(found, phases[0].problem.kappa), words.broken(found)]
+        far = words.size(error, part.part.unit)
+        because = " because of that" if free else ""
+        yield f"{part.name}, which comes after {first}, ends {far} off{because}"
 
 
 def _kept(
-    found: Assessment, phases: Sequence[ExplainedPhase], base: RunExplanation
+    found: Assessment,
+    phases: Sequence[ExplainedPhase],
+    violated: Sequence[str],
+    base: RunExplanation,
 ) -> RunExplanation:
     """Of a run that reached its goals, but perhaps not as it should."""
-    clauses, kind = [], "reached"
+    kind, goals = "reached", "every goal is reached"
     if not found.succeeds:
-        kind = "broken" if found.loop_closed else "open"
-        clauses = _violated(found, phases)
-    clauses = [text for text in clauses if text] + [task.words for task in base.relaxed]
+        kind, goals = "broken" if found.loop_closed else "open", "the goals are reached"
+    clauses = [*filter(None, violated), *(task.words for task in base.relaxed)]
     count = sum(Status.TASKS_RELAXED in causes for phase in phases for causes in phase.causes)
     if base.relaxed:
         clauses.append("--tick says why")
     elif count:
         clauses.append(f"in {count} ticks hard tasks are not met in full")
-    goals = "every goal is reached" if found.succeeds else "the goals are reached"
     return base.because(kind, f"{goals}{', but ' if clauses else ''}{'; '.join(clauses)}")
 
 
@@ -206,32 +209,123 @@ def _diagnosed(phase: ExplainedPhase, goal: Goal) -> tuple[Goal, Diagnosis]:
 
 def _by_geometry(phase: ExplainedPhase, found: Unreachable, base: RunExplanation) -> RunExplanation:
     sentence = words.geometry(found, phase.missed, phase.problem.chain, ordered=phase.ordered)
-    base = replace(base, sentence="")
+    base = replace(base, sentence="", tasks=tuple(task.name for task in found.tasks))
     if isinstance(found, Elsewhere):
         at = tuple(found.place.q.tolist())
         return base.because("elsewhere", sentence, found.shares, elsewhere=at)
     if isinstance(found, Contradiction):
-        names = tuple(task.name for task in found.tasks)
-        return base.because("contradiction", sentence, tasks=names, any_robot=found.any_robot)
-    if isinstance(found, TooFar):
-        sentence += insufficient_time.behind(phase, found)
-        way = tuple((found.gap / max(found.distance, 1e-300)).tolist()) if found.in_world else ()
-        tasks = (found.part.task.name,)
-        return base.because(
-            "reach", sentence, found.shares, tasks=tasks, distance=found.distance, way=way
-        )
-    return base.because("freedom", sentence, tasks=(found.goal.tasks[0].name,))
+        return base.because("contradiction", sentence, any_robot=found.any_robot)
+    if isinstance(found, TooFewFreedoms):
+        return base.because("freedom", sentence)
+    sentence += insufficient_time.behind(phase, found)
+    way = tuple((found.gap / max(found.distance, 1e-300)).tolist()) if found.in_world else ()
+    return base.because("reach", sentence, found.shares, distance=found.distance, way=way)
+
+
+#: Share of a contact's capacity from which it is at its limit.
+TIPS = 0.98
+#: Multiples of what the controller presses with that are tried.
+TIMES = (1.5, 2.0, 3.0)
+#: Settings of what a controller presses with; the first that it has counts.
+SETTINGS = ("squeeze", "safety")
+#: Margin on the friction that is suggested.
+SPARE = 1.05
+
+
+def _lost(phase: ExplainedPhase, base: RunExplanation) -> RunExplanation | None:
+    """How the object was lost until the end of a phase; None where it was held."""
+    presses = any(grasp.contact for grasp in phase.problem.chain.grasps.values())
+    if not presses or not phase.scenario.plant.takes_torques:
+        return None
+    trace = run(phase.scenario, controller=phase.name)
+    tick = assess(trace).lost_tick
+    if tick is None or tick >= phase.first + len(phase.v):
+        return None
+    time, why = float(trace.t[tick + 1]), _culprits(phase, trace, tick)
+    sentence = f"the object is lost at {time:.3g} s{': ' if why else ''}{why}"
+    holds = " or ".join(f"with {text}" for text in (_friction(phase), _pressing(phase)) if text)
+    if holds:
+        sentence += f"; {holds} it is held (tried)"
+    return base.because("lost", sentence, tried=True if holds else None, time=time)
+
+
+def _culprits(phase: ExplainedPhase, trace: Trace, tick: int) -> str:
+    """Which hands were at the limit of their contacts first, and by what."""
+    slipped = np.flatnonzero((trace.signals["slip"][: tick + 1] > SLIPPED).any(axis=1))
+    k = int(slipped[0]) if len(slipped) else tick
+    found = _used_up(phase, trace, k)
+    while k > 0 and (before := _used_up(phase, trace, k - 1)):
+        k, found = k - 1, before
+    by_why: dict[str, list[str]] = {}
+    for arm, why in found:
+        by_why.setdefault(why, []).append(arm)
+    return listed([f"{why} at {listed(arms)}" for why, arms in by_why.items()])
+
+
+def _used_up(phase: ExplainedPhase, trace: Trace, k: int) -> list[tuple[str, str]]:
+    """Hands with a contact at its limit in a tick, and why."""
+    robot, found = [arm.name for arm in phase.scenario.robot_model.arms], []
+    friction, edge = (trace.signals[name][k] for name in ("friction_use", "edge_use"))
+    for hand in hands(phase.problem.chain):
+        if hand.contact is None:
+            continue
+        i = robot.index(hand.arm)
+        if edge[i] >= TIPS:
+            found.append((hand.arm, "the pressure reaches the pad's edge"))
+        elif not friction[i] < TIPS:  # NaN: nothing presses there
+            modelled, factor = hand.contact.friction, phase.scenario.disturbance.friction
+            there = f"friction of {modelled:g}"
+            if factor != 1.0:
+                believed = f"where the controller is told {modelled:g}"
+                there = f"friction of {modelled * factor:.2g}, {believed},"
+            found.append((hand.arm, f"{there} does not do"))
+    return found
+
+
+def _friction(phase: ExplainedPhase) -> str:
+    """The friction that would do, where the controller expects more than there is."""
+    there = phase.scenario.disturbance.friction
+    if there >= 1.0:
+        return ""
+
+    def tried(friction: float) -> Trace | None:
+        return _again(phase, disturbance=replace(phase.scenario.disturbance, friction=friction))
+
+    known = tried(1.0)
+    margin = FrictionMargin().measure(known) if known else None
+    needed = 1.0 if margin is None else round(SPARE * (1.0 - margin), 2)
+    if not there < needed < 1.0 or tried(needed) is None:
+        return ""
+    return f"{needed:g} of the modelled friction instead of {there:g}"
+
+
+def _pressing(phase: ExplainedPhase) -> str:
+    """How much firmer the controller would have to press."""
+    known, chosen = phase.scenario.controllers, phase.controller
+    key = next((key for key in SETTINGS if getattr(chosen, key, None)), "")
+    for times in TIMES if key else ():
+        more = times * getattr(chosen, key)
+        try:
+            firmer = {**known, phase.name: replace(chosen, **{key: more})}
+        except (CoopqpError, ValueError):
+            break
+        if _again(phase, controllers=firmer) is not None:
+            return f"{phase.name}: {{{key}: {more:g}}}"
+    return ""
+
+
+def _again(phase: ExplainedPhase, **changed: Any) -> Trace | None:
+    """The run with something changed; None where the object is still lost."""
+    try:
+        trace = run(replace(phase.scenario, **changed), controller=phase.name)
+    except CoopqpError:
+        return None
+    return trace if assess(trace).lost_tick is None else None
 
 
 @dataclass(frozen=True)
 class Standing:
-    """How arms stand to their goals.
-
-    Attributes:
-        reached: whether all tasks with a place are within their tolerances.
-        blocked: whether geometry keeps the arms from one that is not.
-        sentence: in words.
-    """
+    """How arms stand to their goals: at all of them, or kept by geometry from one, in words."""
 
     reached: bool
     blocked: bool
@@ -243,11 +337,8 @@ def explain_standing(
 ) -> Standing:
     """Say what keeps arms from their goals, by geometry alone; relaxations are not tried.
 
-    Args:
-        problem: with the limits that count.
-        tasks: of the problem, each with its reference at its goal.
-        q: shape (n,) [rad, m].
-        rests: whether they stay there; else the explanation says how near they can get.
+    The problem has the limits that count, and each task its reference at its goal. Unless the arms
+    rest at q, shape (n,) [rad, m], the explanation says how near they can get.
     """
     chain = problem.chain
     goal = Goal(chain, placed(tasks, chain), 0.0)

@@ -14,7 +14,6 @@ from coopqp.base.qp import Row
 from coopqp.base.spec import Array
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.study.explanation.diagnosis import Contradiction, Elsewhere, TooFar, Unreachable
-from coopqp.study.explanation.explained_phase import ExplainedPhase
 from coopqp.study.explanation.goal import Missed, PartOfTask, Place, Share
 from coopqp.task import Mode
 
@@ -31,11 +30,23 @@ def listed(names: Sequence[str]) -> str:
     return f"{', '.join(names[:-1])} and {names[-1]}"
 
 
+def _first(names: Sequence[str]) -> str:
+    more = [f"{len(names) - MAX_NAMED} more"] if len(names) > MAX_NAMED else []
+    return listed([*names[:MAX_NAMED], *more])
+
+
 def size(amount: float, unit: str) -> str:
     """An error or an amount; lengths in millimetres."""
     if unit == "m" and amount < 1.0:
         return f"{1e3 * amount:.3g} mm"
     return f"{amount:.3g} {unit}"
+
+
+def percent(share: float) -> str:
+    """A share, in words."""
+    if share < 0.01:
+        return "less than 1 %"
+    return "more than 99 %" if 0.99 < share < 1.0 else f"{100.0 * share:.0f} %"
 
 
 def with_note(row: Row, note: str) -> str:
@@ -44,20 +55,12 @@ def with_note(row: Row, note: str) -> str:
     return f"{words[:-1]}, {note})" if words.endswith(")") else f"{words} ({note})"
 
 
-def stops(phase: ExplainedPhase) -> str:
-    """The same of the worst part of all tasks."""
-    return stops_short(*phase.missed[0])
-
-
-def ends_off(part: PartOfTask, error: float) -> str:
-    """How far off a part of a task ends."""
-    return f"{part.name} ends {size(error, part.part.unit)} off"
-
-
-def gave_way(part: PartOfTask, error: float, first: PartOfTask, *, because: bool) -> str:
-    """Error of a part that comes after another, and whether it is because of that."""
-    after = f"{part.name}, which comes after {first.name}, ends {size(error, part.part.unit)} off"
-    return f"{after} because of that" if because else after
+def _with_percents(shares: Sequence[Share], of: str = "") -> list[str]:
+    """Limits with their shares, the first with what these are shares of."""
+    return [
+        with_note(share.row, f"{100.0 * share.share:.0f} %{'' if i else of}")
+        for i, share in enumerate(shares)
+    ]
 
 
 def stops_short(part: PartOfTask, error: float) -> str:
@@ -76,13 +79,13 @@ def holding(shares: Sequence[Share]) -> str:
         return "the limits hold it back"
     if len(shares) == 1:
         return f"{shares[0].row.words} holds it back alone"
-    named = shares[:MAX_NAMED]
-    words = [
-        with_note(share.row, f"{100.0 * share.share:.0f} %{' of the force' if i == 0 else ''}")
-        for i, share in enumerate(named)
-    ]
-    more = [f"{len(shares) - MAX_NAMED} more"] if len(shares) > MAX_NAMED else []
-    return f"{listed([*words, *more])} hold it back"
+    return f"{_first(_with_percents(shares, ' of the force'))} hold it back"
+
+
+def slow(shares: Sequence[Share]) -> str:
+    """Speeds that hold up."""
+    verb = "holds" if len(shares) == 1 else "hold"
+    return f"{listed(_with_percents(shares[:MAX_NAMED]))} {verb} it up"
 
 
 def geometry(
@@ -96,8 +99,8 @@ def geometry(
     short = stops_short(*missed[0])
     if isinstance(found, Elsewhere):
         return f"{short}; {holding(found.shares)}; {elsewhere(found.place, chain)}"
-    name = found.goal.tasks[0].name
-    return f"{short}; {name} asks for {found.asked} motions, the loops leave {found.left}"
+    asks = f"{found.tasks[0].name} asks for {found.asked} motions"
+    return f"{short}; {asks}, the loops leave {found.left}"
 
 
 def elsewhere(place: Place, chain: ClosedChain) -> str:
@@ -114,16 +117,12 @@ def start(q: Array, chain: ClosedChain) -> str:
 
 
 def _reach(found: TooFar) -> str:
-    part = found.part
-    name, unit = part.task.name, part.part.unit
-    several = len(found.shares) > 1
-    named = found.shares[:MAX_NAMED]
-    held = _with_percents(named) if several else listed([share.row.words for share in named])
+    part, several, named = found.part, len(found.shares) > 1, found.shares[:MAX_NAMED]
+    text, unit = part.task.name, part.part.unit
+    held = listed(_with_percents(named) if several else [share.row.words for share in named])
     if found.cost > found.distance:
         verb = "hold" if several else "holds"
-        text = f"{held} {verb} {name} back by {size(found.cost, unit)}; beyond that it"
-    else:
-        text = name
+        text = f"{held} {verb} {text} back by {size(found.cost, unit)}; beyond that it"
     text += f" is unreachable by {size(found.distance, unit)}"
     if found.in_world:
         text += f" along {_direction(found.gap)}"
@@ -131,18 +130,14 @@ def _reach(found: TooFar) -> str:
         text += f" of {part.part.name}"
     text += ", whatever the limits"
     if found.in_world:
-        text += f"; the nearest point is {_point(_reached_point(found))}"
+        found.goal.look(found.nearest.q)
+        point = found.goal.state.point(np.array(getattr(part.task, "point", (0.0, 0.0, 0.0))))
+        text += f"; the nearest point is {_point(point)}"
     if 0.0 < found.cost <= found.distance:
         text += f"; limits cost another {size(found.cost, unit)}: {held}"
     if found.elsewhere is not None:
         text += f"; from another configuration {size(part.size(found.elsewhere.e), unit)}"
     return text
-
-
-def _reached_point(found: TooFar) -> Array:
-    """The point of the object that the task moves, at the nearest place."""
-    found.goal.look(found.nearest.q)
-    return found.goal.state.point(np.array(getattr(found.part.task, "point", (0.0, 0.0, 0.0))))
 
 
 def _direction(way: Array) -> str:
@@ -153,7 +148,6 @@ def _direction(way: Array) -> str:
 
 
 def _point(p: Array, digits: int = 3) -> str:
-    """``(0.210, 0.000, 0.100)``."""
     rounded = np.round(p, digits) + 0.0
     return f"({', '.join(f'{x:.{digits}f}' for x in rounded)})"
 
@@ -187,27 +181,8 @@ def opened(found: Assessment, kappa: float) -> str:
 def broken(found: Assessment) -> str:
     """Limits that a run went beyond; empty where there are none."""
     violated = [o for o in (*found.joints, *found.limits, *found.speeds) if o.farther]
-    if not violated:
-        return ""
-    clauses = [f"{o.row.words} by {size(o.by, o.row.unit)}" for o in violated[:MAX_NAMED]]
-    more = [f"{len(violated) - MAX_NAMED} more"] if len(violated) > MAX_NAMED else []
-    return f"beyond limits: {listed([*clauses, *more])}"
-
-
-def slow(shares: Sequence[Share]) -> str:
-    """Speeds that hold up."""
-    return f"{_with_percents(shares[:MAX_NAMED])} {'holds' if len(shares) == 1 else 'hold'} it up"
-
-
-def _with_percents(shares: Sequence[Share]) -> str:
-    return listed([with_note(share.row, f"{100.0 * share.share:.0f} %") for share in shares])
-
-
-def percent(share: float) -> str:
-    """A share, in words."""
-    if share < 0.01:
-        return "less than 1 %"
-    return "more than 99 %" if 0.99 < share < 1.0 else f"{100.0 * share:.0f} %"
+    amounts = [f"{o.row.words} by {size(o.by, o.row.unit)}" for o in violated]
+    return f"beyond limits: {_first(amounts)}" if amounts else ""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -35,11 +35,11 @@ from coopqp.scenario.form import STRICT, Words, check, file_model
 from coopqp.scenario.loader import find
 from coopqp.scenario.yaml import MisplacedError, Wrong, YamlFile, parsed, read_yaml
 from coopqp.study.sweep import space
-from coopqp.study.sweep.path import located, put
-from coopqp.study.sweep.space import GRID, MOST, SAMPLES, Listed, Points, Variation, drawn, grid
-from coopqp.study.sweep.study import CONTROLLERS, SEED, Study, Varied
+from coopqp.study.sweep.space import GRID, MOST, SAMPLES, Listed, Points, Variation, needs
+from coopqp.study.sweep.study import CONTROLLERS, SEED, Study, Varied, located, put
 
 NAMED = "needs the path of a scenario, or the name of a shipped one"
+EMPTY = "is empty; needs a path of the scenario: what to vary it over"
 
 
 def _variation(value: Any) -> Any:
@@ -52,15 +52,6 @@ def _variation(value: Any) -> Any:
     if kind not in space.KINDS:
         raise ValueError(unknown_name("variation", kind, space.KINDS))
     return value
-
-
-def _filled(kind: type, words: str) -> BeforeValidator:
-    def check(value: Any) -> Any:
-        if not isinstance(value, kind) or not value:
-            raise ValueError(words)
-        return value
-
-    return BeforeValidator(check)
 
 
 def _samples(value: Any) -> Any:
@@ -78,12 +69,6 @@ def _samples(value: Any) -> Any:
     return named
 
 
-def _count(value: Any) -> Any:
-    if not isinstance(value, int) or isinstance(value, bool) or not 1 <= value <= MOST:
-        raise ValueError(f"needs a whole number of 1 to {MOST:,}")
-    return value
-
-
 def _metric(name: str, info: ValidationInfo) -> str:
     known = (info.context or {}).get("metrics")
     if known is not None and name not in known:
@@ -91,7 +76,9 @@ def _metric(name: str, info: ValidationInfo) -> str:
     return name
 
 
-Count = Annotated[int, Field(ge=1, le=MOST), BeforeValidator(_count)]
+_MANY = f"needs a whole number of 1 to {MOST:,}"
+_COUNTS = needs(lambda x: type(x) is int and 1 <= x <= MOST, _MANY)
+Count = Annotated[int, Field(ge=1, le=MOST), _COUNTS]
 _KINDS: dict[str, Any] = {
     kind: (Annotated[form, AfterValidator(build)], Field(default=None, description=about))
     for kind, (form, build, about) in space.KINDS.items()
@@ -106,13 +93,12 @@ _WAYS: dict[str, Any] = {
     way: (Count | None if way == GRID else Count, Field(default=None, description=about))
     for way, about in SAMPLES.items()
 }
-_SEED: Any = (Annotated[int, Field(ge=0)], Field(default=0, description="Of all that is random."))
+_WAYS[SEED] = (Annotated[int, Field(ge=0)], Field(default=0, description="Of all that is random."))
 Samples: Any = create_model(
     "Samples",
     __config__=ConfigDict(**STRICT, json_schema_extra={"minProperties": 1, "maxProperties": 2}),
     __doc__="How many variants, and how they are chosen.",
     **_WAYS,
-    **{SEED: _SEED},
 )
 
 
@@ -122,13 +108,13 @@ class StudyFile(BaseModel):
     model_config = STRICT
 
     description: str = Field(default="", description="What the study asks, in a line.")
-    scenario: Annotated[str, Field(min_length=1), _filled(str, NAMED)] = Field(
-        description="A file beside the study, or the name of a shipped scenario."
-    )
+    scenario: Annotated[
+        str, Field(min_length=1), needs(lambda x: isinstance(x, str) and x != "", NAMED)
+    ] = Field(description="A file beside the study, or the name of a shipped scenario.")
     vary: Annotated[
         dict[str, Annotated[Over, BeforeValidator(_variation)]],
         Field(min_length=1),
-        _filled(dict, "is empty; needs a path of the scenario: what to vary it over"),
+        needs(lambda x: isinstance(x, dict) and x != {}, EMPTY),
     ] = Field(description="Paths of the scenario, such as tasks.reach.goal, and over what.")
     samples: Annotated[Samples, BeforeValidator(_samples), Words((GRID,))] = Field(
         description="A way to sample and how many variants, and a seed (0)."
@@ -148,15 +134,6 @@ class StudyFile(BaseModel):
         """The way to sample, and how many; 0 where levels say it."""
         (way,) = self.samples.model_fields_set - {SEED}
         return way, getattr(self.samples, way) or 0
-
-
-def read_form(file: YamlFile, catalog: Catalog | None) -> tuple[StudyFile | None, list[Wrong]]:
-    """What a file says, and what is wrong with that."""
-    context = {"metrics": catalog.entries("metrics")} if catalog else None
-    try:
-        return StudyFile.model_validate_json(json.dumps(file.data), context=context), []
-    except ValidationError as error:
-        return None, [Wrong(*wrong) for wrong in wording.faults(error, file.data, StudyFile)]
 
 
 def schema(catalog: Catalog) -> dict[str, Any]:
@@ -189,11 +166,7 @@ MOST_TRIED = 1000  # values of a key that are checked before anything runs
 
 
 def read_study(path: Path, catalog: Catalog | None = None) -> Study:
-    """Read and check a study, by its path or a shipped one's name.
-
-    Raises:
-        ScenarioError: with every fault, its line and its likely fix.
-    """
+    """Read and check a study, by its path or a shipped one's name; ScenarioError has all faults."""
     file = read_yaml(find(path, "studies"))
     with file.lines():
         return _study(file, catalog or Catalog(), None)
@@ -211,8 +184,12 @@ def study_text(path: Path, text: str, scenario: tuple[Path, str], catalog: Catal
 
 def _study(file: YamlFile, catalog: Catalog, scenario: YamlFile | None) -> Study:
     """A study; one that was kept with its scenario has been read before, with all that it names."""
-    kept = scenario is not None
-    form, wrong = read_form(file, None if kept else catalog)
+    kept, form, wrong = scenario is not None, None, list[Wrong]()
+    context = None if kept else {"metrics": catalog.entries("metrics")}
+    try:
+        form = StudyFile.model_validate_json(json.dumps(file.data), context=context)
+    except ValidationError as error:
+        wrong = [Wrong(*each) for each in wording.faults(error, file.data, StudyFile)]
     scenario = scenario or _scenario(file, wrong)
     if not form or not scenario or wrong:
         raise MisplacedError(wrong)
@@ -226,9 +203,8 @@ def _study(file: YamlFile, catalog: Catalog, scenario: YamlFile | None) -> Study
         wrong += _tried(file, varied, scenario, base, catalog)
     refuse(wrong)
     points, levelled = _points(form, varied)
-    count = form.sampled[1]
-    notes = []
-    if form.sampled[0] == "sobol" and count & (count - 1):
+    (method, count), notes = form.sampled, list[str]()
+    if method == "sobol" and count & (count - 1):
         even = 1 << round(math.log2(count))
         words = f"{count} is not a power of two; {even} points would fill the space more evenly"
         notes.append(f"{file.place(['samples', 'sobol'])}: {words}")
@@ -369,7 +345,7 @@ def _points(form: StudyFile, varied: Sequence[Varied]) -> tuple[Points, Sequence
     method, count = form.sampled
     if method != GRID:
         dimensions = sum(one.over.dimensions for one in varied)
-        return drawn(method, count, dimensions, form.samples.seed), varied
+        return space.drawn(method, count, dimensions, form.samples.seed), varied
     wrong, levels, found = list[Wrong](), list[int](), list[Varied]()
     for one in varied:
         own = one.over.levels(count)
@@ -383,7 +359,7 @@ def _points(form: StudyFile, varied: Sequence[Varied]) -> tuple[Points, Sequence
         words = f"the grid has {math.prod(levels):,} points; needs at most {MOST:,}"
         wrong.append(Wrong(["samples"], words))
     refuse(wrong)
-    return grid(levels), found
+    return space.grid(levels), found
 
 
 def _defaults(model: type[BaseModel]) -> dict[str, Any]:

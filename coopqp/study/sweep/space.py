@@ -85,11 +85,6 @@ class Variation(ABC):
         """Values that stand for all, to see whether the key takes them."""
 
 
-def as_written(number: float) -> float:
-    """Without the rounding of arithmetic: 0.35, where 0.3 + 0.05 is 0.35 and 4e-17 more."""
-    return float(f"{number:.15g}")
-
-
 @dataclass(frozen=True)
 class Interval:
     """Numbers between two; at levels, which may be whole numbers, if there is a count of them."""
@@ -124,8 +119,10 @@ class Box(Variation):
         found = [side.at(float(x)) for side, x in zip(self.sides, u, strict=True)]
         if self.grows:
             found = [10.0**x for x in found]
-        sides = zip(found, self.sides, strict=True)
-        found = [as_written(x) if side.count and not side.whole else x for x, side in sides]
+        for i, side in enumerate(self.sides):
+            if side.count and not side.whole:
+                # Without the rounding of arithmetic: 0.35, where 0.3 + 0.05 is that and 4e-17 more.
+                found[i] = float(f"{found[i]:.15g}")
         return found if self.numbers else found[0]
 
     def levels(self, count: int) -> tuple[int, ...]:
@@ -176,12 +173,7 @@ class Listed(Variation):
 
 @dataclass(frozen=True)
 class Points:
-    """Points of the unit cube.
-
-    Attributes:
-        levels: of a grid, in each dimension; empty for others.
-        drawn: others, shape (count, dimensions); empty for a grid.
-    """
+    """Points of the unit cube: of a grid, with its levels, or drawn, shape (count, dimensions)."""
 
     count: int
     levels: tuple[int, ...]
@@ -227,16 +219,22 @@ Number = Annotated[float, WrapValidator(lambda value, check: (check(value), valu
 Numbers = Annotated[list[Number], Field(min_length=1)]
 
 
-def _list(item: Any, least: int, most: int | None, needs: str) -> Any:
-    """A list of so many."""
+def needs(test: Callable[[Any], bool], words: str) -> BeforeValidator:
+    """Refuse, in words, what does not pass a test."""
 
     def check(value: Any) -> Any:
-        if not isinstance(value, list) or not least <= len(value) <= (most or len(value)):
-            raise ValueError(needs)
+        if not test(value):
+            raise ValueError(words)
         return value
 
+    return BeforeValidator(check)
+
+
+def _list(item: Any, least: int, most: int | None, words: str) -> Any:
+    """A list of so many."""
     of_item = types.GenericAlias(list, (item,))
-    return Annotated[of_item, Field(min_length=least, max_length=most), BeforeValidator(check)]
+    many = needs(lambda x: isinstance(x, list) and least <= len(x) <= (most or len(x)), words)
+    return Annotated[of_item, Field(min_length=least, max_length=most), many]
 
 
 def _box(given: list[Any]) -> Variation:

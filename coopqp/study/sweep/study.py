@@ -1,5 +1,9 @@
 """A study: a scenario, what of it is varied over what, and what is measured.
 
+Keys of the scenario are given by paths: ``tasks.reach.goal``, ``robot.nao_t14.scale``, ``dt``. In a
+list a name is that of a task, a phase or a controller, or of its type, and ``[i]`` its place;
+``start.right[0]`` is one number. What the scenario does not say is where its form has it.
+
 A variant under some controllers makes a row for each of them. Its state is ``done``, ``invalid``
 where the variant is no scenario, or the controller cannot be used for it, and ``failed`` where
 something broke down that should not have.
@@ -7,27 +11,20 @@ something broke down that should not have.
 
 from __future__ import annotations
 
+import copy
 import json
-import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from coopqp.assessment import assess
-from coopqp.base.errors import CoopqpError, InternalError
-from coopqp.base.wording import raised
-from coopqp.execution.controller_run import run
-from coopqp.metric import measured
+from coopqp.base.errors import InvalidValueError, unknown_name
 from coopqp.scenario.catalog import Catalog
-from coopqp.scenario.checks import Known
-from coopqp.scenario.loader import load_file
-from coopqp.scenario.scenario import Scenario
-from coopqp.scenario.yaml import YamlFile, parsed
-from coopqp.study.sweep.path import put
+from coopqp.scenario.yaml import YamlFile
 from coopqp.study.sweep.space import Points, Variation
 
 CONTROLLERS = "controllers"
@@ -66,9 +63,7 @@ class Study:
     """What is asked.
 
     Attributes:
-        scenario: the scenario's, with slots on the way to what is varied written out.
-        scenario_text: path and text of its file.
-        controllers: names; each variant is run under all of them.
+        scenario: with slots on the way to what is varied written out; path and text of its file.
         points: a dimension for each number that is varied.
         notes: what is odd, but no fault.
     """
@@ -126,9 +121,9 @@ class Study:
             found += one.over.parts(value)
         return tuple(json.dumps(x) if isinstance(x, dict | list) else x for x in found)
 
-    def changed(self, variant: Variant) -> dict[str, Any]:
-        places = [one.location for one in self.varied]
-        return changed(self.scenario.data, places, variant)
+    @property
+    def locations(self) -> tuple[tuple[Any, ...], ...]:
+        return tuple(one.location for one in self.varied)
 
 
 def changed(
@@ -141,86 +136,116 @@ def changed(
     return found
 
 
-@dataclass(frozen=True)
-class Job:
-    """What a worker must know: the scenario's file, for faults, its data as JSON, and so on."""
-
-    path: Path
-    text: str
-    data: str
-    places: tuple[tuple[Any, ...], ...]
-    controllers: tuple[str, ...]
-    metrics: tuple[str, ...]
-    folders: tuple[tuple[Path, ...], ...]
+_STEP = re.compile(r"\[(\d{1,6})\]|\.?([^.\[\]]+)")
 
 
-def job_of(study: Study) -> Job:
-    """What the workers must know."""
-    places = tuple(one.location for one in study.varied)
-    data, folders = json.dumps(study.scenario.data), study.catalog.folders
-    return Job(*study.scenario_text, data, places, study.controllers, study.metrics, folders)
+def located(data: Mapping[str, Any], path: str, defaults: Mapping[str, Any]) -> tuple[Any, ...]:
+    """Keys and indices of a path in a file's data, where plain slots on the way become mappings.
+
+    ``defaults`` stand, by key, for what the file leaves out. What is no path, or leads to what is
+    not there, is refused with InvalidValueError.
+    """
+    rest, location, here = path, list[Any](), data
+    while rest:
+        if isinstance(here, list):
+            keys, rest = _in_list(here, rest, path)
+        else:
+            step, rest = _step(here if isinstance(here, dict) else {}, rest, path)
+            if not isinstance(here, dict):
+                words = "leads into a value, which has no keys"
+                raise InvalidValueError(f"'{_upto(path, rest)}' {words}")
+            if isinstance(step, int):
+                raise InvalidValueError(f"'{_upto(path, rest)}': there is no list; needs a name")
+            if rest and not location and step not in here and step in defaults:
+                here[step] = copy.deepcopy(defaults[step])
+            keys = [step]
+        location += keys
+        for key in keys if rest else keys[:-1]:
+            here = _opened(here, key)
+    return tuple(location)
 
 
-def run_variants(variants: Sequence[Variant], *, job: Job) -> list[list[Row]]:
-    """A batch; what the engine has a worker do."""
-    with np.errstate(all="ignore"):  # laws that run away leave the range of numbers
-        return [_rows(job, variant) for variant in variants]
+def _opened(here: Any, key: str | int) -> Any:
+    """What is inside; a mapping where that was a plain slot, or a key without a value."""
+    inside = here.get(key) if isinstance(here, dict) else here[key]
+    if isinstance(inside, str):
+        here[key] = {inside: {}}
+    elif inside is None and isinstance(here, dict):
+        here[key] = {}
+    return here[key]
 
 
-def lost_rows(job: Job, reason: str) -> list[Row]:
-    """The rows of a variant that ended the process that ran it."""
-    return [_without(FAILED, reason) for _ in job.controllers]
+def _upto(path: str, rest: str) -> str:
+    return path[: len(path) - len(rest)] if rest else path
 
 
-@lru_cache(maxsize=2)
-def _prepared(job: Job) -> tuple[YamlFile, Mapping[str, Any], Catalog, Known]:
-    return parsed(job.path, job.text), json.loads(job.data), Catalog(*job.folders), Known()
+def _step(here: Mapping[str, Any], rest: str, path: str) -> tuple[str | int, str]:
+    """The next key or index, and what follows; keys may have dots in them."""
+    text = rest.removeprefix(".")
+    for key in sorted(here, key=len, reverse=True):
+        after = text[len(key) :]
+        if text.startswith(key) and (not after or after[0] in ".["):
+            return key, after
+    found = _STEP.match(rest)
+    if not found:
+        raise InvalidValueError(f"'{path}' is not a path; needs names with dots between them")
+    index, name = found.groups()
+    return (int(index) if index is not None else name), rest[found.end() :]
 
 
-def _rows(job: Job, variant: Variant) -> list[Row]:
-    file, data, catalog, known = _prepared(job)
-    try:
-        scenario = load_file(file.changed(changed(data, job.places, variant)), catalog, known)
-    except CoopqpError as error:
-        return [_without(INVALID, str(error)) for _ in job.controllers]
-    except Exception as error:  # noqa: BLE001 - one variant is not to end a study
-        return [_without(FAILED, raised(error)) for _ in job.controllers]
-    return [_row(job, scenario, name) for name in job.controllers]
+def _in_list(here: list[Any], rest: str, path: str) -> tuple[list[str | int], str]:
+    """The place of a name, or of an index, in a list; with a name, inside what it names."""
+    names = [_names(item) for item in here]
+    known = {name: None for item in names for name in item}
+    step, after = _step(known, rest, path)
+    if isinstance(step, int):
+        if step >= len(here):
+            raise InvalidValueError(f"'{_upto(path, after)}': the list has {len(here)} values")
+        if after:
+            _check_slot(_opened(here, step), after, path)
+        return [step], after
+    found: list[str | int] = [i for i, item in enumerate(names) if step in item]
+    if not found and not known:
+        words = "is a list of values; needs a place in it, from [0] on"
+        raise InvalidValueError(f"'{_upto(path, rest).rstrip('.')}' {words}")
+    if not found:
+        what = _upto(path, rest).rpartition(".")[2].rstrip("s") or "name"
+        raise InvalidValueError(unknown_name(what, step, known))
+    if len(found) > 1:
+        raise InvalidValueError(f"'{step}' is the name of {len(found)} of them; needs [i] instead")
+    item = _opened(here, found[0])
+    return (found if "name" in item else [*found, next(iter(item))]), after
 
 
-def _row(job: Job, scenario: Scenario, controller: str) -> Row:
-    try:
-        entries = scenario.catalog.entries("metrics")
-        metrics = {name: entries[name].cls() for name in job.metrics}
-        timed = any(metric.timed for metric in metrics.values())
-        trace = run(scenario, controller=controller, timed=timed)
-        found = assess(trace)
-        own: Row = {
-            "success": found.succeeds,
-            "blocked_by": ", ".join(found.blocked_by),
-            "broken": ", ".join(found.broken),
-        }
-        values, faults = measured(metrics, trace)
-        for name, value in values.items():
-            own |= _flat(name, value)
-    except InternalError as error:
-        return _without(FAILED, str(error))
-    except CoopqpError as error:
-        return _without(INVALID, str(error))
-    return {"state": DONE, "reason": "; ".join(faults), **own}
+def _check_slot(item: Any, after: str, path: str) -> None:
+    """Refuse keys of a plug-in that its type does not stand before."""
+    name = _STEP.match(after)
+    if name and isinstance(item, dict) and len(item) == 1 and name[2]:
+        ((kind, fields),) = item.items()
+        if name[2] != kind and (isinstance(fields, dict) or fields is None):
+            to = _upto(path, after)
+            raise InvalidValueError(f"'{to}' is a {kind}; write {to}.{kind}{after}")
 
 
-def _without(state: str, reason: str) -> Row:
-    return {"state": state, "reason": "; ".join(reason.splitlines())}
+def _names(item: Any) -> set[str]:
+    """What something in a list is called: its own name, else its type's."""
+    if isinstance(item, str):
+        return {item}
+    if not isinstance(item, dict) or not item:
+        return set()
+    if isinstance(item.get("name"), str):  # a phase
+        return {item["name"]}
+    ((kind, fields), *_) = item.items()
+    own = fields.get("name") if isinstance(fields, dict) else None
+    return {kind, own} if isinstance(own, str) else {kind}
 
 
-def _flat(name: str, value: Any) -> Row:
-    """Numbers by name; None for what is not finite, for which JSON has no word."""
-    if isinstance(value, dict):
-        parts = (_flat(f"{name}.{key}", inside) for key, inside in value.items())
-        return {key: inside for part in parts for key, inside in part.items()}
-    if isinstance(value, list | tuple):
-        return {name: json.dumps(value)}
-    if isinstance(value, float) and not math.isfinite(value):
-        return {name: None}
-    return {name: value}
+def put(data: Any, location: tuple[Any, ...], value: Any) -> Any:
+    """The data with another value at a location; what is not on the way there is shared."""
+    if not location:
+        return value
+    key, rest = location[0], location[1:]
+    if isinstance(data, list):
+        return [*data[:key], put(data[key], rest, value), *data[key + 1 :]]
+    inside = data.get(key) if rest else None
+    return {**data, key: put({} if inside is None else inside, rest, value)}

@@ -60,13 +60,10 @@ def wilson(count: int, of: int) -> Share:
 
 @dataclass(frozen=True)
 class Difference:
-    """A controller's value less that of the reference.
+    """A controller's value, share or median, less that of the reference, of so many variants.
 
-    Attributes:
-        value: share, or median.
-        low, high: 95 % interval; infinite where there are too few variants for one.
-        p: of an exact two-sided test that there is none.
-        of: variants that count.
+    The 95 % interval is infinite where there are too few for one; p is that of an exact two-sided
+    test that there is no difference.
     """
 
     value: float
@@ -96,18 +93,13 @@ def success(one: NDArray[np.bool_], reference: NDArray[np.bool_]) -> Success:
     """Compare whether two controllers succeed, for each variant, shapes (n,)."""
     counts = (one & reference, one & ~reference, reference & ~one, ~one & ~reference)
     both, b, c, neither = (int(x.sum()) for x in counts)
-    return Success(both, b, c, neither, _of_shares(b, c, len(one)))
-
-
-def _of_shares(b: int, c: int, n: int) -> Difference:
-    if not n:
-        return Difference(math.nan, -1.0, 1.0, 1.0, 0)
+    n = len(one)
     first, second = (b + 1) / (n + 2), (c + 1) / (n + 2)
     middle = first - second
     half = Z * math.sqrt((first + second - middle**2) / (n + 2))
-    return Difference(
-        (b - c) / n, max(-1.0, middle - half), min(1.0, middle + half), heads(b, c), n
-    )
+    low, high = max(-1.0, middle - half), min(1.0, middle + half)
+    difference = Difference((b - c) / n if n else math.nan, low, high, heads(b, c), n)
+    return Success(both, b, c, neither, difference)
 
 
 def median(one: Array, reference: Array) -> Difference:
@@ -147,12 +139,10 @@ class Line:
     """One controller on all variants.
 
     Attributes:
-        states: how many rows are done, invalid and failed.
-        success, reached: of those that are done.
+        states: how many rows are done, invalid and failed; the others are of those that are done.
         errors: median and 95 % quantile of each task's error, by name.
         margin: the same of the least distance to a joint's limit, 5 % instead of 95.
-        blocked_by: how often each limit kept it from a goal.
-        broken: how often each limit was broken.
+        blocked_by, broken: how often each limit kept it from a goal, and was broken.
     """
 
     controller: str
@@ -167,13 +157,10 @@ class Line:
 
 @dataclass(frozen=True)
 class Pair:
-    """A controller against the reference, on the variants on which both are done.
+    """A controller against the study's first, the reference, on variants on which both are done.
 
-    Attributes:
-        controller, reference: their names; the reference is the first of the study.
-        success: how often they succeed.
-        numbers: median differences of each task's error, and of the least distance to a joint's
-            limit, by name of the column.
+    ``numbers`` are median differences of each task's error, and of the least distance to a joint's
+    limit, by name of the column.
     """
 
     controller: str
@@ -184,13 +171,10 @@ class Pair:
 
 @dataclass(frozen=True)
 class Summary:
-    """A study in few numbers.
+    """A study in few numbers, exact where nothing was drawn, so that there is nothing to estimate.
 
-    Attributes:
-        exact: whether nothing was drawn, so that there is nothing to estimate.
-        pairs: one for each controller but the reference.
-        reasons: how often each was given by rows that are not done, the most frequent first; those
-            that only differ in numbers together.
+    ``pairs`` has one for each controller but the reference, ``reasons`` how often each was given by
+    rows that are not done, the most frequent first; those that only differ in numbers together.
     """
 
     rows: int
@@ -205,31 +189,29 @@ def summarize(columns: Columns, *, exact: bool) -> Summary:
     of, controllers = columns.codes("controller")
     state, states = columns.codes("state")
     done = np.array([name == DONE for name in states] + [False])[state]
-    errors = [name for name in columns.kinds if name.startswith(ERROR)]
-    success, reached = (columns.numbers(name) for name in ("success", "reached"))
-    values = {name: columns.numbers(name) for name in errors}
-    margins = columns.numbers(MARGIN)
-    named = {name: columns.codes(name) for name in ("blocked_by", "broken")}
+    success, reached, margins = map(columns.numbers, ("success", "reached", MARGIN))
+    errors = {name: columns.numbers(name) for name in columns.kinds if name.startswith(ERROR)}
+    blocked_by, broken = map(columns.codes, ("blocked_by", "broken"))
     lines = []
     for k, controller in enumerate(controllers):
         own = of == k
         there = own & done
-        counts = np.bincount(state[own], minlength=len(states))
+        counts = np.bincount(state[own], minlength=len(states)).tolist()
         lines.append(
             Line(
                 controller,
-                dict(zip(states, map(int, counts), strict=True)),
-                _share(success[there]),
-                _share(reached[there]),
-                {name: _quantiles(values[name][there], 0.95) for name in errors},
-                _quantiles(margins[there], 0.05),
-                *(_counted(codes[there], texts) for codes, texts in named.values()),
+                states=dict(zip(states, counts, strict=True)),
+                success=_share(success[there]),
+                reached=_share(reached[there]),
+                errors={name: _quantiles(x[there], 0.95) for name, x in errors.items()},
+                margin=_quantiles(margins[there], 0.05),
+                blocked_by=_counted(there, *blocked_by),
+                broken=_counted(there, *broken),
             )
         )
     # A row of a run that is done and has no finite error ends infinitely far from its goal.
-    far = {name: np.where(done & np.isnan(x), np.inf, x) for name, x in values.items()}
-    measured = {**far, MARGIN: margins}
-    pairs = _pairs(controllers, of, done, success > 0.0, measured)
+    far = {name: np.where(done & np.isnan(x), np.inf, x) for name, x in errors.items()}
+    pairs = _pairs(controllers, of, done, success > 0.0, {**far, MARGIN: margins})
     return Summary(len(columns), exact, tuple(lines), tuple(pairs), _reasons(columns, ~done))
 
 
@@ -259,27 +241,30 @@ def _share(true: NDArray[np.float64]) -> Share:
 def _quantiles(values: NDArray[np.float64], outer: float) -> tuple[float, float]:
     known = values[np.isfinite(values)]
     if not len(known):
-        return float("nan"), float("nan")
-    middle, far = np.quantile(known, [0.5, outer])
-    return float(middle), float(far)
+        return math.nan, math.nan
+    middle, far = np.quantile(known, [0.5, outer]).tolist()
+    return middle, far
 
 
-def _counted(codes: NDArray[np.int64], texts: list[str]) -> dict[str, int]:
+def _texts(rows: Rows, codes: NDArray[np.int64], texts: list[str]) -> Iterator[tuple[str, int]]:
+    """How often each text is there."""
+    counts = np.bincount(codes[rows & (codes >= 0)], minlength=len(texts))
+    return zip(texts, counts.tolist(), strict=True)
+
+
+def _counted(rows: Rows, codes: NDArray[np.int64], texts: list[str]) -> dict[str, int]:
     """How often each of the names is in the texts, the most frequent first."""
     found: Counter[str] = Counter()
-    counts = np.bincount(codes[codes >= 0], minlength=len(texts))
-    for text, count in zip(texts, counts, strict=True):
+    for text, count in _texts(rows, codes, texts):
         for name in filter(None, text.split(", ")):
-            found[name] += int(count)
+            found[name] += count
     return {name: count for name, count in found.most_common() if count}
 
 
 def _reasons(columns: Columns, rows: Rows) -> dict[str, int]:
     """Reasons that only differ in numbers are one, with the numbers of the most frequent."""
-    codes, texts = columns.codes("reason")
-    counts = np.bincount(codes[rows & (codes >= 0)], minlength=len(texts))
     alike: dict[str, Counter[str]] = {}
-    for text, count in zip(texts, counts.tolist(), strict=True):
+    for text, count in _texts(rows, *columns.codes("reason")):
         if text and count:
             alike.setdefault(_NUMBER.sub("#", text), Counter())[text] += count
     found: Counter[str] = Counter()
