@@ -63,7 +63,7 @@ class Budget:
     """Of a branch [rad, m]."""
     most: Annotated[int, Field(ge=1)] = 20000
     """Projections after which trees begin anew, of other random numbers."""
-    shortcuts: Annotated[int, Field(ge=0)] = 150
+    shortcuts: Annotated[int, Field(ge=0)] = 160
     """Tries to make a path shorter."""
 
 
