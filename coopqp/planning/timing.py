@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
+from coopqp.model.closed_chain import ClosedChain
 from coopqp.planning.closed_path import ClosedPath, Loops, closed_path
 from coopqp.planning.path_constraints import RowMaker, joint_bounds, motion_bounds
 from coopqp.planning.time_along import POINTS, TimedPath, fastest
@@ -21,18 +25,48 @@ TO_SPEED = 0.3
 UNLIMITED = 1.0
 #: Share of the limits that the timing uses: the rest is for what the law corrects.
 SHARE = 0.8
+#: Ticks between two looks at the clock.
+PART = 1000
 #: Ways over which corners are rounded [rad, m], and how often all becomes slower.
 ROUNDED, SLOWER = (0.05, 0.02, 0.01, 0.005), 3
 
 
+class OutOfTimeError(InvalidValueError):
+    """A path cannot be timed in the time that there is."""
+
+
+class Clock:
+    """Says whether there is time left, of so many seconds from now on."""
+
+    def __init__(self, seconds: float) -> None:
+        self._seconds, self._begun = seconds, time.perf_counter()
+        self.lasts = 0.0  # the way, as far as is known [s]
+
+    def check(self) -> None:
+        """Raise an OutOfTimeError where there is none."""
+        if time.perf_counter() - self._begun > self._seconds:
+            lasts = f", as it lasts {self.lasts:.3g} s" if self.lasts else ""
+            raise OutOfTimeError(
+                f"its ticks were not timed within {self._seconds:.2g} s{lasts}; "
+                "allow more seconds, or let joints go faster"
+            )
+
+    def parts(self, rows: NDArray[Any]) -> Iterator[NDArray[Any]]:
+        """The rows in parts of ``PART``, with a check before each; at least one."""
+        for k in range(0, max(len(rows), 1), PART):
+            self.check()
+            yield rows[k : k + PART]
+
+
 def timed(
-    problem: ControlProblem, q: Array, allowed: Callable[[Array], Array | None]
+    problem: ControlProblem, q: Array, allowed: Callable[[Array], Array | None], clock: Clock
 ) -> tuple[Array, Array]:
     """Times [s] and configurations at each tick of a path q (K, n), shapes (T,) and (T, n).
 
     Corners are rounded as far as ``allowed`` gives what is near it on the manifold and keeps the
     limits in space; where it never does, the straight lines are followed. All goes slower where
-    ticks ask for more than the limits. Errors where nothing can be followed, or ticks are too many.
+    ticks ask for more than the limits. Errors where nothing can be followed, ticks are too many, or
+    the clock has run down.
     """
     chain, dt, way = problem.chain, problem.dt, lengths(q)
     best, least = q[:1].copy(), np.inf
@@ -45,14 +79,13 @@ def timed(
             raise InvalidValueError(f"plan: the way lasts {found.duration:.3g} s, {words}")
         slower = 1.0
         for _ in range(SLOWER):
+            clock.lasts = slower * found.duration
             ticks = dt * np.arange(int(np.ceil(slower * found.duration / dt)) + 1)
-            at = np.array([found.where(t / slower)[0] for t in ticks.tolist()])
-            along = at * way[-1] / path.length
-            lines = np.array([np.interp(along, way, column) for column in q.T]).T
-            near = allowed(lines if straight else path.spline(at))
+            where = np.array([found.where(t)[0] for t in (ticks / slower).tolist()])
+            near = _near(clock.parts(where), path, q if straight else None, allowed)
             if near is None:
                 break
-            excess = max(_excess(near, push, dt), Loops(chain).opened(near) / SHARE)
+            excess = max(_excess(near, push, dt), _opened(chain, near, clock) / SHARE)
             if excess < least:
                 best, least = near, excess
             if excess <= 1.0:
@@ -79,6 +112,31 @@ def _rounded(
             continue
     if widest:
         yield widest, fastest(RowMaker(widest, bounds), POINTS), True
+
+
+def _near(
+    parts: Iterable[Array], path: ClosedPath, straight: Array | None,
+    allowed: Callable[[Array], Array | None],
+) -> Array | None:  # fmt: skip
+    """What is allowed near places along a path, or along the straight lines between rows."""
+    found = list[Array]()
+    for at in parts:
+        q = path.spline(at)
+        if straight is not None:
+            way = lengths(straight)
+            along = at * way[-1] / path.length
+            q = np.array([np.interp(along, way, column) for column in straight.T]).T
+        if (near := allowed(q)) is None:
+            return None
+        found.append(near)
+    return np.concatenate(found)
+
+
+def _opened(chain: ClosedChain, q: Array, clock: Clock) -> float:
+    """As :meth:`Loops.opened`, part by part."""
+    loops = Loops(chain)
+    starts = clock.parts(np.arange(len(q)))
+    return max(loops.opened(q[max(part[0] - 2, 0) : part[-1] + 1]) for part in starts)
 
 
 def _excess(q: Array, push: Array, dt: float) -> float:

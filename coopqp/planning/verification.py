@@ -87,7 +87,8 @@ class Verifier:
             self._placed.collisionRequests[i] = request
         self._manager = None
         if margins:
-            kind = pin.BroadPhaseManager_DynamicAABBTreeCollisionManager
+            # It asks all boxes, which for a robot's few bodies is less than keeping a tree of them.
+            kind = pin.BroadPhaseManager_NaiveCollisionManager
             self._manager = kind(chain.model, geometry, self._placed)
 
     def look(self, q: Array, every: float) -> Verification:

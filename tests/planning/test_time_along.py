@@ -30,7 +30,7 @@ from coopqp.model.state import State
 from coopqp.planning.closed_path import CLOSED
 from coopqp.planning.fastest_profile import SHARE, with_fastest_profiles
 from coopqp.planning.time_along import LIGHTER, MORE, TOLERATED, TimedPath, time_along, would_do
-from coopqp.planning.timing import timed
+from coopqp.planning.timing import Clock, timed
 from coopqp.plant import Disturbance
 from coopqp.plants import Mujoco, RigidBody
 from coopqp.robot import Arm, Robot, RobotModel
@@ -242,7 +242,7 @@ def test_plans_are_timed_within_the_objects_speed_and_accelerations() -> None:
     limits = (JointPosition(), JointVelocity(), JointAcceleration(max=4.0), ObjectSpeed(linear=0.1))
     problem = replace(scenario, limits=limits).problem()
     q = nao(0).path.spline(np.linspace(0.0, nao(0).path.length, 400))
-    _, ticks = timed(problem, q, lambda near: near)
+    _, ticks = timed(problem, q, lambda near: near, Clock(60.0))
     np.testing.assert_allclose(ticks[[0, -1]], q[[0, -1]], atol=1e-9)
     places = np.array([scenario.chain.object_pose(row).translation for row in ticks])
     speeds = np.abs(np.diff(places, axis=0)) / problem.dt
