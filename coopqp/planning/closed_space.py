@@ -148,15 +148,12 @@ class ClosedSpace:
         ``wait`` is called ten times a second and ends the search by raising.
         """
         low, high = self._sampled()
+        sizes = ("step", "fine", "seconds", "most", "shortcuts")
         made = self._engines[0].find(
             {
-                **{
-                    name: float(getattr(budget, name))
-                    for name in ("step", "fine", "seconds", "most")
-                },
+                **{name: float(getattr(budget, name)) for name in sizes},
                 "range": budget.reach,
                 "seed": int(budget.seed) % 2**64,  # the kernel's word; any number is a seed
-                "shortcuts": float(budget.shortcuts),
                 "low": low,
                 "high": high,
                 "charts": self.charts.astype(float).ravel(),

@@ -15,9 +15,18 @@ from coopqp.base.spec import Array
 from coopqp.base.wording import counted
 from coopqp.controller import ControlProblem
 from coopqp.planning.closed_space import Budget, ClosedSpace
-from coopqp.planning.reach import MOST, PROVEN, Goals, Progress, explained, need_a_place, too_far
-from coopqp.planning.timing import Clock, OutOfTimeError, timed
-from coopqp.planning.turns import CUT_OFF, cut_off
+from coopqp.planning.reach import (
+    CUT_OFF,
+    MOST,
+    PROVEN,
+    Goals,
+    Progress,
+    cut_off,
+    explained,
+    need_a_place,
+    too_far,
+)
+from coopqp.planning.timing import Clock, timed
 from coopqp.planning.verification import Verification, Verifier, lengths
 from coopqp.scenario.planned import PHASE
 from coopqp.scenario.scenario import Scenario, needs_scenario
@@ -252,7 +261,7 @@ class Planner:
         left = max(budget.seconds - (time.perf_counter() - begun), TIMING)
         try:
             return self._timed(found, left)
-        except OutOfTimeError as error:
+        except TimeoutError as error:
             return self._nothing(f"{found.sentence}; {error}", found.seconds)
 
     def path(

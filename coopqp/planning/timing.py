@@ -1,9 +1,14 @@
-"""When a plan is where: as fast as its joints' limits allow, at the ticks of a rollout."""
+"""When a plan is where, and tasks on their way: as fast as joints' limits allow, tick by tick.
+
+The way of a task with ``kind: fastest`` is timed along where a slow run of the law has the joints
+at each share of it, by the passes of :mod:`coopqp.planning.forward_backward_pass`.
+"""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,26 +18,28 @@ from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.profile import FASTEST, Profile
 from coopqp.planning.closed_path import ClosedPath, Loops, closed_path
+from coopqp.planning.given_path import LAW, SLOW, calm_run
 from coopqp.planning.path_constraints import RowMaker, joint_bounds, motion_bounds
 from coopqp.planning.time_along import POINTS, TimedPath, fastest
 from coopqp.planning.verification import lengths
-from coopqp.scenario.scenario import MOST_KEPT
+from coopqp.scenario.scenario import MOST_KEPT, Scenario
+from coopqp.task import Task
 
 #: Where no limit bounds accelerations, the highest speed is there after so long [s].
 TO_SPEED = 0.3
 #: Speed of a joint that has no limit of it [rad/s, m/s].
 UNLIMITED = 1.0
-#: Share of the limits that the timing uses: the rest is for what the law corrects.
-SHARE = 0.8
+#: Share of the limits that plans and tasks use: the rest is for what the law corrects.
+SHARE, SHARE_OF_TASKS = 0.8, 0.99
 #: Ticks between two looks at the clock.
 PART = 1000
 #: Ways over which corners are rounded [rad, m], and how often all becomes slower.
 ROUNDED, SLOWER = (0.05, 0.02, 0.01, 0.005), 3
-
-
-class OutOfTimeError(InvalidValueError):
-    """A path cannot be timed in the time that there is."""
+#: Runs of the law, and how much slower than the fastest they are: what else moves, such as joints
+#: to their middle, is then about as far as it is in the fastest.
+LOOKS, CALM = 3, 1.25
 
 
 class Clock:
@@ -42,19 +49,15 @@ class Clock:
         self._seconds, self._begun = seconds, time.perf_counter()
         self.lasts = 0.0  # the way, as far as is known [s]
 
-    def check(self) -> None:
-        """Raise an OutOfTimeError where there is none."""
-        if time.perf_counter() - self._begun > self._seconds:
-            lasts = f", as it lasts {self.lasts:.3g} s" if self.lasts else ""
-            raise OutOfTimeError(
-                f"its ticks were not timed within {self._seconds:.2g} s{lasts}; "
-                "allow more seconds, or let joints go faster"
-            )
-
     def parts(self, rows: NDArray[Any]) -> Iterator[NDArray[Any]]:
-        """The rows in parts of ``PART``, with a check before each; at least one."""
+        """The rows in parts of ``PART``, at least one; a TimeoutError where no time is left."""
         for k in range(0, max(len(rows), 1), PART):
-            self.check()
+            if time.perf_counter() - self._begun > self._seconds:
+                lasts = f", as it lasts {self.lasts:.3g} s" if self.lasts else ""
+                raise TimeoutError(
+                    f"its ticks were not timed within {self._seconds:.2g} s{lasts}; "
+                    "allow more seconds, or let joints go faster"
+                )
             yield rows[k : k + PART]
 
 
@@ -150,3 +153,57 @@ def joint_limits(problem: ControlProblem) -> tuple[Array, Array]:
     speed, push = joint_bounds(problem)
     speed = np.where(np.isfinite(speed) & (speed > 0.0), speed, UNLIMITED)
     return speed, np.where(np.isfinite(push), push, speed / TO_SPEED)
+
+
+def with_fastest_profiles(scenario: Scenario) -> Scenario:
+    """The scenario with ``kind: fastest`` as tables; all tasks that have it go alike.
+
+    Raises:
+        InvalidValueError: in phases, without limits of speed, where the law does not move, or where
+            the scenario ends before.
+    """
+    if not any(_is_fastest(task) for phase in scenario.schedule for task in phase.tasks):
+        return scenario
+    if scenario.phases:
+        words = "fastest is of a motion from the start, and this scenario has phases"
+        raise InvalidValueError(f"{words}; use another kind there")
+    laws = [name for name, law in scenario.controllers.items() if not law.commands_torques]
+    law = next(iter(laws), LAW)
+    way = Profile(duration=SLOW)
+    for _ in range(LOOKS):
+        found = _along(scenario, law, way)
+        way = replace(found, duration=CALM * found.duration)
+    for task in filter(_is_fastest, scenario.tasks):
+        if task.way and (end := task.way.delay + found.duration) > scenario.duration:
+            raise InvalidValueError(
+                f"the fastest reference of '{task.name}' arrives at {end:.4g} s, after the end at "
+                f"{scenario.duration:g} s; make the duration longer"
+            )
+    return _with(scenario, found)
+
+
+def _along(scenario: Scenario, law: str, way: Profile) -> Profile:
+    """The fastest along where a law's run has the joints by its share of the way."""
+    trace = calm_run(scenario, _with(scenario, way, delay=0.0).tasks, way.duration, law)
+    bounds = motion_bounds(scenario, *joint_bounds(scenario), SHARE_OF_TASKS)
+    path = closed_path(scenario.chain, trace.q)
+    found = fastest(RowMaker(path, bounds), POINTS)
+    t = scenario.dt * np.arange(int(np.ceil(found.duration / scenario.dt)) + 1)
+    shares = np.array([way.at(now)[0] for now in trace.t.tolist()])
+    table = np.interp([found.where(now)[0] for now in t.tolist()], path.points, shares)
+    inside = np.minimum(np.maximum.accumulate(table[1:-1]), 1.0)  # but for rounding
+    return Profile(kind="table", duration=float(t[-1]), shares=[0.0, *inside.tolist(), 1.0])
+
+
+def _with(scenario: Scenario, way: Profile, **keys: Any) -> Scenario:
+    """The scenario with another profile where it is the fastest; delays stay."""
+    tasks = []
+    for task in scenario.tasks:
+        keys_of = {"delay": task.way.delay, **keys} if task.way else {}
+        moved: dict[str, Any] = {"profile": replace(way, **keys_of)} if _is_fastest(task) else {}
+        tasks.append(replace(task, **moved))
+    return replace(scenario, tasks=tuple(tasks))
+
+
+def _is_fastest(task: Task) -> bool:
+    return task.way is not None and task.way.kind == FASTEST

@@ -28,9 +28,8 @@ from coopqp.model.held_object import HeldObject
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.planning.closed_path import CLOSED
-from coopqp.planning.fastest_profile import SHARE, with_fastest_profiles
 from coopqp.planning.time_along import LIGHTER, MORE, TOLERATED, TimedPath, time_along, would_do
-from coopqp.planning.timing import Clock, timed
+from coopqp.planning.timing import SHARE_OF_TASKS, Clock, timed, with_fastest_profiles
 from coopqp.plant import Disturbance
 from coopqp.plants import Mujoco, RigidBody
 from coopqp.robot import Arm, Robot, RobotModel
@@ -527,12 +526,12 @@ def test_the_fastest_profile_takes_the_time_of_closed_forms() -> None:
         made.problem()
     found = with_fastest_profiles(made)
     assert found.tasks[0].way
-    v, a = SHARE * SPEED, SHARE * PUSH
+    v, a = SHARE_OF_TASKS * SPEED, SHARE_OF_TASKS * PUSH
     assert found.tasks[0].way.duration == pytest.approx(1.2 / v + v / a, abs=made.dt)
     trace = run(found, controller="qp", timed=False)
     arrived = round(found.tasks[0].end / made.dt)
     assert np.abs(trace.q[arrived] - 1.2).max() < 1e-3
-    assert SHARE * SPEED - 1e-6 < np.abs(trace.v).max() <= SPEED * (1.0 + 1e-9)
+    assert SHARE_OF_TASKS * SPEED - 1e-6 < np.abs(trace.v).max() <= SPEED * (1.0 + 1e-9)
     with pytest.raises(InvalidValueError, match=r"arrives at 2\.\d+ s, after the end at 2 s"):
         with_fastest_profiles(replace(made, duration=2.0))
 
