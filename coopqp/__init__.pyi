@@ -49,13 +49,13 @@ from .online.joint_check import JointCheck as JointCheck
 from .online.joint_check import check_joints as check_joints
 from .online.loop import OnlineLoop as OnlineLoop
 from .online.real_time import real_time as real_time
-from .planning.fastest_profile import with_fastest_profiles as with_fastest_profiles
 from .planning.plan import Plan as Plan
 from .planning.plan import plan as plan
 from .planning.reach import Reach as Reach
 from .planning.reach import reach as reach
 from .planning.time_along import TimedPath as TimedPath
 from .planning.time_along import time_along as time_along
+from .planning.timing import with_fastest_profiles as with_fastest_profiles
 from .plant import Disturbance as Disturbance
 from .plant import Plant as Plant
 from .plant import PlantModel as PlantModel

@@ -182,10 +182,9 @@ def section(p_1: Array, p_2: Array) -> Section:
             f"two hands are {1e3 * length:.2g} mm apart: there is no direction between them"
         )
     axes, middle = across(way / length), np.asarray(p_1 + 0.5 * way, float)
-    turned = np.kron(np.eye(2), axes)
-    at_middle = grasp_matrix([p_1, p_2], middle)
-    rows = np.asarray(0.5 * turned @ np.hstack([at_middle[:, :6], -at_middle[:, 6:]]), float)
-    return Section(middle, axes, rows)
+    rows = 0.5 * grasp_matrix([p_1, p_2], middle)
+    rows[:, 6:] *= -1.0
+    return Section(middle, axes, (axes @ rows.reshape(2, 3, 12)).reshape(6, 12))
 
 
 def across(e: Array) -> Array:
@@ -194,7 +193,7 @@ def across(e: Array) -> Array:
     if np.linalg.norm(up) < STEEP:
         up = np.array([1.0, 0.0, 0.0]) - e[0] * e
     up /= np.linalg.norm(up)
-    return np.array([e, up, np.cross(e, up)])
+    return np.array([e, up, pin.skew(e) @ up])
 
 
 #: The edges, by hands.

@@ -78,6 +78,7 @@ NB_MODULE(KERNEL_MODULE, m) {
     nb::class_<Planner>(m, "Planner")
         .def(nb::init<const nb::dict&>())
         .def("project", &Planner::project)
+        .def("is_free", &Planner::is_free)
         .def("find", &Planner::find, "search"_a, "others"_a.none(), "wait"_a);
     nb::class_<Slide>(m, "Slide")
         .def(nb::init<const nb::dict&>())

@@ -186,7 +186,8 @@ class Compiled:
         """
         names = "later pulls", "missed", "missing", "scaled pull", "recovery", "chatter", "stopped"
         remembered = {name: memory[name] for name in names}
-        if not self.engine.bind_state({**state.written(), **remembered, "command": v}):
+        remembered |= {"memory": memory.numbers, "command": v}
+        if not self.engine.bind_state({**state.written(), **remembered}):
             return None
         before, self._heard = self._heard, []
         for _, at in self._levels.arriving:

@@ -81,9 +81,9 @@ class Engine {
         gap_ = of("gap");
         felt_ = of("felt");
         b.v = of("command");
-        std::size_t size = 0;
-        each_of_memory([&size](const double*, std::size_t n) { size += n; });
-        memory_.resize(size);
+        const auto memory = nb::cast<Written>(d["memory"]);
+        memory_ = memory.data();
+        kept_.resize(memory.size());
         state_ = d;
         return true;
     }
@@ -344,39 +344,13 @@ class Engine {
         return how & STANDS ? 0.0 : kernel_->scale();
     }
 
-    // The law's memory, which a tick reads and writes.
-    template <class Each>
-    void each_of_memory(const Each& each) const {
-        const auto& bound = kernel_->bound;
-        const auto& first = kernel_->levels[0];
-        each(bound.later_pulls, kernel_->levels.size() - 1);
-        each(bound.missed, std::size_t(first.hard));
-        each(bound.missing, std::size_t(first.shares));
-        each(bound.scaled_pull, std::size_t(first.shares > 0));
-        each(bound.recovery, std::size_t(1));
-        each(bound.chatter, 1 + kernel_->model().joints.size());
-    }
-    void keep_memory() {
-        double* kept = memory_.data();
-        each_of_memory([&kept](const double* from, std::size_t n) {
-            for (std::size_t k = 0; k < n; k++) *kept++ = from[k];
-        });
-    }
-    void restore_memory() const {
-        const double* kept = memory_.data();
-        each_of_memory([&kept](double* at, std::size_t n) {
-            std::copy_n(kept, n, at);
-            kept += n;
-        });
-    }
-
     // Decide what was evaluated. Where that took twice the digits it is asked whether joints that
     // differ in their last digits have another answer, which then is doubtful.
     coopqp::Status solve(double t, bool all_corrected) {
         auto& bound = kernel_->bound;
         const int refined = kernel_->refined();
         doubtful_ = false;
-        keep_memory();
+        std::copy_n(memory_, kept_.size(), kept_.data());
         const coopqp::Status status = kernel_->solve(all_corrected);
         if (!is_answer(status) || kernel_->refined() == refined) return status;
         const double* q = bound.q;
@@ -386,13 +360,13 @@ class Engine {
             beside_.assign(q, q + n);
             for (std::size_t j = 0; j < n; j++) beside_[j] *= 1.0 + (j % 2 ? by : -by);
             bound.q = beside_.data();
-            restore_memory();
+            std::copy_n(kept_.data(), kept_.size(), memory_);
             doubtful_ |= evaluate(t) != 0 || !is_answer(kernel_->solve(all_corrected));
             for (std::size_t j = 0; j < n; j++)
                 doubtful_ |= !(std::fabs(bound.v[j] - answer_[j]) <= kernel_->settings().budget.accuracy);
         }
         bound.q = q;
-        restore_memory();
+        std::copy_n(kept_.data(), kept_.size(), memory_);
         evaluate(t);
         return kernel_->solve(all_corrected);
     }
@@ -539,7 +513,7 @@ class Engine {
     static constexpr double NEIGHBOUR = 4.4e-16;  // of joints, as a share of themselves
 
     std::unique_ptr<coopqp::Kernel> kernel_;
-    std::vector<double> memory_, answer_, beside_;
+    std::vector<double> kept_, answer_, beside_;
     bool doubtful_ = false;  // whether neighbours have another answer
     std::optional<coopqp::ResolvedRate> resolved_rate_;
     coopqp::Program program_;
@@ -556,6 +530,7 @@ class Engine {
     nb::dict references_;
     double *q_now_ = nullptr, *v_now_ = nullptr, *commanded_ = nullptr;
     double *stopped_ = nullptr, *J_ext_ = nullptr;
+    double* memory_ = nullptr;  // all that the law remembers; kept_: before the tick
     std::optional<BoundState> owner_;
 };
 

@@ -7,6 +7,16 @@
 
 namespace KERNEL_MODULE {
 
+// For each configuration, (N, n), whether all pairs keep their distance; without the GIL.
+inline void told_free(const coopqp::Model& model, const std::vector<coopqp::KeptApart>& kept,
+                      const Numbers& q, const Said& free) {
+    const std::size_t n = model.joints.size();
+    if (q.size() != n * free.size()) throw nb::value_error("a number for each joint");
+    const nb::gil_scoped_release released;
+    coopqp::FreeSpace space(model, kept);
+    for (std::size_t i = 0; i < free.size(); i++) free.data()[i] = space.free(q.data() + i * n);
+}
+
 class FreeSpace {
   public:
     explicit FreeSpace(const nb::dict& d) : model_(model_of(nb::cast<nb::dict>(d["model"]), arena_)) {
@@ -14,15 +24,8 @@ class FreeSpace {
             kept_.push_back(kept_apart_of(nb::cast<nb::dict>(kept)));
     }
 
-    // For each configuration, (N, n), whether all pairs keep their distance; without the GIL.
-    void is_free(const Numbers& q, const Said& free) const {
-        const std::size_t n = model_->joints.size();
-        if (q.size() != n * free.size()) throw nb::value_error("a number for each joint");
-        const nb::gil_scoped_release released;
-        coopqp::FreeSpace space(*model_, kept_);
-        for (std::size_t i = 0; i < free.size(); i++)
-            free.data()[i] = space.free(q.data() + i * n);
-    }
+    // For each configuration, (N, n), whether all pairs keep their distance.
+    void is_free(const Numbers& q, const Said& free) const { told_free(*model_, kept_, q, free); }
 
     // Of each pair: what was told, d, gap, p and n of coopqp::Closest, (pairs, 9); without the GIL.
     void measure(const Numbers& q, const Written& found) const {

@@ -89,13 +89,13 @@ class KernelLaw(Law):
         self.whole = Compiled(problem, order.programs, whole, *self._settings)
         self.rows_in_python = self.whole.rows_in_python
         self._engine_step = self.whole.engine.step
-        follows = self.whole.follows or limits.q_measured is not None
-        self._runs = self.whole.alone and force_control is None and not follows
+        self._steps = self.whole.alone and force_control is None and limits.q_measured is None
+        self._runs = self._steps and not self.whole.follows
         self._relaxes = problem.on_infeasible == "scale"
         self._stops = problem.on_infeasible == "stop"
         self._dt = problem.dt
         self._exact = bool(order.hard or order.scaled)
-        self._takes_turns = self._exact or self.whole.engine.unlocks()
+        self._takes_turns = self._exact or self.whole.follows or self.whole.engine.unlocks()
         self._asked = False  # whether the kernel has been asked in this tick
         self._raised: BaseException | None = None  # by code of plug-ins meanwhile
 
@@ -175,13 +175,13 @@ class KernelLaw(Law):
 
     def step(self, state: State) -> Command:
         """A tick and state.advance in one; by the kernel alone where possible."""
-        if not self._runs:
+        if not self._steps:
             return super().step(state)
         command, scale = self.command, 1.0
         # To take turns is 5 % of a tick; where the engine keeps the GIL it steps this or nothing.
         if self._takes_turns:
             with self._turn:
-                outcome = self._engine_step(state)
+                outcome = self._engine_step(state) if self._runs else self._follow_and_step(state)
                 if self._exact:
                     scale = self.whole.engine.scale()
         else:
@@ -195,6 +195,16 @@ class KernelLaw(Law):
         command.scale, command.drift = scale, 1.0
         command.causes, command.told = ALL_WELL[outcome], ()
         return self.with_why(state, command) if outcome else command
+
+    def _follow_and_step(self, state: State) -> int:
+        """BUSY where a signal raises, which :meth:`tick` then says."""
+        try:
+            self.whole.follow(state)
+        except KeyboardInterrupt:
+            raise
+        except BaseException:  # noqa: BLE001 - code of plug-ins may raise anything
+            return BUSY
+        return int(self._engine_step(state))
 
     def run_starts(
         self, starts: Array, q: Array, v: Array, said: NDArray[np.uint8]

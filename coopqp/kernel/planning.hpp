@@ -4,6 +4,7 @@
 
 #include "core/apart.hpp"
 #include "core/way.hpp"
+#include "free_space.hpp"
 #include "reading.hpp"
 
 namespace KERNEL_MODULE {
@@ -14,8 +15,8 @@ class Room final : public coopqp::Obstruction {
     Room(const coopqp::Model& model, const std::vector<coopqp::KeptApart>& kept, nb::object others)
         : space_(model, kept), others_(std::move(others)), n_(std::size_t(model.n())) {}
 
-    bool free(const double* q) override {
-        if (!space_.free(q)) return false;
+    bool free(const coopqp::Kinematics& kinematics, const double* q) override {
+        if (!space_.free(kinematics)) return false;
         if (others_.is_none()) return true;
         nb::gil_scoped_acquire held;
         nb::ndarray<nb::numpy, const double> seen(q, {n_}, nb::handle());
@@ -50,6 +51,11 @@ class Planner {
         const nb::gil_scoped_release released;
         for (std::size_t i = 0; i < closed.size(); i++)
             closed.data()[i] = manifold_->project(q.data() + i * n, nullptr, steps);
+    }
+
+    // For each configuration, (N, n), whether all pairs keep their distance.
+    void is_free(const Numbers& q, const Said& free) const {
+        told_free(manifold_->model(), kept_, q, free);
     }
 
     // `others` says whether a configuration keeps the limits that Python knows; None: there are none.

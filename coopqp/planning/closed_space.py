@@ -23,7 +23,6 @@ from coopqp.base.spec import Array, NonNegative, Positive, spec
 from coopqp.controller import ControlProblem
 from coopqp.kernel import native
 from coopqp.kernel.flat import Group, Levels, flat_distances, flat_model, kept_rows
-from coopqp.kernel.free_space import FreeSpace
 from coopqp.limit import DistanceBounds
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
@@ -64,7 +63,7 @@ class Budget:
     """Of a branch [rad, m]."""
     most: Annotated[int, Field(ge=1)] = 20000
     """Projections after which trees begin anew, of other random numbers."""
-    shortcuts: Annotated[int, Field(ge=0)] = 150
+    shortcuts: Annotated[int, Field(ge=0)] = 160
     """Tries to make a path shorter."""
 
 
@@ -101,7 +100,6 @@ class ClosedSpace:
         room.upper = np.minimum(room.upper, chain.upper)
         self.lower, self.upper = np.maximum(room.lower, -LARGE), np.minimum(room.upper, LARGE)
         distances = [program for program in programs if isinstance(program, DistanceBounds)]
-        self._apart = FreeSpace(chain, distances)
         self._others = others(problem, programs)
         levels = Levels([Group((), hard=tasks)], Programs(State(chain)))
         if not levels.compiled or levels.arriving or levels.followed:
@@ -137,7 +135,9 @@ class ClosedSpace:
 
     def is_free(self, q: Array) -> NDArray[np.bool_]:
         """Whether each row of q (N, n) keeps the limits in space."""
-        free = self._apart.is_free(q)
+        told = np.zeros(len(q), np.uint8)
+        self._engines[0].is_free(np.ascontiguousarray(q, float), told)
+        free = told.view(np.bool_)
         if self._others:
             free &= np.array([self._others(row) for row in q], bool)
         return free
@@ -148,15 +148,12 @@ class ClosedSpace:
         ``wait`` is called ten times a second and ends the search by raising.
         """
         low, high = self._sampled()
+        sizes = ("step", "fine", "seconds", "most", "shortcuts")
         made = self._engines[0].find(
             {
-                **{
-                    name: float(getattr(budget, name))
-                    for name in ("step", "fine", "seconds", "most")
-                },
+                **{name: float(getattr(budget, name)) for name in sizes},
                 "range": budget.reach,
                 "seed": int(budget.seed) % 2**64,  # the kernel's word; any number is a seed
-                "shortcuts": float(budget.shortcuts),
                 "low": low,
                 "high": high,
                 "charts": self.charts.astype(float).ravel(),

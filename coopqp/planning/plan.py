@@ -15,9 +15,18 @@ from coopqp.base.spec import Array
 from coopqp.base.wording import counted
 from coopqp.controller import ControlProblem
 from coopqp.planning.closed_space import Budget, ClosedSpace
-from coopqp.planning.reach import MOST, PROVEN, Goals, Progress, explained, need_a_place, too_far
-from coopqp.planning.timing import timed
-from coopqp.planning.turns import CUT_OFF, cut_off
+from coopqp.planning.reach import (
+    CUT_OFF,
+    MOST,
+    PROVEN,
+    Goals,
+    Progress,
+    cut_off,
+    explained,
+    need_a_place,
+    too_far,
+)
+from coopqp.planning.timing import Clock, timed
 from coopqp.planning.verification import Verification, Verifier, lengths
 from coopqp.scenario.planned import PHASE
 from coopqp.scenario.scenario import Scenario, needs_scenario
@@ -38,6 +47,8 @@ MORE = 8
 OFF = 0.05
 #: How often a phase is planned anew where no way leads on from where it ended.
 AGAIN = 3
+#: How long a path may be timed where the search has left less [s].
+TIMING = 1.0
 #: How long an explanation looks for a way round [s].
 TRIED = 2.0
 #: How far a start moves when its loops are closed exactly [rad, m].
@@ -243,8 +254,15 @@ class Planner:
         self, budget: Budget, goals: ArrayLike | None = None, progress: Progress = lambda x: None
     ) -> Plan:
         """As :func:`plan`."""
+        begun = time.perf_counter()
         found = self.path(budget, goals, progress)
-        return self._timed(found) if found.found else found
+        if not found.found:
+            return found
+        left = max(budget.seconds - (time.perf_counter() - begun), TIMING)
+        try:
+            return self._timed(found, left)
+        except TimeoutError as error:
+            return self._nothing(f"{found.sentence}; {error}", found.seconds)
 
     def path(
         self, budget: Budget, goals: ArrayLike | None = None, progress: Progress = lambda x: None
@@ -263,6 +281,7 @@ class Planner:
             progress(min((time.perf_counter() - begun) / budget.seconds, 1.0))
 
         for turn in itertools.count():
+            wait()
             at = time.perf_counter()
             if (left := budget.seconds - (at - begun)) <= 0.0:
                 break
@@ -374,14 +393,18 @@ class Planner:
         )
         return replace(self._nothing(sentence, took), found=True, q=q, verification=seen)
 
-    def _timed(self, found: Plan) -> Plan:
-        t, ticks = timed(self.problem, found.q, self._allowed)
+    def _timed(self, found: Plan, seconds: float) -> Plan:
+        clock = Clock(seconds)
+        t, ticks = timed(self.problem, found.q, self._allowed, clock)
         if len(t) < 2:  # the start is a goal: a file of it is read back as others
             t, ticks = np.array([0.0, self.problem.dt]), np.repeat(ticks, 2, axis=0)
-        poses = map(self.chain.object_pose, ticks)
-        at = np.array([[*X.translation, *quaternion_of(X.rotation)] for X in poses])
+        at = np.concatenate([self._poses(rows) for rows in clock.parts(ticks)])
         lasts = f"{found.sentence}; it lasts {t[-1]:.3g} s"
         return replace(found, sentence=lasts, t=t, timed=ticks, object=at)
+
+    def _poses(self, q: Array) -> Array:
+        poses = map(self.chain.object_pose, q)
+        return np.array([[*X.translation, *quaternion_of(X.rotation)] for X in poses])
 
     def _allowed(self, q: Array) -> Array | None:
         """Rows near the path on the manifold; None where one is not, or something is in the way."""

@@ -1,4 +1,4 @@
-"""Is there a closed configuration inside all position limits at which the tasks are met.
+r"""Is there a closed configuration inside all position limits at which the tasks are met.
 
 Random configurations are brought to the manifold of closed loops and met tasks by Newton steps; the
 free ones are kept. Where there are none, the searches of ``explain`` say what stands in the way.
@@ -7,6 +7,13 @@ from an arm's base than the lengths between its joints, up to the point, togethe
 
 Configurations are grouped by which way each arm bends: the sign of the rate at which its bend, the
 joint that most changes the distance of hand and base, lengthens the arm.
+
+Between some closed configurations no motion keeps the loops closed. A rotation by w has two lifts
+to SU(2), +-U with :math:`U = \cos(|w|/2) I - i \sin(|w|/2) w\cdot \sigma / |w|`, and the product of
+such U of an arm's joints, at half their angles, is a continuous function of q. Where a loop is
+closed, the lifts of the object's attitude by arm i and by arm 0 are equal or opposite. Closed all
+the way, they stay what they are: a hand that has turned once round against another is on another
+part of the closed configurations (the plate trick; SO(3) is not simply connected).
 """
 
 from __future__ import annotations
@@ -17,6 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from coopqp.base.errors import InvalidValueError, under
 from coopqp.base.spec import Array, seeded
@@ -28,8 +36,8 @@ from coopqp.grasp import SAFETY
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.planning.closed_space import ClosedSpace
-from coopqp.planning.turns import CUT_OFF, cut_off
 from coopqp.program import Kind
+from coopqp.robot import axis_of
 from coopqp.scenario.scenario import Scenario, needs_scenario
 from coopqp.study.explanation import words
 from coopqp.study.explanation.diagnosis import BlockedByLimits, NotBlocked, diagnose
@@ -44,6 +52,13 @@ ENOUGH, LEAST = 64, 512
 ROUNDING = 1e-6
 
 PROVEN = "proven unreachable"
+#: Why no motion leads from one part to another, for sentences.
+CUT_OFF = (
+    "from the start's joint angles to such ones a hand turns once round against another, which "
+    "closed loops never let it"
+)
+
+_PAULI = np.array([[[0, 1], [1, 0]], [[0, -1j], [1j, 0]], [[1, 0], [0, -1]]])
 
 Progress = Callable[[float], None]
 """Called now and then with the share that is done; raises to end the search."""
@@ -301,3 +316,37 @@ def _length(chain: ClosedChain, frame: int, p_O: Array) -> tuple[Array, float]:
         if chain.joint_units[i] == "m":
             length += float(np.abs([chain.lower[i], chain.upper[i]]).max())
     return model.jointPlacements[first].translation.copy(), length
+
+
+def parts(chain: ClosedChain, q: Array) -> NDArray[np.int_]:
+    """Of closed configurations (N, n) the sign of each arm's lift against the first arm's.
+
+    Shape (N, arms - 1); equal rows may be connected by a motion, others never are.
+    """
+    first, *rest = (_lifted(chain, frame, q) for frame in chain.frames[: chain.holding])
+    signs = [np.sign(np.einsum("nab,nab->n", first.conj(), lift).real) for lift in rest]
+    return np.array(signs, int).reshape(len(rest), len(q)).T
+
+
+def cut_off(chain: ClosedChain, q: Array) -> NDArray[np.bool_]:
+    """Of closed configurations (N, n), to which ones no motion leads from the start."""
+    found = parts(chain, np.vstack([chain.q_start, q]))
+    return np.asarray((found[1:] != found[0]).any(axis=1))
+
+
+def _lifted(chain: ClosedChain, frame: int, q: Array) -> NDArray[np.complex128]:
+    """The lift of a frame's attitude at each row of q, shape (N, 2, 2)."""
+    model, placement = chain.model, chain.model.frames[frame].placement
+    found = np.tile(np.eye(2, dtype=complex), (len(q), 1, 1))
+    for j in model.supports[model.frames[frame].parentJoint]:
+        axis = axis_of(model.joints[j]) if j else None
+        if axis is not None:
+            fixed = _lift(pin.log3(model.jointPlacements[j].rotation)[None])
+            found = found @ fixed @ _lift(q[:, model.idx_qs[j], None] * axis[3:])
+    return np.asarray(found @ _lift(pin.log3(placement.rotation)[None]))
+
+
+def _lift(w: Array) -> NDArray[np.complex128]:
+    half = 0.5 * np.linalg.norm(w, axis=1)[:, None, None]
+    turned = np.sinc(half / np.pi) * np.einsum("nk,kab->nab", w, _PAULI)
+    return np.asarray(np.cos(half) * np.eye(2) - 0.5j * turned)

@@ -2,7 +2,7 @@
 
 Joint speeds, accelerations, torques of the scenario's masses and friction of hands that press are
 kept; the wrench between the hands is free in a box, since a closed chain has more motors than
-freedoms. Two passes over a grid (:mod:`coopqp.planning.passes`) find the profile; then all limits
+freedoms. Two passes over a grid (``forward_backward_pass.py``) find the profile; then all limits
 are divided by what was exceeded between the grid's places, and it is found again.
 
 A linear program's wrench jumps from vertex to vertex, so the torques of an instant are those of

@@ -1,38 +1,75 @@
-"""When a plan is where: as fast as its joints' limits allow, at the ticks of a rollout."""
+"""When a plan is where, and tasks on their way: as fast as joints' limits allow, tick by tick.
+
+The way of a task with ``kind: fastest`` is timed along where a slow run of the law has the joints
+at each share of it, by the passes of :mod:`coopqp.planning.forward_backward_pass`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
+from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.profile import FASTEST, Profile
 from coopqp.planning.closed_path import ClosedPath, Loops, closed_path
+from coopqp.planning.given_path import LAW, SLOW, calm_run
 from coopqp.planning.path_constraints import RowMaker, joint_bounds, motion_bounds
 from coopqp.planning.time_along import POINTS, TimedPath, fastest
 from coopqp.planning.verification import lengths
-from coopqp.scenario.scenario import MOST_KEPT
+from coopqp.scenario.scenario import MOST_KEPT, Scenario
+from coopqp.task import Task
 
 #: Where no limit bounds accelerations, the highest speed is there after so long [s].
 TO_SPEED = 0.3
 #: Speed of a joint that has no limit of it [rad/s, m/s].
 UNLIMITED = 1.0
-#: Share of the limits that the timing uses: the rest is for what the law corrects.
-SHARE = 0.8
+#: Share of the limits that plans and tasks use: the rest is for what the law corrects.
+SHARE, SHARE_OF_TASKS = 0.8, 0.99
+#: Ticks between two looks at the clock.
+PART = 1000
 #: Ways over which corners are rounded [rad, m], and how often all becomes slower.
 ROUNDED, SLOWER = (0.05, 0.02, 0.01, 0.005), 3
+#: Runs of the law, and how much slower than the fastest they are: what else moves, such as joints
+#: to their middle, is then about as far as it is in the fastest.
+LOOKS, CALM = 3, 1.25
+
+
+class Clock:
+    """Says whether there is time left, of so many seconds from now on."""
+
+    def __init__(self, seconds: float) -> None:
+        self._seconds, self._begun = seconds, time.perf_counter()
+        self.lasts = 0.0  # the way, as far as is known [s]
+
+    def parts(self, rows: NDArray[Any]) -> Iterator[NDArray[Any]]:
+        """The rows in parts of ``PART``, at least one; a TimeoutError where no time is left."""
+        for k in range(0, max(len(rows), 1), PART):
+            if time.perf_counter() - self._begun > self._seconds:
+                lasts = f", as it lasts {self.lasts:.3g} s" if self.lasts else ""
+                raise TimeoutError(
+                    f"its ticks were not timed within {self._seconds:.2g} s{lasts}; "
+                    "allow more seconds, or let joints go faster"
+                )
+            yield rows[k : k + PART]
 
 
 def timed(
-    problem: ControlProblem, q: Array, allowed: Callable[[Array], Array | None]
+    problem: ControlProblem, q: Array, allowed: Callable[[Array], Array | None], clock: Clock
 ) -> tuple[Array, Array]:
     """Times [s] and configurations at each tick of a path q (K, n), shapes (T,) and (T, n).
 
     Corners are rounded as far as ``allowed`` gives what is near it on the manifold and keeps the
     limits in space; where it never does, the straight lines are followed. All goes slower where
-    ticks ask for more than the limits. Errors where nothing can be followed, or ticks are too many.
+    ticks ask for more than the limits. Errors where nothing can be followed, ticks are too many, or
+    the clock has run down.
     """
     chain, dt, way = problem.chain, problem.dt, lengths(q)
     best, least = q[:1].copy(), np.inf
@@ -45,14 +82,13 @@ def timed(
             raise InvalidValueError(f"plan: the way lasts {found.duration:.3g} s, {words}")
         slower = 1.0
         for _ in range(SLOWER):
+            clock.lasts = slower * found.duration
             ticks = dt * np.arange(int(np.ceil(slower * found.duration / dt)) + 1)
-            at = np.array([found.where(t / slower)[0] for t in ticks.tolist()])
-            along = at * way[-1] / path.length
-            lines = np.array([np.interp(along, way, column) for column in q.T]).T
-            near = allowed(lines if straight else path.spline(at))
+            where = np.array([found.where(t)[0] for t in (ticks / slower).tolist()])
+            near = _near(clock.parts(where), path, q if straight else None, allowed)
             if near is None:
                 break
-            excess = max(_excess(near, push, dt), Loops(chain).opened(near) / SHARE)
+            excess = max(_excess(near, push, dt), _opened(chain, near, clock) / SHARE)
             if excess < least:
                 best, least = near, excess
             if excess <= 1.0:
@@ -81,6 +117,31 @@ def _rounded(
         yield widest, fastest(RowMaker(widest, bounds), POINTS), True
 
 
+def _near(
+    parts: Iterable[Array], path: ClosedPath, straight: Array | None,
+    allowed: Callable[[Array], Array | None],
+) -> Array | None:  # fmt: skip
+    """What is allowed near places along a path, or along the straight lines between rows."""
+    found = list[Array]()
+    for at in parts:
+        q = path.spline(at)
+        if straight is not None:
+            way = lengths(straight)
+            along = at * way[-1] / path.length
+            q = np.array([np.interp(along, way, column) for column in straight.T]).T
+        if (near := allowed(q)) is None:
+            return None
+        found.append(near)
+    return np.concatenate(found)
+
+
+def _opened(chain: ClosedChain, q: Array, clock: Clock) -> float:
+    """As :meth:`Loops.opened`, part by part."""
+    loops = Loops(chain)
+    starts = clock.parts(np.arange(len(q)))
+    return max(loops.opened(q[max(part[0] - 2, 0) : part[-1] + 1]) for part in starts)
+
+
 def _excess(q: Array, push: Array, dt: float) -> float:
     """Largest acceleration over its limit, from rest to rest."""
     v = np.diff(q, axis=0, prepend=q[:1], append=q[-1:]) / dt
@@ -92,3 +153,57 @@ def joint_limits(problem: ControlProblem) -> tuple[Array, Array]:
     speed, push = joint_bounds(problem)
     speed = np.where(np.isfinite(speed) & (speed > 0.0), speed, UNLIMITED)
     return speed, np.where(np.isfinite(push), push, speed / TO_SPEED)
+
+
+def with_fastest_profiles(scenario: Scenario) -> Scenario:
+    """The scenario with ``kind: fastest`` as tables; all tasks that have it go alike.
+
+    Raises:
+        InvalidValueError: in phases, without limits of speed, where the law does not move, or where
+            the scenario ends before.
+    """
+    if not any(_is_fastest(task) for phase in scenario.schedule for task in phase.tasks):
+        return scenario
+    if scenario.phases:
+        words = "fastest is of a motion from the start, and this scenario has phases"
+        raise InvalidValueError(f"{words}; use another kind there")
+    laws = [name for name, law in scenario.controllers.items() if not law.commands_torques]
+    law = next(iter(laws), LAW)
+    way = Profile(duration=SLOW)
+    for _ in range(LOOKS):
+        found = _along(scenario, law, way)
+        way = replace(found, duration=CALM * found.duration)
+    for task in filter(_is_fastest, scenario.tasks):
+        if task.way and (end := task.way.delay + found.duration) > scenario.duration:
+            raise InvalidValueError(
+                f"the fastest reference of '{task.name}' arrives at {end:.4g} s, after the end at "
+                f"{scenario.duration:g} s; make the duration longer"
+            )
+    return _with(scenario, found)
+
+
+def _along(scenario: Scenario, law: str, way: Profile) -> Profile:
+    """The fastest along where a law's run has the joints by its share of the way."""
+    trace = calm_run(scenario, _with(scenario, way, delay=0.0).tasks, way.duration, law)
+    bounds = motion_bounds(scenario, *joint_bounds(scenario), SHARE_OF_TASKS)
+    path = closed_path(scenario.chain, trace.q)
+    found = fastest(RowMaker(path, bounds), POINTS)
+    t = scenario.dt * np.arange(int(np.ceil(found.duration / scenario.dt)) + 1)
+    shares = np.array([way.at(now)[0] for now in trace.t.tolist()])
+    table = np.interp([found.where(now)[0] for now in t.tolist()], path.points, shares)
+    inside = np.minimum(np.maximum.accumulate(table[1:-1]), 1.0)  # but for rounding
+    return Profile(kind="table", duration=float(t[-1]), shares=[0.0, *inside.tolist(), 1.0])
+
+
+def _with(scenario: Scenario, way: Profile, **keys: Any) -> Scenario:
+    """The scenario with another profile where it is the fastest; delays stay."""
+    tasks = []
+    for task in scenario.tasks:
+        keys_of = {"delay": task.way.delay, **keys} if task.way else {}
+        moved: dict[str, Any] = {"profile": replace(way, **keys_of)} if _is_fastest(task) else {}
+        tasks.append(replace(task, **moved))
+    return replace(scenario, tasks=tuple(tasks))
+
+
+def _is_fastest(task: Task) -> bool:
+    return task.way is not None and task.way.kind == FASTEST

@@ -85,10 +85,9 @@ class Verifier:
             request = self._placed.collisionRequests[i]
             request.security_margin, request.num_max_contacts = margin, 1
             self._placed.collisionRequests[i] = request
-        self._manager = None
-        if margins:
-            kind = pin.BroadPhaseManager_DynamicAABBTreeCollisionManager
-            self._manager = kind(chain.model, geometry, self._placed)
+        # It asks all boxes, which for a robot's few bodies is less than keeping a tree of them.
+        kind = pin.BroadPhaseManager_NaiveCollisionManager
+        self._manager = kind(chain.model, geometry, self._placed)
 
     def look(self, q: Array, every: float) -> Verification:
         """Look at a path q, shape (K, n), each so many radians or metres."""
@@ -108,9 +107,7 @@ class Verifier:
     def free(self, q: Array) -> bool:
         """Whether the limits in space are kept at q."""
         model, data = self._chain.model, self._data
-        if self._manager is None:
-            pin.forwardKinematics(model, data, q)
-        elif pin.computeCollisions(model, data, self._manager, q, True):
+        if pin.computeCollisions(model, data, self._manager, q, True):
             return False
         return self._others is None or self._others(q)
 

@@ -140,7 +140,7 @@ def test_where_no_way_is_found_the_file_is_refused_at_its_line() -> None:
 def test_pushed_off_a_run_goes_on_where_it_has_left_the_path(name: str, speed: float) -> None:
     calm = in_one_go(name)
     lasts = calm.schedule[0].duration - 2.0
-    at, shove = 0.3 * lasts, 0.2  # where it does not shove a hand into the board
+    at, shove = 0.5 * lasts, 0.2  # where it does not shove a hand into the board
     pushed = replace(calm, plant=Shoved(start=at, duration=shove, speed=speed))
     undisturbed, trace = (coopqp.run(one, controller="qp") for one in (calm, pushed))
     assert (undisturbed.inputs["way"].rate[: int(lasts / calm.dt)] == 1.0).all()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -226,6 +227,20 @@ def test_without_time_it_says_that_this_proves_nothing(shelves: Scenario) -> Non
     assert not found.found
     assert "that proves nothing" in found.sentence
     assert not len(found.q)
+
+
+def test_the_timing_of_a_way_is_bounded_too(tmp_path: Path) -> None:
+    """At such accelerations the way lasts hundreds of seconds, of a tick each 10 ms and less."""
+    text = load("planar_pair").source
+    slow = tmp_path / "slow.yaml"
+    slow.write_text(f"{text}limits: [joint_position, {{joint_acceleration: {{max: 1.0e-6}}}}]\n")
+    begun = time.perf_counter()
+    result = typed("plan", slow, "--seconds", "1", "--out", tmp_path / "way")
+    assert time.perf_counter() - begun < 20.0
+    assert result.exit_code == 2
+    assert "its ticks were not timed within 1 s, as it lasts" in result.output
+    assert "allow more seconds, or let joints go faster" in result.output
+    assert not (tmp_path / "way").exists()
 
 
 def test_plan_and_reach_on_the_command_line(tmp_path: Path) -> None:

@@ -28,9 +28,8 @@ from coopqp.model.held_object import HeldObject
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.planning.closed_path import CLOSED
-from coopqp.planning.fastest_profile import SHARE, with_fastest_profiles
 from coopqp.planning.time_along import LIGHTER, MORE, TOLERATED, TimedPath, time_along, would_do
-from coopqp.planning.timing import timed
+from coopqp.planning.timing import SHARE_OF_TASKS, Clock, timed, with_fastest_profiles
 from coopqp.plant import Disturbance
 from coopqp.plants import Mujoco, RigidBody
 from coopqp.robot import Arm, Robot, RobotModel
@@ -242,7 +241,7 @@ def test_plans_are_timed_within_the_objects_speed_and_accelerations() -> None:
     limits = (JointPosition(), JointVelocity(), JointAcceleration(max=4.0), ObjectSpeed(linear=0.1))
     problem = replace(scenario, limits=limits).problem()
     q = nao(0).path.spline(np.linspace(0.0, nao(0).path.length, 400))
-    _, ticks = timed(problem, q, lambda near: near)
+    _, ticks = timed(problem, q, lambda near: near, Clock(60.0))
     np.testing.assert_allclose(ticks[[0, -1]], q[[0, -1]], atol=1e-9)
     places = np.array([scenario.chain.object_pose(row).translation for row in ticks])
     speeds = np.abs(np.diff(places, axis=0)) / problem.dt
@@ -527,12 +526,12 @@ def test_the_fastest_profile_takes_the_time_of_closed_forms() -> None:
         made.problem()
     found = with_fastest_profiles(made)
     assert found.tasks[0].way
-    v, a = SHARE * SPEED, SHARE * PUSH
+    v, a = SHARE_OF_TASKS * SPEED, SHARE_OF_TASKS * PUSH
     assert found.tasks[0].way.duration == pytest.approx(1.2 / v + v / a, abs=made.dt)
     trace = run(found, controller="qp", timed=False)
     arrived = round(found.tasks[0].end / made.dt)
     assert np.abs(trace.q[arrived] - 1.2).max() < 1e-3
-    assert SHARE * SPEED - 1e-6 < np.abs(trace.v).max() <= SPEED * (1.0 + 1e-9)
+    assert SHARE_OF_TASKS * SPEED - 1e-6 < np.abs(trace.v).max() <= SPEED * (1.0 + 1e-9)
     with pytest.raises(InvalidValueError, match=r"arrives at 2\.\d+ s, after the end at 2 s"):
         with_fastest_profiles(replace(made, duration=2.0))
 

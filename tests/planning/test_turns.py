@@ -15,8 +15,7 @@ from coopqp.base.spec import Array
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.planning.closed_space import Budget, ClosedSpace
 from coopqp.planning.plan import Planner, plan
-from coopqp.planning.reach import reach
-from coopqp.planning.turns import cut_off, parts
+from coopqp.planning.reach import cut_off, parts, reach
 from coopqp.scenario.loader import load
 from coopqp.tasks import PointOnPoint
 

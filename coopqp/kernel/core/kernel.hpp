@@ -482,7 +482,7 @@ class Kernel {
 
     void write() {
         for (int j = 0; j < m_->n(); j++) bound.v[j] = v_[m_->joints[std::size_t(j)].lane];
-        damping_.note_chatter(bound.v, bound.v_last, bound.chatter, m_->n());
+        damping_.note_chatter(*m_, v_, bound.chatter);
     }
 
     const double reach_ = s_.reach;  // as it was given

@@ -50,6 +50,7 @@ __attribute__((always_inline)) inline double largest(const v4& a) {
     return std::max(std::max(a[0], a[1]), std::max(a[2], a[3]));
 }
 __attribute__((always_inline)) inline v4 smaller(const v4& a, const v4& b) { return a < b ? a : b; }
+__attribute__((always_inline)) inline v4 magnitude(const v4& a) { return larger(a, -a); }
 
 __attribute__((always_inline)) inline bool any_above(const v4& a, double most) {
     return std::max(std::max(a[0], a[1]), std::max(a[2], a[3])) > most;

@@ -7,6 +7,7 @@
 #pragma once
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <memory>
 #include <vector>
 
@@ -50,17 +51,26 @@ class Manifold {
 
     int n() const { return m_->n(); }
     const Model& model() const { return *m_; }
+    // As joints were when a configuration was last brought back.
+    const Kinematics& kinematics() const { return k_; }
 
-    // Bring q back with at most `steps` Newton steps; joints that are held stay (null: none are).
-    bool project(double* q, const char* held, int steps) {
+    // Bring q back with at most `steps` Newton steps, none longer than `longest`; joints that are
+    // held stay (null: none are). After a short step that did well its Jacobian serves once more.
+    bool project(double* q, const char* held, int steps,
+                 double longest = std::numeric_limits<double>::infinity()) {
         look(q);
-        for (int i = 0; off() > CLOSED; i++) {
+        double before = 0.0, moved = SHORT;
+        for (int i = 0;; i++) {
+            const double now = off();
+            if (now <= CLOSED) return open() < OPEN && inside(q);
             if (i == steps) return false;
-            differentiate();
-            if (!step(q, held)) return false;
+            const bool anew = !(moved < SHORT && now < WELL * before);
+            if (anew) differentiate();
+            moved = step(q, held, anew);
+            if (!(moved <= longest)) return false;
+            before = now;
             look(q);
         }
-        return open() < OPEN && inside(q);
     }
 
     bool inside(const double* q) const {
@@ -74,6 +84,8 @@ class Manifold {
     static constexpr double OPEN = 1e-6;     // of any row of the loops [m, rad]
     static constexpr double LEAST = 1e-5;    // share of the largest row below which none counts
     static constexpr double FARTHEST = 0.4;  // of a joint in a Newton step [rad, m]
+    static constexpr double SHORT = 0.05;    // a step after which the Jacobian is much the same
+    static constexpr double WELL = 0.1;      // share of the rows' errors that such a step leaves
 
     void look(const double* q) {
         k_.place(q);
@@ -139,13 +151,16 @@ class Manifold {
             }
     }
 
-    // One Newton step inside the limits; false where rows leave no step that is one.
-    bool step(double* q, const char* held) {
-        for (int j = 0; j < n(); j++) still_[std::size_t(j)] = held ? held[j] : 0;
+    // One Newton step inside the limits, with the last Jacobian or anew; how far it goes, NaN where
+    // rows leave none.
+    double step(double* q, const char* held, bool anew) {
+        constexpr double NONE = std::numeric_limits<double>::quiet_NaN();
+        if (anew)
+            for (int j = 0; j < n(); j++) still_[std::size_t(j)] = held ? held[j] : 0;
         for (int turn = 0; turn < 4; turn++) {
-            const int found = orthogonalise();
-            if (!found) return false;
-            solve(found);
+            if (anew || turn) found_ = orthogonalise();
+            if (!found_) return NONE;
+            solve();
             bool again = false;
             for (int j = 0; j < n(); j++) {
                 const auto at = std::size_t(j);
@@ -159,13 +174,13 @@ class Manifold {
         }
         double most = 0.0;
         for (int j = 0; j < n(); j++) most = std::max(most, std::fabs(d_[j]));
-        if (!(most < 1e6)) return false;
+        if (!(most < 1e6)) return NONE;
         const double by = most > FARTHEST ? FARTHEST / most : 1.0;
         for (int j = 0; j < n(); j++) {
             const auto at = std::size_t(j);
             if (!still_[at]) q[j] = std::min(std::max(q[j] + by * d_[j], lower_[at]), upper_[at]);
         }
-        return true;
+        return std::sqrt(dot(d_, d_, blocks_));
     }
 
     // Gram-Schmidt by the largest row left; L of J = L Q lies in left of the rows. Number of rows.
@@ -215,9 +230,9 @@ class Manifold {
     }
 
     // d of least norm with J d = -e in the rows found.
-    void solve(int found) {
+    void solve() {
         for (int j = 0; j < blocks_ * LANES; j++) d_[j] = 0.0;
-        for (int k = 0; k < found; k++) {
+        for (int k = 0; k < found_; k++) {
             double rest = -e_[std::size_t(used_[std::size_t(k)])];
             for (int i = 0; i < k; i++) rest -= L_[std::size_t(k * rows_ + i)] * y_[std::size_t(i)];
             y_[std::size_t(k)] = rest / L_[std::size_t(k * rows_ + k)];
@@ -232,7 +247,7 @@ class Manifold {
     std::vector<Level> levels_;
     Program program_;
     double t_;
-    int blocks_, loops_ = 0, rank_ = 0, rows_ = 0;
+    int blocks_, loops_ = 0, rank_ = 0, rows_ = 0, found_ = 0;
     std::vector<int> kept_, used_;
     std::vector<double> e_, y_, left_, L_;
     std::vector<char> still_;

@@ -16,35 +16,6 @@ __attribute__((always_inline)) inline void reflect(double* x, const double* h, d
     for (int b = 0; b < B; b++) a[b] -= t[b] * u;
 }
 
-// The same for P vectors of B blocks side by side in registers, one after the other in memory.
-template <int B, int P>
-struct Beside {
-    v4 x[P][B];
-
-    // Unit vectors, each along a lane.
-    void units(const int* along) {
-        const v4i index = {0, 1, 2, 3};
-        for (int p = 0; p < P; p++)
-            for (int b = 0; b < B; b++)
-                x[p][b] = index == v4i{} + (along[p] - b * LANES) ? v4{} + 1.0 : v4{};
-    }
-    void store(double* to) const {
-        for (int p = 0; p < P; p++)
-            for (int b = 0; b < B; b++) lanes(to)[p * B + b] = x[p][b];
-    }
-    void reflect(const double* h, double beta) {
-        const v4* t = lanes(h);
-        double u[P];
-        for (int p = 0; p < P; p++) {
-            v4 s = t[0] * x[p][0];
-            for (int b = 1; b < B; b++) s += t[b] * x[p][b];
-            u[p] = beta * sum(s);
-        }
-        for (int p = 0; p < P; p++)
-            for (int b = 0; b < B; b++) x[p][b] -= t[b] * u[p];
-    }
-};
-
 // The reflection of a row's lanes from `first` on onto lane `first`; returns what lane `first`
 // becomes, and 0 where less than `least` is there. Lanes are set by whole vectors: a number that is
 // written alone makes whoever reads its vector wait. Inlined, so that loops over B blocks unroll.
@@ -96,6 +67,9 @@ class Reflections {
         most_ = most;
         lane_ = std::move(coordinates);
         h_ = arena.take(std::size_t(most) * WIDTH);
+        C_ = arena.take(std::size_t(most) * WIDTH);
+        units_ = arena.take(lane_.size() * WIDTH);
+        for (std::size_t k = 0; k < lane_.size(); k++) units_[k * WIDTH + std::size_t(lane_[k])] = 1.0;
         L_.assign(std::size_t(most) * std::size_t(most), 0.0);
         beta_.assign(std::size_t(most), 0.0);
         inverse_.assign(std::size_t(most), 0.0);
@@ -115,8 +89,9 @@ class Reflections {
                 continue;
             }
             if (s < most_) {
-                double* L = &L_[std::size_t(s * most_)];
-                for (int k = 0; k < rank_; k++) L[k] = row[lane(k)];
+                double* L = L_.data() + s * most_;
+                const int* lane = lane_.data();
+                for (int k = 0; k < rank_; k++) L[k] = row[lane[k]];
                 L[rank_] = onto;
             }
             beta_[std::size_t(rank_)] = beta;
@@ -127,24 +102,42 @@ class Reflections {
         return true;
     }
 
-    // Q' itself, a row for each coordinate: first those that the factored rows see.
+    // Q' itself, a row for each coordinate: first those that the factored rows see. All reflections
+    // h_s at once, Q = I - H C' with C M' = H and M = triu(H'H), diagonal 1 / beta_s: the compact form
+    // of Schreiber and Van Loan 1989, T = M^-1 after Puglisi 1992.
     void basis(double* Q) const {
-        constexpr int P = B > 8 ? 1 : B > 4 ? 2 : B > 2 ? 3 : 4;
+        const double* beta = beta_.data();
+        for (int s = rank_; s-- > 0;) {
+            const v4* h = lanes(h_ + s * WIDTH);
+            v4 c[B];
+            for (int b = 0; b < B; b++) c[b] = h[b];
+            for (int t = s + 1; t < rank_; t++) {
+                const double by = dot<B>(h_ + s * WIDTH, h_ + t * WIDTH);
+                for (int b = 0; b < B; b++) c[b] -= lanes(C_ + t * WIDTH)[b] * by;
+            }
+            for (int b = 0; b < B; b++) lanes(C_ + s * WIDTH)[b] = c[b] * beta[s];
+        }
         const int count = int(lane_.size());
-        int k = 0;
-        for (; k + P <= count; k += P) turn<P>(k, Q);
-        for (; k < count; k++) turn<1>(k, Q);
+        for (int k = 0; k < count; k++) {
+            const double* of_lane = C_ + lane_[std::size_t(k)];
+            v4 row[B];
+            for (int b = 0; b < B; b++) row[b] = lanes(units_ + k * WIDTH)[b];
+            for (int at = 0, end = std::min(rank_, k + 1) * WIDTH; at < end; at += WIDTH)
+                for (int b = 0; b < B; b++) row[b] -= lanes(h_ + at)[b] * of_lane[at];
+            for (int b = 0; b < B; b++) lanes(Q + k * WIDTH)[b] = row[b];
+        }
     }
 
     // Turn the first rows of Q', those that the factored rows see, into L^-T Q': the motions that
     // change one row alone, each. For independent rows.
     void part(double* Q) const {
         for (int k = rank_; k-- > 0;) {
+            const double* by = L_.data() + k * most_ + k;
             v4 row[B];
             for (int b = 0; b < B; b++) row[b] = lanes(Q + k * WIDTH)[b];
-            for (int j = k + 1; j < rank_; j++) {
-                const double by = L_[std::size_t(j * most_ + k)];
-                for (int b = 0; b < B; b++) row[b] -= lanes(Q + j * WIDTH)[b] * by;
+            for (const double* other = Q + (k + 1) * WIDTH; other < Q + rank_ * WIDTH; other += WIDTH) {
+                by += most_;
+                for (int b = 0; b < B; b++) row[b] -= lanes(other)[b] * *by;
             }
             for (int b = 0; b < B; b++) lanes(Q + k * WIDTH)[b] = row[b] * inverse_[std::size_t(k)];
         }
@@ -167,17 +160,7 @@ class Reflections {
   private:
     int lane(int coordinate) const { return lane_[std::size_t(coordinate)]; }
 
-    // P rows of Q' from row k on; reflections that come later do not touch these unit vectors.
-    template <int P>
-    void turn(int k, double* Q) const {
-        Beside<B, P> several;
-        several.units(&lane_[std::size_t(k)]);
-        for (int s = std::min(rank_, k + P); s-- > 0;)
-            several.reflect(h_ + s * WIDTH, beta_[std::size_t(s)]);
-        several.store(Q + k * WIDTH);
-    }
-
-    double* h_ = nullptr;
+    double *h_ = nullptr, *C_ = nullptr, *units_ = nullptr;
     std::vector<double> beta_, inverse_, L_;
     std::vector<int> lane_;
     int most_ = 0, rank_ = 0;

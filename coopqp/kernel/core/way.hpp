@@ -23,7 +23,8 @@ using Points = std::vector<double>;  // configurations one after the other
 class Obstruction {
   public:
     virtual ~Obstruction() = default;
-    virtual bool free(const double* q) = 0;
+    // kinematics: at q.
+    virtual bool free(const Kinematics& kinematics, const double* q) = 0;
 };
 
 struct Search {
@@ -63,8 +64,6 @@ class Way {
         if (!straight(trees)) grow(trees);
         found_.nodes = long(trees[0].parent.size() + trees[1].parent.size());
         if (!found_.found) return found_;
-        found_.first = length(found_.path);
-        shorten_coarsely(found_.path);
         smooth(found_.path);
         return found_;
     }
@@ -72,11 +71,13 @@ class Way {
   private:
     using Clock = std::chrono::steady_clock;
     static constexpr int NEWTON = 6;         // steps of a projection along an edge
+    static constexpr double FAR = 1e9;       // no bound of a step
     static constexpr double STRETCH = 2.0;   // of a step, how much longer it may become
     static constexpr double SAME = 1e-6;     // configurations that are one [rad, m]
     static constexpr double NEARLY = 0.999;  // of a part's length, above which it is straight
     static constexpr double WHOLE = 0.5, JOINTS = 0.2;  // shares of shortcuts, of joints in others
     static constexpr double COARSE = 4.0;    // of `fine`, how far apart points are while it is shortened
+    static constexpr int ROUNDS = 5;         // of shortcuts
     static constexpr int PASSES = 10;        // of smoothing
     static constexpr double RELAXED = 1.2;   // of a step to the middle
     static constexpr double ROUND = 0.5;     // share of samples round a start and a goal
@@ -119,13 +120,14 @@ class Way {
         return sum;
     }
 
+    // Whether q, which was just brought back, is.
     bool free(const double* q) {
         found_.checks++;
-        return o_.free(q);
+        return o_.free(m_.kinematics(), q);
     }
-    bool project(double* q, const char* held) {
+    bool project(double* q, const char* held, double longest = FAR) {
         found_.projections++;
-        return m_.project(q, held, NEWTON);
+        return m_.project(q, held, NEWTON, longest);
     }
 
     bool late() {
@@ -153,7 +155,7 @@ class Way {
                 if (whole <= fine) continue;
                 if (depth > 16) return false;
                 for (std::size_t j = 0; j < n; j++) middle[j] = 0.5 * (one[j] + other[j]);
-                if (!project(middle.data(), nullptr) || apart(one, middle.data()) > most ||
+                if (!project(middle.data(), nullptr, most) || apart(one, middle.data()) > most ||
                     apart(middle.data(), other) > most || !free(middle.data()))
                     return false;
                 next.insert(next.end(), middle.begin(), middle.end());
@@ -177,6 +179,9 @@ class Way {
                 found_.path.assign(a, a + n_);
                 found_.path.insert(found_.path.end(), inner.begin(), inner.end());
                 found_.path.insert(found_.path.end(), b, b + n_);
+                found_.first = length(found_.path);
+                const Legs legs = legs_of(found_.path, true);
+                found_.path = points_of(shortened(legs, legs));
                 return found_.found = true;
             }
         return false;
@@ -195,7 +200,7 @@ class Way {
             const Points there(one.at(to, n_), one.at(to, n_) + n_);
             const int near = nearest(other, there.data(), {});
             if (near < 0) return;
-            const int met = extend(other, near, there.data(), chart, 1e9);
+            const int met = extend(other, near, there.data(), chart, FAR);
             if (apart(other.at(met, n_), there.data()) > SAME) continue;
             if (joined(trees, turn % 2 ? met : to, turn % 2 ? to : met)) return;
         }
@@ -243,25 +248,27 @@ class Way {
         return std::find(chart.begin(), chart.end(), 1) != chart.end();
     }
 
-    // Grow towards a target, as far as `range`; the last point, which may be where it began.
+    // Grow towards a target, as far as `range`; the last point, which may be where it began. Where
+    // joints lead, the others begin a step as they went in the one before.
     int extend(Tree& tree, int from, const double* target, const std::vector<char>& chart,
                double range) {
         const bool led = leads(chart);
         int at = from;
         double gone = 0.0, since = 0.0, share = 1.0;
-        Points q(static_cast<std::size_t>(n_)), way(q);
+        Points q(static_cast<std::size_t>(n_)), way(q), rate(q);  // rate: of those that follow
         while (gone < range) {
             const double* here = tree.at(at, n_);
             double rest = 0.0;
-            for (int j = 0; j < n_; j++) {
-                way[std::size_t(j)] = !led || chart[std::size_t(j)] ? target[j] - here[j] : 0.0;
-                rest += way[std::size_t(j)] * way[std::size_t(j)];
+            for (std::size_t j = 0; j < q.size(); j++) {
+                way[j] = !led || chart[j] ? target[j] - here[j] : 0.0;
+                rest += way[j] * way[j];
             }
             rest = std::sqrt(rest);
             if (rest < SAME) break;
             const double part = std::min(1.0, share * s_.step / rest);
-            for (int j = 0; j < n_; j++) q[std::size_t(j)] = here[j] + part * way[std::size_t(j)];
-            const bool closed = project(q.data(), led ? chart.data() : nullptr);
+            for (std::size_t j = 0; j < q.size(); j++)
+                q[j] = here[j] + part * (!led || chart[j] ? way[j] : rest * rate[j]);
+            const bool closed = project(q.data(), led ? chart.data() : nullptr, STRETCH * s_.step);
             const double moved = closed ? apart(q.data(), here) : 0.0;
             if (!closed || moved > STRETCH * s_.step) {
                 if ((share *= 0.5) < LEAST) break;
@@ -269,6 +276,7 @@ class Way {
             }
             if (!led && apart(q.data(), target) > rest - 0.2 * part * rest) break;
             if (!free(q.data())) break;
+            for (std::size_t j = 0; j < q.size(); j++) rate[j] = (q[j] - here[j]) / (part * rest);
             share = std::min(1.0, 2.0 * share);
             gone += moved;
             since += moved;
@@ -283,117 +291,160 @@ class Way {
     // Whether the path through two points that are one stands a finer look; else what does not dies.
     bool joined(Tree* trees, int of_start, int of_goal) {
         Points path;
-        std::vector<int> way;
-        for (int i = of_start; i >= 0; i = trees[0].parent[std::size_t(i)]) way.push_back(i);
-        std::reverse(way.begin(), way.end());
-        for (std::size_t i = 0; i < way.size(); i++) {
-            const double* q = trees[0].at(way[i], n_);
-            if (i && !between(&path[path.size() - std::size_t(n_)], q, s_.fine, emptied()))
-                return kill(trees[0], way[i]);
-            append(path, q);
+        if (!traced(trees, of_start, of_goal, COARSE * s_.fine, path)) return false;
+        found_.first = length(path);
+        Legs good = shortened(legs_of(path, false), {});
+        if (good.empty()) {
+            if (!traced(trees, of_start, of_goal, s_.fine, path)) return false;
+            const Legs legs = legs_of(path, true);
+            good = shortened(legs, legs);
         }
+        found_.path = points_of(good);
+        return found_.found = true;
+    }
+
+    // The path through two points that are one, its points no farther apart than `fine`; where there
+    // is none, what does not stand it dies.
+    bool traced(Tree* trees, int of_start, int of_goal, double fine, Points& path) {
         Points back;
-        way.clear();
-        for (int i = of_goal; i >= 0; i = trees[1].parent[std::size_t(i)]) way.push_back(i);
-        std::reverse(way.begin(), way.end());
-        for (std::size_t i = 0; i < way.size(); i++) {
-            const double* q = trees[1].at(way[i], n_);
-            if (i && !between(&back[back.size() - std::size_t(n_)], q, s_.fine, emptied()))
-                return kill(trees[1], way[i]);
-            append(back, q);
-        }
+        if (!branch(trees[0], of_start, fine, path) || !branch(trees[1], of_goal, fine, back))
+            return false;
         for (std::size_t at = back.size() - std::size_t(n_); at > 0;) {  // the last is there already
             at -= std::size_t(n_);
             path.insert(path.end(), back.begin() + long(at), back.begin() + long(at) + n_);
         }
-        found_.path = std::move(path);
-        return found_.found = true;
+        return true;
     }
 
-    // Where points between go until all of them are known.
-    Points& emptied() {
-        inner_.clear();
-        return inner_;
-    }
-    void append(Points& path, const double* q) {
-        path.insert(path.end(), inner_.begin(), inner_.end());
-        inner_.clear();
-        path.insert(path.end(), q, q + n_);
+    // From a root to a point of a tree.
+    bool branch(Tree& tree, int to, double fine, Points& path) {
+        std::vector<int> way;
+        for (int i = to; i >= 0; i = tree.parent[std::size_t(i)]) way.push_back(i);
+        path.assign(tree.at(way.back(), n_), tree.at(way.back(), n_) + n_);
+        way.pop_back();
+        for (; !way.empty(); way.pop_back()) {
+            const double* q = tree.at(way.back(), n_);
+            if (!between(Points(path.end() - n_, path.end()).data(), q, fine, path)) {
+                kill(tree, way.back());
+                return false;
+            }
+            path.insert(path.end(), q, q + n_);
+        }
+        return true;
     }
 
-    bool kill(Tree& tree, int i) {
-        inner_.clear();
+    static void kill(Tree& tree, int i) {
         tree.dead[std::size_t(i)] = 1;
         for (std::size_t k = std::size_t(i) + 1; k < tree.parent.size(); k++)
             if (tree.parent[k] >= 0 && tree.dead[std::size_t(tree.parent[k])]) tree.dead[k] = 1;
-        return false;
     }
 
-    // Shortened on few of its points, between which it is looked at once, at the end; where that
-    // does not stand it is shortened on all of them.
-    void shorten_coarsely(Points& path) {
+    // A point of a path, those between it and the one before, and whether these are known.
+    struct Leg {
+        Points inner, to;
+        bool known;
+    };
+    using Legs = std::vector<Leg>;
+
+    // Over those of a path's points that are about so far apart, with the points between where
+    // these are near enough to be known.
+    Legs legs_of(const Points& path, bool known) const {
         const auto n = std::size_t(n_);
-        Points few = thinned(path, COARSE * s_.fine), made(path.begin(), path.begin() + n_);
-        shorten(few, COARSE * s_.fine);
-        for (std::size_t at = n; at < few.size(); at += n) {
-            if (!between(&few[at - n], &few[at], s_.fine, made)) return shorten(path, s_.fine);
-            made.insert(made.end(), few.begin() + long(at), few.begin() + long(at + n));
+        Legs legs;
+        Points inner;
+        for (std::size_t at = 0; at < path.size(); at += n) {
+            const double* q = &path[at];
+            if (!at || at + 2 * n > path.size() ||
+                apart(legs.back().to.data(), q + n) > COARSE * s_.fine) {
+                legs.push_back({known ? inner : Points(), {q, q + n}, !at || known});
+                inner.clear();
+            } else {
+                inner.insert(inner.end(), q, q + n);
+            }
         }
-        path = std::move(made);
+        return legs;
     }
 
-    // Of its points those that are about so far apart; the last one in any case.
-    Points thinned(const Points& path, double step) const {
-        const auto n = std::size_t(n_);
-        Points few(path.begin(), path.begin() + n_);
-        for (std::size_t at = n; at < path.size(); at += n)
-            if (at + 2 * n > path.size() || apart(&few[few.size() - n], &path[at + n]) > step)
-                few.insert(few.end(), path.begin() + long(at), path.begin() + long(at + n));
-        return few;
+    static Points points_of(const Legs& legs) {
+        Points path;
+        for (const Leg& leg : legs) {
+            path.insert(path.end(), leg.inner.begin(), leg.inner.end());
+            path.insert(path.end(), leg.to.begin(), leg.to.end());
+        }
+        return path;
+    }
+
+    // Shortened on few of its points, in rounds after which it is looked at between them. A round
+    // that does not stand that is undone, to what is known to be good; all where nothing is.
+    Legs shortened(Legs legs, Legs good) {
+        for (int round = 0; round < ROUNDS; round++) {
+            shorten(legs, (s_.shortcuts + round) / ROUNDS);
+            if (stands(legs))
+                good = legs;
+            else if (good.empty())
+                break;
+            else
+                legs = good;
+        }
+        return good;
+    }
+
+    bool stands(Legs& legs) {
+        for (std::size_t k = 1; k < legs.size(); k++) {
+            Leg& leg = legs[k];
+            if (!leg.known && !between(legs[k - 1].to.data(), leg.to.data(), s_.fine, leg.inner))
+                return false;
+            leg.known = true;
+        }
+        return true;
     }
 
     // Ways between two points of the path at random, where they are shorter: straight ones, and ones
     // on which some joints go straight and the others as they went (partial shortcuts after
-    // Geraerts and Overmars 2007). Their points are at most so far apart as `fine`.
-    void shorten(Points& path, double fine) {
-        const auto n = std::size_t(n_);
+    // Geraerts and Overmars 2007).
+    void shorten(Legs& legs, int tries) {
         std::vector<double> at;  // length up to each point
-        for (int i = 0; i < s_.shortcuts && !late(); i++) {
-            const std::size_t count = path.size() / n;
+        for (int i = 0; i < tries && !late(); i++) {
+            const std::size_t count = legs.size();
             if (count < 3) return;
             if (at.size() != count) {
                 at.assign(count, 0.0);
                 for (std::size_t k = 1; k < count; k++)
-                    at[k] = at[k - 1] + apart(&path[k * n], &path[(k - 1) * n]);
+                    at[k] = at[k - 1] + apart(legs[k].to.data(), legs[k - 1].to.data());
             }
             const double u = random() * at.back(), v = random() * at.back();
             const auto index = [&](double x) {
                 return std::size_t(std::lower_bound(at.begin(), at.end(), x) - at.begin());
             };
             const std::size_t a = index(std::min(u, v)), b = index(std::max(u, v));
-            if (b < a + 2 || apart(&path[a * n], &path[b * n]) > NEARLY * (at[b] - at[a])) continue;
-            Points inner;
-            if (random() < WHOLE ? !between(&path[a * n], &path[b * n], fine, inner)
-                                 : !partly(path, at, a, b, fine, inner))
+            const double *first = legs[a].to.data(), *last = legs[b].to.data();
+            if (b < a + 2 || apart(first, last) > NEARLY * (at[b] - at[a])) continue;
+            Points inner(first, first + n_);
+            if (random() < WHOLE ? !between(first, last, COARSE * s_.fine, inner)
+                                 : !partly(legs, at, a, b, inner))
                 continue;
-            Points made(path.begin(), path.begin() + long((a + 1) * n));
-            made.insert(made.end(), inner.begin(), inner.end());
-            made.insert(made.end(), path.begin() + long(b * n), path.end());
-            if (length(made) > at.back() - SAME) continue;
-            path = std::move(made);
+            inner.insert(inner.end(), last, last + n_);
+            if (length(inner) > at[b] - at[a] - SAME) continue;
+            const auto n = std::size_t(n_);
+            Legs made;
+            for (std::size_t q = n; q < inner.size(); q += n)
+                made.push_back({{}, {&inner[q], &inner[q] + n}, false});
+            legs.erase(legs.begin() + long(a + 1), legs.begin() + long(b + 1));
+            legs.insert(legs.begin() + long(a + 1), made.begin(), made.end());
             at.clear();
         }
     }
 
     // From point a to point b of a path with some joints nearer to straight lines, a few points
     // before those between them.
-    bool partly(const Points& path, const std::vector<double>& at, std::size_t a, std::size_t b,
-                double fine, Points& inner) {
+    bool partly(const Legs& legs, const std::vector<double>& at, std::size_t a, std::size_t b,
+                Points& inner) {
         const auto n = std::size_t(n_);
         const double most = at[b] - at[a], by = random() < 0.5 ? 1.0 : random();
         std::vector<double> share(n);
         for (double& x : share) x = random() < JOINTS ? by : 0.0;
-        Points now(path.begin() + long(a * n), path.begin() + long((b + 1) * n));
+        Points now;
+        for (std::size_t k = a; k <= b; k++) now.insert(now.end(), legs[k].to.begin(), legs[k].to.end());
         const std::size_t last = b - a;
         const double *first = &now[0], *end = &now[last * n];
         for (std::size_t stride = 16; stride > 0; stride /= 2) {
@@ -413,7 +464,7 @@ class Way {
             if (gone + apart(before, end) > most - SAME) return false;
         }
         for (const double* q = first; q < end; q += n) {
-            if (!between(q, q + n, fine, inner)) return false;
+            if (!between(q, q + n, COARSE * s_.fine, inner)) return false;
             if (q + n < end) inner.insert(inner.end(), q + n, q + 2 * n);
         }
         return true;
@@ -479,7 +530,6 @@ class Way {
     std::uint64_t state_;
     Clock::time_point begun_, told_;
     Found found_;
-    Points inner_;
 };
 
 }  // namespace coopqp
