@@ -1,5 +1,6 @@
 # make demo   set up .venv, run the demo, say where the page is
-# make test   the same with the test tools, and run the suite
+# make test   the same with the test tools, and run the suite, two minutes
+# make test-all  all of its cases, and what takes longer
 # make lint   style, types, direction of imports, the size of the house
 # make docs   the site, in out/docs; warnings are errors
 # make links  asks the internet whether what pages link to is there
@@ -14,7 +15,7 @@ OUT ?= out/point_on_point
 
 CXX ?= c++
 
-.PHONY: demo test lint docs links bench wheel sanitize clean
+.PHONY: demo test test-all lint docs links bench wheel sanitize clean
 
 demo: .venv/installed
 	$(BIN)/coopqp compare $(SCENARIO) --out $(OUT)
@@ -22,6 +23,9 @@ demo: .venv/installed
 # Python may keep what it has compiled, so that not every process that the tests start does it anew.
 test: .venv/installed-test
 	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n 2
+
+test-all: .venv/installed-test
+	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n 2 --all
 
 lint: .venv/installed-test
 	$(BIN)/ruff check .

@@ -1,4 +1,4 @@
-"""How the suite runs: what all tests have, which files begin, who shares what, how garbage goes.
+"""How the suite runs: which tests, which files begin, who shares what, how garbage goes.
 
 In the process that gives the work to others nothing of coopqp but the compiled kernel is imported.
 """
@@ -9,11 +9,15 @@ import gc
 import os
 import signal
 import sys
-from collections import Counter
+from collections import Counter, defaultdict
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 import pytest
+
+#: Threads of BLAS, which is loaded after this: waiting for each other they take twice the time.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from coopqp.kernel import native
 
@@ -71,12 +75,28 @@ TOGETHER = {
 }
 
 
+#: Marks of what takes longer than it tells of anything new, and how often each value is met.
+MARKS = {
+    "full": "a test, or a case, that --all runs",
+    "few(n)": "of the cases --all runs all; else so many, from the first to the last",
+    "each_value": "of the cases --all runs all; else one of each value of each parameter",
+    "each_pair": "of the cases --all runs all; else one of each pair of values of two parameters",
+}
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Let ``--all`` run what is left out otherwise."""
+    parser.addoption("--all", action="store_true", help="all tests in all their cases")
+
+
 def pytest_configure(config: pytest.Config) -> None:
     """Let Ctrl-C be heard, keep what Python compiles, and have fixtures where tests run.
 
     A shell's background has commands deaf to Ctrl-C, and so commands under test. And without
     compiled Python, every process that tests start would compile all it imports anew.
     """
+    for mark, what in MARKS.items():
+        config.addinivalue_line("markers", f"{mark}: {what}")
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     if os.environ.get("COOPQP_KERNEL") == "1" and native.module() is None:
@@ -89,13 +109,59 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Begin with the longest files where several processes share them, then those of many tests."""
+    """Leave out what ``--all`` alone runs, unless it is named; then order files.
+
+    Where several processes share them the longest begin, then those of many tests.
+    """
+    if not config.getoption("all") and not any("::" in named for named in config.args):
+        kept = _kept(items)
+        config.hook.pytest_deselected(items=[item for item in items if item not in kept])
+        items[:] = [item for item in items if item in kept]
     if not hasattr(config, "workerinput"):
         return
     here = Path(__file__).parent
     tests = Counter(item.path for item in items)
     places = {here / name: k for k, name in enumerate(LONGEST)}
     items.sort(key=lambda item: (places.get(item.path, len(LONGEST)), -tests[item.path]))
+
+
+def _kept(items: list[pytest.Item]) -> set[pytest.Item]:
+    """What runs without ``--all``."""
+    cases: dict[str, list[pytest.Item]] = defaultdict(list)
+    for item in items:
+        if not item.get_closest_marker("full"):
+            cases[item.nodeid.partition("[")[0]].append(item)
+    return {item for some in cases.values() for item in _chosen(some)}
+
+
+def _chosen(items: list[pytest.Item]) -> list[pytest.Item]:
+    """Cases of a test that its marks leave."""
+    marks = {mark.name: mark for mark in items[0].iter_markers()}
+    if "few" in marks:
+        (count,) = marks["few"].args
+        step = (len(items) - 1) / max(1, count - 1)
+        return [items[k] for k in sorted({round(step * i) for i in range(count)})]
+    if "each_pair" in marks:
+        return _covering(items, 2)
+    return _covering(items, 1) if "each_value" in marks else items
+
+
+def _covering(items: list[Any], size: int) -> list[pytest.Item]:
+    """Cases that have all combinations of so many parameters' values, evenly used."""
+    values = {item: [(k, repr(x)) for k, x in item.callspec.params.items()] for item in items}
+    parts = {item: set(combinations(of, size)) for item, of in values.items()}
+    left, used = set[Any]().union(*parts.values()), Counter[Any]()
+    kept: list[pytest.Item] = []
+    while left:
+        kept.append(max(parts, key=lambda item: _worth(parts[item] & left, values[item], used)))
+        left -= parts.pop(kept[-1])
+        used.update(values[kept[-1]])
+    return kept
+
+
+def _worth(new: set[Any], values: list[Any], used: Counter[Any]) -> tuple[int, int]:
+    """How much of a case is new, and how seldom its values were taken yet."""
+    return len(new), -sum(used[value] for value in values)
 
 
 def pytest_collection_finish() -> None:

@@ -52,6 +52,7 @@ def starts(chain: ClosedChain, count: int) -> Array:
 SCENARIOS = dict(scenarios())
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("name", list(SCENARIOS))
 def test_motions_are_those_of_one_law(name: str) -> None:
     """Bit for bit, whatever the number of threads."""

@@ -77,6 +77,7 @@ def _check(name: str, one: Any, other: Any, atol: float, exact: bool) -> None:
         np.testing.assert_allclose(one, other, rtol=1e-12, atol=atol, err_msg=name)
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize("name", list(shipped()))
 def test_a_shipped_run_is_its_ticks(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Bit for bit; and what was computed at the end is what would be seen on the way."""

@@ -228,20 +228,27 @@ class Distances:
         self.n, self.p = np.zeros((2, len(pairs), 3))
 
     def update(self, within: float | Array) -> None:
-        """Find the distances of pairs that may be closer than ``within`` [m], each or all."""
+        """Distances, normals and nearest points of pairs that may be closer than ``within`` [m]."""
+        results = self.measure(within)
+        if not results:
+            return
+        self.n[self.near] = [result.normal for result in results]
+        self.p[self.near] = [result.getNearestPoint1() for result in results]
+        for i in self.near[self.d[self.near] < UNIT].tolist():
+            self._mend(i)
+
+    def measure(self, within: float | Array) -> list[coal.DistanceResult]:
+        """The same without normals and points; what coal found of the pairs that are near."""
         self.d[:] = self._bounds()
         is_near = self.d < within
         self._choose(is_near)
         (self.near,) = is_near.nonzero()
         if not len(self.near):
-            return
+            return []
         pin.computeDistances(self.geometry, self.placed)
         results = [self._results[i] for i in self.near.tolist()]
         self.d[self.near] = [result.min_distance for result in results]
-        self.n[self.near] = [result.normal for result in results]
-        self.p[self.near] = [result.getNearestPoint1() for result in results]
-        for i in self.near[self.d[self.near] < UNIT].tolist():
-            self._mend(i)
+        return results
 
     def _bounds(self) -> Array:
         """From the box round one body to the ball round the other."""

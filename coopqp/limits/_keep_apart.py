@@ -146,7 +146,7 @@ class Separation:
 
         def left(state: State) -> Array:
             state.place(found.geometry, found.placed)
-            found.update(self.within)
+            found.measure(self.within)
             return np.asarray(np.minimum(found.d, self.within) - self.distance, float)
 
         return left
@@ -186,7 +186,7 @@ def distances_along(chain: ClosedChain, pairs: Sequence[Pair], q: Array) -> Arra
     d = np.zeros((len(q), len(pairs)))
     for state, row in zip(states_along(chain, q), d, strict=True):
         state.place(found.geometry, found.placed)
-        found.update(math.inf)
+        found.measure(math.inf)
         row[:] = found.d
     return d
 

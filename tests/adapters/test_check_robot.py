@@ -27,6 +27,7 @@ def robot(scenario):
 """
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("seed", range(3))
 def test_sound_arms_with_backlash_pass(seed: int) -> None:
     assert checked(BusRobot(seed)) == ""

@@ -185,6 +185,7 @@ BY = [(law, by) for law in LAWS for by in ("task", "limit", "signal")]
 BY.remove(("closed form", "limit"))  # it reads none
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize(("law", "by"), BY)
 def test_what_a_plug_in_writes_to_the_state_is_named_and_undone(
     chain: ClosedChain, law: str, by: str

@@ -94,6 +94,7 @@ def ran(
     return trace
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("plant", "law"),
     [
@@ -109,6 +110,7 @@ def test_a_steady_push_moves_it_by_force_over_stiffness(plant: str, law: TorqueQ
     np.testing.assert_allclose(trace.e[-1], PUSHED / STIFF, rtol=0.02)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("settings", [{"mode": "hard"}, {"priority": 1}], ids=["hard", "later"])
 def test_one_axis_gives_way_beside_other_tasks(settings: dict[str, Any]) -> None:
     """The box stays on a line and level, and moves along it by the push along it over K."""
@@ -250,6 +252,7 @@ def test_numbers_that_are_none_are_refused(settings: dict[str, Any], words: str)
         Impedance(**(given | settings))
 
 
+@pytest.mark.full
 def test_what_is_felt_of_a_push_along_an_axis_without_a_spring_is_as_foretold() -> None:
     """A torque about z, which nobody knows of, on a box that is kept level by another task."""
     springs = Impedance(goal=here(), stiffness={axis: K[axis] for axis in ("x", "y", "z")})

@@ -50,6 +50,7 @@ def carried(plant: str, disturbance: str, controller: str) -> Trace:
     return run(scenario, controller=controller)
 
 
+@pytest.mark.each_value
 @pytest.mark.parametrize("controller", TORQUE)
 @pytest.mark.parametrize("disturbance", DISTURBANCES)
 @pytest.mark.parametrize("plant", PLANTS)
@@ -76,6 +77,7 @@ def test_the_trajectory_is_three_centimetres_and_fifteen_degrees() -> None:
     assert np.degrees(np.arccos((np.trace(turn) - 1.0) / 2.0)) == pytest.approx(15.0, abs=0.1)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("disturbance", DISTURBANCES)
 @pytest.mark.parametrize("controller", TORQUE)
 def test_both_plants_agree_on_the_path_of_the_box(controller: str, disturbance: str) -> None:
@@ -138,6 +140,7 @@ def test_the_internal_force_is_what_the_hands_do_against_each_other() -> None:
     assert np.abs(internal).max() > 1e-6
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("plant", PLANTS)
 def test_the_pid_squeezes_as_it_is_asked_to_while_it_carries(plant: str) -> None:
     scenario = hurried(plant=PLANTS[plant])

@@ -55,6 +55,7 @@ def free() -> Trace:
     return carried(JointVelocity())
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", LIMITS)
 def test_the_torque_qp_keeps_the_limits_of_its_scenario(name: str) -> None:
     kept = carried(LIMITS[name])

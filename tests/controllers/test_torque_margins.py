@@ -71,6 +71,7 @@ def stepped(controller: str, dt: float, delay: int) -> tuple[Trace, np.ndarray, 
     return gone(jump(TORQUE[controller], dt=dt, delay=delay))
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("delay", [0, 1])
 @pytest.mark.parametrize("dt", [0.002, 0.01])
 @pytest.mark.parametrize("controller", TORQUE)
@@ -101,6 +102,7 @@ def test_a_step_of_the_kinematic_pid_does_not_overshoot() -> None:
     assert distance[-1] < 0.001
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("controller", TORQUE)
 def test_a_heavier_box_is_brought_all_the_way(controller: str) -> None:
     heavy = Disturbance(object_mass=2.0)
@@ -115,6 +117,7 @@ def test_without_an_integral_a_heavier_box_sags(controller: Controller) -> None:
     assert distance[-1] > 0.05
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("controller", TORQUE)
 def test_a_pushed_box_comes_back(controller: str) -> None:
     pushed = Disturbance(push=Push(force=(0.0, 1.0, 0.0), start=0.3, duration=0.2))

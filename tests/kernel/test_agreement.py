@@ -18,6 +18,7 @@ pytestmark = needs_kernel
 SAME = 1e-10  # [rad/s, m/s]
 
 
+@pytest.mark.few(12)
 @pytest.mark.parametrize("name", LOADABLE)
 def test_shipped_scenarios_move_alike(name: str) -> None:
     """Every tick is the kernel's, and as the plain law's to rounding."""
@@ -32,6 +33,7 @@ def test_shipped_scenarios_move_alike(name: str) -> None:
     assert seen.v < SAME
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("name", OF_ROBOTS)
 def test_bodies_are_kept_apart_alike(name: str) -> None:
     """With self-collision and things nearby, towards a goal, also without any other limit."""

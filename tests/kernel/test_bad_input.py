@@ -125,6 +125,7 @@ LAWS: dict[str, tuple[Controller, Task]] = {
 }
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("name", LAWS)
 @pytest.mark.parametrize("how", ["run", "step", "tick"])
 def test_two_threads_on_one_law_take_turns(

@@ -12,6 +12,7 @@ CORE = Path(__file__).with_name("core.cpp")
 COMPILER = shutil.which("c++") or shutil.which("g++") or shutil.which("clang++")
 
 
+@pytest.mark.full
 @pytest.mark.skipif(COMPILER is None, reason="needs a C++ compiler")
 def test_the_check_catches_every_fault(tmp_path: Path) -> None:
     """Wrong rows, directions, multipliers, stale factors, forgotten limits, on random robots."""

@@ -19,6 +19,7 @@ from tests.kernel.distances import OFF, adverse, known, of_cases, of_robot
 pytestmark = [needs_kernel, needs_robots]
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("name", OF_ROBOTS)
 def test_distances_are_coals(name: str) -> None:
     """All pairs of a shipped robot at random poses; at more by python -m tests.kernel.distances."""

@@ -46,6 +46,7 @@ def told(one: Law, state: State) -> np.ndarray:
     ])  # fmt: skip
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize("name", SCENARIOS)
 @pytest.mark.parametrize("observer", [
     Observer(most=0.1), Observer(stiffness=80.0, most=0.1), Observer(stiffness=80.0, most=BOUND),
@@ -171,6 +172,7 @@ def test_a_limit_of_following_is_the_kernels() -> None:
     assert np.abs(states[0].q - behind).max() > 1.1e-3
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(("n", "m"), [(10, 6), (14, 6), (56, 42), (6, 3), (6, 8), (5, 1)])
 def test_directions_are_those_of_lapack(n: int, m: int) -> None:
     """With parallel columns, and rows of very different size."""

@@ -71,6 +71,7 @@ def test_rows_of_what_follows_way_points_are_those_of_python(
         np.testing.assert_allclose(found[:, -1], stack.rate, atol=1e-12)
 
 
+@pytest.mark.few(8)
 @pytest.mark.parametrize("name", BY_VELOCITY)
 def test_what_follows_way_points_moves_alike(name: str) -> None:
     """Arms with room to move; where NAO's get stuck the optimum itself has fewer digits."""

@@ -56,6 +56,7 @@ def test_distances_are_those_of_coal_alone(name: str) -> None:
         assert d == pytest.approx(by_coal, abs=5e-6)
 
 
+@pytest.mark.few(1)
 @needs_robots
 @pytest.mark.parametrize(
     ("name", "kind", "goals"),

@@ -141,6 +141,7 @@ def test_no_pair_is_too_close_where_robots_start(held_box: ClosedChain) -> None:
     )
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("goal", "blocked"),
     [((0.02, 0.0, 0.05), "object|torso"), ((0.02, -0.05, 0.05), "LForearm|torso")],

@@ -100,6 +100,7 @@ def test_a_force_that_is_no_number_is_lost(scenario: Scenario, trace: Trace) -> 
     assert "its error is no number" in found.verdicts["qp"]
 
 
+@pytest.mark.full
 @needs_robots
 @pytest.mark.usefixtures("hurried_reruns")
 def test_an_impedance_that_is_pushed_to_the_end_has_to_be_where_its_springs_are(

@@ -170,6 +170,7 @@ def test_inputs_that_are_no_mapping_of_values_are_refused(given: Any) -> None:
     assert loop.status is Status.OPTIMAL
 
 
+@pytest.mark.few(12)
 @pytest.mark.parametrize("name", [x for x in JUNK if "stamped" not in x])
 def test_measured_joints_that_are_no_numbers_are_not_measured(name: str) -> None:
     n = follows().chain.n
@@ -199,6 +200,7 @@ def test_laws_alone_do_not_measure_by_what_is_no_number(name: str) -> None:
     assert (Status.NOT_MEASURED in command.causes) == (name != "nothing")
 
 
+@pytest.mark.few(12)
 @pytest.mark.parametrize("name", [x for x in JUNK if "stamped" not in x])
 def test_what_hands_cannot_have_felt_is_not_measured(name: str) -> None:
     loop = OnlineLoop(coopqp.load("position_pair"), "qp", clock=None)

@@ -188,6 +188,7 @@ def test_times_go_on_whatever_a_clock_says(rng: np.random.Generator) -> None:
             before = now
 
 
+@pytest.mark.each_value
 @pytest.mark.parametrize("began", [0.0, 4321.987, 1e6 / 3.0, 1.8e9])
 @pytest.mark.parametrize("breaks", ["stands", "back", "raises"])
 def test_in_real_time_a_robot_does_not_wait_for_a_clock_that_has_failed(
@@ -197,7 +198,7 @@ def test_in_real_time_a_robot_does_not_wait_for_a_clock_that_has_failed(
     monkeypatch.setattr(coopqp.online.real_time, "time", machine)
 
     def clock() -> float:
-        if next(calls) < 5000:
+        if next(calls) < 1500:
             return machine.monotonic()
         if breaks == "raises":
             raise OSError

@@ -57,6 +57,7 @@ def _stop(loop: Any, robot: Any) -> None:
     loop.resume()
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("gap", [_none, _nan, _jump, _stop])
 def test_every_tick_around_a_halt_is_read(tmp_path: Path, gap: Any) -> None:
     def drive(loop: Any, robot: Any) -> None:

@@ -114,6 +114,7 @@ def test_a_fault_that_begins_in_a_window_is_named_in_it(nao: State) -> None:
     assert last - began < 0.15 / DT
 
 
+@pytest.mark.each_value
 @pytest.mark.parametrize("noise", [0.0, 3e-4, 1e-3])
 @pytest.mark.parametrize("slope", [-2.0, -1.0])
 def test_the_joint_that_does_not_follow_is_told_from_internal_forces(
@@ -134,6 +135,7 @@ def test_the_joint_that_does_not_follow_is_told_from_internal_forces(
         assert found.slope == pytest.approx(-slope, rel=0.25)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("kind", "seconds"), [("quintic", 0.03), ("quintic", 0.1), ("quintic", 0.14), ("step", 0.03)]
 )
@@ -161,6 +163,7 @@ def test_two_swapped_joints_are_named(nao: State) -> None:
     assert set(found.joints) == {j, k}
 
 
+@pytest.mark.few(2)
 @needs_robots
 @pytest.mark.parametrize("seed", [6, 7, 36, 37, 41])
 def test_a_session_with_a_fault_names_it_before_it_hurts(seed: int) -> None:
@@ -173,6 +176,7 @@ def test_a_session_with_a_fault_names_it_before_it_hurts(seed: int) -> None:
     assert session.most < 2.0 * max(session.force_named, EFFECT)
 
 
+@pytest.mark.few(1)
 @needs_robots
 @pytest.mark.parametrize("seed", range(5))
 def test_a_sound_session_names_nothing(seed: int) -> None:
@@ -243,6 +247,7 @@ def test_what_all_sensors_have_wrong_is_named_before_the_hands_crush(
     assert most < 80.0  # 548 N without
 
 
+@pytest.mark.few(2)
 @needs_robots
 @pytest.mark.parametrize(
     ("newtons", "most", "words"),
@@ -429,6 +434,7 @@ def test_slip_is_near_where_friction_is_used_up(share: float, near: bool) -> Non
     assert kinds == ({"slip_near"} if near else set())
 
 
+@pytest.mark.full
 @needs_robots
 def test_a_load_that_the_servos_feel_is_weighed_within_seconds() -> None:
     """Without force sensors; with the true mass written the loop finds nothing wrong."""

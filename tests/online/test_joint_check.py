@@ -99,6 +99,7 @@ def test_sound_robots_never_alarm(scenario: Scenario, seed: int) -> None:
     assert check_joints(loop, robot).ok
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("part", ["motor", "encoder"])
 def test_every_reversed_joint_is_named_and_no_other(scenario: Scenario, part: str) -> None:
     names = scenario.chain.joint_names

@@ -39,6 +39,7 @@ class Robot:
         return odd.get(kind, q)
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("name", ["point_on_point", "two_pandas", "rigid_vs_passive"])
 @pytest.mark.parametrize("wrong_from", [60, 10_000], ids=["reversed", "sound"])
 @pytest.mark.parametrize("reference", ["commanded", "measured"])

@@ -89,6 +89,7 @@ def test_ctrl_c_in_a_loop_of_ones_own(scenario: Scenario) -> None:
     assert loop.at_rest
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("who", ["read", "inputs"])
 def test_what_others_raise_comes_out_after_the_arms_have_stopped(
     scenario: Scenario, who: str

@@ -53,6 +53,7 @@ def speed(robot: SimulatedRobot) -> float:
     return float(np.abs(robot.state.v).max())
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("law", "plant"),
     [("torque_qp", "rigid_body"), ("torque_qp", "mujoco"), ("passive_grasp_pid", "mujoco")],
@@ -88,6 +89,7 @@ def test_it_follows_stops_holds_and_goes_on(law: str, plant: str) -> None:
     assert not loop.running
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("law", LAWS)
 def test_a_robot_that_says_nothing_is_slowed_down_by_the_model(law: str) -> None:
     scenario = replace(coopqp.load("passive_grasp_pose"), dt=0.005)
@@ -105,6 +107,7 @@ def test_a_robot_that_says_nothing_is_slowed_down_by_the_model(law: str) -> None
     assert np.linalg.norm(place(robot) - where) < 0.02
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("law", LAWS)
 def test_a_load_that_the_integral_has_learned_is_held_at_rest(law: str) -> None:
     heavy = coopqp.load("heavy_object")
@@ -123,6 +126,7 @@ def test_a_load_that_the_integral_has_learned_is_held_at_rest(law: str) -> None:
     assert np.linalg.norm(place(robot) - stopped) < 5e-3
 
 
+@pytest.mark.full
 @needs_robots
 @pytest.mark.parametrize("dt", [0.005, 0.01])
 def test_friction_alone_holds_at_every_period_with_the_default_kappa(dt: float) -> None:
@@ -214,6 +218,7 @@ def test_the_robot_is_left_with_torques_that_hold() -> None:
     )
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("wrong", ["reversed", "zero", "in degrees"])
 def test_a_velocity_that_does_not_fit_the_way_is_named_and_the_arms_rest(wrong: str) -> None:
     """Believed it moves NAO's arms by 70 to 145 rad/s."""
@@ -233,6 +238,7 @@ def test_a_velocity_that_does_not_fit_the_way_is_named_and_the_arms_rest(wrong: 
     assert speed(robot) < 0.3
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", ["press_and_lift", "heavy_object"])
 def test_velocities_that_are_all_in_degrees_are_named_before_the_arms_run_away(name: str) -> None:
     """Where only those already found wrong are taken from positions Pandas reach 89 rad/s."""

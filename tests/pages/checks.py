@@ -123,7 +123,7 @@ def check_command(words: list[str], place: str) -> None:
     if program == "coopqp":
         _coopqp([word for word in rest if word != "--debug"], place)
     elif program == "make":
-        targets = re.findall(r"^(\w+):", (ROOT / "Makefile").read_text("utf-8"), re.MULTILINE)
+        targets = re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text("utf-8"), re.MULTILINE)
         assert set(_plain(rest)) <= set(targets), f"{place}: make has no {rest}"
     elif program == "pip":
         extras = (ROOT / "pyproject.toml").read_text("utf-8").split("optional-dependencies]")[1]

@@ -135,6 +135,7 @@ def test_where_no_way_is_found_the_file_is_refused_at_its_line() -> None:
         in_one_go("planar_pair", plan="false")
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("name", "speed"), [("shelves", 4.0), ("two_pandas", -4.0)])
 def test_pushed_off_a_run_goes_on_where_it_has_left_the_path(name: str, speed: float) -> None:
     calm = in_one_go(name)
@@ -200,6 +201,7 @@ def test_a_regrasp_is_planned_through_and_followed(tmp_path: Path) -> None:
     assert "leads to 3 phases, and the scenario has 4" in result.output
 
 
+@pytest.mark.full
 def test_a_regrasp_is_timed_phase_by_phase_and_followed(tmp_path: Path) -> None:
     """Each with the arms that hold the object then, at rest at its ends, within its limits."""
     shipped = load("regrasp")
@@ -243,6 +245,7 @@ def test_a_phase_in_which_nothing_moves_is_held(tmp_path: Path) -> None:
     assert np.abs(now.tau - weight + at_hands).max() < 2.0 * box
 
 
+@pytest.mark.full
 def test_of_an_object_that_stands_only_the_joints_are_planned(tmp_path: Path) -> None:
     shipped = load("pick_and_place")
     _, path = write_plan(plan(shipped, budget=AMPLE), shipped, tmp_path)
@@ -263,6 +266,7 @@ def test_a_scenario_that_is_refused_with_its_plan_leaves_nothing(tmp_path: Path)
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.full
 def test_ticks_in_which_the_clock_waits_can_be_repeated(tmp_path: Path) -> None:
     held = replace(in_one_go("shelves"), plant=Shoved(start=2.0, duration=0.2, speed=4.0))
     write(coopqp.compare(held, controllers=["qp"]), tmp_path)
@@ -272,6 +276,7 @@ def test_ticks_in_which_the_clock_waits_can_be_repeated(tmp_path: Path) -> None:
     assert run.columns["followed[way].t"][220] < 2.19
 
 
+@pytest.mark.full
 def test_a_tray_that_is_kept_level_is_so_on_the_way_round_a_beam(tmp_path: Path) -> None:
     scenario = load("tray_round_beam")
     alone = coopqp.run(scenario, controller="qp")
@@ -300,6 +305,7 @@ def beside(shipped: Scenario, by: str) -> Scenario:
     return load_text(Path("beside.yaml"), f"{text}\n{more}", shipped.catalog)
 
 
+@pytest.mark.full
 def test_laws_alone_stand_beside_the_one_that_follows_a_plan(tmp_path: Path) -> None:
     """The QP is stuck at the board, the pseudoinverse goes through it, the plan goes round."""
     scenario = beside(load("shelves"), "planned")
@@ -320,6 +326,7 @@ def test_laws_alone_stand_beside_the_one_that_follows_a_plan(tmp_path: Path) -> 
         beside(load("shelves"), "planed")
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("elsewhere", [False, True])
 def test_results_have_the_plan_that_was_followed(tmp_path: Path, elsewhere: bool) -> None:
     """Without the plan's folder; with another file's path the results stay on this machine."""

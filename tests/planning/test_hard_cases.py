@@ -40,6 +40,7 @@ def _check(found: Plan, chain: ClosedChain, end: np.ndarray) -> None:
     np.testing.assert_allclose(found.q[-1], end, atol=1e-6)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     "name", ["passive_grasp_pose", "tiago_torso", "three_ur", "two_so101", "planar_pair"]
 )
@@ -89,6 +90,7 @@ def _pressed(mass: float) -> Scenario:
     return load_text(Path("heavier.yaml"), text, scenario.catalog)
 
 
+@pytest.mark.full
 def test_hands_have_to_hold_the_object_where_it_is_to_go() -> None:
     assert reach(_pressed(0.2)).found
     with patch("coopqp.planning.reach.MOST", 512):  # all of its starts take a quarter of a minute
@@ -152,6 +154,7 @@ FRONT = "front: {box: [0.30, 0.20, 0.02], position: [0.26, 0.45, 0.40]}"
 MESH = "board: {mesh: board.stl, scale: [0.001, 0.001, 0.001], position: [0.65, 0.45, 0.40]}"
 
 
+@pytest.mark.full
 def test_past_a_mesh_and_a_second_board(tmp_path: Path) -> None:
     trimesh = pytest.importorskip("trimesh")
     trimesh.creation.box((300.0, 500.0, 20.0)).export(tmp_path / "board.stl")

@@ -184,6 +184,7 @@ def test_limits_are_kept_between_the_places_and_one_is_met(name: str) -> None:
     assert max(speed, torque) > 0.99
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("name", ["point_on_point", "joint_limit_stress"])
 def test_limits_are_kept_on_a_grid_that_is_too_coarse_for_the_path(name: str) -> None:
     scenario = load(name)
@@ -423,6 +424,7 @@ def test_torques_that_follow_it_squeeze_as_planned(tmp_path: Path) -> None:
     assert np.median(forces[1]) < 0.2 * np.median(planned)
 
 
+@pytest.mark.full
 @pytest.mark.parametrize(
     ("name", "law"),
     [
@@ -483,6 +485,7 @@ def test_accelerations_along_a_way_are_those_of_its_clock(pace: float) -> None:
     np.testing.assert_allclose(level.drift, -wanted, rtol=2e-3)
 
 
+@pytest.mark.few(1)
 @needs_robots
 @pytest.mark.parametrize(("safety", "rest"), [(1.5, 0.2), (1.0, 1.0)])
 def test_a_box_between_pads_is_held_or_lost_with_less_friction_and_said(

@@ -65,6 +65,7 @@ def test_what_is_written_is_followed(slow: Path, tmp_path: Path) -> None:
     assert not table.take(["v[LElbowRoll]"])[-1].any()
 
 
+@pytest.mark.full
 def test_a_table_of_joints_is_whose_scenario_stands_beside_it(slow: Path, tmp_path: Path) -> None:
     assert typed("time", slow, "--out", tmp_path).exit_code == 0
     for scenario in ((), ("--scenario", "point_on_point")):

@@ -55,6 +55,7 @@ def test_parts_differ_where_a_hand_turns_once_round_against_another(name: str) -
     assert len(np.unique(found, axis=0)) > 1
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", NAMES)
 def test_no_way_leaves_its_part(name: str) -> None:
     """Trees that know nothing of parts find ways to configurations of the start's alone."""
@@ -114,6 +115,7 @@ def test_attitudes_at_a_goal_are_pinocchios() -> None:
             )
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("goal", BEHIND)
 def test_behind_naos_back_no_configuration_is_in_the_starts_part(goal: tuple[float, ...]) -> None:
     """By surfaces of attitudes, which know nothing of Newton steps, and by random starts."""

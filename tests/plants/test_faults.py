@@ -87,6 +87,7 @@ def acting(k: int) -> bool:
     return BEGIN <= k + 1 < END
 
 
+@pytest.mark.each_value
 @each_plant
 @pytest.mark.parametrize("kind", [k for k in FAULTS if k.startswith(("encoder", "readings"))])
 def test_readings_are_as_the_fault_says_while_it_lasts(plant: str, kind: str) -> None:
@@ -137,6 +138,7 @@ def test_motors_do_what_the_fault_says_while_it_lasts(kind: str) -> None:
     np.testing.assert_allclose(moved.told, told, atol=1e-12)
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("plant", ["rigid_body", "mujoco"])
 @pytest.mark.parametrize("kind", ["motor_reversed", "motor_stuck", "motors_swapped"])
 def test_bodies_move_as_if_the_faulty_command_had_been_given(plant: str, kind: str) -> None:

@@ -192,6 +192,7 @@ def test_perfect_joints_have_nothing_to_measure(chain: ClosedChain) -> None:
     assert model.truth(state) is state
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("error", ERRORS)
 @pytest.mark.parametrize("plant", WITH_MASSES)
 def test_errors_of_the_model_do_not_squeeze_the_box(plant: str, error: str) -> None:

@@ -113,6 +113,7 @@ def test_unknown_servos_have_no_load_and_are_unloaded_all_the_same() -> None:
     assert K * state.felt[0] == pytest.approx(MASS * G, rel=0.05)  # K is believed to be 1
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("plant", [FIRM, CREEPS], ids=["firm", "creeps"])
 @pytest.mark.parametrize("observer", [KNOWN, Observer()], ids=["known", "felt"])
 def test_hands_do_not_pull_and_the_gap_comes_to_rest(

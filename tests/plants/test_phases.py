@@ -137,6 +137,7 @@ def test_the_law_sees_the_velocity_after_the_impact(
     assert np.abs(J @ v).max() < 1e-9
 
 
+@pytest.mark.full
 @pytest.mark.xfail(
     strict=True, reason="a servo's overshoot at a phase's start puts all of it in recovery"
 )

@@ -98,6 +98,7 @@ def test_the_box_is_held_with_the_least_squeeze_that_friction_needs(name: str) -
     assert np.allclose(LoadShare().measure(trace), [0.5, 0.5], atol=0.01)
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", PLANTS)
 @pytest.mark.parametrize("mode", ["soft", "hard"])
 def test_a_squeeze_that_is_asked_for_is_measured_within_one_per_cent(name: str, mode: str) -> None:
@@ -238,6 +239,7 @@ def test_fingertips_hold_a_box_that_turns_between_them() -> None:
     assert np.all(normal < 1.03 * least)
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize(
     ("split", "squeeze", "held"),
     [

@@ -87,6 +87,7 @@ FREE: dict[str, Callable[[pytest.FixtureRequest], ClosedChain]] = {
 FREE_STEP = {"firm": 0.002, "hinged": 0.001, "three arms": 0.002}
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", FREE)
 def test_free_chain_keeps_its_energy_and_its_loops_for_two_seconds(
     request: pytest.FixtureRequest, name: str
@@ -163,6 +164,7 @@ RESTING: dict[str, Callable[[pytest.FixtureRequest], ClosedChain]] = {
 }
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", RESTING)
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 def test_nothing_moves_at_rest_with_gravity_compensation(
@@ -274,6 +276,7 @@ def test_time_step_that_divides_the_period(chain: ClosedChain, time_step: float)
     assert state.t == pytest.approx(DT, rel=1e-12)
 
 
+@pytest.mark.full
 def test_run_does_not_depend_on_the_time_step() -> None:
     """A pose where the arms are nearly stretched: the same box at the same place.
 

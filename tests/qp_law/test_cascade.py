@@ -11,6 +11,7 @@ from .cascade import compare
 TICKS = 40
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("engine", ["python", "auto"])
 def test_commands_are_lexicographic_optima(engine: str) -> None:
     """Also where hard and scaled tasks cannot hold; more by ``python -m tests.qp_law.cascade``."""

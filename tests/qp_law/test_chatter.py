@@ -132,6 +132,7 @@ def test_pull_that_passes_through_zero_is_let_go_slowly() -> None:
     assert held_pull(0.0, FIRM) == 0.0
 
 
+@pytest.mark.few(3)
 @both_engines
 @pytest.mark.parametrize("mode", ["hard", "soft"])
 @pytest.mark.parametrize("turns", [True, False])

@@ -27,6 +27,7 @@ def driven(robot: str, mode: Mode, *, alone: bool, signs: tuple[int, int] = (1, 
     return jump(QPController().build(asked))
 
 
+@pytest.mark.each_value
 @pytest.mark.parametrize("signs", SIGNS)
 @pytest.mark.parametrize("mode", ["soft", "hard", "scaled"])
 @pytest.mark.parametrize("robot", robots())
@@ -39,18 +40,21 @@ def test_no_command_jumps_while_a_task_passes_the_border_of_reach(
     assert max(found.left, found.seen) <= LEFT, found
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("robot", robots())
 def test_no_later_level_makes_a_hard_task_jump(robot: str) -> None:
     found = driven(robot, "hard", alone=False)
     assert found.seen <= LEFT, found
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("robot", robots())
 def test_hard_tasks_let_later_levels_jump_no_farther_than_soft_ones_do(robot: str) -> None:
     hard, soft = driven(robot, "hard", alone=False), driven(robot, "soft", alone=False)
     assert hard.left <= soft.left + LEFT, (hard, soft)
 
 
+@pytest.mark.full
 def test_hard_tasks_pass_the_border() -> None:
     """In most of the runs some ticks hold all and others do not; else nothing would be tested."""
     passed = [robot for robot in robots() if driven(robot, "hard", alone=True).crossings >= 2]

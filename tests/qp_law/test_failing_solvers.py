@@ -62,6 +62,7 @@ FAULTS = ("nan", "wrong", "failure", "stalls", "huge")
 each_fault = pytest.mark.parametrize("fault", FAULTS)
 
 
+@pytest.mark.each_value
 @each_fault
 @each_grasp
 @pytest.mark.parametrize("secondary", [(), (JointCentering(name="centre", gain=0.5),)], ids=str)

@@ -186,8 +186,8 @@ def test_least_is_given_up_first(chain: ClosedChain) -> None:
     assert law.tick(law.start()).causes == (Status.TASKS_RELAXED,)
     law = PLAIN.build(problem(chain, TURN, limits=limits))
     assert law.tick(jerked(law, 5.0)).status is Status.ACCELERATION_GIVEN_UP
-    q = slightly_open(chain, 1e-4)
-    narrow = tightened(chain, q, 1e-5)
+    q = slightly_open(chain, 5e-5)
+    narrow = tightened(chain, q, 5e-6)
     law = PLAIN.build(problem(narrow, TURN, limits=limits))
     causes = law.tick(State(narrow, q)).causes
     assert causes[:1] == (Status.DRIFT_SLOWED,)

@@ -33,6 +33,7 @@ def recovery(chain: ClosedChain, way: Array | None = None, **settings: Any) -> C
     return problem(chain, task, **settings)
 
 
+@pytest.mark.each_value
 @each_grasp
 @pytest.mark.parametrize("secondary", [(), (JointCentering(name="centre", gain=0.5),)], ids=str)
 @pytest.mark.parametrize("joints", OUTSIDE.values(), ids=OUTSIDE.keys())

@@ -24,6 +24,7 @@ from coopqp.scenario.scenario import Phase
 PAGE = 600_000  # most that a robot may add to a page, for each controller [characters]
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("name", LOADABLE)
 def test_every_scenario_can_be_drawn_within_the_budget(name: str) -> None:
     found = beginning(name)

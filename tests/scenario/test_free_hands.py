@@ -111,6 +111,7 @@ def test_the_plain_law_says_the_same_as_the_kernel(
     assert np.abs(compiled.q - plain.q).max() < 1e-8
 
 
+@pytest.mark.full
 @needs_robots
 @pytest.mark.parametrize("plant", [RigidBody(), QuasiStatic(), Mujoco(time_step=0.001)])
 def test_hands_carry_the_weight_between_taking_hold_and_letting_go(

@@ -177,6 +177,7 @@ def test_a_start_that_closes_outside_the_limits_is_refused(tmp_path: Path) -> No
 # ---- no false alarms ---------------------------------------------------------------------------
 
 
+@pytest.mark.few(10)
 @pytest.mark.parametrize("name", LOADABLE)
 def test_no_shipped_scenario_hides_a_freedom(name: str) -> None:
     assert hidden_freedom(load(name).chain) is None
@@ -215,6 +216,7 @@ CHAINS = {
 }
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", CHAINS)
 def test_rounded_starts_of_other_loops_hide_nothing_even_near_singular_poses(
     name: str, rng: np.random.Generator

@@ -250,7 +250,7 @@ def test_a_task_with_rows_alone_says_what_it_needs(tmp_path: Path) -> None:
     tasks = re.sub(r"(?ms)^tasks:.*?^(?=\w)", "tasks: [mine]\n", shipped)
     file = write(tmp_path, "own.yaml", tasks)
     (said,) = refused("validate", "--plugins", tmp_path, file)
-    assert said.endswith("tasks[0]: mine: needs a method bind, or program")
+    assert said.endswith("tasks[0]: mine: needs a method bind, geometry or program")
 
 
 @pytest.mark.parametrize(

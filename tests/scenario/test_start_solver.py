@@ -109,6 +109,7 @@ def check(
 # ---- starts that are there -------------------------------------------------------------------
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize("name", NEW_HERE)
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_a_shipped_scenario_closes(name: str, seed: int) -> None:

@@ -194,6 +194,7 @@ def test_what_was_sent_gives_the_same_joints_bit_for_bit(tmp_path: Path) -> None
         np.testing.assert_array_equal(one.inputs["target"].value, two.inputs["target"].value)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("k", [0, 37, 150])
 def test_every_tick_can_be_repeated_from_the_trace(k: int, tmp_path: Path) -> None:
     text = scenario_text(tmp_path)

@@ -98,6 +98,7 @@ def jump(qp: QP, rng: np.random.Generator) -> None:
     copy_into(qp, random_qp(rng))
 
 
+@pytest.mark.each_value
 @pytest.mark.parametrize("change", [drift, jump])
 @each_solver
 def test_solver_follows_a_problem_that_changes_from_tick_to_tick(

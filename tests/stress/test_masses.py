@@ -77,6 +77,7 @@ def test_a_solver_changes_nothing_of_what_is_drawn(
     assert mine.problem.limits == default.problem.limits
 
 
+@pytest.mark.full
 @pytest.mark.parametrize("solver", [Osqp(), Proxqp()])
 def test_other_solvers_keep_the_promise(solver: Osqp | Proxqp) -> None:
     rollout = one_rollout(3, solver)

@@ -162,6 +162,7 @@ def gap(trace: Trace) -> Array:
 FIRM, HINGE = Rigid(), Revolute(point=(0.0, 0.0, 0.02))
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("plant", "grasp"),
     [

@@ -53,6 +53,7 @@ def test_a_pad_whose_pressure_reaches_its_edge_is_named_and_a_squeeze_that_holds
     assert "equal: {squeeze: 37.5} it is held (tried)" in found.sentence
 
 
+@pytest.mark.full
 def test_springs_that_bear_a_weight_that_is_wrong_ask_for_the_mass_that_helps(
     tmp_path: Path,
 ) -> None:
@@ -77,6 +78,7 @@ def test_springs_that_bear_a_weight_that_is_wrong_ask_for_the_mass_that_helps(
     assert assess(coopqp.run(advised, controller="torque_qp")).reached
 
 
+@pytest.mark.full
 def test_a_push_that_holds_an_object_away_is_no_error_of_the_model() -> None:
     """The hands' servos give way by half a millimetre, which no calibration mends."""
     push = Push(force=(0.0, 80.0, 0.0), start=0.1, duration=99.0)

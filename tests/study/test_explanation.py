@@ -242,6 +242,7 @@ def test_tick_that_misses_nothing_says_so(mode: str, chain: ClosedChain) -> None
     assert found == Explanation((), (), (), nothing)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", ["point_on_plane", "tilting_plane", "yeo_4_5"])
 def test_ordinary_tick_meets_its_tasks(name: str) -> None:
     """No joint of these comes near a limit; all that is missing is what the damping costs."""

@@ -24,6 +24,7 @@ def explained(scenario: Scenario, folder: Path, controller: str = "qp") -> RunEx
     return explain_run(scenario, trace_from_file(path, scenario, controller))
 
 
+@pytest.mark.full
 def test_a_leash_that_holds_the_commands_back_is_named(tmp_path: Path) -> None:
     scenario = replace(
         coopqp.load("point_on_point"),
@@ -50,6 +51,7 @@ def test_what_the_model_gets_wrong_is_not_blamed_on_the_law(tmp_path: Path) -> N
     assert "what the model gets wrong" in found.sentence
 
 
+@pytest.mark.full
 @pytest.mark.usefixtures("hurried_reruns")
 def test_a_run_that_an_injected_fault_keeps_from_its_goal_is_told_of_it(tmp_path: Path) -> None:
     fault = Fault(kind="motor_reversed", joint="LElbowRoll", start=0.5)
@@ -72,6 +74,7 @@ def test_a_law_that_knows_no_priorities_puts_nobody_first(tmp_path: Path) -> Non
     assert "first" not in other.sentence
 
 
+@pytest.mark.full
 @pytest.mark.usefixtures("hurried_reruns")
 def test_a_load_heavier_than_told_asks_for_its_mass(tmp_path: Path) -> None:
     scenario = replace(

@@ -24,6 +24,7 @@ WRONG = Disturbance(
 SCALED = (HEAD + PHASES + TAIL).replace("{name: up,", "{name: up, mode: scaled,")
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     "plant",
     [Kinematic(), RigidBody(time_step=0.002), Mujoco(time_step=0.001)],

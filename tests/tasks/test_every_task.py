@@ -47,6 +47,7 @@ def test_task_looks_at_the_state_and_leaves_it_alone(
         np.testing.assert_array_equal(a, b)
 
 
+@pytest.mark.each_value
 @over(PLACED)
 @pytest.mark.parametrize("t", TIMES)
 def test_error_changes_at_jacobian_times_velocity_less_rate(

@@ -95,6 +95,7 @@ def test_half_a_turn_at_once_is_finite_and_done(rng: np.random.Generator) -> Non
     assert np.isfinite(block.J).all()
 
 
+@pytest.mark.each_value
 @pytest.mark.parametrize("off", [0.0, 1e-15, 1e-9, 1e-4, 0.01, 0.1])
 @pytest.mark.parametrize("kind", ["step", "quintic"])
 @pytest.mark.parametrize(

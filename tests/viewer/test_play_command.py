@@ -176,6 +176,7 @@ def _connection(url: str, **headers: str) -> Any:
     )  # fmt: skip
 
 
+@pytest.mark.full
 def test_malformed_messages_end_neither_the_page_nor_the_run(
     started: tuple[Program, str], rng: np.random.Generator
 ) -> None:
