@@ -23,6 +23,7 @@ def comparison() -> Comparison:
     return coopqp.compare(cut(coopqp.load("point_on_point"), 3), controllers=["qp"])
 
 
+@pytest.mark.full
 def test_a_killed_writer_leaves_one_whole_report(capsys: pytest.CaptureFixture[str]) -> None:
     assert kills.main(["--kills", "5"]) == 0
     assert capsys.readouterr().out.startswith("5 kills")

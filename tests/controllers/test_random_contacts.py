@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 
 import numpy as np
+import pytest
 from chains import closed_states
 from laws import problem
 from pads import pressing
@@ -52,6 +53,7 @@ def coulomb_keeps(law: TorqueQpLaw, h: Array, R_WO: Array, safety: float) -> boo
     return True
 
 
+@pytest.mark.full
 def test_cones_and_motors_are_kept_in_random_ticks_or_it_is_said(chain: ClosedChain) -> None:
     rng, seen, refused = np.random.default_rng(16), Counter[str](), 0
     states = closed_states(chain, STATES)

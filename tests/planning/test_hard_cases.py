@@ -196,6 +196,7 @@ def test_ranges_that_no_limit_names_are_kept(limits: list[object]) -> None:
     assert (np.clip(ends, chain.lower, chain.upper) == ends).all()
 
 
+@pytest.mark.full
 def test_ways_that_last_too_long_to_be_kept_are_refused() -> None:
     with pytest.raises(CoopqpError, match="s, more ticks than are kept"):
         plan(_nao([{"joint_acceleration": {"max": 1e-9}}]), budget=Budget(seconds=60.0))

@@ -75,6 +75,7 @@ def test_a_small_share_breaks_no_promise(small: list[Rollout]) -> None:
     assert everything["velocity_excess"] <= 1e-9
 
 
+@pytest.mark.full
 def test_everything_follows_from_the_seed(small: list[Rollout]) -> None:
     assert [one_rollout(r.seed) for r in small[:6]] == small[:6]
     assert stress(6, seed=0, engine=Engine(jobs=2)) == small[:6]

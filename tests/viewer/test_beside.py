@@ -41,6 +41,7 @@ def test_a_slow_process_gets_the_newest() -> None:
     assert len(back) >= len(sent) - 1
 
 
+@pytest.mark.full
 def test_a_process_that_takes_nothing_holds_nothing_up() -> None:
     beside = Worker(never)
     list(beside.received(20.0))

@@ -96,6 +96,7 @@ def settled(page: Any, player: Player) -> str:
     raise AssertionError(said)
 
 
+@pytest.mark.full
 def test_a_gizmo_is_dragged_where_it_is_unreachable_and_the_limit_is_named() -> None:
     player = Player(load("point_on_point"), ("qp",))
     show, goal = player.show(), np.array([0.13, 0.05, 0.03])
