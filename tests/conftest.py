@@ -10,7 +10,6 @@ import os
 import signal
 import sys
 from collections import Counter, defaultdict
-from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -80,7 +79,6 @@ MARKS = {
     "full": "a test, or a case, that --all runs",
     "few(n)": "of the cases --all runs all; else so many, from the first to the last",
     "each_value": "of the cases --all runs all; else one of each value of each parameter",
-    "each_pair": "of the cases --all runs all; else one of each pair of values of two parameters",
 }
 
 
@@ -141,20 +139,24 @@ def _chosen(items: list[pytest.Item]) -> list[pytest.Item]:
         (count,) = marks["few"].args
         step = (len(items) - 1) / max(1, count - 1)
         return [items[k] for k in sorted({round(step * i) for i in range(count)})]
-    if "each_pair" in marks:
-        return _covering(items, 2)
-    return _covering(items, 1) if "each_value" in marks else items
+    return _covering(items) if "each_value" in marks else items
 
 
-def _covering(items: list[Any], size: int) -> list[pytest.Item]:
-    """Cases that have all combinations of so many parameters' values, evenly used."""
+def _covering(items: list[Any]) -> list[pytest.Item]:
+    """Cases that have all values of all parameters, evenly used."""
     values = {item: [(k, repr(x)) for k, x in item.callspec.params.items()] for item in items}
-    parts = {item: set(combinations(of, size)) for item, of in values.items()}
-    left, used = set[Any]().union(*parts.values()), Counter[Any]()
+    rest, left, used = set(items), set[Any]().union(*values.values()), Counter[Any]()
     kept: list[pytest.Item] = []
     while left:
-        kept.append(max(parts, key=lambda item: _worth(parts[item] & left, values[item], used)))
-        left -= parts.pop(kept[-1])
+        in_order = [item for item in items if item in rest]
+        kept.append(
+            max(
+                in_order,
+                key=lambda item: _worth(left.intersection(values[item]), values[item], used),
+            )
+        )
+        rest.remove(kept[-1])
+        left.difference_update(values[kept[-1]])
         used.update(values[kept[-1]])
     return kept
 

@@ -98,6 +98,7 @@ class KernelLaw(Law):
         self._takes_turns = self._exact or self.whole.follows or self.whole.engine.unlocks()
         self._asked = False  # whether the kernel has been asked in this tick
         self._raised: BaseException | None = None  # by code of plug-ins meanwhile
+        self._raised_in_step: BaseException | None = None  # for the tick that says it
 
     @cached_property
     def plain(self) -> QPLaw:
@@ -112,8 +113,8 @@ class KernelLaw(Law):
 
     def _tick(self, state: State) -> Command:
         """Without pinocchio where possible."""
-        self._asked, self._raised = False, None
-        if self._alone(state) and not self._stopped[0]:
+        self._asked, self._raised, self._raised_in_step = False, self._raised_in_step, None
+        if not self._raised and self._alone(state) and not self._stopped[0]:
             self._asked = True
             if self._decided_alone(state):
                 state.jacobians_due = self.whole.alone
@@ -202,7 +203,8 @@ class KernelLaw(Law):
             self.whole.follow(state)
         except KeyboardInterrupt:
             raise
-        except BaseException:  # noqa: BLE001 - code of plug-ins may raise anything
+        except BaseException as error:  # noqa: BLE001 - code of plug-ins may raise anything
+            self._raised_in_step = error
             return BUSY
         return int(self._engine_step(state))
 

@@ -21,7 +21,7 @@ from coopqp.model.state import State
 from coopqp.scenario.input import InputSettings
 from coopqp.scenario.loader import load
 from coopqp.signal import POINT, InputValues, Kind, Signal, Trajectory
-from coopqp.signals import Input, Line
+from coopqp.signals import Circle, Input, Line
 from coopqp.solver import Status
 from coopqp.task import Task, TaskStack
 from coopqp.tasks import JointCentering, PointOnPoint
@@ -148,3 +148,25 @@ def test_the_kernel_reads_an_input_itself_wherever_its_arrays_are(chain: ClosedC
         assert laws[0].compiled == (not 30 <= k < 40)
         np.testing.assert_allclose(found[0], found[1], atol=SAME)
     assert statuses.count(Status.RAISED) == 20  # ten ticks of each
+
+
+def test_a_step_in_which_a_signal_raises_once_is_told(
+    chain: ClosedChain, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The tick that decides instead does not ask it again and hide that."""
+    x, y, z = chain.start_position.tolist()
+    round_ = PointOnPoint(goal=Circle(center=(x, y, z), radius=0.01, period=4.0))
+    law = QPController(engine="kernel").build(problem(chain, round_))
+    assert isinstance(law, KernelLaw)
+    follow, calls = law.whole.follow, iter(range(1000))
+
+    def fails(state: State) -> None:
+        if next(calls) == 3:
+            raise TimeoutError("no transform")
+        follow(state)
+
+    monkeypatch.setattr(law.whole, "follow", fails)
+    state = law.start()
+    said = [law.step(state).status for _ in range(8)]
+    assert said.count(Status.RAISED) == 1
+    assert said.count(Status.OPTIMAL) == 7
