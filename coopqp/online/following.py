@@ -22,6 +22,7 @@ from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from coopqp.base.rank import null_space
 from coopqp.base.spec import Array
@@ -54,6 +55,7 @@ EXPLAINED, EXPLAINED_SWAPPED, AS_GOOD, ALONE = 0.9, 0.95, 0.03, 0.5
 #: delta over dq_c of a joint that does not follow, at least; of two that are swapped, 1 but for
 #: what else there is; of joints that move the wrong way. Of a window, when it may have begun.
 LEAST_SLOPE, SWAPPED, REVERSED = 0.6, (0.7, 1.0 / 0.7), (1.5, 4.0)
+BACK, ALIKE_BACK = (1.5, 2.5), 0.8
 ONSETS = (0.0, 0.35, 0.65)
 #: A reading has jumped by so much at least [rad, m], most of it within two samples.
 LEAST_JUMP, JUMP = 8e-3, 0.8
@@ -213,7 +215,10 @@ class JointFollowing:
         # The object's weight is no internal wrench, changes with the pose, and may be told wrong.
         variance += self._observer.sag(state)[self._own] ** 2
         L = np.linalg.cholesky(parity.T @ (variance[:, None] * parity))
-        return np.asarray(np.linalg.solve(L, parity.T).T)
+        white = np.asarray(np.linalg.solve(L, parity.T).T)
+        smooth = (variance - noise**2 + NOISE**2) @ white**2  # white noise is judged by its ratio
+        self._allowed = MEAN_SQUARE * float(smooth.sum()) / max(1, len(smooth))
+        return white
 
     def _directions(self, A: Array) -> tuple[Array, Array]:
         """Left singular vectors (n, n) and values."""
@@ -265,31 +270,41 @@ class JointFollowing:
         (T, d), steps = z.shape[1:], np.diff(z[self._lag], 2, axis=0)
         self._noise = float(np.sum(steps**2)) * (T - 1) / (6.0 * (T - 2))
         above = sizes[self._lag] - self._noise
-        if above < max(MEAN_SQUARE * T, DEVIATIONS * self._noise * (1.9 / (T * d)) ** 0.5):
+        if above < max(self._allowed * T, DEVIATIONS * self._noise * (1.9 / (T * d)) ** 0.5):
             return None
         self.suspicious = True
-        return self._best(m, c, z, sizes, at)
+        return self._best(m, np.concatenate([c, self._slow(at)]), at)
 
-    def _alike(self, at: Array) -> float:
-        """What joints that are sound leave of the parity vector where all follow alike.
-
-        Servos of a first order, told velocities of which they follow a share s, while a loop of
-        gain k takes their error to zero: r' = -(1 - s) dq_c' - s k r, integrated.
-        """
+    def _slow(self, at: Array) -> Array:
+        """Commands as servos of a first order follow them, late as well, shape (servos, T, n)."""
         before = np.arange(len(self._kernels))
         late = np.array([at[:, None] - before - lag // 2 for lag in self._lags[::2]])
-        c = np.tensordot(self._kernels, self._of(self._c, late), (0, 2))  # (times, lags, T, n)
-        r = self._of(self._m, at) - c
-        causes = np.stack([r, c, r.cumsum(axis=2) * self._h * (at[1] - at[0])])
-        causes = (causes - causes.mean(axis=3, keepdims=True)) @ self._white
-        G = np.einsum("aslti,bslti->slab", causes, causes)
+        c = np.tensordot(self._kernels, self._of(self._c, late), (0, 2))
+        c = c.reshape(-1, len(at), len(self._own))
+        return np.asarray(c - c.mean(axis=1, keepdims=True))
+
+    def _alike(self, r: Array, c: Array, time: float) -> float:
+        """What joints that are sound leave of the parity vector where all follow alike.
+
+        They follow a share s of the velocities that their servos are told, of samples after each
+        ``time``, and a loop of gain k takes their error to zero: r' = -(1 - s) dq_c' - s k r.
+        """
+        causes = np.stack([r, c, r.cumsum(axis=1) * time])
+        causes = (causes - causes.mean(axis=2, keepdims=True)) @ self._white
+        G = np.einsum("asti,bsti->sab", causes, causes)
         short, gains = (np.linspace(0.0, most, 7) for most in ALIKE)
         p = np.stack([np.ones((7, 7)), *np.meshgrid(short, gains)], axis=-1)
-        return float(np.einsum("xya,slab,xyb->slxy", p, G, p).min())
+        return float(np.einsum("xya,sab,xyb->sxy", p, G, p).min())
 
-    def _best(self, m: Array, c: Array, z: Array, sizes: Array, at: Any) -> Suspect | None:
-        """The fault that leaves least of r, of those that explain the parity vector."""
-        n, pairs, above = len(self._own), self._pairs, sizes[self._lag] - self._noise
+    def _best(self, m: Array, c: Array, at: Any) -> Suspect | None:
+        """The fault that leaves least of r, of those that explain the parity vector.
+
+        c are commands as servos that are sound may follow them, shape (servos, T, n).
+        """
+        r = m - c
+        z = r @ self._white
+        sizes = np.einsum("ltd,ltd->l", z, z)
+        n, pairs, above = len(self._own), self._pairs, sizes.min() - self._noise
         told = self._told(at, self._lag)
         signs = self._faults @ self._white  # (faults, d)
         lengths = np.einsum("fd,fd->f", signs, signs)
@@ -305,28 +320,30 @@ class JointFollowing:
         jumped = (steps > JUMP * ranges) & (ranges > LEAST_JUMP)
         noise = self._noise * (1.0 - 1.0 / self._white.shape[1])
         share = np.maximum(left - noise, 0.0) / above
-        one = (share < 1.0 - EXPLAINED) & (jumped | (moves & (slope > LEAST_SLOPE)))
+        backwards = _backwards(delta, m @ self._faults.T)
+        one = (share < 1.0 - EXPLAINED) & (jumped | backwards | (moves & (slope > LEAST_SLOPE)))
         exchanged = moves & (slope > SWAPPED[0]) & (slope < SWAPPED[1])
         two = exchanged & (share < 1.0 - EXPLAINED_SWAPPED)
         good = np.where(faults < n, one, two)
         first, second = np.argsort(left)[:2]
         if first >= n and share[first] < ALONE * min(1.0, share[second]):
             good[first] = exchanged[first]
-        alike = self._alike(at) - self._noise
+        alike = self._alike(r, c, self._h * (at[1] - at[0])) - self._noise
         stops = np.minimum(told - self._least, self._most - told).min(axis=0) < NEAR
         stopped = (share[:n][stops] < 1.0 - EXPLAINED).any()
-        if stopped or not good.any() or alike < max(LAGGING * above, MEAN_SQUARE * len(m)):
+        if stopped or not good.any() or alike < max(LAGGING * above, self._allowed * len(m)):
             return None
-        good &= left <= max(3.0 * left[good].min(), AS_GOOD * above)
+        good &= share <= max(3.0 * share[good].min(), AS_GOOD)
         rest = np.full(len(faults), np.inf)
         for f in np.flatnonzero(good):
-            r = m - c[lags[f]] - np.outer(delta[:, f], self._faults[f])
-            rest[f] = np.sum(r**2) * (1.0 if f < n else PENALTY)
+            left_r = r[lags[f]] - np.outer(delta[:, f], self._faults[f])
+            rest[f] = np.sum(left_r**2) * (1.0 if f < n else PENALTY)
         best = int(rest.argmin())
         if best >= n:
             j, k = (int(self._own[i]) for i in pairs[best - n])
             return Suspect("joints_swapped", (j, k), float(slope[best]))
-        kind = _kind(slope[best], m[:, best], motion[:, best], jumped=bool(jumped[best]))
+        kind = _kind(slope[best], m[:, best], motion[:, best], delta[:, best])
+        kind = "encoder_jumped" if jumped[best] else "joint_reversed" if backwards[best] else kind
         others = [f for f in range(n) if f != best and rest[f] < AMBIGUOUS * rest[best]]
         joints = tuple(int(self._own[f]) for f in (best, *others))
         return Suspect(kind, joints, float(slope[best]))
@@ -346,10 +363,15 @@ def _slopes(delta: Array, motion: Array) -> Array:
     return slopes
 
 
-def _kind(slope: float, m: Array, c: Array, *, jumped: bool) -> str:
-    """What a joint does that measures m and is commanded c, shape (T,) [rad, m]."""
-    if jumped:
-        return "encoder_jumped"
-    if np.ptp(m) < STANDS * np.ptp(c):
+def _backwards(delta: Array, read: Array) -> NDArray[np.bool_]:
+    """Whether what others say of a joint's motion, read - delta, is -read, (faults,)."""
+    squares, along = np.sum(read**2, axis=0), np.sum(delta * read, axis=0)
+    alike = along**2 > ALIKE_BACK * squares * np.sum(delta**2, axis=0)
+    return alike & (along > BACK[0] * squares) & (along < BACK[1] * squares)
+
+
+def _kind(slope: float, m: Array, c: Array, delta: Array) -> str:
+    """What a joint does that measures m, off by delta, and is commanded c, shape (T,) [rad, m]."""
+    if np.ptp(m) < STANDS * max(np.ptp(c), np.ptp(delta)):
         return "joint_stands_still"
     return "joint_reversed" if REVERSED[0] < slope < REVERSED[1] else "joint_not_following"
