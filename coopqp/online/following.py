@@ -269,8 +269,9 @@ class JointFollowing:
         self._lag = int(sizes.argmin())
         (T, d), steps = z.shape[1:], np.diff(z[self._lag], 2, axis=0)
         self._noise = float(np.sum(steps**2)) * (T - 1) / (6.0 * (T - 2))
-        above = sizes[self._lag] - self._noise
-        if above < max(self._allowed * T, DEVIATIONS * self._noise * (1.9 / (T * d)) ** 0.5):
+        white = DEVIATIONS * self._noise * (1.9 / (T * d)) ** 0.5
+        self._enough = max(self._allowed * T, white)
+        if sizes[self._lag] - self._noise < self._enough:
             return None
         self.suspicious = True
         return self._best(m, np.concatenate([c, self._slow(at)]), at)
@@ -331,7 +332,7 @@ class JointFollowing:
         alike = self._alike(r, c, self._h * (at[1] - at[0])) - self._noise
         stops = np.minimum(told - self._least, self._most - told).min(axis=0) < NEAR
         stopped = (share[:n][stops] < 1.0 - EXPLAINED).any()
-        if stopped or not good.any() or alike < max(LAGGING * above, self._allowed * len(m)):
+        if stopped or not good.any() or alike < max(LAGGING * above, self._enough):
             return None
         good &= share <= max(3.0 * share[good].min(), AS_GOOD)
         rest = np.full(len(faults), np.inf)

@@ -290,7 +290,7 @@ def test_what_has_jumped_counts_again_once_it_jumps_back() -> None:
     chain = follows().chain
     readings, q = Readings(chain), chain.q_start.copy()
     assert readings.take(q, q, 0.0) is None
-    slipped = NOISE + 0.01 * FASTER * chain.velocity[0] + 1e-3
+    slipped = NOISE + 0.01 * FASTER * chain.velocity[0] + 6e-3
     for k in range(1, 20):
         q[0] -= 5e-3
         off = np.where(np.arange(chain.n), q, q + slipped)
