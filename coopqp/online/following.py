@@ -215,10 +215,7 @@ class JointFollowing:
         # The object's weight is no internal wrench, changes with the pose, and may be told wrong.
         variance += self._observer.sag(state)[self._own] ** 2
         L = np.linalg.cholesky(parity.T @ (variance[:, None] * parity))
-        white = np.asarray(np.linalg.solve(L, parity.T).T)
-        smooth = (variance - noise**2 + NOISE**2) @ white**2  # white noise is judged by its ratio
-        self._allowed = MEAN_SQUARE * float(smooth.sum()) / max(1, len(smooth))
-        return white
+        return np.asarray(np.linalg.solve(L, parity.T).T)
 
     def _directions(self, A: Array) -> tuple[Array, Array]:
         """Left singular vectors (n, n) and values."""
@@ -270,7 +267,7 @@ class JointFollowing:
         (T, d), steps = z.shape[1:], np.diff(z[self._lag], 2, axis=0)
         self._noise = float(np.sum(steps**2)) * (T - 1) / (6.0 * (T - 2))
         white = DEVIATIONS * self._noise * (1.9 / (T * d)) ** 0.5
-        self._enough = max(self._allowed * T, white)
+        self._enough = max(MEAN_SQUARE * T, white)
         if sizes[self._lag] - self._noise < self._enough:
             return None
         self.suspicious = True
