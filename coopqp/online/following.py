@@ -22,7 +22,6 @@ from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from coopqp.base.rank import null_space
 from coopqp.base.spec import Array
@@ -44,6 +43,8 @@ ALIKE = (0.3, 3.0)
 #: Standard deviations: of a reading at least [rad, m]; of a servo's lag [s], and of what inertia
 #: adds for an acceleration, 1/frequency^2 [s^2]; of its stiffness, as a share of the sag.
 NOISE, LAG_NOISE, INERTIA_NOISE, STIFFNESS_NOISE = 4e-4, 6e-3, 2e-3, 0.1
+#: sigma of white noise over the median of |second differences|, which is 1.65 sigma, 1.2 of few.
+OF_BENDS = 0.73
 #: Square of the parity vector's change over its variance from which a fault is looked for; mean
 #: square about the mean, less the noise, from which it is one, and by how many standard deviations
 #: sqrt(1.9/(T d)) of von Neumann's ratio (variance to that of second differences) for T samples of
@@ -55,8 +56,9 @@ EXPLAINED, EXPLAINED_SWAPPED, AS_GOOD, ALONE = 0.9, 0.95, 0.03, 0.5
 #: delta over dq_c of a joint that does not follow, at least; of two that are swapped, 1 but for
 #: what else there is; of joints that move the wrong way. Of a window, when it may have begun.
 LEAST_SLOPE, SWAPPED, REVERSED = 0.6, (0.7, 1.0 / 0.7), (1.5, 4.0)
-BACK, ALIKE_BACK = (1.5, 2.5), 0.8
 ONSETS = (0.0, 0.35, 0.65)
+#: Share by squares that a delta of twice the reading's own motion may leave where its sign is wrong.
+BACKWARDS = 0.2
 #: A reading has jumped by so much at least [rad, m], most of it within two samples.
 LEAST_JUMP, JUMP = 8e-3, 0.8
 #: Commanded motion below which a joint says nothing, and so near to the end of its range that it
@@ -121,7 +123,7 @@ class JointFollowing:
         self._stuck_for = round(STUCK / h) - 1  # of which the first lasts as long, too
         rings, members = (self._c, self._m), [arm.tolist() for arm in self._arms]
         made, found = (*rings, own.tolist(), members, self._stuck_for, self._spans), native.module()
-        self._quick = found and found.Samples(*made, LONG)
+        self._quick = found and found.Samples(*made, LONG, self._compliance.tolist(), h)
         self.forget()
 
     def forget(self) -> None:
@@ -192,8 +194,14 @@ class JointFollowing:
         if self._samples - self._whitened >= self._renew:
             self._earlier = [*self._earlier[-1:], J]
         N = null_space(J[:, self._passive].T) if len(self._passive) else np.identity(len(J))
-        A = self._compliance[:, None] * (J.T @ N)[self._own]
-        U, values = self._directions(A)
+        pulls, turned = ((X.T @ N)[self._own] for X in (J, J - self._earlier[0]))
+        load, n = self._observer.sag(state)[self._own], len(self._own)
+        if self._quick:
+            W = np.empty(n * n)
+            d = self._quick.whiten(self._samples, self._lag, pulls, turned, load, W)
+            return W[: n * d].reshape(n, d)
+        A = self._compliance[:, None] * pulls
+        U, values, _ = np.linalg.svd(A)
         rank = int(np.sum(values > SINGULAR * values.max(initial=1e-12)))
         U, parity = U[:, :rank], U[:, rank:]
         at = np.arange(max(0, last - self._spans[1]), last + 1)
@@ -201,31 +209,19 @@ class JointFollowing:
         r = (m - c) - (m[0] - c[0])
         sag = np.mean((r @ U @ U.T) ** 2, axis=0)
         speed = np.abs(np.diff(c, axis=0)).mean(axis=0) / self._h
-        # Of second differences, sqrt(6) sigma, the median is 1.65 sigma; 1.2 for few samples.
-        noise = max(NOISE, 0.73 * float(np.median(np.abs(np.diff(m, 2, axis=0)))))
+        noise = max(NOISE, OF_BENDS * float(np.median(np.abs(np.diff(m, 2, axis=0)))))
         half = (len(c) - 1) // 2
         bend = np.abs(c[2 * half] - 2.0 * c[half] + c[0]) / max(half * self._h, self._h) ** 2
         variance = noise**2 + (LAG_NOISE * speed) ** 2 + STIFFNESS_NOISE**2 * sag
         variance += (INERTIA_NOISE * bend) ** 2
         # What pulled as now pulled otherwise before J_c turned with the joints.
         least = (SINGULAR * values.max(initial=1e-12)) ** 2 * np.identity(A.shape[1])
-        pull = N @ np.linalg.solve(A.T @ A + least, A.T @ (m - c)[-1])
-        otherwise = self._compliance * ((J - self._earlier[0]).T @ pull)[self._own]
-        variance += otherwise**2 / 3.0  # on the way
+        pull = np.linalg.solve(A.T @ A + least, A.T @ (m - c)[-1])
+        variance += (self._compliance * (turned @ pull)) ** 2 / 3.0  # on the way
         # The object's weight is no internal wrench, changes with the pose, and may be told wrong.
-        variance += self._observer.sag(state)[self._own] ** 2
+        variance += load**2
         L = np.linalg.cholesky(parity.T @ (variance[:, None] * parity))
         return np.asarray(np.linalg.solve(L, parity.T).T)
-
-    def _directions(self, A: Array) -> tuple[Array, Array]:
-        """Left singular vectors (n, n) and values."""
-        if self._quick is None:
-            U, values, _ = np.linalg.svd(A)
-            return U, values
-        # LAPACK may wait for its other threads, up to a tenth of a second beside other programs.
-        U, values = np.zeros((len(A), len(A))), np.zeros(A.shape[1])
-        self._quick.directions(A, SINGULAR, values, U)
-        return U, values
 
     def _look(self, state: State, spans: Sequence[int]) -> tuple[Suspect | None, int]:
         """The suspect of the shortest window that has one, and that window."""
@@ -318,7 +314,7 @@ class JointFollowing:
         jumped = (steps > JUMP * ranges) & (ranges > LEAST_JUMP)
         noise = self._noise * (1.0 - 1.0 / self._white.shape[1])
         share = np.maximum(left - noise, 0.0) / above
-        backwards = _backwards(delta, m @ self._faults.T)
+        backwards = _squares(delta - 2.0 * m @ self._faults.T) < BACKWARDS * _squares(delta)
         one = (share < 1.0 - EXPLAINED) & (jumped | backwards | (moves & (slope > LEAST_SLOPE)))
         exchanged = moves & (slope > SWAPPED[0]) & (slope < SWAPPED[1])
         two = exchanged & (share < 1.0 - EXPLAINED_SWAPPED)
@@ -361,11 +357,8 @@ def _slopes(delta: Array, motion: Array) -> Array:
     return slopes
 
 
-def _backwards(delta: Array, read: Array) -> NDArray[np.bool_]:
-    """Whether what others say of a joint's motion, read - delta, is -read, (faults,)."""
-    squares, along = np.sum(read**2, axis=0), np.sum(delta * read, axis=0)
-    alike = along**2 > ALIKE_BACK * squares * np.sum(delta**2, axis=0)
-    return alike & (along > BACK[0] * squares) & (along < BACK[1] * squares)
+def _squares(x: Array) -> Array:
+    return np.asarray(np.sum(x**2, axis=0))
 
 
 def _kind(slope: float, m: Array, c: Array, delta: Array) -> str:
