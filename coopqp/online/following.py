@@ -54,11 +54,10 @@ SUSPICIOUS, MEAN_SQUARE, DEVIATIONS = 12.0, 3.0, 6.0
 #: swapped joints need less where all other faults leave so much more.
 EXPLAINED, EXPLAINED_SWAPPED, AS_GOOD, ALONE = 0.9, 0.95, 0.03, 0.5
 #: delta over dq_c of a joint that does not follow, at least; of two that are swapped, 1 but for
-#: what else there is; of joints that move the wrong way. Of a window, when it may have begun.
+#: what else there is; of joints that move the wrong way. Of a window, when it may have begun. Share
+#: by squares that twice the reading's own motion may leave of delta where its sign is wrong.
 LEAST_SLOPE, SWAPPED, REVERSED = 0.6, (0.7, 1.0 / 0.7), (1.5, 4.0)
-ONSETS = (0.0, 0.35, 0.65)
-#: Share by squares that a delta of twice the reading's own motion may leave where its sign is wrong.
-BACKWARDS = 0.2
+ONSETS, BACKWARDS = (0.0, 0.35, 0.65), 0.2
 #: A reading has jumped by so much at least [rad, m], most of it within two samples.
 LEAST_JUMP, JUMP = 8e-3, 0.8
 #: Commanded motion below which a joint says nothing, and so near to the end of its range that it
@@ -130,8 +129,7 @@ class JointFollowing:
         """Begin anew, as after a rest in which somebody may have moved the joints."""
         self._count = self._samples = self._lag = 0
         self._whitened, self._earlier = -self._renew, list[Array]()
-        self._before: Suspect | None = None
-        self._before_long: Suspect | None = None
+        self._before: list[Suspect | None] = [None, None]  # of the last look, and the last long one
         self.suspicious = False
 
     def update(self, state: State, q_c: Array, q_m: Array) -> Suspect | None:
@@ -152,37 +150,33 @@ class JointFollowing:
 
     def _agreed(self, found: Suspect | None, span: int, spans: Sequence[int]) -> Suspect | None:
         """What the last look has found, too, or that of the long window, which is a rare one."""
-        long, earlier = self._spans[-1], (self._before, self._before_long)
-        self._before = found
+        long, earlier = self._spans[-1], list(self._before)
+        self._before[0] = found
         if long in spans:
-            self._before_long = found if span == long else None
+            self._before[1] = found if span == long else None
         agree = (e and found and set(e.joints) & set(found.joints) for e in earlier)
         return found if any(agree) else None
 
     def _add(self, q_c: Array, q_m: Array) -> bool:
         """Add to the sample that is being taken; whether it is whole."""
-        at, first, share = self._samples, self._count % self._every == 0, 1.0 / self._every
+        at, part = divmod(self._count, self._every)
         if self._quick:
-            self._quick.add(at, first, share, q_c, q_m)
+            self._quick.add(at, part == 0, 1.0 / self._every, q_c, q_m)
         else:
             for ring, q in ((self._c, q_c), (self._m, q_m)):
                 sample = ring[at % len(ring)]
-                sample[:] = (0.0 if first else sample) + share * q[self._own]
+                sample[:] = (sample if part else 0.0) + q[self._own] / self._every
         self._count += 1
-        whole = self._count % self._every == 0
-        self._samples += whole
-        return whole
+        self._samples = self._count // self._every
+        return self._samples > at
 
     def _stuck(self, span: int) -> Suspect | None:
         """An arm of which no reading has changed by a bit while it was commanded to move."""
         last, least = self._samples - 1, MOVED * span / self._stuck_for
         if last < span:
             return None
-        for arm in self._arms:
-            ends = self._of(self._m, last)[arm], self._of(self._m, last - span)[arm]
-            if len(arm) < 2 or not np.array_equal(*ends):
-                continue
-            at = np.arange(last - span, last + 1)
+        at = np.arange(last - span, last + 1)
+        for arm in (arm for arm in self._arms if len(arm) > 1):
             m, c = (np.diff(self._of(ring, at)[:, arm], axis=0) for ring in (self._m, self._c))
             if not m.any() and c.any(axis=1).all() and np.abs(c).sum(axis=0).max() > least:
                 return Suspect("readings_stuck", tuple(int(j) for j in self._own[arm]), 0.0)
@@ -291,10 +285,7 @@ class JointFollowing:
         return float(np.einsum("xya,sab,xyb->sxy", p, G, p).min())
 
     def _best(self, m: Array, c: Array, at: Any) -> Suspect | None:
-        """The fault that leaves least of r, of those that explain the parity vector.
-
-        c are commands as servos that are sound may follow them, shape (servos, T, n).
-        """
+        """The fault that leaves least beside sound servos' motions c, if it explains the rest."""
         r = m - c
         z = r @ self._white
         sizes = np.einsum("ltd,ltd->l", z, z)
@@ -314,7 +305,8 @@ class JointFollowing:
         jumped = (steps > JUMP * ranges) & (ranges > LEAST_JUMP)
         noise = self._noise * (1.0 - 1.0 / self._white.shape[1])
         share = np.maximum(left - noise, 0.0) / above
-        backwards = _squares(delta - 2.0 * m @ self._faults.T) < BACKWARDS * _squares(delta)
+        twice = np.sum((delta - 2.0 * m @ self._faults.T) ** 2, axis=0)
+        backwards = twice < BACKWARDS * np.sum(delta**2, axis=0)
         one = (share < 1.0 - EXPLAINED) & (jumped | backwards | (moves & (slope > LEAST_SLOPE)))
         exchanged = moves & (slope > SWAPPED[0]) & (slope < SWAPPED[1])
         two = exchanged & (share < 1.0 - EXPLAINED_SWAPPED)
@@ -336,8 +328,10 @@ class JointFollowing:
         if best >= n:
             j, k = (int(self._own[i]) for i in pairs[best - n])
             return Suspect("joints_swapped", (j, k), float(slope[best]))
-        kind = _kind(slope[best], m[:, best], motion[:, best], delta[:, best])
-        kind = "encoder_jumped" if jumped[best] else "joint_reversed" if backwards[best] else kind
+        still = np.ptp(m[:, best]) < STANDS * max(np.ptp(motion[:, best]), np.ptp(delta[:, best]))
+        back = backwards[best] or REVERSED[0] < slope[best] < REVERSED[1]
+        kind = "joint_reversed" if back else "joint_not_following"
+        kind = "encoder_jumped" if jumped[best] else "joint_stands_still" if still else kind
         others = [f for f in range(n) if f != best and rest[f] < AMBIGUOUS * rest[best]]
         joints = tuple(int(self._own[f]) for f in (best, *others))
         return Suspect(kind, joints, float(slope[best]))
@@ -355,14 +349,3 @@ def _slopes(delta: Array, motion: Array) -> Array:
         better = along**2 > most * squares
         slopes[better], most[better] = (-along / squares)[better], (along**2 / squares)[better]
     return slopes
-
-
-def _squares(x: Array) -> Array:
-    return np.asarray(np.sum(x**2, axis=0))
-
-
-def _kind(slope: float, m: Array, c: Array, delta: Array) -> str:
-    """What a joint does that measures m, off by delta, and is commanded c, shape (T,) [rad, m]."""
-    if np.ptp(m) < STANDS * max(np.ptp(c), np.ptp(delta)):
-        return "joint_stands_still"
-    return "joint_reversed" if REVERSED[0] < slope < REVERSED[1] else "joint_not_following"
