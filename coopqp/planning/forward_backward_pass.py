@@ -254,6 +254,7 @@ class Share:
         R, hinged = self._rows.Rl[:, self._at], self._unit == 0.0
         felt = self._rows.felt(u, x)[:, self._at] + times(R, lam)
         if hinged.any():
-            felt -= times(R, times(np.linalg.pinv(R[:, hinged]), felt[:, hinged]))
+            inverse = np.asarray(np.linalg.pinv(R[:, hinged]), float)
+            felt -= times(R, times(inverse, felt[:, hinged]))
         used = np.where(self._sided, np.abs(felt), felt) - self._room
         return np.asarray((used[:, ~hinged] / self._unit[~hinged]).max(axis=1, initial=0.0), float)
