@@ -33,7 +33,7 @@ CORE = (
 )
 
 #: What the figures may be at most.
-GOALS = {"lines of Python": 54_400, "modules at the root": 12, "rooms": 36, "layers": 14}
+GOALS = {"lines of Python": 54_250, "modules at the root": 12, "rooms": 36, "layers": 14}
 GOALS |= {"lines of the readable core": 7_000}
 
 
