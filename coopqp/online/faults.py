@@ -103,9 +103,9 @@ class FaultMonitor:
         Joints that are ``misread`` do not move at their measured velocities.
         """
         silent = state.hand_wrench is None or state.chain.standing
-        forces = None if silent else self._forces.update(state)
-        findings = [forces, self._observed()]
-        findings += [self._named(Suspect("velocities_wrong", (j,), 0.0)) for j in misread]
+        findings = [None if silent else self._forces.update(state), self._observed()]
+        for j in misread:
+            findings.append(self._named(Suspect("velocities_wrong", (j,), 0.0)))
         if self._joints and q_m is not None and not self._misled:
             if suspect := self._joints.update(state, state.q, q_m):
                 findings.append(self._named(suspect))
@@ -125,9 +125,9 @@ class FaultMonitor:
         self._at_bound = self._at_bound + self._dt if observer.at_bound else 0.0
         if self._at_bound > LASTING:
             return "loop_offset_at_bound", observer.at_bound, observer.note
-        if observer.load > forces.weight + max(SMALL, OF_WEIGHT * forces.weight, observer.doubt):
-            words = "the servos sag as under {} or more; weigh the object"  # felt within seconds
-            return forces.heavier(observer.load, words)
+        load, weight = observer.load, forces.weight  # NaN while it is not known
+        if load > weight + SMALL and load > weight + max(OF_WEIGHT * weight, observer.doubt):
+            return forces.heavier(load, "the servos sag as under {} or more; weigh the object")
         return None
 
     def _named(self, suspect: Suspect) -> Finding:
