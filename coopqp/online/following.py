@@ -263,7 +263,7 @@ class JointFollowing:
         self.suspicious = True
         return self._best(m, np.concatenate([c, self._slow(at)]), at)
 
-    def _slow(self, at: Array) -> Array:
+    def _slow(self, at: Any) -> Array:
         """Commands as servos of a first order follow them, late as well, shape (servos, T, n)."""
         before = np.arange(len(self._kernels))
         late = np.array([at[:, None] - before - lag // 2 for lag in self._lags[::2]])
