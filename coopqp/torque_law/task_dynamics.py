@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from coopqp.base.errors import GraspError, InvalidValueError
-from coopqp.base.rank import least_squares
+from coopqp.base.rank import independent_rows, least_squares
 from coopqp.base.spec import Array
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.closed_loop.mobility import mobility
@@ -114,16 +114,34 @@ def _of_free_arms(problem: ControlProblem, tasks: TaskStack) -> str:
     )
 
 
-def require_motor_freedom(problem: ControlProblem, controller: str) -> None:
-    """GraspError with the missing object motions: tasks that the motors cannot decide."""
-    start = State(problem.chain)
-    if problem.chain.standing:
+def require_motor_freedom(
+    problem: ControlProblem, controller: str, *, free_hands: bool = False
+) -> None:
+    """GraspError with the missing object motions: tasks that the motors cannot decide.
+
+    ``free_hands``: whether the law moves arms that do not hold the object by tasks of their own.
+    """
+    chain = problem.chain
+    start = State(chain)
+    if chain.standing and not free_hands:
         raise GraspError(
             f"{controller}: no arm holds the object in one of the phases, and this law moves hands "
-            "by the object alone; use one that commands velocities, such as qp"
+            "by the object alone; use torque_qp, or one that commands velocities, such as qp"
         )
     tasks = TaskStack([task for task in problem.tasks if not task.joint_space], start)
     tasks.update(start)
+    if free_hands and len(chain.hold.holders) < len(chain.robot.arms):
+        level = TaskDynamics(problem)
+        level.update(start)
+        moved = tasks.J @ level.inverse_inertia()[:, level.dynamics.actuated]
+        decided = len(independent_rows(moved))
+        if decided == len(moved):
+            return
+        if chain.standing:
+            raise GraspError(
+                f"{controller}: the tasks ask {len(moved)} rows of free arms, and the motors "
+                f"decide only {decided} of them independently; leave out rows, or use qp"
+            )
     found = mobility(problem.chain, task_rows=[("all", tasks.J)], samples=1)
     missing = [screw.words() for screw in (*found.impossible, *found.uncontrolled)]
     rows = len(tasks.e)
