@@ -11,6 +11,7 @@ a whole period later: ticks in quick succession would ask for as much motion in 
 from __future__ import annotations
 
 import gc
+import inspect
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -142,10 +143,18 @@ def real_time(
 
 
 def check_driver(robot: Any, *, by_torques: bool = False) -> None:
-    """InvalidValueError where it lacks a method."""
-    for name in ("read", "apply" if by_torques else "write"):
-        if not callable(getattr(robot, name, None)):
+    """InvalidValueError where it lacks a method, or has one that takes something else."""
+    for name, given in (("read", ""), ("apply", "tau") if by_torques else ("write", "q v")):
+        method, arguments = getattr(robot, name, None), given.split()
+        if not callable(method):
             raise InvalidValueError(f"robot: a {type(robot).__name__} has no method {name}")
+        with suppress(ValueError):  # of what is not written in Python
+            try:
+                inspect.signature(method).bind(*arguments)
+            except TypeError as error:
+                words = f"{name}({', '.join(arguments)}) cannot be called: {error}"
+                made = "; found a class, needs an object of it" * isinstance(robot, type)
+                raise InvalidValueError(f"robot: {words}{made}") from None
 
 
 def _check(loop: Any, robot: Any, inputs: Any, duration: Any, slowest: Any) -> None:
