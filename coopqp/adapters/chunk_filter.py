@@ -223,7 +223,8 @@ class ChunkFilter:
         first = x[np.argmax(whole)] if whole.any() else self._chain.q_start
         found, _ = self._follow(given, first, holding, None, recorded=True)
         far = OPEN * RECORDED
-        off = ~((grips >= -far) & (grips <= OPEN + far)).all(axis=1)  # of NaN it is True
+        inside = (grips >= -far) & (grips <= OPEN + far)  # of NaN it is False
+        off = np.asarray(~inside.all(axis=1))
         for k in np.flatnonzero(found.changed | off).tolist():
             if off[k]:
                 yield from self._grippers(k, grips[k])

@@ -150,10 +150,8 @@ def check_driver(robot: Any, *, by_torques: bool = False) -> None:
             raise InvalidValueError(f"robot: a {type(robot).__name__} has no method {name}")
         try:
             inspect.signature(method).bind(*arguments)
-        except TypeError as error:
-            words = f"{name}({', '.join(arguments)}) cannot be called: {error}"
-            made = "; found a class, needs an object of it" * isinstance(robot, type)
-            raise InvalidValueError(f"robot: {words}{made}") from None
+        except TypeError as error:  # of a class in the place of an object, for one
+            raise InvalidValueError(f"robot: {name}({', '.join(arguments)}): {error}") from None
         except ValueError:  # what is not written in Python may not say what it takes
             continue
 
