@@ -315,11 +315,9 @@ def _still(maker: RowMaker) -> TimedPath:
 
 
 def fastest(
-    maker: RowMaker,
-    points: int,
-    speed: tuple[float, float] = (0.0, 0.0),
+    maker: RowMaker, points: int = POINTS, speed: tuple[float, float] = (0.0, 0.0),
     most: Array | None = None,
-) -> TimedPath:
+) -> TimedPath:  # fmt: skip
     """The fastest motion along a closed path by its rows, with sdot^2 <= most at the places.
 
     Else as :func:`time_along`.
