@@ -222,8 +222,7 @@ class ChunkFilter:
         whole = np.isfinite(x).all(axis=1)
         first = x[np.argmax(whole)] if whole.any() else self._chain.q_start
         found, _ = self._follow(given, first, holding, None, recorded=True)
-        far = OPEN * RECORDED
-        inside = (grips >= -far) & (grips <= OPEN + far)  # of NaN it is False
+        inside = np.abs(grips - 0.5 * OPEN) <= (0.5 + RECORDED) * OPEN  # of NaN it is False
         off = np.asarray(~inside.all(axis=1))
         for k in np.flatnonzero(found.changed | off).tolist():
             if off[k]:

@@ -20,8 +20,6 @@ from coopqp.base.spec import Array
 from coopqp.base.wording import counted, said
 from coopqp.scenario.scenario import Scenario
 
-#: Degrees that no joint of an episode exceeds are radians, most probably.
-RADIANS = 3.2
 #: Changes of an episode that its text shows.
 SHOWN = 3
 
@@ -71,7 +69,7 @@ def audit(
     for episode, rows in _episodes(folder, column, count):
         given = rows[:, at]
         most = np.abs(np.nan_to_num(given[:, ARMS])).max(initial=0.0)
-        radians = chunks.units.use_degrees and bool(0.0 < most < RADIANS)
+        radians = chunks.units.use_degrees and bool(0.0 < most < 3.2)
         yield AuditedEpisode(episode, len(rows), tuple(chunks.audit(given)), radians)
 
 
@@ -85,11 +83,8 @@ def _described(folder: Path, column: str) -> tuple[float, list[int], int]:
         if not 0.0 < fps < np.inf:
             raise ValueError(f"fps is {fps:g}")
     except (OSError, ValueError, KeyError, TypeError) as error:
-        why = (
-            "there is no such file"
-            if isinstance(error, OSError)
-            else f"{type(error).__name__} ({said(error)})"
-        )
+        kind = f"{type(error).__name__} ({said(error)})"
+        why = "there is no such file" if isinstance(error, OSError) else kind
         raise UnreadableFileError(file, f"is no dataset v3.0 with {column}: {why}") from None
     if missing := [key for key in KEYS if key not in names]:
         raise InvalidValueError(f"{file}: {column} has no {', '.join(missing)}")

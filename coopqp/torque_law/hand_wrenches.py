@@ -207,11 +207,9 @@ def _shares(chain: ClosedChain, shares: Shares) -> Array:
         if not 0.0 <= share < np.inf:
             raise InvalidValueError(f"shares: arm {name} has {share:g}; needs at least 0")
     values = np.array([shares.get(name, 0.0) for name in held])
-    if not held:
-        return values
     if len(held) == len(every) and abs(values.sum() - 1.0) > SHARE_SUM:
         raise InvalidValueError(f"shares: found {dict(shares)}, needs shares that sum to 1")
-    if not values.sum() > 0.0:
+    if held and not values.sum() > 0.0:
         raise InvalidValueError(f"shares: none of the arms that hold has one ({', '.join(held)})")
     return np.asarray(values / values.sum(), float)
 
