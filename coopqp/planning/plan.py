@@ -324,7 +324,7 @@ class Planner:
             if goals.found and goals.tried >= MOST // 4:
                 break
         if not goals.found and not goals.cut_off:
-            why = why or explained(goals).sentence
+            why = why or explained(goals)
         if goals.found:
             return self._ordered(goals), "no goal configuration keeps the tasks that are to be kept"
         if goals.cut_off:
