@@ -53,10 +53,10 @@ SUSPICIOUS, MEAN_SQUARE, DEVIATIONS = 12.0, 3.0, 6.0
 #: Share of it that a fault must explain; the share that is left by others that count as equal. Two
 #: swapped joints need less where all other faults leave so much more.
 EXPLAINED, EXPLAINED_SWAPPED, AS_GOOD, ALONE = 0.9, 0.95, 0.03, 0.5
-#: delta over dq_c of a joint that does not follow, at least; of two that are swapped, 1 but for
-#: what else there is; of joints that move the wrong way. Of a window, when it may have begun. Share
-#: by squares that twice the reading's own motion may leave of delta where its sign is wrong.
-LEAST_SLOPE, SWAPPED, REVERSED = 0.6, (0.7, 1.0 / 0.7), (1.5, 4.0)
+#: delta over dq_c of a joint that does not follow, at least and, unless it stands still, at most; of
+#: two swapped ones, 1 but for what else there is; above which it moves the wrong way. When in a
+#: window that began; share of delta beside twice the reading's motion where its sign is wrong.
+LEAST_SLOPE, MOST_SLOPE, SWAPPED, REVERSED = 0.6, 2.5, (0.7, 1.0 / 0.7), 1.5
 ONSETS, BACKWARDS = (0.0, 0.35, 0.65), 0.2
 #: A reading has jumped by so much at least [rad, m], most of it within two samples.
 LEAST_JUMP, JUMP = 8e-3, 0.8
@@ -305,9 +305,11 @@ class JointFollowing:
         jumped = (steps > JUMP * ranges) & (ranges > LEAST_JUMP)
         noise = self._noise * (1.0 - 1.0 / self._white.shape[1])
         share = np.maximum(left - noise, 0.0) / above
-        twice = np.sum((delta - 2.0 * m @ self._faults.T) ** 2, axis=0)
-        backwards = twice < BACKWARDS * np.sum(delta**2, axis=0)
-        one = (share < 1.0 - EXPLAINED) & (jumped | backwards | (moves & (slope > LEAST_SLOPE)))
+        read = m @ self._faults.T
+        backwards = np.sum((delta - 2.0 * read) ** 2, axis=0) < BACKWARDS * np.sum(delta**2, axis=0)
+        still = np.ptp(read, axis=0) < STANDS * np.maximum(np.ptp(motion, axis=0), ranges)
+        off = moves & (slope > LEAST_SLOPE) & (still | (slope < MOST_SLOPE))
+        one = (share < 1.0 - EXPLAINED) & (jumped | backwards | off)
         exchanged = moves & (slope > SWAPPED[0]) & (slope < SWAPPED[1])
         two = exchanged & (share < 1.0 - EXPLAINED_SWAPPED)
         good = np.where(faults < n, one, two)
@@ -328,10 +330,9 @@ class JointFollowing:
         if best >= n:
             j, k = (int(self._own[i]) for i in pairs[best - n])
             return Suspect("joints_swapped", (j, k), float(slope[best]))
-        still = np.ptp(m[:, best]) < STANDS * max(np.ptp(motion[:, best]), np.ptp(delta[:, best]))
-        back = backwards[best] or REVERSED[0] < slope[best] < REVERSED[1]
+        back = backwards[best] or slope[best] > REVERSED
         kind = "joint_reversed" if back else "joint_not_following"
-        kind = "encoder_jumped" if jumped[best] else "joint_stands_still" if still else kind
+        kind = "encoder_jumped" if jumped[best] else "joint_stands_still" if still[best] else kind
         others = [f for f in range(n) if f != best and rest[f] < AMBIGUOUS * rest[best]]
         joints = tuple(int(self._own[f]) for f in (best, *others))
         return Suspect(kind, joints, float(slope[best]))
