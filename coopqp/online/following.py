@@ -53,8 +53,8 @@ SUSPICIOUS, MEAN_SQUARE, DEVIATIONS = 12.0, 3.0, 6.0
 #: Share of it that a fault must explain; the share that is left by others that count as equal. Two
 #: swapped joints need less where all other faults leave so much more.
 EXPLAINED, EXPLAINED_SWAPPED, AS_GOOD, ALONE = 0.9, 0.95, 0.03, 0.5
-#: delta over dq_c of a joint that does not follow, at least and, unless it stands still, at most; of
-#: two swapped ones, 1 but for what else there is; above which it moves the wrong way. When in a
+#: delta over dq_c of a joint that does not follow, at least and, unless it stands still, at most;
+#: of two swapped ones, 1 but for what else there is; above which it moves the wrong way. When in a
 #: window that began; share of delta beside twice the reading's motion where its sign is wrong.
 LEAST_SLOPE, MOST_SLOPE, SWAPPED, REVERSED = 0.6, 2.5, (0.7, 1.0 / 0.7), 1.5
 ONSETS, BACKWARDS = (0.0, 0.35, 0.65), 0.2
@@ -308,11 +308,10 @@ class JointFollowing:
         read = m @ self._faults.T
         backwards = np.sum((delta - 2.0 * read) ** 2, axis=0) < BACKWARDS * np.sum(delta**2, axis=0)
         still = np.ptp(read, axis=0) < STANDS * np.maximum(np.ptp(motion, axis=0), ranges)
-        off = moves & (slope > LEAST_SLOPE) & (still | (slope < MOST_SLOPE))
-        one = (share < 1.0 - EXPLAINED) & (jumped | backwards | off)
+        off = moves & (slope > LEAST_SLOPE) & (still | (slope < MOST_SLOPE)) | jumped | backwards
         exchanged = moves & (slope > SWAPPED[0]) & (slope < SWAPPED[1])
         two = exchanged & (share < 1.0 - EXPLAINED_SWAPPED)
-        good = np.where(faults < n, one, two)
+        good = np.where(faults < n, off & (share < 1.0 - EXPLAINED), two)
         first, second = np.argsort(left)[:2]
         if first >= n and share[first] < ALONE * min(1.0, share[second]):
             good[first] = exchanged[first]
