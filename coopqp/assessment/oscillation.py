@@ -50,7 +50,9 @@ def oscillation(
     if third < SHORTEST or not np.isfinite(q).all():
         return None
     least, now = least_size(units) + NOISY * noise, q[-1 - third :]
-    joints = np.flatnonzero(reach(now) > least)  # no block of the others has a wider range
+    steps = np.diff(now, axis=0)
+    turns = (steps.max(axis=0) > 0.0) & (steps.min(axis=0) < 0.0)
+    joints = np.flatnonzero(turns & (reach(now) > least))  # what others have no block has
     if not len(joints):
         return None
     least, before, now = least[joints], q[-1 - 2 * third : -third, joints], now[:, joints]
