@@ -37,7 +37,7 @@ from coopqp.model.state import State
 from coopqp.qp_law.equations import LEAST_SPEED, MOST_DAMPING, SCALE_WEIGHT, Damping, note_chatter
 from coopqp.qp_law.level import Given, Level
 from coopqp.qp_law.limit_recovery import DriftShare, LimitRecovery
-from coopqp.qp_law.nearest import MET, SLOW, WHOLE, Nearest, blocked
+from coopqp.qp_law.nearest import ASIDE, LESS, MET, PLAIN, SLOW, WHOLE, Nearest, blocked
 from coopqp.qp_law.priorities import LaterLevel, Order
 from coopqp.qp_law.safety import StepVerification, drift_gain
 from coopqp.solver import Status, norm
@@ -127,10 +127,12 @@ class QPLaw(Law):
         self._assemble_exact(self.first, state, kappa, self.exact.wanted)
         return kappa
 
-    def _assemble_exact(self, level: Level, state: State, kappa: float, wanted: Array) -> None:
+    def _assemble_exact(
+        self, level: Level, state: State, kappa: float, wanted: Array, damping: float = 0.0
+    ) -> None:
         """J_j v = wanted_j of hard tasks, J_k v - s_k wanted_k = 0 of scaled ones."""
         n, m = self.problem.chain.n, len(state.e_loop)
-        damping = self._damping.of_tasks(level.tasks, state)
+        damping += self._damping.of_tasks(level.tasks, state)
         level.assemble(state, kappa, damping + self._scaled_damping(state))
         A, b = level.qp.A[m:], level.qp.b[m:]
         A[:, :n], b[:] = self.exact.J, wanted
@@ -169,13 +171,16 @@ class QPLaw(Law):
         missed, first = state.memory["missed"], self.first
         tried, v = not missed.any(), first.v
         whole = status = first.solve() if tried else Status.INFEASIBLE
-        if not whole.usable and self._relaxes:
+        holds = whole.usable and (not self._relaxes or self._holds_firmly(tried=False))
+        if not holds and self._relaxes:
             status, v = self.nearest.of_hard(state, kappa), self.nearest.v
-            if not tried and status.usable and not self._missed(v).any():
+            met = status.usable and not self._missed(v).any()
+            if met and not tried:
                 whole = first.solve()  # hard tasks can hold again
-        if not status.usable:
+            holds = whole.usable and met and self._holds_firmly(tried=True)
+        if not whole.usable and not status.usable:
             return v, (status,)
-        if whole.usable:
+        if holds or not status.usable:
             v, leaves, status, self._shares = first.v, 0.0, whole, first.shares
         else:
             v, leaves = self._scale_beside(state, kappa, v)
@@ -193,6 +198,21 @@ class QPLaw(Law):
             return v, (Status.TASKS_RELAXED, status)
         return v, (status,)
 
+    def _holds_firmly(self, *, tried: bool) -> bool:
+        """Whether the exact program answers as the levels of least squares would.
+
+        So it is where no multipliers of its rows are so large that v_h would lack something of hard
+        tasks, unless that was ``tried``, nor so large that the penalty of t would not be exact.
+        """
+        y = self.first.solution.y[-len(self.exact.wanted) :]
+        if self._scaled and norm(y) * SLOW > ASIDE * SCALE_WEIGHT:
+            return False
+        weights, hard = self.exact.weights[self._hard_rows], y[self._hard_rows]
+        if tried or not len(hard):
+            return True
+        lacks = LESS * self._damping.least / self.first.curvature * norm(hard / np.sqrt(weights))
+        return lacks <= MET * float(np.sqrt(weights.min()))
+
     def _scale_beside(self, state: State, kappa: float, v: Array) -> tuple[Array, float]:
         """The largest shares beside the motion v of hard tasks; how far these may be left."""
         level, wanted, aside = self.nearest.beside, self.exact.wanted.copy(), self.exact.J @ v
@@ -204,7 +224,7 @@ class QPLaw(Law):
         asked = self._scaled or 0.0 < most < 2.0 * MET
         if leaves < 1.0 and asked and np.isfinite(aside @ self.exact.wanted):
             level.qp.A[:] = 0.0
-            self._assemble_exact(level, state, kappa, wanted)
+            self._assemble_exact(level, state, kappa, wanted, 0.0 if self._scaled else PLAIN)
             level.qp.A[len(state.e_loop) :, -1] = -aside
             level.qp.orthogonalize()
             found = level.solve().usable
