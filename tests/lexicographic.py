@@ -31,6 +31,7 @@ from coopqp.model.state import State
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.equations import LEAST_SPEED, MOST_DAMPING, SCALE_WEIGHT, Damping
 from coopqp.qp_law.nearest import ASIDE, LESS, MET, SLOW, WHOLE, blocked
+from coopqp.qp_law.priorities import NOISE as RELEASED
 from coopqp.qp_law.safety import drift_gain
 from coopqp.task import Task, TaskStack
 
@@ -87,7 +88,8 @@ class Cascade:
         wanted = (-drift_gain(problem, state) * state.e_loop).astype(LONG)
         nothing = np.zeros((0, self._n), LONG), np.zeros(0, LONG)
         self._C, self._c = _added(*nothing, self._moved(state.J_loop), wanted)
-        self._v = np.zeros(self._n, LONG)
+        self._loops = self._C
+        self._v, self._decided = np.zeros(self._n, LONG), np.zeros((0, self._n), LONG)
 
     def optimum(self) -> Optimum:
         """Level by level.
@@ -240,7 +242,17 @@ class Cascade:
         return solved(program, _active(program), EXCESS)
 
     def _keep(self, J: Array, w: Array) -> None:
+        """Let later levels keep J v = w.
+
+        Raises:
+            UndeterminedError: the law would take a direction of the decided rows for noise.
+        """
         self._C, self._c = _added(self._C, self._c, J, w)
+        self._decided = np.vstack([self._decided, J])
+        along = self._decided - (self._decided @ self._loops.T) @ self._loops
+        values = np.linalg.svd(along.astype(float), compute_uv=False)
+        if ((values > NOISE) & (values < RELEASED)).any():
+            raise UndeterminedError
 
     def _stack(self, tasks: list[Task]) -> TaskStack:
         stack = TaskStack(tasks, self._start)
