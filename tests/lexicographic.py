@@ -3,10 +3,11 @@
 From the state, the tasks and the limits, never from the law's programs:
 
     0  J_c v = -kappa e,  lb <= v <= ub,  G v <= h
-    1  v_h: min sum weight |J_h v - w_h|^2 + d |v|^2 of the hard tasks, which get w_h where v_h lacks
-       less than MET of each row; to 2 MET what it lacks is taken for more and more of it
-    2  v_s: J_k v = s_k w_k + t a_k of the scaled tasks, 0 <= s_k, t <= 1, where a is J_k v_h, made as
-       long as SLOW where it is shorter,  min 1e3 (sum (1 - s_k)^2 + (t + ASIDE)^2) + d |v|^2
+    1  v_h: min sum weight |J_h v - w_h|^2 + d |v|^2 of the hard tasks, which get w_h where v_h
+       lacks less than MET of each row; to 2 MET what it lacks counts more and more; where w_h can
+       hold also from NEAR a limit to the limit, or from SLOW / 2 to SLOW
+    2  v_s: J_k v = s_k w_k + t a_k of the scaled tasks, 0 <= s_k, t <= 1, where a is J_k v_h, made
+       as long as SLOW where it is shorter,  min 1e3 (sum (1 - s_k)^2 + (t + ASIDE)^2) + d |v|^2
        v_n: min sum weight |J_k v - w_k|^2 + d |v|^2
        v = (1 - r) v_s + r v_n  with r of :func:`coopqp.qp_law.nearest.blocked`, and at least t and
        what hard tasks lack over SLOW
@@ -30,7 +31,7 @@ from coopqp.controller import ControlProblem
 from coopqp.model.state import State
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.equations import LEAST_SPEED, MOST_DAMPING, SCALE_WEIGHT, Damping
-from coopqp.qp_law.nearest import ASIDE, LESS, MET, SLOW, WHOLE, blocked
+from coopqp.qp_law.nearest import ASIDE, LESS, MET, NEAR, SLOW, WHOLE, blocked
 from coopqp.qp_law.priorities import NOISE as RELEASED
 from coopqp.qp_law.safety import drift_gain
 from coopqp.task import Task, TaskStack
@@ -125,6 +126,10 @@ class Cascade:
         d = self._damping.least + (self._pulled(scaled) if scaled.tasks else 0.0)
         v = self._nearest(J_h, w_h, hard.weights, self._hard_damping(hard))
         lacks, shares = _lacks(J_h @ v - w_h), best
+        size = float(np.sqrt(lacks @ lacks))
+        if 0.0 < size < SLOW and self._can_hold(rows, sides):
+            exact = self._shares(rows, sides, best, d)[0]
+            lacks *= max(self._at_limits(exact), 2.0 * size / SLOW - 1.0)
         leaves = min(float(np.sqrt(lacks @ lacks)) / SLOW, 1.0)
         got = w_h + lacks
         sides[: len(got)] = got
@@ -135,7 +140,7 @@ class Cascade:
             v, shares = self._shares(rows, sides, best, d)
             t = float(shares[-1])
             shares, leaves = shares[:-1], max(leaves, t if t > EXCESS else 0.0)
-        elif not scaled.tasks and (lacks != J_h @ v - w_h).any() and self._can_hold(rows, sides):
+        elif (lacks != J_h @ v - w_h).any() and self._can_hold(rows, sides):
             v, shares = self._shares(rows, sides, best, d)
         self._v = v
         self._keep(J_h, J_h @ v)
@@ -143,6 +148,11 @@ class Cascade:
             leaves = self._scaled(scaled, J_k, shares, leaves)
         relaxed = bool(_lacks(J_h @ self._v - w_h).any())
         return relaxed, bool(scaled.tasks) and leaves > 0.0
+
+    def _at_limits(self, v: Array) -> float:
+        """How near an exact motion v is to a limit, from 0 at NEAR to 1 at it."""
+        room = (self._h - self._G @ v) / np.sqrt((self._G * self._G).sum(axis=1))
+        return min(max(1.0 - float(room.min(initial=NEAR)) / NEAR, 0.0), 1.0)
 
     def _scaled(self, tasks: TaskStack, J: Array, shares: Array, leaves: float) -> float:
         """Decide the scaled tasks; how far they leave their directions.

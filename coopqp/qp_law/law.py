@@ -37,8 +37,8 @@ from coopqp.model.state import State
 from coopqp.qp_law.equations import LEAST_SPEED, MOST_DAMPING, SCALE_WEIGHT, Damping, note_chatter
 from coopqp.qp_law.level import Given, Level
 from coopqp.qp_law.limit_recovery import DriftShare, LimitRecovery
-from coopqp.qp_law.nearest import ASIDE, LESS, MET, PLAIN, SLOW, WHOLE, Nearest, blocked
-from coopqp.qp_law.priorities import LaterLevel, Order
+from coopqp.qp_law.nearest import ASIDE, LESS, MET, NEAR, PLAIN, SLOW, WHOLE, Nearest, blocked
+from coopqp.qp_law.priorities import IDLE, LaterLevel, Order
 from coopqp.qp_law.safety import StepVerification, drift_gain
 from coopqp.solver import Status, norm
 
@@ -169,21 +169,24 @@ class QPLaw(Law):
     def _decide_exact(self, state: State, kappa: float) -> tuple[Array, tuple[Status, ...]]:
         """Hard and scaled tasks; first the nearest where hard ones lacked something before."""
         missed, first = state.memory["missed"], self.first
-        tried, v = not missed.any(), first.v
+        tried = not (self._relaxes and missed.any())
+        v, lacks = first.v, np.zeros_like(missed)
         whole = status = first.solve() if tried else Status.INFEASIBLE
-        holds = whole.usable and (not self._relaxes or self._holds_firmly(tried=False))
+        holds = whole.usable and (not self._relaxes or self._holds_firmly(met=False))
         if not holds and self._relaxes:
             status, v = self.nearest.of_hard(state, kappa), self.nearest.v
-            met = status.usable and not self._missed(v).any()
-            if met and not tried:
-                whole = first.solve()  # hard tasks can hold again
-            holds = whole.usable and met and self._holds_firmly(tried=True)
+            lacks = self._missed(v)
+            if not tried and status.usable and norm(lacks) < SLOW:
+                whole = first.solve()  # hard tasks may hold again
+            if whole.usable:
+                lacks *= max(self._at_limits(first.v), 2.0 * norm(lacks) / SLOW - 1.0)
+            holds = whole.usable and not lacks.any() and self._holds_firmly(met=True)
         if not whole.usable and not status.usable:
             return v, (status,)
         if holds or not status.usable:
             v, leaves, status, self._shares = first.v, 0.0, whole, first.shares
         else:
-            v, leaves = self._scale_beside(state, kappa, v)
+            v, leaves = self._scale_beside(state, kappa, v, lacks)
         if self._relaxes and (leaves > 0.0 or self._shares.min(initial=1.0) < WHOLE):
             near, found = self.nearest.of_scaled(state, v)
             status = found if status is Status.OPTIMAL else status
@@ -198,30 +201,44 @@ class QPLaw(Law):
             return v, (Status.TASKS_RELAXED, status)
         return v, (status,)
 
-    def _holds_firmly(self, *, tried: bool) -> bool:
+    def _holds_firmly(self, *, met: bool) -> bool:
         """Whether the exact program answers as the levels of least squares would.
 
         So it is where no multipliers of its rows are so large that v_h would lack something of hard
-        tasks, unless that was ``tried``, nor so large that the penalty of t would not be exact.
+        tasks, unless these are ``met``, nor so large that the penalty of t would not be exact.
         """
         y = self.first.solution.y[-len(self.exact.wanted) :]
         if self._scaled and norm(y) * SLOW > ASIDE * SCALE_WEIGHT:
             return False
         weights, hard = self.exact.weights[self._hard_rows], y[self._hard_rows]
-        if tried or not len(hard):
+        if met or not len(hard):
             return True
         lacks = LESS * self._damping.least / self.first.curvature * norm(hard / np.sqrt(weights))
         return lacks <= MET * float(np.sqrt(weights.min()))
 
-    def _scale_beside(self, state: State, kappa: float, v: Array) -> tuple[Array, float]:
-        """The largest shares beside the motion v of hard tasks; how far these may be left."""
+    def _at_limits(self, v: Array) -> float:
+        """1 where the exact motion v is at a limit, 0 where it is NEAR none."""
+        bounds = self._given.bounds
+        slack = np.concatenate([bounds.ub, bounds.h, -bounds.lb]) - bounds.C.dot(v)
+        sizes = np.maximum(np.linalg.norm(bounds.C, axis=1), IDLE)
+        room = float((slack / sizes).min(initial=NEAR))
+        return min(1.0 - room / NEAR, 1.0)
+
+    def _scale_beside(
+        self, state: State, kappa: float, v: Array, lacks: Array
+    ) -> tuple[Array, float]:
+        """The largest shares beside the motion v of hard tasks; how far these may be left.
+
+        Of what v lacks of hard tasks ``lacks`` counts.
+        """
         level, wanted, aside = self.nearest.beside, self.exact.wanted.copy(), self.exact.J @ v
-        missed, hard, self._shares = self._missed(v), self._hard_rows, level.shares[:-1]
-        wanted[hard] += missed
+        hard, self._shares = self._hard_rows, level.shares[:-1]
+        in_part = lacks.any() and (lacks != aside[hard] - wanted[hard]).any()
+        wanted[hard] += lacks
         aside[hard] -= wanted[hard]
         aside *= SLOW / min(max(norm(aside), MET), SLOW)
-        leaves, most = min(norm(missed) / SLOW, 1.0), np.abs(missed).max(initial=0.0)
-        asked = self._scaled or 0.0 < most < 2.0 * MET
+        leaves = min(norm(lacks) / SLOW, 1.0)
+        asked = self._scaled or in_part
         if leaves < 1.0 and asked and np.isfinite(aside @ self.exact.wanted):
             level.qp.A[:] = 0.0
             self._assemble_exact(level, state, kappa, wanted, 0.0 if self._scaled else PLAIN)

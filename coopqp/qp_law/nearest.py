@@ -44,6 +44,8 @@ SLOW = 5e-3
 LESS = 1e-3
 #: Rows that lack less than this are met, from twice it on they are not [m/s, rad/s].
 MET = 1e-6
+#: Speed from a limit from which on exact motions stand, whatever v_h lacks [m/s, rad/s].
+NEAR = 0.1
 #: Damping of v_s where no task is scaled, which leaves v_s as it is and its multipliers small.
 PLAIN = 1.0
 #: Slope of the cost of t, above the multipliers that it may have, over W.
