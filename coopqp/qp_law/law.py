@@ -168,25 +168,14 @@ class QPLaw(Law):
 
     def _decide_exact(self, state: State, kappa: float) -> tuple[Array, tuple[Status, ...]]:
         """Hard and scaled tasks; first the nearest where hard ones lacked something before."""
-        missed, first = state.memory["missed"], self.first
+        first, missed = self.first, state.memory["missed"]
         tried = not (self._relaxes and missed.any())
-        v, lacks = first.v, np.zeros_like(missed)
-        whole = status = first.solve() if tried else Status.INFEASIBLE
-        holds = whole.usable and (not self._relaxes or self._holds_firmly(met=False))
-        if not holds and self._relaxes:
-            status, v = self.nearest.of_hard(state, kappa), self.nearest.v
-            lacks = self._missed(v)
-            if not tried and status.usable and norm(lacks) < SLOW:
-                whole = first.solve()  # hard tasks may hold again
-            if whole.usable:
-                lacks *= max(self._at_limits(first.v), 2.0 * norm(lacks) / SLOW - 1.0)
-            holds = whole.usable and not lacks.any() and self._holds_firmly(met=True)
-        if not whole.usable and not status.usable:
+        status = whole = first.solve() if tried else Status.INFEASIBLE
+        v, leaves, self._shares = first.v, 0.0, first.shares
+        if self._relaxes and not (whole.usable and self._holds_firmly(met=False)):
+            whole, status, v, leaves = self._come_near(state, kappa, whole, tried)
+        if not status.usable:
             return v, (status,)
-        if holds or not status.usable:
-            v, leaves, status, self._shares = first.v, 0.0, whole, first.shares
-        else:
-            v, leaves = self._scale_beside(state, kappa, v, lacks)
         if self._relaxes and (leaves > 0.0 or self._shares.min(initial=1.0) < WHOLE):
             near, found = self.nearest.of_scaled(state, v)
             status = found if status is Status.OPTIMAL else status
@@ -200,6 +189,25 @@ class QPLaw(Law):
         if leaves > 0.0 or missed.any():
             return v, (Status.TASKS_RELAXED, status)
         return v, (status,)
+
+    def _come_near(
+        self, state: State, kappa: float, whole: Status, tried: bool
+    ) -> tuple[Status, Status, Array, float]:
+        """Outcomes of the exact program and of the nearest motion; v; how far scaled tasks leave.
+
+        The exact program is solved where that was not ``tried`` and hard tasks may hold again.
+        """
+        first, status, v = self.first, self.nearest.of_hard(state, kappa), self.nearest.v
+        lacks, leaves = self._missed(v), 0.0
+        if not tried and status.usable and norm(lacks) < SLOW:
+            whole = first.solve()
+        if whole.usable:
+            lacks *= max(self._at_limits(first.v), 2.0 * norm(lacks) / SLOW - 1.0)
+            if not status.usable or (not lacks.any() and self._holds_firmly(met=True)):
+                return whole, whole, first.v, leaves
+        if status.usable:
+            v, leaves = self._scale_beside(state, kappa, v, lacks)
+        return whole, status, v, leaves
 
     def _holds_firmly(self, *, met: bool) -> bool:
         """Whether the exact program answers as the levels of least squares would.
