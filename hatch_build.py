@@ -24,7 +24,7 @@ HERE = Path(__file__).parent
 KERNEL = Path("coopqp", "kernel")
 #: Contraction is off, so that every variant rounds alike and gives the same bits.
 FLAGS = [
-    "-std=c++17", "-O3", "-fPIC", "-fvisibility=hidden", "-fno-strict-aliasing", "-DNDEBUG",
+    "-std=c++17", "-O3", "-fPIC", "-fvisibility=hidden", "-DNDEBUG",
     "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math",
 ]  # fmt: skip
 #: From 3.12 on what one Python compiles serves all later ones, but for those without the GIL.
@@ -82,7 +82,7 @@ def compiled(into: Path) -> list[Path]:
     built = []
     with tempfile.TemporaryDirectory() as folder:
         library = Path(folder, "nanobind.o")
-        _run([*compiler, *FLAGS, "-DNB_COMPACT_ASSERTIONS", *include, "-c",
+        _run([*compiler, *FLAGS, "-fno-strict-aliasing", "-DNB_COMPACT_ASSERTIONS", *include, "-c",
               str(of_nanobind / "src" / "nb_combined.cpp"), "-o", str(library)])  # fmt: skip
         for name, flags in VARIANTS.items():
             part, module = Path(folder, f"{name}.o"), into / f"{name}{suffix}"

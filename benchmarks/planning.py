@@ -8,7 +8,9 @@ The shelves are those of Cohn et al. (ICRA 2024): two iiwa14 hold an object betw
 and top, six ordered pairs and 20 random ones. CLONE is a checkout of
 cohnt/constrained-bimanual-planning-example, whose meshes are read; shelves.json has its numbers.
 Grippers count. A plan is timed from the call to a shortened path that was looked at a second time
-at 0.01 rad; the paths are written to --out, one file for each of the first ten seeds.
+at 0.01 rad; the paths are written to --out, one file for each of the first ten seeds. ``linked`` is
+by how much ``tests/linking.py``'s number of the goal differs from the start's, which no motion
+changes as long as the arms' line keeps from itself; how near that comes is told last.
 
 Goals are the places of a point of the object at closed configurations inside the limits and free,
 with a ball in the way in half of those of robots that watch bodies: how many ``reach`` finds, in
@@ -93,9 +95,12 @@ def main() -> None:
 
 
 def shelves(asked: argparse.Namespace) -> None:
+    from linking import Line
+
     data = json.loads(asked.data.read_text())
     named = {name: np.array(c["q"]) for name, c in data["configurations"].items()}
     scene = load_scene(data, asked.scene, asked.out, named["bottom"], named["top"])
+    line = Line(scene.chain)
     pairs = [
         (f"{a}->{b}", named[a], named[b], asked.seeds) for a, b in itertools.permutations(named, 2)
     ]
@@ -114,13 +119,34 @@ def shelves(asked: argparse.Namespace) -> None:
             rows.setdefault(name, []).append(_measured(found, wall - ready, spent))
             if found.found and seed < 10:
                 np.savez(asked.out / f"{name.replace('->', '_')}_{seed}.npz", q=found.q)
-        print(_line(name, rows.get(name, [])), flush=True)
+        linked = round(line.number(goal) - line.number(start))
+        print(_line(name, rows.get(name, [])), f"linked {linked:+d}", flush=True)
     groups = {
         "named": [row for name in rows if "->" in name for row in rows[name]],
         "random": [row for name in rows if "->" not in name for row in rows[name]],
     }
     for name, group in groups.items():
         print(_line(name, group))
+    print(f"the line comes as near to itself as {_nearest(line, scene):.3f} m")
+
+
+def _nearest(line: Any, scene: Scenario) -> float:
+    """At free configurations: the nearest of random ones, led on by random steps."""
+    rng, space = np.random.default_rng(0), ClosedSpace(scene.problem())
+    q = space.sample(rng, 20000)
+    q = q[space.project(q)]
+    q = q[space.is_free(q)]
+    away = np.array([line.nearest(row) for row in q])
+    nearest = np.argsort(away)[:40]
+    q, away = q[nearest], away[nearest]
+    for _ in range(600):
+        beside = q + 0.1 * rng.random((len(q), 1)) * rng.normal(size=q.shape)
+        good = space.project(beside)
+        good &= space.is_free(beside)
+        now = np.array([line.nearest(row) for row in beside])
+        nearer = good & (now < away)
+        q[nearer], away[nearer] = beside[nearer], now[nearer]
+    return float(away.min())
 
 
 def _measured(found: Plan, wall: float, cpu: float) -> dict[str, float]:

@@ -5,7 +5,7 @@
 Needs ompl 2.0.1 beside coopqp, best in an environment of its own. Both spaces get the kept rows of
 ``ClosedChain.loop_error`` and ``loop_jacobian`` and what ``ClosedSpace.is_free`` says, the compiled
 check of the planner; RRT-Connect searches. What a path costs is what ends it: no shortcut, no
-second look. Each named pair is asked once a seed; a space that is not done after --seconds of wall
+second look. Each named pair is asked once a seed; a space that is not done after --seconds of CPU
 time has failed. OMPL seeds its random numbers once a process, so that each pair runs in its own.
 """
 
@@ -141,7 +141,8 @@ def _solve(  # noqa: C901 - what OMPL asks for
     planner.setRange(settings["range"])
     setup.setPlanner(planner)
     begun = time.process_time()
-    solved = bool(setup.solve(seconds)) and setup.haveExactSolutionPath()
+    late = ob.PlannerTerminationCondition(lambda: time.process_time() - begun > seconds)
+    solved = bool(setup.solve(late)) and setup.haveExactSolutionPath()
     cpu, length, opened = time.process_time() - begun, np.nan, np.nan
     if solved:
         path = setup.getSolutionPath()

@@ -65,7 +65,7 @@ def ring(count: int) -> RobotModel:
         turn = 2.0 * math.pi * arm / count
         # rot_z turn, then back along x: the base, before the first row's own transform.
         base = MdhParameters(gamma=turn, d=-REACH)
-        rows.append(MdhRow(name=f"base{arm}", antecedent=None, kind="fixed", parameters=base))
+        rows.append(MdhRow(name=f"base{arm}", sigma="fixed", **vars(base)))
         before = f"base{arm}"
         for joint, (alpha, d, r, lower, upper, speed) in enumerate(TABLE, start=1):
             before_this, before = before, f"arm{arm}_{joint}"
@@ -73,7 +73,9 @@ def ring(count: int) -> RobotModel:
                 MdhRow(
                     name=before,
                     antecedent=before_this,
-                    parameters=MdhParameters(alpha=math.radians(alpha), d=d, r=r),
+                    alpha=math.radians(alpha),
+                    d=d,
+                    r=r,
                     lower=lower,
                     upper=upper,
                     velocity=speed,

@@ -4,12 +4,14 @@
     .robosuite/bin/python benchmarks/two_arm_lift.py --seeds 5
     .robosuite/bin/python benchmarks/two_arm_lift.py --seeds 5 --robots Baxter
 
+Runs that the file of ``--out`` has are not made again, so that a table can be gone on with.
+
 A run is some 5 s of the simulation: hands reach and take hold as in
-examples/robosuite_two_arm_lift.py, the same for all laws, then lift the pot by 15 cm in 1.5 s and
-hold it for 1 s. Printed are, of all seeds: successes by robosuite's own check at the end; medians
-of the internal force, (f_1 - f_2)/2 by contacts (95th percentile over a run), of the slip in the
-grip and of the tilt, at worst; share of steps with a motor at its limit, or a joint outside its
-range.
+examples/robosuite_two_arm_lift.py, once for all laws and variants that do it alike, then lift the
+pot by 15 cm in 1.5 s and hold it for 1 s. Printed are, of all seeds: successes by robosuite's own
+check at the end; medians of the internal force, (f_1 - f_2)/2 by contacts (95th percentile over a
+run), of the slip in the grip and of the tilt, at worst; share of steps with a motor at its limit,
+or a joint outside its range.
 
     qp, pseudoinverse  the loop on joint servos (JOINT_POSITION, kp 300)
     qp, no observer    without the observer of the loop-closure offset, which takes what soft servos
@@ -35,7 +37,7 @@ import time
 import warnings
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -47,6 +49,7 @@ import coopqp
 from coopqp.adapters.robosuite import KP, RobosuiteWorld, controllers
 from coopqp.base.spec import Array
 from coopqp.model.loop_observer import Observer
+from coopqp.robots import Mjcf
 
 NO_OBSERVER = "qp, no observer"
 LAWS = ("qp", NO_OBSERVER, "torque_qp", "pseudoinverse", "IK", "OSC")
@@ -62,6 +65,8 @@ OSC_KP = 150.0
 #: From where robosuite has Baxter begin, reaching ends with the elbows at the torso: out with them
 #: first. Joints of the right arm, those of the left are its mirror image [rad].
 ELBOWS_OUT, MIRROR = np.array([0.1, -0.75, 1.2, 1.6, -1.2, 1.2, -0.5]), np.array([-1.0, 1.0])
+#: What of a variant counts before the lift: in others hands reach and take hold alike.
+BEFORE = "heavy", "friction", "off"
 CHANGED = ("body_mass", "body_inertia", "geom_friction", "geom_contype", "geom_conaffinity",
            "body_pos", "body_quat")  # fmt: skip
 
@@ -79,20 +84,46 @@ def main() -> None:
     warnings.filterwarnings("ignore")
     logging.disable(logging.CRITICAL)
     found = []
-    with given.out.open("a") as file:
+    with given.out.open("a+") as file:
+        file.seek(0)
+        kept = {key_of(done): done for done in map(json.loads, file)}
         for seed in range(given.first, given.first + given.seeds):
             for variant in given.variants:
                 for law in given.laws:
-                    done = run(given.robots, law, variant, seed)
-                    found.append(done)
-                    file.write(json.dumps(done) + "\n")
-                    file.flush()
+                    key = *given.robots, law, variant, seed
+                    if key not in kept:
+                        kept[key] = run(given.robots, law, variant, seed)
+                        file.write(json.dumps(kept[key]) + "\n")
+                        file.flush()
+                    found.append(kept[key])
     print(table(found))
 
 
+def key_of(done: dict[str, Any]) -> tuple[Any, ...]:
+    return *done["robots"], done["law"], done["variant"], done["seed"]
+
+
+class Made(NamedTuple):
+    """An environment, and what is kept of it.
+
+    Attributes:
+        dt: its period [s].
+        was: its model as made.
+        robot, model: its arms as the laws know them.
+        held: how hands hold in it, by seed and by what is otherwise before the lift.
+    """
+
+    env: Any
+    dt: float
+    was: dict[str, Array]
+    robot: Mjcf
+    model: coopqp.RobotModel
+    held: dict[tuple[Any, ...], tuple[Array, list[tuple[Array, Array]]]]
+
+
 @lru_cache(maxsize=4)
-def made(robots: tuple[str, ...], law: str, seed: int, kp: float) -> tuple[Any, float, Any]:
-    """The environment as made, its period [s] and how it was, since it is used again."""
+def made(robots: tuple[str, ...], law: str, kp: float) -> Made:
+    """Without observations and rewards, which nothing here asks for."""
     import robosuite
 
     kind, dt = ("torques", 0.005) if law == "torque_qp" else ("positions", DT)
@@ -111,27 +142,58 @@ def made(robots: tuple[str, ...], law: str, seed: int, kp: float) -> tuple[Any, 
     one = len(robots) == 1
     with contextlib.redirect_stdout(io.StringIO()):
         env = robosuite.make(
-            "TwoArmLift", robots=robots[0] if one else list(robots), seed=seed,
+            "TwoArmLift", robots=robots[0] if one else list(robots), seed=0,
             env_configuration="single-robot" if one else "opposed",
             controller_configs=settings[0] if one else settings, control_freq=round(1 / dt),
             has_renderer=False, has_offscreen_renderer=False, use_camera_obs=False, horizon=10**6,
             hard_reset=False,
         )  # fmt: skip
-    model, data = env.sim.model._model, env.sim.data._data
-    return env, dt, ({name: getattr(model, name).copy() for name in CHANGED}, data.qpos.copy())
+    env._observables.clear()
+    env.reward = lambda action: 0.0
+    world = RobosuiteWorld(env)
+    robot, was = world.robot("out"), {name: getattr(world.model, name).copy() for name in CHANGED}
+    return Made(env, dt, was, robot, robot.build(), {})
 
 
-def as_made(env: Any, was: Any) -> None:
-    """Where make has left it, and with the same masses, frictions and bases."""
+def as_made(env: Any, was: dict[str, Array], seed: int) -> None:
+    """As ``make(seed=seed)`` leaves it, which draws the same, without building it anew."""
     import mujoco
 
+    env.rng.bit_generator.state = np.random.default_rng(seed).bit_generator.state
     env.reset()
     model, data = env.sim.model._model, env.sim.data._data
-    for name, values in was[0].items():
+    for name, values in was.items():
         getattr(model, name)[:] = values
     mujoco.mj_setConst(model, mujoco.MjData(model))
-    data.qpos[:], data.qvel[:], data.xfrc_applied[:] = was[1], 0.0, 0.0
+    data.qvel[:], data.qacc_warmstart[:], data.xfrc_applied[:] = 0.0, 0.0, 0.0
     mujoco.mj_forward(model, data)
+
+
+def hold_of(world: RobosuiteWorld) -> tuple[Array, list[tuple[Array, Array]]]:
+    """The simulation's state, and of each arm what its gripper and its controller remember."""
+    import mujoco
+
+    state = np.empty(mujoco.mj_stateSize(world.model, mujoco.mjtState.mjSTATE_INTEGRATION))
+    mujoco.mj_getState(world.model, world.data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
+    arms = [(world.env.robots[i], arm) for i, arm in world._of.values()]
+    return state, [(robot.gripper[arm].current_action.copy(),
+                    robot.part_controllers[arm].initial_joint.copy())
+                   for robot, arm in arms]  # fmt: skip
+
+
+def take_up(world: RobosuiteWorld, held: tuple[Array, list[tuple[Array, Array]]]) -> None:
+    """Go on from there."""
+    import mujoco
+
+    state, arms = held
+    mujoco.mj_setState(world.model, world.data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
+    world.env.sim.forward()
+    for (i, arm), (gripped, begun) in zip(world._of.values(), arms, strict=True):
+        robot = world.env.robots[i]
+        robot.gripper[arm].current_action = gripped.copy()
+        robot.part_controllers[arm].initial_joint = begun.copy()
+        robot.part_controllers[arm].new_update = True  # what it knows of the arm is of the reset
+    world.grip = dict.fromkeys(world.arms, 1.0)
 
 
 def run(robots: list[str], law: str, variant: str, seed: int) -> dict[str, Any]:
@@ -139,22 +201,25 @@ def run(robots: list[str], law: str, variant: str, seed: int) -> dict[str, Any]:
     began, what = time.process_time(), dict(VARIANTS[variant])
     kp = float(what.get("kp", KP))
     kind = law if law in ("torque_qp", "OSC") else "positions"
-    env, dt, was = made(tuple(robots), kind, seed, kp if kind == "positions" else KP)
-    as_made(env, was)
+    own = made(tuple(robots), kind, kp if kind == "positions" else KP)
+    env, dt, robot = own.env, own.dt, own.robot
+    as_made(env, own.was, seed)
     world = RobosuiteWorld(env, kp=kp, by_torques=law == "torque_qp")
-    robot = world.robot("out")  # as the laws know it
     change(world, what)
     mass = float(world.model.body("pot_root").mass[0])
     if not what.get("told"):
         mass /= float(what.get("heavy", 1.0))
-    model = robot.build()
-    hands = Hands(world, model)
-    if robots == ["Baxter"]:
-        hands.elbows_out(dt, osc=law == "OSC")
-    if law == "OSC":
-        hands.take_hold(dt)
-    else:
-        take_hold(world, model, dt)
+    hands = Hands(world, own.model)
+    before = seed, kp if law != "OSC" else 0.0, *(what.get(key) for key in BEFORE)
+    if before not in own.held:
+        if robots == ["Baxter"]:
+            hands.elbows_out(dt, osc=law == "OSC")
+        if law == "OSC":
+            hands.take_hold(dt)
+        else:
+            take_hold(world, own.model, dt)
+        own.held[before] = hold_of(world)
+    take_up(world, own.held[before])
     watch, start = Watch(world), world.object
     way, duration = way_of(what, start)
     scenario = scenario_of(world, robot, way, duration, mass=mass, dt=dt)

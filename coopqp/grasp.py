@@ -9,14 +9,14 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from coopqp.base.errors import InvalidValueError
-from coopqp.base.spec import Array, Pose, Vector3, spec, unit
+from coopqp.base.spec import Array, Pose, Vector3, spec
 
 #: Default safety factor on friction.
 SAFETY = 1.5
@@ -25,8 +25,6 @@ SAFETY = 1.5
 REACH = 0.95
 #: A hand that presses with less does not hold anything, whatever the ratio says [N].
 NO_CONTACT = 1e-6
-#: A direction that is nearer to the normal gives no axis along the pad.
-PARALLEL = 1e-3
 #: A pad tips over its edge where the normal force is beyond it by more than this share.
 BEYOND = 1e-5
 
@@ -162,42 +160,9 @@ class Grasp(ABC):
         return None
 
 
-def axis_frame(
-    axis: Vector3, axis_in: Literal["hand", "world"], point: Vector3, R_WT: Array
-) -> pin.SE3:
-    """Frame in the hand with z along an axis and its origin at a point [m] on it."""
-    z = unit(axis) if axis_in == "hand" else R_WT.T @ unit(axis)
-    turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), z)
-    return pin.SE3(turn.toRotationMatrix(), np.array(point))
-
-
 def pose_matrix(pose: Pose) -> pin.SE3:
     """The pose as a pinocchio transform."""
     return pin.SE3(pin.rpy.rpyToMatrix(np.array(pose.angles)), np.array(pose.position))
-
-
-def contact_frame(position: Vector3, normal: Vector3, along: Vector3 | None = None) -> pin.SE3:
-    """The contact frame in the hand at a position [m]: z along the normal, x along the pad.
-
-    x goes along ``along`` less its part along the normal; the hand's own x, or y, if omitted.
-    ValueError: along goes along the normal.
-    """
-    z = unit(normal)
-    if along is None:
-        along = (1.0, 0.0, 0.0) if abs(z[0]) < 0.9 else (0.0, 1.0, 0.0)
-    x = unit(along)
-    x = x - (x @ z) * z
-    length = float(np.linalg.norm(x))
-    if length < PARALLEL:
-        raise ValueError("along: goes along the normal; needs a direction across it")
-    x /= length
-    return pin.SE3(np.column_stack([x, np.cross(z, x), z]), np.array(position))
-
-
-def check_range(least: float, most: float | None) -> None:
-    """ValueError: normal forces [N] leave nothing between them."""
-    if most is not None and not least < most:
-        raise ValueError(f"most: found {most:g} N, needs more than least, {least:g} N")
 
 
 def ball(point: Vector3, cone: float) -> tuple[PassiveJoint, ...]:

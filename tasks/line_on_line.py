@@ -13,51 +13,37 @@ Khalil and Dombre 2004.
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 import numpy as np
 
-from coopqp.base.spec import Direction, Positive, Vector3, spec
+from coopqp.base.spec import Direction, spec
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.geometry import Reference, Turn
-from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.program import Primitive, lean, point
-from coopqp.signal import Instant, MovingDirection, MovingPoint
-from coopqp.task import Part, Task, pose_parts
+from coopqp.signal import Instant, MovingDirection
+from coopqp.tasks._line_or_plane import OntoLineOrPlane
 
 
 @spec
-class LineOnLine(Task):
+class LineOnLine(OntoLineOrPlane):
     """A line of the object goes onto a line (4 rows); it may slide along and spin."""
+
+    angles: ClassVar[int] = 2
 
     direction: MovingDirection
     """Of the line at the start, in the world; any length."""
-    through: MovingPoint
-    """A point of the line at the start, in the world [m]."""
     axis: Direction
     """Of the object's line, in the object frame; any length."""
-    point: Vector3 = (0.0, 0.0, 0.0)
-    """A point of the object's line, in the object frame [m]."""
     either_way: bool = False
     """Whether the axis may also end against the direction; then it goes the shorter way."""
-    velocity: Vector3 = (0.0, 0.0, 0.0)
-    """Of the line itself, in the world [m/s]."""
-    turn: Turn | None = None
-    """Turn of the line during the motion."""
-    profile: Profile = Profile()
-    """How offset and angle go to zero."""
-    tolerance_angle: Positive = 5e-3
-    """Angle at the end that still counts as reached [rad]."""
 
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:
         """The point's offset along two directions normal to the line, and how the axis leans."""
         return ("across_1", "across_2", "lean_1", "lean_2")
 
-    def parts(self, chain: ClosedChain) -> tuple[Part, ...]:
-        return pose_parts(2, 2, self.tolerance, self.tolerance_angle)
-
     def geometry(self, at: Instant) -> tuple[Primitive, ...]:
-        place = self.through, self.direction, self.velocity, self.turn
-        line = Reference(*place, start=at, point=self.point, axis=self.axis)
+        line = self.reference(self.direction, at, self.axis)
         x, y, z = axis = np.array(self.axis)
         if self.either_way and isinstance(at, State) and line.RT[2] @ at.R_WO @ axis < 0.0:
             x, y, z = -axis

@@ -11,37 +11,24 @@ One of Dombre's minimum task descriptions, Khalil and Dombre 2004.
 
 from __future__ import annotations
 
-from coopqp.base.spec import Vector3, spec
+from coopqp.base.spec import spec
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.geometry import Reference, Turn
-from coopqp.model.profile import Profile
 from coopqp.program import Primitive, point
-from coopqp.signal import Instant, MovingDirection, MovingPoint
-from coopqp.task import Task
+from coopqp.signal import Instant, MovingDirection
+from coopqp.tasks._line_or_plane import ToLineOrPlane
 
 
 @spec
-class PointOnLine(Task):
+class PointOnLine(ToLineOrPlane):
     """A point of the object goes to a line (2 rows); it may slide along and turn."""
 
     direction: MovingDirection
     """Of the line at the start, in the world; any length."""
-    through: MovingPoint
-    """A point of the line at the start, in the world [m]."""
-    point: Vector3 = (0.0, 0.0, 0.0)
-    """The point that goes there, in the object frame [m]."""
-    velocity: Vector3 = (0.0, 0.0, 0.0)
-    """Of the line itself, in the world [m/s]."""
-    turn: Turn | None = None
-    """Turn of the line during the motion."""
-    profile: Profile = Profile()
-    """How the point's offset from the line goes to zero."""
 
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:
         """The offset along two directions normal to the line."""
         return ("across_1", "across_2")
 
     def geometry(self, at: Instant) -> tuple[Primitive, ...]:
-        place = self.through, self.direction, self.velocity, self.turn
-        line = Reference(*place, start=at, point=self.point)
+        line = self.reference(self.direction, at)
         return (point(line, self.point, self.profile, (0, 1)),)

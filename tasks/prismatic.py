@@ -15,45 +15,28 @@ Jl is the left Jacobian of SO(3) at log Q_e. Khalil and Dombre 2004.
 
 from __future__ import annotations
 
-from coopqp.base.spec import Pose, Positive, Vector3, one_angle, spec
+from typing import ClassVar
+
+from coopqp.base.spec import Pose, Vector3, one_angle, spec
 from coopqp.grasp import pose_matrix
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.geometry import Reference, Turn
-from coopqp.model.profile import Profile
 from coopqp.program import Primitive, point, rotation
-from coopqp.signal import (
-    ROTATION,
-    Instant,
-    MovingDirection,
-    MovingPoint,
-    Trajectory,
-    quaternion_of,
-)
-from coopqp.task import Part, Task, pose_parts
+from coopqp.signal import ROTATION, Instant, MovingDirection, Trajectory, quaternion_of
+from coopqp.tasks._line_or_plane import OntoLineOrPlane
 
 
 @spec
-class Prismatic(Task):
+class Prismatic(OntoLineOrPlane):
     """A point of the object goes to a line and it keeps its orientation (5 rows); it may slide."""
+
+    angles: ClassVar[int] = 3
 
     direction: MovingDirection
     """Of the line at the start, in the world; any length."""
-    through: MovingPoint
-    """A point of the line at the start, in the world [m]."""
-    point: Vector3 = (0.0, 0.0, 0.0)
-    """The point that goes there, in the object frame [m]."""
     rpy: Vector3 | None = None
     """Roll, pitch, yaw of the object, before the line turns [rad]; as at the start if omitted."""
     rpy_deg: Vector3 | None = None
     """Roll, pitch, yaw [degrees]; instead of rpy."""
-    velocity: Vector3 = (0.0, 0.0, 0.0)
-    """Of the line itself, in the world [m/s]."""
-    turn: Turn | None = None
-    """Turn of the line, and of the object with it, during the motion."""
-    profile: Profile = Profile()
-    """How offset and angle go to zero."""
-    tolerance_angle: Positive = 5e-3
-    """Angle at the end that still counts as reached [rad]."""
 
     def __post_init__(self) -> None:
         one_angle("rpy", self.rpy, self.rpy_deg)
@@ -62,12 +45,8 @@ class Prismatic(Task):
         """The offset normal to the line and rotation about the same directions and the line."""
         return ("across_1", "across_2", "rot_1", "rot_2", "rot_along")
 
-    def parts(self, chain: ClosedChain) -> tuple[Part, ...]:
-        return pose_parts(2, 3, self.tolerance, self.tolerance_angle)
-
     def geometry(self, at: Instant) -> tuple[Primitive, ...]:
-        place = self.through, self.direction, self.velocity, self.turn
-        line = Reference(*place, start=at, point=self.point)
+        line = self.reference(self.direction, at)
         goal = None
         if self.rpy is not None or self.rpy_deg is not None:
             R = pose_matrix(Pose(rpy=self.rpy, rpy_deg=self.rpy_deg)).rotation

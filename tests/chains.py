@@ -63,9 +63,7 @@ def serial(arm: str, parameters: list[Parameters]) -> list[Row]:
     for i, p in enumerate(parameters):
         before = rows[-1].name if rows else None
         rows.append(
-            Row(
-                name=f"{arm}{i + 1}", antecedent=before, parameters=p, lower=-3, upper=3, velocity=5
-            )
+            Row(name=f"{arm}{i + 1}", antecedent=before, **vars(p), lower=-3, upper=3, velocity=5)
         )
     return rows
 
@@ -110,7 +108,7 @@ def three_arms() -> ClosedChain:
     third = [replace(row, name=row.name.replace("R", "M", 1)) for row in arm_table("R")]
     names = [row.name for row in third]
     third = [replace(r, antecedent=a) for r, a in zip(third, [None, *names[:-1]], strict=True)]
-    third[0] = replace(third[0], parameters=Parameters(b=-0.1, alpha=-math.pi / 2, r=0.0))
+    third[0] = replace(third[0], b=-0.1, r=0.0)
     arms = {"right": arm_table("R"), "left": arm_table("L"), "middle": third}
     right = np.array([0.7, -0.2, 1.2, 0.9, 0.1])
     q = np.concatenate([right, right * [1, -1, -1, -1, -1], [-0.3, -0.1, 0.4, 0.6, 0.2]])
@@ -169,15 +167,15 @@ def heavy(chain: ClosedChain) -> ClosedChain:
 
 def small_arm(name: str, base: Parameters, joints: int) -> list[Row]:
     """Alternating axes, ten centimetres between every second pair of them."""
-    link = mdh.Link(mass=0.1, com=(0.02, 0.01, 0.03), inertia=(3e-4, 1e-5, 0, 2e-4, 0, 2.5e-4))
+    com, inertia = (0.02, 0.01, 0.03), (3e-4, 1e-5, 0, 2e-4, 0, 2.5e-4)
     rows: list[Row] = []
     for i in range(joints):
         turn = Parameters(alpha=(-1) ** i * math.pi / 2, r=0.1 * (i % 2))
         rows.append(
             Row(
                 name=f"{name}{i + 1}", antecedent=rows[-1].name if rows else None,
-                parameters=turn if rows else base, lower=-3.0, upper=3.0, velocity=5.0,
-                effort=2.0, link=link,
+                **vars(turn if rows else base), lower=-3.0, upper=3.0, velocity=5.0,
+                effort=2.0, mass=0.1, com=com, inertia=inertia,
             )
         )  # fmt: skip
     return rows

@@ -27,13 +27,14 @@ CORE = (
     "coopqp/solver.py",
     "coopqp/controller.py",
     "coopqp/qp_law/*.py",
+    "tasks/_line_or_plane.py",
     "tasks/point_on_plane.py",
     "coopqp/limits/joint_position.py",
     "coopqp/solvers/daqp.py",
 )
 
 #: What the figures may be at most.
-GOALS = {"lines of Python": 54_400, "modules at the root": 12, "rooms": 36, "layers": 14}
+GOALS = {"lines of Python": 54_100, "modules at the root": 12, "rooms": 36, "layers": 14}
 GOALS |= {"lines of the readable core": 7_000}
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,6 @@ import pinocchio as pin
 from coopqp.robot import Robot, RobotModel
 from coopqp.robot_files.mdh import Tip
 from coopqp.robots import MdhTable, Mjcf, NaoT14, Urdf, nao_t14
-from coopqp.robots.mdh_table import TableRow
 
 HANDS = {"right": "RHand", "left": "LHand"}
 
@@ -109,17 +109,9 @@ def in_mjcf(folder: Path) -> Robot:
 
 
 def in_table(_: Path) -> Robot:
-    rows = []
-    for row in [*nao_t14.arm_table("R"), *nao_t14.arm_table("L")]:
-        p, link = row.parameters, row.link
-        assert link is not None
-        rows.append(
-            TableRow(
-                name=row.name, antecedent=row.antecedent,
-                gamma=p.gamma, b=p.b, alpha_deg=math.degrees(p.alpha), d=p.d, theta=p.theta, r=p.r,
-                lower=row.lower, upper=row.upper, velocity=row.velocity, effort=row.effort,
-                mass=link.mass, com=link.com, inertia=link.inertia, axes="base",
-            )
-        )  # fmt: skip
+    rows = tuple(
+        replace(row, alpha=None, alpha_deg=math.degrees(row.parameters.alpha))
+        for row in [*nao_t14.arm_table("R"), *nao_t14.arm_table("L")]
+    )
     tips = {f"{s}Hand": Tip(parent=f"{s}WristYaw", offset=nao_t14.HAND) for s in "RL"}
-    return MdhTable(rows=tuple(rows), tips=tips, arms=HANDS)
+    return MdhTable(rows=rows, tips=tips, arms=HANDS)

@@ -17,7 +17,8 @@ from coopqp.kernel.law import KernelLaw
 from coopqp.limit import LimitRows, Tighten
 from coopqp.limits import _keep_apart
 from coopqp.limits._distances import Distances
-from coopqp.limits._keep_apart import Separation
+from coopqp.limits._keep_apart import KeepApart
+from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import Memory, State
 from coopqp.qp_law.law import QPLaw
 from coopqp.solver import Status, written
@@ -51,21 +52,21 @@ class Agreement:
 def laws(problem: ControlProblem) -> tuple[QPLaw, KernelLaw]:
     """The plain law, and the kernel with a plain law of its own; both measure bodies alike."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Separation, "bind", bind_to_the_kernels_distances)
+        patch.setattr(KeepApart, "bind", bind_to_the_kernels_distances)
         plain = QPLaw(problem, DAMPING, ERROR_DAMPING)
         return plain, KernelLaw(problem, DAMPING, ERROR_DAMPING).prepare()
 
 
-BIND = Separation.bind
+BIND = KeepApart.bind
 
 
-def bind_to_the_kernels_distances(self: Separation, dt: float) -> Tighten:
+def bind_to_the_kernels_distances(self: KeepApart, chain: ClosedChain, dt: float) -> Tighten:
     """A limit's rows in Python, from the kernel's distances instead of coal's.
 
     coal iterates to a micrometre, and of parallel faces both may take other points for the nearest.
     The distances themselves are held against coal's by tests.kernel.distances.
     """
-    space, now = FreeSpace(self.chain, [self.program(dt)]), list[State]()
+    space, now = FreeSpace(chain, [self.program(chain, dt)]), list[State]()
 
     class Measured(Distances):
         def update(self, within: float | Array) -> None:
@@ -77,7 +78,7 @@ def bind_to_the_kernels_distances(self: Separation, dt: float) -> Tighten:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(_keep_apart, "Distances", Measured)
-        tighten = BIND(self, dt)
+        tighten = BIND(self, chain, dt)
 
     def measured(state: State, rows: LimitRows) -> None:
         now[:] = [state]

@@ -15,7 +15,6 @@ from coopqp.controller import ControlProblem
 from coopqp.controllers.qp import QPController
 from coopqp.limit import Limit
 from coopqp.limits import Obstacle, Obstacles, SelfCollision
-from coopqp.limits._keep_apart import Separation
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.profile import Profile
 from coopqp.scenario.loader import load
@@ -92,7 +91,7 @@ def self_collision(chain: ClosedChain) -> SelfCollision:
     """Of all pairs that are apart at the start."""
     near = [
         (a.name, b.name)
-        for a, b, d in _separation(SelfCollision(), chain).at_start()
+        for a, b, d in SelfCollision().at_start(chain)
         if d < SelfCollision().distance + CLEAR
     ]
     return SelfCollision(ignore=tuple(near))
@@ -117,14 +116,10 @@ def _thing(
         at = chain.start_position + reach * way / np.linalg.norm(way)
         rpy = tuple(rng.uniform(-1.0, 1.0, 3).tolist())
         thing = Obstacle(**size, position=tuple(at.tolist()), rpy=rpy)  # type: ignore[arg-type]
-        nearest = _separation(Obstacles(shapes={name: thing}), chain).at_start()[0][2]
+        nearest = Obstacles(shapes={name: thing}).at_start(chain)[0][2]
         if nearest > Obstacles.distance + CLEAR:
             return thing
     raise AssertionError(f"no place for a {name}")
-
-
-def _separation(limit: SelfCollision | Obstacles, chain: ClosedChain) -> Separation:
-    return limit._separation(chain)
 
 
 def without_bodies(limits: Sequence[Limit]) -> tuple[Limit, ...]:

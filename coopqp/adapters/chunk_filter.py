@@ -222,8 +222,13 @@ class ChunkFilter:
         whole = np.isfinite(x).all(axis=1)
         first = x[np.argmax(whole)] if whole.any() else self._chain.q_start
         found, _ = self._follow(given, first, holding, None, recorded=True)
-        for k in np.flatnonzero(found.changed).tolist():
-            yield from self._arms(k, given[k], found)
+        inside = np.abs(grips - 0.5 * OPEN) <= (0.5 + RECORDED) * OPEN  # of NaN it is False
+        off = np.asarray(~inside.all(axis=1))
+        for k in np.flatnonzero(found.changed | off).tolist():
+            if off[k]:
+                yield from self._grippers(k, grips[k])
+            if found.changed[k]:
+                yield from self._arms(k, given[k], found)
 
     def _holding(self, first: Array, grips: Array) -> NDArray[np.bool_]:
         """In which frames both grippers are closed that were so before."""
@@ -256,10 +261,11 @@ class ChunkFilter:
             found = real(chunk)
         except ValueError as error:
             raise InvalidValueError(f"{what}: {said(error)}") from None
-        if what == "start":
+        if what == "start" and found.size == len(KEYS):
             found = np.asarray(found.reshape(1, -1))
         if found.ndim != 2 or found.shape[1] != len(KEYS):
-            raise InvalidValueError(f"{what}: found shape {found.shape}, needs (N, {len(KEYS)})")
+            needed = f"({len(KEYS)},)" if what == "start" else f"(N, {len(KEYS)})"
+            raise InvalidValueError(f"{what}: found shape {found.shape}, needs {needed}")
         return found
 
     def _gripped(self, wished: Array) -> Array:
@@ -334,13 +340,14 @@ class ChunkFilter:
             if found.changed[k]:
                 yield from self._arms(k, given[k], found)
 
-    def _grippers(self, k: int, wish: Array, last: Array) -> Iterator[Change]:
-        for key, x, before in zip(np.array(KEYS)[GRIPPERS].tolist(), wish, last, strict=True):
+    def _grippers(self, k: int, wish: Array, last: Array | None = None) -> Iterator[Change]:
+        """What the grippers' part breaks, of speeds where the frame before is given."""
+        for i, (key, x) in enumerate(zip(np.array(KEYS)[GRIPPERS].tolist(), wish, strict=True)):
             if not np.isfinite(x):
                 yield Change(k, "not_finite", (key,))
             if (by := max(-x, x - OPEN)) > ROUNDING:
                 yield Change(k, "joint_position", (key,), float(by), "%")
-            if (by := abs(x - before) - self._grip_step) > ROUNDING:
+            if last is not None and (by := abs(x - last[i]) - self._grip_step) > ROUNDING:
                 yield Change(k, "joint_velocity", (key,), float(by) * self.settings.fps, "%/s")
 
     def _arms(self, k: int, row: Array, found: _Followed) -> Iterator[Change]:
@@ -395,8 +402,8 @@ def _law(chain: ClosedChain, kept: FilterSettings, *limits: Limit) -> KernelLaw:
     budget = Budget(loop_position=half[0], loop_orientation=half[1], accuracy=1e-3)
     bounds = JointPosition(), JointVelocity(scale=kept.speed), *limits
     problem = ControlProblem(
-        chain=chain, tasks=(MinimumVelocity(),), limits=bounds, solver=Daqp(), dt=1.0 / kept.fps,
-        budget=budget,
+        chain=chain, tasks=(MinimumVelocity(gain=0.5 * kept.fps),), limits=bounds, solver=Daqp(),
+        dt=1.0 / kept.fps, budget=budget,
     )  # fmt: skip
     law = QPController(damping=1e-9, error_damping=0.0, engine="kernel").unprepared(problem)
     assert isinstance(law, KernelLaw)

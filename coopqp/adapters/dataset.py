@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from coopqp.adapters.chunk_filter import Change, ChunkFilter
-from coopqp.adapters.motors import KEYS, MotorUnits
+from coopqp.adapters.motors import ARMS, KEYS, MotorUnits
 from coopqp.base.errors import InvalidValueError, MissingDependencyError, UnreadableFileError
 from coopqp.base.spec import Array
 from coopqp.base.wording import counted, said
@@ -26,15 +26,17 @@ SHOWN = 3
 
 @dataclass(frozen=True)
 class AuditedEpisode:
-    """What one episode of so many frames breaks."""
+    """What one episode of so many frames breaks; ``radians`` if its angles look like that."""
 
     episode: int
     frames: int
     broken: tuple[Change, ...]
+    radians: bool = False
 
     def __str__(self) -> str:
         count = len({change.frame for change in self.broken})
         text = f"episode {self.episode}: {count} of {counted(self.frames, 'frame')} broken"
+        text += "; no joint is farther than 3.2 degrees from 0: are these radians?" * self.radians
         if not count:
             return text
         kinds = Counter(change.limit for change in self.broken)
@@ -65,7 +67,10 @@ def audit(
     fps, at, count = _described(folder, column)
     chunks = ChunkFilter(scenario, units, fps=fps, **settings)
     for episode, rows in _episodes(folder, column, count):
-        yield AuditedEpisode(episode, len(rows), tuple(chunks.audit(rows[:, at])))
+        given = rows[:, at]
+        most = np.abs(np.nan_to_num(given[:, ARMS])).max(initial=0.0)
+        radians = chunks.units.use_degrees and bool(0.0 < most < 3.2)
+        yield AuditedEpisode(episode, len(rows), tuple(chunks.audit(given)), radians)
 
 
 def _described(folder: Path, column: str) -> tuple[float, list[int], int]:
@@ -75,12 +80,11 @@ def _described(folder: Path, column: str) -> tuple[float, list[int], int]:
         info = json.loads(file.read_text(encoding="utf-8"))
         fps, feature = float(info["fps"]), info["features"][column]
         names = list(feature["names"])
+        if not 0.0 < fps < np.inf:
+            raise ValueError(f"fps is {fps:g}")
     except (OSError, ValueError, KeyError, TypeError) as error:
-        why = (
-            "there is no such file"
-            if isinstance(error, OSError)
-            else f"{type(error).__name__} ({said(error)})"
-        )
+        kind = f"{type(error).__name__} ({said(error)})"
+        why = "there is no such file" if isinstance(error, OSError) else kind
         raise UnreadableFileError(file, f"is no dataset v3.0 with {column}: {why}") from None
     if missing := [key for key in KEYS if key not in names]:
         raise InvalidValueError(f"{file}: {column} has no {', '.join(missing)}")
@@ -98,7 +102,8 @@ def _episodes(folder: Path, column: str, count: int) -> Iterator[tuple[int, Arra
         try:
             rows = parquet.read_table(file, columns=wanted).to_pydict()
         except (OSError, ValueError, KeyError) as error:
-            raise UnreadableFileError(file, str(error)) from None
+            words = f"needs columns {', '.join(wanted)}: {said(error)}"
+            raise UnreadableFileError(file, words) from None
         for k, (episode, frame, row) in enumerate(zip(*(rows[key] for key in wanted), strict=True)):
             if not (isinstance(episode, int) and isinstance(frame, int)):
                 words = f"row {k}: episode_index and frame_index need whole numbers"

@@ -199,18 +199,17 @@ class RobosuiteWorld:
 
         w, felt = np.zeros((len(self.arms), 6)), np.zeros(6)
         points = [self.hand(arm).translation for arm in self.arms]
-        for k in range(self.data.ncon):
-            contact = self.data.contact[k]
-            one, two = (int(self.model.geom_bodyid[g]) for g in (contact.geom1, contact.geom2))
-            held = self._bodies[-1]
+        pairs, held = self.model.geom_bodyid[self.data.contact.geom].tolist(), self._bodies[-1]
+        for k, (one, two) in enumerate(pairs):
             if (one in held) == (two in held):
                 continue
             other, sign = (one, 1.0) if two in held else (two, -1.0)  # acts on the second geom
             for i, hand in enumerate(self._bodies[:-1]):
                 if other in hand:
                     mujoco.mj_contactForce(self.model, self.data, k, felt)
+                    contact = self.data.contact[k]
                     R = contact.frame.reshape(3, 3)
                     force, torque = sign * felt[:3] @ R, sign * felt[3:] @ R
                     w[i, :3] += force
-                    w[i, 3:] += torque + np.cross(contact.pos - points[i], force)
+                    w[i, 3:] += torque + pin.skew(contact.pos - points[i]) @ force
         return w.ravel()

@@ -49,8 +49,13 @@ def oscillation(
     third = (len(q) - 1) // 3
     if third < SHORTEST or not np.isfinite(q).all():
         return None
-    least = least_size(units) + NOISY * noise
-    before, now = q[-1 - 2 * third : -third], q[-1 - third :]
+    least, now = least_size(units) + NOISY * noise, q[-1 - third :]
+    steps = np.diff(now, axis=0)
+    turns = (steps.max(axis=0) > 0.0) & (steps.min(axis=0) < 0.0)
+    joints = np.flatnonzero(turns & (reach(now) > least))  # what others have no block has
+    if not len(joints):
+        return None
+    least, before, now = least[joints], q[-1 - 2 * third : -third, joints], now[:, joints]
     widest: Oscillation | None = None
     doubled = [SHORTEST << k for k in range((third // SHORTEST).bit_length())]
     for ticks in (ticks for ticks in (*doubled, third) if ticks <= longest):
@@ -60,7 +65,8 @@ def oscillation(
         i = int(over.argmax())
         if found[i] and (widest is None or size[i] > widest.size):
             # A range is crossed twice a period.
-            widest = Oscillation(i, float(size[i]), float(ratio[i]) / (2.0 * ticks * dt))
+            frequency = float(ratio[i]) / (2.0 * ticks * dt)
+            widest = Oscillation(int(joints[i]), float(size[i]), frequency)
     return widest
 
 
@@ -84,8 +90,13 @@ def _median(found: Array) -> Array:
     return np.asarray(0.5 * (found[(k - 1) // 2] + found[k // 2]))
 
 
+def reach(q: Array) -> Array:
+    """Range along the first axis."""
+    return np.asarray(q.max(axis=0) - q.min(axis=0))
+
+
 def extent(q: Array) -> tuple[Array, Array]:
     """Range along the first axis, and path over range; 0 where nothing moves."""
-    size = q.max(axis=0) - q.min(axis=0)
+    size = reach(q)
     path = np.abs(np.diff(q, axis=0)).sum(axis=0)
     return size, np.divide(path, size, out=np.zeros_like(size), where=size > 0.0)

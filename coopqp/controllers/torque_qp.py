@@ -278,7 +278,7 @@ class TorqueQp(Controller):
                 raise InvalidValueError(
                     f"{name}: task '{task.name}' is scaled; accelerations are soft or hard"
                 )
-        require_motor_freedom(problem, name)
+        require_motor_freedom(problem, name, free=True)
         require_damped_models(problem, name)
         require_forces(problem, self.safety, name)
         knows = self.external_wrench != "unknown"

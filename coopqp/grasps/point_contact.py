@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from coopqp.base.spec import Array, Direction, NonNegative, Positive, Vector3, spec
-from coopqp.grasp import NO_CONTACT, Contact, Grasp, PassiveJoint, ball, check_range, contact_frame
+from coopqp.base.spec import Array, spec
+from coopqp.grasp import NO_CONTACT, Contact, PassiveJoint, ball
+from coopqp.grasps._families import Pressing
 
 #: The ball's hinges are singular where the second has turned by a quarter [rad].
 CONE = 1.4
@@ -41,37 +42,15 @@ class Fingertip(Contact):
 
 
 @spec
-class PointContact(Grasp):
+class PointContact(Pressing):
     """Fingertip: holds by pressing at a point; the object turns freely about it."""
 
-    position: Vector3 = (0.0, 0.0, 0.0)
-    """The point, in the hand [m]."""
-    normal: Direction = (0.0, 0.0, 1.0)
-    """Where it presses at the start, in the hand; any length."""
-    along: Direction | None = None
-    """Direction of one of the pyramid's vertices, in the hand; across the normal if omitted."""
-    friction: Positive = 0.5
-    """Coefficient between fingertip and object."""
-    least: NonNegative = 1.0
-    """Normal force with which it is to press at least [N]."""
-    most: Positive | None = None
-    """Normal force that the object, or the hand, stands [N]; any if omitted."""
     edges: Annotated[int, Field(ge=4, le=32)] = 8
     """Of the pyramid that stands for the cone; at worst it loses 1 - cos(pi / edges), 8 %."""
-
-    def __post_init__(self) -> None:
-        check_range(self.least, self.most)
-        contact_frame(self.position, self.normal, self.along)
 
     def passive_joints(self, R_WT: Array) -> tuple[PassiveJoint, ...]:
         return ball(self.position, CONE)
 
     @property
     def contact(self) -> Contact:
-        return Fingertip(
-            placement=contact_frame(self.position, self.normal, self.along),
-            friction=self.friction,
-            least=self.least,
-            most=math.inf if self.most is None else self.most,
-            edges=self.edges,
-        )
+        return Fingertip(**self.pressed(), edges=self.edges)

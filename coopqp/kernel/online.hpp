@@ -93,12 +93,14 @@ class Ring {
 class Samples {
   public:
     // c, m: rings of commanded and measured joints `own`, shape (kept, n); arms: of these which
-    // belong to an arm; stuck, spans: samples between which they are compared.
+    // belong to an arm; stuck, spans: samples between which they are compared; compliance: of their
+    // servos; h: time between two samples.
     Samples(const Written& c, const Written& m, const std::vector<std::size_t>& own,
             const std::vector<std::vector<std::size_t>>& arms, int stuck,
-            const std::vector<int>& spans, int long_one)
-        : c_(c), m_(m), own_(own), arms_(arms), spans_(spans), stuck_(stuck), long_(long_one),
-          kept_(int(c.shape(0))), n_(c.shape(1)), r_(n_) {
+            const std::vector<int>& spans, int long_one, const std::vector<double>& compliance,
+            double h)
+        : c_(c), m_(m), own_(own), arms_(arms), spans_(spans), compliance_(compliance), h_(h),
+          stuck_(stuck), long_(long_one), kept_(int(c.shape(0))), n_(c.shape(1)), r_(n_) {
         for (std::size_t j : own_) last_ = std::max(last_, j);
     }
 
@@ -144,14 +146,109 @@ class Samples {
         return true;
     }
 
-    // As coopqp::left_singular, of A (n, m).
-    void directions(const Numbers& A, double nothing, const Written& values, const Written& U) const {
-        if (A.ndim() != 2 || A.shape(0) != n_ || values.size() != A.shape(1) || U.size() != n_ * n_)
-            throw std::invalid_argument("a matrix of another robot");
-        coopqp::left_singular(A.data(), int(n_), int(A.shape(1)), nothing, values.data(), U.data());
+    // Write W (n, d), as JointFollowing._whitening, after so many samples; returns d. B, D (n, m): what
+    // internal wrenches pull the joints by, and by how much more than earlier; load: its sag (n,).
+    int whiten(int count, int lag, const Numbers& B, const Numbers& D, const Numbers& load,
+               const Written& W) {
+        const std::size_t n = n_, m = B.ndim() == 2 ? B.shape(1) : 0;
+        if (!m || B.shape(0) != n || D.size() != B.size() || load.size() != n || W.size() != n * n)
+            throw std::invalid_argument("matrices of another robot");
+        count_ = count;
+        const int last = count - 1, first = std::max(0, last - spans_[1]), T = last - first + 1;
+        const auto told = [&](int t, std::size_t i) {
+            return 0.5 * (of(c_, t - lag / 2)[i] + of(c_, t - (lag + 1) / 2)[i]);
+        };
+        std::vector<double> A(n * m), U(n * n), values(m), variance(n), sag(n), bends;
+        for (std::size_t i = 0; i < n; i++)
+            for (std::size_t k = 0; k < m; k++) A[i * m + k] = compliance_[i] * B.data()[i * m + k];
+        coopqp::left_singular(A.data(), int(n), int(m), coopqp::SINGULAR, values.data(), U.data());
+        const double nothing = coopqp::SINGULAR * std::max(values[0], 1e-12);
+        std::size_t rank = 0;
+        while (rank < std::min(n, m) && values[rank] > nothing) rank++;
+        for (int t = first; t <= last; t++) {
+            std::vector<double> bent(n);
+            for (std::size_t i = 0; i < n; i++)
+                r_[i] = of(m_, t)[i] - told(t, i) - (of(m_, first)[i] - told(first, i));
+            for (std::size_t k = 0; k < rank; k++) {
+                double along = 0.0;
+                for (std::size_t i = 0; i < n; i++) along += r_[i] * U[i * n + k];
+                for (std::size_t i = 0; i < n; i++) bent[i] += along * U[i * n + k];
+            }
+            for (std::size_t i = 0; i < n; i++) {
+                sag[i] += bent[i] * bent[i] / T;
+                if (t > first + 1)
+                    bends.push_back(std::fabs(of(m_, t)[i] - 2.0 * of(m_, t - 1)[i] + of(m_, t - 2)[i]));
+            }
+        }
+        const double noise = std::max(coopqp::READING_NOISE, coopqp::OF_BENDS * median(bends));
+        const auto x = pull(A, m, nothing, [&](std::size_t i) { return of(m_, last)[i] - told(last, i); });
+        const int half = (T - 1) / 2;
+        for (std::size_t i = 0; i < n; i++) {
+            double speed = 0.0, otherwise = 0.0;
+            for (int t = first + 1; t <= last; t++) speed += std::fabs(told(t, i) - told(t - 1, i));
+            for (std::size_t k = 0; k < m; k++) otherwise += D.data()[i * m + k] * x[k];
+            const double bend = told(first + 2 * half, i) - 2.0 * told(first + half, i) + told(first, i);
+            const double terms[] = {noise, coopqp::LAG_NOISE * speed / (h_ * std::max(1, T - 1)),
+                                    coopqp::STIFFNESS_NOISE * std::sqrt(sag[i]), load.data()[i],
+                                    coopqp::INERTIA_NOISE * bend / (h_ * h_ * std::max(half * half, 1)),
+                                    compliance_[i] * otherwise / std::sqrt(3.0)};
+            for (double term : terms) variance[i] += term * term;
+        }
+        const std::size_t d = n - rank;
+        const double* P = U.data() + rank;  // P[i * n + k]
+        std::vector<double> V(d * d);
+        for (std::size_t k = 0; k < d; k++)
+            for (std::size_t l = 0; l <= k; l++)
+                for (std::size_t i = 0; i < n; i++) V[k * d + l] += variance[i] * P[i * n + k] * P[i * n + l];
+        factor(V, d);
+        for (std::size_t i = 0; i < n; i++) {
+            std::copy_n(P + i * n, d, W.data() + i * d);
+            forward(V, d, W.data() + i * d);
+        }
+        return int(d);
     }
 
   private:
+    // x with (A'A + least^2) x = A'r, A (n, m).
+    template <class Residual>
+    std::vector<double> pull(const std::vector<double>& A, std::size_t m, double least,
+                             const Residual& r) const {
+        std::vector<double> M(m * m), x(m);
+        for (std::size_t k = 0; k < m; k++) {
+            for (std::size_t i = 0; i < n_; i++) {
+                x[k] += A[i * m + k] * r(i);
+                for (std::size_t l = 0; l <= k; l++) M[k * m + l] += A[i * m + k] * A[i * m + l];
+            }
+            M[k * m + k] += least * least;
+        }
+        factor(M, m);
+        forward(M, m, x.data());
+        for (std::size_t k = m; k-- > 0; x[k] /= M[k * m + k])
+            for (std::size_t l = k + 1; l < m; l++) x[k] -= M[l * m + k] * x[l];
+        return x;
+    }
+
+    // By Cholesky: the lower triangle of M (n, n) becomes L, and x becomes L^-1 x.
+    static void factor(std::vector<double>& M, std::size_t n) {
+        for (std::size_t k = 0; k < n; k++) {
+            forward(M, k, &M[k * n], n);
+            for (std::size_t l = 0; l < k; l++) M[k * n + k] -= M[k * n + l] * M[k * n + l];
+            M[k * n + k] = std::sqrt(M[k * n + k]);
+        }
+    }
+    static void forward(const std::vector<double>& L, std::size_t n, double* x, std::size_t width = 0) {
+        if (!width) width = n;
+        for (std::size_t k = 0; k < n; x[k] /= L[k * width + k], k++)
+            for (std::size_t l = 0; l < k; l++) x[k] -= L[k * width + l] * x[l];
+    }
+
+    static double median(std::vector<double>& x) {
+        if (x.empty()) return 0.0;
+        const auto middle = x.begin() + std::ptrdiff_t(x.size() / 2);
+        std::nth_element(x.begin(), middle, x.end());
+        return x.size() % 2 ? *middle : 0.5 * (*middle + *std::max_element(x.begin(), middle));
+    }
+
     // A sample by its number; the first one before the beginning.
     const double* of(const Written& ring, int at) const {
         return ring.data() + std::size_t(std::max(at, std::max(0, count_ - kept_)) % kept_) * n_;
@@ -161,6 +258,8 @@ class Samples {
     std::vector<std::size_t> own_;
     std::vector<std::vector<std::size_t>> arms_;
     std::vector<int> spans_;
+    std::vector<double> compliance_;
+    double h_;
     int stuck_, long_, kept_, count_ = 0;
     std::size_t n_, last_ = 0;
     std::vector<double> r_;

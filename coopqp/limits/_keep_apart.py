@@ -9,19 +9,21 @@ not go deeper and is not pushed apart.
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.qp import Row
-from coopqp.base.spec import Array, overshoot
+from coopqp.base.spec import Array, Name, NonNegative, Positive, overshoot, spec
 from coopqp.limit import (
     SHALLOW,
     Clearance,
     DistanceBounds,
+    Limit,
     LimitRows,
     Tighten,
     damp,
@@ -66,28 +68,35 @@ def check_count(name: str, count: int) -> None:
         )
 
 
-@dataclass(frozen=True)
-class Separation:
-    """Pairs of bodies that a limit keeps at a distance [m], by dampers with a gain [1/s].
+@spec
+class KeepApart(Limit):
+    """A limit that keeps pairs of bodies at a distance, by dampers."""
 
-    Pairs farther apart than ``within`` [m] are not slowed down.
-    """
+    name: Name
+    """Yours for it."""
+    distance: NonNegative = 0.01
+    """Kept free between two that are watched [m]."""
+    gain: Positive = 10.0
+    """Share of the distance that may be used up per second [1/s]; at most 1/dt."""
+    within: Positive = 0.1
+    """Bodies farther away than this are not slowed down, which spares their distances [m]."""
 
-    name: str
-    chain: ClosedChain
-    pairs: Sequence[Pair]
-    distance: float
-    gain: float
-    within: float
+    def __post_init__(self) -> None:
+        if self.within <= self.distance:
+            raise ValueError(f"within: found {self.within:g}, needs more than distance")
 
-    def rows(self) -> tuple[Row, ...]:
+    @abstractmethod
+    def watched(self, chain: ClosedChain) -> list[Pair]:
+        """The pairs of bodies; CoopqpError if there are none such."""
+
+    def rows(self, chain: ClosedChain) -> tuple[Row, ...]:
         """A row a pair, then those of corners of the closest pairs."""
-        of_pairs = (_row(self.name, a.name, b.name, self.distance) for a, b in self.pairs)
         label = "the distance at corner {} of the closest bodies".format
         corners = range(1, ROWS + 1)
-        return (*of_pairs, *(place_row(self.name, f".corner[{i}]", label(i)) for i in corners))
+        rows = (place_row(self.name, f".corner[{i}]", label(i)) for i in corners)
+        return (*self._of_pairs(self.watched(chain)), *rows)
 
-    def bind(self, dt: float) -> Tighten:
+    def bind(self, chain: ClosedChain, dt: float) -> Tighten:
         """Fill the rows, whether pairs are near or not.
 
         Of what a pair is farther apart than ``within`` all may be used up in a tick. It has a row
@@ -95,7 +104,7 @@ class Separation:
         the bounds on v. InvalidValueError: the gain overshoots in a tick dt [s].
         """
         self._check_gain(dt)
-        chain, pairs, distance, gain = self.chain, self.pairs, self.distance, self.gain
+        pairs, distance, gain = self.watched(chain), self.distance, self.gain
         found, count = Distances(pairs), len(pairs)
         corners, later = Corners(pairs, found, distance), min(LATER * gain, 1.0 / dt - gain)
         gains, shallow = np.full(count + ROWS, gain), max(distance, SHALLOW)
@@ -122,27 +131,31 @@ class Separation:
 
         return tighten
 
-    def program(self, dt: float) -> DistanceBounds:
+    def program(self, chain: ClosedChain, dt: float) -> DistanceBounds:
         """The same for the kernel; InvalidValueError as for :meth:`bind`."""
         self._check_gain(dt)
-        bodies = list(dict.fromkeys(body for pair in self.pairs for body in pair))
+        pairs = self.watched(chain)
+        bodies = list(dict.fromkeys(body for pair in pairs for body in pair))
         at = {body: i for i, body in enumerate(bodies)}
         return DistanceBounds(
             bodies=[(body.joint, body.convex) for body in bodies],
-            levers=_levers_of(self.chain, bodies),
-            pairs=np.array([[at[a], at[b]] for a, b in self.pairs], np.int64).reshape(-1, 2),
+            levers=_levers_of(chain, bodies),
+            pairs=np.array([[at[a], at[b]] for a, b in pairs], np.int64).reshape(-1, 2),
             distance=self.distance,
             gain=self.gain,
             within=self.within,
         )
 
+    def _of_pairs(self, pairs: Sequence[Pair]) -> list[Row]:
+        return [_row(self.name, a.name, b.name, self.distance) for a, b in pairs]
+
     def _check_gain(self, dt: float) -> None:
         if wrong := overshoot(self.gain, dt):
             raise InvalidValueError(f"{self.name}: {wrong}")
 
-    def clearance(self) -> Clearance:
+    def clearance(self, chain: ClosedChain) -> Clearance:
         """What is left of each pair's distance [m], at most of ``within``; corners have none."""
-        found = Distances(self.pairs)
+        found = Distances(self.watched(chain))
 
         def left(state: State) -> Array:
             state.place(found.geometry, found.placed)
@@ -151,24 +164,30 @@ class Separation:
 
         return left
 
-    def margins(self, q: Array) -> dict[Row, Array]:
+    def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
         """Distance of each pair after each tick, less what is kept free [m], however far."""
-        d = distances_along(self.chain, self.pairs, q[1:]) - self.distance
-        return dict(zip(self.rows(), d.T, strict=False))  # without corners
+        pairs = self.watched(chain)
+        d = distances_along(chain, pairs, q[1:]) - self.distance
+        return dict(zip(self._of_pairs(pairs), d.T, strict=True))
 
-    def at_start(self) -> list[tuple[Body, Body, float]]:
+    def relaxed(self, by: float) -> KeepApart | None:
+        """A smaller distance; None where bodies would have to sink into each other."""
+        return replace(self, distance=self.distance - by) if by <= self.distance else None
+
+    def at_start(self, chain: ClosedChain) -> list[tuple[Body, Body, float]]:
         """Pairs with their distances where the chain starts [m], the nearest first."""
-        d = distances_along(self.chain, self.pairs, self.chain.q_start[None, :])[0]
-        return [(*self.pairs[i], float(d[i])) for i in np.argsort(d).tolist()]
+        pairs = self.watched(chain)
+        d = distances_along(chain, pairs, chain.q_start[None, :])[0]
+        return [(*pairs[i], float(d[i])) for i in np.argsort(d).tolist()]
 
-    def inside(self) -> list[tuple[Body, Body, float]]:
+    def inside(self, chain: ClosedChain) -> list[tuple[Body, Body, float]]:
         """Pairs that start in each other, and how deep [m], the deepest first."""
-        return [(a, b, -d) for a, b, d in self.at_start() if d < -SHALLOW]
+        return [(a, b, -d) for a, b, d in self.at_start(chain) if d < -SHALLOW]
 
-    def nearer_at_start(self) -> Iterator[str]:
-        """A sentence on pairs that start nearer than the distance to keep."""
+    def nearer(self, found: Sequence[tuple[Body, Body, float]]) -> Iterator[str]:
+        """A sentence on those of :meth:`at_start` that are nearer than the distance to keep."""
         limit = self.distance - WORTH_SAYING
-        if near := [self._nearer(*pair) for pair in self.at_start() if pair[2] < limit]:
+        if near := [self._nearer(*pair) for pair in found if pair[2] < limit]:
             more = f", and {len(near) - SHOWN} pairs more" if len(near) > SHOWN else ""
             yield f"{self.name}: {', '.join(near[:SHOWN])}{more}"
 

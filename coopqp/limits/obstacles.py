@@ -12,20 +12,17 @@ A body that is too close by more than a millimetre may not come closer, but is n
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Annotated, Literal
 
 from pydantic import Field
 
 from coopqp.base.errors import InvalidValueError, under
-from coopqp.base.qp import Row
 from coopqp.base.reading import FilePath
-from coopqp.base.spec import Array, Lengths3, Name, NonNegative, Pose, Positive, spec
+from coopqp.base.spec import Lengths3, Name, Pose, Positive, spec
 from coopqp.grasp import pose_matrix
-from coopqp.limit import Clearance, DistanceBounds, Limit, Tighten
 from coopqp.limits._bodies import bodies_of, named_bodies, unseen
 from coopqp.limits._distances import Body, Pair, of_shape
-from coopqp.limits._keep_apart import SHOWN, Separation, check_count
+from coopqp.limits._keep_apart import SHOWN, KeepApart, check_count
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.marker import Marker, SolidMarker
 from coopqp.robot import Shape
@@ -86,51 +83,20 @@ class Obstacle(Pose):
 
 
 @spec
-class Obstacles(Limit):
+class Obstacles(KeepApart):
     """Arms and object keep a distance from things in the world."""
 
     name: Name = "obstacles"
     """Your name for it in rows and tables; give it when there are several."""
     shapes: Annotated[dict[str, Obstacle], Field(min_length=1)]
     """By your name for it: {box, sphere, cylinder or mesh; position: [m], rpy or rpy_deg}."""
-    distance: NonNegative = 0.01
-    """Kept free between a body and a thing [m]."""
-    gain: Positive = 10.0
-    """Share of the distance that may be used up per second [1/s]; at most 1/dt."""
-    within: Positive = 0.1
-    """Bodies farther away than this are not slowed down, which spares their distances [m]."""
     bodies: tuple[str, ...] | None = None
     """Names of bodies, patterns such as *hand*, or "object"; all that move if omitted."""
-
-    def __post_init__(self) -> None:
-        if self.within <= self.distance:
-            raise ValueError(f"within: found {self.within:g}, needs more than distance")
-
-    def rows(self, chain: ClosedChain) -> tuple[Row, ...]:
-        return self._separation(chain).rows()
-
-    def bind(self, chain: ClosedChain, dt: float) -> Tighten:
-        """One row for each body and thing, whether near or not, so that the count never changes."""
-        return self._separation(chain).bind(dt)
-
-    def program(self, chain: ClosedChain, dt: float) -> DistanceBounds:
-        return self._separation(chain).program(dt)
-
-    def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
-        return self._separation(chain).margins(q)
-
-    def clearance(self, chain: ClosedChain) -> Clearance:
-        """Distance of each body and thing less what is kept free, at most of ``within`` [m]."""
-        return self._separation(chain).clearance()
-
-    def relaxed(self, by: float) -> Obstacles | None:
-        """A smaller distance; None where bodies would have to sink into each other."""
-        return replace(self, distance=self.distance - by) if by <= self.distance else None
 
     def start_faults(self, chain: ClosedChain) -> tuple[str, ...]:
         """Bodies that are in a thing, a sentence for each thing."""
         by_thing: dict[str, list[tuple[str, float]]] = {}
-        for body, thing, depth in self._separation(chain).inside():
+        for body, thing, depth in self.inside(chain):
             by_thing.setdefault(thing.name, []).append((body.name, depth))
         return tuple(
             f"{self.name}: {_inside(thing, found)}; move one of them"
@@ -143,9 +109,9 @@ class Obstacles(Limit):
 
     def notes(self, chain: ClosedChain) -> tuple[str, ...]:
         """Parts of the robot that are no bodies, and bodies that start too near."""
-        separation = self._separation(chain)
+        at_start = self.at_start(chain)
         nearest: dict[str, float] = {}
-        for _, thing, d in separation.at_start():
+        for _, thing, d in at_start:
             nearest.setdefault(thing.name, d)
         far = (
             f"{self.name}: {thing} is {nearest[thing]:.3g} m from all bodies, but the arms reach "
@@ -153,7 +119,7 @@ class Obstacles(Limit):
             for thing in self.shapes
             if nearest[thing] > FAR * chain.reach
         )
-        return (*self.unseen(chain), *separation.nearer_at_start(), *far)
+        return (*self.unseen(chain), *self.nearer(at_start), *far)
 
     def marks(self, t: float) -> tuple[Marker, ...]:
         shapes = (thing.shape for thing in self.shapes.values())
@@ -168,11 +134,7 @@ class Obstacles(Limit):
             for shape in shapes
         )
 
-    def _separation(self, chain: ClosedChain) -> Separation:
-        pairs = self._pairs(chain)
-        return Separation(self.name, chain, pairs, self.distance, self.gain, self.within)
-
-    def _pairs(self, chain: ClosedChain) -> list[Pair]:
+    def watched(self, chain: ClosedChain) -> list[Pair]:
         """All bodies that move, or those named, with all things."""
         bodies, faults = bodies_of(chain)
         if self.bodies is not None:

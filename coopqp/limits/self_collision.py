@@ -15,13 +15,10 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import replace
 
 from coopqp.base.errors import InvalidValueError, under
-from coopqp.base.qp import Row
-from coopqp.base.spec import Array, Name, NonNegative, Positive, spec
+from coopqp.base.spec import Name, spec
 from coopqp.base.wording import counted
-from coopqp.limit import Clearance, DistanceBounds, Limit, Tighten
 from coopqp.limits._bodies import (
     bodies_of,
     by_construction,
@@ -30,7 +27,7 @@ from coopqp.limits._bodies import (
     unseen,
 )
 from coopqp.limits._distances import Body, Pair
-from coopqp.limits._keep_apart import Separation, check_count
+from coopqp.limits._keep_apart import KeepApart, check_count
 from coopqp.model.closed_chain import ClosedChain
 
 NamePair = tuple[str, str]
@@ -40,17 +37,11 @@ SHOWN = 3
 
 
 @spec
-class SelfCollision(Limit):
+class SelfCollision(KeepApart):
     """Arms, torso and object keep a distance from each other."""
 
     name: Name = "self_collision"
     """Your name for it in rows and tables; give it when there are several."""
-    distance: NonNegative = 0.01
-    """Kept free between two bodies [m]."""
-    gain: Positive = 10.0
-    """Share of the distance that may be used up per second [1/s]; at most 1/dt."""
-    within: Positive = 0.1
-    """Bodies farther apart than this are not slowed down, which spares their distances [m]."""
     pairs: tuple[NamePair, ...] | None = None
     """Names of bodies, patterns such as *finger*, or "object"; those that can meet if omitted."""
     ignore: tuple[NamePair, ...] = ()
@@ -63,32 +54,10 @@ class SelfCollision(Limit):
             if one in seen or (len(one) < 2 and not set(pair[0]) & set("*?[")):
                 raise ValueError(f"pair {list(pair)} names one body, or a pair given before")
             seen.add(one)
-        if self.within <= self.distance:
-            raise ValueError(f"within: found {self.within:g}, needs more than distance")
-
-    def rows(self, chain: ClosedChain) -> tuple[Row, ...]:
-        return self._separation(chain).rows()
-
-    def bind(self, chain: ClosedChain, dt: float) -> Tighten:
-        """One row a pair, whether near or not, so that the count never changes."""
-        return self._separation(chain).bind(dt)
-
-    def program(self, chain: ClosedChain, dt: float) -> DistanceBounds:
-        return self._separation(chain).program(dt)
-
-    def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
-        return self._separation(chain).margins(q)
-
-    def clearance(self, chain: ClosedChain) -> Clearance:
-        """Distance of each pair less what is kept free, at most of ``within`` [m]."""
-        return self._separation(chain).clearance()
-
-    def relaxed(self, by: float) -> SelfCollision | None:
-        """A smaller distance; None where bodies would have to sink into each other."""
-        return replace(self, distance=self.distance - by) if by <= self.distance else None
+        KeepApart.__post_init__(self)
 
     def start_faults(self, chain: ClosedChain) -> tuple[str, ...]:
-        found = self._separation(chain).inside()
+        found = self.inside(chain)
         if not found:
             return ()
         depths = ", ".join(f"{a.name} and {b.name} {1e3 * depth:.1f} mm" for a, b, depth in found)
@@ -103,10 +72,10 @@ class SelfCollision(Limit):
 
     def notes(self, chain: ClosedChain) -> tuple[str, ...]:
         """What is not watched: parts that are no bodies, and pairs that touch by construction."""
-        separation, found = self._separation(chain), [*self.unseen(chain)]
-        if not separation.pairs:
+        at_start, found = self.at_start(chain), [*self.unseen(chain)]
+        if not at_start:
             found.append(f"{self.name} watches nothing: no two bodies can meet")
-        found += separation.nearer_at_start()
+        found += self.nearer(at_start)
         joined = sorted(" and ".join(sorted(pair)) for pair in by_construction(chain.robot))
         if joined and self.pairs is None:
             shown = ", ".join(joined[:SHOWN]) + (", ..." if len(joined) > SHOWN else "")
@@ -116,11 +85,7 @@ class SelfCollision(Limit):
             )
         return tuple(found)
 
-    def _separation(self, chain: ClosedChain) -> Separation:
-        pairs = self._pairs(chain)
-        return Separation(self.name, chain, pairs, self.distance, self.gain, self.within)
-
-    def _pairs(self, chain: ClosedChain) -> list[Pair]:
+    def watched(self, chain: ClosedChain) -> list[Pair]:
         """Those given, or those that can meet, without those to be ignored."""
         bodies, faults = bodies_of(chain)
         if self.pairs is None:

@@ -176,7 +176,7 @@ class Readings:
         self.v: Array | None = np.zeros(n) if rates else None
         self.misread: tuple[int, ...] = ()
         self._ways, self._slope, self._beyond = np.zeros((2, n)), np.zeros(n), np.zeros(n, bool)
-        self._reading = np.zeros(n)
+        self._reading, self._away = np.zeros(n), np.full(n, np.nan)
         self._own = np.setdiff1d(np.arange(n), chain.passive)
         self._max_speed = FASTER * np.nan_to_num(np.abs(chain.velocity), posinf=UNLIMITED)
         self._since = 0.0
@@ -188,6 +188,7 @@ class Readings:
     def forget(self) -> None:
         self.q[:], self._read_at, self.misread = np.nan, -np.inf, ()
         self._ways[:] = self._slope[:] = 0.0
+        self._away[:], self._fault = np.nan, None
 
     def take(self, q: Any, commanded: Array, now: float) -> Status | None:
         """What is wrong with a reading of all n joints or the robot's own; else it is in ``q``."""
@@ -252,7 +253,7 @@ class Readings:
         return (None, None) if self.note else (found[0], found[1])
 
     def _judge(self, q: Any, commanded: Array, now: float) -> Status | None:
-        usual = self._quick and type(q) is np.ndarray and q.dtype == FLOAT
+        usual = self._quick and type(q) is np.ndarray and q.dtype == FLOAT and not self._fault
         if usual and self._quick(q, commanded, now - self._since):
             self._since = now
             return None
@@ -261,8 +262,11 @@ class Readings:
         elapsed, moved = now - self._since, self._reading - self.q
         beyond = np.abs(moved) - (NOISE + self._max_speed * max(0.0, elapsed))
         self._since = now  # of a jump as well, which must not become plausible with time
-        if (beyond > 0.0).any():  # False before the first accepted reading: NaN
-            i = int(np.argmax(np.where(np.isnan(beyond), -np.inf, beyond)))
+        # What has jumped jumps back, or arms that brake would come to where it seems to be.
+        away = (beyond > 0.0) | (np.abs(self._reading - self._away) < NOISE)  # False of NaN
+        self._away[:] = np.where(away, self._reading, np.nan)
+        if away.any():  # False before the first accepted reading
+            i = int(np.argmax(np.where(away, np.abs(moved), 0.0)))
             way = f"{moved[i]:+.3g} {self._chain.joint_units[i]}"
             self.note = f"{self._chain.joint_names[i]} by {way} in {elapsed:.3g} s"
             return Status.MEASURED_JUMPED

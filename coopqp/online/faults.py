@@ -83,7 +83,7 @@ class FaultMonitor:
 
     def __init__(self, law: Law, before: FaultMonitor | None = None, *, observed: bool) -> None:
         chain, dt = law.problem.chain, law.problem.dt
-        self._names, self._law = chain.joint_names, law
+        self._names, self._law, self._dt, self._at_bound = chain.joint_names, law, dt, 0.0
         self._joints = JointFollowing(chain, dt, law.observer) if observed else None
         self._forces = ForceMonitor(law)
         self.found: tuple[Fault, ...] = before.found if before else ()
@@ -103,9 +103,9 @@ class FaultMonitor:
         Joints that are ``misread`` do not move at their measured velocities.
         """
         silent = state.hand_wrench is None or state.chain.standing
-        forces = None if silent else self._forces.update(state)
-        findings = [forces, self._observed()]
-        findings += [self._named(Suspect("velocities_wrong", (j,), 0.0)) for j in misread]
+        findings = [None if silent else self._forces.update(state), self._observed()]
+        for j in misread:
+            findings.append(self._named(Suspect("velocities_wrong", (j,), 0.0)))
         if self._joints and q_m is not None and not self._misled:
             if suspect := self._joints.update(state, state.q, q_m):
                 findings.append(self._named(suspect))
@@ -121,13 +121,13 @@ class FaultMonitor:
 
     def _observed(self) -> Finding | None:
         """What the observer of the loop-closure offset has found."""
-        observer = self._law.observer
-        if observer.at_bound:
+        observer, forces = self._law.observer, self._forces
+        self._at_bound = self._at_bound + self._dt if observer.at_bound else 0.0
+        if self._at_bound > LASTING:
             return "loop_offset_at_bound", observer.at_bound, observer.note
-        forces = self._forces
-        if observer.load > forces.weight + max(SMALL, OF_WEIGHT * forces.weight, observer.doubt):
-            words = "the servos sag as under {} or more; weigh the object"  # felt within seconds
-            return forces.heavier(observer.load, words)
+        load, weight = observer.load, forces.weight  # NaN while it is not known
+        if load > weight + SMALL and load > weight + max(OF_WEIGHT * weight, observer.doubt):
+            return forces.heavier(load, "the servos sag as under {} or more; weigh the object")
         return None
 
     def _named(self, suspect: Suspect) -> Finding:

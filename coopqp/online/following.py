@@ -43,6 +43,8 @@ ALIKE = (0.3, 3.0)
 #: Standard deviations: of a reading at least [rad, m]; of a servo's lag [s], and of what inertia
 #: adds for an acceleration, 1/frequency^2 [s^2]; of its stiffness, as a share of the sag.
 NOISE, LAG_NOISE, INERTIA_NOISE, STIFFNESS_NOISE = 4e-4, 6e-3, 2e-3, 0.1
+#: sigma of white noise over the median of |second differences|, which is 1.65 sigma, 1.2 of few.
+OF_BENDS = 0.73
 #: Square of the parity vector's change over its variance from which a fault is looked for; mean
 #: square about the mean, less the noise, from which it is one, and by how many standard deviations
 #: sqrt(1.9/(T d)) of von Neumann's ratio (variance to that of second differences) for T samples of
@@ -51,10 +53,11 @@ SUSPICIOUS, MEAN_SQUARE, DEVIATIONS = 12.0, 3.0, 6.0
 #: Share of it that a fault must explain; the share that is left by others that count as equal. Two
 #: swapped joints need less where all other faults leave so much more.
 EXPLAINED, EXPLAINED_SWAPPED, AS_GOOD, ALONE = 0.9, 0.95, 0.03, 0.5
-#: delta over dq_c of a joint that does not follow, at least; of two that are swapped, 1 but for
-#: what else there is; of joints that move the wrong way. Of a window, when it may have begun.
-LEAST_SLOPE, SWAPPED, REVERSED = 0.6, (0.7, 1.0 / 0.7), (1.5, 4.0)
-ONSETS = (0.0, 0.35, 0.65)
+#: delta over dq_c of a joint that does not follow, at least and, unless it stands still, at most;
+#: of two swapped ones, 1 but for what else there is; above which it moves the wrong way. When in a
+#: window that began; share of delta beside twice the reading's motion where its sign is wrong.
+LEAST_SLOPE, MOST_SLOPE, SWAPPED, REVERSED = 0.6, 2.5, (0.7, 1.0 / 0.7), 1.5
+ONSETS, BACKWARDS = (0.0, 0.35, 0.65), 0.2
 #: A reading has jumped by so much at least [rad, m], most of it within two samples.
 LEAST_JUMP, JUMP = 8e-3, 0.8
 #: Commanded motion below which a joint says nothing, and so near to the end of its range that it
@@ -119,15 +122,14 @@ class JointFollowing:
         self._stuck_for = round(STUCK / h) - 1  # of which the first lasts as long, too
         rings, members = (self._c, self._m), [arm.tolist() for arm in self._arms]
         made, found = (*rings, own.tolist(), members, self._stuck_for, self._spans), native.module()
-        self._quick = found and found.Samples(*made, LONG)
+        self._quick = found and found.Samples(*made, LONG, self._compliance.tolist(), h)
         self.forget()
 
     def forget(self) -> None:
         """Begin anew, as after a rest in which somebody may have moved the joints."""
         self._count = self._samples = self._lag = 0
         self._whitened, self._earlier = -self._renew, list[Array]()
-        self._before: Suspect | None = None
-        self._before_long: Suspect | None = None
+        self._before: list[Suspect | None] = [None, None]  # of the last look, and the last long one
         self.suspicious = False
 
     def update(self, state: State, q_c: Array, q_m: Array) -> Suspect | None:
@@ -148,37 +150,33 @@ class JointFollowing:
 
     def _agreed(self, found: Suspect | None, span: int, spans: Sequence[int]) -> Suspect | None:
         """What the last look has found, too, or that of the long window, which is a rare one."""
-        long, earlier = self._spans[-1], (self._before, self._before_long)
-        self._before = found
+        long, earlier = self._spans[-1], list(self._before)
+        self._before[0] = found
         if long in spans:
-            self._before_long = found if span == long else None
+            self._before[1] = found if span == long else None
         agree = (e and found and set(e.joints) & set(found.joints) for e in earlier)
         return found if any(agree) else None
 
     def _add(self, q_c: Array, q_m: Array) -> bool:
         """Add to the sample that is being taken; whether it is whole."""
-        at, first, share = self._samples, self._count % self._every == 0, 1.0 / self._every
+        at, part = divmod(self._count, self._every)
         if self._quick:
-            self._quick.add(at, first, share, q_c, q_m)
+            self._quick.add(at, part == 0, 1.0 / self._every, q_c, q_m)
         else:
             for ring, q in ((self._c, q_c), (self._m, q_m)):
                 sample = ring[at % len(ring)]
-                sample[:] = (0.0 if first else sample) + share * q[self._own]
+                sample[:] = (sample if part else 0.0) + q[self._own] / self._every
         self._count += 1
-        whole = self._count % self._every == 0
-        self._samples += whole
-        return whole
+        self._samples = self._count // self._every
+        return self._samples > at
 
     def _stuck(self, span: int) -> Suspect | None:
         """An arm of which no reading has changed by a bit while it was commanded to move."""
         last, least = self._samples - 1, MOVED * span / self._stuck_for
         if last < span:
             return None
-        for arm in self._arms:
-            ends = self._of(self._m, last)[arm], self._of(self._m, last - span)[arm]
-            if len(arm) < 2 or not np.array_equal(*ends):
-                continue
-            at = np.arange(last - span, last + 1)
+        at = np.arange(last - span, last + 1)
+        for arm in (arm for arm in self._arms if len(arm) > 1):
             m, c = (np.diff(self._of(ring, at)[:, arm], axis=0) for ring in (self._m, self._c))
             if not m.any() and c.any(axis=1).all() and np.abs(c).sum(axis=0).max() > least:
                 return Suspect("readings_stuck", tuple(int(j) for j in self._own[arm]), 0.0)
@@ -190,8 +188,14 @@ class JointFollowing:
         if self._samples - self._whitened >= self._renew:
             self._earlier = [*self._earlier[-1:], J]
         N = null_space(J[:, self._passive].T) if len(self._passive) else np.identity(len(J))
-        A = self._compliance[:, None] * (J.T @ N)[self._own]
-        U, values = self._directions(A)
+        pulls, turned = ((X.T @ N)[self._own] for X in (J, J - self._earlier[0]))
+        load, n = self._observer.sag(state)[self._own], len(self._own)
+        if self._quick:
+            W = np.empty(n * n)
+            d = self._quick.whiten(self._samples, self._lag, pulls, turned, load, W)
+            return W[: n * d].reshape(n, d)
+        A = self._compliance[:, None] * pulls
+        U, values, _ = np.linalg.svd(A)
         rank = int(np.sum(values > SINGULAR * values.max(initial=1e-12)))
         U, parity = U[:, :rank], U[:, rank:]
         at = np.arange(max(0, last - self._spans[1]), last + 1)
@@ -199,31 +203,19 @@ class JointFollowing:
         r = (m - c) - (m[0] - c[0])
         sag = np.mean((r @ U @ U.T) ** 2, axis=0)
         speed = np.abs(np.diff(c, axis=0)).mean(axis=0) / self._h
-        # Of second differences, sqrt(6) sigma, the median is 1.65 sigma; 1.2 for few samples.
-        noise = max(NOISE, 0.73 * float(np.median(np.abs(np.diff(m, 2, axis=0)))))
+        noise = max(NOISE, OF_BENDS * float(np.median(np.abs(np.diff(m, 2, axis=0)))))
         half = (len(c) - 1) // 2
         bend = np.abs(c[2 * half] - 2.0 * c[half] + c[0]) / max(half * self._h, self._h) ** 2
         variance = noise**2 + (LAG_NOISE * speed) ** 2 + STIFFNESS_NOISE**2 * sag
         variance += (INERTIA_NOISE * bend) ** 2
         # What pulled as now pulled otherwise before J_c turned with the joints.
         least = (SINGULAR * values.max(initial=1e-12)) ** 2 * np.identity(A.shape[1])
-        pull = N @ np.linalg.solve(A.T @ A + least, A.T @ (m - c)[-1])
-        otherwise = self._compliance * ((J - self._earlier[0]).T @ pull)[self._own]
-        variance += otherwise**2 / 3.0  # on the way
+        pull = np.linalg.solve(A.T @ A + least, A.T @ (m - c)[-1])
+        variance += (self._compliance * (turned @ pull)) ** 2 / 3.0  # on the way
         # The object's weight is no internal wrench, changes with the pose, and may be told wrong.
-        variance += self._observer.sag(state)[self._own] ** 2
+        variance += load**2
         L = np.linalg.cholesky(parity.T @ (variance[:, None] * parity))
         return np.asarray(np.linalg.solve(L, parity.T).T)
-
-    def _directions(self, A: Array) -> tuple[Array, Array]:
-        """Left singular vectors (n, n) and values."""
-        if self._quick is None:
-            U, values, _ = np.linalg.svd(A)
-            return U, values
-        # LAPACK may wait for its other threads, up to a tenth of a second beside other programs.
-        U, values = np.zeros((len(A), len(A))), np.zeros(A.shape[1])
-        self._quick.directions(A, SINGULAR, values, U)
-        return U, values
 
     def _look(self, state: State, spans: Sequence[int]) -> tuple[Suspect | None, int]:
         """The suspect of the shortest window that has one, and that window."""
@@ -264,32 +256,40 @@ class JointFollowing:
         self._lag = int(sizes.argmin())
         (T, d), steps = z.shape[1:], np.diff(z[self._lag], 2, axis=0)
         self._noise = float(np.sum(steps**2)) * (T - 1) / (6.0 * (T - 2))
-        above = sizes[self._lag] - self._noise
-        if above < max(MEAN_SQUARE * T, DEVIATIONS * self._noise * (1.9 / (T * d)) ** 0.5):
+        white = DEVIATIONS * self._noise * (1.9 / (T * d)) ** 0.5
+        self._enough = max(MEAN_SQUARE * T, white)
+        if sizes[self._lag] - self._noise < self._enough:
             return None
         self.suspicious = True
-        return self._best(m, c, z, sizes, at)
+        return self._best(m, np.concatenate([c, self._slow(at)]), at)
 
-    def _alike(self, at: Array) -> float:
-        """What joints that are sound leave of the parity vector where all follow alike.
-
-        Servos of a first order, told velocities of which they follow a share s, while a loop of
-        gain k takes their error to zero: r' = -(1 - s) dq_c' - s k r, integrated.
-        """
+    def _slow(self, at: Any) -> Array:
+        """Commands as servos of a first order follow them, late as well, shape (servos, T, n)."""
         before = np.arange(len(self._kernels))
         late = np.array([at[:, None] - before - lag // 2 for lag in self._lags[::2]])
-        c = np.tensordot(self._kernels, self._of(self._c, late), (0, 2))  # (times, lags, T, n)
-        r = self._of(self._m, at) - c
-        causes = np.stack([r, c, r.cumsum(axis=2) * self._h * (at[1] - at[0])])
-        causes = (causes - causes.mean(axis=3, keepdims=True)) @ self._white
-        G = np.einsum("aslti,bslti->slab", causes, causes)
+        c = np.tensordot(self._kernels, self._of(self._c, late), (0, 2))
+        c = c.reshape(-1, len(at), len(self._own))
+        return np.asarray(c - c.mean(axis=1, keepdims=True))
+
+    def _alike(self, r: Array, c: Array, time: float) -> float:
+        """What joints that are sound leave of the parity vector where all follow alike.
+
+        They follow a share s of the velocities that their servos are told, of samples after each
+        ``time``, and a loop of gain k takes their error to zero: r' = -(1 - s) dq_c' - s k r.
+        """
+        causes = np.stack([r, c, r.cumsum(axis=1) * time])
+        causes = (causes - causes.mean(axis=2, keepdims=True)) @ self._white
+        G = np.einsum("asti,bsti->sab", causes, causes)
         short, gains = (np.linspace(0.0, most, 7) for most in ALIKE)
         p = np.stack([np.ones((7, 7)), *np.meshgrid(short, gains)], axis=-1)
-        return float(np.einsum("xya,slab,xyb->slxy", p, G, p).min())
+        return float(np.einsum("xya,sab,xyb->sxy", p, G, p).min())
 
-    def _best(self, m: Array, c: Array, z: Array, sizes: Array, at: Any) -> Suspect | None:
-        """The fault that leaves least of r, of those that explain the parity vector."""
-        n, pairs, above = len(self._own), self._pairs, sizes[self._lag] - self._noise
+    def _best(self, m: Array, c: Array, at: Any) -> Suspect | None:
+        """The fault that leaves least beside sound servos' motions c, if it explains the rest."""
+        r = m - c
+        z = r @ self._white
+        sizes = np.einsum("ltd,ltd->l", z, z)
+        n, pairs, above = len(self._own), self._pairs, sizes.min() - self._noise
         told = self._told(at, self._lag)
         signs = self._faults @ self._white  # (faults, d)
         lengths = np.einsum("fd,fd->f", signs, signs)
@@ -305,28 +305,33 @@ class JointFollowing:
         jumped = (steps > JUMP * ranges) & (ranges > LEAST_JUMP)
         noise = self._noise * (1.0 - 1.0 / self._white.shape[1])
         share = np.maximum(left - noise, 0.0) / above
-        one = (share < 1.0 - EXPLAINED) & (jumped | (moves & (slope > LEAST_SLOPE)))
+        read = m @ self._faults.T
+        backwards = np.sum((delta - 2.0 * read) ** 2, axis=0) < BACKWARDS * np.sum(delta**2, axis=0)
+        still = np.ptp(read, axis=0) < STANDS * np.maximum(np.ptp(motion, axis=0), ranges)
+        off = moves & (slope > LEAST_SLOPE) & (still | (slope < MOST_SLOPE)) | jumped | backwards
         exchanged = moves & (slope > SWAPPED[0]) & (slope < SWAPPED[1])
         two = exchanged & (share < 1.0 - EXPLAINED_SWAPPED)
-        good = np.where(faults < n, one, two)
+        good = np.where(faults < n, off & (share < 1.0 - EXPLAINED), two)
         first, second = np.argsort(left)[:2]
         if first >= n and share[first] < ALONE * min(1.0, share[second]):
             good[first] = exchanged[first]
-        alike = self._alike(at) - self._noise
+        alike = self._alike(r, c, self._h * (at[1] - at[0])) - self._noise
         stops = np.minimum(told - self._least, self._most - told).min(axis=0) < NEAR
         stopped = (share[:n][stops] < 1.0 - EXPLAINED).any()
-        if stopped or not good.any() or alike < max(LAGGING * above, MEAN_SQUARE * len(m)):
+        if stopped or not good.any() or alike < max(LAGGING * above, self._enough):
             return None
-        good &= left <= max(3.0 * left[good].min(), AS_GOOD * above)
+        good &= share <= max(3.0 * share[good].min(), AS_GOOD)
         rest = np.full(len(faults), np.inf)
         for f in np.flatnonzero(good):
-            r = m - c[lags[f]] - np.outer(delta[:, f], self._faults[f])
-            rest[f] = np.sum(r**2) * (1.0 if f < n else PENALTY)
+            left_r = r[lags[f]] - np.outer(delta[:, f], self._faults[f])
+            rest[f] = np.sum(left_r**2) * (1.0 if f < n else PENALTY)
         best = int(rest.argmin())
         if best >= n:
             j, k = (int(self._own[i]) for i in pairs[best - n])
             return Suspect("joints_swapped", (j, k), float(slope[best]))
-        kind = _kind(slope[best], m[:, best], motion[:, best], jumped=bool(jumped[best]))
+        back = backwards[best] or slope[best] > REVERSED
+        kind = "joint_reversed" if back else "joint_not_following"
+        kind = "encoder_jumped" if jumped[best] else "joint_stands_still" if still[best] else kind
         others = [f for f in range(n) if f != best and rest[f] < AMBIGUOUS * rest[best]]
         joints = tuple(int(self._own[f]) for f in (best, *others))
         return Suspect(kind, joints, float(slope[best]))
@@ -344,12 +349,3 @@ def _slopes(delta: Array, motion: Array) -> Array:
         better = along**2 > most * squares
         slopes[better], most[better] = (-along / squares)[better], (along**2 / squares)[better]
     return slopes
-
-
-def _kind(slope: float, m: Array, c: Array, *, jumped: bool) -> str:
-    """What a joint does that measures m and is commanded c, shape (T,) [rad, m]."""
-    if jumped:
-        return "encoder_jumped"
-    if np.ptp(m) < STANDS * np.ptp(c):
-        return "joint_stands_still"
-    return "joint_reversed" if REVERSED[0] < slope < REVERSED[1] else "joint_not_following"

@@ -120,6 +120,7 @@ def check_joints(loop: OnlineLoop, robot: Robot) -> JointCheck:
 
 def first_reading(loop: OnlineLoop, robot: Robot) -> Array:
     """The first joints (n,) that a robot measures; CoopqpError after the loop's patience."""
+    check_driver(robot)
     readings, t = Readings(loop.problem.chain), 0.0
     while readings.take(robot.read(), loop.problem.chain.q_start, t):
         if t > loop.patience:

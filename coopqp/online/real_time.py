@@ -11,6 +11,7 @@ a whole period later: ticks in quick succession would ask for as much motion in 
 from __future__ import annotations
 
 import gc
+import inspect
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -142,10 +143,17 @@ def real_time(
 
 
 def check_driver(robot: Any, *, by_torques: bool = False) -> None:
-    """InvalidValueError where it lacks a method."""
-    for name in ("read", "apply" if by_torques else "write"):
-        if not callable(getattr(robot, name, None)):
+    """InvalidValueError where it lacks a method, or has one that takes something else."""
+    for name, given in (("read", ""), ("apply", "tau") if by_torques else ("write", "q v")):
+        method, arguments = getattr(robot, name, None), given.split()
+        if not callable(method):
             raise InvalidValueError(f"robot: a {type(robot).__name__} has no method {name}")
+        try:
+            inspect.signature(method).bind(*arguments)
+        except TypeError as error:  # of a class in the place of an object, for one
+            raise InvalidValueError(f"robot: {name}({', '.join(arguments)}): {error}") from None
+        except ValueError:  # what is not written in Python may not say what it takes
+            continue
 
 
 def _check(loop: Any, robot: Any, inputs: Any, duration: Any, slowest: Any) -> None:

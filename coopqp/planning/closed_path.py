@@ -25,7 +25,7 @@ from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array, array
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.grasp_configuration import CLOSED_ORIENTATION, CLOSED_POSITION
-from coopqp.planning.verification import lengths
+from coopqp.planning.verification import lengths, on_lines
 
 #: Largest gap of the loops between knots [m, rad].
 CLOSED = 1e-5
@@ -136,12 +136,13 @@ def through(J: Array, rows: Array) -> Array:
     m = J.shape[1]
     mean = np.trace(JJ, axis1=1, axis2=2) / m
     inverse = np.linalg.inv(JJ + (DAMPING * mean)[:, None, None] * np.eye(m))
-    y = _times(inverse, rows)
-    y += _times(inverse, rows - _times(JJ, y))  # what damping has left
-    return _times(J.transpose(0, 2, 1), y)
+    y = times(inverse, rows)
+    y += times(inverse, rows - times(JJ, y))  # what damping has left
+    return times(J.transpose(0, 2, 1), y)
 
 
-def _times(matrices: Array, vectors: Array) -> Array:
+def times(matrices: Array, vectors: Array) -> Array:
+    """Each matrix (N, r, m) times its vector (N, m)."""
     return np.asarray((matrices @ vectors[..., None])[..., 0], float)
 
 
@@ -198,9 +199,9 @@ class ClosedPath:
         q, dq, ddq = self.spline(s), first(s), second(s)
         moved = loops.at(q)
         J = relative(moved.J)
-        dq = dq - through(J, _times(J, dq))
+        dq = dq - through(J, times(J, dq))
         drift = loops.drift(q, dq)
-        ddq = ddq - through(J, _times(J, ddq) + relative(drift))
+        ddq = ddq - through(J, times(J, ddq) + relative(drift))
         return Along(q, dq, ddq, moved, drift)
 
     def place(self, s: float) -> str:
@@ -316,7 +317,7 @@ def _thinned(Q: Array, near: float) -> tuple[Array, Array, Array]:
     s, Q = gone[kept], Q[kept]
     if len(kept) > 2 * DENSE and np.median(np.diff(s)) < 2.0 * near:
         even = np.linspace(0.0, s[-1], int(s[-1] / near) + 2)
-        Q = _averaged(np.array([np.interp(even, s, column) for column in Q.T]).T)
+        Q = _averaged(on_lines(even, s, Q))
         kept = _apart(Q, near)
         s, Q = even[kept], Q[kept]
     way = lengths(Q)

@@ -19,6 +19,7 @@ import numpy as np
 
 from coopqp.base.errors import CoopqpError
 from coopqp.base.spec import Array
+from coopqp.planning.closed_path import times
 from coopqp.planning.path_constraints import Rows
 
 #: daqp's settings, and those of further tries where it cycles or finds nothing by rounding.
@@ -251,10 +252,9 @@ class Share:
         if not len(self._at):
             return np.zeros(len(u))
         R, hinged = self._rows.Rl[:, self._at], self._unit == 0.0
-        felt = self._rows.felt(u, x)[:, self._at]
-        felt += (R @ lam[:, :, None])[..., 0]
+        felt = self._rows.felt(u, x)[:, self._at] + times(R, lam)
         if hinged.any():
-            off = np.linalg.pinv(R[:, hinged]) @ felt[:, hinged, None]
-            felt -= (R @ off)[..., 0]
+            inverse = np.asarray(np.linalg.pinv(R[:, hinged]), float)
+            felt -= times(R, times(inverse, felt[:, hinged]))
         used = np.where(self._sided, np.abs(felt), felt) - self._room
         return np.asarray((used[:, ~hinged] / self._unit[~hinged]).max(axis=1, initial=0.0), float)

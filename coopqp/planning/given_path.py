@@ -31,7 +31,7 @@ LINE = 1 << 16
 SLOW, LAW, CARRIED, CARRIED_ANGLE = 10.0, "qp", 1e-3, 1e-2
 
 
-def given_path(path: Any, scenario: Scenario, controller: str | None, phases: int) -> list[Any]:
+def given_path(path: Any, scenario: Scenario, controller: str | None) -> list[Any]:
     """Configurations from whatever has them; those of each phase of a plan with phases."""
     if not isinstance(path, str | Path):
         return [getattr(path, "q", path)]
@@ -46,10 +46,10 @@ def given_path(path: Any, scenario: Scenario, controller: str | None, phases: in
                 words = f"has columns that are no joints of {scenario.robot_model.name}"
                 raise InvalidValueError(f"{file}: {words}: {', '.join(sorted(others)[:3])} ...")
             return [_carried(scenario, table)]
-        q = table.take(joints)
-        return (
-            [q[rows] for rows in rows_of_phases(table, phases)] if PHASE in table.columns else [q]
-        )
+        q, phases = table.take(joints), sum(not one.leads for one in scenario.schedule)
+        if PHASE not in table.columns:
+            return [q]
+        return [q[rows] for rows in rows_of_phases(table, phases)]
     recorded = read(trace_in(Path(path)))
     return [recorded.of(controller or recorded.controllers[0]).joints("q", joints)]
 
@@ -67,13 +67,6 @@ def table_of(path: Path) -> Path | None:
         with open_bytes(path) as stream:
             return None if b"status" in stream.readline(LINE) else path
     return None
-
-
-def phases_in(path: Any) -> int:
-    """Through how many phases a plan's table leads; 1 of all else."""
-    file = table_of(Path(path)) if isinstance(path, str | Path) else None
-    columns = read_table(file).columns if file else {}
-    return len(np.unique(columns[PHASE])) if PHASE in columns else 1
 
 
 def calm_run(scenario: Scenario, tasks: tuple[Task, ...], seconds: float, law: str = LAW) -> Trace:

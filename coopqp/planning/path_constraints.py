@@ -30,7 +30,7 @@ from coopqp.closed_loop.hands import hands
 from coopqp.controller import ControlProblem
 from coopqp.limit import Bounded, JointBounds, TwistBounds
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.planning.closed_path import Along, ClosedPath, Loops, relative
+from coopqp.planning.closed_path import Along, ClosedPath, Loops, relative, times
 from coopqp.scenario.scenario import Scenario
 
 #: What components of the object's speed and of wrenches are called.
@@ -63,41 +63,34 @@ class Bounds:
     load: float = 1.0
 
 
-def joint_bounds(of: Scenario | ControlProblem) -> tuple[Array, Array]:
-    """Speeds and accelerations of joints that limits allow, shape (n,) each."""
+def motion_limits(of: Scenario | ControlProblem) -> tuple[Array, Array, Array]:
+    """What limits allow: joints' speeds and accelerations, (n,), the object's speeds, (6,)."""
     speed, acceleration = of.chain.velocity.copy(), np.full(of.chain.n, np.inf)
+    twist = np.full(6, np.inf)
     for limit in of.limits:
         program = limit.program(of.chain, of.dt)
         if isinstance(program, JointBounds) and program.of == Bounded.VELOCITY:
             speed = np.minimum(speed, np.minimum(-program.lower, program.upper))
         elif isinstance(program, JointBounds) and program.step is not None:
             acceleration = np.minimum(acceleration, program.step / of.dt)
-    return speed, acceleration
-
-
-def twist_bounds(of: Scenario | ControlProblem) -> Array:
-    """Components of the object's speed that limits allow, shape (6,)."""
-    twist = np.full(6, np.inf)
-    for limit in of.limits:
-        program = limit.program(of.chain, of.dt)
-        if isinstance(program, TwistBounds):
+        elif isinstance(program, TwistBounds):
             at = list(program.components)
             twist[at] = np.minimum(twist[at], program.bounds)
-    return twist
+    return speed, acceleration, twist
 
 
-def motion_bounds(of: Scenario | ControlProblem, speed: Array, push: Array, share: float) -> Bounds:
-    """A share of these limits of joints and of the object's speed, whatever forces it takes."""
-    none, twist = np.full(len(speed), np.inf), share * twist_bounds(of)
-    return Bounds(share * speed, share * push, none, twist, np.zeros(6), forces=False)
+def motion_bounds(limits: tuple[Array, Array, Array], share: float) -> Bounds:
+    """A share of :func:`motion_limits`, whatever forces it takes."""
+    speed, push, twist = (share * limit for limit in limits)
+    return Bounds(speed, push, np.full(len(speed), np.inf), twist, np.zeros(6), forces=False)
 
 
 def bounds_of(
     problem: ControlProblem, torque: float, wrench: tuple[float, float], safety: float
 ) -> Bounds:
     """The bounds of a robot and of limits, of which motors use a share."""
-    chain, twist = problem.chain, twist_bounds(problem)
-    speed, acceleration = joint_bounds(problem)
+    chain = problem.chain
+    speed, acceleration, twist = motion_limits(problem)
     effort = torque * np.array(chain.model.effortLimit)
     effort[chain.passive] = 0.0
     box = np.repeat(np.array(wrench, float), 3)
@@ -206,7 +199,7 @@ class RowMaker:
         N, m, at, quick = len(s), J.shape[1], self._limited, self._quick
         nothing, free = np.zeros_like(along.q), np.zeros((N, m))
         cones = self._cones.at(self.loads, along, self.kept)
-        twist = (along.moved.J[:, 0] @ along.dq[:, :, None])[..., 0]
+        twist = times(along.moved.J[:, 0], along.dq)
         felt = [
             np.hstack([by_joint[:, quick], tau[:, at], free, cone])
             for by_joint, tau, cone in zip(
@@ -282,7 +275,7 @@ class _Cones:
             turned = np.concatenate(
                 [rows[:, :3] @ R.transpose(0, 2, 1), rows[:, 3:] @ R.transpose(0, 2, 1)], axis=2
             )
-            shared = [(turned @ part[:, :, None])[..., 0] / count for part in w]
+            shared = [times(turned, part) / count for part in w]
             split = np.zeros((6, 6 * (count - 1)))
             for j in range(1, count):
                 if i in (0, j):

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from coopqp.base.errors import CoopqpError, InvalidValueError, UnknownNameError, under
 from coopqp.base.spec import Array
@@ -233,14 +233,13 @@ class Planner:
             raise InvalidValueError(
                 f"start: {joint} is {outside.max():.3g} outside its limits; ways begin inside"
             ).at("start")
-        moved = q[None].copy()
         if kept and (missed := Goal(self.chain, kept, self._t).missed(q)):
             part, error = missed[0]
             raise InvalidValueError(
                 f"keep: {part.name} is {size(error, part.part.unit)} off at the start; "
                 "what is kept has to be met there"
             )
-        if not space.project(moved)[0] or np.abs(moved - q).max() > FAR:
+        if self._off(q[None])[0] > FAR:
             raise InvalidValueError("start: the loops are not closed there").at("start")
         if not space.is_free(q[None])[0]:
             clearance = space.room.at(q)
@@ -325,15 +324,13 @@ class Planner:
             if goals.found and goals.tried >= MOST // 4:
                 break
         if not goals.found and not goals.cut_off:
-            why = why or explained(goals).sentence
-        if not goals.found:
-            if goals.cut_off:
-                them = f"all {len(goals.cut_off)} goal configurations from {goals.tried} starts"
-                why = f"not found: {them} are where no motion leads: {CUT_OFF}"
-            return np.zeros((0, n)), why
-        lost = "no goal configuration keeps the tasks that are to be kept"
-        ends = self._ordered(goals)
-        return ends, "" if len(ends) else lost
+            why = why or explained(goals)
+        if goals.found:
+            return self._ordered(goals), "no goal configuration keeps the tasks that are to be kept"
+        if goals.cut_off:
+            them = f"all {len(goals.cut_off)} goal configurations from {goals.tried} starts"
+            why = f"not found: {them} are where no motion leads: {CUT_OFF}"
+        return np.zeros((0, n)), why
 
     def _more(self, ends: Array) -> Array:
         """Look for further goals: those that are known may be where no way from here leads."""
@@ -346,25 +343,23 @@ class Planner:
     def _ordered(self, goals: Goals) -> Array:
         """Those that keep what is to be kept, the nearest that are off the joints' limits first."""
         found = np.array(goals.found)
-        found = found[self._holds(found)]
+        found = found[self._off(found) < MET]  # which keep what is to be kept
         away = np.linalg.norm(found - self.chain.q_start, axis=1)
         room = self.space.room
         margin = np.minimum(found - room.lower, room.upper - found).min(axis=1, initial=OFF)
         return np.asarray(found[np.lexsort((away, margin < OFF))], float)
 
-    def _holds(self, q: Array) -> NDArray[np.bool_]:
-        """Whether configurations are on the manifold of the tasks that are kept."""
-        moved = q.copy()
-        held: NDArray[np.bool_] = self.space.project(moved)
-        held &= np.abs(moved - q).max(axis=1) < MET
-        return held
+    def _off(self, q: Array) -> Array:
+        """How far each row is from the manifold of what is kept; infinite where no step leads."""
+        near = q.copy()
+        return np.where(self.space.project(near), np.abs(near - q).max(axis=1), np.inf)
 
     def _given(self, q: Array) -> Array:
         if q.ndim != 2 or q.shape[1] != self.chain.n or not np.isfinite(q).all():
             raise InvalidValueError(
                 f"goals: found shape {q.shape}, needs finite numbers, (k, {self.chain.n})"
             )
-        good = self._holds(q) & self.space.is_free(q)
+        good = (self._off(q) < MET) & self.space.is_free(q)
         if not good.all():
             raise InvalidValueError(
                 f"goals[{int(np.argmin(good))}]: is open, outside a limit, or in something"

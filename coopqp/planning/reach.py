@@ -133,16 +133,18 @@ def reach(
         progress(max(goals.tried / MOST, min(len(goals.found) / ENOUGH, goals.tried / LEAST)))
         if len(goals.found) >= ENOUGH and goals.tried >= LEAST:
             break
-    if goals.found or goals.cut_off:
-        found = described(goals)
-        groups = len({one.bends for one in found})
-        sentence = f"reachable: {counted(len(found), 'configuration')} found"
-        sentence += f", which bend the arms in {counted(groups, 'way')}"
-        if goals.cut_off:
-            of_them = f"{len(goals.cut_off)} of them" if goals.found else "all of them"
-            sentence += f"; {of_them} no motion leads to: {CUT_OFF}"
-        return Reach(found, False, sentence, goals.tried)
-    return explained(goals, progress)
+    why = "" if goals.found or goals.cut_off else explained(goals)
+    progress(1.0)
+    if why:
+        return Reach((), False, why, goals.tried)
+    found = described(goals)
+    groups = len({one.bends for one in found})
+    sentence = f"reachable: {counted(len(found), 'configuration')} found"
+    sentence += f", which bend the arms in {counted(groups, 'way')}"
+    if goals.cut_off:
+        of_them = f"{len(goals.cut_off)} of them" if goals.found else "all of them"
+        sentence += f"; {of_them} no motion leads to: {CUT_OFF}"
+    return Reach(found, False, sentence, goals.tried)
 
 
 def need_a_place(problem: ControlProblem) -> None:
@@ -201,41 +203,37 @@ class Goals:
         return most.value >= 1.0
 
 
-def explained(goals: Goals, progress: Progress = lambda share: None) -> Reach:
-    """Nothing was found by Newton steps: ask the searches of explain, which also descend.
+def explained(goals: Goals) -> str:
+    """Nothing was found by Newton steps: why, by the searches of explain, which also descend.
 
-    What these find is among ``goals.found`` then.
+    Empty where these find something, which is among ``goals.found`` or ``cut_off`` then.
     """
     if goals.lost:
         most = max(goals.lost, key=lambda bound: bound.value)
         there = counted(len(goals.lost), "configuration")
-        sentence = (
+        return (
             f"not found from {goals.tried} starts: inside the other limits {there} found, but "
             f"hands hold at most {100.0 * most.value:.0f} % of the object's weight there, as "
             f"{most.holds}"
         )
-        return Reach((), False, sentence, goals.tried)
     goal, space = goals.goal, goals.space
     q = space.chain.q_start
     missed = goal.missed(q)
     found = diagnose(goal, space.room, q)
-    progress(1.0)
     place = found.elsewhere if isinstance(found, BlockedByLimits) else getattr(found, "place", None)
     if place:
         goals.take(place.q[None].copy())
     if goals.found or goals.cut_off:
-        return Reach(described(goals), False, "reachable: 1 configuration found", goals.tried)
+        return ""
     tried = f"not found from {goals.tried} starts"
     if isinstance(found, NotBlocked):
-        return Reach((), False, f"{tried}: it is met only where limits just touch", goals.tried)
+        return f"{tried}: it is met only where limits just touch"
     if isinstance(found, BlockedByLimits):
-        nearest = goal.missed(found.place.q)
-        near = words.stops_short(*nearest[0]) if nearest else words.stops_short(*missed[0])
-        sentence = f"{tried}: {near}; {words.holding(found.shares)}"
-        return Reach((), False, sentence, goals.tried)
+        near = words.stops_short(*(goal.missed(found.place.q) or missed)[0])
+        return f"{tried}: {near}; {words.holding(found.shares)}"
     sentence = words.geometry(found, missed, space.chain, ordered=False)
     sentence = sentence.replace(" is unreachable by ", " stays off by ")  # nothing proves more
-    return Reach((), False, f"{tried}: {sentence}", goals.tried)
+    return f"{tried}: {sentence}"
 
 
 def described(goals: Goals) -> tuple[Configuration, ...]:

@@ -27,7 +27,7 @@ from coopqp.grasp import SAFETY
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.planning.closed_path import STILL, ClosedPath, closed_path, relative, still_path
 from coopqp.planning.forward_backward_pass import FORCE, Passes, Profile, Share, Stuck, program
-from coopqp.planning.given_path import given_path, phases_in
+from coopqp.planning.given_path import given_path
 from coopqp.planning.path_constraints import AXES, Bounds, RowMaker, Rows, bounds_of
 from coopqp.scenario.planned import PHASE
 from coopqp.scenario.scenario import Scenario, needs_scenario
@@ -267,7 +267,7 @@ def time_along(
     box = WRENCH if wrench is None else wrench
     _check(points=points, torque=torque, wrench=box, safety=safety, speed=speed, rise=rise)
     phases = [one for one in scenario.schedule if not one.leads]
-    parts, chain = given_path(path, scenario, controller, len(phases)), scenario.chain
+    parts, chain = given_path(path, scenario, controller), scenario.chain
     if len(parts) == 1 and len({one.released for one in phases}) > 1:
         words = "arms let go between them; give a plan, which says what leads to which"
         raise InvalidValueError(f"path: found one for {len(phases)} phases: {words}")
@@ -286,11 +286,13 @@ def time_along(
 
 def time_phases(path: Any, scenario: Scenario, **how: Any) -> list[TimedPath]:
     """Each phase of a plan as :func:`time_along` has it; one where it has no phases."""
-    count, speed = phases_in(path), how.get("speed", (0.0, 0.0))
-    if count > 1 and any(speed):
+    needs_scenario(scenario)
+    parts, speed = given_path(path, scenario, how.get("controller")), how.get("speed", (0.0, 0.0))
+    if len(parts) == 1:
+        return [time_along(parts[0], scenario, **how)]
+    if any(speed):
         raise InvalidValueError(f"speed: found {speed}, needs 0 at the ends of phases")
-    each = range(count) if count > 1 else [None]
-    return [time_along(path, scenario, phase=phase, **how) for phase in each]
+    return [time_along(path, scenario, phase=k, **how) for k in range(len(parts))]
 
 
 def table_of_phases(parts: Sequence[TimedPath], dt: float) -> dict[str, Array]:
@@ -315,11 +317,9 @@ def _still(maker: RowMaker) -> TimedPath:
 
 
 def fastest(
-    maker: RowMaker,
-    points: int,
-    speed: tuple[float, float] = (0.0, 0.0),
+    maker: RowMaker, points: int = POINTS, speed: tuple[float, float] = (0.0, 0.0),
     most: Array | None = None,
-) -> TimedPath:
+) -> TimedPath:  # fmt: skip
     """The fastest motion along a closed path by its rows, with sdot^2 <= most at the places.
 
     Else as :func:`time_along`.

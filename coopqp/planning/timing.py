@@ -21,9 +21,9 @@ from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.profile import FASTEST, Profile
 from coopqp.planning.closed_path import ClosedPath, Loops, closed_path
 from coopqp.planning.given_path import LAW, SLOW, calm_run
-from coopqp.planning.path_constraints import RowMaker, joint_bounds, motion_bounds
-from coopqp.planning.time_along import POINTS, TimedPath, fastest
-from coopqp.planning.verification import lengths
+from coopqp.planning.path_constraints import RowMaker, motion_bounds, motion_limits
+from coopqp.planning.time_along import TimedPath, fastest
+from coopqp.planning.verification import lengths, on_lines
 from coopqp.scenario.scenario import MOST_KEPT, Scenario
 from coopqp.task import Task
 
@@ -75,7 +75,7 @@ def timed(
     best, least = q[:1].copy(), np.inf
     if len(q) < 2:
         return np.zeros(1), best
-    _, push = joint_limits(problem)
+    _, push, _ = finite_limits(problem)
     for path, found, straight in _rounded(problem, q, allowed):
         if found.duration / dt * chain.n > MOST_KEPT:
             words = "more ticks than are kept; let joints go faster"
@@ -103,18 +103,18 @@ def _rounded(
     problem: ControlProblem, q: Array, allowed: Callable[[Array], Array | None]
 ) -> Iterator[tuple[ClosedPath, TimedPath, bool]]:
     """Paths with corners that are rounded less and less, where allowed; at last straight lines."""
-    bounds, widest = motion_bounds(problem, *joint_limits(problem), SHARE), None
+    bounds, widest = motion_bounds(finite_limits(problem), SHARE), None
     for rounded in ROUNDED:
         try:
             path = closed_path(problem.chain, q, rounded)
             widest = widest or path
             at = np.linspace(0.0, path.length, int(path.length / rounded) + 2)
             if allowed(path.spline(at)) is not None:
-                yield path, fastest(RowMaker(path, bounds), POINTS), False
+                yield path, fastest(RowMaker(path, bounds)), False
         except InvalidValueError:
             continue
     if widest:
-        yield widest, fastest(RowMaker(widest, bounds), POINTS), True
+        yield widest, fastest(RowMaker(widest, bounds)), True
 
 
 def _near(
@@ -127,8 +127,7 @@ def _near(
         q = path.spline(at)
         if straight is not None:
             way = lengths(straight)
-            along = at * way[-1] / path.length
-            q = np.array([np.interp(along, way, column) for column in straight.T]).T
+            q = on_lines(at * way[-1] / path.length, way, straight)
         if (near := allowed(q)) is None:
             return None
         found.append(near)
@@ -148,11 +147,11 @@ def _excess(q: Array, push: Array, dt: float) -> float:
     return float((np.abs(np.diff(v, axis=0)) / dt / push).max(initial=0.0))
 
 
-def joint_limits(problem: ControlProblem) -> tuple[Array, Array]:
-    """Speeds and accelerations of joints, finite where no limit of the problem bounds them."""
-    speed, push = joint_bounds(problem)
+def finite_limits(problem: ControlProblem) -> tuple[Array, Array, Array]:
+    """As :func:`motion_limits`, of joints finite where no limit of the problem bounds them."""
+    speed, push, twist = motion_limits(problem)
     speed = np.where(np.isfinite(speed) & (speed > 0.0), speed, UNLIMITED)
-    return speed, np.where(np.isfinite(push), push, speed / TO_SPEED)
+    return speed, np.where(np.isfinite(push), push, speed / TO_SPEED), twist
 
 
 def with_fastest_profiles(scenario: Scenario) -> Scenario:
@@ -185,9 +184,9 @@ def with_fastest_profiles(scenario: Scenario) -> Scenario:
 def _along(scenario: Scenario, law: str, way: Profile) -> Profile:
     """The fastest along where a law's run has the joints by its share of the way."""
     trace = calm_run(scenario, _with(scenario, way, delay=0.0).tasks, way.duration, law)
-    bounds = motion_bounds(scenario, *joint_bounds(scenario), SHARE_OF_TASKS)
+    bounds = motion_bounds(motion_limits(scenario), SHARE_OF_TASKS)
     path = closed_path(scenario.chain, trace.q)
-    found = fastest(RowMaker(path, bounds), POINTS)
+    found = fastest(RowMaker(path, bounds))
     t = scenario.dt * np.arange(int(np.ceil(found.duration / scenario.dt)) + 1)
     shares = np.array([way.at(now)[0] for now in trace.t.tolist()])
     table = np.interp([found.where(now)[0] for now in t.tolist()], path.points, shares)

@@ -137,6 +137,11 @@ def along(q: Array, every: float) -> Array:
     if len(q) < 2 or s[-1] == 0.0:
         return q[:1].copy()
     at = np.linspace(0.0, s[-1], int(np.ceil(s[-1] / every)) + 1)
+    return on_lines(at, s, q)
+
+
+def on_lines(at: Array, s: Array, q: Array) -> Array:
+    """Points of the straight lines between rows of q, which are at s, at other places."""
     return np.array([np.interp(at, s, column) for column in q.T]).T
 
 

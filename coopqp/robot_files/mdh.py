@@ -11,21 +11,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal, get_args
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import pinocchio as pin
 from pydantic import BeforeValidator
 
 from coopqp.base.errors import InvalidValueError, UnknownNameError
-from coopqp.base.spec import Array, Vector3, spec
+from coopqp.base.spec import (
+    FARTHEST,
+    Array,
+    NonNegative,
+    Positive,
+    Vector3,
+    Vector6,
+    one_angle,
+    spec,
+)
 from coopqp.model.held_object import check_inertia, inertia_matrix
 
 #: sin(alpha) below which two axes count as parallel.
 PARALLEL_AXES = 1e-8
-
-JointKind = Literal["revolute", "prismatic", "fixed"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,78 +47,105 @@ class MdhParameters:
     r: float = 0.0
 
 
-@dataclass(frozen=True, kw_only=True)
-class Link:
-    """Mass properties of the link moved by a joint.
-
-    Attributes:
-        mass: [kg].
-        com: centre of mass from the origin of frame j, shape (3,) [m].
-        inertia: ixx ixy ixz iyy iyz izz about the centre of mass [kg m2].
-        axes: of com and inertia: "joint", those of MDH frame j; "base", those of the base at the
-            zero pose, as in data of robot makers.
-    """
-
-    mass: float
-    com: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    inertia: tuple[float, float, float, float, float, float] = (0.0,) * 6
-    axes: Literal["joint", "base"] = "joint"
-
-    def __post_init__(self) -> None:
-        if not 0.0 <= self.mass < math.inf:
-            raise InvalidValueError(f"link mass: found {self.mass} kg, needs 0 or more")
-        if not np.isfinite([*self.com, *self.inertia]).all():
-            raise InvalidValueError("link com and inertia: need finite numbers")
-        check_inertia(self.matrix, "link inertia")
-
-    @property
-    def matrix(self) -> Array:
-        """Inertia about the centre of mass, shape (3, 3) [kg m2]."""
-        return inertia_matrix(self.inertia)
-
-
-@dataclass(frozen=True, kw_only=True)
-class MdhRow:
-    """One row of the table: joint j, its antecedent, its transform and its limits.
-
-    Attributes:
-        name: of the joint (or of the frame, for a fixed row).
-        antecedent: name of the antecedent joint; None for the base.
-        kind: sigma of the table: revolute (0), prismatic (1), fixed (2).
-        parameters: the transform at joint value 0; theta of a revolute joint, r of a prismatic one
-            is the offset between the encoder's zero and the table's.
-        lower, upper, velocity, effort: limits [rad or m], [rad/s or m/s], [N m or N].
-        link: None if massless.
-    """
-
-    name: str
-    antecedent: str | None
-    kind: JointKind = "revolute"
-    parameters: MdhParameters = field(default_factory=MdhParameters)
-    lower: float = -math.inf
-    upper: float = math.inf
-    velocity: float = math.inf
-    effort: float = math.inf
-    link: Link | None = None
-
-    def __post_init__(self) -> None:
-        if self.kind not in get_args(JointKind):
-            known = get_args(JointKind)
-            raise UnknownNameError("kind", str(self.kind), known, f"joint {self.name}: ")
-        if not (self.velocity > 0.0 and self.effort >= 0.0):
-            raise InvalidValueError(
-                f"joint {self.name}: velocity {self.velocity} and effort {self.effort} "
-                "must be positive"
-            )
-        if self.kind != "fixed" and not self.lower < self.upper:
-            raise InvalidValueError(
-                f"joint {self.name}: lower limit {self.lower} is not below upper {self.upper}"
-            )
-
-
 def name_of(value: Any) -> Any:
     """A row's name, or its number j as one."""
     return str(value) if type(value) is int else value
+
+
+SIGMA: tuple[str, ...] = ("revolute", "prismatic", "fixed")
+
+
+def _word(value: Any) -> Any:
+    return SIGMA[value] if type(value) is int and 0 <= value <= 2 else value
+
+
+def _antecedent(value: Any) -> Any:
+    return None if type(value) is int and value == 0 else name_of(value)
+
+
+@spec
+class MdhRow:
+    """Row j of the table: a joint, its antecedent, its transform and its limits."""
+
+    name: Annotated[str, BeforeValidator(name_of)]
+    """Of the joint, or its number j."""
+    antecedent: Annotated[str | None, BeforeValidator(_antecedent)] = None
+    """a(j): name of the row before it; the base when omitted or 0."""
+    sigma: Annotated[Literal["revolute", "prismatic", "fixed"], BeforeValidator(_word)] = "revolute"
+    """Revolute (0), prismatic (1) or fixed (2)."""
+    gamma: float | None = None
+    """[rad]"""
+    gamma_deg: float | None = None
+    """[degrees]"""
+    b: float = 0.0
+    """[m]"""
+    alpha: float | None = None
+    """[rad]"""
+    alpha_deg: float | None = None
+    """[degrees]"""
+    d: float = 0.0
+    """[m]"""
+    theta: float | None = None
+    """[rad]; of a revolute joint the value that is added to the joint's."""
+    theta_deg: float | None = None
+    """[degrees]"""
+    r: float = 0.0
+    """[m]; of a prismatic joint the value that is added to the joint's."""
+    lower: float | None = None
+    """Position limit [rad or m]; none when omitted."""
+    lower_deg: float | None = None
+    """[degrees]"""
+    upper: float | None = None
+    """Position limit [rad or m]; none when omitted."""
+    upper_deg: float | None = None
+    """[degrees]"""
+    velocity: Positive | None = None
+    """Limit [rad/s or m/s]; none when omitted."""
+    velocity_deg: Positive | None = None
+    """[degrees/s]"""
+    effort: Positive | None = None
+    """Limit [N m or N]; none when omitted."""
+    mass: NonNegative | None = None
+    """Of the link that the joint moves [kg]; massless when omitted."""
+    com: Vector3 = (0.0, 0.0, 0.0)
+    """Its centre of mass, from the row's origin [m]."""
+    inertia: Vector6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    """ixx ixy ixz iyy iyz izz about the centre of mass [kg m2]."""
+    axes: Literal["joint", "base"] = "joint"
+    """Of com and inertia: the row's own, or the base's at the zero pose."""
+
+    def __post_init__(self) -> None:
+        for key in ("gamma", "alpha", "theta", "lower", "upper", "velocity"):
+            degrees = getattr(self, f"{key}_deg")
+            one_angle(key, getattr(self, key), degrees)
+            if key in ("lower", "upper", "velocity") and degrees and self.sigma == "prismatic":
+                raise ValueError(f"{key}_deg: a prismatic joint has no degrees; give {key} in m")
+        for key in ("b", "d", "r"):
+            if abs(getattr(self, key)) > FARTHEST:
+                words = f"found {getattr(self, key):g} m, needs at most {FARTHEST:g} m"
+                raise ValueError(f"{key}: {words}")
+        if self.mass is None and any((*self.com, *self.inertia)):
+            raise ValueError("com and inertia need a mass")
+        check_inertia(inertia_matrix(self.inertia), "link inertia")
+        if self.sigma != "fixed" and not self.limit("lower") < self.limit("upper"):
+            low, high = self.limit("lower"), self.limit("upper")
+            words = f"lower limit {low} is not below upper {high}"
+            raise ValueError(f"joint {self.name}: {words}")
+
+    @property
+    def parameters(self) -> MdhParameters:
+        """Its transform at joint value 0."""
+        gamma, alpha, theta = (self._radians(key) or 0.0 for key in ("gamma", "alpha", "theta"))
+        return MdhParameters(gamma=gamma, b=self.b, alpha=alpha, d=self.d, theta=theta, r=self.r)
+
+    def limit(self, key: Literal["lower", "upper", "velocity", "effort"]) -> float:
+        """One of its limits, infinite where there is none [rad, rad/s, N m; m, m/s, N]."""
+        value = self.effort if key == "effort" else self._radians(key)
+        return (-math.inf if key == "lower" else math.inf) if value is None else value
+
+    def _radians(self, key: str) -> float | None:
+        value, degrees = getattr(self, key), getattr(self, f"{key}_deg")
+        return value if degrees is None else math.radians(degrees)
 
 
 @spec
@@ -182,7 +216,7 @@ def build_model(name: str, rows: Sequence[MdhRow], tips: Mapping[str, Tip]) -> p
             raise _unknown("antecedent", str(row.antecedent), placed, where).at("rows", i)
         parent, X = placed[row.antecedent]
         placement = X * transform(row.parameters)
-        if row.kind == "fixed":
+        if row.sigma == "fixed":
             placed[row.name] = parent, placement
             model.addFrame(pin.Frame(row.name, parent, placement, pin.FrameType.OP_FRAME))
         else:
@@ -193,11 +227,11 @@ def build_model(name: str, rows: Sequence[MdhRow], tips: Mapping[str, Tip]) -> p
     data = model.createData()
     pin.forwardKinematics(model, data, pin.neutral(model))
     for row in rows:
-        if row.link is not None:
+        if row.mass is not None:
             joint, X = placed[row.name]
-            R = (data.oMi[joint] * X).rotation.T if row.link.axes == "base" else np.eye(3)
-            com = R @ np.asarray(row.link.com)
-            body = pin.Inertia(row.link.mass, com, R @ row.link.matrix @ R.T)
+            R = (data.oMi[joint] * X).rotation.T if row.axes == "base" else np.eye(3)
+            about = R @ inertia_matrix(row.inertia) @ R.T
+            body = pin.Inertia(row.mass, R @ np.asarray(row.com), about)
             model.appendBodyToJoint(joint, body, X)
     _add_tips(model, data, tips, placed)
     return model
@@ -208,12 +242,9 @@ def _unknown(kind: str, name: str, placed: _Placed, where: str) -> UnknownNameEr
 
 
 def _add_joint(model: pin.Model, parent: int, placement: pin.SE3, row: MdhRow) -> int:
-    joint = pin.JointModelRZ() if row.kind == "revolute" else pin.JointModelPZ()
-    one = np.ones(1)
-    index = model.addJoint(
-        parent, joint, placement, row.name,
-        row.effort * one, row.velocity * one, row.lower * one, row.upper * one,
-    )  # fmt: skip
+    joint = pin.JointModelRZ() if row.sigma == "revolute" else pin.JointModelPZ()
+    limits = (np.full(1, row.limit(key)) for key in ("effort", "velocity", "lower", "upper"))
+    index = model.addJoint(parent, joint, placement, row.name, *limits)
     model.addJointFrame(index)
     return int(index)
 

@@ -13,18 +13,19 @@ from __future__ import annotations
 
 import fnmatch
 import math
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any
 
 import numpy as np
 import pinocchio as pin
-from pydantic import BeforeValidator
+from pydantic import BeforeValidator, Field
 
 from coopqp.base.errors import InvalidValueError, UnknownNameError, under
 from coopqp.base.spec import Array, NonNegative, Positive, spec
 from coopqp.grasp import range_fault
-from coopqp.robot import Arm, RobotModel, Shape, copy_per_velocity
+from coopqp.robot import Arm, Robot, RobotModel, Shape, copy_per_velocity
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,44 +148,49 @@ class JointLimits:
 BEYOND = 1e9
 
 
-def robot_model(
-    description: Description,
-    *,
-    arms: Mapping[str, ArmJoints],
-    free: Sequence[str] = (),
-    locked: Mapping[str, float | None],
-    joint_limits: Mapping[str, JointLimits] | None = None,
-) -> RobotModel:
-    """Choose arms and joints of a robot.
+@spec
+class DescribedRobot(Robot):
+    """A robot whose joints and arms are chosen from a description of the whole."""
 
-    Args:
-        description: of the whole robot.
-        arms: by name; the order is that of the loops.
-        free: joints that move although they are on no arm's path, or not among its joints.
-        locked: joints fixed at a value [rad or m]; None: at zero, or the limit nearest to zero.
-        joint_limits: by name of a joint, or a pattern such as ``left_*``.
+    arms: Arms
+    """Arms by name, each its tip's frame or {tip: frame, joints: [...]}; of MJCF a body, site or
+    joint, of a table a row or one of tips."""
+    free: tuple[str, ...] = ()
+    """Joints that join in besides those of the arms."""
+    locked: Locked = Field(default_factory=dict)
+    """Joints kept still: names, or names with values [rad or m]; others that move no tip too."""
+    joint_limits: dict[str, JointLimits] = Field(default_factory=dict)
+    """Limits instead of those described, by joint or pattern such as left_*."""
 
-    UnknownNameError: no such frame or joint. InvalidValueError: an arm without joints of its own, a
-    free joint that cannot be one coordinate, a value outside the limits, a joint both free and
-    locked.
-    """
-    moving = _free_joints(description, arms, free, locked)
-    reduced = _without_locked_joints(description, moving, locked)
-    model = _with_one_coordinate(reduced)
-    _tell_frames_apart(model)
-    _set_limits(description, model, joint_limits or {})
-    warnings = [*description.warnings, *_still_followers(description, moving, locked)]
-    robot = RobotModel(
-        name=description.name,
-        model=model,
-        arms=tuple(Arm(name=name, tip=arm.tip) for name, arm in arms.items()),
-        shapes=description.shapes,
-        collision_shapes=description.collision_shapes,
-        unseen=description.unseen,
-        warnings=tuple(warnings),
-    )
-    _check_arms(robot)
-    return robot
+    @abstractmethod
+    def description(self) -> Description:
+        """The whole robot."""
+
+    def build(self) -> RobotModel:
+        """Choose arms and joints.
+
+        UnknownNameError: no such frame or joint. InvalidValueError: an arm without joints of its
+        own, a free joint that cannot be one coordinate, a value outside the limits, a joint both
+        free and locked.
+        """
+        description, locked = self.description(), self.locked
+        moving = _free_joints(description, self.arms, self.free, locked)
+        reduced = _without_locked_joints(description, moving, locked)
+        model = _with_one_coordinate(reduced)
+        _tell_frames_apart(model)
+        _set_limits(description, model, self.joint_limits)
+        warnings = [*description.warnings, *_still_followers(description, moving, locked)]
+        robot = RobotModel(
+            name=description.name,
+            model=model,
+            arms=tuple(Arm(name=name, tip=arm.tip) for name, arm in self.arms.items()),
+            shapes=description.shapes,
+            collision_shapes=description.collision_shapes,
+            unseen=description.unseen,
+            warnings=tuple(warnings),
+        )
+        _check_arms(robot)
+        return robot
 
 
 def _with_one_coordinate(model: pin.Model) -> pin.Model:

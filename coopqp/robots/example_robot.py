@@ -10,12 +10,9 @@ from functools import lru_cache
 from importlib import metadata
 from pathlib import Path
 
-from pydantic import Field
-
 from coopqp.base.errors import MissingDependencyError, UnknownNameError
 from coopqp.base.spec import spec
-from coopqp.robot import Robot, RobotModel
-from coopqp.robot_files.selection import Arms, Description, JointLimits, Locked, robot_model
+from coopqp.robot_files.selection import DescribedRobot, Description
 from coopqp.robot_files.urdf import read_urdf
 
 PACKAGE = "example-robot-data"
@@ -23,31 +20,17 @@ FOLDER = "cmeel.prefix/share/example-robot-data/robots"
 
 
 @spec
-class ExampleRobot(Robot):
+class ExampleRobot(DescribedRobot):
     """A robot by name from the package example-robot-data (coopqp[robots])."""
 
     name: str
     """Of its URDF file without .urdf, such as baxter, tiago_dual, pr2, panda or ur5_robot."""
-    arms: Arms
-    """Arms by name, each its tip's frame or {tip: frame, joints: [...]}."""
-    free: tuple[str, ...] = ()
-    """Joints that join in besides those of the arms."""
-    locked: Locked = Field(default_factory=dict)
-    """Joints kept still: names, or names with values [rad or m]; others that move no tip too."""
-    joint_limits: dict[str, JointLimits] = Field(default_factory=dict)
-    """Limits instead of the file's, by joint or pattern such as left_*."""
 
-    def build(self) -> RobotModel:
+    def description(self) -> Description:
         known = robots()
         if self.name not in known:
             raise UnknownNameError("example robot", self.name, known).at("name")
-        return robot_model(
-            _described(known[self.name]),
-            arms=self.arms,
-            free=self.free,
-            locked=self.locked,
-            joint_limits=self.joint_limits,
-        )
+        return _described(known[self.name])
 
 
 @lru_cache(maxsize=16)

@@ -73,33 +73,21 @@ def arm_table(side: str) -> list[mdh.MdhRow]:
         mdh.MdhParameters(alpha=QUARTER, r=R5),
     )
     rows: list[mdh.MdhRow] = []
-    for p, joint, link in zip(parameters, JOINTS, LINKS, strict=True):
+    for p, joint, (mass, com, inertia) in zip(parameters, JOINTS, LINKS, strict=True):
         name, lower, upper, velocity, torque = joint
         if side == "L" and name in MIRRORED:
             lower, upper = -upper, -lower
+        (x, _, z), (xx, xy, xz, yy, yz, zz) = com, inertia
         rows.append(
             mdh.MdhRow(
                 name=side + name,
                 antecedent=rows[-1].name if rows else None,
-                parameters=p,
-                lower=lower, upper=upper, velocity=velocity, effort=torque,
-                link=_link(side, *link),
+                **vars(p),
+                lower=lower, upper=upper, velocity=velocity, effort=torque, axes="base",
+                mass=mass, com=(x, -y * com[1], z), inertia=(xx, -y * xy, xz, yy, -y * yz, zz),
             )
         )  # fmt: skip
     return rows
-
-
-def _link(
-    side: str,
-    mass: float,
-    com: tuple[float, float, float],
-    inertia: tuple[float, float, float, float, float, float],
-) -> mdh.Link:
-    if side == "L":  # mirror in the plane y = 0
-        com = (com[0], -com[1], com[2])
-        xx, xy, xz, yy, yz, zz = inertia
-        inertia = (xx, -xy, xz, yy, -yz, zz)
-    return mdh.Link(mass=mass, com=com, inertia=inertia, axes="base")
 
 
 def capsules(model: pin.Model) -> tuple[Capsule, ...]:

@@ -6,6 +6,7 @@ All axes point up. Three of the six loop rows (z, rot_x, rot_y) follow from the 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 from coopqp.base.spec import Lengths3, Positive, spec
 from coopqp.robot import Arm, Robot, RobotModel
@@ -53,16 +54,15 @@ class PlanarPair(Robot):
             mdh.MdhRow(
                 name=f"{side}_{i + 1}",
                 antecedent=f"{side}_{i}" if i else None,
-                parameters=p,
+                **vars(p),
                 lower=-reach, upper=reach, velocity=self.velocity, effort=self.effort,
-                link=self._rod(length),
+                **self._rod(length),
             )
             for i, (p, length) in enumerate(zip(parameters, self.lengths, strict=True))
         ]  # fmt: skip
 
-    def _rod(self, length: float) -> mdh.Link:
+    def _rod(self, length: float) -> dict[str, Any]:
         mass = self.density * length
         across, along = mass * length**2 / 12.0, 1e-3 * mass * length**2
-        return mdh.Link(
-            mass=mass, com=(0.5 * length, 0.0, 0.0), inertia=(along, 0.0, 0.0, across, 0.0, across)
-        )
+        inertia = along, 0.0, 0.0, across, 0.0, across
+        return {"mass": mass, "com": (0.5 * length, 0.0, 0.0), "inertia": inertia}

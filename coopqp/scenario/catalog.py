@@ -2,9 +2,9 @@
 
 Nothing is registered: a file is found because it is there, in coopqp, in an installed package or in
 a folder of the user's, which has the collections' names as subfolders. The YAML name of a plug-in
-is the name of its file, which holds one ``@spec`` class that inherits from its idea and from
-nothing else, with all methods written. Names that begin with ``_`` are helpers; files of one
-subfolder import them by ``from ._helper import x``.
+is the name of its file, which holds one ``@spec`` class that inherits from its idea, or from an
+abstract class of it, and from nothing else, with all methods written. Names that begin with ``_``
+are helpers; files of one subfolder import them by ``from ._helper import x``.
 
 A package brings plug-ins along when an entry point of the group ``coopqp.plugins`` names a package
 of the same shape:
@@ -116,7 +116,8 @@ def _wrong_with(cls: type, base: type) -> str:
         return f"{cls.__name__} is half-written; it needs {methods}"
     if issubclass(cls, BUILT):
         return ""
-    if strangers := [b.__name__ for b in cls.__bases__ if b is not base]:
+    abstract = (b for b in cls.__bases__ if issubclass(b, base) and inspect.isabstract(b))
+    if strangers := [b.__name__ for b in cls.__bases__ if b not in {*abstract}]:
         return (
             f"{cls.__name__} inherits from {' and '.join(strangers)}; a plug-in inherits from "
             f"{base.__name__} and from nothing else"

@@ -127,11 +127,13 @@ class HandWrenches:
                 self.cones[to, 6 * i : 6 * i + 3] = rows[:, :3] @ self.turned[i]
                 self.cones[to, 6 * i + 3 : 6 * i + 6] = rows[:, 3:] @ self.turned[i]
                 at += len(rows)
-        if self._by_motors:
+        if self._by_motors and self.hands:
             self.shares[:] = self._reserves(state, dynamics)
         self.split = self._make_split(state)
 
     def _make_split(self, state: State) -> Split:
+        if not self.hands:
+            return Split(self.G, np.zeros((0, 6)))
         if self._split == "walker":
             return walker(self.points, state.p_WO, self.shares / self.shares.sum())
         masses = np.maximum(self.shares, MIN_RESERVE)
@@ -194,9 +196,9 @@ def loop_gain(problem: ControlProblem) -> float:
 
 def _shares(chain: ClosedChain, shares: Shares) -> Array:
     """By hand that holds, with sum 1, shape (N,)."""
-    held = [arm.name for arm in chain.arms[: chain.holding]]
+    held = chain.hold.holders
     if isinstance(shares, str):
-        found = chain.alpha[: chain.holding].copy()
+        found = chain.alpha[: len(held)].copy()
         return np.asarray(found / found.sum(), float)
     every = [arm.name for arm in chain.arms]
     for name, share in shares.items():
@@ -207,7 +209,7 @@ def _shares(chain: ClosedChain, shares: Shares) -> Array:
     values = np.array([shares.get(name, 0.0) for name in held])
     if len(held) == len(every) and abs(values.sum() - 1.0) > SHARE_SUM:
         raise InvalidValueError(f"shares: found {dict(shares)}, needs shares that sum to 1")
-    if not values.sum() > 0.0:
+    if held and not values.sum() > 0.0:
         raise InvalidValueError(f"shares: none of the arms that hold has one ({', '.join(held)})")
     return np.asarray(values / values.sum(), float)
 

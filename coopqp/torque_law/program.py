@@ -178,9 +178,10 @@ class Program:
         qp.P[:], qp.q[:] = 0.0, 0.0
         P, q = self._asked(0, tasks.J, tasks.weights, wanted, soften)
         qp.P[layout.a, layout.a], qp.q[layout.a] = P, q
-        grip, pull = hands.cost(wrenches)
-        P, q = self._asked(1, wrenches.C, wrenches.weights, wrenches.wanted, soften)
-        qp.P[layout.h, layout.h], qp.q[layout.h] = costs.grip * grip + P, costs.grip * pull + q
+        if hands.hands:
+            grip, pull = hands.cost(wrenches)
+            P, q = self._asked(1, wrenches.C, wrenches.weights, wrenches.wanted, soften)
+            qp.P[layout.h, layout.h], qp.q[layout.h] = costs.grip * grip + P, costs.grip * pull + q
         qp.P[: len(self._diagonal), : len(self._diagonal)] += np.diag(self._diagonal)
         qp.q[layout.a] += costs.damping / costs.damping_time * state.v
         if hands.pressing:
@@ -205,9 +206,11 @@ class Program:
         J_0, (M, b) = dynamics.J_object, dynamics.object_inertia()
         qp.A[tree, layout.a], qp.A[tree, layout.h] = dynamics.A, hands.feels
         qp.b[tree] = -dynamics.H
-        qp.A[body, layout.a], qp.A[body, layout.h] = M @ J_0, -hands.G
-        qp.b[body] = -(M @ dynamics.drift_arms[:6] + b)
-        if wrench is not None:
+        qp.b[body] = 0.0  # of an object that stands, whatever the arms do
+        if hands.hands:
+            qp.A[body, layout.a], qp.A[body, layout.h] = M @ J_0, -hands.G
+            qp.b[body] = -(M @ dynamics.drift_arms[:6] + b)
+        if wrench is not None and hands.hands:
             qp.b[tree] += J_0.T @ wrench
             qp.b[body] += wrench
         qp.A[closed, layout.a], qp.b[closed] = dynamics.J, loops

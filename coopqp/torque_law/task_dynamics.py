@@ -28,13 +28,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from coopqp.base.errors import GraspError, InvalidValueError
-from coopqp.base.rank import least_squares
+from coopqp.base.rank import independent_rows, least_squares
 from coopqp.base.spec import Array
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.closed_loop.mobility import mobility
 from coopqp.closed_loop.screw import LENGTH
 from coopqp.controller import ControlProblem
-from coopqp.model.closed_chain import AXES
+from coopqp.model.closed_chain import AXES, ClosedChain
 from coopqp.model.state import State
 from coopqp.signal import CLOCK, Trajectory
 from coopqp.task import Impedance, TaskStack
@@ -95,35 +95,40 @@ class TaskDynamics:
         return np.asarray(N @ np.linalg.solve(N.T @ self.dynamics.A @ N, N.T), float)
 
 
-def _of_free_arms(problem: ControlProblem, tasks: TaskStack) -> str:
+def _of_free_arms(chain: ClosedChain, tasks: TaskStack) -> str:
     """Which tasks move arms that do not hold the object."""
-    chain = problem.chain
-    free = [
-        chain.joint_names.index(joint)
-        for arm in chain.arms[chain.holding :]
-        for joint in chain.robot.arm_joints(arm)
-    ]
-    moved = [
-        f"'{task.name}'"
-        for task, part in zip(tasks.tasks, tasks.slices, strict=True)
-        if tasks.J[part][:, free].any()
-    ]
+    free = {joint for arm in chain.arms[chain.holding :] for joint in chain.robot.arm_joints(arm)}
+    own = [name in free for name in chain.joint_names]
+    parts = zip(tasks.tasks, tasks.slices, strict=True)
+    moved = [f"'{task.name}'" for task, part in parts if tasks.J[part][:, own].any()]
     return (
-        f"{' and '.join(moved) or 'a task'} moves an arm that does not hold the object, which laws "
-        "by torques cannot be asked for beside all of the object; leave it out, or use qp"
+        f"{' and '.join(moved) or 'a task'} moves an arm that does not hold the object, which this "
+        "law cannot be asked for beside all of the object; leave it out, or use torque_qp or qp"
     )
 
 
-def require_motor_freedom(problem: ControlProblem, controller: str) -> None:
-    """GraspError with the missing object motions: tasks that the motors cannot decide."""
-    start = State(problem.chain)
-    if problem.chain.standing:
+def require_motor_freedom(problem: ControlProblem, controller: str, *, free: bool = False) -> None:
+    """GraspError with what motors cannot decide of the tasks; free arms may have some if free."""
+    chain, start = problem.chain, State(problem.chain)
+    if chain.standing and not free:
         raise GraspError(
             f"{controller}: no arm holds the object in one of the phases, and this law moves hands "
-            "by the object alone; use one that commands velocities, such as qp"
+            "by the object alone; use torque_qp, or one that commands velocities, such as qp"
         )
     tasks = TaskStack([task for task in problem.tasks if not task.joint_space], start)
     tasks.update(start)
+    if free and len(chain.hold.holders) < len(chain.robot.arms):
+        level = TaskDynamics(problem)
+        level.update(start)
+        moved = tasks.J @ level.inverse_inertia()[:, level.dynamics.actuated]
+        decided = len(independent_rows(moved))
+        if decided == len(moved):
+            return
+        if chain.standing:
+            raise GraspError(
+                f"{controller}: the tasks ask {len(moved)} rows of free arms, and the motors "
+                f"decide only {decided} of them independently; leave out rows, or use qp"
+            )
     found = mobility(problem.chain, task_rows=[("all", tasks.J)], samples=1)
     missing = [screw.words() for screw in (*found.impossible, *found.uncontrolled)]
     rows = len(tasks.e)
@@ -135,7 +140,7 @@ def require_motor_freedom(problem: ControlProblem, controller: str) -> None:
                 "to be, hard and soft ones at whatever priority; leave out rows that others decide"
             )
         elif not missing:
-            why = _of_free_arms(problem, tasks)
+            why = _of_free_arms(chain, tasks)
         raise GraspError(
             f"{controller}: the tasks ask {rows} rows, but with this grasp the motors decide only "
             f"{found.motor_freedom_start} object motions; {why}"

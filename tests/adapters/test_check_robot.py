@@ -76,6 +76,14 @@ RAISES = "driver.py:{line}: your driver raises {error}"
         ("robot = lambda: 1", "driver.py: your driver raises TypeError: "),
         ("robot = lambda s: exit(3)", RAISES.format(line=1, error="SystemExit: 3")),
         ("robot = lambda s: None", "robot: a NoneType has no method read"),
+        (
+            CLASS.format(read="self.q", write="") + "robot = lambda s: Robot",
+            "robot: read(): missing a required argument: 'self'",
+        ),
+        (
+            CLASS.format(read="self.q", write="").replace("q, v)", "q)"),
+            "robot: write(q, v): too many positional arguments",
+        ),
         (CLASS.format(read="1 / 0", write=""), RAISES.format(line=5, error="ZeroDivisionError")),
         (CLASS.format(read="self.q", write="1 / 0"), RAISES.format(line=6, error="ZeroDiv")),
         (CLASS.format(read="None", write=""), "no usable measurement for 0.25 s: read() gave None"),

@@ -200,6 +200,8 @@ def test_chunks_that_are_none_are_refused(chunks: ChunkFilter) -> None:
         chunks.filter_chunk(frames(waving()))
     with pytest.raises(InvalidValueError, match=r"found shape \(3, 10\), needs \(N, 12\)"):
         chunks.filter_chunk(np.zeros((3, 10)), np.zeros(12))
+    with pytest.raises(InvalidValueError, match=r"start: found shape \(5,\), needs \(12,\)"):
+        chunks.filter_chunk(np.zeros((3, 12)), np.zeros(5))
     with pytest.raises(InvalidValueError, match=r"found joints .*, as in the scenario two_so101"):
         ChunkFilter(load("point_on_point"))
 

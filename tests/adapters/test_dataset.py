@@ -126,6 +126,42 @@ def test_rows_that_are_not_finite_or_huge_are_named_and_no_other(tmp_path: Path)
     }
 
 
+def test_grippers_without_a_number_or_out_of_their_range_are_named(tmp_path: Path) -> None:
+    missing, far, sound = episode(80.0), episode(80.0), episode(100.0)
+    missing[3, 5], far[4, 11], far[5, 11] = np.nan, 1e9, -np.inf
+    found = list(audit(written(tmp_path, missing, far, sound, fps=3), load("two_so101")))
+    assert [[(c.frame, c.limit, c.names) for c in each.broken] for each in found] == [
+        [(3, "not_finite", ("left_gripper.pos",))],
+        [(4, "joint_position", ("right_gripper.pos",)), (5, "not_finite", ("right_gripper.pos",)),
+         (5, "joint_position", ("right_gripper.pos",))],
+        [],
+    ]  # fmt: skip
+
+
+def test_angles_that_look_like_radians_are_asked_about(tmp_path: Path) -> None:
+    turned = episode(80.0)
+    turned[:, ARMS] = np.radians(turned[:, ARMS])
+    found = list(audit(written(tmp_path, turned, episode(80.0)), load("two_so101")))
+    assert [each.radians for each in found] == [True, False]
+    assert "no joint is farther than 3.2 degrees from 0: are these radians?" in str(found[0])
+
+
+@pytest.mark.parametrize("fps", [0, -30, float("nan")])
+def test_a_rate_that_is_none_is_refused_with_the_file(tmp_path: Path, fps: int) -> None:
+    with pytest.raises(CoopqpError, match=r"info\.json: is no dataset v3\.0 .*fps is"):
+        list(audit(written(tmp_path, episode(80.0), fps=fps), load("two_so101")))
+
+
+def test_a_missing_column_is_told_with_those_that_are_needed(tmp_path: Path) -> None:
+    import pyarrow.parquet as pq
+
+    folder = written(tmp_path, episode(80.0))
+    file = next(folder.glob("data/*/*.parquet"))
+    pq.write_table(pq.read_table(file, columns=["action", "frame_index"]), file)
+    with pytest.raises(CoopqpError, match="needs columns episode_index, frame_index, action: "):
+        list(audit(folder, load("two_so101")))
+
+
 ROW = [0.0] * 12
 
 

@@ -20,6 +20,7 @@ from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.spec import Array, Pose
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.controllers import PassiveGraspPid, QPController, TorqueQp, WrenchSplit
+from coopqp.controllers.torque_qp import TorqueQpLaw
 from coopqp.execution.rollout import rollout
 from coopqp.model.closed_chain import AXES, ClosedChain
 from coopqp.model.profile import Profile
@@ -27,7 +28,7 @@ from coopqp.model.state import State
 from coopqp.plant import Disturbance, Plant, Push
 from coopqp.plants import Mujoco, RigidBody
 from coopqp.solver import Status
-from coopqp.task import Task
+from coopqp.task import Task, TaskStack
 from coopqp.tasks import Impedance, Orientation, PointOnLine, PointOnPlane, RelativeMotion
 from coopqp.tasks import Pose as PoseTask
 from coopqp.torque_law.task_dynamics import leaks
@@ -308,4 +309,23 @@ def test_an_arm_that_has_let_go_is_named_with_the_task_that_moves_it() -> None:
     reach = RelativeMotion(arm=last, goal={"position": (0.0, 0.0, 0.01)})
     asked = problem(chain, PoseTask(goal=here(), gain=10.0), reach, dt=0.002, kappa=100.0)
     with pytest.raises(CoopqpError, match="'relative_motion' moves an arm that does not hold"):
-        TorqueQp().build(asked)
+        PassiveGraspPid(level="torque").build(asked)
+
+
+def test_an_arm_that_has_let_go_moves_by_torques_as_its_task_says() -> None:
+    pair = small_pair()
+    last = pair.arms[-1].name
+    chain = pair.handed_over(pair.q_start, (last,))
+    far, step = {"position": (0.0, 0.0, 0.01)}, Profile(kind="step")
+    reach = RelativeMotion(arm=last, goal=far, gain=10.0, profile=step)
+    asked = problem(chain, PoseTask(goal=here(), gain=10.0), reach, dt=0.002, kappa=100.0)
+    law = TorqueQp(integral=0.0).build(asked)
+    assert isinstance(law, TorqueQpLaw)
+    state = law.start()
+    assert law.tick(state).causes == (Status.OPTIMAL,)
+    # At rest e_ddot = -g^2 e, of the free hand and of the object alike, but for effort and damping.
+    stack = TaskStack(asked.tasks, State(chain))
+    stack.update(state)
+    a = law.solution.v[law.layout.a]
+    assert np.linalg.norm(stack.e[6:9]) == pytest.approx(0.01)
+    assert stack.J @ a == pytest.approx(-100.0 * stack.e, abs=0.01)

@@ -118,12 +118,12 @@ def _made_by(variant: Any, chain: ClosedChain, bounds: DistanceBounds) -> FreeSp
 
 def of_robot(chain: ClosedChain, poses: int) -> Seen:
     """All pairs of a robot at random poses, against coal."""
-    separation, seen = SelfCollision()._separation(chain), Seen()
-    space = All(chain, separation.program(0.01))
+    limit, seen = SelfCollision(), Seen()
+    space, pairs = All(chain, limit.program(chain, 0.01)), limit.watched(chain)
     for q in chain.sample(np.random.default_rng(0), poses):
         found, by_coal = (
             space.measure(q, seen),
-            distances_along(chain, separation.pairs, q[None])[0],
+            distances_along(chain, pairs, q[None])[0],
         )
         known, inside = seen.add(found), found[:, 0] == Told.INSIDE
         seen.off = max(seen.off, float(np.abs(found[:, 1] - by_coal)[known].max(initial=0.0)))

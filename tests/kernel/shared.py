@@ -14,6 +14,7 @@ from coopqp.kernel import compiled
 from coopqp.kernel.compiled import Outcome
 from coopqp.limits import _keep_apart
 from coopqp.model import geometry, loop_observer, profile
+from coopqp.online import following
 from coopqp.qp_law import equations, level, limit_recovery, nearest, priorities, safety
 from coopqp.tasks import manipulability
 
@@ -46,6 +47,10 @@ CONSTANTS: Mapping[object, Mapping[str, str]] = {
     loop_observer: {
         **{name: name for name in ("AFTER", "FEELS", "SLIGHT", "MOVES", "REST", "TURN_COUNTS")},
         "FARTHEST": "FARTHEST", "SHAPED": "SHAPED", "DOUBT": "DOUBT", "TINY": "SAG_ROUNDING",
+    },
+    following: {
+        "NOISE": "READING_NOISE", "LAG_NOISE": "LAG_NOISE", "INERTIA_NOISE": "INERTIA_NOISE",
+        "STIFFNESS_NOISE": "STIFFNESS_NOISE", "OF_BENDS": "OF_BENDS", "SINGULAR": "SINGULAR",
     },
     signal: {"ENDLESS": "ENDLESS"},
     solver: {"LAST_DIGITS": "LAST_DIGITS"},

@@ -47,7 +47,7 @@ def test_configurations_are_free_that_coal_calls_free() -> None:
     space = FreeSpace(chain, [limit.program(chain, 0.01) for limit in limits])
     q = np.array(list(chain.sample(np.random.default_rng(0), 60)))
     left = np.hstack([
-        distances_along(chain, limit._pairs(chain), q) - limit.distance for limit in limits
+        distances_along(chain, limit.watched(chain), q) - limit.distance for limit in limits
     ]).min(axis=1)  # fmt: skip
     clear = np.abs(left) > OFF
     with ThreadPoolExecutor(2) as two:
@@ -56,7 +56,7 @@ def test_configurations_are_free_that_coal_calls_free() -> None:
     assert 0 < np.count_nonzero(left > 0.0) < len(q)
     for row, least in zip(q, left, strict=True):
         d = known(space.measure(row))
-        assert len(d) == sum(len(limit._pairs(chain)) for limit in limits)
+        assert len(d) == sum(len(limit.watched(chain)) for limit in limits)
         assert np.isnan(d).any() or d.min() == pytest.approx(least + 0.01, abs=OFF)
 
 
@@ -80,7 +80,7 @@ def test_no_answer_brings_bodies_too_near(name: str) -> None:
         path.append(state.q.copy())
     limits = [one for one in problem.limits if isinstance(one, SelfCollision | Obstacles)]
     for limit in limits:
-        d = distances_along(problem.chain, limit._pairs(problem.chain), np.array(path))
+        d = distances_along(problem.chain, limit.watched(problem.chain), np.array(path))
         assert d.min() > limit.distance - 1e-3
     assert kernel.compiled
 

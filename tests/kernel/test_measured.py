@@ -16,7 +16,7 @@ from coopqp.kernel.law import KernelLaw
 from coopqp.limits import FollowingError
 from coopqp.model.loop_observer import LoopObserver, Observer
 from coopqp.model.state import State
-from coopqp.online.following import SINGULAR
+from coopqp.online.following import NOISE, SINGULAR
 from coopqp.solver import Status
 
 pytestmark = needs_kernel
@@ -174,21 +174,20 @@ def test_a_limit_of_following_is_the_kernels() -> None:
 
 @pytest.mark.few(3)
 @pytest.mark.parametrize(("n", "m"), [(10, 6), (14, 6), (56, 42), (6, 3), (6, 8), (5, 1)])
-def test_directions_are_those_of_lapack(n: int, m: int) -> None:
-    """With parallel columns, and rows of very different size."""
+def test_what_internal_wrenches_leave_is_that_of_lapack(n: int, m: int) -> None:
+    """With parallel columns, and rows of very different size; at rest all variances are alike."""
     rng, found = np.random.default_rng(n), native.module()
     assert found
-    samples = found.Samples(np.zeros((5, n)), np.zeros((5, n)), list(range(n)), [], 1, [1], 4)
+    still, own = (np.zeros((5, n)), np.zeros((5, n))), list(range(n))
+    samples = found.Samples(*still, own, [], 1, [1, 2], 4, [1.0] * n, 0.02)
     for case in range(20):
         A = rng.standard_normal((n, m)) * 10.0 ** rng.uniform(-0.1 * case, 0.1 * case, (n, 1))
         A[:, m // 2] = A[:, 0]
-        U, values = np.zeros((n, n)), np.zeros(m)
-        samples.directions(A, SINGULAR, values, U)
+        W = np.empty(n * n)
+        d = samples.whiten(4, 0, A, np.zeros((n, m)), np.zeros(n), W)
         V, wanted, _ = np.linalg.svd(A)
-        np.testing.assert_allclose(U.T @ U, np.eye(n), atol=1e-12)
-        np.testing.assert_allclose(values[: len(wanted)], wanted, atol=1e-12 * wanted[0])
         rank = int(np.sum(wanted > SINGULAR * wanted[0]))
-        assert np.sum(values > SINGULAR * values[0]) == rank
-        np.testing.assert_allclose(
-            U[:, :rank] @ U[:, :rank].T, V[:, :rank] @ V[:, :rank].T, atol=1e-9
-        )
+        assert d == n - rank
+        W = NOISE * W[: n * d].reshape(n, d)
+        np.testing.assert_allclose(W.T @ W, np.eye(d), atol=1e-12)
+        np.testing.assert_allclose(W @ W.T, V[:, rank:] @ V[:, rank:].T, atol=1e-9)

@@ -140,7 +140,7 @@ def test_bodies_that_came_too_near_are_told_by_their_distance_left() -> None:
     trace, said = found.traces["pseudoinverse"], found.verdicts["pseudoinverse"]
     obstacles = scenario.limits[-1]
     assert isinstance(obstacles, Obstacles)
-    pairs = obstacles._pairs(scenario.chain)
+    pairs = obstacles.watched(scenario.chain)
     least = distances_along(scenario.chain, pairs, trace.q).min()
     far, deep = re.findall(
         r"brings object (\d+) mm nearer to ball than asked, (\d+) mm deep", said

@@ -112,7 +112,7 @@ def test_a_distance_is_kept_whatever_dt_and_within_are(
 
 def test_no_pair_closes_faster_than_is_looked_ahead(held_box: ClosedChain) -> None:
     """Random poses and speeds: the ways in a tick are below the bound, and not far below it."""
-    pairs = SelfCollision()._pairs(held_box)
+    pairs = SelfCollision().watched(held_box)
     ways, rng, dt = levers(held_box, pairs), np.random.default_rng(0), 1e-3
     shares = []
     for q in held_box.sample(rng, 30):

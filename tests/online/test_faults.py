@@ -370,6 +370,18 @@ def test_what_slows_down_takes_the_same_path_in_more_time() -> None:
     assert "wet hands" in slow.note
 
 
+@pytest.mark.parametrize("stays", [False, True])
+def test_an_offset_is_at_its_bound_where_it_stays_there(stays: bool) -> None:
+    """Noise may take it there for some ticks."""
+    loop = OnlineLoop(follows(), clock=None)
+    loop.tick(loop.setpoint.copy())
+    monitor = loop._phases.monitor
+    for k in range(40):
+        loop.law.observer.at_bound = ("right",) if stays or k % 9 else ()
+        monitor.update(loop.state, None, ())
+    assert [fault.kind for fault in monitor.found] == ["loop_offset_at_bound"] * stays
+
+
 def test_reactions_are_checked() -> None:
     assert checked_reactions({"slip_near": "rest"})["slip_near"] == "rest"
     assert checked_reactions(None) == REACTIONS

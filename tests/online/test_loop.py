@@ -18,6 +18,7 @@ from coopqp.base.errors import CoopqpError, GraspError, InvalidValueError
 from coopqp.execution.controller_run import run
 from coopqp.limits import JointAcceleration
 from coopqp.model.state import State
+from coopqp.online.arrivals import FASTER, NOISE, Readings
 from coopqp.online.loop import OnlineLoop
 from coopqp.plants import RigidBody
 from coopqp.solver import Status
@@ -282,6 +283,19 @@ def test_the_last_word_of_a_slow_robot_counts_for_a_while() -> None:
     clock.t += 0.05
     loop.tick(None)
     assert loop.status is Status.ROBOT_SILENT
+
+
+def test_what_has_jumped_counts_again_once_it_jumps_back() -> None:
+    """Arms that brake come to where an encoder that slipped has them, which is no return."""
+    chain = follows().chain
+    readings, q = Readings(chain), chain.q_start.copy()
+    assert readings.take(q, q, 0.0) is None
+    slipped = NOISE + 0.01 * FASTER * chain.velocity[0] + 6e-3
+    for k in range(1, 20):
+        q[0] -= 5e-3
+        off = np.where(np.arange(chain.n), q, q + slipped)
+        assert readings.take(off, q, 0.01 * k) is Status.MEASURED_JUMPED, k
+    assert readings.take(q, q, 0.2) is None
 
 
 def test_the_object_is_taken_as_it_is_held() -> None:

@@ -92,7 +92,7 @@ def test_what_is_free_is_so_by_coal() -> None:
     q = space.sample(np.random.default_rng(2), 200)
     q = q[space.project(q)]
     (limit,) = (x for x in load("two_so101").limits if isinstance(x, SelfCollision))
-    pairs = limit._pairs(space.chain)
+    pairs = limit.watched(space.chain)
     d = distances_along(space.chain, pairs, q).min(axis=1)
     clear = np.abs(d - 0.01) > 1e-6
     free = space.is_free(q)

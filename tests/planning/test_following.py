@@ -140,7 +140,7 @@ def test_where_no_way_is_found_the_file_is_refused_at_its_line() -> None:
 def test_pushed_off_a_run_goes_on_where_it_has_left_the_path(name: str, speed: float) -> None:
     calm = in_one_go(name)
     lasts = calm.schedule[0].duration - 2.0
-    at, shove = 0.5 * lasts, 0.2  # where it does not shove a hand into the board
+    at, shove = 0.5 * lasts, 0.2  # where no arm is shoved into the board
     pushed = replace(calm, plant=Shoved(start=at, duration=shove, speed=speed))
     undisturbed, trace = (coopqp.run(one, controller="qp") for one in (calm, pushed))
     assert (undisturbed.inputs["way"].rate[: int(lasts / calm.dt)] == 1.0).all()
@@ -160,6 +160,31 @@ def test_pushed_off_a_run_goes_on_where_it_has_left_the_path(name: str, speed: f
     assert found.reached
     assert found.succeeds
     np.testing.assert_allclose(trace.q[held][-1], undisturbed.q[held][-1], atol=1e-3)
+
+
+@pytest.mark.few(1)
+@pytest.mark.parametrize("share", [0.3, 0.1])
+def test_shoved_into_the_board_a_run_leaves_it_tick_by_tick_and_says_so(share: float) -> None:
+    """Who shoves knows no board; the law comes out of it, and the run goes back to its path."""
+    calm = in_one_go("shelves")
+    lasts = calm.schedule[0].duration - 2.0
+    at, shove = share * lasts, 0.2
+    pushed = replace(calm, plant=Shoved(start=at, duration=shove, speed=4.0))
+    ran = coopqp.compare(pushed, controllers=["qp"])
+    trace, gone = ran.traces["qp"], round((at + shove) / calm.dt)
+    least = np.min(list(trace.margins.values()), axis=0)
+    deepest = int(least.argmin())
+    assert deepest == gone - 1  # the last tick of the shove
+    assert least[deepest] < -0.01
+    (out,) = np.nonzero(least[deepest:] >= 0.0)
+    assert (np.diff(least[deepest : deepest + out[0] + 1]) > 0.0).all()
+    assert out[0] <= 10
+    assert least[deepest + out[0] :].min() > -1e-9
+    undisturbed = coopqp.run(calm, controller="qp")
+    assert astray(trace)[gone + 100 :].max() <= astray(undisturbed).max()
+    assert assess(trace).reached
+    said = f"brings left/panda_link5 {-1e3 * least[deepest]:.2g} mm nearer to board than asked"
+    assert said in ran.verdicts["qp"]
 
 
 def test_a_clock_that_no_posture_follows_is_told_of() -> None:

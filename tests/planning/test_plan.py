@@ -23,7 +23,7 @@ from coopqp.limits import Obstacles
 from coopqp.planning.closed_space import Budget
 from coopqp.planning.plan import CLOSE, OFF, Plan, Planner, plan, way_round
 from coopqp.planning.reach import reach
-from coopqp.planning.timing import TO_SPEED, joint_limits
+from coopqp.planning.timing import TO_SPEED, finite_limits
 from coopqp.planning.verification import Verifier
 from coopqp.report.planning import write_plan
 from coopqp.scenario.loader import load, load_text
@@ -111,7 +111,7 @@ def test_a_plan_begins_at_the_start_and_ends_where_the_tasks_are_met(
 
 def test_a_plan_in_time_keeps_speeds_and_accelerations(shelves: Scenario, way: Plan) -> None:
     problem = shelves.problem()
-    speed, push = joint_limits(problem)
+    speed, push, _ = finite_limits(problem)
     v = np.diff(way.timed, axis=0, prepend=way.timed[:1], append=way.timed[-1:]) / shelves.dt
     assert (np.abs(v) <= speed).all()
     assert (np.abs(np.diff(v, axis=0)) / shelves.dt <= push * (1.0 + 1e-9)).all()

@@ -8,11 +8,16 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from attitudes import MEET, Arm, is_cut_off, nearest
+from chains import Parameters, robot_of, serial
+from laws import problem
+from linking import Line, writhe
 from scenario_files import needs_robots
 from side_by_side import needs_kernel
 
 from coopqp.base.spec import Array
+from coopqp.grasps import Rigid
 from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.held_object import HeldObject
 from coopqp.planning.closed_space import Budget, ClosedSpace
 from coopqp.planning.plan import Planner, plan
 from coopqp.planning.reach import cut_off, parts, reach
@@ -129,3 +134,41 @@ def test_behind_naos_back_no_configuration_is_in_the_starts_part(goal: tuple[flo
 
 def test_in_front_of_nao_the_surfaces_meet_in_the_starts_part() -> None:
     assert nearest(load("point_on_point").problem().chain, AHEAD)[0] < MEET
+
+
+#: Of joints after the first: the sign of the right angle to the one before, the link's length [m].
+SHAPE = [(-1, 0.0), (1, 0.42), (1, 0.0), (-1, 0.4), (-1, 0.0), (1, 0.081)]
+
+
+def straight_pair() -> ClosedChain:
+    """Two arms of seven joints along and across them, as of the shelves, which hold one object."""
+    bends = [Parameters(alpha=0.5 * np.pi * sign, r=r) for sign, r in SHAPE]
+    arms = {
+        "right": serial("r", [Parameters(r=0.36), *bends]),
+        "left": serial("l", [Parameters(d=0.765, r=0.36), *bends]),
+    }
+    start = np.array([0.6, 0.9, -1.0, -1.2, 0.3, 1.0, 0.4, 1.1, 0.8, 0.7, 1.2, -0.5, 1.1, -0.3])
+    robot = robot_of("straight", arms, (0.0, 0.0, 0.3))
+    return ClosedChain.attach(robot, start, Rigid(), HeldObject())
+
+
+def test_linking_numbers_are_whole_and_odd_or_even_as_half_angles_say() -> None:
+    chain = straight_pair()
+    q, line = _closed(ClosedSpace(problem(chain))), Line(chain)
+    turns = np.array([line.number(row) for row in q]) - line.number(chain.q_start)
+    np.testing.assert_allclose(turns, turns.round(), atol=1e-6)
+    assert len(np.unique(turns.round())) > 3
+    np.testing.assert_array_equal(turns.round() % 2 == 1, cut_off(chain, q))
+    for row in q[:10]:  # and it goes on continuously with the joints, where the line is apart
+        beside = row + 1e-4 * np.random.default_rng(0).normal(size=chain.n)
+        assert line.nearest(row) > 1e-3
+        assert line.number(beside) == pytest.approx(line.number(row), abs=0.01)
+
+
+def test_a_line_with_one_crossing_has_a_writhe_of_one() -> None:
+    eight = np.array([[1.0, 1, 1], [-1, -1, 1], [-1, 1, -1], [1, -1, -1]]) * (1.0, 1.0, 1e-3)
+    assert abs(writhe(eight)) == pytest.approx(1.0, abs=0.01)
+    assert writhe(eight * (1.0, 1.0, -1.0)) == pytest.approx(-writhe(eight))
+    assert writhe(np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 2, 0], [-1, 1, 0]])) == 0.0
+    with pytest.raises(ValueError, match="not two arms, straight at zero"):
+        Line(load("two_pandas").chain)

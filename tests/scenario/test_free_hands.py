@@ -15,6 +15,7 @@ import coopqp
 from coopqp.base.errors import GraspError, ScenarioError
 from coopqp.base.spec import Array
 from coopqp.controller import Command
+from coopqp.controllers.torque_qp import TorqueQpLaw
 from coopqp.grasp import pose_matrix
 from coopqp.limits import SelfCollision
 from coopqp.online.simulated import SimulatedRobot
@@ -148,10 +149,82 @@ def test_an_object_that_stands_has_a_pose(tmp_path: Path) -> None:
         phased(tmp_path, text)
 
 
-def test_laws_by_torques_say_that_they_need_an_arm_that_holds(tmp_path: Path) -> None:
-    scenario = phased(tmp_path, TAKES_HOLD.replace("dt: 0.01", "plant: rigid_body\ndt: 0.01"))
-    with pytest.raises(GraspError, match="torque_qp: no arm holds the object in one of the phases"):
+# By torques
+
+
+def _by_torques(folder: Path, **changes: str) -> Scenario:
+    """Both arms of NAO reach by their joints, of which each has five."""
+    text, back = TAKES_HOLD, TAKES_HOLD.index("      - relative_motion")
+    away = text[text.index("      - posture") : text.index("  - name: lift")]
+    text = text[:back] + away.replace("name: in", "name: out") + text[text.index("controllers") :]
+    text = text.replace("dt: 0.01", "plant: rigid_body\ndt: 0.005")
+    for old, new in ({"[qp, pseudoinverse]": "[torque_qp]"} | changes).items():
+        text = text.replace(old, new)
+    return phased(folder, text)
+
+
+@pytest.mark.parametrize("shares", ["weights", "motors", "{right: 0.3, left: 0.7}"])
+def test_torques_move_free_hands_and_the_object_between_them(tmp_path: Path, shares: str) -> None:
+    law = f"{{torque_qp: {{shares: {shares}}}}}"
+    scenario = _by_torques(tmp_path, **{"[qp, pseudoinverse]": f"[{law}]"})
+    trace = coopqp.run(scenario, controller="torque_qp", timed=False)
+    assert set(trace.status) == {"OPTIMAL"}
+    take, leave = _in_phase(scenario, "take"), _in_phase(scenario, "leave")
+    assert (trace.position[take] == [0.16, 0.0, 0.05]).all()
+    assert trace.position[leave.start] == pytest.approx([0.16, 0.0, 0.07], abs=1e-3)
+    assert np.ptp(trace.position[leave], axis=0) == pytest.approx([0.0, 0.0, 0.0], abs=1e-12)
+    goal = scenario.phases[0].tasks[0].goal["left"]  # type: ignore[attr-defined]
+    robot = scenario.robot_model
+    arm = next(arm for arm in robot.arms if arm.name == "left")
+    own = [scenario.chain.joint_names.index(name) for name in robot.arm_joints(arm)]
+    assert trace.q[take.stop, own] == pytest.approx(goal, abs=0.01)
+
+
+@pytest.mark.parametrize("knows", ["unknown", "observed", "measured"])
+def test_torques_of_free_hands_are_those_of_the_arms_alone(tmp_path: Path, knows: str) -> None:
+    """By pinocchio's inverse dynamics of a robot without an object."""
+    law = f"{{torque_qp: {{external_wrench: {knows}}}}}"
+    scenario = _by_torques(tmp_path, **{"[qp, pseudoinverse]": f"[{law}]"})
+    own = scenario.controllers["torque_qp"].build(scenario.problem())
+    assert isinstance(own, TorqueQpLaw)
+    state, model = own.start(), scenario.robot_model.model
+    state.v[:], state.hand_wrench = np.linspace(-0.5, 0.5, len(state.v)), np.zeros(12)
+    command = own.tick(state)
+    assert command.causes == (Status.OPTIMAL,)
+    a = own.solution.v[own.layout.a]
+    tau = pin.rnea(model, model.createData(), state.q, state.v, a)
+    assert command.tau == pytest.approx(tau, abs=1e-6)
+
+
+def test_the_loop_by_torques_rests_with_free_hands_and_goes_on(tmp_path: Path) -> None:
+    scenario = _by_torques(tmp_path)
+    loop = coopqp.OnlineLoop(scenario, "torque_qp", clock=None)
+    robot, gripped = SimulatedRobot(loop), dict[str, Mapping[str, str]]()
+    for k in range(scenario.ticks + 180):
+        if k == 20:
+            loop.stop("somebody is near")
+        if k == 200:
+            assert loop.at_rest
+            assert loop.phase.name == "take"
+            loop.resume()
+        command = loop.tick(robot.read())
+        assert command.tau is not None
+        robot.apply(command.tau)
+        gripped[loop.phase.name] = command.grippers
+    opened, closed = (dict.fromkeys(("right", "left"), word) for word in ("open", "close"))
+    assert gripped == {"take": opened, "lift": closed, "leave": opened}
+    assert loop.state.p_WO == pytest.approx([0.16, 0.0, 0.07], abs=1e-3)
+    assert not loop.faults
+
+
+def test_torques_refuse_rows_that_free_arms_cannot_have(tmp_path: Path) -> None:
+    text = TAKES_HOLD.replace("dt: 0.01", "plant: rigid_body\ndt: 0.005")
+    scenario = phased(tmp_path, text)  # of a pose by five joints
+    words = "torque_qp: the tasks ask 6 rows of free arms, and the motors decide only 5 of them"
+    with pytest.raises(GraspError, match=words):
         coopqp.run(scenario, controller="torque_qp")
+    with pytest.raises(GraspError, match="passive_grasp_pid: no arm holds the object in one of"):
+        coopqp.run(scenario, controller="passive_grasp_pid")
 
 
 # The loop for robots

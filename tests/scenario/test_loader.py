@@ -151,7 +151,7 @@ def test_the_schema_says_what_every_key_means() -> None:
     ]
     assert silent == []
     said = {key: shown["description"] for key, shown in kinds["PointOnPlane"]["properties"].items()}
-    assert said["through"] == "A point of the plane at the start, in the world [m]."
+    assert said["through"] == "A point of the line or plane at the start, in the world [m]."
     assert said["gain"] == "How fast the error decays [1/s]; at most 1/dt."
 
 

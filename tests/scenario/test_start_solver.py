@@ -62,8 +62,7 @@ def torso_pair(wide: float = 0.3, lift: str = "lift") -> RobotModel:
     """A slide that lifts two arms of three joints in the plane, on one base."""
     row, parameters = mdh.MdhRow, mdh.MdhParameters
     rows = [
-        row(name=lift, antecedent=None, parameters=parameters(), lower=0.0, upper=0.5,
-            velocity=1.0, kind="prismatic"),
+        row(name=lift, lower=0.0, upper=0.5, velocity=1.0, sigma="prismatic"),
     ]  # fmt: skip
     for side, name in ((-1.0, "r"), (1.0, "l")):
         before = lift
@@ -76,7 +75,7 @@ def torso_pair(wide: float = 0.3, lift: str = "lift") -> RobotModel:
         ):
             joint = f"{name}{i + 1}"
             rows.append(
-                row(name=joint, antecedent=before, parameters=p, lower=-2.5, upper=2.5, velocity=5)
+                row(name=joint, antecedent=before, **vars(p), lower=-2.5, upper=2.5, velocity=5)
             )
             before = joint
     ends = {

@@ -55,7 +55,9 @@ class Session:
         force_named: internal force when it could first be named; most: largest later [N].
         overloaded: whether a motor was at its limit for a tenth of a second before.
         opened: how far the loop itself told the hands to part or close, beyond what an encoder's
-            fault makes of it: a reading that is off by d moves its hand by J d unseen [m].
+            fault makes of it: a reading that is off by d moves its hand by J d unseen; where that
+            is more than ``OPENED``, beyond what is told without the fault, too, since soft arms
+            that squeeze close by as much [m].
         broken: promises that were not kept.
     """
 
@@ -146,6 +148,15 @@ def _fault(rng: np.random.Generator, kind: str, joints: list[str], arms: list[st
 def run(seed: int, *, sound: bool) -> Session:
     """Run the session of a seed."""
     robot, scenario, fault, kind = draw(seed, sound=sound)
+    found = _ran(seed, robot, scenario, fault, kind)
+    if sound or found.opened <= OPENED:
+        return found
+    well = replace(scenario.disturbance, faults=(), object_mass=1.0)
+    usual = _ran(seed, robot, replace(scenario, disturbance=well), None, kind)
+    return replace(found, opened=max(0.0, found.opened - usual.opened))
+
+
+def _ran(seed: int, robot: str, scenario: Scenario, fault: Fault | None, kind: str) -> Session:
     loop = OnlineLoop(scenario, clock=None)
     simulated = SimulatedRobot(loop)
     watch = _Watch(
@@ -242,6 +253,6 @@ class _Watch:
             found=first.where if first else (),
             right=right, stopped=loop.stopped, overloaded=bool(self._loaded.max() > 0.1),
             force_named=float(F[named]) if named >= 0 else 0.0,
-            most=float(F.max(initial=0.0)), opened=self._opened,
+            most=float(F[max(0, named) :].max(initial=0.0)), opened=self._opened,
             broken=tuple(dict.fromkeys(self._broken)),
         )  # fmt: skip

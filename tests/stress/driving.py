@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from coopqp.assessment.oscillation import SHORTEST, extent, least_size
+from coopqp.assessment.oscillation import SHORTEST, extent, least_size, reach
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem, Law
-from coopqp.kernel.trajectory_evaluation import survey
+from coopqp.kernel.trajectory_evaluation import TrajectoryEvaluation, survey
 from coopqp.limits import JointVelocity
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
@@ -72,12 +72,16 @@ def drive_on(
 
 def loop_errors(chain: ClosedChain, q: Array) -> tuple[Array, Array]:
     """As :func:`many_poses.loop_errors`, compiled where the kernel can."""
-    look = survey(chain, (), State(chain), ())
+    look = chain.once(_survey)
     if look is None or chain.holding < 2:
         return many_poses.loop_errors(chain, q)
     gaps = look.look(np.zeros(len(q)), q).loop_error.reshape(len(q), -1, 2, 3)
     sizes = np.sqrt(np.square(gaps[:, : chain.holding - 1]).sum(axis=3)).max(axis=1)
     return sizes[:, 0], sizes[:, 1]
+
+
+def _survey(chain: ClosedChain) -> TrajectoryEvaluation | None:
+    return survey(chain, (), State(chain), ())
 
 
 def note_loops(record: Record, position: float, orientation: float) -> None:
@@ -104,8 +108,9 @@ def turns(q: Array, units: Sequence[str]) -> bool:
     """
     if len(q) <= SHORTEST:
         return False
-    size, ratio = extent(q[-(len(q) // 2) :])
-    return bool(((ratio > TURNS) & (size > least_size(units))).any())
+    late = q[-(len(q) // 2) :]
+    wide = reach(late) > least_size(units)
+    return bool(wide.any() and (extent(late[:, wide])[1] > TURNS).any())
 
 
 def _ended(state: State, record: Record, errors: PartErrors) -> bool:

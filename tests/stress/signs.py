@@ -95,6 +95,9 @@ def outside(record: Record) -> float:
 
 def position_excess(record: Record) -> float:
     """Largest overrun: what is inside stays inside, what is outside may only come nearer."""
+    lowest, highest = record.q.min(axis=0), record.q.max(axis=0)
+    if (lowest >= record.lower).all() and (highest <= record.upper).all():
+        return 0.0
     out = np.maximum(np.maximum(record.lower - record.q, record.q - record.upper), 0.0)
     nearest = np.minimum.accumulate(out, axis=0)
     return float((out[1:] - nearest[:-1]).max(initial=0.0))

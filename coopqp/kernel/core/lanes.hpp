@@ -12,9 +12,10 @@
 
 namespace coopqp {
 
-typedef double v4 __attribute__((vector_size(32), may_alias));
+// To compilers it is a double, of which it is made, so that a loop that writes one reads no size anew.
+typedef double v4 __attribute__((vector_size(32)));
 
-typedef long long v4i __attribute__((vector_size(32)));
+typedef long long v4i __attribute__((vector_size(32), may_alias));  // of the bits of a v4, too
 
 constexpr int LANES = 4;
 

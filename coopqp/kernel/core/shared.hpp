@@ -75,6 +75,14 @@ constexpr double SHAPED = 0.9;
 constexpr double DOUBT = 0.0005;
 constexpr double SAG_ROUNDING = 1e-15;
 
+// coopqp.online.following
+constexpr double READING_NOISE = 0.0004;
+constexpr double LAG_NOISE = 0.006;
+constexpr double INERTIA_NOISE = 0.002;
+constexpr double STIFFNESS_NOISE = 0.1;
+constexpr double OF_BENDS = 0.73;
+constexpr double SINGULAR = 0.001;
+
 // coopqp.signal
 constexpr double ENDLESS = 1e+100;
 

@@ -61,7 +61,7 @@ def _bound(metadata: Any) -> Iterator[tuple[str, Any]]:
 
 
 def keys(schema: Schema, meanings: Mapping[str, str] | None = None) -> str:
-    """A table of the keys of a mapping.
+    """A table of the keys of a mapping, those that are needed first.
 
     Args:
         schema: of the mapping.
@@ -70,6 +70,9 @@ def keys(schema: Schema, meanings: Mapping[str, str] | None = None) -> str:
     meanings = meanings or {}
     known = schema.get("$defs", {})
     needed = set(schema.get("required", ()))
+    properties = sorted(
+        schema.get("properties", {}).items(), key=lambda item: item[0] not in needed
+    )
     rows = table(
         HEAD,
         (
@@ -79,7 +82,7 @@ def keys(schema: Schema, meanings: Mapping[str, str] | None = None) -> str:
                 "needed" if key in needed else _default(value, known),
                 value.get("description") or meanings.get(key, ""),
             )
-            for key, value in schema.get("properties", {}).items()
+            for key, value in properties
         ),
     )
     return f"````{{container}} keys\n\n{rows}\n````\n" if rows else ""
