@@ -14,13 +14,14 @@ they want, v_s has the largest shares s_k of it and the least part t of v_h, by 
 a is J v_h of all scaled tasks, made as long as SLOW where it is shorter: next to no motion takes
 neither t = 1 nor multipliers that cost the answer its digits. p_k is what v_n has along a
 direction, LEAST_SPEED at least; r is at least t and, where hard tasks lack a speed, that over SLOW,
-up to 1. Later levels keep v.
-
-Where hard tasks can hold, v_h is damped still, and lacks what a motion near a singularity costs: no
-more than MET of each row, or that counts as nothing unless the exact motion is NEAR a limit, from
-where on more and more of it does. So the two meet where the exact program ceases to be feasible. The damping of v_n is that of a soft task
+up to 1. Later levels keep v. The damping of v_n is that of a soft task
 (:class:`coopqp.qp_law.equations.Damping`); that of the hard tasks grows from almost nothing with
 what their rows lacked in the last tick, m_i: d = c dt sum_i w_i |m_i| L_i.
+
+Where hard tasks can hold v_h lacks something as well, as its damping costs near a singularity. Up
+to MET of each row that counts as nothing, from 2 MET on as a whole, but only in part where the
+exact motion is within NEAR of a limit, and as nothing where it is not, or v_h lacks less than half
+of SLOW. So the exact motion and v_h meet where the exact program ceases to be feasible.
 """
 
 from __future__ import annotations
