@@ -3,11 +3,11 @@
 From the state, the tasks and the limits, never from the law's programs:
 
     0  J_c v = -kappa e,  lb <= v <= ub,  G v <= h
-    1  J_h v = w_h of the hard tasks; where that cannot hold beside what scaled ones want, or rows
-       lacked something a tick ago and still do, v_h: min sum weight |J_h v - w_h|^2 + d |v|^2;
-       from MET to 2 MET what v_h lacks of a row is taken for more and more of it
-    2  v_s: J_k v = s_k w_k of the scaled tasks, 0 <= s_k <= 1,  min 1e3 sum (1 - s_k)^2 + d |v|^2;
-       after v_h: J_k v = s_k w_k + t J_k v_h, 0 <= t <= 1, with 1e3 (t + ASIDE)^2 in the cost
+    1  v_h: min sum weight |J_h v - w_h|^2 + d |v|^2 of the hard tasks, which get w_h where v_h
+       lacks less than MET of each row; to 2 MET what it lacks counts more and more; where w_h can
+       hold also from NEAR a limit to the limit, or from SLOW / 2 to SLOW
+    2  v_s: J_k v = s_k w_k + t a_k of the scaled tasks, 0 <= s_k, t <= 1, where a is J_k v_h, made
+       as long as SLOW where it is shorter,  min 1e3 (sum (1 - s_k)^2 + (t + ASIDE)^2) + d |v|^2
        v_n: min sum weight |J_k v - w_k|^2 + d |v|^2
        v = (1 - r) v_s + r v_n  with r of :func:`coopqp.qp_law.nearest.blocked`, and at least t and
        what hard tasks lack over SLOW
@@ -31,12 +31,13 @@ from coopqp.controller import ControlProblem
 from coopqp.model.state import State
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.equations import LEAST_SPEED, MOST_DAMPING, SCALE_WEIGHT, Damping
-from coopqp.qp_law.nearest import ASIDE, LESS, MET, SLOW, WHOLE, blocked
+from coopqp.qp_law.nearest import ASIDE, LESS, MET, NEAR, SLOW, WHOLE, blocked
+from coopqp.qp_law.priorities import NOISE as RELEASED
 from coopqp.qp_law.safety import drift_gain
 from coopqp.task import Task, TaskStack
 
 PROBE = 1e-14  # cost of |v|^2 while it is asked whether rows can hold
-EXCESS = 1e-12  # by which limits may be exceeded [rad/s]
+EXCESS = 1e-12  # by which limits may be exceeded [rad/s], and t its bound
 ROOM = 1e-9  # by which they may be while it is looked for those that are active [rad/s]
 NOISE, CLEAR = 1e-10, 1e-5  # singular values that add nothing to the rows before, or something
 HOLDS, FAILS = 1e-9, 1e-6  # rows that miss by less hold, by more do not [m/s, rad/s]
@@ -88,7 +89,8 @@ class Cascade:
         wanted = (-drift_gain(problem, state) * state.e_loop).astype(LONG)
         nothing = np.zeros((0, self._n), LONG), np.zeros(0, LONG)
         self._C, self._c = _added(*nothing, self._moved(state.J_loop), wanted)
-        self._v = np.zeros(self._n, LONG)
+        self._loops = self._C
+        self._v, self._decided = np.zeros(self._n, LONG), np.zeros((0, self._n), LONG)
 
     def optimum(self) -> Optimum:
         """Level by level.
@@ -118,33 +120,39 @@ class Cascade:
     def _firm(self, hard: TaskStack, scaled: TaskStack) -> tuple[bool, bool]:
         """Decide hard and scaled tasks; which of them are relaxed."""
         J_h, w_h = self._moved(hard.J), hard.wanted.astype(LONG)
-        J_k, missed = self._moved(scaled.J), self._state.memory["missed"]
-        ways = _ways(scaled)
+        J_k, ways = self._moved(scaled.J), _ways(scaled)
         rows, sides = _exact(J_h, w_h, J_k, ways)
-        holds, best = self._can_hold(rows, sides), np.ones(ways.shape[1], LONG)
+        best = np.ones(ways.shape[1], LONG)
         d = self._damping.least + (self._pulled(scaled) if scaled.tasks else 0.0)
-        v, lacks, leaves = None, np.zeros(len(w_h), LONG), 0.0
-        if missed.any() or not holds:
-            v = self._nearest(J_h, w_h, hard.weights, self._hard_damping(hard))
-            lacks = _lacks(J_h @ v - w_h)
-        if v is None or (holds and not lacks.any()):
+        v = self._nearest(J_h, w_h, hard.weights, self._hard_damping(hard))
+        lacks, shares = _lacks(J_h @ v - w_h), best
+        size = float(np.sqrt(lacks @ lacks))
+        if 0.0 < size < SLOW and self._can_hold(rows, sides):
+            exact = self._shares(rows, sides, best, d)[0]
+            lacks *= max(self._at_limits(exact), 2.0 * size / SLOW - 1.0)
+        leaves = min(float(np.sqrt(lacks @ lacks)) / SLOW, 1.0)
+        got = w_h + lacks
+        sides[: len(got)] = got
+        if scaled.tasks and leaves < 1.0:
+            aside = np.concatenate([J_h @ v - got, J_k @ v])
+            aside *= SLOW / min(max(np.sqrt(aside @ aside), MET), SLOW)
+            rows, best = np.hstack([rows, -aside[:, None]]), np.append(best, -LONG(ASIDE))
             v, shares = self._shares(rows, sides, best, d)
-        else:
-            got, some = w_h + lacks, bool((lacks != J_h @ v - w_h).any() and lacks.any())
-            shares = best
-            leaves = min(float(np.sqrt(lacks @ lacks)) / SLOW, 1.0)
-            if (scaled.tasks or some) and leaves < 1.0:
-                sides[: len(got)] = got
-                aside = np.concatenate([J_h @ v - got, J_k @ v])
-                rows, best = np.hstack([rows, -aside[:, None]]), np.append(best, -LONG(ASIDE))
-                v, shares = self._shares(rows, sides, best, d)
-                shares, leaves = shares[:-1], max(leaves, float(shares[-1]))
+            t = float(shares[-1])
+            shares, leaves = shares[:-1], max(leaves, t if t > EXCESS else 0.0)
+        elif (lacks != J_h @ v - w_h).any() and self._can_hold(rows, sides):
+            v, shares = self._shares(rows, sides, best, d)
         self._v = v
         self._keep(J_h, J_h @ v)
         if scaled.tasks:
             leaves = self._scaled(scaled, J_k, shares, leaves)
         relaxed = bool(_lacks(J_h @ self._v - w_h).any())
         return relaxed, bool(scaled.tasks) and leaves > 0.0
+
+    def _at_limits(self, v: Array) -> float:
+        """How near an exact motion v is to a limit, from 0 at NEAR to 1 at it."""
+        room = (self._h - self._G @ v) / np.sqrt((self._G * self._G).sum(axis=1))
+        return min(max(1.0 - float(room.min(initial=NEAR)) / NEAR, 0.0), 1.0)
 
     def _scaled(self, tasks: TaskStack, J: Array, shares: Array, leaves: float) -> float:
         """Decide the scaled tasks; how far they leave their directions.
@@ -244,7 +252,17 @@ class Cascade:
         return solved(program, _active(program), EXCESS)
 
     def _keep(self, J: Array, w: Array) -> None:
+        """Let later levels keep J v = w.
+
+        Raises:
+            UndeterminedError: the law would take a direction of the decided rows for noise.
+        """
         self._C, self._c = _added(self._C, self._c, J, w)
+        self._decided = np.vstack([self._decided, J])
+        along = self._decided - (self._decided @ self._loops.T) @ self._loops
+        values = np.linalg.svd(along.astype(float), compute_uv=False)
+        if ((values > NOISE) & (values < RELEASED)).any():
+            raise UndeterminedError
 
     def _stack(self, tasks: list[Task]) -> TaskStack:
         stack = TaskStack(tasks, self._start)

@@ -37,8 +37,8 @@ from coopqp.model.state import State
 from coopqp.qp_law.equations import LEAST_SPEED, MOST_DAMPING, SCALE_WEIGHT, Damping, note_chatter
 from coopqp.qp_law.level import Given, Level
 from coopqp.qp_law.limit_recovery import DriftShare, LimitRecovery
-from coopqp.qp_law.nearest import MET, SLOW, WHOLE, Nearest, blocked
-from coopqp.qp_law.priorities import LaterLevel, Order
+from coopqp.qp_law.nearest import ASIDE, LESS, MET, NEAR, PLAIN, SLOW, WHOLE, Nearest, blocked
+from coopqp.qp_law.priorities import IDLE, LaterLevel, Order
 from coopqp.qp_law.safety import StepVerification, drift_gain
 from coopqp.solver import Status, norm
 
@@ -127,10 +127,12 @@ class QPLaw(Law):
         self._assemble_exact(self.first, state, kappa, self.exact.wanted)
         return kappa
 
-    def _assemble_exact(self, level: Level, state: State, kappa: float, wanted: Array) -> None:
+    def _assemble_exact(
+        self, level: Level, state: State, kappa: float, wanted: Array, damping: float = 0.0
+    ) -> None:
         """J_j v = wanted_j of hard tasks, J_k v - s_k wanted_k = 0 of scaled ones."""
         n, m = self.problem.chain.n, len(state.e_loop)
-        damping = self._damping.of_tasks(level.tasks, state)
+        damping += self._damping.of_tasks(level.tasks, state)
         level.assemble(state, kappa, damping + self._scaled_damping(state))
         A, b = level.qp.A[m:], level.qp.b[m:]
         A[:, :n], b[:] = self.exact.J, wanted
@@ -166,19 +168,14 @@ class QPLaw(Law):
 
     def _decide_exact(self, state: State, kappa: float) -> tuple[Array, tuple[Status, ...]]:
         """Hard and scaled tasks; first the nearest where hard ones lacked something before."""
-        missed, first = state.memory["missed"], self.first
-        tried, v = not missed.any(), first.v
-        whole = status = first.solve() if tried else Status.INFEASIBLE
-        if not whole.usable and self._relaxes:
-            status, v = self.nearest.of_hard(state, kappa), self.nearest.v
-            if not tried and status.usable and not self._missed(v).any():
-                whole = first.solve()  # hard tasks can hold again
+        first, missed = self.first, state.memory["missed"]
+        tried = not (self._relaxes and missed.any())
+        status = whole = first.solve() if tried else Status.INFEASIBLE
+        v, leaves, self._shares = first.v, 0.0, first.shares
+        if self._relaxes and not (whole.usable and self._holds_firmly(met=False)):
+            whole, status, v, leaves = self._come_near(state, kappa, whole, tried)
         if not status.usable:
             return v, (status,)
-        if whole.usable:
-            v, leaves, status, self._shares = first.v, 0.0, whole, first.shares
-        else:
-            v, leaves = self._scale_beside(state, kappa, v)
         if self._relaxes and (leaves > 0.0 or self._shares.min(initial=1.0) < WHOLE):
             near, found = self.nearest.of_scaled(state, v)
             status = found if status is Status.OPTIMAL else status
@@ -193,18 +190,66 @@ class QPLaw(Law):
             return v, (Status.TASKS_RELAXED, status)
         return v, (status,)
 
-    def _scale_beside(self, state: State, kappa: float, v: Array) -> tuple[Array, float]:
-        """The largest shares beside the motion v of hard tasks; how far these may be left."""
+    def _come_near(
+        self, state: State, kappa: float, whole: Status, tried: bool
+    ) -> tuple[Status, Status, Array, float]:
+        """Outcomes of the exact program and of the nearest motion; v; how far scaled tasks leave.
+
+        The exact program is solved where that was not ``tried`` and hard tasks may hold again.
+        """
+        first, status, v = self.first, self.nearest.of_hard(state, kappa), self.nearest.v
+        lacks, leaves = self._missed(v), 0.0
+        if not tried and status.usable and norm(lacks) < SLOW:
+            whole = first.solve()
+        if whole.usable:
+            lacks *= max(self._at_limits(first.v), 2.0 * norm(lacks) / SLOW - 1.0)
+            if not status.usable or (not lacks.any() and self._holds_firmly(met=True)):
+                return whole, whole, first.v, leaves
+        if status.usable:
+            v, leaves = self._scale_beside(state, kappa, v, lacks)
+        return whole, status, v, leaves
+
+    def _holds_firmly(self, *, met: bool) -> bool:
+        """Whether the exact program answers as the levels of least squares would.
+
+        So it is where no multipliers of its rows are so large that v_h would lack something of hard
+        tasks, unless these are ``met``, nor so large that the penalty of t would not be exact.
+        """
+        y = self.first.solution.y[-len(self.exact.wanted) :]
+        if self._scaled and norm(y) * SLOW > ASIDE * SCALE_WEIGHT:
+            return False
+        weights, hard = self.exact.weights[self._hard_rows], y[self._hard_rows]
+        if met or not len(hard):
+            return True
+        lacks = LESS * self._damping.least / self.first.curvature * norm(hard / np.sqrt(weights))
+        return lacks <= MET * float(np.sqrt(weights.min()))
+
+    def _at_limits(self, v: Array) -> float:
+        """1 where the exact motion v is at a limit, 0 where it is NEAR none."""
+        bounds = self._given.bounds
+        slack = np.concatenate([bounds.ub, bounds.h, -bounds.lb]) - bounds.C.dot(v)
+        sizes = np.maximum(np.linalg.norm(bounds.C, axis=1), IDLE)
+        room = float((slack / sizes).min(initial=NEAR))
+        return min(1.0 - room / NEAR, 1.0)
+
+    def _scale_beside(
+        self, state: State, kappa: float, v: Array, lacks: Array
+    ) -> tuple[Array, float]:
+        """The largest shares beside the motion v of hard tasks; how far these may be left.
+
+        Of what v lacks of hard tasks ``lacks`` counts.
+        """
         level, wanted, aside = self.nearest.beside, self.exact.wanted.copy(), self.exact.J @ v
-        missed, hard, self._shares = self._missed(v), self._hard_rows, level.shares[:-1]
-        wanted[hard] += missed
+        hard, self._shares = self._hard_rows, level.shares[:-1]
+        in_part = lacks.any() and (lacks != aside[hard] - wanted[hard]).any()
+        wanted[hard] += lacks
         aside[hard] -= wanted[hard]
         aside *= SLOW / min(max(norm(aside), MET), SLOW)
-        leaves, most = min(norm(missed) / SLOW, 1.0), np.abs(missed).max(initial=0.0)
-        asked = self._scaled or 0.0 < most < 2.0 * MET
+        leaves = min(norm(lacks) / SLOW, 1.0)
+        asked = self._scaled or in_part
         if leaves < 1.0 and asked and np.isfinite(aside @ self.exact.wanted):
             level.qp.A[:] = 0.0
-            self._assemble_exact(level, state, kappa, wanted)
+            self._assemble_exact(level, state, kappa, wanted, 0.0 if self._scaled else PLAIN)
             level.qp.A[len(state.e_loop) :, -1] = -aside
             level.qp.orthogonalize()
             found = level.solve().usable

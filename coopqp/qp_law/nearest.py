@@ -17,6 +17,11 @@ direction, LEAST_SPEED at least; r is at least t and, where hard tasks lack a sp
 up to 1. Later levels keep v. The damping of v_n is that of a soft task
 (:class:`coopqp.qp_law.equations.Damping`); that of the hard tasks grows from almost nothing with
 what their rows lacked in the last tick, m_i: d = c dt sum_i w_i |m_i| L_i.
+
+Where hard tasks can hold v_h lacks something as well, as its damping costs near a singularity. Up
+to MET of each row that counts as nothing, from 2 MET on as a whole, but only in part where the
+exact motion is within NEAR of a limit, and as nothing where it is not, or v_h lacks less than half
+of SLOW. So the exact motion and v_h meet where the exact program ceases to be feasible.
 """
 
 from __future__ import annotations
@@ -44,6 +49,10 @@ SLOW = 5e-3
 LESS = 1e-3
 #: Rows that lack less than this are met, from twice it on they are not [m/s, rad/s].
 MET = 1e-6
+#: Speed from a limit from which on exact motions stand, whatever v_h lacks [m/s, rad/s].
+NEAR = 0.1
+#: Damping of v_s where no task is scaled, which leaves v_s as it is and its multipliers small.
+PLAIN = 1.0
 #: Slope of the cost of t, above the multipliers that it may have, over W.
 ASIDE = 1e3
 

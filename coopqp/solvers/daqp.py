@@ -39,6 +39,9 @@ class Daqp(Solver):
 
     primal_tol: Positive = 1e-9
     """Largest violation of a constraint [rad/s, m/s]; daqp's own 1e-6 would show in the limits."""
+    sing_tol: Positive = 1e-15
+    """Square of what is left of a row that depends on others, in the first try; daqp's own 1e-13
+    finds no motion where limits and rows leave one, decided by 3e-7 of what they see of it."""
     second_tol: Positive = 1e-7
     """The same for a second try, when the first found no feasible point."""
     last_tol: Positive = 3e-7
@@ -67,7 +70,8 @@ class Daqp(Solver):
             "iter_limit": self.iter_limit,
         }
         second = {**first, "primal_tol": self.second_tol}
-        last = {**first, "primal_tol": self.last_tol, "eps_prox": self.prox}
+        last = {**second, "primal_tol": self.last_tol, "eps_prox": self.prox}
+        first["sing_tol"] = self.sing_tol
 
         def solve() -> None:
             flag = CYCLING

@@ -29,7 +29,10 @@ CONSTANTS: Mapping[object, Mapping[str, str]] = {
             "FADES_IN", "SWINGS_AT", "LETS_GO", "FIRM",
         )
     },
-    nearest: {name: name for name in ("WHOLE", "LITTLE", "SLOW", "LESS", "MET", "ASIDE")},
+    nearest: {
+        name: name
+        for name in ("WHOLE", "LITTLE", "SLOW", "LESS", "MET", "NEAR", "PLAIN", "ASIDE")
+    },
     level: {"DECIDED": "DECIDED", "UNSEEN": "UNSEEN"},
     priorities: {"IDLE": "IDLE", "NOISE": "NOISE", "WALL": "WALL"},
     safety: {"HALVINGS": "HALVINGS", "SHORTEST": "SHORTEST"},

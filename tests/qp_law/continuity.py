@@ -47,7 +47,7 @@ SAME = 1e-6  # as near to the optimum as that a command is it [rad/s, m/s]
 BESIDE = 10.0 ** np.arange(-11.0, -2.0, 0.5)  # how far from a jump that is seen to, of the step
 #: What the cascade takes for dependent rows, as near to none as 64 bits of mantissa allow.
 SHARP = {
-    lexicographic: {"NOISE": 1e-12, "CLEAR": 1e-9, "FAILS": 2e-9, "PROBE": 1e-18},
+    lexicographic: {"RELEASED": 0.0, "NOISE": 1e-12, "CLEAR": 1e-9, "FAILS": 2e-9, "PROBE": 1e-18},
     oracle: {"DOUBTFUL": 1e-11, "ACTIVE": 1e-13, "DEPENDENT": 1e-15},
 }
 

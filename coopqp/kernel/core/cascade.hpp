@@ -21,9 +21,10 @@ namespace coopqp {
 // By how much a certificate may be short of zero before the answer is refined: as far as the kernel
 // and the plain law agree [rad/s].
 constexpr double SHORT_OF_DIGITS = 1e-10;
+constexpr double ANOTHER = 1e-8;  // from there on an answer is another than the optimum [rad/s]
 // Rows that depend on others give way by no more than they must: what is left of their width is
 // spent on larger shares. First by this, then by so many times more, up to CONSISTENT [rad/s].
-constexpr double LEAST_WIDTH = 3e-10, WIDER = 10.0;
+constexpr double LEAST_WIDTH = 1e-11, WIDER = 10.0;
 constexpr double HOLD = 1e-11;  // by which rows that must hold may not, in an answer that is mended
 constexpr double CLOSE = 1e-9;  // overrun of limits in a second try, as daqp's first [rad/s]
 
@@ -172,9 +173,9 @@ class Cascade {
             outcome = with_more_digits(first, d, outcome);
         pulls_[std::size_t(l)] = outcome.pull;
         outcome_ = outcome;
-        if (outcome.status != Status::Inaccurate || l > 0) return outcome.status;
         // Where rows give way so far that the answer is another, they clash.
-        if (clash_) return Status::Clashing;
+        if (clash_ && (outcome.off > ANOTHER || outcome.status == Status::Inaccurate)) return Status::Clashing;
+        if (outcome.status != Status::Inaccurate || l > 0) return outcome.status;
         const bool gives_way = level.exact > first && outcome.gap > HOLD;
         const bool optimal = outcome.off - outcome.astray <= accuracy_;
         return gives_way && optimal ? Status::Unproven : outcome.status;

@@ -111,6 +111,22 @@ class Check {
                y_.of_shares[std::size_t(k)];
     }
 
+    // Whether that is what the levels of least squares answer, QPLaw._holds_firmly.
+    //   d: its damping. tried: whether v_h is known to lack nothing.
+    bool holds_firmly(double d, bool tried) const {
+        const Level& level = levels_[0];
+        double all2 = 0.0, lacks2 = 0.0, least = std::numeric_limits<double>::infinity();
+        for (int s = 0; s < level.exact; s++) {
+            const double by = y_.of_exact(s), weight = level.weight[std::size_t(s)];
+            all2 += by * by;
+            if (s >= level.hard) continue;
+            lacks2 += by * by / weight;
+            least = std::min(least, weight);
+        }
+        if (level.shares && std::sqrt(all2) * SLOW > ASIDE * SCALE_WEIGHT) return false;
+        return tried || LESS * s_.damping / d * std::sqrt(lacks2) <= MET * std::sqrt(least);
+    }
+
     // Whether exact rows exceed limits by more than last digits, in the answer judged last: near others
     // that depend on them that may be far from the optimum.
     bool exceeds() const { return exceeds_; }

@@ -276,36 +276,36 @@ class Kernel {
     Status decide_first() {
         Level& level = levels[0];
         level.want();
+        d_ = s_.damping + damping_.of(0, level, bound);
         leaves_ = 0.0;
         short_ = false;
         shares_ = &tasks_.shares();
         near_scaled_ = false;
-        const bool tried =
+        const bool tried = !s_.relaxes ||
             std::all_of(bound.missed, bound.missed + level.hard, [](double x) { return x == 0.0; });
         Status status = tried ? decide_exactly() : Status::Infeasible;
         const bool proved = !s_.relaxes && status != Status::Unproven && status != Status::Clashing;
-        if (!level.exact || proved || (status == Status::Optimal && least_share() >= WHOLE)) {
+        const bool firm = holds_firmly(status, false);
+        if (!level.exact || proved || (firm && least_share() >= WHOLE)) {
             if (status == Status::Optimal) note_missed(tasks_.v());
             return status;
         }
-        const bool clash = status == Status::Clashing || status == Status::Infeasible;
-        if (!clash && status != Status::Optimal && status != Status::Unproven) return status;
-        const Status near = come_near(status, tried);
+        if (!may_come_near(status)) return status;
+        const Status near = come_near(status, firm, tried);
         if (near != Status::Optimal) return s_.relaxes ? near : status;
         note_missed(tasks_.v());
         // Where rows clash by less than they may give way, the nearest is as good as all.
+        const bool clash = status == Status::Clashing || status == Status::Infeasible;
         const bool is_relaxed = relaxed() || short_;
-        if (status == Status::Optimal || (s_.relaxes && is_relaxed) || (tried && clash && !relaxed()))
+        if (status == Status::Optimal || (s_.relaxes && is_relaxed) || (clash && !relaxed()))
             return near;
         const bool proof = lacks() || (clash && relaxed());  // the nearest is the proof
-        if (tried) return proof ? Status::Infeasible : Status::Unproven;
-        leaves_ = 0.0;
-        status = decide_exactly();  // hard tasks can hold again
-        if (status == Status::Infeasible || status == Status::Clashing ||
-            (status == Status::Optimal && least_share() < WHOLE))
-            status = come_near(status, true);
-        if (status == Status::Optimal) note_missed(tasks_.v());
-        return status;
+        return proof ? Status::Infeasible : Status::Unproven;
+    }
+
+    static bool may_come_near(Status whole) {
+        return whole == Status::Clashing || whole == Status::Infeasible ||
+               whole == Status::Optimal || whole == Status::Unproven;
     }
 
     // Whether hard tasks lack something.
@@ -313,10 +313,38 @@ class Kernel {
         return std::any_of(missed_.begin(), missed_.end(), [](double x) { return x != 0.0; });
     }
 
+    // How much they lack.
+    double lack() const {
+        double missed2 = 0.0;
+        for (double missed : missed_) missed2 += missed * missed;
+        return std::sqrt(missed2);
+    }
+
+    // 1 where the exact motion v is at a limit, 0 where it is NEAR none.
+    double at_limits(const double* v) const {
+        double room = NEAR;
+        for (const Joint& joint : m_->joints) {
+            const double at = v[joint.lane];
+            room = std::min(room, std::min(limits.ub[joint.lane] - at, at - limits.lb[joint.lane]));
+        }
+        for (std::size_t i = 0; i < limits.h.size(); i++) {
+            const double* G = limits.G + i * std::size_t(stride());
+            const double size = std::max(std::sqrt(dot(G, G, m_->blocks)), IDLE);
+            room = std::min(room, (limits.h[i] - dot(G, v, m_->blocks)) / size);
+        }
+        return std::min(1.0 - room / NEAR, 1.0);
+    }
+
     Status decide_exactly() {
         shares_ = &tasks_.shares();
         tasks_.begin(b_.data(), set_out_);
-        return tasks_.decide(0, s_.damping + damping_.of(0, levels[0], bound));
+        return tasks_.decide(0, d_);
+    }
+
+    // Whether the answer of decide_exactly is what the levels of least squares answer.
+    //   tried: whether hard ones are known to be met.
+    bool holds_firmly(Status whole, bool tried) const {
+        return whole == Status::Optimal && tasks_.check().holds_firmly(d_, tried);
     }
 
     double least_share() {
@@ -326,34 +354,46 @@ class Kernel {
     }
 
     // The levels of hard and of scaled tasks where not all they ask can be done.
-    //   whole: of the level with all they ask; Optimal where a share is small.
-    //   tried: whether that was asked for; else scaled tasks wait where hard ones can hold again.
-    Status come_near(Status whole, bool tried) {
-        const bool optimal = whole == Status::Optimal;
-        bool scales = levels[0].shares > 0;
+    //   whole: of the level with all they ask; then, where that was not tried, that.
+    //   holds: whether its answer stands, of which a share is small.
+    Status come_near(Status& whole, bool holds, bool tried) {
         off_ = off_in_shares_ = saving_ = least_leaves_ = aside_ = 0.0;
-        copy(near_, tasks_.v(), m_->blocks);
-        if (optimal) {
+        bool in_part = false;
+        if (!holds) {
+            const Status status = nearest_.of_hard(damping_, bound.missed, b_.data(), set_out_);
+            if (status != Status::Optimal) return status;
+            double part = note_missed(nearest_.v());
+            if (!tried && lack() < SLOW) {  // hard tasks may hold again
+                whole = decide_exactly();
+                if (!may_come_near(whole)) return whole;
+            }
+            if (whole == Status::Optimal) {
+                const double counts = std::max(at_limits(tasks_.v()), 2.0 * lack() / SLOW - 1.0);
+                part *= counts;
+                for (double& missed : missed_) missed *= counts;
+            }
+            short_ = part > 0.0;
+            in_part = short_ && part < 1.0;
+            holds = !short_ && holds_firmly(whole, true);
+        }
+        const bool scales = levels[0].shares > 0;
+        copy(near_, holds ? tasks_.v() : nearest_.v(), m_->blocks);
+        if (holds) {
             nearest_.accept_hard(b_.data(), near_);
         } else {
-            Status status = nearest_.of_hard(damping_, bound.missed, b_.data(), set_out_);
-            if (status != Status::Optimal) return status;
-            copy(near_, nearest_.v(), m_->blocks);
-            const double part = note_missed(near_);
-            short_ = part > 0.0;
-            scales &= tried || short_;
-            if (scales || (short_ && part < 1.0)) status = scale_beside(near_);
+            Status status = Status::Optimal;
+            if (scales || in_part) status = scale_beside(near_);
             if (scales && leaves_ < 1.0) nearest_.accept_hard(b_.data(), near_);
             if (status != Status::Optimal) return status;
         }
         if (scales && (leaves_ > 0.0 || off_ > 0.0 || least_share() < WHOLE)) {
             const Status status = nearest_.of_scaled(damping_, bound.scaled_pull[0]);
-            if (optimal && status != Status::Optimal) return whole;  // the shares hold
+            if (holds && status != Status::Optimal) return whole;  // the shares hold
             near_scaled_ = true;
             if (status != Status::Optimal) return status;
             if (leaves_ < 1.0) leaves_ = leaves(nearest_.v(), 0.0);
             if (!is_sure(nearest_.v())) return Status::Inaccurate;
-            if (optimal && leaves_ == 0.0) return status;
+            if (holds && leaves_ == 0.0) return status;
             for (int b = 0; b < m_->blocks; b++)
                 lanes(near_)[b] = smaller(
                     larger(lanes(near_)[b] + leaves_ * (lanes(nearest_.v())[b] - lanes(near_)[b]),
@@ -372,11 +412,9 @@ class Kernel {
         const Level& level = levels[0];
         rows_.object_twist(v, V_);
         for (int s = 0; s < level.exact; s++) got_[std::size_t(s)] = rows_.times(level, s, v, V_);
-        double missed2 = 0.0;
-        for (double missed : missed_) missed2 += missed * missed;
-        leaves_ = least_leaves_ = std::min(std::sqrt(missed2) / SLOW, 1.0);
+        leaves_ = least_leaves_ = std::min(lack() / SLOW, 1.0);
         if (leaves_ == 1.0) return Status::Optimal;
-        const double d = s_.damping + damping_.of(0, level, bound);
+        const double d = d_ + (level.shares ? 0.0 : PLAIN);
         const Status status =
             nearest_.of_shares(missed_.data(), got_.data(), d, b_.data(), set_out_);
         shares_ = &nearest_.beside().shares();
@@ -506,6 +544,7 @@ class Kernel {
     const Shares* shares_ = nullptr;       // that were decided last
     std::vector<double> missing_;          // of shares
     std::vector<double> speed_;            // of joints, up to which bodies were looked at
+    double d_ = 0.0;                       // damping of the first level
     double leaves_ = 0.0;                  // how far scaled tasks leave their directions
     double least_leaves_ = 0.0, aside_ = 0.0;  // what of it hard tasks ask for: by what they lack, t
     // By how much the motion with the largest shares beside them may be off, and t and these shares, by

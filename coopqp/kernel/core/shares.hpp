@@ -15,6 +15,7 @@
 namespace coopqp {
 
 constexpr double CONSISTENT = 3e-7;  // by which rows that depend on others may differ [rad/s]
+constexpr double REPEATED = 1e-9;  // by which such rows may, that ask the same of shares [rad/s]
 
 class Shares {
   public:
@@ -26,7 +27,8 @@ class Shares {
           columns_(arena.take(std::size_t((count_ + 1) * tall_))),
           R_(std::size_t((count_ + 1) * (count_ + 1))), s_(std::size_t(count_ + 1)),
           firm_(std::size_t(count_ + 1)), kept_(std::size_t(count_ + 1)),
-          kept_firm_(std::size_t(count_ + 1)), c_(std::size_t(count_ + 1)), spare_(std::size_t(exact_ * (count_ + 1) + 1)) {}
+          kept_firm_(std::size_t(count_ + 1)), c_(std::size_t(count_ + 1)), spare_(std::size_t(exact_ * (count_ + 1) + 1)),
+          rest_(spare_), taken_(std::size_t(exact_ + 1)) {}
 
     int count() const { return count_; }
     double share(int k) const { return s_[std::size_t(k)]; }
@@ -53,6 +55,7 @@ class Shares {
         for (int k = 0; k < count_; k++)
             solve(rank, coordinates(k), &spare_[std::size_t((k + 1) * exact_)],
                   [&](int s) { return level.asks(s, k); });
+        if (rank < exact_) leave_repeated();
         choose(x, d);
         if (fault(Fault::WrongShare) && count_) share(0) *= 0.999;
         if (fault(Fault::WrongWay) && count_) coordinates(0)[0] += 1e-3;
@@ -73,6 +76,38 @@ class Shares {
     }
 
   private:
+    // Rows that depend on others and ask the same of shares as some of them, but for rounding, ask for
+    // nothing: each of two such rows alone leaves a share free, both hold it at 0.
+    void leave_repeated() {
+        rest_ = spare_;
+        std::fill(taken_.begin(), taken_.end(), false);
+        for (;;) {
+            int most = 0;
+            for (int s = 1; s < exact_; s++)
+                if (along(s, s) > along(most, most)) most = s;
+            const double size2 = along(most, most);
+            if (!(size2 > REPEATED * REPEATED)) break;
+            taken_[std::size_t(most)] = true;
+            for (int s = 0; s < exact_; s++) {
+                const double by = taken_[std::size_t(s)] ? 0.0 : along(s, most) / size2;
+                for (int k = 0; by != 0.0 && k <= count_; k++) rest(k, s) -= by * rest(k, most);
+            }
+            for (int k = 0; k <= count_; k++) rest(k, most) = 0.0;
+        }
+        for (int s = 0; s < exact_; s++) {
+            double left = 0.0;
+            for (int k = 0; k <= count_; k++) left = std::max(left, std::fabs(rest(k, s)));
+            for (int k = 0; !taken_[std::size_t(s)] && left <= REPEATED && k <= count_; k++)
+                spare_[std::size_t(k * exact_ + s)] = 0.0;
+        }
+    }
+    double& rest(int k, int s) { return rest_[std::size_t(k * exact_ + s)]; }
+    double along(int s, int other) {
+        double all = 0.0;
+        for (int k = 1; k <= count_; k++) all += rest(k, s) * rest(k, other);
+        return all;
+    }
+
     // The shares that cost least where nothing else binds, by Gram-Schmidt of what the cost squares,
     // rows that nearly depend on each other have ways whose squares have no digits of W left.
     void choose(const double* x, double d) {
@@ -131,7 +166,8 @@ class Shares {
     Hierarchy& hierarchy_;
     int count_, exact_, lanes_, width_, tall_;
     double *ways_, *coordinates_, *columns_;
-    std::vector<double> R_, s_, firm_, kept_, kept_firm_, c_, spare_;
+    std::vector<double> R_, s_, firm_, kept_, kept_firm_, c_, spare_, rest_;
+    std::vector<char> taken_;
 };
 
 }  // namespace coopqp
