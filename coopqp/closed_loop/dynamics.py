@@ -48,36 +48,24 @@ class Friction:
 
 
 class DirectResult(NamedTuple):  # made at every step of a plant, in a third of a dataclass's time
-    """Result of the direct model; arrays are reused by the next call.
+    """Result of the direct model; arrays are reused by the next call."""
 
-    Attributes:
-        a: joint accelerations, shape (n,) [rad/s2].
-        wrench: lambda on all loop rows, shape (6 L,): force [N] and torque [N m] on arm i's side
-            of the cut, world axes, at the object's origin; the opposite acts on arm 0's side.
-        singular: whether the loops were singular, so that this is a least-squares solution.
-    """
-
-    a: Array
+    a: Array  # joint accelerations, shape (n,) [rad/s2]
+    # lambda on all loop rows, shape (6 L,): force [N] and torque [N m] on arm i's side of the cut,
+    # world axes, at the object's origin; the opposite acts on arm 0's side
     wrench: Array
-    singular: bool
+    singular: bool  # whether the loops were singular, so that this is a least-squares solution
 
 
 @dataclass(frozen=True)
 class InverseResult:
-    """Result of the inverse model; arrays are reused by the next call.
+    """Result of the inverse model; arrays are reused by the next call."""
 
-    Attributes:
-        tau: torques of all joints, zero where a joint is not actuated, shape (n,) [N m].
-        wrench: as in :class:`DirectResult`.
-        singular: whether the actuation scheme cannot produce every motion here; tau is then the
-            least-squares solution.
-        residual: largest generalised force that tau does not produce [N m].
-    """
-
-    tau: Array
-    wrench: Array
+    tau: Array  # torques of all joints, zero where a joint is not actuated, shape (n,) [N m]
+    wrench: Array  # as in DirectResult
+    # whether the scheme cannot produce every motion here; tau is then the least-squares solution
     singular: bool
-    residual: float
+    residual: float  # largest generalised force that tau does not produce [N m]
 
 
 class ClosedLoopDynamics:
@@ -301,17 +289,11 @@ class ClosedLoopDynamics:
 
 @dataclass(frozen=True)
 class ObjectWrenches:
-    """Wrenches on the object: force [N] and torque [N m] at its origin, world axes.
+    """Wrenches on the object: force [N] and torque [N m] at its origin, world axes."""
 
-    Attributes:
-        needed: by its motion and weight, shape (6,).
-        by_arm: of each hand, shape (N, 6); they sum to ``needed``.
-        internal: the part that cancels between the hands, shape (N, 6); sums to zero.
-    """
-
-    needed: Array
-    by_arm: Array
-    internal: Array
+    needed: Array  # by its motion and weight, shape (6,)
+    by_arm: Array  # of each hand, shape (N, 6); they sum to ``needed``
+    internal: Array  # the part that cancels between the hands, shape (N, 6); sums to zero
 
 
 def actuated_joints(chain: ClosedChain, names: Sequence[str] | None) -> NDArray[np.intp]:

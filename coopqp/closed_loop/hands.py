@@ -30,17 +30,11 @@ NEEDS = "force and torque of each of the robot's arms [N, N m]"
 
 @dataclass(frozen=True)
 class Hand:
-    """A hand that holds the object.
+    """A hand that holds the object."""
 
-    Attributes:
-        arm: its name.
-        X_OC: pose of the contact frame in the object.
-        contact: how it presses; None where it is fastened.
-    """
-
-    arm: str
-    X_OC: pin.SE3
-    contact: Contact | None
+    arm: str  # its name
+    X_OC: pin.SE3  # pose of the contact frame in the object
+    contact: Contact | None  # how it presses; None where it is fastened
 
 
 def hands(chain: ClosedChain) -> tuple[Hand, ...]:

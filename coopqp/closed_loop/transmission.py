@@ -44,17 +44,12 @@ COMMANDED, STRUCTURE, LET_GO, MIXED = "commanded", "structure", "not transmitted
 
 @dataclass(frozen=True)
 class Counts:
-    """Dimensions of a space of wrenches.
+    """Dimensions of a space of wrenches."""
 
-    Attributes:
-        commanded, structure, let_go: see the module.
-        weakest: smallest singular value that is not zero [m or rad for a unit of joint motion].
-    """
-
-    commanded: int
+    commanded: int  # commanded, structure, let_go: see the module
     structure: int
     let_go: int
-    weakest: float
+    weakest: float  # smallest singular value that is not zero [m or rad for a unit of joint motion]
 
     @property
     def words(self) -> str:

@@ -60,19 +60,12 @@ WALK_TOLERANCE = 1e-6
 
 @dataclass(frozen=True)
 class LoopRows:
-    """Which of the 6 L loop rows are independent.
+    """Which of the 6 L loop rows are independent."""
 
-    Attributes:
-        rows: all of them, such as "loop[left].rot_y"; those of open loops come last.
-        closed: how many rows belong to closed loops.
-        kept: indices of the rows handed to the solvers.
-        rank: of the closed rows at generic configurations.
-    """
-
-    rows: tuple[Row, ...]
-    closed: int
-    kept: tuple[int, ...]
-    rank: int
+    rows: tuple[Row, ...]  # all of them, such as "loop[left].rot_y"; those of open loops come last
+    closed: int  # how many rows belong to closed loops
+    kept: tuple[int, ...]  # indices of the rows handed to the solvers
+    rank: int  # of the closed rows at generic configurations
 
     @property
     def names(self) -> tuple[str, ...]:

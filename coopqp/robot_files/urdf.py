@@ -95,37 +95,26 @@ LARGEST = {"length": FARTHEST, "mass": 1e6, "other": 1e12, "limit": math.inf}
 
 @dataclass(frozen=True)
 class Numbers:
-    """What an attribute holds.
+    """What an attribute holds."""
 
-    Attributes:
-        count: how many numbers.
-        kind: lengths [m], masses [kg], limits, which may be infinite, or others.
-        positive: whether none may be negative.
-        direction: whether not all may be zero.
-    """
-
-    count: int
+    count: int  # how many numbers
+    # lengths [m], masses [kg], limits, which may be infinite, or others
     kind: Literal["length", "mass", "other", "limit"] = "other"
-    positive: bool = False
-    direction: bool = False
+    positive: bool = False  # whether none may be negative
+    direction: bool = False  # whether not all may be zero
 
 
 @dataclass(frozen=True)
 class Known:
-    """What an element may have.
+    """What an element may have."""
 
-    Attributes:
-        numbers: the attributes that hold numbers.
-        attributes, required: names of others that it may have; of those that it must have.
-        inside: entry of KNOWN for each element that it may contain; empty for those not read.
-        lenient: "attributes", "elements" or both, where others pass unless they are known names
-            misspelt: files of many makers have elements and attributes of their own.
-    """
-
-    attributes: str = ""
+    attributes: str = ""  # names of those that it may have, but for ``numbers``
+    # entry of KNOWN for each element that it may contain; empty for those not read
     inside: Mapping[str, str] = field(default_factory=dict)
-    numbers: Mapping[str, Numbers] = field(default_factory=dict)
-    required: str = ""
+    numbers: Mapping[str, Numbers] = field(default_factory=dict)  # the attributes that hold numbers
+    required: str = ""  # names of those that it must have
+    # "attributes", "elements" or both, where others pass unless they are known names misspelt:
+    # files of many makers have elements and attributes of their own
     lenient: str = ""
 
 

@@ -86,17 +86,11 @@ def ros_name(joint: str) -> str:
 
 @dataclass(frozen=True)
 class Joints:
-    """The robot's joints without the grasps' passive ones, and which controller moves them.
+    """The robot's joints without the grasps' passive ones, and which controller moves them."""
 
-    Attributes:
-        names: in ROS, in the loop's order.
-        orders: of each controller's joints, in its order.
-        ordered: their indices in q.
-    """
-
-    names: tuple[str, ...]
-    orders: Mapping[str, Sequence[str]]
-    ordered: Mapping[str, NDArray[np.intp]]
+    names: tuple[str, ...]  # in ROS, in the loop's order
+    orders: Mapping[str, Sequence[str]]  # each controller's joints, in its order
+    ordered: Mapping[str, NDArray[np.intp]]  # their indices in q
 
 
 def joints_of(

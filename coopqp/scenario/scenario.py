@@ -58,17 +58,11 @@ UNIONS = (typing.Union, types.UnionType)
 
 
 class Key(NamedTuple):
-    """How a file says a field, where it does so otherwise than Python.
+    """How a file says a field, where it does so otherwise than Python."""
 
-    Attributes:
-        name: there; the field's own if empty.
-        form: type there; the field's own if None.
-        default: there; the field's own if omitted, and the key is needed if ``...``.
-    """
-
-    name: str = ""
-    form: Any = None
-    default: Any = MISSING
+    name: str = ""  # there; the field's own if empty
+    form: Any = None  # type there; the field's own if None
+    default: Any = MISSING  # there; the field's own if omitted, and the key is needed if ``...``
 
 
 #: Marks a field that no key of a file stands for alone.

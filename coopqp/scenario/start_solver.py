@@ -174,24 +174,16 @@ class StartProblem:
 
 @dataclass(frozen=True)
 class StartSolution:
-    """A start that closes all loops.
+    """A start that closes all loops."""
 
-    Attributes:
-        q: of the robot's joints, (robot.model.nq,); passive: of the grasps', by name [rad, m].
-        start: the same as a scenario has it, by arm and passive joint.
-        margin: least distance of a joint to its limit [rad, m]; infinite without limits.
-        tries: random configurations it took; none where a given start was closed.
-        found: starts among which this has the largest margin (least of all groups of arms).
-        tightest: the joint with the least distance; empty without limits.
-    """
-
-    q: Array
-    passive: Mapping[str, float]
+    q: Array  # of the robot's joints, shape (robot.model.nq,) [rad, m]
+    passive: Mapping[str, float]  # of the grasps' joints, by name [rad, m]
+    # the same as a scenario has it, by arm and passive joint
     start: Mapping[str, float | list[float]]
-    margin: float
-    tries: int
-    found: int
-    tightest: str = ""
+    margin: float  # least distance of a joint to its limit [rad, m]; infinite without limits
+    tries: int  # random configurations it took; none where a given start was closed
+    found: int  # starts among which this has the largest margin (least of all groups of arms)
+    tightest: str = ""  # the joint with the least distance; empty without limits
 
 
 def solve_start(

@@ -93,18 +93,13 @@ class Lost:
 
 @dataclass(frozen=True)
 class Engine:
-    """Where work is done.
+    """Where work is done."""
 
-    Attributes:
-        jobs: processes on this machine, all cores when 0; with 1 the work is done in this process,
-            which then ends where an item ends its process.
-        scheduler: address of a Dask scheduler, whose workers then do the work.
-        share: what of a job its owner is to ask for here.
-    """
-
+    # processes on this machine, all cores when 0; with 1 the work is done in this process, which
+    # then ends where an item ends its process
     jobs: int = 0
-    scheduler: str = ""
-    share: Share = field(default_factory=Share)
+    scheduler: str = ""  # address of a Dask scheduler, whose workers then do the work
+    share: Share = field(default_factory=Share)  # what of a job its owner is to ask for here
 
     def results(
         self, work: Work, items: Iterable[Item], count: int | None = None

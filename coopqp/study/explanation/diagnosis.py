@@ -162,25 +162,16 @@ class TooFewFreedoms:
 
 @dataclass(frozen=True)
 class TooFar:
-    """One task cannot be met, whatever the limits.
+    """One task cannot be met, whatever the limits."""
 
-    Attributes:
-        goal, part: of that task; the part that is farthest off.
-        nearest: the nearest place.
-        gap: from there to the goal, rows of the part [the part's unit].
-        cost, shares: how much the limits add to it [the part's unit], 0 if little; their shares.
-        elsewhere: a nearer place in another configuration, if there is one.
-        in_world: whether the gap is along the world's x, y and z.
-    """
-
-    goal: Goal
-    part: PartOfTask
-    gap: Array
+    goal: Goal  # of that task
+    part: PartOfTask  # the part that is farthest off
+    gap: Array  # from the nearest place to the goal, rows of the part [the part's unit]
     nearest: Place
-    cost: float
-    shares: tuple[Share, ...]
-    elsewhere: Place | None
-    in_world: bool
+    cost: float  # how much the limits add to it [the part's unit], 0 if little
+    shares: tuple[Share, ...]  # of the limits in that
+    elsewhere: Place | None  # a nearer place in another configuration, if there is one
+    in_world: bool  # whether the gap is along the world's x, y and z
 
     @property
     def tasks(self) -> tuple[Task, ...]:

@@ -46,13 +46,9 @@ SAMPLES = {
 
 
 class Variation(ABC):
-    """What one key is varied over.
+    """What one key is varied over."""
 
-    Attributes:
-        numbers: of a value that is a list of so many; 0 where it is no list.
-    """
-
-    numbers: int
+    numbers: int  # of a value that is a list of so many; 0 where it is no list
 
     @property
     def dimensions(self) -> int:

@@ -136,21 +136,17 @@ Rows = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Line:
-    """One controller on all variants.
-
-    Attributes:
-        states: how many rows are done, invalid and failed; the others are of those that are done.
-        errors: median and 95 % quantile of each task's error, by name.
-        margin: the same of the least distance to a joint's limit, 5 % instead of 95.
-        blocked_by, broken: how often each limit kept it from a goal, and was broken.
-    """
+    """One controller on all variants."""
 
     controller: str
+    # how many rows are done, invalid and failed; the others are of those that are done
     states: dict[str, int]
     success: Share
     reached: Share
-    errors: dict[str, tuple[float, float]]
+    errors: dict[str, tuple[float, float]]  # median and 95 % quantile of each task's error, by name
+    # the same of the least distance to a joint's limit, 5 % instead of 95
     margin: tuple[float, float]
+    # blocked_by, broken: how often each limit kept it from a goal, and was broken
     blocked_by: dict[str, int]
     broken: dict[str, int]
 
