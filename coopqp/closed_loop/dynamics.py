@@ -258,11 +258,7 @@ class ClosedLoopDynamics:
         return ObjectWrenches(needed, by_arm, internal)
 
     def object_inertia(self) -> tuple[Array, Array]:
-        """The wrench at the object's origin for its motion and weight, w = M a_o + b, world axes.
-
-        Returns:
-            M, shape (6, 6), and b, shape (6,), as of the last update.
-        """
+        """M, (6, 6), and b, (6,), of the object's wrench at its origin M a_o + b, world axes."""
         model, data, frame = self.model, self._data, self.chain.frames[0]
         omega = pin.getFrameVelocity(model, data, frame, pin.LOCAL_WORLD_ALIGNED).angular
         R = data.oMf[frame].rotation.copy()

@@ -77,8 +77,7 @@ def friction_needed(
 class WrenchReadings:
     """Checks what force sensors in the hands of a chain send before it is used.
 
-    Attributes:
-        fault: why the last reading cannot be used; empty if it can.
+    ``fault`` says why the last reading cannot be used; it is empty if it can.
     """
 
     def __init__(self, chain: ClosedChain) -> None:

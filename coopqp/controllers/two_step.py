@@ -66,11 +66,7 @@ class TwoStep(Controller):
     omitted."""
 
     def build(self, problem: ControlProblem) -> Law:
-        """Choose the joints.
-
-        Raises:
-            UnknownNameError, InvalidValueError: the joints are no scheme of this chain.
-        """
+        """Choose the joints; UnknownNameError, InvalidValueError: they are no scheme here."""
         chain = problem.chain
         chosen = scheme(chain, self.actuated) if self.actuated else _best(chain)
         return TwoStepLaw(problem, chosen)

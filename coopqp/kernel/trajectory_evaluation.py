@@ -78,11 +78,8 @@ def survey(
 ) -> TrajectoryEvaluation | None:
     """The evaluation of motions; None where tasks have rows in Python, or follow signals.
 
-    Args:
-        chain: that moves.
-        tasks: whose rows are wanted, in their order.
-        start: the state where their references start.
-        points: ids of joints into chain.model.joints, and points in their frames [m].
+    References start in the state ``start``; ``points`` are ids of joints in chain.model, and points
+    in their frames [m].
     """
     model: Flat | None = chain.once(flat_model)
     if native.module() is None or model is None:

@@ -325,11 +325,7 @@ class ClosedChain:
         return found
 
     def _rank_where_closed(self) -> int:
-        """Rank on a walk with the loops closed; 0 where it cannot leave the start.
-
-        A paradoxical linkage, such as Bennett's, moves although configurations in which it is
-        grasped anew say that it cannot: where it is closed its rows depend on each other more.
-        """
+        """On a walk with closed loops, lower in paradoxical linkages (Bennett's); 0 if none."""
         jacobians = map(self.loop_jacobian, self.closed_walk(WALK))
         ranks = (int(np.linalg.matrix_rank(J, rtol=WALK_TOLERANCE)) for J in jacobians)
         return max(ranks, default=0)

@@ -33,9 +33,7 @@ def true_chain(chain: ClosedChain, seed: int, disturbance: Disturbance) -> Close
     """The chain with the disturbance's errors, at the nearest start with its loops closed.
 
     ``seed`` decides the errors' signs and directions. Without errors the chain is returned.
-
-    Raises:
-        InvalidValueError: the true loops cannot be closed near the start.
+    InvalidValueError: the true loops cannot be closed near the start.
     """
     if any(disturbance.object_com):
         held = chain.hold.held

@@ -57,8 +57,8 @@ class Way(NamedTuple):
     t: Array  # times, shape (T,) [s]
     q: Array  # joints then, shape (T, n)
     object: Array  # its poses, shape (T, 7)
-    # between two hands, by ``COMPONENTS``, shape (T, 6), or (T, 0) where nobody has said
-    wrench: Array
+    # between two hands, by ``COMPONENTS``, shape (T, 6); empty where nobody has said
+    wrench: Array = np.zeros((0, 0))
 
 
 @spec
@@ -81,9 +81,8 @@ class Followed:
 def following(scenario: Scenario, followed: Followed) -> Scenario:
     """The scenario with a plan before the tasks of each phase.
 
-    Raises:
-        CoopqpError: no way is found, or the file is none that 'coopqp plan' writes for such a
-            robot, start and phases.
+    CoopqpError: no way is found, or the file is none that 'coopqp plan' writes for such a robot,
+    start and phases.
     """
     with under("plan"):
         if isinstance(followed.plan, Path):
