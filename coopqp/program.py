@@ -93,11 +93,6 @@ class Primitive:
         return self.kind in (Kind.CENTERING, Kind.BARRIER, Kind.MANIPULABILITY)
 
     @property
-    def over_joints(self) -> bool:
-        """Whether its rows are of joints, not of the object's twist."""
-        return self.kind in (Kind.POSTURE, Kind.RELATIVE)
-
-    @property
     def compiles(self) -> bool:
         """Whether the kernel can evaluate it: it reads no rotation that follows a signal."""
         return self.profile.compiles and (self.goal is None or not self.goal.moves)
@@ -185,7 +180,8 @@ def begin(p: Primitive, start: State) -> Begin:
 
 def sees_twist(program: Sequence[Primitive] | None) -> bool:
     """Whether a task's rows are those of the object's twist, and nothing else."""
-    return program is not None and not any(p.of_joints or p.over_joints for p in program)
+    of_joints = (Kind.POSTURE, Kind.RELATIVE)
+    return program is not None and not any(p.of_joints or p.kind in of_joints for p in program)
 
 
 def markers(geometry: Sequence[Primitive], at: Instant) -> tuple[Marker, ...]:

@@ -102,7 +102,9 @@ def transmission(chain: ClosedChain, q: Array) -> Transmission:
     arms = []
     for name, J_i in zip(names, J, strict=True):
         borne = scaled(null_space_of(scaled(J_i).T))
-        screws = tuple(wrench_screw(column, origin) for column in borne.T)
+        # A force along a line is dual to a turn about it: (m; f) is a twist about the same axis.
+        turned = (np.concatenate([column[3:], column[:3]]) for column in borne.T)
+        screws = tuple(screw_of(twist, origin) for twist in turned)
         arms.append(ArmTransmission(name, counts(scaled(J_i), passive), screws))
     touched = [origin + X_WO.rotation @ hand.X_OC.translation for hand in hands(chain)]
     pairs = []
@@ -146,14 +148,6 @@ def null_space_of(rows: Array) -> Array:
         return null_space(rows)
     _, values, Vt = np.linalg.svd(rows)
     return np.ascontiguousarray(Vt[int(np.sum(values > MOTION_TOLERANCE)) :].T)
-
-
-def wrench_screw(wrench: Array, origin: Array) -> Screw:
-    """A wrench (f; m) at an origin as a screw, whose axis is its line of force.
-
-    A force along a line is dual to a turn about it: (m; f) is a twist about the same axis.
-    """
-    return screw_of(np.concatenate([wrench[3:], wrench[:3]]), origin)
 
 
 def force_words(screw: Screw) -> str:

@@ -67,7 +67,8 @@ def explain(
     if phase.causes[-1][0] is Status.INFEASIBLE:
         sentence = f"{phase.stands_still}: not all could hold in them; --tick says what"
         return base.because("failed", sentence)
-    if _out_of_budget(phase):
+    cut = {Status.STEP_SHORTENED, Status.LOOP_BUDGET}
+    if sum(bool(cut & set(causes)) for causes in phase.causes[-LAST:]) > MANY:
         return _budget(phase, base)
     torques = phase.controller.commands_torques
     if torques and (motors := _motors(phase)):
@@ -180,11 +181,6 @@ def _misled_by_model(phase: ExplainedPhase) -> str:
         return f"a push holds it away: without it {reached}"
     why = f"this is what the model gets wrong: without the disturbance {reached}"
     return f"{why}; 'coopqp calibrate' may find out what"
-
-
-def _out_of_budget(phase: ExplainedPhase) -> bool:
-    cut = {Status.STEP_SHORTENED, Status.LOOP_BUDGET}
-    return sum(bool(cut & set(causes)) for causes in phase.causes[-LAST:]) > MANY
 
 
 def _budget(phase: ExplainedPhase, base: RunExplanation) -> RunExplanation:

@@ -55,11 +55,6 @@ class Variation(ABC):
         """How many numbers of the unit interval make a value."""
         return 1
 
-    @property
-    def suffixes(self) -> tuple[str, ...]:
-        """What is added to the key's path for each number of a value; one empty for one."""
-        return tuple(f"[{i}]" for i in range(self.numbers)) if self.numbers else ("",)
-
     def parts(self, value: Any) -> tuple[Any, ...]:
         """The numbers or texts that stand in the columns of a value."""
         return tuple(value) if self.numbers else (value,)

@@ -45,8 +45,9 @@ class Varied:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Names of the columns with its values."""
-        return tuple(f"{self.path}{suffix}" for suffix in self.over.suffixes)
+        """Names of the columns with its values, one for each number."""
+        numbers = range(self.over.numbers)
+        return tuple(f"{self.path}[{i}]" for i in numbers) or (self.path,)
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,6 @@ from scipy.special import bdtr, bdtrik
 
 from coopqp.base.spec import Array
 from coopqp.study.sweep.results import Columns
-from coopqp.study.sweep.study import DONE
 
 Z = 1.959963984540054  # of a two-sided 95 % interval
 TAIL = 0.025  # of it, on each side
@@ -184,7 +183,7 @@ def summarize(columns: Columns, *, exact: bool) -> Summary:
     """Count, a column at a time; it is exact where nothing was drawn."""
     of, controllers = columns.codes("controller")
     state, states = columns.codes("state")
-    done = np.array([name == DONE for name in states] + [False])[state]
+    done = columns.done
     success, reached, margins = map(columns.numbers, ("success", "reached", MARGIN))
     errors = {name: columns.numbers(name) for name in columns.kinds if name.startswith(ERROR)}
     blocked_by, broken = map(columns.codes, ("blocked_by", "broken"))
