@@ -77,11 +77,7 @@ class TwoStep(Controller):
 
 
 def _best(chain: ClosedChain) -> tuple[int, ...]:
-    """The joints left over by a pivoted choice of J_c's columns, passive joints first.
-
-    Raises:
-        InvalidValueError: the loops do not decide the passive joints.
-    """
+    """The joints left over by a pivoted choice of J_c's columns, passive joints first."""
     J_c, passive = State(chain).J_loop, chain.passive.tolist()
     if len(independent_rows(J_c[:, passive].T)) < len(passive):
         raise InvalidValueError(

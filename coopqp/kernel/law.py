@@ -221,11 +221,7 @@ class KernelLaw(Law):
             return done
 
     def _run_all(self, state: State, found: TickBatch) -> None:
-        """Without the GIL, bit-equal to tick by tick.
-
-        Where the kernel has no answer the plain law decides the tick, and the kernel goes on. Where
-        Python fills rows, tasks follow signals, or joints are measured, each is a :meth:`tick`.
-        """
+        """Without the GIL, bit-equal to ticks; the plain law where the kernel has no answer."""
         done, ticks = 0, len(found.v)
         while done < ticks:
             inputs = state.inputs

@@ -100,11 +100,7 @@ def _misplaced(
 
 
 def _closed(chain: ClosedChain) -> ClosedChain:
-    """The chain at the nearest start with its loops closed.
-
-    What no joint can close, such as an offset across the plane of planar arms, is no error but
-    another grasp: the hands hold the object where it is.
-    """
+    """At the nearest start with closed loops; what no joint can close is another grasp."""
     state = State(chain)
     state.close_loops(STEPS)
     if not np.abs(state.e_loop).max(initial=0.0) < CLOSED:

@@ -192,10 +192,7 @@ def _wrong(text: str, needs: Numbers) -> str:
 
 
 def _negative_moment(element: Element) -> str:
-    """Warning about an inertia that is not positive semidefinite; empty of others.
-
-    A principal moment above the sum of the others passes: many published robots have it.
-    """
+    """Warning about a negative moment; one above the others' sum passes, as many robots have it."""
     moments = [float(element.get(name) or 0.0) for name in _MOMENTS]
     smallest, *_ = np.linalg.eigvalsh(inertia_matrix(moments))
     if smallest >= -ROUNDING:
@@ -291,10 +288,7 @@ OTHERWISE = {
 
 
 def _check_schema(xml: Element) -> list[str]:
-    """Refuse what is misspelt or missing, and links and joints that are no tree.
-
-    Returns warnings: some published robots have joints that follow none.
-    """
+    """Refuse what is misspelt, missing, or no tree; warnings of what follows no joint."""
     _check_known(xml, "robot")
     for part in (*xml.findall("link/visual"), *xml.findall("link/collision")):
         if part.find("geometry/*") is None:
@@ -384,10 +378,7 @@ def _link(joint: Element, tag: str) -> str:
 
 
 def _told_place(xml: Element, words: Sequence[str]) -> str:
-    """The place of the joint or link in brackets in a parser's message; else of the outermost one.
-
-    Messages are such as "joint [elbow]: limit has no velocity".
-    """
+    """Of the part in brackets, as in "joint [elbow]: limit has no velocity"; else of the whole."""
     named = {part.get("name"): part for tag in ("link", "joint") for part in xml.findall(tag)}
     for name in re.findall(r"\[(.*?)\]", "; ".join(words)):
         if name in named:

@@ -377,11 +377,7 @@ class Bridge:
         return Remark("loop", 2 if stopped else max(levels, default=0), words, values)
 
     def _with_position_gain(self, v: Array) -> Array:
-        """The velocities plus ``position_gain`` times the distance to the commanded positions.
-
-        Velocities alone would let every joint drift by what its servo does not follow. Where the
-        robot shall stand still, or nobody knows where it is, they are left as they are.
-        """
+        """With ``position_gain`` times the distance to the commanded positions, unless at rest."""
         loop = self._loop
         if not v.any() or HALTS.intersection(loop.command.causes):
             return v

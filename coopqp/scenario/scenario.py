@@ -373,10 +373,7 @@ class Scenario:
         )
 
     def _away(self, phase: Phase) -> tuple[str, ...]:
-        """Arms that are released in a phase, the one before and the one after.
-
-        A phase and the planned way to it are one.
-        """
+        """Arms that are released in a phase, with its planned way, or the one before or after."""
         part = list(itertools.accumulate((not one.leads for one in self.schedule), initial=0))
         for i, one in zip(part, self.schedule, strict=False):
             if one is phase or (phase.name and one.name == phase.name):

@@ -72,10 +72,7 @@ def contradicting(tasks: Sequence[T], fails: Callable[[tuple[T, ...]], bool]) ->
 
 
 def _contradiction(goal: Goal, q: Array) -> Contradiction:
-    """A minimal set of tasks of the object alone, else of any, which may then be one.
-
-    They cannot hold together, on any robot or on this one without limits.
-    """
+    """Fewest tasks, of the object alone if any, that cannot hold together without limits."""
     if goal.chain.n >= 6:
         own = tuple(task for task in goal.tasks if _of_object(goal.only([task])))
         if tasks := contradicting(own, lambda some: _free_fails(goal.only(some))):

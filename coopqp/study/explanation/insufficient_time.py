@@ -282,10 +282,7 @@ def _at_the_edge(
 
 
 def _speed_needed(look: PhaseTicks, rows: slice) -> float:
-    """Least share of the joints' speeds with which some rows could be followed in the last look.
-
-    Infinite where the loops leave no such motion.
-    """
+    """Least share of the joints' speeds that follows some rows in the last look; inf for none."""
     J, loops, most = look.stack.J[rows], look.state.J_loop, look.state.chain.velocity
     shares = np.diag(1.0 / np.maximum(most, 1e-9))  # none of joints without a limit
     equal = np.vstack([loops, J]), np.concatenate([np.zeros(len(loops)), look.stack.wanted[rows]])

@@ -324,10 +324,7 @@ def _until_missed(record: TickRecord, missed: NDArray[np.bool_]) -> TickRecord:
 
 
 def _possible(tick: TickRows, task_rows: Sequence[Row]) -> tuple[list[int], list[int]]:
-    """Task rows that loops and earlier rows leave open, and impossible ones.
-
-    These are ruled out by the loops and other rows of the same task.
-    """
+    """Task rows that loops and other rows leave open, and impossible ones."""
     kept, impossible = list[int](), list[int]()
     own = known = loops = np.linalg.qr(tick.A.T)[0].T
     for i, row in enumerate(tick.J):
