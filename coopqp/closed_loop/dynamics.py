@@ -241,11 +241,9 @@ class ClosedLoopDynamics:
     def object_wrenches(self, a: Array, wrench: Array, push: Array | None = None) -> ObjectWrenches:
         """Split the hands' wrenches on the object into what moves it and what is internal.
 
-        Args:
-            a: joint accelerations, shape (n,).
-            wrench: at the cut, from :meth:`direct` or :meth:`inverse` in the same state.
-            push: external wrench on the object, shape (6,), which acts on the tree through arm 0 as
-                ``J_object' push``.
+        ``wrench`` is at the cut, from :meth:`direct` or :meth:`inverse` in the same state;
+        ``push``, an external one on the object, shape (6,), acts on the tree through arm 0 as
+        ``J_object' push``.
         """
         M, b = self.object_inertia()
         carried = M @ (self.drift_arms[:6] + self.J_arms[:6] @ a) + b

@@ -90,12 +90,9 @@ class Bound:
 class StaticHold:
     """The linear programs of one pose: q with closed loops, the start if omitted.
 
-    Friction is divided by ``safety``.
-
-    Attributes:
-        hands: those that hold.
-        points: their contact points, shape (N, 3) [m].
-        weight: wrench at the object's origin that carries it, shape (6,).
+    Friction is divided by ``safety``. ``hands`` are those that hold, ``points`` their contact
+    points, shape (N, 3) [m], ``weight`` is the wrench at the object's origin that carries it, shape
+    (6,).
     """
 
     def __init__(self, chain: ClosedChain, q: Array | None = None, *, safety: float = 1.0) -> None:

@@ -108,13 +108,11 @@ class WrenchStack:
     """The rows of several tasks with ``of_forces``, whose references begin at a state.
 
     Attributes:
-        tasks: as given.
         rows: such as "task[internal_wrench].squeeze".
         C: shape (r, 6 N), on wrenches of the hands that hold, each at its point, in world axes.
         wanted: shape (r,) [N, N m].
         weights: of the rows; torques count as forces at LENGTH.
         hard: which of them must hold, shape (r,).
-        priorities: of the rows, shape (r,).
     """
 
     def __init__(self, tasks: Sequence[Task], start: State) -> None:

@@ -58,15 +58,10 @@ BOUND_TO = "q", "v", "gap", "felt", "memory", "inputs"
 
 
 class KernelLaw(Law):
-    """The QP law, compiled.
+    """The QP law, compiled; ``whole`` is the problem.
 
-    Args:
-        damping: cost of |v|^2.
-        error_damping: share of the damping that rules out any overshoot.
-        force_control: internal force control by measured forces, if any.
-
-    Attributes:
-        whole: the problem, compiled.
+    ``damping`` is the cost of |v|^2, ``error_damping`` the share of it that rules out any
+    overshoot.
     """
 
     engine = "kernel"

@@ -43,10 +43,7 @@ from coopqp.robot_files.xml import (
 def read_urdf(path: Path, package_dirs: Sequence[Path] = ()) -> Description:
     """Read a URDF file; meshes are looked for, but not read.
 
-    Args:
-        path: of the file.
-        package_dirs: folders of ``package://`` packages, besides those above the file.
-
+    ``package_dirs`` are folders of ``package://`` packages, besides those above the file.
     InvalidValueError: no such file, or not a URDF file.
     """
     xml = read_xml(path, ["robot"], "URDF")
@@ -443,13 +440,10 @@ def _origin(origin: Element | None) -> pin.SE3:
 
 
 def find_mesh(uri: str, urdf: Path, package_dirs: Sequence[Path]) -> Path | None:
-    """The file at a mesh's URI, or None.
+    """The file at the URI of a mesh in a URDF file, or None.
 
-    Args:
-        uri: ``package://NAME/PATH`` (or ``model://``), ``file://PATH`` or a path, relative to
-            the URDF's folder.
-        urdf: the file with the URI.
-        package_dirs: folders of packages.
+    It is ``package://NAME/PATH`` (or ``model://``), of folders of packages, ``file://PATH`` or a
+    path, relative to the URDF's folder.
     """
     scheme, _, rest = uri.rpartition("://")
     folder = absolute(urdf).parent

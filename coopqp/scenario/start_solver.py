@@ -196,20 +196,14 @@ def solve_start(
     progress: Progress | None = None,
     fits: Callable[[Start], bool] = lambda start: True,
 ) -> StartSolution:
-    """Find a configuration inside the limits in which every arm holds the object.
+    """Find a configuration inside the limits in which every arm holds the object, at its pose.
 
-    Args:
-        robot: the robot.
-        grasps: one for all arms, or one for each by the arm's name; with object_in_hand.
-        held: the object, with its pose.
-        near: posture that the start is to be near, by arm or joint; others may be anywhere.
-        seed: of the random configurations.
-        progress: called after each try.
-        fits: what starts should keep beside; the best that does is taken, or the best.
+    ``near`` is a posture that the start is to be near, by arm or joint; others may be anywhere.
+    ``seed`` is of the random configurations; ``progress`` is called after each try. ``fits`` says
+    what starts should keep beside; the best that does is taken, or the best.
 
-    Raises:
-        GraspError: pose or object_in_hand is missing, or an arm cannot reach: which, how far.
-        UnknownNameError: a grasp for an arm that the robot does not have.
+    GraspError: pose or object_in_hand is missing, or an arm cannot reach: which, how far.
+    UnknownNameError: a grasp for an arm that the robot does not have.
     """
     grasp_of = grasp_of_each(robot, grasps)
     missing = ["" if held.pose else "object.pose", _without_object(grasp_of)]

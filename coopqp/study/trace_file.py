@@ -303,14 +303,12 @@ def blocked_tick(run: Run, controller: str) -> int:
 def measured_run(
     path: Path | Run, scenario: Scenario, controller: str | None = None
 ) -> tuple[str, Array]:
-    """Where the sensors said that the joints are, with the real loops closed.
+    """The controller's name, and where sensors said that its joints are, shape (T, n) [rad, m].
 
-    An arm that has let go takes hold otherwise than before, so that what comes after is of another
-    grasp. On the plant ``kinematic`` nothing holds the hands together: only the first tick counts.
-    Without a controller it is the first of the trace for which sensors measured something.
-
-    Returns:
-        The controller's name, and the joints, shape (T, n) [rad, m].
+    The real loops are closed. An arm that has let go takes hold otherwise than before, so that what
+    comes after is of another grasp. On the plant ``kinematic`` nothing holds the hands together:
+    only the first tick counts. Without a controller it is the first for which sensors measured
+    something.
     """
     run, phases = read(path), zip(scenario.schedule, scenario.first_ticks, strict=True)
     arms = set(scenario.schedule[0].released)

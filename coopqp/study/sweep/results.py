@@ -198,9 +198,8 @@ KINDS = {bool: "bool", int: "int", float: "float", type(None): ""}
 class Index:
     """What the journals of a folder hold; a bit a variant, whatever the rows hold.
 
-    Attributes:
-        damaged: how many records are not as they were written; what they said is not there.
-        columns: kind of each column of rows, "bool", "int", "float" or "text", as they come.
+    ``damaged`` counts records that are not as they were written; what they said is not there.
+    ``columns`` has the kind of each column of rows, "bool", "int", "float" or "text", as they come.
     """
 
     def __init__(self, folder: Path, study: Study) -> None:
