@@ -37,7 +37,7 @@ class Status(enum.Enum):
     EQUALITY_RESIDUAL = "the answer violates the loop closure"
     BOUND_RESIDUAL = "the answer violates a limit"
     TASKS_RELAXED = (
-        "hard or scaled tasks are not met in full: limits and loops leave no motion that does so",
+        "hard or scaled tasks are not met in full: limits, loops or damping leave no such motion",
         True,
         True,
     )

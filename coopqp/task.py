@@ -19,7 +19,7 @@ from functools import cached_property
 from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
 import numpy as np
-from pydantic import Field, field_validator
+from pydantic import Field, ValidationInfo, field_validator
 
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.qp import Row
@@ -141,6 +141,13 @@ class Task(ABC):
     @classmethod
     def _type_name_if_empty(cls, name: str) -> str:
         return name or type_name(cls)
+
+    @field_validator("mode")
+    @classmethod
+    def _firm_has_weight(cls, mode: Mode, info: ValidationInfo) -> Mode:
+        if mode != "soft" and info.data.get("weight") == 0.0:
+            raise ValueError(f"found {mode} with weight 0, needs a weight above 0")
+        return mode
 
     @abstractmethod
     def rows(self, chain: ClosedChain) -> tuple[str, ...]:

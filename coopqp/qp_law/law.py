@@ -268,8 +268,12 @@ class QPLaw(Law):
         missed[:] = self._missed(v)
         missing[:] = 1.0 if leaves == 1.0 else 1.0 - (1.0 - leaves) * self._shares
         sizes = [(norm(missed[p]), norm(wanted[p])) for p in self._hard]
+        if leaves > 0.0:
+            J, parts = self.exact.J, self._scaled
+            sizes += [(norm(J[p] @ v - wanted[p]), norm(wanted[p])) for p in parts]
         lacks = [lack / max(whole, lack, MET) for lack, whole in sizes]
-        self.command.scale = 1.0 - max([0.0, *lacks, *missing.tolist()])
+        shares = missing.tolist() if leaves == 0.0 else ()
+        self.command.scale = 1.0 - max([0.0, *lacks, *shares])
 
     def _with_less_drift(self, state: State, failed: Status) -> tuple[Array, tuple[Status, ...]]:
         """The levels with as much of the drift correction as can be done."""

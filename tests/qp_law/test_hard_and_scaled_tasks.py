@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 import laws
 import numpy as np
@@ -13,6 +13,7 @@ from chains import Walk
 from laws import DT, LIMITS, NEAR, PLAIN, STEP, WIDE, answer, reach, run, ticks
 from scipy.optimize import linprog
 
+from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array
 from coopqp.base.spec import Pose as PoseValue
 from coopqp.grasps import Rigid
@@ -169,6 +170,17 @@ def test_scaled_task_leaves_a_blocked_direction_for_the_nearest_motion() -> None
     assert np.abs(trace.v[-100:]).max() < 1e-3
     chain = given.chain
     assert np.maximum(chain.lower - trace.q, trace.q - chain.upper).max() <= 1e-9
+    for k in np.flatnonzero(np.array(trace.status) == "TASKS_RELAXED")[:100:10]:
+        J, wanted = reach(State(chain, trace.q[k]), goal)
+        lacks = np.linalg.norm(J @ trace.v[k] - wanted) / np.linalg.norm(wanted)
+        assert trace.scale[k] == pytest.approx(max(1.0 - lacks, 0.0), abs=1e-4)
+
+
+@pytest.mark.parametrize("mode", ["hard", "scaled"])
+def test_hard_and_scaled_tasks_have_a_weight(mode: Literal["hard", "scaled"]) -> None:
+    """Their nearest motion would not see them."""
+    with pytest.raises(InvalidValueError, match="needs a weight above 0"):
+        PointOnPoint(goal=NEAR, mode=mode, weight=0.0)
 
 
 def test_soft_task_does_not_slow_a_scaled_one(chain: ClosedChain) -> None:

@@ -147,8 +147,9 @@ class Kernel {
     // The least share of its rate at which a hard or scaled task ran; 1 without such tasks.
     double scale() const {
         const Level& level = levels[0];
-        double least = 1.0;
-        for (double missing : missing_) least = std::min(least, 1.0 - missing);
+        double least = leaves_ > 0.0 ? 1.0 - off_direction_ : 1.0;
+        for (double missing : missing_)
+            if (leaves_ == 0.0) least = std::min(least, 1.0 - missing);
         for (std::size_t i = 0; i < level.task.size(); i++) {
             const int end = i + 1 < level.task.size() ? level.task[i + 1] : level.hard;
             double lacks2 = 0.0, wanted2 = MET * MET;
@@ -485,7 +486,8 @@ class Kernel {
     // counts, from none to all of it.
     double note_missed(const double* v) {
         const Level& level = levels[0];
-        if (level.hard) rows_.object_twist(v, V_);
+        if (level.hard || leaves_ > 0.0) rows_.object_twist(v, V_);
+        if (leaves_ > 0.0) note_direction(v);
         double most = 0.0;
         for (int s = 0; s < level.hard; s++) {
             double& missed = missed_[std::size_t(s)];
@@ -498,6 +500,24 @@ class Kernel {
             missing_[std::size_t(k)] =
                 leaves_ == 1.0 ? 1.0 : 1.0 - (1.0 - leaves_) * shares_->share(k);
         return part;
+    }
+
+    // How much scaled tasks that leave their directions lack of what they want, as a share; after the
+    // object's twist.
+    void note_direction(const double* v) {
+        const Level& level = levels[0];
+        off_direction_ = 0.0;
+        for (int k = 0; k < level.shares; k++) {
+            double lack2 = 0.0, wanted2 = MET * MET;
+            for (int s = level.hard; s < level.exact; s++) {
+                if (level.share[std::size_t(s)] != k) continue;
+                const double wanted = level.wanted[std::size_t(s)];
+                const double lack = rows_.times(level, s, v, V_) - wanted;
+                lack2 += lack * lack;
+                wanted2 += wanted * wanted;
+            }
+            off_direction_ = std::max(off_direction_, std::sqrt(lack2 / std::max(lack2, wanted2)));
+        }
     }
 
     Status find_limit_recovery() {
@@ -544,6 +564,7 @@ class Kernel {
     const Shares* shares_ = nullptr;       // that were decided last
     std::vector<double> missing_;          // of shares
     std::vector<double> speed_;            // of joints, up to which bodies were looked at
+    double off_direction_ = 0.0;           // what scaled tasks lack then, a share
     double d_ = 0.0;                       // damping of the first level
     double leaves_ = 0.0;                  // how far scaled tasks leave their directions
     double least_leaves_ = 0.0, aside_ = 0.0;  // what of it hard tasks ask for: by what they lack, t
