@@ -63,48 +63,34 @@ class Kind(IntEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class Primitive:
-    """A few rows of a task.
-
-    Attributes:
-        rows: which of the kind's rows, in the task's order; for a posture, which joints; for
-            manipulability, which axes of the world.
-        reference: the frame that the object is steered to; of a relative motion, its origin alone,
-            in the first arm's object frame.
-        profile: how the error goes to zero, or the objective to its goal.
-        point: of the object, in the object frame [m].
-        axis: of the object, in the object frame, of length one.
-        goal: of a rotation, in the reference's axes, None as at the start; of a relative motion, a
-            pose; of a posture, all joints, NaN where nothing is asked; of a twist, its components.
-        order: which number of a twist's goal each row follows.
-        length: a distance [m]; of a barrier, where its slope stops to grow; of manipulability m_0.
-        planar: for a distance, whether it is measured in the plane of the reference's first two
-            axes; for a twist, whether it is along the object's axes.
-        numbers: of joint objectives, one after the other, each by joint.
-        loop: that the arm of a relative motion closes with the first.
-    """
+    """A few rows of a task."""
 
     kind: Kind
+    # which of the kind's rows, in the task's order; for a posture, which joints; for
+    # manipulability, which axes of the world
     rows: tuple[int, ...]
+    # the frame that the object is steered to; of a relative motion, its origin alone, in the first
+    # arm's object frame
     reference: Reference = WORLD
-    profile: Profile = AT_ONCE
-    point: Vector3 = (0.0, 0.0, 0.0)
-    axis: Sequence[float] = (0.0, 0.0, 1.0)
+    profile: Profile = AT_ONCE  # how the error goes to zero, or the objective to its goal
+    point: Vector3 = (0.0, 0.0, 0.0)  # of the object, in the object frame [m]
+    axis: Sequence[float] = (0.0, 0.0, 1.0)  # of the object, in the object frame, of length one
+    # of a rotation, in the reference's axes, None as at the start; of a relative motion, a pose; of
+    # a posture, all joints, NaN where nothing is asked; of a twist, its components
     goal: Trajectory | None = None
-    order: Sequence[int] = ()
+    order: Sequence[int] = ()  # which number of a twist's goal each row follows
+    # a distance [m]; of a barrier, where its slope stops to grow; of manipulability m_0
     length: float = 0.0
+    # for a distance, whether it is measured in the plane of the reference's first two axes; for a
+    # twist, whether it is along the object's axes
     planar: bool = False
-    numbers: Sequence[Array] = ()
-    loop: int = 0
+    numbers: Sequence[Array] = ()  # of joint objectives, one after the other, each by joint
+    loop: int = 0  # that the arm of a relative motion closes with the first
 
     @property
     def of_joints(self) -> bool:
         """Whether it is an objective for all joints, without rows of its own."""
         return self.kind in (Kind.CENTERING, Kind.BARRIER, Kind.MANIPULABILITY)
-
-    @property
-    def over_joints(self) -> bool:
-        """Whether its rows are of joints, not of the object's twist."""
-        return self.kind in (Kind.POSTURE, Kind.RELATIVE)
 
     @property
     def compiles(self) -> bool:
@@ -155,17 +141,11 @@ def rotation(goal: Trajectory | None, profile: Profile, reference: Reference = W
 
 
 class Begin(NamedTuple):
-    """Where a primitive sets out.
+    """Where a primitive sets out."""
 
-    Attributes:
-        e: its error to the goal, one number a row.
-        phi: rotation vector from there to the goal [rad].
-        Q: the orientation there, shape (3, 3).
-    """
-
-    e: Array = np.zeros(0)
-    phi: Array = np.zeros(3)
-    Q: Array = np.eye(3)
+    e: Array = np.zeros(0)  # its error to the goal, one number a row
+    phi: Array = np.zeros(3)  # rotation vector from there to the goal [rad]
+    Q: Array = np.eye(3)  # the orientation there, shape (3, 3)
 
 
 def begin(p: Primitive, start: State) -> Begin:
@@ -200,7 +180,8 @@ def begin(p: Primitive, start: State) -> Begin:
 
 def sees_twist(program: Sequence[Primitive] | None) -> bool:
     """Whether a task's rows are those of the object's twist, and nothing else."""
-    return program is not None and not any(p.of_joints or p.over_joints for p in program)
+    of_joints = (Kind.POSTURE, Kind.RELATIVE)
+    return program is not None and not any(p.of_joints or p.kind in of_joints for p in program)
 
 
 def markers(geometry: Sequence[Primitive], at: Instant) -> tuple[Marker, ...]:

@@ -67,26 +67,18 @@ class Form(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class Convex:
-    """A convex body.
-
-    Attributes:
-        geometry: as coal has it.
-        placement: of the middle of the box round it, in the frame it was given in.
-        half: half the edges of that box, shape (3,) [m].
-        radius: of the ball round it, about the same middle [m].
-        points, rim: it is the hull of the points, shape (k, 3), thickened by the rim [m]; round
-            ends of a cylinder have a few of their points, what is round all over has one.
-        form: hull of the points, or which other body.
-        edges: which points those of a mesh's hull lie between, shape (e, 2).
-    """
+    """A convex body."""
 
     geometry: coal.CollisionGeometry
-    placement: pin.SE3
-    half: Array
-    radius: float
+    placement: pin.SE3  # of the middle of the box round it, in the frame it was given in
+    half: Array  # half the edges of that box, shape (3,) [m]
+    radius: float  # of the ball round it, about the same middle [m]
+    # points, rim: it is the hull of the points, shape (k, 3), thickened by the rim [m]; round ends
+    # of a cylinder have a few of their points, what is round all over has one
     points: Array
     rim: float = 0.0
-    form: Form = Form.HULL
+    form: Form = Form.HULL  # hull of the points, or which other body
+    # which points those of a mesh's hull lie between, shape (e, 2)
     edges: NDArray[np.int64] = field(default_factory=lambda: np.zeros((0, 2), np.int64))
 
 

@@ -86,21 +86,15 @@ class FilterSettings:
 
 @dataclass(frozen=True)
 class Change:
-    """Why a frame was changed.
-
-    Attributes:
-        limit: "not_finite", "joint_position", "joint_velocity", "self_collision" or "loop".
-        names: keys of the action, or of two bodies or arms.
-        by: how far the frame as given is beyond the limit, of loops how far it opens them; NaN
-            where it is not known, as of bodies that are in each other.
-        unit: deg or % as the action has, of speeds deg/s or %/s, of bodies and loops m.
-    """
+    """Why a frame was changed."""
 
     frame: int
-    limit: str
-    names: tuple[str, ...]
+    limit: str  # "not_finite", "joint_position", "joint_velocity", "self_collision" or "loop"
+    names: tuple[str, ...]  # keys of the action, or of two bodies or arms
+    # how far the frame as given is beyond the limit, of loops how far it opens them; NaN where it
+    # is not known, as of bodies that are in each other
     by: float = np.nan
-    unit: str = ""
+    unit: str = ""  # deg or % as the action has, of speeds deg/s or %/s, of bodies and loops m
 
     def __str__(self) -> str:
         far = "" if np.isnan(self.by) else f", beyond it by {self.by:.3g} {self.unit}"
@@ -109,18 +103,12 @@ class Change:
 
 @dataclass(frozen=True)
 class FilteredChunk:
-    """What the filter gives back.
+    """What the filter gives back."""
 
-    Attributes:
-        actions: as the chunk was given: an array (N, 12), or a list of dicts.
-        q: joints of the arms, shape (N, 10) [rad].
-        changed: which frames are not as given, shape (N,).
-        holding: in which frames both hands hold as they did in the one before, shape (N,).
-    """
-
-    actions: Any
-    q: Array
-    changed: NDArray[np.bool_]
+    actions: Any  # as the chunk was given: an array (N, 12), or a list of dicts
+    q: Array  # joints of the arms, shape (N, 10) [rad]
+    changed: NDArray[np.bool_]  # which frames are not as given, shape (N,)
+    # in which frames both hands hold as they did in the one before, shape (N,)
     holding: NDArray[np.bool_]
     _why: Iterator[Change] = field(repr=False)
 

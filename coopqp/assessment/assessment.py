@@ -39,10 +39,7 @@ FORCES = ("N", "N m")
 
 
 def _end_errors(trace: Trace, k: int) -> Array:
-    """The errors of task k that count as its end [the task's unit].
-
-    Of a force those of the last ``SETTLED`` seconds, and no more than the last fifth of its time.
-    """
+    """The errors of task k that count as its end: of a force those of a last stretch."""
     last, task = trace.last_instants[k], trace.tasks[k]
     if pushed(trace, k):
         rows = _rows_of(trace, task.name.rpartition(".")[0])  # the task is one of several parts

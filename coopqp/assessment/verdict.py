@@ -145,10 +145,7 @@ def not_followed(found: Assessment) -> str:
 
 
 def _where(found: Assessment, k: int) -> str:
-    """What can be seen where task k is missed; ``coopqp explain`` finds out why.
-
-    A way round is not tried here, where it would make every comparison wait, but named.
-    """
+    """What can be seen where task k is missed; a search would make comparisons wait."""
     if found.trace.manipulability[k] < thresholds.SINGULAR:
         return ", at a pose in which the arms can hardly move it that way"
     names = found.at_limits(k)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -358,7 +359,7 @@ def _print(study: Any, folder: Path, *, as_json: bool) -> None:
     columns = Columns.of(folder)
     summary = summarize(columns, exact=study.exact)
     if as_json:
-        print_json(table.as_json(study.name, summary))
+        print_json({"study": study.name, **asdict(summary)})
     else:
         show(table.table(study.name, summary))
         if compared := table.paired(summary):

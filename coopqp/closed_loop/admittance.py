@@ -121,13 +121,11 @@ class InternalForceControl:
         self._presses = any(hand.contact for hand in self._hands)
 
     def update(self, state: State) -> Status | None:
-        """Move the gap by how far the hands are to approach each other in this tick.
+        """Move the gap by how far the hands are to approach each other; the fault, if any.
 
-        ``state`` has up-to-date kinematics; its ``gap`` and memory are written.
-
-        Returns:
-            The fault, if any: the force was not measured, so the hands stay as they are, or the
-                hands are at ``most_way`` and the force error exceeds the task's tolerance.
+        ``state`` has up-to-date kinematics; its ``gap`` and memory are written. Either the force
+        was not measured, so the hands stay as they are, or the hands are at ``most_way`` and the
+        force error exceeds the task's tolerance.
         """
         p = points(self._hands, state.p_WO, state.R_WO)
         e = (p[1] - p[0]) / np.linalg.norm(p[1] - p[0])

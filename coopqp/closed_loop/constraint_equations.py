@@ -31,27 +31,17 @@ SINGULAR_CONDITION = 1e8
 
 @dataclass(frozen=True)
 class ConstraintEquations:
-    """The constraint equations of one choice of joints at one state.
+    """The constraint equations of one choice of joints at one state."""
 
-    Attributes:
-        actuated, passive, cut: indices of the joints.
-        G: v_p = G v_a, shape (p, f); NaN when the scheme is singular.
-        G_cut: v_c = G_cut v_a, shape (L, f).
-        motion: all joint velocities from the actuated ones, v = motion v_a, shape (n, f).
-        J_a: object twist from v_a by each arm, shape (N, 6, f) [m/rad, 1]; all N agree.
-        drift: what Jdot_c v adds to the accelerations, a = motion a_a + drift, shape (n,).
-        condition: of the block that is inverted; beyond 1e8 the scheme is singular here.
-    """
-
-    actuated: tuple[int, ...]
+    actuated: tuple[int, ...]  # indices of joints, as are the next two
     passive: tuple[int, ...]
     cut: tuple[int, ...]
-    G: Array
-    G_cut: Array
-    motion: Array
-    J_a: Array
-    drift: Array
-    condition: float
+    G: Array  # v_p = G v_a, shape (p, f); NaN when the scheme is singular
+    G_cut: Array  # v_c = G_cut v_a, shape (L, f)
+    motion: Array  # all joint velocities from the actuated ones, v = motion v_a, shape (n, f)
+    J_a: Array  # object twist from v_a by each arm, shape (N, 6, f) [m/rad, 1]; all N agree
+    drift: Array  # what Jdot_c v adds to the accelerations, a = motion a_a + drift, shape (n,)
+    condition: float  # of the block that is inverted; beyond 1e8 the scheme is singular here
 
     @property
     def singular(self) -> bool:

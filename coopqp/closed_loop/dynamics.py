@@ -48,36 +48,24 @@ class Friction:
 
 
 class DirectResult(NamedTuple):  # made at every step of a plant, in a third of a dataclass's time
-    """Result of the direct model; arrays are reused by the next call.
+    """Result of the direct model; arrays are reused by the next call."""
 
-    Attributes:
-        a: joint accelerations, shape (n,) [rad/s2].
-        wrench: lambda on all loop rows, shape (6 L,): force [N] and torque [N m] on arm i's side
-            of the cut, world axes, at the object's origin; the opposite acts on arm 0's side.
-        singular: whether the loops were singular, so that this is a least-squares solution.
-    """
-
-    a: Array
+    a: Array  # joint accelerations, shape (n,) [rad/s2]
+    # lambda on all loop rows, shape (6 L,): force [N] and torque [N m] on arm i's side of the cut,
+    # world axes, at the object's origin; the opposite acts on arm 0's side
     wrench: Array
-    singular: bool
+    singular: bool  # whether the loops were singular, so that this is a least-squares solution
 
 
 @dataclass(frozen=True)
 class InverseResult:
-    """Result of the inverse model; arrays are reused by the next call.
+    """Result of the inverse model; arrays are reused by the next call."""
 
-    Attributes:
-        tau: torques of all joints, zero where a joint is not actuated, shape (n,) [N m].
-        wrench: as in :class:`DirectResult`.
-        singular: whether the actuation scheme cannot produce every motion here; tau is then the
-            least-squares solution.
-        residual: largest generalised force that tau does not produce [N m].
-    """
-
-    tau: Array
-    wrench: Array
+    tau: Array  # torques of all joints, zero where a joint is not actuated, shape (n,) [N m]
+    wrench: Array  # as in DirectResult
+    # whether the scheme cannot produce every motion here; tau is then the least-squares solution
     singular: bool
-    residual: float
+    residual: float  # largest generalised force that tau does not produce [N m]
 
 
 class ClosedLoopDynamics:
@@ -253,11 +241,9 @@ class ClosedLoopDynamics:
     def object_wrenches(self, a: Array, wrench: Array, push: Array | None = None) -> ObjectWrenches:
         """Split the hands' wrenches on the object into what moves it and what is internal.
 
-        Args:
-            a: joint accelerations, shape (n,).
-            wrench: at the cut, from :meth:`direct` or :meth:`inverse` in the same state.
-            push: external wrench on the object, shape (6,), which acts on the tree through arm 0 as
-                ``J_object' push``.
+        ``wrench`` is at the cut, from :meth:`direct` or :meth:`inverse` in the same state;
+        ``push``, an external one on the object, shape (6,), acts on the tree through arm 0 as
+        ``J_object' push``.
         """
         M, b = self.object_inertia()
         carried = M @ (self.drift_arms[:6] + self.J_arms[:6] @ a) + b
@@ -270,11 +256,7 @@ class ClosedLoopDynamics:
         return ObjectWrenches(needed, by_arm, internal)
 
     def object_inertia(self) -> tuple[Array, Array]:
-        """The wrench at the object's origin for its motion and weight, w = M a_o + b, world axes.
-
-        Returns:
-            M, shape (6, 6), and b, shape (6,), as of the last update.
-        """
+        """M, (6, 6), and b, (6,), of the object's wrench at its origin M a_o + b, world axes."""
         model, data, frame = self.model, self._data, self.chain.frames[0]
         omega = pin.getFrameVelocity(model, data, frame, pin.LOCAL_WORLD_ALIGNED).angular
         R = data.oMf[frame].rotation.copy()
@@ -301,17 +283,11 @@ class ClosedLoopDynamics:
 
 @dataclass(frozen=True)
 class ObjectWrenches:
-    """Wrenches on the object: force [N] and torque [N m] at its origin, world axes.
+    """Wrenches on the object: force [N] and torque [N m] at its origin, world axes."""
 
-    Attributes:
-        needed: by its motion and weight, shape (6,).
-        by_arm: of each hand, shape (N, 6); they sum to ``needed``.
-        internal: the part that cancels between the hands, shape (N, 6); sums to zero.
-    """
-
-    needed: Array
-    by_arm: Array
-    internal: Array
+    needed: Array  # by its motion and weight, shape (6,)
+    by_arm: Array  # of each hand, shape (N, 6); they sum to ``needed``
+    internal: Array  # the part that cancels between the hands, shape (N, 6); sums to zero
 
 
 def actuated_joints(chain: ClosedChain, names: Sequence[str] | None) -> NDArray[np.intp]:

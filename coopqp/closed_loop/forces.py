@@ -69,17 +69,11 @@ OWN_WEIGHT = "the arms' own weight"
 
 @dataclass(frozen=True)
 class Bound:
-    """An extreme value and its active constraints.
-
-    Attributes:
-        value: the extreme value.
-        by: active constraints, such as "motor joint6" or "friction of left".
-        h: the wrenches with which it is reached, shape (N, 6) [N, N m].
-    """
+    """An extreme value and its active constraints."""
 
     value: float
-    by: tuple[str, ...]
-    h: Array
+    by: tuple[str, ...]  # active constraints, such as "motor joint6" or "friction of left"
+    h: Array  # the wrenches with which it is reached, shape (N, 6) [N, N m]
 
     @property
     def words(self) -> str:
@@ -96,12 +90,9 @@ class Bound:
 class StaticHold:
     """The linear programs of one pose: q with closed loops, the start if omitted.
 
-    Friction is divided by ``safety``.
-
-    Attributes:
-        hands: those that hold.
-        points: their contact points, shape (N, 3) [m].
-        weight: wrench at the object's origin that carries it, shape (6,).
+    Friction is divided by ``safety``. ``hands`` are those that hold, ``points`` their contact
+    points, shape (N, 3) [m], ``weight`` is the wrench at the object's origin that carries it, shape
+    (6,).
     """
 
     def __init__(self, chain: ClosedChain, q: Array | None = None, *, safety: float = 1.0) -> None:
@@ -322,23 +313,14 @@ class Squeeze:
 
 @dataclass(frozen=True)
 class Forces:
-    """The report.
+    """The report."""
 
-    Attributes:
-        transmission: which internal wrenches motors command.
-        load: the largest multiple of the object's weight that can be held at rest.
-        squeezes: by pair; along the edges between three hands; none for more.
-        safety: by which friction is divided.
-        contacts: names of the arms that hold by pressing.
-        why_not: why less than the weight can be held; empty where it can.
-    """
-
-    transmission: Transmission
-    load: Bound
-    squeezes: tuple[Squeeze, ...]
-    safety: float
-    contacts: tuple[str, ...]
-    why_not: str = ""
+    transmission: Transmission  # which internal wrenches motors command
+    load: Bound  # the largest multiple of the object's weight that can be held at rest
+    squeezes: tuple[Squeeze, ...]  # by pair; along the edges between three hands; none for more
+    safety: float  # by which friction is divided
+    contacts: tuple[str, ...]  # names of the arms that hold by pressing
+    why_not: str = ""  # why less than the weight can be held; empty where it can
 
     def sentences(self) -> Iterator[str]:
         found = self.transmission

@@ -57,15 +57,10 @@ def moved(wrench: Array, point: ArrayLike, to: ArrayLike) -> Array:
 
 @dataclass(frozen=True)
 class Split:
-    """What moves the object and what is internal, at one instant.
+    """What moves the object and what is internal, at one instant."""
 
-    Attributes:
-        G: grasp matrix, shape (6, 6 N).
-        X: hands' wrenches for a wrench on the object, G X = 1, shape (6 N, 6).
-    """
-
-    G: Array
-    X: Array
+    G: Array  # grasp matrix, shape (6, 6 N)
+    X: Array  # hands' wrenches for a wrench on the object, G X = 1, shape (6 N, 6)
 
     def moving(self, h: Array) -> Array:
         """The part X w of wrenches h, shape (N, 6) or (6 N,) [N, N m], that moves the object."""
@@ -154,16 +149,11 @@ class Section:
 
     The two directions across e are up, the world's z less its part along e, and e x up. Where e is
     within some degrees of the vertical, the world's x replaces z.
-
-    Attributes:
-        middle: c, shape (3,) [m].
-        axes: rows e, up and e x up, shape (3, 3).
-        rows: from (h_1; h_2), each at its hand, to the components, shape (6, 12).
     """
 
-    middle: Array
-    axes: Array
-    rows: Array
+    middle: Array  # c, shape (3,) [m]
+    axes: Array  # rows e, up and e x up, shape (3, 3)
+    rows: Array  # from (h_1; h_2), each at its hand, to the components, shape (6, 12)
 
     def of(self, h: Array) -> Array:
         """Components of both hands' wrenches at their points, shape (2, 6) or (12,) [N, N m]."""

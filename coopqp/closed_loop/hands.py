@@ -30,17 +30,11 @@ NEEDS = "force and torque of each of the robot's arms [N, N m]"
 
 @dataclass(frozen=True)
 class Hand:
-    """A hand that holds the object.
+    """A hand that holds the object."""
 
-    Attributes:
-        arm: its name.
-        X_OC: pose of the contact frame in the object.
-        contact: how it presses; None where it is fastened.
-    """
-
-    arm: str
-    X_OC: pin.SE3
-    contact: Contact | None
+    arm: str  # its name
+    X_OC: pin.SE3  # pose of the contact frame in the object
+    contact: Contact | None  # how it presses; None where it is fastened
 
 
 def hands(chain: ClosedChain) -> tuple[Hand, ...]:
@@ -83,8 +77,7 @@ def friction_needed(
 class WrenchReadings:
     """Checks what force sensors in the hands of a chain send before it is used.
 
-    Attributes:
-        fault: why the last reading cannot be used; empty if it can.
+    ``fault`` says why the last reading cannot be used; it is empty if it can.
     """
 
     def __init__(self, chain: ClosedChain) -> None:
@@ -115,13 +108,11 @@ class WrenchStack:
     """The rows of several tasks with ``of_forces``, whose references begin at a state.
 
     Attributes:
-        tasks: as given.
         rows: such as "task[internal_wrench].squeeze".
         C: shape (r, 6 N), on wrenches of the hands that hold, each at its point, in world axes.
         wanted: shape (r,) [N, N m].
         weights: of the rows; torques count as forces at LENGTH.
         hard: which of them must hold, shape (r,).
-        priorities: of the rows, shape (r,).
     """
 
     def __init__(self, tasks: Sequence[Task], start: State) -> None:

@@ -35,29 +35,17 @@ NEWTON, EXACT = 20, 1e-10
 
 @dataclass(frozen=True)
 class HiddenFreedom:
-    """A motion that the loop rows forbid and the loops allow.
+    """A motion that the loop rows forbid and the loops allow."""
 
-    Attributes:
-        start: loop error at the start [m, rad].
-        walk: largest loop error on the walk [m, rad].
-        rank: of the loop rows, by the tolerance of all coopqp.
-        resisting: rows that constrain the walk.
-        joint: the joint that moves most on it.
-        way: how far that joint goes [rad or m].
-        unit: of ``way``.
-        taken: arms whose grasp has no object_in_hand, so that the start decides it.
-        placed: whether the object's pose is given.
-    """
-
-    start: tuple[float, float]
-    walk: tuple[float, float]
-    rank: int
-    resisting: int
-    joint: str
-    way: float
-    unit: str
-    taken: tuple[str, ...]
-    placed: bool
+    start: tuple[float, float]  # loop error at the start [m, rad]
+    walk: tuple[float, float]  # largest loop error on the walk [m, rad]
+    rank: int  # of the loop rows, by the tolerance of all coopqp
+    resisting: int  # rows that constrain the walk
+    joint: str  # the joint that moves most on it
+    way: float  # how far that joint goes [rad or m]
+    unit: str  # of ``way``
+    taken: tuple[str, ...]  # arms whose grasp has no object_in_hand, so that the start decides it
+    placed: bool  # whether the object's pose is given
 
     @property
     def of_the_start(self) -> bool:

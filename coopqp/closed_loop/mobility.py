@@ -220,10 +220,7 @@ def _pose(chain: ClosedChain, q: Array) -> _Pose:
 
 
 def _generic_poses(chain: ClosedChain, sampled: Array) -> list[_Pose]:
-    """Poses with the object grasped anew; of a walk along closed loops where these have lower rank.
-
-    Links of a paradoxical linkage are as long as it needs only where it is not grasped anew.
-    """
+    """Poses grasped anew; of a closed walk where its ranks are lower: paradoxical linkages."""
     poses = [_pose(chain, q) for q in sampled]
     if max(matrix_rank(pose.J_c) for pose in poses) <= chain.loops.rank:
         return poses

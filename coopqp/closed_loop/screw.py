@@ -23,19 +23,14 @@ PEOPLE, NEARLY = {"x": "forward (x)", "y": "sideways (y)", "z": "up (z)"}, 0.99
 
 @dataclass(frozen=True)
 class Screw:
-    """A twist of the object up to its size.
+    """A twist of the object up to its size."""
 
-    Attributes:
-        twist: (v; omega) at the object's origin in world axes, shape (6,) [m/s, rad/s].
-        axis: unit direction of the screw's axis.
-        point: of the axis nearest to the object's origin [m]; the origin for a translation.
-        pitch: translation per turn [m/rad]; infinite for a translation.
-    """
-
+    # (v; omega) at the object's origin in world axes, shape (6,) [m/s, rad/s]
     twist: tuple[float, ...]
-    axis: tuple[float, ...]
+    axis: tuple[float, ...]  # unit direction of the screw's axis
+    # of the axis nearest to the object's origin [m]; the origin for a translation
     point: tuple[float, ...]
-    pitch: float
+    pitch: float  # translation per turn [m/rad]; infinite for a translation
 
     def words(self) -> str:
         """Such as "rotation about y through (0.300, 0.000, 0.200) m"."""

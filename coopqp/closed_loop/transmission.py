@@ -44,17 +44,12 @@ COMMANDED, STRUCTURE, LET_GO, MIXED = "commanded", "structure", "not transmitted
 
 @dataclass(frozen=True)
 class Counts:
-    """Dimensions of a space of wrenches.
+    """Dimensions of a space of wrenches."""
 
-    Attributes:
-        commanded, structure, let_go: see the module.
-        weakest: smallest singular value that is not zero [m or rad for a unit of joint motion].
-    """
-
-    commanded: int
+    commanded: int  # commanded, structure, let_go: see the module
     structure: int
     let_go: int
-    weakest: float
+    weakest: float  # smallest singular value that is not zero [m or rad for a unit of joint motion]
 
     @property
     def words(self) -> str:
@@ -107,7 +102,9 @@ def transmission(chain: ClosedChain, q: Array) -> Transmission:
     arms = []
     for name, J_i in zip(names, J, strict=True):
         borne = scaled(null_space_of(scaled(J_i).T))
-        screws = tuple(wrench_screw(column, origin) for column in borne.T)
+        # A force along a line is dual to a turn about it: (m; f) is a twist about the same axis.
+        turned = (np.concatenate([column[3:], column[:3]]) for column in borne.T)
+        screws = tuple(screw_of(twist, origin) for twist in turned)
         arms.append(ArmTransmission(name, counts(scaled(J_i), passive), screws))
     touched = [origin + X_WO.rotation @ hand.X_OC.translation for hand in hands(chain)]
     pairs = []
@@ -151,14 +148,6 @@ def null_space_of(rows: Array) -> Array:
         return null_space(rows)
     _, values, Vt = np.linalg.svd(rows)
     return np.ascontiguousarray(Vt[int(np.sum(values > MOTION_TOLERANCE)) :].T)
-
-
-def wrench_screw(wrench: Array, origin: Array) -> Screw:
-    """A wrench (f; m) at an origin as a screw, whose axis is its line of force.
-
-    A force along a line is dual to a turn about it: (m; f) is a twist about the same axis.
-    """
-    return screw_of(np.concatenate([wrench[3:], wrench[:3]]), origin)
 
 
 def force_words(screw: Screw) -> str:

@@ -26,11 +26,7 @@ Invert = Callable[[Array], NDArray[np.floating[Any]]]
 
 
 class StackedRows:
-    """The k rows of ``tasks`` above m loop rows, eq. (32).
-
-    Attributes:
-        A: H J_ext, shape (k + m, n), and b: [h_dot; V_rel], shape (k + m,).
-    """
+    """The k rows of ``tasks`` above m loop rows, eq. (32): A = H J_ext, b = [h_dot; V_rel]."""
 
     def __init__(self, problem: ControlProblem) -> None:
         start = State(problem.chain)

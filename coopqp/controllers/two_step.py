@@ -66,22 +66,14 @@ class TwoStep(Controller):
     omitted."""
 
     def build(self, problem: ControlProblem) -> Law:
-        """Choose the joints.
-
-        Raises:
-            UnknownNameError, InvalidValueError: the joints are no scheme of this chain.
-        """
+        """Choose the joints; UnknownNameError, InvalidValueError: they are no scheme here."""
         chain = problem.chain
         chosen = scheme(chain, self.actuated) if self.actuated else _best(chain)
         return TwoStepLaw(problem, chosen)
 
 
 def _best(chain: ClosedChain) -> tuple[int, ...]:
-    """The joints left over by a pivoted choice of J_c's columns, passive joints first.
-
-    Raises:
-        InvalidValueError: the loops do not decide the passive joints.
-    """
+    """The joints left over by a pivoted choice of J_c's columns, passive joints first."""
     J_c, passive = State(chain).J_loop, chain.passive.tolist()
     if len(independent_rows(J_c[:, passive].T)) < len(passive):
         raise InvalidValueError(

@@ -36,27 +36,18 @@ class Measured(NamedTuple):
 
 @dataclass
 class PhaseRun:
-    """A phase while it runs.
+    """A phase while it runs."""
 
-    Attributes:
-        scenario: as the controller holds it, :meth:`Scenario.held_by`.
-        index: of the phase in the schedule.
-        first: number of ticks of the phases before it.
-        plant: None where a robot takes its place.
-        state: now; whoever runs the phase leaves it at its end.
-        ticks: number of ticks done.
-    """
-
-    scenario: Scenario
+    scenario: Scenario  # as the controller holds it, :meth:`Scenario.held_by`
     controller: Controller
-    index: int
-    first: int
+    index: int  # of the phase in the schedule
+    first: int  # number of ticks of the phases before it
     problem: ControlProblem
     law: Law
-    plant: PlantModel | None
+    plant: PlantModel | None  # None where a robot takes its place
     inputs: Inputs
-    state: State
-    ticks: int = 0
+    state: State  # now; whoever runs the phase leaves it at its end
+    ticks: int = 0  # number of ticks done
 
     @property
     def phase(self) -> Phase:

@@ -147,10 +147,8 @@ def drive(
     """The control loop: take inputs, decide, send the command, step the plant.
 
     The plant is where the state is, which is written; after the last step its kinematics are up to
-    date. There are so many ticks, or as many as there are items.
-
-    Yields:
-        The command and how long the tick took [us], before the plant carries it out.
+    date. There are so many ticks, or as many as there are items. Yielded are the command and how
+    long the tick took [us], before the plant carries it out.
     """
     guarded = plant if isinstance(plant, GuardedPlant) else GuardedPlant(plant)
     for _ in range(ticks) if isinstance(ticks, int) else ticks:

@@ -28,14 +28,9 @@ class Told(IntEnum):
 class FreeSpace:
     """Whether configurations keep the distances of limits: self-collision, things in the world.
 
-    Args:
-        chain: the robot.
-        programs: of its limits (:meth:`coopqp.limit.Limit.program`); those that keep no distances
-            are left out. Pairs are numbered through, limit after limit.
-
-    It asks for a compiled kernel, and joints that are hinges or slides
-    (``flat_model(chain) is not None``).
-    ``compiled`` is what the kernel has of it.
+    ``programs`` of limits that keep no distances are left out; pairs are numbered through, limit
+    after limit. It asks for a compiled kernel, and joints that are hinges or slides
+    (``flat_model(chain) is not None``). ``compiled`` is what the kernel has of it.
     """
 
     def __init__(self, chain: ClosedChain, programs: Iterable[Program | None]) -> None:

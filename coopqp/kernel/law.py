@@ -58,15 +58,10 @@ BOUND_TO = "q", "v", "gap", "felt", "memory", "inputs"
 
 
 class KernelLaw(Law):
-    """The QP law, compiled.
+    """The QP law, compiled; ``whole`` is the problem.
 
-    Args:
-        damping: cost of |v|^2.
-        error_damping: share of the damping that rules out any overshoot.
-        force_control: internal force control by measured forces, if any.
-
-    Attributes:
-        whole: the problem, compiled.
+    ``damping`` is the cost of |v|^2, ``error_damping`` the share of it that rules out any
+    overshoot.
     """
 
     engine = "kernel"
@@ -221,11 +216,7 @@ class KernelLaw(Law):
             return done
 
     def _run_all(self, state: State, found: TickBatch) -> None:
-        """Without the GIL, bit-equal to tick by tick.
-
-        Where the kernel has no answer the plain law decides the tick, and the kernel goes on. Where
-        Python fills rows, tasks follow signals, or joints are measured, each is a :meth:`tick`.
-        """
+        """Without the GIL, bit-equal to ticks; the plain law where the kernel has no answer."""
         done, ticks = 0, len(found.v)
         while done < ticks:
             inputs = state.inputs

@@ -18,23 +18,15 @@ from coopqp.task import Programs, Task
 
 @dataclass(frozen=True)
 class TrajectoryValues:
-    """Values at I instants.
+    """Values at I instants."""
 
-    Attributes:
-        e, rate: of each row of the tasks, shape (I, R), as in :class:`coopqp.task.TaskRows`.
-        moved: J v of each row in the ticks between, shape (I - 1, R); None without v.
-        position, rotation: of the object, shapes (I, 3) [m] and (I, 3, 3).
-        loop_error: as ``State.loop_error``, shape (I, 6 L) [m, rad].
-        points: positions, shape (I, P, 3) [m].
-    """
-
-    e: Array
-    rate: Array
-    moved: Array | None
-    position: Array
-    rotation: Array
-    loop_error: Array
-    points: Array
+    e: Array  # of each row of the tasks, shape (I, R), as in TaskRows
+    rate: Array  # the same
+    moved: Array | None  # J v of each row in the ticks between, shape (I - 1, R); None without v
+    position: Array  # of the object, shape (I, 3) [m]
+    rotation: Array  # of the object, shape (I, 3, 3)
+    loop_error: Array  # as ``State.loop_error``, shape (I, 6 L) [m, rad]
+    points: Array  # positions, shape (I, P, 3) [m]
 
 
 class TrajectoryEvaluation:
@@ -86,11 +78,8 @@ def survey(
 ) -> TrajectoryEvaluation | None:
     """The evaluation of motions; None where tasks have rows in Python, or follow signals.
 
-    Args:
-        chain: that moves.
-        tasks: whose rows are wanted, in their order.
-        start: the state where their references start.
-        points: ids of joints into chain.model.joints, and points in their frames [m].
+    References start in the state ``start``; ``points`` are ids of joints in chain.model, and points
+    in their frames [m].
     """
     model: Flat | None = chain.once(flat_model)
     if native.module() is None or model is None:

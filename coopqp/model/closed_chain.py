@@ -60,19 +60,12 @@ WALK_TOLERANCE = 1e-6
 
 @dataclass(frozen=True)
 class LoopRows:
-    """Which of the 6 L loop rows are independent.
+    """Which of the 6 L loop rows are independent."""
 
-    Attributes:
-        rows: all of them, such as "loop[left].rot_y"; those of open loops come last.
-        closed: how many rows belong to closed loops.
-        kept: indices of the rows handed to the solvers.
-        rank: of the closed rows at generic configurations.
-    """
-
-    rows: tuple[Row, ...]
-    closed: int
-    kept: tuple[int, ...]
-    rank: int
+    rows: tuple[Row, ...]  # all of them, such as "loop[left].rot_y"; those of open loops come last
+    closed: int  # how many rows belong to closed loops
+    kept: tuple[int, ...]  # indices of the rows handed to the solvers
+    rank: int  # of the closed rows at generic configurations
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -332,11 +325,7 @@ class ClosedChain:
         return found
 
     def _rank_where_closed(self) -> int:
-        """Rank on a walk with the loops closed; 0 where it cannot leave the start.
-
-        A paradoxical linkage, such as Bennett's, moves although configurations in which it is
-        grasped anew say that it cannot: where it is closed its rows depend on each other more.
-        """
+        """On a walk with closed loops, lower in paradoxical linkages (Bennett's); 0 if none."""
         jacobians = map(self.loop_jacobian, self.closed_walk(WALK))
         ranks = (int(np.linalg.matrix_rank(J, rtol=WALK_TOLERANCE)) for J in jacobians)
         return max(ranks, default=0)

@@ -37,29 +37,22 @@ WEIGHT_SUM = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class GraspConfiguration:
-    """Which arms hold the object, how, and since when.
-
-    Attributes:
-        passive: the joints that each grasp adds, by arm, hand first.
-        weights: of the arms in the absolute variables, in the robot's order.
-        released: names of the arms that do not hold the object.
-        q: configuration when this began, passive joints included, shape (n,) [rad, m].
-        p_WO: where the object was then, shape (3,) [m].
-        away: names of released arms that do not hold it just before or after either; their hands
-            keep away from the object where a limit has bodies keep apart.
-        X_EO: pose of the object in the frame that carries it, by arm; fixed to the tip of an arm
-            that has let go.
-    """
+    """Which arms hold the object, how, and since when."""
 
     robot: RobotModel
     grasps: Mapping[str, Grasp]
+    # the joints that each grasp adds, by arm, hand first
     passive: Mapping[str, tuple[PassiveJoint, ...]]
-    weights: Array
-    released: tuple[str, ...]
+    weights: Array  # of the arms in the absolute variables, in the robot's order
+    released: tuple[str, ...]  # names of the arms that do not hold the object
     held: HeldObject
-    q: Array
-    p_WO: Array
+    q: Array  # configuration when this began, passive joints included, shape (n,) [rad, m]
+    p_WO: Array  # where the object was then, shape (3,) [m]
+    # pose of the object in the frame that carries it, by arm; fixed to the tip of an arm that has
+    # let go
     X_EO: Mapping[str, pin.SE3]
+    # names of released arms that do not hold it just before or after either; their hands keep away
+    # from the object where a limit has bodies keep apart
     away: tuple[str, ...] = ()
 
     @property

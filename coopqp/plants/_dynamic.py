@@ -207,14 +207,11 @@ class HandSignals:
     def write(
         self, wrenches: Array, points: Array, in_contacts: Array, borne: Array | None = None
     ) -> None:
-        """Write the signals.
+        """Write the signals, of wrenches on the object at points in the world of hands that hold.
 
-        Args:
-            wrenches: on the object, each at its point, world axes, shape (holding, 6).
-            points: in the world, shape (holding, 3) [m].
-            in_contacts: the same wrenches in the contacts' frames, shape (holding, 6).
-            borne: sum of the friction forces' sizes over all points of each contact, shape
-                (holding,) [N]; by the contact's own model of friction if omitted.
+        ``wrenches`` are each at its point in world axes, ``in_contacts`` the same wrenches in the
+        contacts' frames; ``borne`` is the sum of the friction forces' sizes over all points of each
+        contact [N], by its own model of friction if omitted.
         """
         told = self.signals
         for name in told.keys() - {"held", "slip"}:

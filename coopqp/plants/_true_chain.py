@@ -33,9 +33,7 @@ def true_chain(chain: ClosedChain, seed: int, disturbance: Disturbance) -> Close
     """The chain with the disturbance's errors, at the nearest start with its loops closed.
 
     ``seed`` decides the errors' signs and directions. Without errors the chain is returned.
-
-    Raises:
-        InvalidValueError: the true loops cannot be closed near the start.
+    InvalidValueError: the true loops cannot be closed near the start.
     """
     if any(disturbance.object_com):
         held = chain.hold.held
@@ -100,11 +98,7 @@ def _misplaced(
 
 
 def _closed(chain: ClosedChain) -> ClosedChain:
-    """The chain at the nearest start with its loops closed.
-
-    What no joint can close, such as an offset across the plane of planar arms, is no error but
-    another grasp: the hands hold the object where it is.
-    """
+    """At the nearest start with closed loops; what no joint can close is another grasp."""
     state = State(chain)
     state.close_loops(STEPS)
     if not np.abs(state.e_loop).max(initial=0.0) < CLOSED:

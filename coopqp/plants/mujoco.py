@@ -429,10 +429,7 @@ class MujocoModel(DynamicModel):
             true.v[index] = (true.q[index] - before) / self._dt
 
     def _wrenches(self) -> tuple[Array, Array]:
-        """Each hand's wrench on the object, at its origin in world axes, shape (holding, 6).
-
-        And the sum of the friction forces' sizes over all points of each contact, shape (holding,).
-        """
+        """The hands' wrenches on the object, at its origin in world axes; their friction [N]."""
         data, mujoco = self._data, self._mujoco
         by_arm, generalised = np.zeros((len(self._ends), 6)), np.zeros(self._model.nv)
         welds = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY

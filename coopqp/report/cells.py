@@ -94,10 +94,7 @@ def tick_times_in(trace: Trace) -> dict[str, Array]:
 
 
 def _tick(trace: Trace, engine: dict[str, Any] | None, beside_compiled: bool) -> Cell:
-    """The median in the language of most ticks, what rows cost, how many ran in the other one.
-
-    No time of Python beside times of compiled laws: a table compares laws, and not languages.
-    """
+    """The median in the language of most ticks; none of Python beside those of compiled laws."""
     times = sorted(tick_times_in(trace).items(), key=lambda item: -len(item[1]))
     if not times:
         return Cell(("-",))

@@ -94,10 +94,7 @@ COLOURED = 8  # numbers of a vertex with a weight and a colour
 
 
 def _obj(path: Path) -> tuple[Array, Ints]:
-    """Vertices, shape (v, 3), and the rows of them that each triangle has, shape (t, 3).
-
-    Faces with more corners are cut into triangles round their first.
-    """
+    """Vertices, shape (v, 3), and the rows that each triangle has, (t, 3); other faces as fans."""
     numbers, corners, last = array("d"), array("q"), 0
     largest, largest_at = -1, 0
     for number, line in enumerate(BytesIO(read_bytes(path, LARGEST)), 1):
@@ -141,10 +138,7 @@ NOT_READ = ("lookat", "skew", "instance_controller")
 
 
 def _collada(path: Path) -> tuple[Array, Ints]:
-    """Vertices, shape (v, 3), and the rows of them that each triangle has, shape (t, 3).
-
-    InvalidValueError: no such file, no COLLADA file, or one whose parts do not fit together.
-    """
+    """Vertices, shape (v, 3), and the rows of them that each triangle has, shape (t, 3)."""
     xml = read_xml(path, ["COLLADA"], "COLLADA", texts=True)
     library, points, corners = _Library(xml), [np.zeros((0, 3))], [np.zeros(0, np.int64)]
     before, total = 0, 0

@@ -220,10 +220,7 @@ DRAWN = 2  # the last group that is
 
 @dataclass(frozen=True, eq=False)
 class _Form:
-    """A geom of the file.
-
-    ``mesh``: MuJoCo's, None if it is none nor fitted to one; ``name``: of the mesh.
-    """
+    """A geom; ``mesh``, called ``name``, is MuJoCo's, None if it is none nor fitted to one."""
 
     geom: Any
     mesh: Any

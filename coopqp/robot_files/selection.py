@@ -39,26 +39,20 @@ class Follower:
 
 @dataclass(frozen=True, kw_only=True)
 class Description:
-    """A whole robot as a file describes it.
-
-    Attributes:
-        model: pinocchio model of all joints.
-        followers: joints that follow others (mimic), by name.
-        floating: joints that are free in space, which the model leaves out, each with the frames
-            that they would move.
-        shapes, collision_shapes, unseen, warnings: as in :class:`coopqp.robot.RobotModel`.
-        places: file and line of joints, by name.
-    """
+    """A whole robot as a file describes it."""
 
     name: str
-    model: pin.Model
+    model: pin.Model  # of all joints
+    # joints that follow others (mimic), by name
     followers: Mapping[str, Follower] = field(default_factory=dict)
+    # joints that are free in space, which the model leaves out, each with the frames that they
+    # would move
     floating: Mapping[str, frozenset[str]] = field(default_factory=dict)
-    shapes: tuple[Shape, ...] = ()
+    shapes: tuple[Shape, ...] = ()  # this and the next three as RobotModel has them
     collision_shapes: tuple[Shape, ...] = ()
     unseen: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
-    places: Mapping[str, str] = field(default_factory=dict)
+    places: Mapping[str, str] = field(default_factory=dict)  # file and line of joints, by name
 
     @property
     def joint_names(self) -> list[str]:

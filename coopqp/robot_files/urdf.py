@@ -43,10 +43,7 @@ from coopqp.robot_files.xml import (
 def read_urdf(path: Path, package_dirs: Sequence[Path] = ()) -> Description:
     """Read a URDF file; meshes are looked for, but not read.
 
-    Args:
-        path: of the file.
-        package_dirs: folders of ``package://`` packages, besides those above the file.
-
+    ``package_dirs`` are folders of ``package://`` packages, besides those above the file.
     InvalidValueError: no such file, or not a URDF file.
     """
     xml = read_xml(path, ["robot"], "URDF")
@@ -95,37 +92,26 @@ LARGEST = {"length": FARTHEST, "mass": 1e6, "other": 1e12, "limit": math.inf}
 
 @dataclass(frozen=True)
 class Numbers:
-    """What an attribute holds.
+    """What an attribute holds."""
 
-    Attributes:
-        count: how many numbers.
-        kind: lengths [m], masses [kg], limits, which may be infinite, or others.
-        positive: whether none may be negative.
-        direction: whether not all may be zero.
-    """
-
-    count: int
+    count: int  # how many numbers
+    # lengths [m], masses [kg], limits, which may be infinite, or others
     kind: Literal["length", "mass", "other", "limit"] = "other"
-    positive: bool = False
-    direction: bool = False
+    positive: bool = False  # whether none may be negative
+    direction: bool = False  # whether not all may be zero
 
 
 @dataclass(frozen=True)
 class Known:
-    """What an element may have.
+    """What an element may have."""
 
-    Attributes:
-        numbers: the attributes that hold numbers.
-        attributes, required: names of others that it may have; of those that it must have.
-        inside: entry of KNOWN for each element that it may contain; empty for those not read.
-        lenient: "attributes", "elements" or both, where others pass unless they are known names
-            misspelt: files of many makers have elements and attributes of their own.
-    """
-
-    attributes: str = ""
+    attributes: str = ""  # names of those that it may have, but for ``numbers``
+    # entry of KNOWN for each element that it may contain; empty for those not read
     inside: Mapping[str, str] = field(default_factory=dict)
-    numbers: Mapping[str, Numbers] = field(default_factory=dict)
-    required: str = ""
+    numbers: Mapping[str, Numbers] = field(default_factory=dict)  # the attributes that hold numbers
+    required: str = ""  # names of those that it must have
+    # "attributes", "elements" or both, where others pass unless they are known names misspelt:
+    # files of many makers have elements and attributes of their own
     lenient: str = ""
 
 
@@ -192,10 +178,7 @@ def _wrong(text: str, needs: Numbers) -> str:
 
 
 def _negative_moment(element: Element) -> str:
-    """Warning about an inertia that is not positive semidefinite; empty of others.
-
-    A principal moment above the sum of the others passes: many published robots have it.
-    """
+    """Warning about a negative moment; one above the others' sum passes, as many robots have it."""
     moments = [float(element.get(name) or 0.0) for name in _MOMENTS]
     smallest, *_ = np.linalg.eigvalsh(inertia_matrix(moments))
     if smallest >= -ROUNDING:
@@ -291,10 +274,7 @@ OTHERWISE = {
 
 
 def _check_schema(xml: Element) -> list[str]:
-    """Refuse what is misspelt or missing, and links and joints that are no tree.
-
-    Returns warnings: some published robots have joints that follow none.
-    """
+    """Refuse what is misspelt, missing, or no tree; warnings of what follows no joint."""
     _check_known(xml, "robot")
     for part in (*xml.findall("link/visual"), *xml.findall("link/collision")):
         if part.find("geometry/*") is None:
@@ -384,10 +364,7 @@ def _link(joint: Element, tag: str) -> str:
 
 
 def _told_place(xml: Element, words: Sequence[str]) -> str:
-    """The place of the joint or link in brackets in a parser's message; else of the outermost one.
-
-    Messages are such as "joint [elbow]: limit has no velocity".
-    """
+    """Of the part in brackets, as in "joint [elbow]: limit has no velocity"; else of the whole."""
     named = {part.get("name"): part for tag in ("link", "joint") for part in xml.findall(tag)}
     for name in re.findall(r"\[(.*?)\]", "; ".join(words)):
         if name in named:
@@ -463,13 +440,10 @@ def _origin(origin: Element | None) -> pin.SE3:
 
 
 def find_mesh(uri: str, urdf: Path, package_dirs: Sequence[Path]) -> Path | None:
-    """The file at a mesh's URI, or None.
+    """The file at the URI of a mesh in a URDF file, or None.
 
-    Args:
-        uri: ``package://NAME/PATH`` (or ``model://``), ``file://PATH`` or a path, relative to
-            the URDF's folder.
-        urdf: the file with the URI.
-        package_dirs: folders of packages.
+    It is ``package://NAME/PATH`` (or ``model://``), of folders of packages, ``file://PATH`` or a
+    path, relative to the URDF's folder.
     """
     scheme, _, rest = uri.rpartition("://")
     folder = absolute(urdf).parent

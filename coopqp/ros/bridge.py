@@ -86,17 +86,11 @@ def ros_name(joint: str) -> str:
 
 @dataclass(frozen=True)
 class Joints:
-    """The robot's joints without the grasps' passive ones, and which controller moves them.
+    """The robot's joints without the grasps' passive ones, and which controller moves them."""
 
-    Attributes:
-        names: in ROS, in the loop's order.
-        orders: of each controller's joints, in its order.
-        ordered: their indices in q.
-    """
-
-    names: tuple[str, ...]
-    orders: Mapping[str, Sequence[str]]
-    ordered: Mapping[str, NDArray[np.intp]]
+    names: tuple[str, ...]  # in ROS, in the loop's order
+    orders: Mapping[str, Sequence[str]]  # each controller's joints, in its order
+    ordered: Mapping[str, NDArray[np.intp]]  # their indices in q
 
 
 def joints_of(
@@ -104,8 +98,7 @@ def joints_of(
 ) -> Joints:
     """Which controller of ros2_control moves which joint; without an order a single one moves all.
 
-    Raises:
-        CoopqpError: a joint is unknown, moved twice or not at all, or an order is missing.
+    CoopqpError: a joint is unknown, moved twice or not at all, or an order is missing.
     """
     own = np.setdiff1d(np.arange(chain.n), chain.passive)
     index = {ros_name(chain.joint_names[i]): int(i) for i in own}
@@ -145,9 +138,7 @@ def value_of(kind: Kind, message: Any, frame: str) -> list[float]:
     """The value of an input in a message of the type :func:`message_of`.
 
     Of a pose a point takes the position, a rotation and a direction (its z axis) the orientation.
-
-    Raises:
-        InvalidValueError: it is in another frame than ``frame`` or none, or lacks a joint.
+    InvalidValueError: it is in another frame than ``frame`` or none, or lacks a joint.
     """
     if kind.each:
         names = _names(message)
@@ -206,8 +197,7 @@ class Clocks:
 class JointStates:
     """Measured joint positions from messages that may each have some of the joints.
 
-    Attributes:
-        wrong: what was wrong with the last message; empty if nothing was.
+    ``wrong`` says what was wrong with the last message; it is empty if nothing was.
     """
 
     def __init__(self, names: Sequence[str], silent_after: float) -> None:
@@ -221,8 +211,7 @@ class JointStates:
     def take(self, message: Any, sent: float | None, now: float) -> None:
         """Read a sensor_msgs/JointState that came now [s]; stamped later, it was sent now.
 
-        Raises:
-            InvalidValueError: it has not one position for each name, or a name twice.
+        InvalidValueError: it has not one position for each name, or a name twice.
         """
         sent = now if sent is None else min(sent, now)
         names, positions = _names(message), np.asarray(message.position, float)
@@ -377,11 +366,7 @@ class Bridge:
         return Remark("loop", 2 if stopped else max(levels, default=0), words, values)
 
     def _with_position_gain(self, v: Array) -> Array:
-        """The velocities plus ``position_gain`` times the distance to the commanded positions.
-
-        Velocities alone would let every joint drift by what its servo does not follow. Where the
-        robot shall stand still, or nobody knows where it is, they are left as they are.
-        """
+        """With ``position_gain`` times the distance to the commanded positions, unless at rest."""
         loop = self._loop
         if not v.any() or HALTS.intersection(loop.command.causes):
             return v

@@ -184,8 +184,7 @@ class Topics:
     def subscribe(self, kind: str, topic: str, take: Any) -> None:
         """Subscribe, with the QoS of sensors: lost messages are not sent again.
 
-        Raises:
-            CoopqpError: no topic can be called so.
+        CoopqpError: no topic can be called so.
         """
         from rclpy.qos import qos_profile_sensor_data
 

@@ -84,10 +84,8 @@ class FaultyPlant(PlantModel):
     """Wraps a plant, which is sound and at its start.
 
     Where readings are lost, ``q_measured`` is NaN, ``measured`` stays what was read last, and so do
-    q and v after a torque command.
-
-    Raises:
-        InvalidValueError: a fault of a force sensor, where there are none.
+    q and v after a torque command. InvalidValueError: a fault of a force sensor, where there are
+    none.
     """
 
     def __init__(

@@ -197,10 +197,7 @@ def of_faults(scenario: Scenario) -> Iterator[str]:
 
 
 def _coarse_steps(scenario: Scenario) -> Iterator[str]:
-    """Distances that one tick of joints at full speed can use up by its curvature alone.
-
-    A point at the arms' reach r that turns by an angle a leaves its tangent by r a^2 / 2.
-    """
+    """Distances that a tick can use up by curvature alone: r a^2 / 2 at reach r, of a turn by a."""
     chain, dt = scenario.chain, scenario.dt
     turns = np.array([unit == "rad" for unit in chain.joint_units]) & np.isfinite(chain.velocity)
     slowed = min([k.scale for k in scenario.limits if isinstance(k, JointVelocity)], default=1.0)
@@ -268,10 +265,7 @@ def _far(scenario: Scenario) -> Iterator[str]:
 
 
 def _unmovable(scenario: Scenario) -> Iterator[str]:
-    """A sentence on each goal that differs in something which no joint moves.
-
-    Jacobians are analytic: combinations of rows that are 0 at random configurations always are.
-    """
+    """A sentence on each goal with what no joint moves: 0 at random configurations is 0 at all."""
     problems = scenario.problems(lambda _: scenario.chain.q_start)
     ways = np.random.default_rng(0).uniform(-1.0, 1.0, (LOOKS, scenario.chain.n))
     for phase, problem in zip(scenario.schedule, problems, strict=True):

@@ -52,17 +52,13 @@ BEYOND, OF_SPEED, COARSE = 2e-3, ("m", "rad", "m/s", "rad/s"), 10
 
 
 class Way(NamedTuple):
-    """The way of one phase, from t = 0 on.
+    """The way of one phase, from t = 0 on."""
 
-    Attributes:
-        t: times, shape (T,) [s], and q: joints then, (T, n); object: its poses, (T, 7).
-        wrench: between two hands, by ``COMPONENTS``, shape (T, 6), or (T, 0) where nobody has said.
-    """
-
-    t: Array
-    q: Array
-    object: Array
-    wrench: Array
+    t: Array  # times, shape (T,) [s]
+    q: Array  # joints then, shape (T, n)
+    object: Array  # its poses, shape (T, 7)
+    # between two hands, by ``COMPONENTS``, shape (T, 6); empty where nobody has said
+    wrench: Array = np.zeros((0, 0))
 
 
 @spec
@@ -85,9 +81,8 @@ class Followed:
 def following(scenario: Scenario, followed: Followed) -> Scenario:
     """The scenario with a plan before the tasks of each phase.
 
-    Raises:
-        CoopqpError: no way is found, or the file is none that 'coopqp plan' writes for such a
-            robot, start and phases.
+    CoopqpError: no way is found, or the file is none that 'coopqp plan' writes for such a robot,
+    start and phases.
     """
     with under("plan"):
         if isinstance(followed.plan, Path):

@@ -58,17 +58,11 @@ UNIONS = (typing.Union, types.UnionType)
 
 
 class Key(NamedTuple):
-    """How a file says a field, where it does so otherwise than Python.
+    """How a file says a field, where it does so otherwise than Python."""
 
-    Attributes:
-        name: there; the field's own if empty.
-        form: type there; the field's own if None.
-        default: there; the field's own if omitted, and the key is needed if ``...``.
-    """
-
-    name: str = ""
-    form: Any = None
-    default: Any = MISSING
+    name: str = ""  # there; the field's own if empty
+    form: Any = None  # type there; the field's own if None
+    default: Any = MISSING  # there; the field's own if omitted, and the key is needed if ``...``
 
 
 #: Marks a field that no key of a file stands for alone.
@@ -373,10 +367,7 @@ class Scenario:
         )
 
     def _away(self, phase: Phase) -> tuple[str, ...]:
-        """Arms that are released in a phase, the one before and the one after.
-
-        A phase and the planned way to it are one.
-        """
+        """Arms that are released in a phase, with its planned way, or the one before or after."""
         part = list(itertools.accumulate((not one.leads for one in self.schedule), initial=0))
         for i, one in zip(part, self.schedule, strict=False):
             if one is phase or (phase.name and one.name == phase.name):

@@ -174,24 +174,16 @@ class StartProblem:
 
 @dataclass(frozen=True)
 class StartSolution:
-    """A start that closes all loops.
+    """A start that closes all loops."""
 
-    Attributes:
-        q: of the robot's joints, (robot.model.nq,); passive: of the grasps', by name [rad, m].
-        start: the same as a scenario has it, by arm and passive joint.
-        margin: least distance of a joint to its limit [rad, m]; infinite without limits.
-        tries: random configurations it took; none where a given start was closed.
-        found: starts among which this has the largest margin (least of all groups of arms).
-        tightest: the joint with the least distance; empty without limits.
-    """
-
-    q: Array
-    passive: Mapping[str, float]
+    q: Array  # of the robot's joints, shape (robot.model.nq,) [rad, m]
+    passive: Mapping[str, float]  # of the grasps' joints, by name [rad, m]
+    # the same as a scenario has it, by arm and passive joint
     start: Mapping[str, float | list[float]]
-    margin: float
-    tries: int
-    found: int
-    tightest: str = ""
+    margin: float  # least distance of a joint to its limit [rad, m]; infinite without limits
+    tries: int  # random configurations it took; none where a given start was closed
+    found: int  # starts among which this has the largest margin (least of all groups of arms)
+    tightest: str = ""  # the joint with the least distance; empty without limits
 
 
 def solve_start(
@@ -204,20 +196,14 @@ def solve_start(
     progress: Progress | None = None,
     fits: Callable[[Start], bool] = lambda start: True,
 ) -> StartSolution:
-    """Find a configuration inside the limits in which every arm holds the object.
+    """Find a configuration inside the limits in which every arm holds the object, at its pose.
 
-    Args:
-        robot: the robot.
-        grasps: one for all arms, or one for each by the arm's name; with object_in_hand.
-        held: the object, with its pose.
-        near: posture that the start is to be near, by arm or joint; others may be anywhere.
-        seed: of the random configurations.
-        progress: called after each try.
-        fits: what starts should keep beside; the best that does is taken, or the best.
+    ``near`` is a posture that the start is to be near, by arm or joint; others may be anywhere.
+    ``seed`` is of the random configurations; ``progress`` is called after each try. ``fits`` says
+    what starts should keep beside; the best that does is taken, or the best.
 
-    Raises:
-        GraspError: pose or object_in_hand is missing, or an arm cannot reach: which, how far.
-        UnknownNameError: a grasp for an arm that the robot does not have.
+    GraspError: pose or object_in_hand is missing, or an arm cannot reach: which, how far.
+    UnknownNameError: a grasp for an arm that the robot does not have.
     """
     grasp_of = grasp_of_each(robot, grasps)
     missing = ["" if held.pose else "object.pose", _without_object(grasp_of)]

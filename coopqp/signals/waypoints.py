@@ -161,10 +161,7 @@ def _same(kind: Kind, values: Array) -> bool:
 
 
 def _carry_over(quaternions: Array, *, round_trip: bool) -> None:
-    """Let each direction's axes be those of the one before, turned on the shortest way.
-
-    On a round trip these come back turned about the direction; each then takes its share of that.
-    """
+    """Turn each direction's axes on the shortest way; a round trip shares out what is left."""
     axes = [axes_along(matrix(quaternions[0])[:, 2]).T]
     for i, q in enumerate(quaternions[1:], start=1):
         before, there = axes[-1], matrix(q)[:, 2]

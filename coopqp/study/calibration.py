@@ -48,48 +48,36 @@ WORLD = pin.LOCAL_WORLD_ALIGNED
 
 @dataclass(frozen=True)
 class Offset:
-    """A parameter, such as "left.rot_x" of the object in a hand, in its axes, or "encoder[J1]".
-
-    Attributes:
-        unit, value: "m" or "rad"; in this unit.
-        deviation: standard deviation by noise alone; infinite where the motion does not identify
-            the parameter, NaN where there is one instant only.
-    """
+    """A parameter, such as "left.rot_x" of the object in a hand, in its axes, or "encoder[J1]"."""
 
     name: str
-    unit: str
-    value: float
+    unit: str  # "m" or "rad"
+    value: float  # in this unit
+    # standard deviation by noise alone; infinite where the motion does not identify the parameter,
+    # NaN where there is one instant only
     deviation: float
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """The identified errors of a model.
+    """The identified errors of a model."""
 
-    Attributes:
-        chain: with the offsets of the object in the hands, at the nearest start to where the run
-            began with its loops closed.
-        offsets: all parameters.
-        before, after: RMS of the largest loop error, position and orientation [m, rad], without
-            the offsets and with them.
-        noise: the same of the noise from tick to tick.
-        predicted, unfitted: the same in the ticks far from the start, with the offsets identified
-            from those near it alone, and without offsets; None where the joints stand still.
-        hidden: number of combinations of offsets that the motion does not identify.
-        ticks: number used.
-        travel: of the joint that moved farthest [rad, m].
-    """
-
+    # with the offsets of the object in the hands, at the nearest start to where the run began with
+    # its loops closed
     chain: ClosedChain
-    offsets: tuple[Offset, ...]
+    offsets: tuple[Offset, ...]  # all parameters
+    # before, after: RMS of the largest loop error, position and orientation [m, rad], without the
+    # offsets and with them
     before: Array
     after: Array
-    noise: Array
+    noise: Array  # the same of the noise from tick to tick
+    # predicted, unfitted: the same in the ticks far from the start, with the offsets identified
+    # from those near it alone, and without offsets; None where the joints stand still
     predicted: Array | None
     unfitted: Array | None
-    hidden: int
-    ticks: int
-    travel: float
+    hidden: int  # number of combinations of offsets that the motion does not identify
+    ticks: int  # number used
+    travel: float  # of the joint that moved farthest [rad, m]
 
     @property
     def not_shown(self) -> tuple[str, ...]:

@@ -93,18 +93,13 @@ class Lost:
 
 @dataclass(frozen=True)
 class Engine:
-    """Where work is done.
+    """Where work is done."""
 
-    Attributes:
-        jobs: processes on this machine, all cores when 0; with 1 the work is done in this process,
-            which then ends where an item ends its process.
-        scheduler: address of a Dask scheduler, whose workers then do the work.
-        share: what of a job its owner is to ask for here.
-    """
-
+    # processes on this machine, all cores when 0; with 1 the work is done in this process, which
+    # then ends where an item ends its process
     jobs: int = 0
-    scheduler: str = ""
-    share: Share = field(default_factory=Share)
+    scheduler: str = ""  # address of a Dask scheduler, whose workers then do the work
+    share: Share = field(default_factory=Share)  # what of a job its owner is to ask for here
 
     def results(
         self, work: Work, items: Iterable[Item], count: int | None = None
@@ -236,10 +231,7 @@ def cores() -> int:
 
 @contextmanager
 def _unsignalled() -> Iterator[None]:
-    """What is started here inherits that Ctrl-C and SIGTERM do not reach it.
-
-    Neither do they come here while something is half started, but right after.
-    """
+    """What is started here never gets Ctrl-C and SIGTERM; here they come right after."""
     resource_tracker.ensure_running()  # which would let both through again when it starts
     came: list[int] = []
     ours = threading.current_thread() is threading.main_thread()
@@ -258,10 +250,7 @@ def _unsignalled() -> Iterator[None]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Without joblib's warnings about work that is given up, or done by a process anew.
-
-    Nor with what a thread of loky says that hands out work while it is being given up.
-    """
+    """Without what joblib and loky say about work that is given up, or done by a process anew."""
     told = threading.excepthook
 
     def tell(args: threading.ExceptHookArgs) -> None:
@@ -350,11 +339,7 @@ class Cluster:
 
 
 def _answering() -> Any:
-    """Joblib's back-end, with an answer also where Dask gives a task up.
-
-    A task whose workers died too often ends in an error without a result. joblib 1.6 calls nobody
-    back then, so that who waits for results as they come would wait for ever.
-    """
+    """Joblib's back-end, with an answer where Dask gives a task up: joblib 1.6 waits for ever."""
     from joblib._dask import DaskDistributedBackend
 
     class Answering(DaskDistributedBackend):  # type: ignore[misc]

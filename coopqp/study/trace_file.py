@@ -153,10 +153,7 @@ def check_trace(run: Run, scenario: Scenario, controller: str) -> None:
 
 
 def _check_moves(run: Run, scenario: Scenario) -> None:
-    """Refuse what no run of the scenario can have had.
-
-    Where joints do exactly as told, q + v dt has to be the next q; servos and masses allow more.
-    """
+    """Refuse what no run can have had: q + v dt is the next q where joints do exactly as told."""
     dt, t, joints = scenario.dt, run.numbers(["t"])[:, 0], scenario.chain.joint_names
     off = np.abs(t - dt * np.arange(len(t))) > OF_A_TICK * dt
     if off.any():
@@ -287,10 +284,7 @@ def _row_of(run: Run, tick: int) -> int | None:
 
 
 def _halted(run: Run, controller: str, tick: int) -> str:
-    """The causes of a tick in which a live loop came to rest; empty where its law was asked.
-
-    Its time stands still then, so that is how it shows.
-    """
+    """The causes of a tick at rest, in which a live loop's time stands still; empty of others."""
     run = run.of(controller)
     row, t = _row_of(run.ticks, tick), run.columns["t"]
     status = "" if row is None else str(run.columns["status"][row])
@@ -309,14 +303,12 @@ def blocked_tick(run: Run, controller: str) -> int:
 def measured_run(
     path: Path | Run, scenario: Scenario, controller: str | None = None
 ) -> tuple[str, Array]:
-    """Where the sensors said that the joints are, with the real loops closed.
+    """The controller's name, and where sensors said that its joints are, shape (T, n) [rad, m].
 
-    An arm that has let go takes hold otherwise than before, so that what comes after is of another
-    grasp. On the plant ``kinematic`` nothing holds the hands together: only the first tick counts.
-    Without a controller it is the first of the trace for which sensors measured something.
-
-    Returns:
-        The controller's name, and the joints, shape (T, n) [rad, m].
+    The real loops are closed. An arm that has let go takes hold otherwise than before, so that what
+    comes after is of another grasp. On the plant ``kinematic`` nothing holds the hands together:
+    only the first tick counts. Without a controller it is the first for which sensors measured
+    something.
     """
     run, phases = read(path), zip(scenario.schedule, scenario.first_ticks, strict=True)
     arms = set(scenario.schedule[0].released)

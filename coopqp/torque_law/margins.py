@@ -101,22 +101,15 @@ def _damping(
 
 @dataclass(frozen=True)
 class TorqueLoop:
-    """All rows of a torque law: e_ddot = forward e_m_ddot - W (kp w + ki int w + kd w_dot).
+    """All rows of a torque law: e_ddot = forward e_m_ddot - W (kp w + ki int w + kd w_dot)."""
 
-    Attributes:
-        gains: of the reference model [1/s], and kp, ki, kd, shape (k,).
-        W: acceleration by a wrench, shape (k, k) [1/kg, ...].
-        dt: control period [s].
-        forward: 1 where the model's acceleration is fed forward, 0 where not.
-    """
-
-    gains: Array
+    gains: Array  # of the reference model [1/s], and kp, ki, kd, shape (k,)
     kp: Array
     ki: Array
     kd: Array
-    W: Array
-    dt: float
-    forward: float = 1.0
+    W: Array  # acceleration by a wrench, shape (k, k) [1/kg, ...]
+    dt: float  # control period [s]
+    forward: float = 1.0  # 1 where the model's acceleration is fed forward, 0 where not
 
     def damping(self, delay: int = DELAY) -> float:
         model = ReferenceModel(self.gains, self.dt)

@@ -20,11 +20,12 @@ from coopqp.planning import Budget
 from coopqp.planning.closed_space import ClosedSpace
 from coopqp.planning.plan import Planner
 from coopqp.qp_law.law import QPLaw
+from coopqp.scenario.planned import Way
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import Trajectory
 from coopqp.study.explanation import at_bound, explain, explain_standing
 from coopqp.study.tick_record import record_tick
-from coopqp.viewer.messages import Explanation, Snapshot, Way
+from coopqp.viewer.messages import Explanation, Snapshot, WayRound
 from coopqp.viewer.steering import at_targets, with_dials
 from coopqp.viewer.worker import Peer
 
@@ -104,7 +105,7 @@ def serve_ways(peer: Peer, scenario: Scenario) -> None:
         peer.send(found(scenario, snapshot))
 
 
-def found(scenario: Scenario, snapshot: Snapshot) -> Way:
+def found(scenario: Scenario, snapshot: Snapshot) -> WayRound:
     """A way from where the arms are to where the tasks are met with their inputs at the targets."""
     try:
         problem = problem_of(scenario, snapshot)
@@ -114,12 +115,12 @@ def found(scenario: Scenario, snapshot: Snapshot) -> Way:
         planner = Planner(replace(problem, chain=chain, tasks=tasks), snapshot.t)
         made = planner.plan(Budget(seconds=SECONDS, seed=scenario.seed))
     except Exception as error:  # noqa: BLE001 - code of plug-ins may raise; the page goes on
-        return Way(f"no way round can be looked for: {error}")
+        return WayRound(f"no way round can be looked for: {error}")
     if not made.found:
-        return Way(f"no way round was found in {SECONDS:g} s, which proves nothing")
+        return WayRound(f"no way round was found in {SECONDS:g} s, which proves nothing")
     took = f"{sum(made.seconds.values()):.2g} s, {made.length:.3g} rad"
     words = f"a way round was found in {took}: Go round follows it"
-    return Way(words, made.t, made.timed, made.object)
+    return WayRound(words, Way(made.t, made.timed, made.object))
 
 
 def inside(problem: ControlProblem, q: Array, seed: int) -> Array:

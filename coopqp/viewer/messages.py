@@ -7,13 +7,14 @@ Letters: b bodies, n joints, s segments. Poses are x, y, z, qx, qy, qz, qw.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coopqp.base.spec import Array
+from coopqp.scenario.planned import Way
 from coopqp.signal import Kind
 
 Tone = Literal["reached", "moving", "blocked", "broken", "waiting"]
@@ -146,15 +147,9 @@ class Snapshot:
     rests: bool
 
 
-def _no_rows() -> Array:
-    return np.zeros((0, 1))
-
-
 @dataclass(frozen=True)
-class Way:
-    """A way round tick by tick, and what is said of it; without rows where there is none."""
+class WayRound:
+    """What is said of a way round, and the way tick by tick; None where there is none."""
 
     sentence: str
-    t: Array = field(default_factory=_no_rows)  # shape (T,) [s]
-    q: Array = field(default_factory=_no_rows)  # joints, shape (T, n) [rad, m]
-    object: Array = field(default_factory=_no_rows)  # poses, shape (T, 7)
+    way: Way | None = None

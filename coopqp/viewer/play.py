@@ -140,7 +140,7 @@ class _Clock:
             return
         try:
             for message in self.planner.received():
-                player.way = message
+                player.way_round = message
         except EOFError:
             player.has_planner = False
         if player.has_planner and self.planner.ready and player.is_stuck:

@@ -19,6 +19,7 @@ from coopqp.model.state import State
 from coopqp.report.curves import chosen_styles
 from coopqp.report.scene.playback import Place
 from coopqp.scenario.input import FARTHEST
+from coopqp.scenario.planned import Way
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import Kind
 from coopqp.viewer import messages, picture
@@ -69,7 +70,9 @@ class Player:
         self.controllers = [SimulatedController(scenario, n, self._hands) for n in self._names]
         self.recording = Recording(self._read, self._steered, self._names, self._values)
         self.explanation, self._changed, self.note = messages.Explanation(), False, ""
-        self.way: messages.Way | None = None  # round what the arms are stuck at, if it is known
+        self.way_round: messages.WayRound | None = (
+            None  # what the arms are stuck at, if it is known
+        )
         self._asked: object = None
         self._ghost = 0
         self.tick()
@@ -188,7 +191,7 @@ class Player:
 
     def ask_way(self) -> messages.Snapshot:
         """The state from which a way round is looked for."""
-        self._asked, self.way = self._goals(), None
+        self._asked, self.way_round = self._goals(), None
         return self.snapshot()
 
     def _goals(self) -> object:
@@ -197,11 +200,11 @@ class Player:
         targets = {name: value.tolist() for name, value in controller.targets().items()}
         return self._main, controller.run.index, targets
 
-    def _offered(self) -> messages.Way | None:
+    def _offered(self) -> Way | None:
         """The way round that can be followed now."""
         if self._controller.follows or self._asked != self._goals():
-            self._asked, self.way = None, None
-        return self.way if self.way is not None and len(self.way.t) else None
+            self._asked, self.way_round = None, None
+        return self.way_round.way if self.way_round else None
 
     def _follow(self) -> None:
         if (way := self._offered()) is None:
@@ -347,9 +350,8 @@ class Player:
         if controller.follows:
             return "moving", _sentence("on the way round", drawn.words)
         if self.explanation.blocked:
-            way = (
-                self.way.sentence if self.way else "looking for a way round" if self._asked else ""
-            )
+            way = "looking for a way round" if self._asked else ""
+            way = self.way_round.sentence if self.way_round else way
             return "blocked", _sentence(self.explanation.sentence, way)
         if not self.has_explainer:
             return "waiting", _sentence("not at the goal", drawn.words, ENDED)

@@ -19,11 +19,9 @@ from coopqp.execution.rollout import GuardedPlant, drive
 from coopqp.model.state import State
 from coopqp.online.arrivals import in_columns
 from coopqp.scenario.input import Arrival, Clock, Feed, Inputs, InputSettings
-from coopqp.scenario.planned import CLOCK, way_tasks
-from coopqp.scenario.planned import Way as Along
+from coopqp.scenario.planned import CLOCK, Way, way_tasks
 from coopqp.scenario.scenario import Scenario
 from coopqp.task import TaskStack
-from coopqp.viewer.messages import Way
 
 ARRIVED = 1e-6  # an input nearer to its target has arrived
 Hands = Mapping[str, list[float]]
@@ -123,8 +121,7 @@ class SimulatedController:
         """Go along a way, from where its clock waits for the joints, then on with the own tasks."""
         self._leave_way()
         run, problem = self.run, self.run.problem
-        along = Along(way.t, way.q, way.object, np.zeros((0, 0)))
-        tasks = way_tasks(along, problem.dt, problem.chain.standing, run.controller)
+        tasks = way_tasks(way, problem.dt, problem.chain.standing, run.controller)
         start = State(run.problem.chain, run.state.q)
         law = run.controller.build(replace(run.problem, tasks=tasks))
         self.follows = Inputs({}, tasks, start, run.problem.dt).clocks[CLOCK]

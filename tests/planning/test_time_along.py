@@ -474,7 +474,7 @@ def test_accelerations_along_a_way_are_those_of_its_clock(pace: float) -> None:
     scenario = load("point_on_point")
     t = np.linspace(0.0, 1.0, 41)
     q = scenario.chain.q_start + 0.1 * np.sin(2.0 * t)[:, None]
-    way = Way(t, q, np.zeros((0, 7)), np.zeros((0, 0)))
+    way = Way(t, q, np.zeros((0, 7)))
     tasks = way_tasks(way, scenario.dt, True, TorqueQp())
     level = TaskDynamics(replace(scenario.problem(), tasks=tasks))
     state = State(scenario.chain)

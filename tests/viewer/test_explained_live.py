@@ -15,9 +15,10 @@ from coopqp.assessment import assess
 from coopqp.execution.controller_run import run
 from coopqp.model.profile import Profile
 from coopqp.scenario.loader import load
+from coopqp.scenario.planned import Way
 from coopqp.study.explanation import explain_standing
 from coopqp.viewer.explainer import found, serve
-from coopqp.viewer.messages import Action, Explanation, Way
+from coopqp.viewer.messages import Action, Explanation, WayRound
 from coopqp.viewer.player import Player
 from coopqp.viewer.worker import Peer
 
@@ -66,14 +67,15 @@ def test_where_it_is_stuck_a_way_round_is_offered_and_followed() -> None:
     assert player.is_stuck
     asked = player.ask_way()
     assert player.frame().sentence.endswith("looking for a way round.")
-    player.way = found(player.scenario, asked)
+    player.way_round = found(player.scenario, asked)
     assert not player.is_stuck  # it is known
     ghosts = [player.frame().ghost for _ in range(30)]
     assert all(ghost is not None for ghost in ghosts)
     assert np.ptp([ghost.held[2] for ghost in ghosts if ghost], axis=0) > 0.01  # it moves
     player.do(Action("follow"))
-    assert player.way is not None
-    for _ in range(len(player.way.t) - 100):
+    assert player.way_round is not None
+    assert player.way_round.way is not None
+    for _ in range(len(player.way_round.way.t) - 100):
         player.tick()
         assert player.frame().tone == "moving"
     for _ in range(400):
@@ -90,9 +92,9 @@ def test_where_it_is_stuck_a_way_round_is_offered_and_followed() -> None:
 @needs_robots
 def test_no_way_round_is_offered_for_goals_that_have_moved_since() -> None:
     player = Player(load("shelves"), ("qp",))
-    way = Way("found", np.arange(3.0), np.tile(player.snapshot().q, (3, 1)), np.zeros((3, 7)))
+    way = Way(np.arange(3.0), np.tile(player.snapshot().q, (3, 1)), np.zeros((3, 7)))
     player.ask_way()
-    player.way = way
+    player.way_round = WayRound("found", way)
     assert player.frame().ghost is not None
     player.do(Action("drag", 0, (0.5, 0.4, 0.3, 0.0, 0.0, 0.0, 1.0)))
     assert player.frame().ghost is None

@@ -154,7 +154,7 @@ def _summary(summary: Summary) -> str:
 
 def _line(k: int, line: Line, names: Sequence[str], *, exact: bool) -> list[str]:
     states = [f"{line.states.get(state, 0):,}" for state in ("done", "invalid", "failed")]
-    reached = f"{100.0 * line.reached.count / line.reached.of:.1f}" if line.reached.of else "-"
+    reached = line.reached.percent(1, exact=True)
     quantiles = [*(line.errors[name] for name in names), line.margin]
     shown = [f"{a:.3g}, {b:.3g}" if a == a else "-" for a, b in quantiles]
     name = f'<i style="background:{_style(k).color}"></i>{breakable(line.controller)}'
@@ -344,9 +344,8 @@ class Binned:
     @classmethod
     def of(cls, study: Study, columns: Columns) -> Binned:
         controller, names = columns.codes("controller")
-        state, states = columns.codes("state")
-        done = np.array([name == DONE for name in states] + [False])[state]
-        return cls(axes(study, columns), names, controller, done, columns.numbers("success"))
+        success = columns.numbers("success")
+        return cls(axes(study, columns), names, controller, columns.done, success)
 
     def maps(self) -> Iterator[dict[str, Any]]:
         """For each pair of axes and each controller how many rows, and how many succeed."""

@@ -6,8 +6,6 @@ import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict
-from typing import Any
 
 import click
 from rich import box
@@ -98,7 +96,7 @@ def _cells(line: Line, *, exact: bool) -> Iterator[Text]:
     yield Text(one_line(line.controller), style="bold")
     yield Text(", ".join(f"{line.states.get(s, 0):,}" for s in ("done", "invalid", "failed")))
     yield Text(line.success.percent(1, exact=exact))
-    yield Text(f"{100.0 * line.reached.count / line.reached.of:.1f}" if line.reached.of else "-")
+    yield Text(line.reached.percent(1, exact=True))
     errors = line.errors.items()
     yield Text("\n".join(_of_task(of, f"{_number(a)} {_number(b)}") for of, (a, b) in errors))
     yield from (Text(named(counts)) for counts in (line.blocked_by, line.broken))
@@ -111,11 +109,6 @@ def sentences(summary: Summary) -> Iterator[str]:
         yield f"{count:,} {'row' if count == 1 else 'rows'}: {reason}"
     if len(reasons) > MAX_REASONS:
         yield f"and {len(reasons) - MAX_REASONS} other reasons"
-
-
-def as_json(name: str, summary: Summary) -> dict[str, Any]:
-    """The same for machines."""
-    return {"study": name, **asdict(summary)}
 
 
 def named(counts: Mapping[str, int]) -> str:

@@ -72,10 +72,7 @@ def contradicting(tasks: Sequence[T], fails: Callable[[tuple[T, ...]], bool]) ->
 
 
 def _contradiction(goal: Goal, q: Array) -> Contradiction:
-    """A minimal set of tasks of the object alone, else of any, which may then be one.
-
-    They cannot hold together, on any robot or on this one without limits.
-    """
+    """Fewest tasks, of the object alone if any, that cannot hold together without limits."""
     if goal.chain.n >= 6:
         own = tuple(task for task in goal.tasks if _of_object(goal.only([task])))
         if tasks := contradicting(own, lambda some: _free_fails(goal.only(some))):
@@ -165,25 +162,16 @@ class TooFewFreedoms:
 
 @dataclass(frozen=True)
 class TooFar:
-    """One task cannot be met, whatever the limits.
+    """One task cannot be met, whatever the limits."""
 
-    Attributes:
-        goal, part: of that task; the part that is farthest off.
-        nearest: the nearest place.
-        gap: from there to the goal, rows of the part [the part's unit].
-        cost, shares: how much the limits add to it [the part's unit], 0 if little; their shares.
-        elsewhere: a nearer place in another configuration, if there is one.
-        in_world: whether the gap is along the world's x, y and z.
-    """
-
-    goal: Goal
-    part: PartOfTask
-    gap: Array
+    goal: Goal  # of that task
+    part: PartOfTask  # the part that is farthest off
+    gap: Array  # from the nearest place to the goal, rows of the part [the part's unit]
     nearest: Place
-    cost: float
-    shares: tuple[Share, ...]
-    elsewhere: Place | None
-    in_world: bool
+    cost: float  # how much the limits add to it [the part's unit], 0 if little
+    shares: tuple[Share, ...]  # of the limits in that
+    elsewhere: Place | None  # a nearer place in another configuration, if there is one
+    in_world: bool  # whether the gap is along the world's x, y and z
 
     @property
     def tasks(self) -> tuple[Task, ...]:

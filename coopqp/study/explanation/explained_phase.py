@@ -60,35 +60,24 @@ from coopqp.trace import InputTrace, Trace, followed
 
 @dataclass(frozen=True, kw_only=True)
 class ExplainedPhase:
-    """A phase of a run.
+    """A phase of a run."""
 
-    Attributes:
-        scenario: as the controller holds it, :meth:`Scenario.held_by`. name: the controller's.
-        problem: without limits where the controller supports none.
-        index, first: in the schedule; its first tick. phase_name: empty if it is the only one.
-        q: shape (K + 1, n). v: shape (K, n). tau: shape (K, n), or empty.
-        inputs: values of the whole run, by name.
-        errors: at the end of each part of a task, by name [the part's unit].
-        missed: parts that ended outside their tolerance, with their errors, as the assessment
-            orders them. gave_way: those of them that come after the first.
-        ordered: whether its law lets tasks of later levels give way.
-    """
-
-    scenario: Scenario
-    name: str
-    problem: ControlProblem
-    index: int
-    phase_name: str
-    first: int
-    q: Array
-    v: Array
-    tau: Array
+    scenario: Scenario  # as the controller holds it, :meth:`Scenario.held_by`
+    name: str  # of the controller
+    problem: ControlProblem  # without limits where the controller supports none
+    index: int  # in the schedule
+    phase_name: str  # empty if it is the only one
+    first: int  # its first tick
+    q: Array  # shape (K + 1, n)
+    v: Array  # shape (K, n)
+    tau: Array  # shape (K, n), or empty
     causes: tuple[tuple[Status, ...], ...]
-    errors: Mapping[str, float]
+    errors: Mapping[str, float]  # at the end of each part of a task, by name [the part's unit]
+    # parts that ended outside their tolerance, with their errors, as the assessment orders them
     missed: tuple[Missed, ...]
-    gave_way: tuple[Missed, ...]
-    ordered: bool
-    inputs: Mapping[str, InputTrace]
+    gave_way: tuple[Missed, ...]  # those of them that come after the first
+    ordered: bool  # whether its law lets tasks of later levels give way
+    inputs: Mapping[str, InputTrace]  # values of the whole run, by name
 
     @property
     def controller(self) -> Controller:
@@ -326,18 +315,12 @@ class _Programs:
 
 @dataclass(frozen=True)
 class SuggestedRelaxation:
-    """Relaxations of limits, the largest first, and the rerun with them.
-
-    Attributes:
-        after: the rerun; None where a limit cannot be relaxed so far.
-        time: that it takes, where that is more than the run has [s].
-        untried: name of a limit that has no method for it; else no setting gives so much.
-    """
+    """Relaxations of limits, the largest first, and the rerun with them."""
 
     needs: tuple[Violation, ...]
-    after: ExplainedPhase | None
-    time: float | None = None
-    untried: str = ""
+    after: ExplainedPhase | None  # the rerun; None where a limit cannot be relaxed so far
+    time: float | None = None  # that it takes, where that is more than the run has [s]
+    untried: str = ""  # name of a limit that has no method for it; else no setting gives so much
 
     @property
     def reached(self) -> bool | None:

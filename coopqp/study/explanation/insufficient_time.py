@@ -67,7 +67,8 @@ def explain(
     if phase.causes[-1][0] is Status.INFEASIBLE:
         sentence = f"{phase.stands_still}: not all could hold in them; --tick says what"
         return base.because("failed", sentence)
-    if _out_of_budget(phase):
+    cut = {Status.STEP_SHORTENED, Status.LOOP_BUDGET}
+    if sum(bool(cut & set(causes)) for causes in phase.causes[-LAST:]) > MANY:
         return _budget(phase, base)
     torques = phase.controller.commands_torques
     if torques and (motors := _motors(phase)):
@@ -182,11 +183,6 @@ def _misled_by_model(phase: ExplainedPhase) -> str:
     return f"{why}; 'coopqp calibrate' may find out what"
 
 
-def _out_of_budget(phase: ExplainedPhase) -> bool:
-    cut = {Status.STEP_SHORTENED, Status.LOOP_BUDGET}
-    return sum(bool(cut & set(causes)) for causes in phase.causes[-LAST:]) > MANY
-
-
 def _budget(phase: ExplainedPhase, base: RunExplanation) -> RunExplanation:
     kappa, most = phase.problem.kappa, 1.0 / phase.problem.dt
     text = f"the loops' budget is used up (kappa {kappa:g})"
@@ -282,10 +278,7 @@ def _at_the_edge(
 
 
 def _speed_needed(look: PhaseTicks, rows: slice) -> float:
-    """Least share of the joints' speeds with which some rows could be followed in the last look.
-
-    Infinite where the loops leave no such motion.
-    """
+    """Least share of the joints' speeds that follows some rows in the last look; inf for none."""
     J, loops, most = look.stack.J[rows], look.state.J_loop, look.state.chain.velocity
     shares = np.diag(1.0 / np.maximum(most, 1e-9))  # none of joints without a limit
     equal = np.vstack([loops, J]), np.concatenate([np.zeros(len(loops)), look.stack.wanted[rows]])

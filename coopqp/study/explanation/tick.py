@@ -216,41 +216,28 @@ CONFLICTS = (Status.INFEASIBLE, Status.LOOP_BUDGET)
 
 @dataclass(frozen=True)
 class Relaxation:
-    """By how much one limit would have to give.
+    """By how much one limit would have to give."""
 
-    Attributes:
-        name, words: of the limit's row; what a sentence calls it.
-        amount: for this tick [``unit``]: position limits in rad or m, the others per second.
-        now: whether it is active in this tick; the others would come next.
-    """
-
-    name: str
-    amount: float
+    name: str  # of the limit's row
+    amount: float  # for this tick [``unit``]: position limits in rad or m, the others per second
     unit: str
-    words: str = ""
-    now: bool = True
+    words: str = ""  # what a sentence calls it
+    now: bool = True  # whether it is active in this tick; the others would come next
 
 
 @dataclass(frozen=True)
 class Explanation:
-    """Why a tick could not do what its tasks asked.
+    """Why a tick could not do what its tasks asked."""
 
-    Attributes:
-        missed: task rows that the answer misses.
-        impossible: those that the loops alone rule out, whatever the limits.
-        relaxations: the smallest that would let all others hold; empty when nothing is missed.
-        contradicting: names of tasks that ask for motions which rule each other out.
-        holding: active limits that hold back, the most forceful first.
-        unmet: hard and scaled tasks that are not met in full.
-    """
-
-    missed: tuple[str, ...]
-    impossible: tuple[str, ...]
+    missed: tuple[str, ...]  # task rows that the answer misses
+    impossible: tuple[str, ...]  # those that the loops alone rule out, whatever the limits
+    # the smallest that would let all others hold; empty when nothing is missed
     relaxations: tuple[Relaxation, ...]
     sentence: str
+    # names of tasks that ask for motions which rule each other out
     contradicting: tuple[str, ...] = ()
-    holding: tuple[str, ...] = ()
-    unmet: tuple[Unmet, ...] = ()
+    holding: tuple[str, ...] = ()  # active limits that hold back, the most forceful first
+    unmet: tuple[Unmet, ...] = ()  # hard and scaled tasks that are not met in full
 
 
 def explain(record: TickRecord) -> Explanation:
@@ -324,10 +311,7 @@ def _until_missed(record: TickRecord, missed: NDArray[np.bool_]) -> TickRecord:
 
 
 def _possible(tick: TickRows, task_rows: Sequence[Row]) -> tuple[list[int], list[int]]:
-    """Task rows that loops and earlier rows leave open, and impossible ones.
-
-    These are ruled out by the loops and other rows of the same task.
-    """
+    """Task rows that loops and other rows leave open, and impossible ones."""
     kept, impossible = list[int](), list[int]()
     own = known = loops = np.linalg.qr(tick.A.T)[0].T
     for i, row in enumerate(tick.J):

@@ -234,43 +234,32 @@ class Needed:
 
 @dataclass(frozen=True, kw_only=True)
 class RunExplanation:
-    """Why a run did not reach its goal.
-
-    Attributes:
-        controller, phase, tick: of the run; the phase that missed, empty if the only one; its last.
-        kind: reached, broken, open, input, lost, limits, elsewhere, reach, contradiction,
-            freedom, speed, budget, short, rest, model, motors, springs, way, weight, failed or
-            unplaced.
-        missed: what ended outside its tolerance, hard and scaled tasks first, then the worst.
-        held_back, needed: limits by their share of the force; relaxations that would do.
-        tried: whether a rerun with these, or with the time needed, reached the goal; None if none.
-        tasks: that contradict each other, or are unreachable.
-        any_robot: whether they would on any other robot.
-        distance: to the nearest place [unit of what is missed most].
-        way: unit vector from there to the goal, where the task is a point of the world.
-        time: that would do, or at which the object was lost [s].
-        elsewhere: joints at the goal inside the limits, where the run does not get there [rad, m].
-        way_round: whether a plan from the start was found; None if none was looked for.
-        relaxed: hard and scaled tasks that were not met in full on the way.
-    """
+    """Why a run did not reach its goal."""
 
     controller: str
-    phase: str
-    tick: int
+    phase: str  # that missed; empty if it is the only one
+    tick: int  # its last
+    # reached, broken, open, input, lost, limits, elsewhere, reach, contradiction, freedom, speed,
+    # budget, short, rest, model, motors, springs, way, weight, failed or unplaced
     kind: str = ""
     sentence: str = ""
+    # what ended outside its tolerance, hard and scaled tasks first, then the worst
     missed: tuple[MissedPart, ...] = ()
-    held_back: tuple[HeldBack, ...] = ()
-    needed: tuple[Needed, ...] = ()
+    held_back: tuple[HeldBack, ...] = ()  # limits by their share of the force
+    needed: tuple[Needed, ...] = ()  # relaxations that would do
+    # whether a rerun with these, or with the time needed, reached the goal; None if none
     tried: bool | None = None
-    tasks: tuple[str, ...] = ()
-    any_robot: bool = False
-    distance: float | None = None
+    tasks: tuple[str, ...] = ()  # that contradict each other, or are unreachable
+    any_robot: bool = False  # whether they would on any other robot
+    distance: float | None = None  # to the nearest place [unit of what is missed most]
+    # unit vector from there to the goal, where the task is a point of the world
     way: tuple[float, ...] = ()
-    time: float | None = None
+    time: float | None = None  # that would do, or at which the object was lost [s]
+    # joints at the goal inside the limits, where the run does not get there [rad, m]
     elsewhere: tuple[float, ...] = ()
+    # whether a plan from the start was found; None if none was looked for
     way_round: bool | None = None
-    relaxed: tuple[Relaxed, ...] = ()
+    relaxed: tuple[Relaxed, ...] = ()  # hard and scaled tasks that were not met in full on the way
 
     def because(
         self, kind: str, words: str, shares: Sequence[Share] = (), **more: Any

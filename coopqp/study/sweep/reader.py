@@ -290,10 +290,7 @@ def _controllers(
 def _tried(
     file: YamlFile, varied: Sequence[Varied], scenario: YamlFile, base: YamlFile, catalog: Catalog
 ) -> Iterator[Wrong]:
-    """What keys do not take of their values, each alone, and the scenario of one of all keys.
-
-    Of numbers between two a few are tried, and one that is taken is enough.
-    """
+    """What keys do not take of some of their values, each alone, and the scenario of all keys."""
     known = {fault.message for fault in _faults(scenario, catalog)}
     plain = {key: base.data[key] for key in (CONTROLLERS,) if key in base.data}
     data, refused = base.data, False

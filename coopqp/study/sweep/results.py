@@ -37,7 +37,7 @@ from coopqp.base.errors import CoopqpError, MissingDependencyError
 from coopqp.base.reading import check_plain
 from coopqp.base.spec import Array
 from coopqp.study.engine import Share
-from coopqp.study.sweep.study import Row, Study
+from coopqp.study.sweep.study import DONE, Row, Study
 
 PATTERN = "journal*.sqlite3"
 #: Journals of coopqp 0.1, with a line a variant.
@@ -198,9 +198,8 @@ KINDS = {bool: "bool", int: "int", float: "float", type(None): ""}
 class Index:
     """What the journals of a folder hold; a bit a variant, whatever the rows hold.
 
-    Attributes:
-        damaged: how many records are not as they were written; what they said is not there.
-        columns: kind of each column of rows, "bool", "int", "float" or "text", as they come.
+    ``damaged`` counts records that are not as they were written; what they said is not there.
+    ``columns`` has the kind of each column of rows, "bool", "int", "float" or "text", as they come.
     """
 
     def __init__(self, folder: Path, study: Study) -> None:
@@ -364,6 +363,12 @@ class Columns:
             return np.full(len(self), np.nan)
         found: Array = self._column(name).cast("double").to_numpy(zero_copy_only=False)
         return found
+
+    @cached_property
+    def done(self) -> NDArray[np.bool_]:
+        """Which rows are done, shape (rows,)."""
+        state, states = self.codes("state")
+        return np.array([name == DONE for name in states] + [False])[state]
 
     def codes(self, name: str) -> tuple[NDArray[np.int64], list[str]]:
         """A column of texts: the number of each row's text, -1 for none, and the texts."""

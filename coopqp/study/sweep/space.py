@@ -46,23 +46,14 @@ SAMPLES = {
 
 
 class Variation(ABC):
-    """What one key is varied over.
+    """What one key is varied over."""
 
-    Attributes:
-        numbers: of a value that is a list of so many; 0 where it is no list.
-    """
-
-    numbers: int
+    numbers: int  # of a value that is a list of so many; 0 where it is no list
 
     @property
     def dimensions(self) -> int:
         """How many numbers of the unit interval make a value."""
         return 1
-
-    @property
-    def suffixes(self) -> tuple[str, ...]:
-        """What is added to the key's path for each number of a value; one empty for one."""
-        return tuple(f"[{i}]" for i in range(self.numbers)) if self.numbers else ("",)
 
     def parts(self, value: Any) -> tuple[Any, ...]:
         """The numbers or texts that stand in the columns of a value."""

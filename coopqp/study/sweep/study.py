@@ -45,8 +45,9 @@ class Varied:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Names of the columns with its values."""
-        return tuple(f"{self.path}{suffix}" for suffix in self.over.suffixes)
+        """Names of the columns with its values, one for each number."""
+        numbers = range(self.over.numbers)
+        return tuple(f"{self.path}[{i}]" for i in numbers) or (self.path,)
 
 
 @dataclass(frozen=True)
@@ -60,24 +61,18 @@ class Variant:
 
 @dataclass(frozen=True)
 class Study:
-    """What is asked.
-
-    Attributes:
-        scenario: with slots on the way to what is varied written out; path and text of its file.
-        points: a dimension for each number that is varied.
-        notes: what is odd, but no fault.
-    """
+    """What is asked."""
 
     file: YamlFile
-    scenario: YamlFile
-    scenario_text: tuple[Path, str]
+    scenario: YamlFile  # with slots on the way to what is varied written out
+    scenario_text: tuple[Path, str]  # path and text of its file
     catalog: Catalog
     varied: tuple[Varied, ...]
     controllers: tuple[str, ...]
-    points: Points
+    points: Points  # a dimension for each number that is varied
     metrics: tuple[str, ...]
     seed: int
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # what is odd, but no fault
 
     @property
     def name(self) -> str:

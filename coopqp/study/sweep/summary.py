@@ -24,7 +24,6 @@ from scipy.special import bdtr, bdtrik
 
 from coopqp.base.spec import Array
 from coopqp.study.sweep.results import Columns
-from coopqp.study.sweep.study import DONE
 
 Z = 1.959963984540054  # of a two-sided 95 % interval
 TAIL = 0.025  # of it, on each side
@@ -136,21 +135,17 @@ Rows = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Line:
-    """One controller on all variants.
-
-    Attributes:
-        states: how many rows are done, invalid and failed; the others are of those that are done.
-        errors: median and 95 % quantile of each task's error, by name.
-        margin: the same of the least distance to a joint's limit, 5 % instead of 95.
-        blocked_by, broken: how often each limit kept it from a goal, and was broken.
-    """
+    """One controller on all variants."""
 
     controller: str
+    # how many rows are done, invalid and failed; the others are of those that are done
     states: dict[str, int]
     success: Share
     reached: Share
-    errors: dict[str, tuple[float, float]]
+    errors: dict[str, tuple[float, float]]  # median and 95 % quantile of each task's error, by name
+    # the same of the least distance to a joint's limit, 5 % instead of 95
     margin: tuple[float, float]
+    # blocked_by, broken: how often each limit kept it from a goal, and was broken
     blocked_by: dict[str, int]
     broken: dict[str, int]
 
@@ -188,7 +183,7 @@ def summarize(columns: Columns, *, exact: bool) -> Summary:
     """Count, a column at a time; it is exact where nothing was drawn."""
     of, controllers = columns.codes("controller")
     state, states = columns.codes("state")
-    done = np.array([name == DONE for name in states] + [False])[state]
+    done = columns.done
     success, reached, margins = map(columns.numbers, ("success", "reached", MARGIN))
     errors = {name: columns.numbers(name) for name in columns.kinds if name.startswith(ERROR)}
     blocked_by, broken = map(columns.codes, ("blocked_by", "broken"))
