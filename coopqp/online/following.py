@@ -280,19 +280,22 @@ class JointFollowing:
         """What joints that are sound leave of the parity vector where all follow alike.
 
         They follow a share s of the velocities that their servos are told, and a loop of gain k
-        takes their error to zero: r' = -(1 - s) dq_c' - s k r. The last internal wrench pulls all
-        the while, or not at all, on arms that turn.
+        takes their error to zero: r' = -(1 - s) dq_c' - s k r; a constant wrench pulls, or none.
         """
-        J, time = np.stack([self._J[k % len(self._J)] for k in at]), self._h * (at[1] - at[0])
-        off = self._of(self._m, at[-1:]) - self._told(at[-1:], self._lag)
-        wrench = np.linalg.lstsq(self._compliance[:, None] * J[-1].T, off[0], rcond=SINGULAR)[0]
-        pulled = np.broadcast_to(self._compliance * (wrench @ J), r.shape)
+        pulled, time = np.broadcast_to(self._pulled(at), r.shape), self._h * (at[1] - at[0])
         causes = np.stack([r, c, r.cumsum(axis=1) * time, pulled])
         causes = (causes - causes.mean(axis=2, keepdims=True)) @ self._white
         G = np.einsum("asti,bsti->sab", causes, causes)
         short, gains = (np.linspace(0.0, most, 7) for most in ALIKE)
         p = np.stack(np.meshgrid(1.0, short, gains, [0.0, -1.0]), axis=-1)
         return float(np.einsum("wxyza,sab,wxyzb->swxyz", p, G, p).min())
+
+    def _pulled(self, at: Any) -> Array:
+        """How the internal wrench of the last sample would have pulled the joints, (T, n)."""
+        J = np.stack([self._J[k % len(self._J)] for k in at])
+        r = self._of(self._m, at[-1:]) - self._told(at[-1:], self._lag)
+        wrench = np.linalg.lstsq(self._compliance[:, None] * J[-1].T, r[0], rcond=SINGULAR)[0]
+        return np.asarray(self._compliance * (wrench @ J))
 
     def _best(self, m: Array, c: Array, at: Any) -> Suspect | None:
         """The fault that leaves least beside sound servos' motions c, if it explains the rest."""
