@@ -137,7 +137,10 @@ class JointFollowing:
 
     def update(self, state: State, q_c: Array, q_m: Array) -> Suspect | None:
         """Who does not follow, once two looks in succession agree; c is commanded, m measured."""
-        if not self._add(state, q_c, q_m) or self._samples < FEWEST:
+        if not self._add(q_c, q_m):
+            return None
+        self._J[(self._samples - 1) % len(self._J)] = state.J_loop[:, self._own]
+        if self._samples < FEWEST:
             return None
         if self._samples - self._whitened >= self._renew:
             self._white, self._whitened = self._whitening(state), self._samples
@@ -160,7 +163,7 @@ class JointFollowing:
         agree = (e and found and set(e.joints) & set(found.joints) for e in earlier)
         return found if any(agree) else None
 
-    def _add(self, state: State, q_c: Array, q_m: Array) -> bool:
+    def _add(self, q_c: Array, q_m: Array) -> bool:
         """Add to the sample that is being taken; whether it is whole."""
         at, part = divmod(self._count, self._every)
         if self._quick:
@@ -171,8 +174,6 @@ class JointFollowing:
                 sample[:] = (sample if part else 0.0) + q[self._own] / self._every
         self._count += 1
         self._samples = self._count // self._every
-        if self._samples > at:
-            self._J[at % len(self._J)] = state.J_loop[:, self._own]
         return self._samples > at
 
     def _stuck(self, span: int) -> Suspect | None:
@@ -345,8 +346,7 @@ class JointFollowing:
             return Suspect("joints_swapped", (j, k), float(slope[best]))
         late = self._told(at[None, :], np.arange(OWN_LAG * len(self._lags))[:, None])[:, :, best]
         late = motion[:, best] + delta[:, best] - late + late.mean(axis=1, keepdims=True)
-        alone = np.sum(late**2, axis=1).min()
-        if not jumped[best] and alone < CLEARLY * min(fit[best], unlike[best]):
+        if not jumped[best] and (late**2).sum(axis=1).min() < CLEARLY * min(fit[best], unlike[best]):
             return None
         back = backwards[best] or slope[best] > REVERSED
         kind = "joint_reversed" if back else "joint_not_following"

@@ -178,7 +178,7 @@ def test_a_session_with_a_fault_names_it_before_it_hurts(seed: int) -> None:
 
 @pytest.mark.few(1)
 @needs_robots
-@pytest.mark.parametrize("seed", [*range(5), 60010, 60100])
+@pytest.mark.parametrize("seed", range(5))
 def test_a_sound_session_names_nothing(seed: int) -> None:
     session = run(seed, sound=True)
     assert session.overloaded == (seed == 3)  # Baxter's shoulder is too weak for this one
