@@ -39,9 +39,7 @@ LOOKS, FEWEST, LONG = 40, 4, 4
 #: after so many of which nothing is left, and the share of the parity vector that they may leave.
 #: Share of a velocity by which all may fall short, and the gain that makes it good [1/s], at most.
 LATEST, TIMES, FADED, LAGGING = 0.14, np.arange(0.02, 0.155, 0.01), 3.0, 0.15
-#: How many times as late as all one sound joint may be, as by friction at a turn; of what a fault
-#: leaves of delta, this must leave so many times as much.
-ALIKE, OWN_LAG, CLEARLY = (0.3, 3.0), 3, 2.0
+ALIKE = (0.3, 3.0)
 #: Standard deviations: of a reading at least [rad, m]; of a servo's lag [s], and of what inertia
 #: adds for an acceleration, 1/frequency^2 [s^2]; of its stiffness, as a share of the sag.
 NOISE, LAG_NOISE, INERTIA_NOISE, STIFFNESS_NOISE = 4e-4, 6e-3, 2e-3, 0.1
@@ -108,7 +106,6 @@ class JointFollowing:
         self._spans = [max(2, round(window / h)) for window in WINDOWS]
         kept = self._spans[-1] + len(self._lags) // 2 + round(FADED * TIMES[-1] / h) + 2
         self._c, self._m = np.zeros((2, kept, n))
-        self._J = [np.zeros((0, n))] * kept  # J_loop of each sample
         self._pairs = list(combinations(range(n), 2))
         unit = np.identity(n)
         self._faults = np.vstack([unit, *(unit[j] - unit[k] for j, k in self._pairs)])
@@ -137,10 +134,7 @@ class JointFollowing:
 
     def update(self, state: State, q_c: Array, q_m: Array) -> Suspect | None:
         """Who does not follow, once two looks in succession agree; c is commanded, m measured."""
-        if not self._add(q_c, q_m):
-            return None
-        self._J[(self._samples - 1) % len(self._J)] = state.J_loop[:, self._own]
-        if self._samples < FEWEST:
+        if not self._add(q_c, q_m) or self._samples < FEWEST:
             return None
         if self._samples - self._whitened >= self._renew:
             self._white, self._whitened = self._whitening(state), self._samples
@@ -277,26 +271,18 @@ class JointFollowing:
         c = c.reshape(-1, len(at), len(self._own))
         return np.asarray(c - c.mean(axis=1, keepdims=True))
 
-    def _alike(self, r: Array, c: Array, at: Any) -> float:
+    def _alike(self, r: Array, c: Array, time: float) -> float:
         """What joints that are sound leave of the parity vector where all follow alike.
 
-        They follow a share s of the velocities that their servos are told, and a loop of gain k
-        takes their error to zero: r' = -(1 - s) dq_c' - s k r; a constant wrench pulls, or none.
+        They follow a share s of the velocities that their servos are told, of samples after each
+        ``time``, and a loop of gain k takes their error to zero: r' = -(1 - s) dq_c' - s k r.
         """
-        pulled, time = np.broadcast_to(self._pulled(at), r.shape), self._h * (at[1] - at[0])
-        causes = np.stack([r, c, r.cumsum(axis=1) * time, pulled])
+        causes = np.stack([r, c, r.cumsum(axis=1) * time])
         causes = (causes - causes.mean(axis=2, keepdims=True)) @ self._white
         G = np.einsum("asti,bsti->sab", causes, causes)
         short, gains = (np.linspace(0.0, most, 7) for most in ALIKE)
-        p = np.stack(np.meshgrid(1.0, short, gains, [0.0, -1.0]), axis=-1)
-        return float(np.einsum("wxyza,sab,wxyzb->swxyz", p, G, p).min())
-
-    def _pulled(self, at: Any) -> Array:
-        """How the internal wrench of the last sample would have pulled the joints, (T, n)."""
-        J = np.stack([self._J[k % len(self._J)] for k in at])
-        r = self._of(self._m, at[-1:]) - self._told(at[-1:], self._lag)
-        wrench = np.linalg.lstsq(self._compliance[:, None] * J[-1].T, r[0], rcond=SINGULAR)[0]
-        return np.asarray(self._compliance * (wrench @ J))
+        p = np.stack([np.ones((7, 7)), *np.meshgrid(short, gains)], axis=-1)
+        return float(np.einsum("xya,sab,xyb->sxy", p, G, p).min())
 
     def _best(self, m: Array, c: Array, at: Any) -> Suspect | None:
         """The fault that leaves least beside sound servos' motions c, if it explains the rest."""
@@ -313,15 +299,14 @@ class JointFollowing:
         lags, left, faults = left.argmin(axis=0), left.min(axis=0), np.arange(len(signs))
         delta = along[lags, :, faults].T / lengths  # (T, faults)
         motion = np.einsum("ftn,fn->tf", c[lags], self._faults)
-        slope, fit = _slopes(delta, motion)
+        slope = _slopes(delta, motion)
         moves = np.ptp(motion, axis=0) > LEAST_MOTION
         steps, ranges = np.abs(delta[2:] - delta[:-2]).max(axis=0), np.ptp(delta, axis=0)
         jumped = (steps > JUMP * ranges) & (ranges > LEAST_JUMP)
         noise = self._noise * (1.0 - 1.0 / self._white.shape[1])
         share = np.maximum(left - noise, 0.0) / above
         read = m @ self._faults.T
-        unlike = np.sum((delta - 2.0 * read) ** 2, axis=0)
-        backwards = unlike < BACKWARDS * np.sum(delta**2, axis=0)
+        backwards = np.sum((delta - 2.0 * read) ** 2, axis=0) < BACKWARDS * np.sum(delta**2, axis=0)
         still = np.ptp(read, axis=0) < STANDS * np.maximum(np.ptp(motion, axis=0), ranges)
         off = moves & (slope > LEAST_SLOPE) & (still | (slope < MOST_SLOPE)) | jumped | backwards
         exchanged = moves & (slope > SWAPPED[0]) & (slope < SWAPPED[1])
@@ -330,7 +315,7 @@ class JointFollowing:
         first, second = np.argsort(left)[:2]
         if first >= n and share[first] < ALONE * min(1.0, share[second]):
             good[first] = exchanged[first]
-        alike = self._alike(r, c, at) - self._noise
+        alike = self._alike(r, c, self._h * (at[1] - at[0])) - self._noise
         stops = np.minimum(told - self._least, self._most - told).min(axis=0) < NEAR
         stopped = (share[:n][stops] < 1.0 - EXPLAINED).any()
         if stopped or not good.any() or alike < max(LAGGING * above, self._enough):
@@ -344,10 +329,6 @@ class JointFollowing:
         if best >= n:
             j, k = (int(self._own[i]) for i in pairs[best - n])
             return Suspect("joints_swapped", (j, k), float(slope[best]))
-        late = self._told(at[None, :], np.arange(OWN_LAG * len(self._lags))[:, None])[:, :, best]
-        late = motion[:, best] + delta[:, best] - late + late.mean(axis=1, keepdims=True)
-        if not jumped[best] and (late**2).sum(axis=1).min() < CLEARLY * min(fit[best], unlike[best]):
-            return None
         back = backwards[best] or slope[best] > REVERSED
         kind = "joint_reversed" if back else "joint_not_following"
         kind = "encoder_jumped" if jumped[best] else "joint_stands_still" if still[best] else kind
@@ -356,8 +337,8 @@ class JointFollowing:
         return Suspect(kind, joints, float(slope[best]))
 
 
-def _slopes(delta: Array, motion: Array) -> tuple[Array, Array]:
-    """-delta over motion (T, faults) since the onset that leaves least of delta, and how much."""
+def _slopes(delta: Array, motion: Array) -> Array:
+    """-delta over motion (T, faults) since the onset that explains most of delta, (faults,)."""
     slopes, most = np.zeros((2, delta.shape[1]))
     for onset in (int(share * len(delta)) for share in ONSETS):
         since = np.maximum(np.arange(len(delta)) - onset, 0)
@@ -367,4 +348,4 @@ def _slopes(delta: Array, motion: Array) -> tuple[Array, Array]:
         along = (delta * moved).sum(axis=0)
         better = along**2 > most * squares
         slopes[better], most[better] = (-along / squares)[better], (along**2 / squares)[better]
-    return slopes, np.sum(delta**2, axis=0) - most
+    return slopes
