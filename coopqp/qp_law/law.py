@@ -37,7 +37,7 @@ from coopqp.model.state import State
 from coopqp.qp_law.equations import LEAST_SPEED, MOST_DAMPING, SCALE_WEIGHT, Damping, note_chatter
 from coopqp.qp_law.level import Given, Level
 from coopqp.qp_law.limit_recovery import DriftShare, LimitRecovery
-from coopqp.qp_law.nearest import ASIDE, LESS, MET, NEAR, PLAIN, SLOW, WHOLE, Nearest, blocked
+from coopqp.qp_law.nearest import ASIDE, FAST, LESS, MET, NEAR, PLAIN, SLOW, WHOLE, Nearest, blocked
 from coopqp.qp_law.priorities import IDLE, LaterLevel, Order
 from coopqp.qp_law.safety import StepVerification, drift_gain
 from coopqp.solver import Status, norm
@@ -216,7 +216,7 @@ class QPLaw(Law):
         tasks, unless these are ``met``, nor so large that the penalty of t would not be exact.
         """
         y = self.first.solution.y[-len(self.exact.wanted) :]
-        if self._scaled and norm(y) * SLOW > ASIDE * SCALE_WEIGHT:
+        if self._scaled and norm(y) * FAST > ASIDE * SCALE_WEIGHT:
             return False
         weights, hard = self.exact.weights[self._hard_rows], y[self._hard_rows]
         if met or not len(hard):

@@ -45,6 +45,8 @@ WHOLE = 0.5
 LITTLE = 0.1
 #: Speed that hard tasks lack from which on scaled ones leave their direction [m/s, rad/s].
 SLOW = 5e-3
+#: No a is longer [m/s, rad/s]; multipliers up to ASIDE W / FAST leave t at 0.
+FAST = 1.0
 #: Least damping of the level of the hard tasks, as a share of that of the soft ones.
 LESS = 1e-3
 #: Rows that lack less than this are met, from twice it on they are not [m/s, rad/s].

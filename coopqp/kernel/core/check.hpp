@@ -123,7 +123,7 @@ class Check {
             lacks2 += by * by / weight;
             least = std::min(least, weight);
         }
-        if (level.shares && std::sqrt(all2) * SLOW > ASIDE * SCALE_WEIGHT) return false;
+        if (level.shares && std::sqrt(all2) * FAST > ASIDE * SCALE_WEIGHT) return false;
         return tried || LESS * s_.damping / d * std::sqrt(lacks2) <= MET * std::sqrt(least);
     }
 

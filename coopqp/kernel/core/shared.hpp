@@ -19,6 +19,7 @@ constexpr double FIRM = 100.0;
 constexpr double WHOLE = 0.5;
 constexpr double LITTLE = 0.1;
 constexpr double SLOW = 0.005;
+constexpr double FAST = 1.0;
 constexpr double LESS = 0.001;
 constexpr double MET = 1e-06;
 constexpr double NEAR = 0.1;
