@@ -14,8 +14,8 @@ from coopqp.controllers import QPController
 
 SIGNS = tuple(itertools.product((1, -1), repeat=2))  # of the circle's two directions
 
-#: A circle on which a scaled task keeps a share of 1e-3: where rows and limits nearly depend on each
-#: other the kernel's share loses digits, and v jumps by 2e-4 rad/s; the task sees 1e-9 of it.
+#: A circle on which a scaled task keeps a share of 1e-3: where rows and limits nearly depend on
+#: each other the kernel's share loses digits, and v jumps by 2e-4 rad/s; the task sees 1e-9 of it.
 JUMPS = "two_so101", "scaled", (1, -1)
 
 
