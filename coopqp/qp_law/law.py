@@ -193,9 +193,11 @@ class QPLaw(Law):
     def _come_near(
         self, state: State, kappa: float, whole: Status, tried: bool
     ) -> tuple[Status, Status, Array, float]:
-        """Outcomes of the exact program and of the nearest motion; v; how far scaled tasks leave.
+        """Decide between the exact program, with the outcome ``whole``, and the nearest motion.
 
-        The exact program is solved where that was not ``tried`` and hard tasks may hold again.
+        The former is solved here where that was not ``tried`` and hard tasks may hold again.
+        Returned are its outcome, that of the answer, the answer v, and by how much scaled tasks
+        leave their directions, 0 to 1.
         """
         first, status, v = self.first, self.nearest.of_hard(state, kappa), self.nearest.v
         lacks, leaves = self._missed(v), 0.0
@@ -237,7 +239,7 @@ class QPLaw(Law):
     ) -> tuple[Array, float]:
         """The largest shares beside the motion v of hard tasks; how far these may be left.
 
-        Of what v lacks of hard tasks ``lacks`` counts.
+        ``lacks`` is what hard tasks may lack of their rates, at most what v lacks.
         """
         level, wanted, aside = self.nearest.beside, self.exact.wanted.copy(), self.exact.J @ v
         hard, self._shares = self._hard_rows, level.shares[:-1]

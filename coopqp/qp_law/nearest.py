@@ -45,7 +45,7 @@ WHOLE = 0.5
 LITTLE = 0.1
 #: Speed that hard tasks lack from which on scaled ones leave their direction [m/s, rad/s].
 SLOW = 5e-3
-#: No a is longer [m/s, rad/s]; multipliers up to ASIDE W / FAST leave t at 0.
+#: What |a| is taken to be at most [m/s, rad/s]: multipliers up to ASIDE W / FAST leave t at 0.
 FAST = 1.0
 #: Least damping of the level of the hard tasks, as a share of that of the soft ones.
 LESS = 1e-3

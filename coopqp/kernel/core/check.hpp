@@ -112,8 +112,8 @@ class Check {
     }
 
     // Whether that is what the levels of least squares answer, QPLaw._holds_firmly.
-    //   d: its damping. tried: whether v_h is known to lack nothing.
-    bool holds_firmly(double d, bool tried) const {
+    //   d: its damping. met: whether v_h is known to lack nothing.
+    bool holds_firmly(double d, bool met) const {
         const Level& level = levels_[0];
         double all2 = 0.0, lacks2 = 0.0, least = std::numeric_limits<double>::infinity();
         for (int s = 0; s < level.exact; s++) {
@@ -124,7 +124,7 @@ class Check {
             least = std::min(least, weight);
         }
         if (level.shares && std::sqrt(all2) * FAST > ASIDE * SCALE_WEIGHT) return false;
-        return tried || LESS * s_.damping / d * std::sqrt(lacks2) <= MET * std::sqrt(least);
+        return met || LESS * s_.damping / d * std::sqrt(lacks2) <= MET * std::sqrt(least);
     }
 
     // Whether exact rows exceed limits by more than last digits, in the answer judged last: near others

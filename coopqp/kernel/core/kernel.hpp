@@ -343,9 +343,9 @@ class Kernel {
     }
 
     // Whether the answer of decide_exactly is what the levels of least squares answer.
-    //   tried: whether hard ones are known to be met.
-    bool holds_firmly(Status whole, bool tried) const {
-        return whole == Status::Optimal && tasks_.check().holds_firmly(d_, tried);
+    //   met: whether hard ones are known to be met.
+    bool holds_firmly(Status whole, bool met) const {
+        return whole == Status::Optimal && tasks_.check().holds_firmly(d_, met);
     }
 
     double least_share() {
