@@ -124,14 +124,10 @@ class Cascade:
         rows, sides = _exact(J_h, w_h, J_k, ways)
         best = np.ones(ways.shape[1], LONG)
         d = self._damping.least + (self._pulled(scaled) if scaled.tasks else 0.0)
-        v = self._nearest(J_h, w_h, hard.weights, self._hard_damping(hard))
-        lacks, shares = _lacks(J_h @ v - w_h), best
-        size = float(np.sqrt(lacks @ lacks))
-        if 0.0 < size < SLOW and self._can_hold(rows, sides):
-            exact = self._shares(rows, sides, best, d)[0]
-            lacks *= max(self._at_limits(exact), 2.0 * size / SLOW - 1.0)
-        leaves = min(float(np.sqrt(lacks @ lacks)) / SLOW, 1.0)
-        got = w_h + lacks
+        v, lacks = self._hard(hard, J_h, w_h)
+        near, shares = v, best
+        slow = min(float(np.sqrt(lacks @ lacks)) / SLOW, 1.0)
+        leaves, got = slow, w_h + lacks
         sides[: len(got)] = got
         if scaled.tasks and leaves < 1.0:
             aside = np.concatenate([J_h @ v - got, J_k @ v])
@@ -143,37 +139,55 @@ class Cascade:
         elif (lacks != J_h @ v - w_h).any() and self._can_hold(rows, sides):
             v, shares = self._shares(rows, sides, best, d)
         self._v = v
-        self._keep(J_h, J_h @ v)
-        if scaled.tasks:
-            leaves = self._scaled(scaled, J_k, shares, leaves)
+        if scaled.tasks and (leaves > 0.0 or shares.min() < WHOLE):
+            leaves = self._leave(scaled, J_k, shares, leaves, (J_h, v + LONG(slow) * (near - v)))
+        self._keep(np.vstack([J_h, J_k]), np.concatenate([J_h @ self._v, J_k @ self._v]))
         relaxed = bool(_lacks(J_h @ self._v - w_h).any())
         return relaxed, bool(scaled.tasks) and leaves > 0.0
+
+    def _hard(self, tasks: TaskStack, J: Array, w: Array) -> tuple[Array, Array]:
+        """The nearest motion of hard tasks, and what they may lack."""
+        least = (LESS if tasks.tasks else 1.0) * self._damping.least
+        v = self._nearest(J, w, tasks.weights, least)
+        lacks, counts = _lacks(J @ v - w), 1.0
+        size = float(np.sqrt(lacks @ lacks))
+        if 0.0 < size < SLOW and self._can_hold(J, w):
+            exact = self._shares(J, w, np.zeros(0, LONG), self._damping.least)[0]
+            counts = min(max(self._at_limits(exact), 2.0 * size / SLOW - 1.0), 1.0)
+        if (counts * lacks).any():
+            size = float(tasks.weights @ (np.abs(counts * lacks) * tasks.levers))
+            v = self._nearest(J, w, tasks.weights, least + self._damping.of(size, self._state))
+            lacks = _lacks(J @ v - w)
+        return v, counts * lacks
 
     def _at_limits(self, v: Array) -> float:
         """How near an exact motion v is to a limit, from 0 at NEAR to 1 at it."""
         room = (self._h - self._G @ v) / np.sqrt((self._G * self._G).sum(axis=1))
         return min(max(1.0 - float(room.min(initial=NEAR)) / NEAR, 0.0), 1.0)
 
-    def _scaled(self, tasks: TaskStack, J: Array, shares: Array, leaves: float) -> float:
-        """Decide the scaled tasks; how far they leave their directions.
+    def _leave(
+        self, tasks: TaskStack, J: Array, shares: Array, leaves: float, beside: tuple[Array, Array]
+    ) -> float:
+        """Mix the motion so far with the nearest to scaled tasks; how far they leave their ways.
 
         Args:
             tasks: these.
             J: their rows.
             shares: that the motion so far has of what they want.
             leaves: how far they leave their directions at least.
+            beside: rows of hard tasks, and the motion that the nearest keeps of them.
         """
-        v = self._v
-        if leaves > 0.0 or shares.min() < WHOLE:
-            pull = float(self._state.memory["scaled pull"][0])
-            near = self._improved(tasks, J, pull)
-            if leaves < 1.0:
-                parts = zip(shares.astype(float), tasks.slices, strict=True)
-                done = (J @ near).astype(float)
-                blocks = [blocked(float(s), tasks.wanted[part], done[part]) for s, part in parts]
-                leaves = max(leaves, *blocks)
-            self._v = v + LONG(leaves) * (near - v)
-        self._keep(J, J @ self._v)
+        v, kept = self._v, (self._C, self._c, self._decided)
+        self._v = beside[1]
+        self._keep(beside[0], beside[0] @ self._v)
+        near = self._improved(tasks, J, float(self._state.memory["scaled pull"][0]))
+        self._C, self._c, self._decided = kept
+        if leaves < 1.0:
+            parts = zip(shares.astype(float), tasks.slices, strict=True)
+            done = (J @ near).astype(float)
+            blocks = [blocked(float(s), tasks.wanted[part], done[part]) for s, part in parts]
+            leaves = max(leaves, *blocks)
+        self._v = v + LONG(leaves) * (near - v)
         return leaves
 
     def _improved(self, tasks: TaskStack, J: Array, pull: float) -> Array:
@@ -190,12 +204,6 @@ class Cascade:
         wanted = tasks.wanted.astype(LONG)
         v = self._nearest(J, wanted, tasks.weights, d + min(needed, MOST_DAMPING))
         return self._v + LONG(share) * (v - self._v)
-
-    def _hard_damping(self, tasks: TaskStack) -> float:
-        """Damping of hard tasks that are met as nearly as possible."""
-        least = (LESS if tasks.tasks else 1.0) * self._damping.least
-        lacks = np.abs(self._state.memory["missed"]) * tasks.levers
-        return least + self._damping.of(float(tasks.weights @ lacks), self._state)
 
     def _pulled(self, tasks: TaskStack) -> float:
         """Damping of scaled tasks for what their shares lacked in the last tick."""

@@ -168,16 +168,15 @@ class QPLaw(Law):
 
     def _decide_exact(self, state: State, kappa: float) -> tuple[Array, tuple[Status, ...]]:
         """Hard and scaled tasks; first the nearest where hard ones lacked something before."""
-        first, missed = self.first, state.memory["missed"]
-        tried = not (self._relaxes and missed.any())
-        status = whole = first.solve() if tried else Status.INFEASIBLE
-        v, leaves, self._shares = first.v, 0.0, first.shares
+        first = self.first
+        status = whole = first.solve()
+        v, set_out, leaves, self._shares = first.v, first.v, 0.0, first.shares
         if self._relaxes and not (whole.usable and self._holds_firmly(met=False)):
-            whole, status, v, leaves = self._come_near(state, kappa, whole, tried)
+            status, v, set_out, leaves = self._come_near(state, kappa, whole)
         if not status.usable:
             return v, (status,)
         if self._relaxes and (leaves > 0.0 or self._shares.min(initial=1.0) < WHOLE):
-            near, found = self.nearest.of_scaled(state, v)
+            near, found = self.nearest.of_scaled(state, set_out)
             status = found if status is Status.OPTIMAL else status
             wanted, parts = self.exact.wanted, zip(self._scaled, self._shares.tolist(), strict=True)
             for p, share in () if leaves == 1.0 else parts:
@@ -186,30 +185,44 @@ class QPLaw(Law):
         self._remember(state, v, leaves)
         if not whole.usable and whole is not Status.INFEASIBLE:
             return v, (Status.SOLVER_FAILED, status)
-        if leaves > 0.0 or missed.any():
+        if leaves > 0.0 or state.memory["missed"].any():
             return v, (Status.TASKS_RELAXED, status)
         return v, (status,)
 
     def _come_near(
-        self, state: State, kappa: float, whole: Status, tried: bool
-    ) -> tuple[Status, Status, Array, float]:
+        self, state: State, kappa: float, whole: Status
+    ) -> tuple[Status, Array, Array, float]:
         """Decide between the exact program, with the outcome ``whole``, and the nearest motion.
 
-        The former is solved here where that was not ``tried`` and hard tasks may hold again.
-        Returned are its outcome, that of the answer, the answer v, and by how much scaled tasks
-        leave their directions, 0 to 1.
+        Returned are the outcome of the answer, the answer v, the motion that scaled tasks set out
+        from where they leave their directions, and by how much they do, 0 to 1.
         """
-        first, status, v = self.first, self.nearest.of_hard(state, kappa), self.nearest.v
-        lacks, leaves = self._missed(v), 0.0
-        if not tried and status.usable and norm(lacks) < SLOW:
-            whole = first.solve()
-        if whole.usable:
-            lacks *= max(self._at_limits(first.v), 2.0 * norm(lacks) / SLOW - 1.0)
-            if not status.usable or (not lacks.any() and self._holds_firmly(met=True)):
-                return whole, whole, first.v, leaves
-        if status.usable:
-            v, leaves = self._scale_beside(state, kappa, v, lacks)
-        return whole, status, v, leaves
+        first, nearest = self.first, self.nearest
+        status, near = nearest.of_hard(state, kappa), nearest.v
+        lacks, counts = self._missed(near), 1.0
+        if lacks.any():
+            counts = self._counts(state, kappa, whole, norm(lacks))
+        lacks = counts * lacks
+        firm = not lacks.any() and self._holds_firmly(met=True)
+        if whole.usable and (firm or not status.usable):
+            return whole, first.v, first.v, 0.0
+        if status.usable and lacks.any():
+            status = nearest.damp(state, lacks)
+            lacks = counts * self._missed(near)
+        if not status.usable:
+            return status, near, near, 0.0
+        v, leaves = self._scale_beside(state, kappa, near, lacks)
+        return status, v, v + min(norm(lacks) / SLOW, 1.0) * (near - v), leaves
+
+    def _counts(self, state: State, kappa: float, whole: Status, lack: float) -> float:
+        """How much of what v_h lacks counts: all of it where hard tasks alone cannot hold."""
+        held, v = whole, self.first.v
+        if self._scaled:
+            wanted = self.exact.wanted[self._hard_rows]
+            held, v = self.nearest.hold(state, kappa, wanted), self.nearest.held.v
+        if not held.usable:
+            return 1.0
+        return min(max(self._at_limits(v), 2.0 * lack / SLOW - 1.0, 0.0), 1.0)
 
     def _holds_firmly(self, *, met: bool) -> bool:
         """Whether the exact program answers as the levels of least squares would.

@@ -67,7 +67,10 @@ class Nearest:
         hard, scaled = (TaskStack(tasks, order.start) for tasks in (order.hard, order.scaled))
         least = (LESS if order.hard else 1.0) * given.damping.least
         firm = replace(given, damping=replace(given.damping, least=least))
+        self._least = least
         self.hard, self._refined = Level(firm, hard, loops.solver_rows), Step(firm, hard)
+        rows = [*loops.solver_rows, *order.exact.rows[: len(hard.wanted)]]
+        self.held = Level(given, TaskStack((), order.start), rows)
         self.scaled = LaterLevel(given, scaled, [hard])
         rows, names = [*loops.solver_rows, *order.exact.rows], [task.name for task in order.scaled]
         self.beside = Level(given, TaskStack((), order.start), rows, [*names, "hard tasks"])
@@ -76,17 +79,25 @@ class Nearest:
 
     def of_hard(self, state: State, kappa: float) -> Status:
         """Solve it, by a step from the answer with more damping, which has all its digits."""
-        tasks, level, refined = self.hard.tasks, self.hard, self._refined
-        tasks.update(state)
-        curvature = float(tasks.weights @ (np.abs(state.memory["missed"]) * tasks.levers))
-        d = self._damping.of(curvature, state)
-        level.assemble(state, kappa, d + self._damping.least)
-        status = level.solve()
-        level.assemble(state, kappa, d)
-        if status.usable:
-            status = refined.step(level.v, null_space(state.J_loop).T, level.curvature)
-            level.v[:] = refined.v
+        self.hard.tasks.update(state)
+        self.hard.assemble(state, kappa, self._damping.least)
+        status = self.hard.solve()
+        return self.damp(state, 0.0) if status.usable else status
+
+    def damp(self, state: State, lacks: Array | float) -> Status:
+        """Solve it anew, with the damping of rows that lack so much."""
+        tasks, v = self.hard.tasks, self.v
+        d = self._damping.of(float(tasks.weights @ (np.abs(lacks) * tasks.levers)), state)
+        status = self._refined.step(v, null_space(state.J_loop).T, self._least + d)
+        v[:] = self._refined.v
         return status
+
+    def hold(self, state: State, kappa: float, wanted: Array) -> Status:
+        """Hold hard tasks as they are, without the scaled ones."""
+        level, m = self.held, len(state.e_loop)
+        level.assemble(state, kappa)
+        level.qp.A[m:], level.qp.b[m:] = self.hard.tasks.J, wanted
+        return level.solve()
 
     def of_scaled(self, state: State, v: Array) -> tuple[Array, Status]:
         """What the level of the scaled tasks makes of v, in what hard tasks leave free."""

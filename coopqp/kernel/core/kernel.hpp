@@ -51,7 +51,8 @@ class Kernel {
           set_out_(arena_->take(std::size_t(stride()))),
           v_(arena_->take(std::size_t(stride()))),
           last_(arena_->take(std::size_t(stride()))),
-          near_(arena_->take(std::size_t(stride()))), V_(arena_->take(TWIST)),
+          near_(arena_->take(std::size_t(stride()))), base_(arena_->take(std::size_t(stride()))),
+          V_(arena_->take(TWIST)),
           t_(arena_->take(std::size_t(stride()))) {}
 
     // Kinematics of q; what follows from them is written to the bound arrays.
@@ -282,9 +283,8 @@ class Kernel {
         short_ = false;
         shares_ = &tasks_.shares();
         near_scaled_ = false;
-        const bool tried = !s_.relaxes ||
-            std::all_of(bound.missed, bound.missed + level.hard, [](double x) { return x == 0.0; });
-        Status status = tried ? decide_exactly() : Status::Infeasible;
+        tasks_.begin(b_.data(), set_out_);
+        const Status status = tasks_.decide(0, d_);
         const bool proved = !s_.relaxes && status != Status::Unproven && status != Status::Clashing;
         const bool firm = holds_firmly(status, false);
         if (!level.exact || proved || (firm && least_share() >= WHOLE)) {
@@ -292,7 +292,7 @@ class Kernel {
             return status;
         }
         if (!may_come_near(status)) return status;
-        const Status near = come_near(status, firm, tried);
+        const Status near = come_near(status, firm);
         if (near != Status::Optimal) return s_.relaxes ? near : status;
         note_missed(tasks_.v());
         // Where rows clash by less than they may give way, the nearest is as good as all.
@@ -336,13 +336,7 @@ class Kernel {
         return std::min(1.0 - room / NEAR, 1.0);
     }
 
-    Status decide_exactly() {
-        shares_ = &tasks_.shares();
-        tasks_.begin(b_.data(), set_out_);
-        return tasks_.decide(0, d_);
-    }
-
-    // Whether the answer of decide_exactly is what the levels of least squares answer.
+    // Whether the answer of the exact program is what the levels of least squares answer.
     //   met: whether hard ones are known to be met.
     bool holds_firmly(Status whole, bool met) const {
         return whole == Status::Optimal && tasks_.check().holds_firmly(d_, met);
@@ -355,27 +349,28 @@ class Kernel {
     }
 
     // The levels of hard and of scaled tasks where not all they ask can be done.
-    //   whole: of the level with all they ask; then, where that was not tried, that.
+    //   whole: of the level with all they ask.
     //   holds: whether its answer stands, of which a share is small.
-    Status come_near(Status& whole, bool holds, bool tried) {
+    Status come_near(Status whole, bool holds) {
         off_ = off_in_shares_ = saving_ = least_leaves_ = aside_ = 0.0;
         bool in_part = false;
         if (!holds) {
-            const Status status = nearest_.of_hard(damping_, bound.missed, b_.data(), set_out_);
+            Status status = nearest_.of_hard(b_.data(), set_out_);
             if (status != Status::Optimal) return status;
-            double part = note_missed(nearest_.v());
-            if (!tried && lack() < SLOW) {  // hard tasks may hold again
-                whole = decide_exactly();
-                if (!may_come_near(whole)) return whole;
+            double counts = note_missed(nearest_.v()) > 0.0 ? 1.0 : 0.0;
+            if (counts > 0.0) {
+                status = count(whole, counts);
+                if (!may_come_near(status)) return status;
             }
-            if (whole == Status::Optimal) {
-                const double counts = std::max(at_limits(tasks_.v()), 2.0 * lack() / SLOW - 1.0);
-                part *= counts;
-                for (double& missed : missed_) missed *= counts;
-            }
-            short_ = part > 0.0;
-            in_part = short_ && part < 1.0;
+            short_ = counts > 0.0;
             holds = !short_ && holds_firmly(whole, true);
+            if (short_) {
+                for (double& missed : missed_) missed *= counts;
+                status = nearest_.damp(damping_, missed_.data(), b_.data(), set_out_);
+                if (status != Status::Optimal) return status;
+                in_part = counts * note_missed(nearest_.v()) < 1.0;
+            }
+            for (double& missed : missed_) missed *= counts;
         }
         const bool scales = levels[0].shares > 0;
         copy(near_, holds ? tasks_.v() : nearest_.v(), m_->blocks);
@@ -384,8 +379,11 @@ class Kernel {
         } else {
             Status status = Status::Optimal;
             if (scales || in_part) status = scale_beside(near_);
-            if (scales && leaves_ < 1.0) nearest_.accept_hard(b_.data(), near_);
             if (status != Status::Optimal) return status;
+            if (scales && leaves_ < 1.0) {
+                mix(base_, near_, nearest_.v(), least_leaves_);
+                nearest_.accept_hard(b_.data(), base_);
+            }
         }
         if (scales && (leaves_ > 0.0 || off_ > 0.0 || least_share() < WHOLE)) {
             const Status status = nearest_.of_scaled(damping_, bound.scaled_pull[0]);
@@ -395,16 +393,32 @@ class Kernel {
             if (leaves_ < 1.0) leaves_ = leaves(nearest_.v(), 0.0);
             if (!is_sure(nearest_.v())) return Status::Inaccurate;
             if (holds && leaves_ == 0.0) return status;
-            for (int b = 0; b < m_->blocks; b++)
-                lanes(near_)[b] = smaller(
-                    larger(lanes(near_)[b] + leaves_ * (lanes(nearest_.v())[b] - lanes(near_)[b]),
-                           lanes(limits.lb)[b]), lanes(limits.ub)[b]);
+            mix(near_, near_, nearest_.v(), leaves_);
         } else if (off_ > 0.0) {
             return Status::Inaccurate;
         }
         tasks_.begin(b_.data(), set_out_);
         tasks_.accept(near_);
         return Status::Optimal;
+    }
+
+    // What lies between two motions inside limits, a share of the way.
+    void mix(double* v, const double* from, const double* to, double share) {
+        for (int b = 0; b < m_->blocks; b++) {
+            const v4 between = lanes(from)[b] + share * (lanes(to)[b] - lanes(from)[b]);
+            lanes(v)[b] = smaller(larger(between, lanes(limits.lb)[b]), lanes(limits.ub)[b]);
+        }
+    }
+
+    // How much of what hard tasks lack counts, from none to all of it, where they hold exactly.
+    Status count(Status whole, double& counts) {
+        const bool alone = levels[0].shares > 0;
+        const Status status = alone ? nearest_.hold(b_.data(), set_out_) : whole;
+        if (status != Status::Optimal) return status;
+        const double* v = alone ? nearest_.held() : tasks_.v();
+        counts = std::max(at_limits(v), 2.0 * lack() / SLOW - 1.0);
+        counts = std::min(std::max(counts, 0.0), 1.0);
+        return status;
     }
 
     // The largest shares that a motion v of hard tasks leaves, which v becomes, and how far these
@@ -573,7 +587,7 @@ class Kernel {
     // where a bound holds share k. So no firm_k |ds_k| is more than saving, d off^2 / 4.
     double off_ = 0.0, off_in_shares_ = 0.0, saving_ = 0.0;
     bool near_scaled_ = false;             // whether their nearest motion was looked for
-    double *set_out_, *v_, *last_, *near_, *V_, *t_;
+    double *set_out_, *v_, *last_, *near_, *base_, *V_, *t_;
     bool comes_back_ = false;
 };
 

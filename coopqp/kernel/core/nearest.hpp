@@ -22,21 +22,34 @@ class Nearest {
           levels_{part(given, 0, given.hard, rows.stride()),
                   part(given, given.hard, given.exact, rows.stride())},
           beside_{part(given, 0, given.exact, rows.stride())},
+          alone_{part(given, 0, given.hard, rows.stride())},
           cascade_(model, settings, rows, loops, limits, kept, levels_, arena),
-          shares_(model, settings, rows, loops, limits, kept, with_shares(beside_, given), arena) {}
+          shares_(model, settings, rows, loops, limits, kept, with_shares(beside_, given), arena),
+          held_(model, settings, rows, loops, limits, kept, as_exact(alone_, given), arena) {}
 
     // The level of the hard tasks.
-    //   missed: what their rows lacked in the last tick.
     //   b, v: as in Cascade::begin.
-    Status of_hard(const StepDamping& damping, const double* missed, const double* b, const double* v) {
-        cascade_.begin(b, v);
-        Level& level = levels_[0];
+    Status of_hard(const double* b, const double* v) {
+        std::copy_n(given_.wanted.begin(), levels_[0].rows, levels_[0].wanted.begin());
+        return of_hard(b, v, 0.0);
+    }
+
+    // It anew, with the damping of rows that lack so much.
+    Status damp(const StepDamping& damping, const double* missed, const double* b, const double* v) {
+        const Level& level = levels_[0];
         double curvature = 0.0;
         for (int s = 0; s < level.rows; s++)
             curvature += level.weight[std::size_t(s)] * std::fabs(missed[s]) * level.lever[std::size_t(s)];
-        std::copy_n(given_.wanted.begin(), level.rows, level.wanted.begin());
-        return cascade_.decide(0, (given_.hard ? LESS : 1.0) * s_.damping + damping.of(curvature));
+        return of_hard(b, v, damping.of(curvature));
     }
+
+    // Hard tasks as they are, without the scaled ones.
+    Status hold(const double* b, const double* v) {
+        std::copy_n(given_.wanted.begin(), given_.hard, alone_[0].wanted.begin());
+        held_.begin(b, v);
+        return held_.decide(0, s_.damping);
+    }
+    const double* held() const { return held_.v(); }  // in lanes
 
     // The largest shares of scaled tasks, and the least t, beside the motion of_hard.
     //   missed: what the rows of hard tasks may lack; got: all exact rows of that motion.
@@ -57,7 +70,7 @@ class Nearest {
         return shares_.decide(0, d);
     }
     const Cascade& beside() const { return shares_; }
-    int refined() const { return cascade_.refined() + shares_.refined(); }
+    int refined() const { return cascade_.refined() + shares_.refined() + held_.refined(); }
     double aside() const { return shares_.shares().share(given_.shares); }  // t
 
     // Take the hard tasks as decided by a motion v, in lanes, that moves the loops by b.
@@ -85,6 +98,11 @@ class Nearest {
     const double* v() const { return cascade_.v(); }  // in lanes
 
   private:
+    Status of_hard(const double* b, const double* v, double d) {
+        cascade_.begin(b, v);
+        return cascade_.decide(0, (given_.hard ? LESS : 1.0) * s_.damping + d);
+    }
+
     // Some rows of a level, as soft ones.
     static Level part(const Level& given, int from, int to, std::size_t stride) {
         const auto cut = [&](const auto& all) {
@@ -115,10 +133,16 @@ class Nearest {
         return levels;
     }
 
+    // The hard ones as exact ones.
+    static std::vector<Level>& as_exact(std::vector<Level>& levels, const Level& given) {
+        levels[0].hard = levels[0].exact = given.hard;
+        return levels;
+    }
+
     const Settings& s_;
     const Level& given_;
-    std::vector<Level> levels_, beside_;
-    Cascade cascade_, shares_;
+    std::vector<Level> levels_, beside_, alone_;
+    Cascade cascade_, shares_, held_;
 };
 
 }  // namespace coopqp
