@@ -207,7 +207,7 @@ class QPLaw(Law):
         if whole.usable and (firm or not status.usable):
             return whole, first.v, first.v, 0.0
         if status.usable and lacks.any():
-            status = nearest.damp(state, lacks)
+            status = nearest.damp(state, kappa, lacks)
             lacks = counts * self._missed(near)
         if not status.usable:
             return status, near, near, 0.0
@@ -217,6 +217,8 @@ class QPLaw(Law):
     def _counts(self, state: State, kappa: float, whole: Status, lack: float) -> float:
         """How much of what v_h lacks counts: all of it where hard tasks alone cannot hold."""
         held, v = whole, self.first.v
+        if lack >= SLOW:
+            return 1.0
         if self._scaled:
             wanted = self.exact.wanted[self._hard_rows]
             held, v = self.nearest.hold(state, kappa, wanted), self.nearest.held.v

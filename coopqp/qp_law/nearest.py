@@ -67,7 +67,6 @@ class Nearest:
         hard, scaled = (TaskStack(tasks, order.start) for tasks in (order.hard, order.scaled))
         least = (LESS if order.hard else 1.0) * given.damping.least
         firm = replace(given, damping=replace(given.damping, least=least))
-        self._least = least
         self.hard, self._refined = Level(firm, hard, loops.solver_rows), Step(firm, hard)
         rows = [*loops.solver_rows, *order.exact.rows[: len(hard.wanted)]]
         self.held = Level(given, TaskStack((), order.start), rows)
@@ -82,14 +81,15 @@ class Nearest:
         self.hard.tasks.update(state)
         self.hard.assemble(state, kappa, self._damping.least)
         status = self.hard.solve()
-        return self.damp(state, 0.0) if status.usable else status
+        return self.damp(state, kappa, np.zeros(1)) if status.usable else status
 
-    def damp(self, state: State, lacks: Array | float) -> Status:
+    def damp(self, state: State, kappa: float, lacks: Array) -> Status:
         """Solve it anew, with the damping of rows that lack so much."""
-        tasks, v = self.hard.tasks, self.v
+        level, tasks = self.hard, self.hard.tasks
         d = self._damping.of(float(tasks.weights @ (np.abs(lacks) * tasks.levers)), state)
-        status = self._refined.step(v, null_space(state.J_loop).T, self._least + d)
-        v[:] = self._refined.v
+        level.assemble(state, kappa, d)
+        status = self._refined.step(level.v, null_space(state.J_loop).T, level.curvature)
+        level.v[:] = self._refined.v
         return status
 
     def hold(self, state: State, kappa: float, wanted: Array) -> Status:

@@ -173,10 +173,12 @@ def record_tick(
     command = law.tick(state)
     if command.status is Status.RAISED:
         raise InvalidValueError(f"tick {tick} of '{controller}' has no QP: {command.note}")
+    relaxed = state.memory["missed"].any()
     state.memory.numbers[:] = memory  # as the tick had it
-    problem, kappa = law.problem, law.assemble(state)
-    level, holds = law.first, law.first.solve().usable and not state.memory["missed"].any()
-    if not holds and problem.on_infeasible == "scale" and law.nearest.of_hard(state, kappa).usable:
+    problem, level = law.problem, law.first
+    law.assemble(state)
+    holds = level.solve().usable and not relaxed
+    if not holds and problem.on_infeasible == "scale" and law.nearest.hard.solution.status.usable:
         level = law.nearest.hard  # where hard tasks cannot hold, theirs decides first
     qp = level.qp
     shares = qp.rows.variables[problem.chain.n :]

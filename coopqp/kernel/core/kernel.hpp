@@ -306,7 +306,7 @@ class Kernel {
 
     static bool may_come_near(Status whole) {
         return whole == Status::Clashing || whole == Status::Infeasible ||
-               whole == Status::Optimal || whole == Status::Unproven;
+               whole == Status::Optimal || whole == Status::Unproven || whole == Status::Inaccurate;
     }
 
     // Whether hard tasks lack something.
@@ -356,12 +356,16 @@ class Kernel {
         bool in_part = false;
         if (!holds) {
             Status status = nearest_.of_hard(b_.data(), set_out_);
-            if (status != Status::Optimal) return status;
+            const double unsure = nearest_.unsure();  // of which only what rows lack is used
+            if (status != Status::Optimal && status != Status::Inaccurate) return status;
             double counts = note_missed(nearest_.v()) > 0.0 ? 1.0 : 0.0;
             if (counts > 0.0) {
                 status = count(whole, counts);
-                if (!may_come_near(status)) return status;
+                if (!may_come_near(status) || status == Status::Inaccurate) return status;
             }
+            const double speed = std::sqrt(dot(nearest_.v(), nearest_.v(), m_->blocks));
+            if (unsure > 0.0 && !(counts == 1.0 && unsure * speed <= s_.budget.accuracy * lack()))
+                return Status::Inaccurate;
             short_ = counts > 0.0;
             holds = !short_ && holds_firmly(whole, true);
             if (short_) {
@@ -412,6 +416,7 @@ class Kernel {
 
     // How much of what hard tasks lack counts, from none to all of it, where they hold exactly.
     Status count(Status whole, double& counts) {
+        if (lack() >= SLOW) return Status::Optimal;
         const bool alone = levels[0].shares > 0;
         const Status status = alone ? nearest_.hold(b_.data(), set_out_) : whole;
         if (status != Status::Optimal) return status;

@@ -3,6 +3,7 @@
 #pragma once
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <type_traits>
 #include <vector>
 
@@ -32,6 +33,17 @@ class Nearest {
     Status of_hard(const double* b, const double* v) {
         std::copy_n(given_.wanted.begin(), levels_[0].rows, levels_[0].wanted.begin());
         return of_hard(b, v, 0.0);
+    }
+
+    // How far what its rows lack may be off, where the answer is not sure: its objective is less than
+    // d off^2 from the least.
+    double unsure() const {
+        const Outcome& found = cascade_.outcome();
+        if (found.status == Status::Optimal) return 0.0;
+        if (!(found.astray <= s_.budget.accuracy)) return std::numeric_limits<double>::infinity();
+        double least = 1.0;
+        for (int s = 0; s < given_.hard; s++) least = std::min(least, given_.weight[std::size_t(s)]);
+        return found.off * std::sqrt(LESS * s_.damping / least);
     }
 
     // It anew, with the damping of rows that lack so much.
