@@ -356,16 +356,15 @@ class Kernel {
         bool in_part = false;
         if (!holds) {
             Status status = nearest_.of_hard(b_.data(), set_out_);
-            const double unsure = nearest_.unsure();  // of which only what rows lack is used
-            if (status != Status::Optimal && status != Status::Inaccurate) return status;
+            const bool unsure = status == Status::Inaccurate;
+            if (status != Status::Optimal && !unsure) return status;
             double counts = note_missed(nearest_.v()) > 0.0 ? 1.0 : 0.0;
             if (counts > 0.0) {
                 status = count(whole, counts);
                 if (!may_come_near(status) || status == Status::Inaccurate) return status;
             }
-            const double speed = std::sqrt(dot(nearest_.v(), nearest_.v(), m_->blocks));
-            if (unsure > 0.0 && !(counts == 1.0 && unsure * speed <= s_.budget.accuracy * lack()))
-                return Status::Inaccurate;
+            const bool damps = counts == 1.0 && nearest_.unsure(missed_.data()) <= s_.budget.accuracy;
+            if (unsure && !damps) return Status::Inaccurate;
             short_ = counts > 0.0;
             holds = !short_ && holds_firmly(whole, true);
             if (short_) {

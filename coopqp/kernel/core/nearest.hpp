@@ -24,7 +24,7 @@ class Nearest {
                   part(given, given.hard, given.exact, rows.stride())},
           beside_{part(given, 0, given.exact, rows.stride())},
           alone_{part(given, 0, given.hard, rows.stride())},
-          cascade_(model, settings, rows, loops, limits, kept, levels_, arena),
+          blocks_(model.blocks), cascade_(model, settings, rows, loops, limits, kept, levels_, arena),
           shares_(model, settings, rows, loops, limits, kept, with_shares(beside_, given), arena),
           held_(model, settings, rows, loops, limits, kept, as_exact(alone_, given), arena) {}
 
@@ -35,15 +35,17 @@ class Nearest {
         return of_hard(b, v, 0.0);
     }
 
-    // How far what its rows lack may be off, where the answer is not sure: its objective is less than
-    // d off^2 from the least.
-    double unsure() const {
+    // How far damp may be off as the answer is: its objective is less than d off^2 from the least.
+    double unsure(const double* missed) const {
         const Outcome& found = cascade_.outcome();
-        if (found.status == Status::Optimal) return 0.0;
-        if (!(found.astray <= s_.budget.accuracy)) return std::numeric_limits<double>::infinity();
-        double least = 1.0;
-        for (int s = 0; s < given_.hard; s++) least = std::min(least, given_.weight[std::size_t(s)]);
-        return found.off * std::sqrt(LESS * s_.damping / least);
+        double squares = 0.0, all = 0.0;
+        for (std::size_t s = 0; s < std::size_t(given_.hard); s++) {
+            squares += given_.weight[s] * given_.lever[s] * given_.lever[s];
+            all += given_.weight[s] * std::fabs(missed[s]) * given_.lever[s];
+        }
+        const double speed = std::sqrt(dot(v(), v(), blocks_));
+        const double off = found.off * std::sqrt(LESS * s_.damping * squares) / all * speed;
+        return found.astray <= s_.budget.accuracy ? off : std::numeric_limits<double>::infinity();
     }
 
     // It anew, with the damping of rows that lack so much.
@@ -154,6 +156,7 @@ class Nearest {
     const Settings& s_;
     const Level& given_;
     std::vector<Level> levels_, beside_, alone_;
+    int blocks_;
     Cascade cascade_, shares_, held_;
 };
 
