@@ -91,6 +91,11 @@ def note_chatter(state: State, v: Array, dt: float) -> None:
     chatter[1:] = back
 
 
+def swinging(state: State) -> float:
+    """How far hard tasks are damped like soft ones, as joints reverse again and again: 0 to 1."""
+    return min(max(float(state.memory["chatter"][0]) - 1.0, 0.0), 1.0)
+
+
 def held_pull(new: float, old: float) -> float:
     """What a later level pulls at decided rows, for the next tick; old is of the tick before."""
     held = LETS_GO * old

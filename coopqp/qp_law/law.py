@@ -34,7 +34,14 @@ from coopqp.base.rank import null_space
 from coopqp.base.spec import Array
 from coopqp.controller import Command, ControlProblem, InternalForceControl, Law
 from coopqp.model.state import State
-from coopqp.qp_law.equations import LEAST_SPEED, MOST_DAMPING, SCALE_WEIGHT, Damping, note_chatter
+from coopqp.qp_law.equations import (
+    LEAST_SPEED,
+    MOST_DAMPING,
+    SCALE_WEIGHT,
+    Damping,
+    note_chatter,
+    swinging,
+)
 from coopqp.qp_law.level import Given, Level
 from coopqp.qp_law.limit_recovery import DriftShare, LimitRecovery
 from coopqp.qp_law.nearest import ASIDE, FAST, LESS, MET, NEAR, PLAIN, SLOW, WHOLE, Nearest, blocked
@@ -171,7 +178,8 @@ class QPLaw(Law):
         first = self.first
         status = whole = first.solve()
         v, set_out, leaves, self._shares = first.v, first.v, 0.0, first.shares
-        if self._relaxes and not (whole.usable and self._holds_firmly(met=False)):
+        firm = whole.usable and not swinging(state) and self._holds_firmly(met=False)
+        if self._relaxes and not firm:
             status, v, set_out, leaves = self._come_near(state, kappa, whole)
         if not status.usable:
             return v, (status,)
@@ -199,15 +207,16 @@ class QPLaw(Law):
         """
         first, nearest = self.first, self.nearest
         status, near = nearest.of_hard(state, kappa), nearest.v
-        lacks, counts = self._missed(near), 1.0
-        if lacks.any():
-            counts = self._counts(state, kappa, whole, norm(lacks))
+        lacks, counts, swings = self._missed(near), 1.0, swinging(state)
+        if lacks.any() or swings:
+            counts = max(self._counts(state, kappa, whole, norm(lacks)), swings)
         lacks = counts * lacks
-        firm = not lacks.any() and self._holds_firmly(met=True)
+        firm = not lacks.any() and not swings and self._holds_firmly(met=True)
         if whole.usable and (firm or not status.usable):
             return whole, first.v, first.v, 0.0
-        if status.usable and lacks.any():
-            status = nearest.damp(state, kappa, lacks)
+        if status.usable and (lacks.any() or swings):
+            pulls = np.abs(lacks) + swings * np.abs(self.exact.wanted[self._hard_rows])
+            status = nearest.damp(state, kappa, pulls)
             lacks = counts * self._missed(near)
         if not status.usable:
             return status, near, near, 0.0

@@ -83,10 +83,10 @@ class Nearest:
         status = self.hard.solve()
         return self.damp(state, kappa, np.zeros(1)) if status.usable else status
 
-    def damp(self, state: State, kappa: float, lacks: Array) -> Status:
-        """Solve it anew, with the damping of rows that lack so much."""
+    def damp(self, state: State, kappa: float, pulls: Array) -> Status:
+        """Solve it anew, with the damping of rows that lack, or want, so much."""
         level, tasks = self.hard, self.hard.tasks
-        d = self._damping.of(float(tasks.weights @ (np.abs(lacks) * tasks.levers)), state)
+        d = self._damping.of(float(tasks.weights @ (pulls * tasks.levers)), state)
         level.assemble(state, kappa, d)
         status = self._refined.step(level.v, null_space(state.J_loop).T, level.curvature)
         level.v[:] = self._refined.v

@@ -286,7 +286,8 @@ class Kernel {
         tasks_.begin(b_.data(), set_out_);
         const Status status = tasks_.decide(0, d_);
         const bool proved = !s_.relaxes && status != Status::Unproven && status != Status::Clashing;
-        const bool firm = holds_firmly(status, false);
+        swings_ = s_.relaxes ? std::min(std::max(bound.chatter[0] - 1.0, 0.0), 1.0) : 0.0;
+        const bool firm = swings_ == 0.0 && holds_firmly(status, false);
         if (!level.exact || proved || (firm && least_share() >= WHOLE)) {
             if (status == Status::Optimal) note_missed(tasks_.v());
             return status;
@@ -358,17 +359,19 @@ class Kernel {
             Status status = nearest_.of_hard(b_.data(), set_out_);
             const bool unsure = status == Status::Inaccurate;
             if (status != Status::Optimal && !unsure) return status;
-            double counts = note_missed(nearest_.v()) > 0.0 ? 1.0 : 0.0;
+            double counts = note_missed(nearest_.v()) > 0.0 || swings_ > 0.0 ? 1.0 : 0.0;
             if (counts > 0.0) {
                 status = count(whole, counts);
                 if (!may_come_near(status) || status == Status::Inaccurate) return status;
+                counts = std::max(counts, swings_);
             }
             const bool damps = counts == 1.0 && nearest_.unsure(missed_.data()) <= s_.budget.accuracy;
             if (unsure && !damps) return Status::Inaccurate;
             short_ = counts > 0.0;
             holds = !short_ && holds_firmly(whole, true);
             if (short_) {
-                for (double& missed : missed_) missed *= counts;
+                for (std::size_t s = 0; s < missed_.size(); s++)
+                    missed_[s] = counts * std::fabs(missed_[s]) + swings_ * std::fabs(levels[0].wanted[s]);
                 status = nearest_.damp(damping_, missed_.data(), b_.data(), set_out_);
                 if (status != Status::Optimal) return status;
                 in_part = counts * note_missed(nearest_.v()) < 1.0;
@@ -590,6 +593,7 @@ class Kernel {
     // strong convexity: N^2 + sum_k firm_k |ds_k| <= sqrt(d) off N, N^2 = W |ds|^2 + d |dv|^2, firm_k
     // where a bound holds share k. So no firm_k |ds_k| is more than saving, d off^2 / 4.
     double off_ = 0.0, off_in_shares_ = 0.0, saving_ = 0.0;
+    double swings_ = 0.0;                  // as coopqp.qp_law.equations.swinging
     bool near_scaled_ = false;             // whether their nearest motion was looked for
     double *set_out_, *v_, *last_, *near_, *base_, *V_, *t_;
     bool comes_back_ = false;
