@@ -35,7 +35,7 @@ from coopqp.scenario.form import STRICT, Words, check, file_model
 from coopqp.scenario.loader import find
 from coopqp.scenario.yaml import MisplacedError, Wrong, YamlFile, parsed, read_yaml
 from coopqp.study.sweep import space
-from coopqp.study.sweep.space import GRID, MOST, SAMPLES, Listed, Points, Variation, needs
+from coopqp.study.sweep.space import GRID, MOST, SAMPLES, Points, Variation, needs
 from coopqp.study.sweep.study import CONTROLLERS, SEED, Study, Varied, located, put
 
 NAMED = "needs the path of a scenario, or the name of a shipped one"
@@ -268,7 +268,7 @@ def _controllers(
 ) -> Iterator[Wrong]:
     """Write them into the scenario; each variant is run under all of them."""
     place = ["vary", CONTROLLERS]
-    if not isinstance(over, Listed) or over.numbers:
+    if over.values is None or over.numbers:
         yield Wrong(place, "needs choice: [...], names of controllers")
         return
     base.data[CONTROLLERS] = chosen = list(over.values)
@@ -303,7 +303,7 @@ def _tried(
             new = [fault for fault in _faults(tried, catalog) if fault.message not in known]
             words += [fault.message for fault in new]
             taken += [] if new else [value]
-            if isinstance(one.over, Listed):
+            if one.over.values is not None:
                 own += _own_faults(file, one, i, new)
         if taken:
             data = put(data, one.location, taken[0])
@@ -341,7 +341,7 @@ def _points(form: StudyFile, varied: Sequence[Varied]) -> tuple[Points, Sequence
     """The points, and what is varied over them: on a grid everything has levels."""
     method, count = form.sampled
     if method != GRID:
-        dimensions = sum(one.over.dimensions for one in varied)
+        dimensions = sum(len(one.over.sides) for one in varied)
         return space.drawn(method, count, dimensions, form.samples.seed), varied
     wrong, levels, found = list[Wrong](), list[int](), list[Varied]()
     for one in varied:
