@@ -17,8 +17,7 @@ import coopqp
 from coopqp.execution.comparison import Comparison
 from coopqp.online import recording as live
 from coopqp.online.recording import LiveRecording
-from coopqp.recordings import column
-from coopqp.recordings.known import EXPORTS, export, read
+from coopqp.recordings import EXPORTS, column, export, read
 from coopqp.report import files
 from coopqp.trace import Trace
 
