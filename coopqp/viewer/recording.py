@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from coopqp.base.errors import CoopqpError, InvalidValueError
-from coopqp.recordings.sent import FOLDER, Sent, fed, file_name
+from coopqp.recordings.csv_file import FOLDER, Sent, fed, file_name
 from coopqp.report.files import write_one
 from coopqp.scenario.input import Arrival
 from coopqp.scenario.scenario import MOST_KEPT, Scenario
