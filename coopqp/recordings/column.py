@@ -15,6 +15,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from coopqp.execution.instants import parts_of, rows_of
 from coopqp.model.closed_chain import AXES, AXIS_UNITS
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import Kind
@@ -371,12 +372,7 @@ def _asked(scenario: Scenario) -> dict[str, str]:
     found: dict[str, str] = {}
     for phase in scenario.schedule:
         begin = f"{phase.name}." if scenario.phases else ""
-        for task in phase.tasks:
-            parts = task.parts(scenario.chain)
-            units = [part.unit for part in parts for _ in range(part.rows)]
-            rows = zip(task.rows(scenario.chain), units, strict=True)
-            found |= {f"{begin}{task.name}.{row}": unit for row, unit in rows}
-            for part in parts:
-                name = f"{task.name}.{part.name}" if part.name else task.name
-                found[begin + name] = part.unit
+        rows = rows_of(phase.tasks, scenario.chain)
+        for part, own in parts_of(phase.tasks, scenario.chain):
+            found |= {begin + name: part.unit for name in (part.name, *rows[own])}
     return found
