@@ -74,16 +74,6 @@ class ArmJoints:
     """Those that this arm moves by; all between base and tip when omitted."""
 
 
-@dataclass(frozen=True)
-class _Or:
-    """Adds the schema of a shorter form to the JSON Schema."""
-
-    shorter: dict[str, Any]
-
-    def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> Any:
-        return {"anyOf": [self.shorter, handler(core)]}
-
-
 def _arm_or_tip(value: Any) -> Any:
     if isinstance(value, dict | ArmJoints):
         return value
@@ -107,15 +97,17 @@ def _some_arms(value: Any) -> Any:
 
 
 Arms = Annotated[
-    dict[str, Annotated[ArmJoints, BeforeValidator(_arm_or_tip), _Or({"type": "string"})]],
+    dict[
+        str,
+        Annotated[ArmJoints, BeforeValidator(_arm_or_tip, json_schema_input_type=str | ArmJoints)],
+    ],
     BeforeValidator(_some_arms),
 ]
 """Arms by name, each its tip's frame or {tip: frame, joints: [...]}; the first is the reference."""
 
 Locked = Annotated[
     dict[str, float | None],
-    BeforeValidator(_values_or_names),
-    _Or({"type": "array", "items": {"type": "string"}}),
+    BeforeValidator(_values_or_names, json_schema_input_type=list[str] | dict[str, float | None]),
 ]
 """Joints that stay where they are: names, or names with values [rad or m]."""
 

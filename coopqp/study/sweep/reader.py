@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
@@ -31,7 +31,7 @@ from coopqp.base.spec import taken_names
 from coopqp.base.wording import dotted
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.checks import refuse
-from coopqp.scenario.form import STRICT, Words, check, file_model
+from coopqp.scenario.form import STRICT, check, file_model
 from coopqp.scenario.loader import find
 from coopqp.scenario.yaml import MisplacedError, Wrong, YamlFile, parsed, read_yaml
 from coopqp.study.sweep import space
@@ -116,9 +116,9 @@ class StudyFile(BaseModel):
         Field(min_length=1),
         needs(lambda x: isinstance(x, dict) and x != {}, EMPTY),
     ] = Field(description="Paths of the scenario, such as tasks.reach.goal, and over what.")
-    samples: Annotated[Samples, BeforeValidator(_samples), Words((GRID,))] = Field(
-        description="A way to sample and how many variants, and a seed (0)."
-    )
+    samples: Annotated[
+        Samples, BeforeValidator(_samples, json_schema_input_type=Literal["grid"] | Samples)
+    ] = Field(description="A way to sample and how many variants, and a seed (0).")
     metrics: list[Annotated[str, AfterValidator(_metric)]] = Field(
         default=[], description="Columns beside those that every study has."
     )
