@@ -1,7 +1,5 @@
 """Commands on scenario files: run them, look at them, check them, play them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Run one controller through all phases of a scenario."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 

@@ -5,8 +5,6 @@ sends inputs. How a phase begins, ends and hands over is the same: the next phas
 measured joints, with their speed, and the hands that then hold the object hold it where it is.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 

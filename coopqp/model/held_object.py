@@ -1,7 +1,5 @@
 """The object that all arms hold."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -3,8 +3,6 @@
 Each controller has a style that is safe for the colour-blind, and distinct in black and white.
 """
 
-from __future__ import annotations
-
 import html
 import itertools
 import math

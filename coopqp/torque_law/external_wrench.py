@@ -17,8 +17,6 @@ from the difference of the object's velocity over a tick, after a first-order lo
 the object's mass has to be known, not the arms'.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

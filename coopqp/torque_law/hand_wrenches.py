@@ -13,8 +13,6 @@ split and t the smallest internal wrench that tasks ask for. The part that moves
 further cost, so that a mass is not carried lower to save force.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from typing import Literal
 

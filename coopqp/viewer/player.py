@@ -4,8 +4,6 @@ No clock and no process: whoever plays it calls :meth:`Player.do` for an action 
 :meth:`Player.tick` when it is time and :meth:`Player.frame` to draw.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -4,8 +4,6 @@ OUT/scenario.yaml is the scenario with an input for everything that can be dragg
 OUT/inputs/NAME.csv what has arrived at it, tick by tick: t, sent and the columns of its kind.
 """
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path

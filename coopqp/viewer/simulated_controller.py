@@ -1,7 +1,5 @@
 """One controller with its plant, tick by tick, phase by phase; people send its inputs."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from contextlib import suppress

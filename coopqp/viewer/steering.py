@@ -6,8 +6,6 @@ already is played with these alone. A gizmo may steer two fields, such as a plan
 normal: its position is the one, its z axis the other.
 """
 
-from __future__ import annotations
-
 import typing
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace

@@ -1,7 +1,5 @@
 """What all figures of a comparison share: which controllers, in which order, over which time."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from functools import cached_property
 

@@ -10,8 +10,6 @@ Prattichizzo 2000; passive joints move like any other.
 Letters: i instants, k rows of the tasks.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -4,8 +4,6 @@ With the figures of task errors, of open loops, and of the time of a tick: quart
 99 percent as whiskers, the slowest a cross, in a figure for each language.
 """
 
-from __future__ import annotations
-
 import html
 import math
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Joints over time between their limits, as in the paper's figures 4-8; limits; forces."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial

@@ -9,8 +9,6 @@ the task's profile has gone and x_0 the coordinate at the start, the reference i
 Letters: i instants.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
