@@ -414,7 +414,7 @@ def play(
     from coopqp.viewer import play as viewer
     from coopqp.viewer.gate import checked_origins
     from coopqp.viewer.player import Player
-    from coopqp.viewer.recording import check_folder
+    from coopqp.viewer.steering import check_folder
 
     viewer.check_viewer()
     viewer.check_address(host, port)
