@@ -1,7 +1,5 @@
 """Options that several commands have, and how they read what these name."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import sys

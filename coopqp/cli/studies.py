@@ -1,7 +1,5 @@
 """Commands on recorded runs, and on studies of many runs."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -23,7 +23,7 @@ from coopqp.base.errors import CoopqpError
 from coopqp.base.spec import Array
 from coopqp.base.table import csv_text
 from coopqp.controller import Command
-from coopqp.execution.phase_run import PhaseRun
+from coopqp.execution.controller_run import PhaseRun
 from coopqp.limits import JointAcceleration
 from coopqp.model.loop_observer import Observer
 from coopqp.model.state import State

@@ -29,7 +29,7 @@ from coopqp.base.spec import (
     one_angle,
     spec,
 )
-from coopqp.model.held_object import check_inertia, inertia_matrix
+from coopqp.model.grasp_configuration import check_inertia, inertia_matrix
 
 #: sin(alpha) below which two axes count as parallel.
 PARALLEL_AXES = 1e-8
