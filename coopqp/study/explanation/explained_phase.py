@@ -217,14 +217,11 @@ STARTS = 5
 
 @dataclass(frozen=True)
 class Violation:
-    """By how much one limit is violated [rad or m].
+    """By how much one limit is violated [rad or m]."""
 
-    ``row`` is its most violated one, ``space`` its index in ``Room.limits``, None for a joint's.
-    """
-
-    row: Row
+    row: Row  # its most violated one
     amount: float
-    space: int | None = None
+    space: int | None = None  # its index in ``Room.limits``, None for a joint's
 
 
 def violations_along(room: Room, qs: Array) -> list[Violation]:
