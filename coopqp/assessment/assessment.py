@@ -356,15 +356,11 @@ def assess(trace: Trace) -> Assessment:
 
 
 class Accelerations(NamedTuple):
-    """Of all joints in all ticks: change of the velocity over dt, and what is allowed of it.
+    """Of all joints in all ticks, from rest."""
 
-    ``change``, from rest, and its ``share`` of that, 0 without a motor, have the shape (T, n),
-    ``allowed`` (n,) [rad/s2, m/s2].
-    """
-
-    change: Array
-    share: Array
-    allowed: Array
+    change: Array  # of the velocity over dt, shape (T, n) [rad/s2, m/s2]
+    share: Array  # of what is allowed of it, 0 without a motor, shape (T, n)
+    allowed: Array  # shape (n,) [rad/s2, m/s2]
 
 
 def accelerations(trace: Trace) -> Accelerations:
