@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coopqp.base.spec import Array
+from coopqp.model.state import Kept
 from coopqp.scenario.planned import Way
-from coopqp.signal import Kind
 
 Tone = Literal["reached", "moving", "blocked", "broken", "waiting"]
 
@@ -127,20 +127,12 @@ class Action:
 
 @dataclass(frozen=True)
 class Snapshot:
-    """A state to explain; inputs with kind, value and rate, and their targets, by name."""
+    """A state to explain, and the targets of its inputs, by name."""
 
     law: str  # the controller, with the values of its dials
     dials: Mapping[str, float]
     starts: tuple[Array, ...]  # q where each later phase has begun, shape (n,) each
-    t: float
-    q: Array
-    v: Array
-    memory: Array
-    gap: Array
-    corrected: float
-    measured: Array | None
-    hand_wrench: Array | None
-    inputs: Mapping[str, tuple[Kind, Array, Array]]
+    state: Kept
     targets: Mapping[str, Array]
     rests: bool
 
