@@ -6,7 +6,7 @@ Letters: b bodies, n joints, s segments. Poses are x, y, z, qx, qy, qz, qw.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,11 +37,15 @@ class Gizmo:
     turns: bool
 
 
+Key = tuple[Any, ...]
+"""Of a number: tasks, phase, index and field; secondary, index and field; kappa; input, index."""
+
+
 @dataclass(frozen=True)
 class Dial:
     """A slider for a number: its range, step and first value; the label has the unit."""
 
-    key: str
+    key: Key
     group: str
     label: str
     low: float
@@ -121,7 +125,7 @@ class Action:
     """What somebody has done on the page."""
 
     what: str  # play, pause, step, reset, speed, drag, carry, dial, knob, main, save or follow
-    which: int | str = 0  # index of a gizmo or controller, key of a dial or knob
+    which: int | Key = 0  # index of a gizmo or controller, key of a dial or knob
     value: tuple[float, ...] = ()  # a pose, a position, or one number
 
 
@@ -130,7 +134,7 @@ class Snapshot:
     """A state to explain, and the targets of its inputs, by name."""
 
     law: str  # the controller, with the values of its dials
-    dials: Mapping[str, float]
+    dials: Mapping[Key, float]
     starts: tuple[Array, ...]  # q where each later phase has begun, shape (n,) each
     state: Kept
     targets: Mapping[str, Array]
