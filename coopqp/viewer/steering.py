@@ -29,7 +29,7 @@ from coopqp.model.marker import RelativeMarker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.model.trajectory_filter import RAMPS, VELOCITIES, MotionLimits
-from coopqp.recordings.sent import FOLDER, Sent, fed, file_name
+from coopqp.recordings.csv_file import FOLDER, Sent, fed, file_name
 from coopqp.report.files import write_one
 from coopqp.scenario.input import Arrival, InputSettings
 from coopqp.scenario.scenario import MOST_KEPT, Scenario
