@@ -12,8 +12,6 @@ names links, else of its joints and hands. The object's pose is that of the row,
     the scenario       attachment scenario.yaml        /coopqp/scenario std_msgs/String, once
 """
 
-from __future__ import annotations
-
 import json
 import sqlite3
 from collections.abc import Iterator, Mapping

@@ -12,8 +12,6 @@ where the arm holds the object and 100 % where not. The whole run is in ``meta/c
 which LeRobot does not look at.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager

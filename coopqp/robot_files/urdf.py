@@ -6,8 +6,6 @@ what their attributes must hold, and how links and joints fit together. Elements
 ROS and of robot makers are ignored unless they are a known name misspelt.
 """
 
-from __future__ import annotations
-
 import difflib
 import math
 import os

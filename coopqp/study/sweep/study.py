@@ -9,8 +9,6 @@ where the variant is no scenario, or the controller cannot be used for it, and `
 something broke down that should not have.
 """
 
-from __future__ import annotations
-
 import copy
 import json
 import re

@@ -3,8 +3,6 @@
 What makes two folders the same study is a hash of each part that results follow from.
 """
 
-from __future__ import annotations
-
 import inspect
 import json
 import math
