@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
 
@@ -216,6 +216,13 @@ def open_channel(kind: Kind, here: Array | None, settings: InputSettings, dt: fl
         words = f"where is the {kind.name} before anything arrives? Say it where it is used"
         raise InvalidValueError(f"{words}, as input: {{name: ..., start: [...]}}")
     return Channel(kind, settings, dt, here)
+
+
+class Sender(Protocol):
+    """Who sends while the arms move."""
+
+    def step(self, state: State) -> None:
+        """Let what has been sent arrive, for the tick of a state."""
 
 
 class Feed:
