@@ -178,7 +178,7 @@ def check_start(data: Mapping[str, Any], scenario: Scenario, known: Known) -> No
     released = [phase.released for phase in scenario.schedule]
     held = {k: x for k, x in (data.get("object") or {}).items() if k not in INERTIAL}
     of_chain = *(data.get(key) for key in CHAIN), scenario.start, released, held
-    before, tried = known.get("chain", of_chain) or (None, {})
+    before, tried = known.get("chain", of_chain) or (None, dict[str, Places]())
     if before:
         chain = before.chain
         chain = chain if scenario.held == before.held else chain.carrying(scenario.held)
