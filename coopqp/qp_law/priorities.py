@@ -29,11 +29,13 @@ from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.limit import states_along
 from coopqp.model.state import State
+from coopqp.program import sees_twist
 from coopqp.qp_law.equations import MOST_DAMPING, held_pull
 from coopqp.qp_law.level import Given, Step
 from coopqp.solver import Status
 from coopqp.task import Programs, Task, TaskStack
 
+AXES = 6  # of the object's twist, of which its tasks can decide no more
 SAMPLES = 6  # configurations at which ranks are taken, beside the start
 #: Singular values of task rows up to the first ask for nothing, from there to the second in part
 #: [m/rad, 1]; what these cost is MOST_DAMPING over WALL at most.
@@ -76,7 +78,13 @@ class Order:
         if any(task.joint_space and task.all_joints for task in tasks):
             return True
         chain = self.start.chain
-        if len(chain.loops.solver_rows) + sum(len(task.rows(chain)) for task in tasks) < chain.n:
+        of_object, others = 0, len(chain.loops.solver_rows)
+        for task in tasks:
+            if sees_twist(self.programs.of(task)):
+                of_object += len(task.rows(chain))
+            else:
+                others += len(task.rows(chain))
+        if others + min(of_object, AXES) < chain.n:
             return False
         stack = TaskStack(tasks, self.start)
         anywhere = states_along(chain, chain.sample(np.random.default_rng(0), SAMPLES))
