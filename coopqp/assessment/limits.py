@@ -5,8 +5,6 @@ of them; all others by what :meth:`coopqp.limit.Limit.margins` says. What was be
 the start counts from where it began.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

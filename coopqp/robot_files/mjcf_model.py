@@ -9,8 +9,6 @@ stands while it compiles. Planes are left out; geoms that only collide (group ab
 drawn.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass

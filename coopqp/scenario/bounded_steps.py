@@ -9,8 +9,6 @@ and is taken when |r|^2 falls; mu grows when it does not and shrinks when it doe
 scipy's trf has no rows G, and closes fewer starts of redundant arms in more time.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 Checks yield what is wrong and where; :meth:`coopqp.scenario.yaml.YamlFile.lines` knows the lines.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import fields

@@ -14,8 +14,6 @@ x = (translation, rotation vector) from where it is now, and the tasks see it wi
 in a state whose pose is overwritten.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TypeVar

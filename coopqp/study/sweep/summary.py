@@ -10,8 +10,6 @@ alone; the interval and the test of the difference do not see it.
               sign test does not refuse; both are free of any distribution
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections import Counter
