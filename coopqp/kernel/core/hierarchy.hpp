@@ -28,7 +28,8 @@ class Hierarchy {
           H_(arena.take(std::size_t(free) * std::size_t(width_))),
           S_(arena.take(std::size_t(most_rows + LANES) * std::size_t(width_))),
           h_(arena.take(std::size_t(width_))), t_(arena.take(std::size_t(width_))),
-          sigma_(std::size_t(most_rows + 1)), sizes2_(std::size_t(most_rows + 1)), held_pull_(std::size_t(free)),
+          sigma_(std::size_t(most_rows + 1)), sizes2_(std::size_t(most_rows + 1)),
+          held_pull_(std::size_t(free)),
           column_(std::size_t(most_rows + LANES)) {
         pivots_.reserve(std::size_t(most_rows));  // a tick takes no memory
         left_out_.reserve(std::size_t(most_rows));
@@ -103,7 +104,8 @@ class Hierarchy {
             const double least = s < soft ? IDLE : NOTHING;
             const double onto =
                 crowded ? reflection(row(s), decided, blocks_, least, h_, beta)
-                        : reflect_from(row(s), width_, rows + count - s - 1, decided, blocks_, least, h_, beta);
+                        : reflect_from(row(s), width_, rows + count - s - 1, decided, blocks_,
+                                       least, h_, beta);
             if (onto == 0.0) continue;
             if (crowded) reflect_rows(row(rows), width_, count, h_, beta, blocks_);
             reflect_columns(V_, width_, free_, h_, beta, blocks_, t_);

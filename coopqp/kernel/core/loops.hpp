@@ -73,10 +73,12 @@ class StagedLoops final : public Loops {
     // kept: which of each loop's six rows are independent.
     StagedLoops(const Model& model, const std::vector<std::vector<int>>& kept, Arena& arena)
         : m_(model), shared_(shared_lanes(model)), touches_(6 + int(shared_.size())),
-          rows_(arena.take(8 * WIDTH)), h_(arena.take(std::size_t(touches_) * WIDTH)), beta_(arena.take(std::size_t(touches_))),
-          seen_(arena.take(std::size_t(touches_ + LANES) * WIDTH)), idle_(arena.take(2 * WIDTH * WIDTH)),
-          scratch_(arena.take(WIDTH)),
-          tau_(arena.take(std::size_t(padded(touches_)))), moved_(arena.take(std::size_t(padded(touches_)))) {
+          rows_(arena.take(8 * WIDTH)), h_(arena.take(std::size_t(touches_) * WIDTH)),
+          beta_(arena.take(std::size_t(touches_))),
+          seen_(arena.take(std::size_t(touches_ + LANES) * WIDTH)),
+          idle_(arena.take(std::size_t(WIDTH + LANES) * WIDTH)), scratch_(arena.take(WIDTH)),
+          tau_(arena.take(std::size_t(padded(touches_)))),
+          moved_(arena.take(std::size_t(padded(touches_)))) {
         int carry = model.base_lanes, tall = LANES * model.base_blocks;
         for (int i = 1; i < model.holding; i++) {
             Stage s;
@@ -144,7 +146,8 @@ class StagedLoops final : public Loops {
         for (std::size_t i = 0; i < stages_.size(); i++) {
             const Stage& s = stages_[i];
             alignas(64) double y[8] = {};
-            for (int k = 0; k < s.rows(); k++) y[k] = b[k] - of_touches(s, s.kept[std::size_t(k)], tau_);
+            for (int k = 0; k < s.rows(); k++)
+                y[k] = b[k] - of_touches(s, s.kept[std::size_t(k)], tau_);
             clear(s.x, B);
             add_rows(s.x, s.Q, WIDTH, s.rows(), y, Blocks<B>{});
             b += s.rows();
@@ -287,10 +290,12 @@ class StagedLoops final : public Loops {
         int rank = 0;
         for (int r = 0; r < touches_; r++) {
             double *row = seen_ + r * tall, *h = h_ + rank * WIDTH;
-            if (reflect_from(row, tall, touches_ - r - 1, rank, blocks, UNTOUCHED, h, beta_[rank]) != 0.0)
-                rank++;
+            const double onto =
+                reflect_from(row, tall, touches_ - r - 1, rank, blocks, UNTOUCHED, h, beta_[rank]);
+            rank += onto != 0.0;
         }
-        while (rank-- > 0) reflect_rows(idle_, WIDTH, count, h_ + rank * WIDTH, beta_[rank], blocks);
+        while (rank-- > 0)
+            reflect_rows(idle_, WIDTH, count, h_ + rank * WIDTH, beta_[rank], blocks);
     }
 
     // A direction over [carry | own] of a stage as one of all joints; those of arms after it are at rest.

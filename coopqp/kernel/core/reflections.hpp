@@ -50,8 +50,9 @@ inline void put_end(double* row, int last, double onto, int blocks) {
 
 // The same, which is also done to the `after` rows that follow. What the first of these are along
 // the row is known before its length is, so that none waits for both.
-__attribute__((noinline)) inline double reflect_from(double* row, int stride, int after, int first,
-                                                     int blocks, double least, double* h, double& beta) {
+__attribute__((noinline)) inline double reflect_from(double* row, int stride, int after,
+                                                     int first, int blocks, double least,
+                                                     double* h, double& beta) {
     double onto = 0.0;
     with(blocks, [&](auto n) {
         const v4i index = {0, 1, 2, 3};
