@@ -35,7 +35,6 @@ from coopqp.qp_law.level import Given, Step
 from coopqp.solver import Status
 from coopqp.task import Programs, Task, TaskStack
 
-AXES = 6  # of the object's twist, of which its tasks can decide no more
 SAMPLES = 6  # configurations at which ranks are taken, beside the start
 #: Singular values of task rows up to the first ask for nothing, from there to the second in part
 #: [m/rad, 1]; what these cost is MOST_DAMPING over WALL at most.
@@ -78,13 +77,9 @@ class Order:
         if any(task.joint_space and task.all_joints for task in tasks):
             return True
         chain = self.start.chain
-        of_object, others = 0, len(chain.loops.solver_rows)
-        for task in tasks:
-            if sees_twist(self.programs.of(task)):
-                of_object += len(task.rows(chain))
-            else:
-                others += len(task.rows(chain))
-        if others + min(of_object, AXES) < chain.n:
+        rows = [(len(task.rows(chain)), sees_twist(self.programs.of(task))) for task in tasks]
+        twist = min(6, sum(k for k, sees in rows if sees))  # the object's has six numbers
+        if len(chain.loops.solver_rows) + twist + sum(k for k, sees in rows if not sees) < chain.n:
             return False
         stack = TaskStack(tasks, self.start)
         anywhere = states_along(chain, chain.sample(np.random.default_rng(0), SAMPLES))
