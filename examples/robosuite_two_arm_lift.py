@@ -26,6 +26,7 @@ from coopqp.tasks import Pose as PoseTask
 
 DT = 0.01  # s
 ABOVE = 0.08  # m, from where the hands go down
+YIELD = 1.0  # s, for which closed hands give way to what they press each other by
 LAWS = QPController(name="qp"), TorqueQp(name="torque_qp"), Pseudoinverse(name="pseudoinverse")
 Way = Callable[[float], pin.SE3]
 
@@ -83,7 +84,11 @@ def take_hold(world: RobosuiteWorld, robot: coopqp.RobotModel, dt: float = DT) -
     at = [H * world.hand(a).inverse() * X for a, H, X in zip(world.arms, hands, at, strict=True)]
     q = go(world, reaching(robot, at, over), 0.7, dt)
     world.grip = dict.fromkeys(world.arms, 1.0)
-    return go(world, q, 0.5, dt)
+    go(world, q, 0.5, dt)
+    for _ in range(round(YIELD / dt)):
+        q = np.atleast_2d(world.read())[0]
+        world.write(q, np.zeros_like(q))
+    return q
 
 
 def scenario_of(
