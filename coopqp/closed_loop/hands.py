@@ -5,8 +5,6 @@ its place while the object turns. Where a hand is fastened, C is where its tip i
 behind a hinge the tip moves on, and C stays.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

@@ -42,8 +42,12 @@ from coopqp.grasp import SAFETY
 from coopqp.model.state import State
 from coopqp.qp_law.bounds import Bounds
 from coopqp.solver import Solution, Status
-from coopqp.torque_law.external_wrench import HandSensors, MomentumObserver
-from coopqp.torque_law.hand_wrenches import HandWrenches, require_forces
+from coopqp.torque_law.hand_wrenches import (
+    HandSensors,
+    HandWrenches,
+    MomentumObserver,
+    require_forces,
+)
 from coopqp.torque_law.margins import (
     ReferenceModel,
     damped,

@@ -4,8 +4,6 @@ On plants without errors and with no inputs, all of it follows from t, q and v, 
 the whole run at its end (``TrajectoryEvaluation``). Else the plant's truth is read at each instant.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 

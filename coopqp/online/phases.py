@@ -31,8 +31,8 @@ from coopqp.controller import Command, Controller, ControlProblem, InternalForce
 from coopqp.controllers import QPController, TorqueQp
 from coopqp.controllers.passive_grasp_pid import TorquePid
 from coopqp.controllers.torque_qp import TorqueQpLaw
+from coopqp.execution.controller_run import Measured, PhaseRun, begin_phase
 from coopqp.execution.instants import parts_of
-from coopqp.execution.phase_run import Measured, PhaseRun, begin_phase
 from coopqp.grasp import pose_matrix
 from coopqp.limit import Limit
 from coopqp.limits import JointAcceleration, JointPosition

@@ -23,11 +23,11 @@ from coopqp.base.errors import CoopqpError
 from coopqp.base.spec import Array
 from coopqp.base.table import csv_text
 from coopqp.controller import Command
-from coopqp.execution.phase_run import PhaseRun
+from coopqp.execution.controller_run import PhaseRun
 from coopqp.limits import JointAcceleration
 from coopqp.model.loop_observer import Observer
 from coopqp.model.state import State
-from coopqp.recordings.sent import FOLDER, Sent, fed, file_name
+from coopqp.recordings.csv_file import FOLDER, Sent, fed, file_name
 from coopqp.scenario.input import Arrival
 from coopqp.scenario.planned import FOLLOWED
 from coopqp.scenario.scenario import Scenario

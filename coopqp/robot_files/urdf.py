@@ -25,7 +25,7 @@ import pinocchio as pin
 from coopqp.base.errors import InvalidValueError, unknown_name
 from coopqp.base.reading import absolute
 from coopqp.base.spec import FARTHEST
-from coopqp.model.held_object import inertia_matrix
+from coopqp.model.grasp_configuration import inertia_matrix
 from coopqp.robot import Shape
 from coopqp.robot_files.selection import Description, Follower
 from coopqp.robot_files.xml import (

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -147,7 +146,9 @@ class TickRecord:
         qp.P[:], qp.q[:] = self.P, self.q_cost
         if self.C:
             qp.C[:] = self.C
-        qp.lower[:], qp.upper[:] = _infinite(self.lower), _infinite(self.upper)
+        bounds = np.array([self.lower, self.upper])
+        bounds[np.abs(bounds) >= UNBOUNDED] *= np.inf
+        qp.lower[:], qp.upper[:] = bounds
         return qp
 
 
@@ -188,12 +189,13 @@ def record_tick(
     )
     tasks = TaskStack(problem.tasks, State(problem.chain))
     tasks.update(state)
+    lower, upper = np.clip([qp.lower, qp.upper], -UNBOUNDED, UNBOUNDED).tolist()
     return TickRecord(
         scenario=scenario, controller=controller, tick=tick,
         t=state.t, q=state.q.tolist(), v=state.v.tolist(), memory=memory,
         dt=problem.dt, damping=level.curvature, budget=problem.budget,
         P=qp.P.tolist(), q_cost=qp.q.tolist(), C=qp.C.tolist(),
-        lower=_finite(qp.lower), upper=_finite(qp.upper), inequalities=qp.p,
+        lower=lower, upper=upper, inequalities=qp.p,
         variables=list(qp.rows.variables), inequality_rows=list(qp.rows.inequalities),
         equality_rows=list(qp.rows.equalities), lb_rows=below, ub_rows=above,
         J=np.pad(tasks.J, pad).tolist(), wanted=tasks.wanted.tolist(), task_rows=list(tasks.rows),
@@ -242,17 +244,6 @@ class NamedBounds:
     def rows(self) -> list[Row]:
         """The limits that lb, ub and h come from, in this order."""
         return [*self.below, *self.above, *(row for alone, _ in self._each for row in alone.rows)]
-
-
-def _finite(values: Array) -> list[float]:
-    clipped: list[float] = np.clip(values, -UNBOUNDED, UNBOUNDED).tolist()
-    return clipped
-
-
-def _infinite(values: Sequence[float]) -> Array:
-    array = np.array(values, float)
-    array[np.abs(array) >= UNBOUNDED] *= np.inf
-    return array
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,6 @@ sigma is how far the cones of hands that press are violated [N]: zero, unless th
 and then minimal.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

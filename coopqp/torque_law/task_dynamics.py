@@ -20,8 +20,6 @@ have. Torques for a then produce a + d, with J_c d = c and N' A d = 0, and J d w
 push: it is subtracted.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -3,8 +3,6 @@
 The explainer builds a controller of its own, as the player's is, so as not to disturb the loop.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import islice
 

@@ -4,8 +4,6 @@ The page first sends its port, or as a text why it cannot be served.
 Letters: b bodies, n joints, s segments. Poses are x, y, z, qx, qy, qz, qw.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal

@@ -4,8 +4,6 @@ No clock and no process: whoever plays it calls :meth:`Player.do` for an action 
 :meth:`Player.tick` when it is time and :meth:`Player.frame` to draw.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -23,9 +21,8 @@ from coopqp.scenario.planned import Way
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import Kind
 from coopqp.viewer import messages, picture
-from coopqp.viewer.recording import Recording
 from coopqp.viewer.simulated_controller import SimulatedController
-from coopqp.viewer.steering import Handle, dials_of, handles, with_dials, with_inputs
+from coopqp.viewer.steering import Handle, Recording, dials_of, handles, with_dials, with_inputs
 
 SLOWEST, FASTEST = 0.05, 4.0
 #: Range of the slider of a force whose input has no bounds [N, N m].

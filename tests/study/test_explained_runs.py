@@ -22,8 +22,7 @@ from scenario_files import HEAD, PHASES, TAIL, phased
 
 from coopqp.assessment import assess
 from coopqp.base.qp import Row
-from coopqp.execution.controller_run import run
-from coopqp.execution.phase_run import begin_phase
+from coopqp.execution.controller_run import begin_phase, run
 from coopqp.kernel import compiled
 from coopqp.limits import (
     JointAcceleration,

@@ -253,10 +253,6 @@ def _cost(row: Row) -> float:
     return METRE if row.unit == "m" else 1.0
 
 
-def _total(found: Sequence[Violation]) -> float:
-    return sum(violation.amount * _cost(violation.row) for violation in found)
-
-
 class _Programs:
     """The linear programs whose steps lead to a minimal violation."""
 
@@ -367,7 +363,10 @@ def minimal_relaxations(goal: Goal, room: Room, found: BlockedByLimits) -> tuple
             starts.append(other.q)
     programs = _Programs(goal, room)
     minima = [minimum for q in starts if (minimum := programs.shrink(q)) is not None]
-    return _rounded(min(minima, key=_total, default=[]))  # nothing where all starts lose the goal
+    fewest = min(
+        minima, key=lambda all_: sum(one.amount * _cost(one.row) for one in all_), default=[]
+    )
+    return _rounded(fewest)  # nothing where all starts lose the goal
 
 
 def _tried(

@@ -98,7 +98,7 @@ class Study:
         """A point, whatever the others."""
         u, first, values = self.points.at(index), 0, []
         for one in self.varied:
-            last = first + one.over.dimensions
+            last = first + len(one.over.sides)
             values.append(one.over.at(u[first:last]))
             first = last
         child = np.random.SeedSequence(self.seed, spawn_key=(index,))
