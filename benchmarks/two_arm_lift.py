@@ -60,9 +60,8 @@ VARIANTS = {
     "base 10 mm, 15 mrad off": {"off": True}, "circle with yaw": {"circle": True},
     "push of 20 N": {"push": 20.0},
 }  # fmt: skip
-#: Of the loop: how far the model's error may change after the grasp, 15 mrad over the lift make 2 mm
-#: [m]; the time from rest to full speed, so that a reference that jumps does not jolt the grips [s].
-MOST, SPEED_UP = 0.003, 1.0
+#: Of the loop, from rest to full speed: a reference that jumps does not jolt the grips [s].
+SPEED_UP = 0.8
 HEIGHT, LIFT, HOLD = 0.15, 1.5, 1.0  # m, s, s
 OSC_KP = 150.0
 #: From where robosuite has Baxter begin, reaching ends with the elbows at the torso: out with them
@@ -364,7 +363,7 @@ def follower(
     """A function that does one step of a law at a time, and the loop, if it is one of ours."""
     q = np.atleast_2d(world.read())[0].copy()
     if law in ("qp", NO_OBSERVER, "pseudoinverse", "torque_qp"):
-        observer = Observer(enabled=law != NO_OBSERVER, most=MOST)
+        observer = Observer(enabled=law != NO_OBSERVER)
         law = law.removesuffix(", no observer")
         loop = coopqp.OnlineLoop(scenario, law, clock=None, observer=observer, speed_up=SPEED_UP)
 
@@ -401,8 +400,8 @@ class Watch:
         self.held = [world.object.actInv(world.hand(arm)) for arm in world.arms]
         grippers = [world.env.robots[i].gripper[arm] for i, arm in world._of.values()]
         sides = "left_fingerpad", "right_fingerpad"
-        self.pads = [[world.model.geom(name).id for side in sides for name in g.important_geoms[side]]
-                     for g in grippers]  # fmt: skip
+        named = [[n for side in sides for n in g.important_geoms[side]] for g in grippers]
+        self.pads = [[world.model.geom(name).id for name in names] for names in named]
         self.touched = self.touching()
         self.force, self.slip, self.shift, self.tilt, self.over = [], 0.0, 0.0, 0.0, []
         motors = range(world.model.nu)
