@@ -1,7 +1,5 @@
 """One sentence on a run: does it get there, keep the limits and the loops closed."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

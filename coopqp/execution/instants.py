@@ -180,7 +180,7 @@ class Instants:
         return ratios
 
 
-def _updated(stack: TaskStack | WrenchStack, true: State) -> bool:
+def _updated(stack: TaskStack, true: State) -> bool:
     """Whether all tasks could be evaluated; the tick that met the same error names it."""
     with suppressed():
         stack.update(true)

@@ -14,8 +14,6 @@ without acceleration limits is at once. Arms that are moved by torques come to r
 torque QP, see :class:`Holding`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Literal

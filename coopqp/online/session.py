@@ -7,8 +7,6 @@
 on the same plant the joints are bit-equal, if there was no stop and no silence in between.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Callable, Mapping, Sequence

@@ -6,8 +6,6 @@ steps. Who can follow is said by the loops' Jacobian J_c at closed configuration
 good as the mean logarithm of the smallest singular value of its followers' columns.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor

@@ -1,7 +1,5 @@
 """The configurations of a path that somebody gives: an array, a recorded run, a table in a file."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -5,8 +5,6 @@ bit, and the scenario beside them, so that ``explain`` and ``replay`` work on ea
 tell the same again in the messages that Foxglove and ROS 2 know.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from coopqp.base.errors import CoopqpError, UnknownNameError, UnreadableFileError

@@ -6,8 +6,6 @@ made from it, and a test holds ``docs/recordings.md`` against it. A column is ca
 stay arrays: float64, in which NaN is an empty cell, and int64 for whole numbers; in texts "" is.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal

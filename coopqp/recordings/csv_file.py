@@ -6,8 +6,6 @@ feeds its inputs again; both what the page and what a loop for a robot write is 
     inputs/NAME.csv      t: of the tick for which it arrived; sent: when; the columns of its kind
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import re

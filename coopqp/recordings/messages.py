@@ -12,8 +12,6 @@ names links, else of its joints and hands. The object's pose is that of the row,
     the scenario       attachment scenario.yaml        /coopqp/scenario std_msgs/String, once
 """
 
-from __future__ import annotations
-
 import json
 import sqlite3
 from collections.abc import Iterator, Mapping
@@ -78,17 +76,14 @@ class Remark(NamedTuple):
 
 
 class Instant(NamedTuple):
-    """A row: its time [ns], joints by topic, frames of the robot, the object, remarks.
+    """What is said of a row."""
 
-    All of it is in ``row``, as objects inside each other, :func:`nested`.
-    """
-
-    ns: int
-    joints: Mapping[str, Joints]
-    frames: tuple[Placed, ...]
-    held: Placed
+    ns: int  # its time [ns]
+    joints: Mapping[str, Joints]  # by topic
+    frames: tuple[Placed, ...]  # of the robot
+    held: Placed  # the object
     remarks: tuple[Remark, ...]
-    row: Mapping[str, Any]
+    row: Mapping[str, Any]  # all of it, as objects inside each other, :func:`nested`
 
 
 def instants(run: Run, scenario: Scenario) -> Iterator[Instant]:

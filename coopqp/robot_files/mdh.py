@@ -7,8 +7,6 @@ The transform from the antecedent frame a(j) to frame j is (paper eq. (2))
 with gamma = b = 0 when x_a(j) is perpendicular to z_j. Lengths in metres, angles in radians.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ accepts half a file. Materials, normals and all else are not read, nor unit and 
 COLLADA file, as by pinocchio; its geometry is that of the scene, where its nodes put it.
 """
 
-from __future__ import annotations
-
 import math
 import xml.etree.ElementTree as ET
 from array import array

@@ -5,8 +5,6 @@ that lines in MuJoCo's messages are elements of the file. Sections that do not d
 are left out. MuJoCo gets the triangles of meshes only where a body's mass is that of its mesh.
 """
 
-from __future__ import annotations
-
 import difflib
 import re
 import warnings
@@ -22,14 +20,7 @@ import numpy as np
 from coopqp.base.errors import InvalidValueError, MissingDependencyError
 from coopqp.base.reading import absolute
 from coopqp.base.spec import FARTHEST
-from coopqp.robot_files.mjcf_model import (
-    Geoms,
-    Named,
-    floating,
-    followers,
-    pinocchio_model,
-    row_of,
-)
+from coopqp.robot_files.mjcf_model import Geoms, Named, floating, followers, pinocchio_model, row_of
 from coopqp.robot_files.selection import Description
 from coopqp.robot_files.xml import (
     ALIKE,

@@ -9,8 +9,6 @@ A description has all joints of a robot; controlled are the joints that move a t
    1e9 or more.
 """
 
-from __future__ import annotations
-
 import fnmatch
 import math
 from abc import abstractmethod

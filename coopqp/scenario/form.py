@@ -4,8 +4,6 @@ Every plug-in slot is "one name with its fields": ``rigid``, or ``rigid: {}``, o
 ``point_on_plane: {normal: [0, 0, 1], ...}``. pydantic checks it and writes its JSON Schema.
 """
 
-from __future__ import annotations
-
 import functools
 import json
 import operator

@@ -4,8 +4,6 @@ A run is given as read, or by its path, with the scenario that it was written fo
 damaged, or of another scenario, is refused with the line that shows it.
 """
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_right
 from collections.abc import Collection, Sequence

@@ -175,7 +175,7 @@ class HandWrenches:
             return P, np.zeros(self.size)
         # The least internal wrench that does what is asked.
         internal = self.split.projector / self._metric
-        least = internal @ least_squares(wrenches.C @ internal, wrenches.wanted)
+        least = internal @ least_squares(wrenches.J @ internal, wrenches.wanted)
         return P, -B.T @ (self._metric * least)
 
     def _reserves(self, state: State, dynamics: ClosedLoopDynamics) -> Array:
@@ -265,7 +265,7 @@ def unreachable_wrenches(hold: StaticHold, asked: WrenchStack) -> Iterator[str]:
 
     ``asked`` must be up to date at the pose of ``hold``.
     """
-    for row, C, wanted in zip(asked.rows, asked.C, asked.wanted, strict=True):
+    for row, C, wanted in zip(asked.rows, asked.J, asked.wanted, strict=True):
         least, most = (hold.extreme(C, sign) for sign in (-1.0, 1.0))
         if least is None or most is None:
             return  # the object cannot be carried; reported elsewhere where hands press
@@ -280,8 +280,8 @@ def unreachable_wrenches(hold: StaticHold, asked: WrenchStack) -> Iterator[str]:
 
 def _can(hold: StaticHold, asked: WrenchStack, rows: NDArray[np.intp]) -> bool:
     """Whether these rows can have their values at once."""
-    nothing = np.zeros(asked.C.shape[1])
-    return hold.extreme(nothing, 1.0, (asked.C[rows], asked.wanted[rows])) is not None
+    nothing = np.zeros(asked.J.shape[1])
+    return hold.extreme(nothing, 1.0, (asked.J[rows], asked.wanted[rows])) is not None
 
 
 class MomentumObserver:

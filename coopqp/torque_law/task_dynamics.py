@@ -56,7 +56,7 @@ class TaskDynamics:
         start = State(problem.chain)
         self.dynamics = ClosedLoopDynamics(problem.chain)
         self.tasks = TaskStack(problem.tasks, start)
-        self.gains = np.repeat([float(task.gain) for task in problem.tasks], self.tasks.sizes)
+        self.gains = self.tasks.gains
         self.e_dot, self.drift = np.zeros_like(self.tasks.e), np.zeros_like(self.tasks.e)
         self._ahead = State(problem.chain)
         self._effort = problem.chain.model.effortLimit

@@ -14,6 +14,8 @@ import tempfile
 import typing
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import reduce
+from operator import getitem
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +48,7 @@ from coopqp.signal import (
 )
 from coopqp.signals import Input
 from coopqp.task import Task
-from coopqp.viewer.messages import Dial, Gizmo
+from coopqp.viewer.messages import Dial, Gizmo, Key
 
 KAPPA = "kappa"
 SQUEEZE = "squeeze"
@@ -262,54 +264,47 @@ def dials_of(scenario: Scenario) -> Iterator[Dial]:
     """Gains, weights, priorities, squeezes and kappa."""
     for i, phase in enumerate(scenario.schedule):
         for j, task in enumerate(phase.tasks):
-            key, group = f"tasks.{i}.{j}", f"{phase.name}: {task.name}" if phase.name else task.name
-            yield from _dials_of(task, key, group, scenario.dt)
+            place, group = ("tasks", i, j), ": ".join(filter(None, (phase.name, task.name)))
+            yield from _dials_of(task, place, group, scenario.dt)
             if task.mode == "soft":
                 high, now = float(max(MAX_PRIORITY, task.priority)), float(task.priority)
-                yield Dial(f"{key}.priority", group, "priority, 0 is first", 0.0, high, 1.0, now)
+                yield Dial((*place, "priority"), group, "priority, 0 is first", 0.0, high, 1.0, now)
     for i, task in enumerate(scenario.secondary):
-        yield from _dials_of(task, f"secondary.{i}", task.name, scenario.dt)
+        yield from _dials_of(task, ("secondary", i), task.name, scenario.dt)
     now = scenario.drift_gain
     high = max(1.0 / scenario.dt, now)  # which rounding may tell apart
-    yield Dial(KAPPA, "loop", "kappa, drift gain [1/s]", 0.0, high, high / STEPS, now)
+    yield Dial((KAPPA,), "loop", "kappa, drift gain [1/s]", 0.0, high, high / STEPS, now)
 
 
-def _dials_of(task: Task, key: str, group: str, dt: float) -> Iterator[Dial]:
+def _dials_of(task: Task, place: Key, group: str, dt: float) -> Iterator[Dial]:
     force = getattr(task, SQUEEZE, None) if task.of_forces else None
     if isinstance(force, float | int) and force > 0.0:
         high = 2.0 * force
-        yield Dial(f"{key}.{SQUEEZE}", group, "squeeze [N]", 0.0, high, high / STEPS, force)
+        yield Dial((*place, SQUEEZE), group, "squeeze [N]", 0.0, high, high / STEPS, force)
     if not (task.asks_velocity or task.of_forces):
         high = max(min(max(MAX_GAIN, 2.0 * task.gain), 1.0 / dt), task.gain)
         low = min(MIN_GAIN, task.gain)
         step = (high - low) / STEPS
-        yield Dial(f"{key}.gain", group, "gain [1/s]", low, high, step, task.gain)
+        yield Dial((*place, "gain"), group, "gain [1/s]", low, high, step, task.gain)
     high = max(MAX_WEIGHT, 2.0 * task.weight)
-    yield Dial(f"{key}.weight", group, "weight", 0.0, high, high / STEPS, task.weight)
+    yield Dial((*place, "weight"), group, "weight", 0.0, high, high / STEPS, task.weight)
 
 
-def with_dials(scenario: Scenario, values: Mapping[str, float]) -> Scenario:
+def with_dials(scenario: Scenario, values: Mapping[Key, float]) -> Scenario:
     """The scenario with the values of its dials, by key."""
     if not values:
         return scenario
 
-    def changed(task: Task, place: str) -> Task:
-        keys = {name: f"{place}.{name}" for name in ("gain", "weight", "priority", SQUEEZE)}
+    def changed(task: Task, *place: str | int) -> Task:
+        keys = {name: (*place, name) for name in ("gain", "weight", "priority", SQUEEZE)}
         given: dict[str, Any] = {n: values[key] for n, key in keys.items() if key in values}
         if "priority" in given:
             given["priority"] = round(given["priority"])
         return replace(task, **given) if given else task
 
-    secondary = tuple(changed(t, f"secondary.{i}") for i, t in enumerate(scenario.secondary))
-    other = _with_tasks(scenario, lambda task, i, j: changed(task, f"tasks.{i}.{j}"))
-    return replace(other, secondary=secondary, kappa=values.get(KAPPA, scenario.kappa))
-
-
-def dialled_field(key: str) -> tuple[str, int, int, str]:
-    """List, phase, index and field of the task that a dial's key names."""
-    kind, *numbers, field = key.split(".")
-    indices = [int(number) for number in numbers]
-    return kind, indices[0] if len(indices) == 2 else 0, indices[-1], field
+    secondary = tuple(changed(t, "secondary", i) for i, t in enumerate(scenario.secondary))
+    other = _with_tasks(scenario, lambda task, i, j: changed(task, "tasks", i, j))
+    return replace(other, secondary=secondary, kappa=values.get((KAPPA,), scenario.kappa))
 
 
 FILE = "scenario.yaml"
@@ -336,7 +331,7 @@ class Recording:
         scenario: Scenario,
         steered: Sequence[SteeredField],
         controllers: Sequence[str],
-        dials: Mapping[str, float],
+        dials: Mapping[Key, float],
     ) -> None:
         self._scenario, self._steered, self._names = scenario, steered, controllers
         self._dials = dict(dials)
@@ -394,7 +389,13 @@ class Recording:
             data["folder"] = str(scenario.folder)
         phases = self._phases(data)
         secondary = [_spelled(slot) for slot in data.get("secondary", [])]
-        self._turn(data, phases, secondary)
+        slots: Any = {"tasks": [phase["tasks"] for phase in phases], "secondary": secondary}
+        for (*place, name), value in self._dials.items():
+            if place[:1] == ["tasks"] and place[1] not in range(len(phases)):
+                continue  # of a phase that was not played
+            slot: Any = reduce(getitem, place, slots) if place else {KAPPA: data}
+            (fields,) = slot.values()
+            fields[name] = round(value) if name == "priority" else value
         if secondary:
             data["secondary"] = secondary
         inputs = dict(data.get("inputs") or {})
@@ -421,20 +422,6 @@ class Recording:
             phases.append(given | {"duration": max(ticks * self._scenario.dt, end), "tasks": tasks})
         data |= {"phases": phases} if "phases" in data else phases[0]
         return phases
-
-    def _turn(
-        self, data: dict[str, Any], phases: list[dict[str, Any]], secondary: list[dict[str, Any]]
-    ) -> None:
-        for key, value in self._dials.items():
-            if key == KAPPA:
-                data[KAPPA] = value
-                continue
-            kind, phase, number, field = dialled_field(key)
-            if kind == "tasks" and phase >= len(phases):
-                continue
-            slots = phases[phase]["tasks"] if kind == "tasks" else secondary
-            (fields,) = slots[number].values()
-            fields[field] = round(value) if field == "priority" else value
 
 
 def _spelled(slot: Any) -> dict[str, Any]:

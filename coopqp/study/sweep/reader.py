@@ -3,8 +3,6 @@
 The form of the file is the model ``StudyFile``, which gives its JSON Schema too.
 """
 
-from __future__ import annotations
-
 import copy
 import json
 import math
