@@ -81,7 +81,7 @@ class Limits:
         if self.filled is not None:
             self.filled.update(state)
         if self.q_measured is not None:
-            self.q_measured[:] = np.nan if state.reading is None else state.reading
+            self.q_measured[:] = np.nan if (reading := state.reading) is None else reading
 
 
 class Outcome(IntEnum):
