@@ -32,6 +32,7 @@ from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.plant import Disturbance, Plant, PlantModel
 from coopqp.plants._dynamic import DynamicModel, Servo, ServoLaw
+from coopqp.robot import axis_of
 
 #: A link without mass gets this much, because MuJoCo moves no massless body [kg], [kg m2].
 LEAST_MASS, LEAST_INERTIA = 2e-3, 2e-6
@@ -213,11 +214,10 @@ def _stops(chain: ClosedChain, weld: str) -> dict[str, str]:
 
 def _axis(model: pin.Model, joint: int) -> tuple[str, Array]:
     """MuJoCo's joint type and axis of a joint with one coordinate."""
-    data = model.createData()
-    pin.computeJointJacobians(model, data, pin.neutral(model))
-    column = pin.getJointJacobian(model, data, joint, pin.LOCAL)[:, model.idx_vs[joint]]
-    turning = np.linalg.norm(column[3:]) > 0.5
-    return ("hinge", column[3:]) if turning else ("slide", column[:3])
+    axis = axis_of(model.joints[joint])
+    assert axis is not None  # robots have no others
+    turning = np.linalg.norm(axis[3:]) > 0.5
+    return ("hinge", axis[3:]) if turning else ("slide", axis[:3])
 
 
 def _inertial(body: pin.Inertia) -> str:
