@@ -283,11 +283,9 @@ class WeightSag:
 
 def _shares(points: list[Array]) -> Array:
     """Each hand's wrench at the object's origin for one there, shape (6 N, 6), object axes."""
-    each, grips = [], np.diag([1.0, 1.0, 1.0, *[GRIP_SIZE**2] * 3])
-    for p in points:
-        G = np.eye(6)
-        G[3:, :3] = pin.skew(p)
-        each.append(G @ grips @ G.T)
+    grips, one = np.diag([1.0, 1.0, 1.0, *[GRIP_SIZE**2] * 3]), np.eye(3)
+    moved = [pin.SE3(one, p).toDualActionMatrix() for p in points]
+    each = [G @ grips @ G.T for G in moved]
     return np.asarray(np.vstack(each) @ np.linalg.inv(sum(each)), float)
 
 
