@@ -326,8 +326,7 @@ class ClosedChain:
     def _rank_where_closed(self) -> int:
         """On a walk with closed loops, lower in paradoxical linkages (Bennett's); 0 if none."""
         jacobians = map(self.loop_jacobian, self.closed_walk(WALK))
-        ranks = (int(np.linalg.matrix_rank(J, rtol=WALK_TOLERANCE)) for J in jacobians)
-        return max(ranks, default=0)
+        return max((matrix_rank(J, WALK_TOLERANCE) for J in jacobians), default=0)
 
     def closed_walk(self, steps: int) -> Iterator[Array]:
         """At most so many closed configurations, on a random walk from the start."""
