@@ -12,8 +12,6 @@ but a hand's contact and the object touch. Behind a fingertip the object turns b
 the passive joints that stand for that have no bodies here.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -78,6 +76,27 @@ class SpringHand:
                     f"of {time_step:g} s follow at most {limit:g}; make time_step shorter, or "
                     "leave spring_hands out for hands that hardly yield"
                 )
+
+
+@spec
+class Mujoco(Plant):
+    """The same in MuJoCo: a free object, welded to the hands or pressed (extra coopqp[mujoco])."""
+
+    time_step: Positive = 0.0005
+    """Integration step; must divide the control period [s]."""
+    stiffness_time: Positive = 0.002
+    """Time constant of the welds [s]; at least two time steps."""
+    contact_time: Positive = 0.005
+    """Time constant of contacts [s]; at least two time steps."""
+    servo: Servo = Servo()
+    """How the joints follow velocity commands."""
+    end_stops: bool = True
+    """Whether joints stop at their position limits, as stiff as the welds."""
+    spring_hands: SpringHand | None = None
+    """What yields between each arm and the object; nothing but the welds if omitted."""
+
+    def build(self, problem: ControlProblem, seed: int, disturbance: Disturbance) -> PlantModel:
+        return MujocoModel(problem, self, seed, disturbance)
 
 
 def mjcf(chain: ClosedChain, time_step: float, settings: Mujoco, disturbance: Disturbance) -> str:
@@ -473,24 +492,3 @@ def angles_xyz(R: Array) -> Array:
     """The angles of successive turns about x, y and z, R = Rx Ry Rz, shape (3,) [rad]."""
     middle = np.arcsin(np.clip(R[0, 2], -1.0, 1.0))
     return np.array([np.arctan2(-R[1, 2], R[2, 2]), middle, np.arctan2(-R[0, 1], R[0, 0])])
-
-
-@spec
-class Mujoco(Plant):
-    """The same in MuJoCo: a free object, welded to the hands or pressed (extra coopqp[mujoco])."""
-
-    time_step: Positive = 0.0005
-    """Integration step; must divide the control period [s]."""
-    stiffness_time: Positive = 0.002
-    """Time constant of the welds [s]; at least two time steps."""
-    contact_time: Positive = 0.005
-    """Time constant of contacts [s]; at least two time steps."""
-    servo: Servo = Servo()
-    """How the joints follow velocity commands."""
-    end_stops: bool = True
-    """Whether joints stop at their position limits, as stiff as the welds."""
-    spring_hands: SpringHand | None = None
-    """What yields between each arm and the object; nothing but the welds if omitted."""
-
-    def build(self, problem: ControlProblem, seed: int, disturbance: Disturbance) -> PlantModel:
-        return MujocoModel(problem, self, seed, disturbance)
