@@ -51,23 +51,17 @@ class TickBatch:
 
 @dataclass(frozen=True)
 class TaskInfo:
-    """A task, or a part of it with a unit of its own, as the trace needs it.
-
-    Attributes:
-        end: when its reference arrives [s].
-        rows: of the trace, during which it counts; its error is NaN in the others.
-        springs: of an impedance, which of the task's rows each is, its axis of the push, and its
-            stiffness [N/m, N m/rad].
-        mode, priority: as the task says.
-    """
+    """A task, or a part of it with a unit of its own, as the trace needs it."""
 
     name: str
     unit: str
     tolerance: float
-    end: float
+    end: float  # when its reference arrives [s]
+    # of the trace, during which it counts; its error is NaN in the others
     rows: slice = field(default_factory=lambda: slice(None))
+    # of an impedance: which of the task's rows, its axis of the push, its stiffness [N/m, N m/rad]
     springs: tuple[tuple[int, int, float], ...] = ()
-    mode: Mode = "soft"
+    mode: Mode = "soft"  # mode, priority: as the task says
     priority: int = 0
 
 
