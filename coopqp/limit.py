@@ -46,16 +46,13 @@ class Bounded(IntEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class JointBounds:
-    """Bounds on each joint's velocity, for the kernel, from bounds of what ``of`` names.
-
-    ``step`` is how much v may change in a tick (BRAKING), ``speed`` that of recovery (POSITION).
-    """
+    """Bounds on each joint's velocity, for the kernel, from bounds of what ``of`` names."""
 
     of: Bounded
     lower: Array
     upper: Array
-    step: Array | None = None
-    speed: float = 0.0
+    step: Array | None = None  # how much v may change in a tick (BRAKING)
+    speed: float = 0.0  # of recovery (POSITION)
 
 
 @dataclass(frozen=True, kw_only=True)

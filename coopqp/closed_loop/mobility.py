@@ -33,30 +33,23 @@ WEAK = 0.02
 
 @dataclass(frozen=True)
 class Scheme:
-    """A choice of independent actuated joints.
-
-    ``condition`` of the block to be inverted is the median over generic poses, and ``admissible``
-    says whether it is regular at any of them; ``_start`` is of the start.
-    """
+    """A choice of independent actuated joints; ``_start`` is of the start."""
 
     joints: tuple[str, ...]
-    condition: float
+    condition: float  # of the block to be inverted, the median over generic poses
     condition_start: float
-    admissible: bool
+    admissible: bool  # whether it is regular at any of these
     admissible_start: bool
 
 
 @dataclass(frozen=True)
 class TaskMobility:
-    """A task's rows, and how many of them, ``rank``, can be chosen freely at the start.
-
-    ``weakest`` is their smallest singular value [m or rad for a unit of joint motion].
-    """
+    """A task's rows, and how far they can be chosen freely at the start."""
 
     name: str
     rows: int
-    rank: int
-    weakest: float
+    rank: int  # how many of them can
+    weakest: float  # their smallest singular value [m or rad for a unit of joint motion]
 
 
 @dataclass(frozen=True)
