@@ -5,8 +5,6 @@ that lines in MuJoCo's messages are elements of the file. Sections that do not d
 are left out. MuJoCo gets the triangles of meshes only where a body's mass is that of its mesh.
 """
 
-from __future__ import annotations
-
 import difflib
 import re
 import warnings
@@ -19,17 +17,10 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from coopqp.base.errors import InvalidValueError, MissingDependencyError
+from coopqp.base.errors import InvalidValueError, needs
 from coopqp.base.reading import absolute
 from coopqp.base.spec import FARTHEST
-from coopqp.robot_files.mjcf_model import (
-    Geoms,
-    Named,
-    floating,
-    followers,
-    pinocchio_model,
-    row_of,
-)
+from coopqp.robot_files.mjcf_model import Geoms, Named, floating, followers, pinocchio_model, row_of
 from coopqp.robot_files.selection import Description
 from coopqp.robot_files.xml import (
     ALIKE,
@@ -117,10 +108,8 @@ def read_mjcf(path: Path) -> Description:
 
 
 def _mujoco() -> ModuleType:
-    try:
+    with needs("a robot from an MJCF file", "mujoco"):
         import mujoco
-    except ImportError:
-        raise MissingDependencyError("a robot from an MJCF file", "mujoco") from None
     found: ModuleType = mujoco
     return found
 

@@ -7,8 +7,6 @@ A velocity has no goal to search for. At the last tick
     limits, speed   by the multipliers of the ticks, as in :mod:`coopqp.study.explanation.tick`
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -30,20 +28,8 @@ from coopqp.study.explanation.explained_phase import (
     rerun,
     with_suggestion,
 )
-from coopqp.study.explanation.goal import (
-    Goal,
-    PartOfTask,
-    Place,
-    Room,
-    Share,
-    least_relaxation,
-)
-from coopqp.study.explanation.tick import (
-    PhaseTicks,
-    contradicting_rows,
-    held_up,
-    speed_share,
-)
+from coopqp.study.explanation.goal import Goal, PartOfTask, Place, Room, Share, least_relaxation
+from coopqp.study.explanation.tick import PhaseTicks, contradicting_rows, held_up, speed_share
 from coopqp.study.explanation.words import RunExplanation
 
 #: The loop budget is what slows where more than MANY of the LAST ticks were cut for it.
