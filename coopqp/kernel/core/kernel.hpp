@@ -365,13 +365,13 @@ class Kernel {
                 if (!may_come_near(status) || status == Status::Inaccurate) return status;
                 counts = std::max(counts, swings_);
             }
+            short_ = counts > 0.0;
+            for (std::size_t s = 0; s < missed_.size(); s++)
+                missed_[s] = counts * std::fabs(missed_[s]) + swings_ * std::fabs(levels[0].wanted[s]);
             const bool damps = counts == 1.0 && nearest_.unsure(missed_.data()) <= s_.budget.accuracy;
             if (unsure && !damps) return Status::Inaccurate;
-            short_ = counts > 0.0;
             holds = !short_ && holds_firmly(whole, true);
             if (short_) {
-                for (std::size_t s = 0; s < missed_.size(); s++)
-                    missed_[s] = counts * std::fabs(missed_[s]) + swings_ * std::fabs(levels[0].wanted[s]);
                 status = nearest_.damp(damping_, missed_.data(), b_.data(), set_out_);
                 if (status != Status::Optimal) return status;
                 in_part = counts * note_missed(nearest_.v()) < 1.0;

@@ -35,25 +35,26 @@ class Nearest {
         return of_hard(b, v, 0.0);
     }
 
-    // How far damp may be off as the answer is: its objective is less than d off^2 from the least.
-    double unsure(const double* missed) const {
+    // How far damp may be off as the answer is, which leaves a gradient of d off at most: so
+    // |J x|^2 + d |x|^2 <= d off |x| for its distance x from the optimum, and |J x|^2 <= d off^2 / 4.
+    double unsure(const double* pulls) const {
         const Outcome& found = cascade_.outcome();
         double squares = 0.0, all = 0.0;
         for (std::size_t s = 0; s < std::size_t(given_.hard); s++) {
             squares += given_.weight[s] * given_.lever[s] * given_.lever[s];
-            all += given_.weight[s] * std::fabs(missed[s]) * given_.lever[s];
+            all += given_.weight[s] * pulls[s] * given_.lever[s];
         }
         const double speed = std::sqrt(dot(v(), v(), blocks_));
-        const double off = found.off * std::sqrt(LESS * s_.damping * squares) / all * speed;
+        const double off = found.off * std::sqrt(LESS * s_.damping * squares / 4.0) / all * speed;
         return found.astray <= s_.budget.accuracy ? off : std::numeric_limits<double>::infinity();
     }
 
-    // It anew, with the damping of rows that lack so much.
-    Status damp(const StepDamping& damping, const double* missed, const double* b, const double* v) {
+    // It anew, with the damping of rows that lack, or want, so much.
+    Status damp(const StepDamping& damping, const double* pulls, const double* b, const double* v) {
         const Level& level = levels_[0];
         double curvature = 0.0;
         for (int s = 0; s < level.rows; s++)
-            curvature += level.weight[std::size_t(s)] * std::fabs(missed[s]) * level.lever[std::size_t(s)];
+            curvature += level.weight[std::size_t(s)] * pulls[s] * level.lever[std::size_t(s)];
         return of_hard(b, v, damping.of(curvature));
     }
 
