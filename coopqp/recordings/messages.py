@@ -76,17 +76,14 @@ class Remark(NamedTuple):
 
 
 class Instant(NamedTuple):
-    """A row: its time [ns], joints by topic, frames of the robot, the object, remarks.
+    """What is said of a row."""
 
-    All of it is in ``row``, as objects inside each other, :func:`nested`.
-    """
-
-    ns: int
-    joints: Mapping[str, Joints]
-    frames: tuple[Placed, ...]
-    held: Placed
+    ns: int  # its time [ns]
+    joints: Mapping[str, Joints]  # by topic
+    frames: tuple[Placed, ...]  # of the robot
+    held: Placed  # the object
     remarks: tuple[Remark, ...]
-    row: Mapping[str, Any]
+    row: Mapping[str, Any]  # all of it, as objects inside each other, :func:`nested`
 
 
 def instants(run: Run, scenario: Scenario) -> Iterator[Instant]:

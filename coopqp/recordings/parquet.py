@@ -117,13 +117,11 @@ def arrow_schema(scenario: Scenario, controller: str, source: str, names: Iterab
 
 def _run(path: Path, table: Any) -> Run:
     """A run from a table of pyarrow's."""
-    lists = {name: _values(table.column(i)) for i, name in enumerate(table.column_names)}
+    lists = {
+        name: x.to_numpy() if str(x.type) in ("double", "int64") else x.to_pylist()
+        for name, x in zip(table.column_names, table.columns, strict=True)
+    }
     return run_of(path, f"{path}: row ", lists, np.arange(table.num_rows), str(path))
-
-
-def _values(found: Any) -> Any:
-    kind = str(found.type)
-    return found.to_numpy() if kind in ("double", "int64") else found.to_pylist()
 
 
 def _opened(path: Path, stream: Any) -> Any:

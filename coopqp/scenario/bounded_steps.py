@@ -34,16 +34,12 @@ Inequalities = Callable[[Array], tuple[Array, Array]]
 
 @dataclass(frozen=True)
 class Stop:
-    """When a search ends: after so many steps, with a residual small enough, or stuck.
-
-    No variable goes farther than ``most`` in a step; ``stuck`` is the least share of change of
-    |r|^2.
-    """
+    """When a search ends: after so many steps, with a residual small enough, or stuck."""
 
     steps: int
-    most: float
-    enough: Callable[[Array], bool]
-    stuck: float = STUCK
+    most: float  # that a variable goes in one
+    enough: Callable[[Array], bool]  # whether the residual is
+    stuck: float = STUCK  # least share of change of |r|^2
 
 
 class BoundedSteps:

@@ -32,50 +32,38 @@ UNBOUNDED = 1e30  # what an infinite bound is written as
 @with_config(ConfigDict(extra="forbid", strict=True, allow_inf_nan=False))
 @dataclass(frozen=True)
 class TickRecord:
-    """All that explains one tick of a QP controller, and solves it again.
-
-    Attributes:
-        t, q, v, memory: the state before the tick.
-        damping: smallest curvature of the cost.
-        budget: tolerances of an answer.
-        P, q_cost, C, lower, upper: the first level's QP, ``QP``: hard and scaled tasks as equality
-            rows, or, where hard ones cannot hold, as the cost
-            (:class:`coopqp.qp_law.nearest.Nearest`), which has no shares of scaled tasks.
-        inequalities: number of rows of G in C.
-        lb_rows, ub_rows: the limit that each bound on v comes from.
-        J, wanted, task_rows: rows of all tasks.
-        modes: soft, hard or scaled, by the task's name.
-        answer, status: the controller's, all levels included.
-        first_answer: its solver's, of this QP.
-    """
+    """All that explains one tick of a QP controller, and solves it again."""
 
     scenario: str
     controller: str
     tick: int
+    # the state before the tick
     t: float
     q: list[float]
     v: list[float]
     memory: list[float]
     dt: float
-    damping: float
-    budget: Budget
+    damping: float  # smallest curvature of the cost
+    budget: Budget  # tolerances of an answer
+    # the first level's QP: hard and scaled tasks as equality rows, or, where hard ones cannot hold,
+    # as the cost (:class:`coopqp.qp_law.nearest.Nearest`), which has no shares of scaled tasks
     P: list[list[float]]
     q_cost: list[float]
     C: list[list[float]]
     lower: list[float]
     upper: list[float]
-    inequalities: int
+    inequalities: int  # number of rows of G in C
     variables: list[Row]
     inequality_rows: list[Row]
     equality_rows: list[Row]
-    lb_rows: list[Row]
+    lb_rows: list[Row]  # the limit that each bound on v comes from
     ub_rows: list[Row]
-    J: list[list[float]]
+    J: list[list[float]]  # this and the next two are of the rows of all tasks
     wanted: list[float]
     task_rows: list[Row]
-    modes: dict[str, Mode]
-    answer: list[float]
-    first_answer: list[float]
+    modes: dict[str, Mode]  # soft, hard or scaled, by the task's name
+    answer: list[float]  # the controller's, all levels included, as is the status
+    first_answer: list[float]  # its solver's, of this QP
     status: str
 
     def text(self) -> str:
@@ -248,16 +236,13 @@ class NamedBounds:
 
 @dataclass(frozen=True)
 class Replay:
-    """A saved tick solved again: verified status, answer v, its residuals.
+    """A saved tick solved again."""
 
-    ``difference`` is the largest distance to the answer that was saved [rad/s].
-    """
-
-    status: Status
-    v: Array
+    status: Status  # verified
+    v: Array  # the answer
     primal_residual: float
     dual_residual: float
-    difference: float
+    difference: float  # largest distance to the answer that was saved [rad/s]
 
     def as_json(self) -> dict[str, Any]:
         return {**asdict(self), "status": self.status.value, "v": self.v.tolist()}

@@ -364,15 +364,12 @@ def _level_weight(task: Task) -> float:
 
 @dataclass(frozen=True)
 class Place:
-    """Where a search ended, valid where loops are closed and limits kept.
+    """Where a search ended."""
 
-    It has q, shape (n,), errors e, shape (k,), and the goal's miss.
-    """
-
-    q: Array
-    e: Array
-    miss: float
-    valid: bool
+    q: Array  # shape (n,)
+    e: Array  # errors, shape (k,)
+    miss: float  # the goal's
+    valid: bool  # whether loops are closed and limits kept
 
     @property
     def reached(self) -> bool:

@@ -61,17 +61,13 @@ EVERY = 0.1  # s between what is written to the journal, at least
 
 @dataclass
 class Progress:
-    """How far a sweep is: so many variants of this share were there before, and are done.
-
-    ``states`` are those of the rows that came since it began; ``damaged`` are records that were not
-    as they were written: what they said is done again.
-    """
+    """How far a sweep is: so many variants of this share were there before, and are done."""
 
     total: int
     before: int
     done: int
-    states: Counter[str] = field(default_factory=Counter)
-    damaged: int = 0
+    states: Counter[str] = field(default_factory=Counter)  # of the rows since it began
+    damaged: int = 0  # records that were not as they were written: what they said is done again
     begun: float = field(default_factory=time.monotonic)
 
     @property
