@@ -80,6 +80,15 @@ class MissingDependencyError(CoopqpError, ImportError):
         super().__init__(f"{what} needs: " + (words or f"pip install 'coopqp[{extra}]'"))
 
 
+@contextmanager
+def needs(what: str, extra: str) -> Iterator[None]:
+    """Name the extra where a package is missing that is imported meanwhile."""
+    try:
+        yield
+    except ImportError:
+        raise MissingDependencyError(what, extra) from None
+
+
 class UnreadableFileError(CoopqpError):
     """A file, or a line in it (``place``), that cannot be read, and why."""
 
