@@ -24,6 +24,8 @@ over the servos' compliance, and never on grips that creep. The load is the obje
 the stiffness is known, else nothing, until it is felt: at rest, by least squares of q_m - q_c.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Mapping
 from functools import cached_property
