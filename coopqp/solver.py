@@ -69,7 +69,9 @@ class Status(enum.Enum):
         True,
     )
     JOINT_DOUBTED = (
-        "brakes: a joint may not follow its commands, as the next samples will show", True, True
+        "brakes: a joint may not follow its commands, as the next samples will show",
+        True,
+        True,
     )
     CLOCK_WRONG = "comes to rest: the loop's clock does not say the time", True, True
     STOPPED = "comes to rest, and stays there until it is told to go on", True, True
