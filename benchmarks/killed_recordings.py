@@ -18,7 +18,7 @@ from pathlib import Path
 
 import coopqp
 from coopqp.online.recording import LiveRecording
-from coopqp.recordings.known import read
+from coopqp.recordings import read
 
 PERIOD = 0.002  # [s]
 

@@ -10,7 +10,7 @@ cohnt/constrained-bimanual-planning-example, whose meshes are read; shelves.json
 Grippers count. A plan is timed from the call to a shortened path that was looked at a second time
 at 0.01 rad; the paths are written to --out, one file for each of the first ten seeds. ``linked`` is
 by how much ``tests/linking.py``'s number of the goal differs from the start's, which no motion
-changes as long as the arms' line keeps from itself; how near that comes is told last.
+changes as the arms' line never passes through itself; why, is told last for each two pieces of it.
 
 Goals are the places of a point of the object at closed configurations inside the limits and free,
 with a ball in the way in half of those of robots that watch bodies: how many ``reach`` finds, in
@@ -127,26 +127,14 @@ def shelves(asked: argparse.Namespace) -> None:
     }
     for name, group in groups.items():
         print(_line(name, group))
-    print(f"the line comes as near to itself as {_nearest(line, scene):.3f} m")
+    _told(ClosedSpace(scene.problem()))
 
 
-def _nearest(line: Any, scene: Scenario) -> float:
-    """At free configurations: the nearest of random ones, led on by random steps."""
-    rng, space = np.random.default_rng(0), ClosedSpace(scene.problem())
-    q = space.sample(rng, 20000)
-    q = q[space.project(q)]
-    q = q[space.is_free(q)]
-    away = np.array([line.nearest(row) for row in q])
-    nearest = np.argsort(away)[:40]
-    q, away = q[nearest], away[nearest]
-    for _ in range(600):
-        beside = q + 0.1 * rng.random((len(q), 1)) * rng.normal(size=q.shape)
-        good = space.project(beside)
-        good &= space.is_free(beside)
-        now = np.array([line.nearest(row) for row in beside])
-        nearer = good & (now < away)
-        q[nearer], away[nearer] = beside[nearer], now[nearer]
-    return float(away.min())
+def _told(space: ClosedSpace) -> None:
+    """Why no two pieces of the closed line ever cross, and by how much."""
+    for held in space.line.held() if space.line else ():
+        unit = "rad" if held.why == "bend" else "m"
+        print(f"{' | '.join(held.pieces):80s} {held.why:7s} {held.margin:.4f} {unit}")
 
 
 def _measured(found: Plan, wall: float, cpu: float) -> dict[str, float]:

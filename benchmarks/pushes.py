@@ -26,7 +26,7 @@ from coopqp.plants import Mujoco, RigidBody
 from coopqp.scenario.scenario import Scenario
 from coopqp.signals.circle import Circle
 from coopqp.tasks import Impedance, Orientation, PointOnPoint
-from coopqp.torque_law.external_wrench import MomentumObserver
+from coopqp.torque_law.hand_wrenches import MomentumObserver
 from coopqp.trace import Trace
 
 FORCE, BEGIN = np.array([6.0, 8.0, 0.0]), 1.2  # [N], [s]

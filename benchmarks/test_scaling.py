@@ -28,7 +28,7 @@ from coopqp.execution.rollout import drive
 from coopqp.grasps import Rigid
 from coopqp.limits import JointPosition, JointVelocity
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 from coopqp.model.profile import Profile
 from coopqp.plant import Disturbance
 from coopqp.plants import Kinematic

@@ -30,7 +30,7 @@ from .limit import LimitRows as LimitRows
 from .limit import Tighten as Tighten
 from .metric import Metric as Metric
 from .model.closed_chain import ClosedChain as ClosedChain
-from .model.held_object import HeldObject as HeldObject
+from .model.grasp_configuration import HeldObject as HeldObject
 from .model.loop_observer import Observer as Observer
 from .model.marker import CircleMarker as CircleMarker
 from .model.marker import LineMarker as LineMarker

@@ -6,8 +6,6 @@ where it sets out is :func:`begin`. The compiled kernel evaluates all kinds, :fu
 but manipulability in numpy.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -243,16 +243,18 @@ def pose_parts(
 class TaskStack:
     """The rows of several tasks in one block, shapes (k,) and (k, n) with k = all rows.
 
+    J has n ``columns``, one a joint unless said otherwise.
+
     Attributes:
         slices: of each task's rows. sizes: their numbers.
         e, J, rate: as in :class:`TaskRows`.
         wanted: J v that makes the errors decay, rate - gain e.
-        weights: of the rows.
+        weights, gains, hard, priorities: of the rows.
         bound: the function of each task, and where it writes.
     """
 
-    def __init__(self, tasks: Sequence[Task], start: State) -> None:
-        self._chain, n = start.chain, start.chain.n
+    def __init__(self, tasks: Sequence[Task], start: State, columns: int | None = None) -> None:
+        self._chain, n = start.chain, start.chain.n if columns is None else columns
         sizes = [len(task.rows(start.chain)) for task in tasks]
         ends = list(itertools.accumulate(sizes, initial=0))
         k = ends[-1]
@@ -264,7 +266,9 @@ class TaskStack:
         self.weights = np.repeat([float(task.weight) for task in tasks], sizes)
         #: Of the tasks in joint space that ask something of every joint.
         self.joint_weight = sum(float(t.weight) for t in tasks if t.joint_space and t.all_joints)
-        self._gains = np.repeat([float(task.gain) for task in tasks], sizes)
+        self.gains = np.repeat([float(task.gain) for task in tasks], sizes)
+        self.hard = np.repeat([task.mode == "hard" for task in tasks], sizes).astype(bool)
+        self.priorities = np.repeat([task.priority for task in tasks], sizes).astype(int)
         #: Largest second derivative of each row's error [unit/rad2].
         self.levers = np.array(
             [lever for task in tasks for lever in levers_of(task, start.chain)], float
@@ -286,7 +290,7 @@ class TaskStack:
 
     def update(self, state: State) -> None:
         evaluate_all(self.bound, state)
-        self.wanted[:] = self.rate - self._gains * self.e
+        self.wanted[:] = self.rate - self.gains * self.e
 
     def curvatures(self, v: Array) -> Array:
         """Curvature that J leaves out of each row's cost, times 1 s, at the last v, shape (k,).
@@ -298,7 +302,7 @@ class TaskStack:
 
         For a task that asks for a velocity alone |J v - rate| stands for g |e|.
         """
-        most = self._gains * np.abs(self.e)
+        most = self.gains * np.abs(self.e)
         for part in self._asking:
             most[part] = np.abs(self.J[part].dot(v) - self.rate[part])
         most *= self.levers

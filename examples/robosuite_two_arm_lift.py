@@ -19,7 +19,7 @@ from coopqp.adapters.robosuite import RobosuiteWorld, controllers
 from coopqp.base.spec import Array, Pose
 from coopqp.controllers import Pseudoinverse, QPController, TorqueQp
 from coopqp.grasps import Rigid
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 from coopqp.scenario.scenario import Scenario
 from coopqp.signals import Waypoints
 from coopqp.tasks import Pose as PoseTask

@@ -1,7 +1,5 @@
 """What tasks share that bring the object to a line or a plane in space."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 from coopqp.base.spec import Positive, Vector3, spec

@@ -8,8 +8,6 @@ and h(t) the reference, which shrinks from the start to 0:
 Where the two points coincide u is the world's x axis: the row stays finite and the point leaves.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from coopqp.base.spec import Positive, Vector3, spec

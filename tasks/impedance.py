@@ -13,8 +13,6 @@ Where ``damping`` is left out, every mode has the ``damping_ratio``. Only laws t
 can do this; there is no gain, and no integral brings e back.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 import numpy as np

@@ -12,8 +12,6 @@ forces, which differ by the object's weight along the line between the hands.
 (:mod:`coopqp.closed_loop.admittance`); others leave it out.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Annotated, ClassVar
 

@@ -6,8 +6,6 @@ so that the desired joint velocity is Z = -gain grad phi. Joints without limits 
 ask for nothing.
 """
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import numpy as np

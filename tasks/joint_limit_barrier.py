@@ -9,8 +9,6 @@ and beyond it, the slope is constant, so that joints do not chatter. Joints with
 nothing.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, ClassVar
 
 import numpy as np

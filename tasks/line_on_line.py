@@ -11,8 +11,6 @@ from the start to 0, and theta u the angle and way of a from its reference
 Khalil and Dombre 2004.
 """
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import numpy as np

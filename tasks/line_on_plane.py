@@ -13,8 +13,6 @@ Where the line is normal to the plane it may fall any way; there w is normal to 
 plane's axes. The row of beta has length one everywhere. Khalil and Dombre 2004.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import ClassVar
 

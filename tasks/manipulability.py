@@ -20,8 +20,6 @@ so the gradient is analytic. Where m = 0 it has no gradient; the rows stay finit
 1985; gradient projection after Dubey and Luh 1988.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np

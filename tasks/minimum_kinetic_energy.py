@@ -8,8 +8,6 @@ the gain is without effect. Where A is singular, as with a joint that moves no m
 plus ``MASSLESS`` of its mean diagonal entry.
 """
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import numpy as np

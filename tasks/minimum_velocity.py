@@ -5,8 +5,6 @@
 so that the least sum of squared joint velocities does what the tasks ask for; without a gain.
 """
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import numpy as np

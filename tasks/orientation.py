@@ -6,8 +6,6 @@ R_e = R R_r' and Jl the left Jacobian of SO(3),
     e = log R_e,   J = Jl^-1(e) J_omega,   rate = Jl^-1(e) R_e s_dot phi
 """
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 from coopqp.base.spec import Pose, Positive, Vector3, one_angle, spec

@@ -11,8 +11,6 @@ shrinks from the start to 0, and theta u the angle and way of a from its referen
 Khalil and Dombre 2004.
 """
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 from coopqp.base.spec import Direction, spec

@@ -10,8 +10,6 @@ On the circle's axis, where no way out is shortest, u is the first of the circle
 stay finite and the point leaves the axis.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from coopqp.base.spec import Positive, Vector3, spec

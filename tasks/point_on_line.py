@@ -9,8 +9,6 @@ point and h(t) the reference offset, which shrinks from where the point starts t
 One of Dombre's minimum task descriptions, Khalil and Dombre 2004.
 """
 
-from __future__ import annotations
-
 from coopqp.base.spec import spec
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.program import Primitive, point

@@ -7,8 +7,6 @@ from where the point starts to 0:
     e = n'(p - c) - h,   J = n' J_p,   rate = n' c_dot - n_dot' (p - c) + h_dot
 """
 
-from __future__ import annotations
-
 from coopqp.base.spec import spec
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.program import Primitive, point

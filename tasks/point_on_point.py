@@ -6,8 +6,6 @@ goes from where the point is at the start to the goal g, be it at rest or a sign
     e = p - r,   J = J_v - [R_WO p_O]x J_omega,   rate = r_dot
 """
 
-from __future__ import annotations
-
 from coopqp.base.spec import Vector3, spec
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.geometry import Reference

@@ -7,8 +7,6 @@ normal to the reference that turns with it (``geometry.inverse_alignment``),
     e = theta u,   |e| = theta
 """
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 from coopqp.base.spec import Direction, Positive, spec

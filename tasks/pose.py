@@ -9,8 +9,6 @@ With R_e = R R_r' and Jl the left Jacobian of SO(3),
     e = [p - p_r; log R_e],   J = [J_v; Jl^-1 J_omega],   rate = [p_r_dot; Jl^-1 R_e s_dot phi]
 """
 
-from __future__ import annotations
-
 from coopqp.base.spec import Positive, spec
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.geometry import PlaceOf, Reference, object_at

@@ -7,8 +7,6 @@ With the reference r(t) = g(t) + (1 - s(t)) (q_start - g_start) and g the goal, 
 Joints that are not named ask for nothing: they pull neither way, e = 0 and rate = 0.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from typing import Annotated, ClassVar
 

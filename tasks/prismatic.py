@@ -13,8 +13,6 @@ start to 0:
 Jl is the left Jacobian of SO(3) at log Q_e. Khalil and Dombre 2004.
 """
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 from coopqp.base.spec import Pose, Vector3, one_angle, spec

@@ -16,8 +16,6 @@ loop that is closed contradicts every goal but the identity. Relative variables 
 Chiaverini and Siciliano 1996.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from coopqp.base.errors import UnknownNameError

@@ -10,8 +10,6 @@ the angle and way of a from its reference (``geometry.inverse_alignment``):
 Khalil and Dombre 2004.
 """
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 from coopqp.base.spec import Direction, spec

@@ -7,8 +7,6 @@ The share s grows from 0 to 1 with the profile. A signal's values are velocities
 is kept, so the gain is without effect; reports show J v - rate.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np

@@ -14,7 +14,7 @@ from coopqp.base.spec import Array, Vector3, spec
 from coopqp.grasp import Grasp, PassiveJoint
 from coopqp.grasps import Rigid
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 from coopqp.model.state import State
 from coopqp.robot import Arm, RobotModel
 from coopqp.robot_files import mdh

@@ -20,7 +20,7 @@ from coopqp.base.spec import Array
 from coopqp.grasps import Rigid
 from coopqp.limit import Limit
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 from coopqp.robot import Robot
 from coopqp.robot_files.selection import ArmJoints
 from coopqp.robots import Several

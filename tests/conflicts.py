@@ -13,7 +13,7 @@ from coopqp.controller import Law
 from coopqp.grasp import Grasp
 from coopqp.grasps import Revolute, Rigid
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 from coopqp.model.state import State
 from coopqp.robot import RobotModel
 from coopqp.tasks import PointOnPoint, Pose

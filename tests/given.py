@@ -19,7 +19,7 @@ from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.grasps import Rigid
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 from coopqp.model.state import State
 from coopqp.robot import RobotModel
 from coopqp.robots import NaoT14

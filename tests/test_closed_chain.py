@@ -15,7 +15,7 @@ from coopqp.base.rank import matrix_rank
 from coopqp.base.spec import Array, Pose
 from coopqp.grasps import Rigid
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 from coopqp.model.state import State
 from coopqp.robot import RobotModel
 

@@ -21,7 +21,7 @@ from coopqp.closed_loop.mobility import mobility
 from coopqp.controllers import QPController
 from coopqp.grasps import Rigid
 from coopqp.limits import JointPosition, ObjectSpeed, Workspace
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 from coopqp.model.profile import Profile
 from coopqp.report import strict_json
 from coopqp.robots import Several, Urdf

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from coopqp.base.errors import InvalidValueError
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 
 
 @pytest.mark.parametrize(

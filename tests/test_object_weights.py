@@ -15,7 +15,7 @@ from coopqp.base.errors import InvalidValueError, ScenarioError, UnknownNameErro
 from coopqp.base.spec import Array
 from coopqp.grasps import Revolute, Rigid
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 from coopqp.model.state import State
 from coopqp.robot import RobotModel
 from coopqp.robots import Several

@@ -1,7 +1,5 @@
 """LeRobot's datasets (v3.0): which recorded frames break limits, self-collision or the loop."""
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from collections.abc import Iterator

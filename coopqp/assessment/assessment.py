@@ -5,8 +5,6 @@ sample of an oscillation says nothing; of an impedance that is pushed to the end
 F / K: it was asked to give way by that.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass
 from functools import cached_property
@@ -80,25 +78,18 @@ ENDED = {Status.PLANT_FAILED, Status.OBJECT_LOST}
 
 @dataclass(frozen=True)
 class TaskEnd:
-    """How a task, or a part of it with a unit of its own, ended.
-
-    Attributes:
-        mode, level: where it comes among all tasks; soft and the same where the law supports none.
-        last: the last instant for which it counts.
-        error: at its end [unit]; a force's largest of the last stretch.
-        torn: whether no object was held any more before its end.
-        oscillates: whether the goal is only passed through, or about.
-    """
+    """How a task, or a part of it with a unit of its own, ended."""
 
     name: str
     unit: str
     tolerance: float
+    # where it comes among all tasks; soft and the same where the law supports none
     mode: Mode
     level: Level
-    last: int
-    error: float
-    torn: bool
-    oscillates: bool
+    last: int  # the last instant for which it counts
+    error: float  # at its end [unit]; a force's largest of the last stretch
+    torn: bool  # whether no object was held any more before its end
+    oscillates: bool  # whether the goal is only passed through, or about
 
     @property
     def share(self) -> float:
@@ -118,16 +109,12 @@ class TaskEnd:
 
 @dataclass(frozen=True)
 class Inputs:
-    """Whether inputs were followed as sent: ticks in which they were refused, or nothing new came.
+    """Whether inputs were followed as sent."""
 
-    ``nothing_at`` names those at which nothing that can be used has arrived; ``refused_at_end``
-    says whether the run ends with what arrives being refused.
-    """
-
-    refused: int
-    stale: int
-    nothing_at: tuple[str, ...]
-    refused_at_end: bool
+    refused: int  # ticks in which one was
+    stale: int  # ticks in which nothing new came at one
+    nothing_at: tuple[str, ...]  # names of those at which nothing that can be used has arrived
+    refused_at_end: bool  # whether the run ends with what arrives being refused
 
     @property
     def followed(self) -> bool:
@@ -137,18 +124,13 @@ class Inputs:
 
 @dataclass(frozen=True)
 class Acceleration:
-    """The joint whose speed changes most, measured by what the loop for robots allows it.
-
-    Attributes:
-        value, at: the largest change of its velocity from tick to tick, over dt [unit]; when [s].
-        allowed: what :class:`coopqp.OnlineLoop` allows where a scenario has no limit of it [unit].
-    """
+    """The joint whose speed changes most, measured by what the loop for robots allows it."""
 
     joint: str
     unit: str
-    value: float
-    at: float
-    allowed: float
+    value: float  # the largest change of its velocity from tick to tick, over dt [unit]
+    at: float  # when [s]
+    allowed: float  # by :class:`coopqp.OnlineLoop` where a scenario has no limit of it [unit]
 
     @property
     def exceeds(self) -> bool:
@@ -372,15 +354,11 @@ def assess(trace: Trace) -> Assessment:
 
 
 class Accelerations(NamedTuple):
-    """Of all joints in all ticks: change of the velocity over dt, and what is allowed of it.
+    """Of all joints in all ticks, from rest."""
 
-    ``change``, from rest, and its ``share`` of that, 0 without a motor, have the shape (T, n),
-    ``allowed`` (n,) [rad/s2, m/s2].
-    """
-
-    change: Array
-    share: Array
-    allowed: Array
+    change: Array  # of the velocity over dt, shape (T, n) [rad/s2, m/s2]
+    share: Array  # of what is allowed of it, 0 without a motor, shape (T, n)
+    allowed: Array  # shape (n,) [rad/s2, m/s2]
 
 
 def accelerations(trace: Trace) -> Accelerations:

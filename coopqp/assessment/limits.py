@@ -5,8 +5,6 @@ of them; all others by what :meth:`coopqp.limit.Limit.margins` says. What was be
 the start counts from where it began.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -29,21 +27,14 @@ RATES = {"/s": "speed", "/s2": "acceleration"}
 
 @dataclass(frozen=True)
 class LimitViolation:
-    """A limit that a run was beyond by more than is negligible.
+    """A limit that a run was beyond by more than is negligible."""
 
-    Attributes:
-        name: of the joint, or of the limit; "speed of" the joint.
-        row: the one of its rows that was broken most.
-        by, at: how far beyond the limit it was, at worst [the row's unit], and when [s].
-        at_start, at_end: how far when the run began, and when it has ended; 0 inside.
-    """
-
-    name: str
-    row: Row
-    by: float
-    at: float
-    at_start: float
-    at_end: float
+    name: str  # of the joint, or of the limit; "speed of" the joint
+    row: Row  # the one of its rows that was broken most
+    by: float  # how far beyond the limit it was, at worst [the row's unit]
+    at: float  # when [s]
+    at_start: float  # how far when the run began; 0 inside
+    at_end: float  # the same when it has ended
 
     @property
     def farther(self) -> bool:
@@ -152,14 +143,11 @@ def slowed_by(trace: Trace, k: int) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Audit:
-    """Of all limits, as the trace has it: margins after each tick, and at rest before the first.
+    """What all limits had left, as the trace has it."""
 
-    ``unaudited`` are limits that do not say so, by name, with why where they say it wrongly.
-    """
-
-    margins: dict[Row, Array]
-    starts: dict[Row, float]
-    unaudited: tuple[str, ...]
+    margins: dict[Row, Array]  # after each tick
+    starts: dict[Row, float]  # at rest before the first
+    unaudited: tuple[str, ...]  # that do not say so, by name, with why where they say it wrongly
 
 
 def audit(

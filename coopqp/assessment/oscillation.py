@@ -10,8 +10,6 @@ resting time is left to what settles; "before" is the second third, "now" the la
 median block counts.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

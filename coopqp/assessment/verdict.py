@@ -1,7 +1,5 @@
 """One sentence on a run: does it get there, keep the limits and the loops closed."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -87,7 +85,7 @@ def _off(tasks: Sequence[TaskEnd]) -> str:
         for task in tasks[:MOST_NAMES]
     ]
     more = [f"that of {len(tasks) - MOST_NAMES} more"] if len(tasks) > MOST_NAMES else []
-    return _listed([*said, *more])
+    return " and ".join([*said, *more])
 
 
 def _motion(found: Assessment) -> str:
@@ -137,7 +135,7 @@ def _gives_way(found: Assessment) -> str:
 def not_followed(found: Assessment) -> str:
     """Why goals that are inputs are not what was sent; empty if they are."""
     if found.inputs.nothing_at:
-        listed = _listed(found.inputs.nothing_at)
+        listed = " and ".join(found.inputs.nothing_at)
         return f"nothing that can be used arrives at the input {listed}"
     if found.inputs.refused_at_end:
         return "what arrives at an input is refused to the end"
@@ -158,7 +156,7 @@ def _where(found: Assessment, k: int) -> str:
 def listed_limits(names: Sequence[str]) -> str:
     """The first of the limits at which a run ends, and how many more there are."""
     more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
-    return f"{_listed(names[:MOST_NAMES])}{more}"
+    return f"{' and '.join(names[:MOST_NAMES])}{more}"
 
 
 def _limits(found: Assessment, unseen: Sequence[str]) -> str:
@@ -166,7 +164,7 @@ def _limits(found: Assessment, unseen: Sequence[str]) -> str:
         return ""
     unaudited = found.trace.unaudited
     verb = "is" if len(unaudited) == 1 else "are"
-    silent = [f"{_listed(unaudited)} {verb} not audited"] if unaudited else []
+    silent = [f"{' and '.join(unaudited)} {verb} not audited"] if unaudited else []
     others = "; ".join((*map(_beyond, found.limits), *silent))
     if not found.joints and not found.limits:
         return ", but ".join((f"keeps {_kept(found.trace, unseen)}", *silent))
@@ -266,7 +264,7 @@ def loop_words(found: Assessment) -> str:
         sizes.append(f"{_round(1e3 * position)} mm")
     if resolved(orientation, thresholds.LOOP_CLOSED_ANGLE):
         sizes.append(f"{_round(np.degrees(orientation))} degrees")
-    return _listed(sizes)
+    return " and ".join(sizes)
 
 
 def _gap(metrics: Mapping[str, Any]) -> str:
@@ -278,7 +276,7 @@ def _gap(metrics: Mapping[str, Any]) -> str:
         apart.append(f"{_round(1e3 * orientation)} mrad")
     off = position > thresholds.CALIBRATE or orientation > thresholds.CALIBRATE_ANGLE
     advice = ": calibrate" if off else ""
-    return f"the hands are {_listed(apart)} apart from what the model says{advice}"
+    return f"the hands are {' and '.join(apart)} apart from what the model says{advice}"
 
 
 def saturation_words(found: Assessment, verb: str) -> str:
@@ -348,10 +346,6 @@ def _ticks(found: Assessment, metrics: Mapping[str, Any]) -> str:
         if cause in relaxed
     ]
     return "; ".join(said)
-
-
-def _listed(names: Sequence[str]) -> str:
-    return " and ".join(names)
 
 
 def _amount(value: float, unit: str) -> str:

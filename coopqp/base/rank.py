@@ -4,8 +4,6 @@ A singular value counts as zero below ``RANK_TOLERANCE`` of the largest. What is
 what is redundant is then the same for the loops, the mobility report, the dynamics and the QP.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import scipy.linalg
 from scipy.linalg import lapack

@@ -1,7 +1,5 @@
 """Reading files that strangers wrote: only plain files, only up to a size, text with its place."""
 
-from __future__ import annotations
-
 import json
 import os
 import stat

@@ -1,7 +1,5 @@
 """Tables of numbers in files of users: CSV, or Parquet, with named columns."""
 
-from __future__ import annotations
-
 import csv
 import functools
 import io

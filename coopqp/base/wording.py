@@ -1,7 +1,5 @@
 """The words for what pydantic finds wrong with values: the same in a file and in Python."""
 
-from __future__ import annotations
-
 import json
 import re
 import traceback

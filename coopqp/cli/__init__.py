@@ -3,8 +3,6 @@
 Heavy imports wait until a command needs them, so that --help is quick.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 import signal

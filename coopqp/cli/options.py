@@ -1,7 +1,5 @@
 """Options that several commands have, and how they read what these name."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import sys
@@ -129,7 +127,7 @@ def read_scenario(name: str, catalog: Any, solver: str | None = None) -> Any:
 
 def read_trace(trace: Path, catalog: Any) -> tuple[Any, Any]:
     """A recorded run, from its own or its folder's path, and its scenario."""
-    from coopqp.recordings.known import format_of, read, trace_in
+    from coopqp.recordings import format_of, read, trace_in
 
     _refuse_other(trace)
     path = trace_in(trace)

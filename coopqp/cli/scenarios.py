@@ -1,7 +1,5 @@
 """Commands on scenario files: run them, look at them, check them, play them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -416,7 +414,7 @@ def play(
     from coopqp.viewer import play as viewer
     from coopqp.viewer.gate import checked_origins
     from coopqp.viewer.player import Player
-    from coopqp.viewer.recording import check_folder
+    from coopqp.viewer.steering import check_folder
 
     viewer.check_viewer()
     viewer.check_address(host, port)

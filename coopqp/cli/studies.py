@@ -1,7 +1,5 @@
 """Commands on recorded runs, and on studies of many runs."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -169,8 +167,8 @@ def export(run: Path, to: str, controller: str | None, out: Path | None, catalog
     RUN is a trace.csv, or its folder, written by 'coopqp compare --out', or what a live loop
     recorded; explain and replay work on the files as on RUN.
     """
-    from coopqp.recordings.known import EXPORTS
-    from coopqp.recordings.known import export as write
+    from coopqp.recordings import EXPORTS
+    from coopqp.recordings import export as write
     from coopqp.study.trace_file import check_trace
 
     kept, scenario = read_trace(run, catalog)
@@ -234,7 +232,7 @@ def replay(
 
     FILE is a tick saved by 'coopqp explain --save', or a recorded run as for 'coopqp explain'.
     """
-    from coopqp.recordings.known import is_run
+    from coopqp.recordings import is_run
     from coopqp.report import table
     from coopqp.scenario.loader import solver_by_name, solver_names
     from coopqp.study.tick_record import TickRecord

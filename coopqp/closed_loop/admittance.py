@@ -26,8 +26,6 @@ Where the measured forces need more than the share ``NEAR_SLIP`` of the hands' f
 grows until they need ``ENOUGH``, up to the contacts' ``most``, and stays so.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Annotated

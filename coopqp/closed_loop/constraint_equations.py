@@ -12,8 +12,6 @@ cut joint's own frame, its column is a unit vector: one row holds it and the oth
 "Passive" here means not chosen as independent; a motor may still sit there.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -12,8 +12,6 @@ The largest s says whether the object can be held, and the smallest and largest 
 how hard. The active rows of a program's optimum name what limits it.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace

@@ -23,8 +23,6 @@ Two hands have a section wrench, :func:`section`, and three a virtual linkage,
 :func:`virtual_linkage`.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

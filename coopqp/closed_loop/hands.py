@@ -5,9 +5,6 @@ its place while the object turns. Where a hand is fastened, C is where its tip i
 behind a hinge the tip moves on, and C stays.
 """
 
-from __future__ import annotations
-
-import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -21,7 +18,7 @@ from coopqp.closed_loop.screw import LENGTH
 from coopqp.grasp import Contact
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
-from coopqp.task import Task, TaskRows, evaluate_all, rows_of
+from coopqp.task import Task, TaskStack
 
 #: Larger measured values are refused [N, N m].
 MAX_WRENCH = 1e6
@@ -104,39 +101,18 @@ class WrenchReadings:
         return "" if largest < MAX_WRENCH else f"hand_wrench: found {largest:.3g}, beyond any hand"
 
 
-class WrenchStack:
+class WrenchStack(TaskStack):
     """The rows of several tasks with ``of_forces``, whose references begin at a state.
 
-    Attributes:
-        rows: such as "task[internal_wrench].squeeze".
-        C: shape (r, 6 N), on wrenches of the hands that hold, each at its point, in world axes.
-        wanted: shape (r,) [N, N m].
-        weights: of the rows; torques count as forces at LENGTH.
-        hard: which of them must hold, shape (r,).
+    J has the shape (r, 6 N), on wrenches of the hands that hold, each at its point, in world axes.
+    In the weights torques count as forces at LENGTH.
     """
 
     def __init__(self, tasks: Sequence[Task], start: State) -> None:
-        chain = start.chain
-        self.tasks = tuple(tasks)
-        self.rows = tuple(row for task in tasks for row in rows_of(task, chain))
-        sizes = [len(task.rows(chain)) for task in tasks]
-        ends = list(itertools.accumulate(sizes, initial=0))
-        parts = [slice(a, b) for a, b in itertools.pairwise(ends)]
-        self.C, self.wanted = np.zeros((ends[-1], 6 * chain.holding)), np.zeros(ends[-1])
-        turns = np.array([row.unit == "N m" for row in self.rows], bool)
-        self.weights = np.repeat([float(task.weight) for task in tasks], sizes)
-        self.weights[turns] /= LENGTH**2
-        self.hard = np.repeat([task.mode == "hard" for task in tasks], sizes).astype(bool)
-        self.priorities = np.repeat([task.priority for task in tasks], sizes).astype(int)
-        e = np.zeros(ends[-1])
-        self._evaluate = [
-            (task.bind(start), TaskRows(e[part], self.C[part], self.wanted[part]))
-            for task, part in zip(tasks, parts, strict=True)
-        ]
-
-    def update(self, state: State) -> None:
-        evaluate_all(self._evaluate, state)
+        super().__init__(tasks, start, 6 * start.chain.holding)
+        self.gains[:] = 0.0  # forces do not decay
+        self.weights[np.array([row.unit == "N m" for row in self.rows], bool)] /= LENGTH**2
 
     def error(self, h: Array) -> Array:
-        """C h - wanted, shape (r,), for wrenches of the hands that hold, shape (N, 6) [N, N m]."""
-        return np.asarray(self.C @ np.ravel(h) - self.wanted, float)
+        """J h - wanted, shape (r,), for wrenches of the hands that hold, shape (N, 6) [N, N m]."""
+        return np.asarray(self.J @ np.ravel(h) - self.wanted, float)

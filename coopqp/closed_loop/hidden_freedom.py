@@ -10,8 +10,6 @@ the whole walk and fewer rows constrain it than J_c has rank. At a singular pose
 poses where all rows constrain, opens the loops by the square of its length, or returns.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

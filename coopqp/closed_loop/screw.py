@@ -1,7 +1,5 @@
 """A motion of the object as a screw: its axis, a point of it and its pitch, and in words."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -11,8 +11,6 @@ The same ranks of one arm's Jacobian J_i, six dimensions, hold for that arm agai
 and of J_j - J_i for a pair of hands. Torques count as forces at LENGTH.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass

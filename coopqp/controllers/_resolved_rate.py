@@ -6,8 +6,6 @@ H J_ext is the stack of the task rows and the loop rows, V_rel = -kappa e (0 in 
 identity is n x n, in joint space. It knows no limits.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -3,8 +3,6 @@
 (H J_ext)^# = J' (J J' + damping^2 I)^-1
 """
 
-from __future__ import annotations
-
 from typing import Any, ClassVar
 
 import numpy as np

@@ -147,7 +147,7 @@ class TorquePid(Law):
             return dynamics.distribute(Gamma).tau
         asked.update(state)
         at = points(self._hands, state.p_WO, state.R_WO)
-        C = np.split(np.sqrt(asked.weights)[:, None] * asked.C, len(at), axis=1)
+        C = np.split(np.sqrt(asked.weights)[:, None] * asked.J, len(at), axis=1)
         C = [part @ grasp_matrix([state.p_WO], p) for part, p in zip(C, at, strict=True)]
         carried = dynamics.object_wrenches(a_r, np.zeros(len(dynamics.J_arms) - 6)).needed
         right = np.sqrt(asked.weights) * asked.wanted - C[0] @ carried

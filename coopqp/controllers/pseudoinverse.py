@@ -1,7 +1,5 @@
 """The paper's "pseudo": eq. (33) with Z = 0."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from coopqp.base.spec import Positive, spec

@@ -1,7 +1,5 @@
 """The paper's "joint limit motion": eq. (33)-(34) with Z from the secondary objectives."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import numpy as np

@@ -1,7 +1,5 @@
 """QP each tick; :mod:`coopqp.qp_law` is the law, here are its settings."""
 
-from __future__ import annotations
-
 from typing import ClassVar, Literal
 
 from coopqp.base.errors import InvalidValueError

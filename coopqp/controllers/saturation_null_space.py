@@ -23,8 +23,6 @@ guarantee the largest s; its "optimal" variant is a QP, see :mod:`coopqp.qp_law`
 verified: near singular poses, where joints move at full speed, loops can open.
 """
 
-from __future__ import annotations
-
 from typing import ClassVar, NamedTuple
 
 import numpy as np

@@ -42,8 +42,12 @@ from coopqp.grasp import SAFETY
 from coopqp.model.state import State
 from coopqp.qp_law.bounds import Bounds
 from coopqp.solver import Solution, Status
-from coopqp.torque_law.external_wrench import HandSensors, MomentumObserver
-from coopqp.torque_law.hand_wrenches import HandWrenches, require_forces
+from coopqp.torque_law.hand_wrenches import (
+    HandSensors,
+    HandWrenches,
+    MomentumObserver,
+    require_forces,
+)
 from coopqp.torque_law.margins import (
     ReferenceModel,
     damped,
@@ -51,7 +55,7 @@ from coopqp.torque_law.margins import (
     require_damped_models,
     row_loop,
 )
-from coopqp.torque_law.program import Costs, HeldTorques, Layout, hard_rows, programs
+from coopqp.torque_law.program import Costs, HeldTorques, Layout, programs
 from coopqp.torque_law.task_dynamics import (
     Impedances,
     TaskDynamics,
@@ -85,7 +89,7 @@ class TorqueQpLaw(Law):
         costs = Costs(settings.damping, settings.damping_time, settings.effort, settings.grip)
         self.layout = Layout(level, self.hands, self.wrenches, self._bounds, costs)
         self.programs = programs(problem, self.layout)
-        self._has_hard = bool(hard_rows(level).any() or self.wrenches.hard.any())
+        self._has_hard = bool(level.tasks.hard.any() or self.wrenches.hard.any())
         self._wrench: Array | None = None
         self._effort = chain.model.effortLimit[dynamics.actuated]
         self._impedances = Impedances(problem, level)

@@ -12,8 +12,6 @@ With kappa > 0, eq. (8) has -kappa e on its right side, as the loop rows of the 
 and the motion that it causes is subtracted from h_dot.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from coopqp.base.errors import InvalidValueError

@@ -15,8 +15,6 @@ H grows without bound towards a limit. A tick is finite and can step over it, so
 necessary beyond a limit: this law repels joints from limits and does not enforce them.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from coopqp.base.rank import least_squares

@@ -1,16 +1,26 @@
-"""Run one controller through all phases of a scenario."""
+"""Run one controller through all phases of a scenario.
 
-from __future__ import annotations
+A comparison, the page of ``coopqp play`` and the loop for robots differ in who measures and who
+sends inputs. How a phase begins, ends and hands over is the same: the next phase begins at the
+measured joints, with their speed, and the hands that then hold the object hold it where it is.
+"""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import pinocchio as pin
 
 from coopqp.base.errors import CoopqpError, InternalError, InvalidValueError, UnknownNameError
+from coopqp.base.spec import Array
 from coopqp.base.wording import by_user, raised
-from coopqp.controller import Controller
-from coopqp.execution.phase_run import PhaseRun, begin_phase
+from coopqp.controller import Controller, ControlProblem, Law
 from coopqp.execution.rollout import rollout
-from coopqp.scenario.scenario import Scenario, needs_scenario
+from coopqp.model.state import State
+from coopqp.plant import PlantModel
+from coopqp.scenario.input import Feed, Inputs
+from coopqp.scenario.scenario import Phase, Scenario, needs_scenario
 from coopqp.solver import Status
 from coopqp.trace import PhaseInfo, Trace, join
 
@@ -19,6 +29,127 @@ ENDED = (Status.PLANT_FAILED.value, Status.OBJECT_LOST.value)
 
 Progress = Callable[[str, int], None]
 """Called now and then with the controller's name and the number of ticks it has done."""
+
+
+class Measured(NamedTuple):
+    """A robot that replaces the plant."""
+
+    q: Array | None  # as measured, shape (n,) [rad, m]; the chain's start when None
+    observed: bool  # whether q stays a measurement, from which commands may differ
+    X_WO: pin.SE3 | None = None  # where the standing object was seen; where it was put when None
+
+    def start(self, law: Law) -> State:
+        """The state of a law's first tick there."""
+        q = self.q
+        return law.start(q_measured=q) if self.observed and q is not None else law.start(q)
+
+
+@dataclass
+class PhaseRun:
+    """A phase while it runs."""
+
+    scenario: Scenario  # as the controller holds it, :meth:`Scenario.held_by`
+    controller: Controller
+    index: int  # of the phase in the schedule
+    first: int  # number of ticks of the phases before it
+    problem: ControlProblem
+    law: Law
+    plant: PlantModel | None  # None where a robot takes its place
+    inputs: Inputs
+    state: State  # now; whoever runs the phase leaves it at its end
+    ticks: int = 0  # number of ticks done
+
+    @property
+    def phase(self) -> Phase:
+        return self.scenario.schedule[self.index]
+
+    @property
+    def since(self) -> float:
+        """Its start in the time of the scenario [s]."""
+        return self.first * self.problem.dt
+
+    @property
+    def over(self) -> bool:
+        """Whether its time is up."""
+        return self.ticks >= self.phase.ticks(self.problem.dt)
+
+    @property
+    def is_last(self) -> bool:
+        """Whether none follows."""
+        return self.index + 1 == len(self.scenario.schedule)
+
+    @property
+    def q(self) -> Array:
+        """Where the joints are, by the sensors where there are any, shape (n,) [rad, m]."""
+        measured = self.plant.measured if self.plant else self.state.q_measured
+        return self.state.q if measured is None else measured
+
+    def feed(self) -> Feed | None:
+        """The scenario's senders to the inputs; None where nothing follows any."""
+        return Feed(self.scenario.inputs, self.inputs, self.since) if self.inputs.move else None
+
+
+def begin_phase(
+    scenario: Scenario,
+    controller: Controller,
+    before: PhaseRun | None = None,
+    *,
+    robot: Measured | None = None,
+    timed: bool = True,
+) -> PhaseRun:
+    """Build what a phase needs, of a scenario as the controller holds it.
+
+    ``before`` has been run; ``robot`` replaces the plant. Where ticks are ``timed`` none may wait
+    for what is built late. CoopqpError: the law or the plant cannot be built, or a task wants an
+    input that is not there, or as what it cannot be.
+    """
+    index = before.index + 1 if before else 0
+    phase, chain = scenario.schedule[index], None
+    if before:
+        where = before.q if robot is None or robot.q is None else robot.q
+        seen = robot.X_WO if robot else None
+        chain = before.problem.chain.handed_over(where, phase.released, seen)
+    problem = scenario.problem(phase, chain)
+    law = controller.build(problem) if timed else controller.unprepared(problem)
+    if robot:
+        plant = None
+        if law.force_control and not robot.observed:
+            raise InvalidValueError(
+                'reference: found "measured"; hands that squeeze by admittance need "commanded", '
+                "because what they press is how far the commands lead"
+            )
+        state = robot.start(law)
+    else:
+        plant = _plant(scenario, controller, law, before)
+        state = law.start(q_measured=plant.measured, hand_wrench=plant.hand_wrench)
+    if before:
+        state.v[:], state.felt[0] = before.state.v, before.state.felt[0]
+    return PhaseRun(
+        scenario=scenario,
+        controller=controller,
+        index=index,
+        first=before.first + before.ticks if before else 0,
+        problem=problem,
+        law=law,
+        plant=plant,
+        inputs=Inputs(scenario.inputs, problem.all_tasks, state, problem.dt),
+        state=state,
+    )
+
+
+def _plant(
+    scenario: Scenario, controller: Controller, law: Law, before: PhaseRun | None
+) -> PlantModel:
+    """The scenario's plant, where the one before has ended."""
+    plant = scenario.simulated(law.problem)
+    if law.force_control and plant.hand_wrench is None:
+        raise InvalidValueError(
+            f"controller '{controller.name}' squeezes by measured forces, and this plant "
+            "tells none (signal hand_wrench); use plant: mujoco or plant: rigid_body"
+        )
+    if before and before.plant:
+        plant.resume(before.plant)
+    return plant
 
 
 def run(

@@ -4,8 +4,6 @@ On plants without errors and with no inputs, all of it follows from t, q and v, 
 the whole run at its end (``TrajectoryEvaluation``). Else the plant's truth is read at each instant.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 
@@ -182,7 +180,7 @@ class Instants:
         return ratios
 
 
-def _updated(stack: TaskStack | WrenchStack, true: State) -> bool:
+def _updated(stack: TaskStack, true: State) -> bool:
     """Whether all tasks could be evaluated; the tick that met the same error names it."""
     with suppressed():
         stack.update(true)

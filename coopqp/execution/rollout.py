@@ -1,7 +1,5 @@
 """The control loop: state, tick, plant, trace. The only place with a clock."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterable, Iterator
 

@@ -1,7 +1,5 @@
 """What grasps that press have in common, and those in which the object moves along one axis."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, Literal
 

@@ -1,7 +1,5 @@
 """A grasp that holds by pressing with a fingertip: it bears forces and no torques."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Annotated

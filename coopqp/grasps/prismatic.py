@@ -1,7 +1,5 @@
 """A grasp that lets the object slide along one axis of the hand."""
 
-from __future__ import annotations
-
 import pinocchio as pin
 
 from coopqp.base.spec import Array, spec

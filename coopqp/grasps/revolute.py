@@ -5,8 +5,6 @@ wrist axis is the x axis of its hand. With both axes on one line through both ha
 still gains two degrees of freedom, but it turns freely about that line, which no motor decides.
 """
 
-from __future__ import annotations
-
 import pinocchio as pin
 
 from coopqp.base.spec import Array, Vector3, spec

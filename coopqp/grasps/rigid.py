@@ -1,7 +1,5 @@
 """A firm grasp: hand and object move as one body."""
 
-from __future__ import annotations
-
 from coopqp.base.spec import Array, spec
 from coopqp.grasp import Grasp, PassiveJoint
 

@@ -4,8 +4,6 @@ The ball is three hinges about x, y, z of the hand, one after the other, so that
 coordinate. It is singular where the second has turned by a quarter; limits keep it off.
 """
 
-from __future__ import annotations
-
 import math
 
 from coopqp.base.spec import Array, Positive, Vector3, spec

@@ -12,8 +12,6 @@ which are 4 + 4 + 8 rows. m = mu is a square around Coulomb's circle, which allo
 the square inside it has m = mu / sqrt(2).
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """One program of the kernel: levels of tasks and limits, and who fills what of it each tick."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from enum import IntEnum

@@ -1,7 +1,5 @@
 """A problem and its tasks, in the order of the plain law, as flat arrays for the kernel."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Laws in closed form, compiled: ``core/resolved_rate.hpp`` has the formula."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Distances of a robot's bodies at given configurations, compiled; several threads may ask."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from enum import IntEnum
 from typing import Any

@@ -3,8 +3,6 @@
 The installation runs this file, so that it needs nothing but Python.
 """
 
-from __future__ import annotations
-
 import hashlib
 import importlib
 from functools import cache

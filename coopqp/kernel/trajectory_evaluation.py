@@ -1,7 +1,5 @@
 """Task errors, object and loop errors along a recorded motion, compiled."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

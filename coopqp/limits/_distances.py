@@ -12,8 +12,6 @@ Most pairs are far apart, by the box round one body and the ball round the other
 on arrays for all pairs; only the others are handed to coal.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence

@@ -8,8 +8,6 @@ Without it the command of an arm that is stopped by a wall, a hand or a saturate
 its goal, and the arm jumps there when released. Unmeasured joints have no such limit.
 """
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import numpy as np

@@ -14,8 +14,6 @@ A joint on its chord brakes with exactly a until it rests at the bound. Loops ca
 at once for more; then this limit is relaxed.
 """
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import numpy as np

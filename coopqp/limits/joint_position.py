@@ -4,8 +4,6 @@ A joint outside its range must not go farther out, and recovers no faster than r
 standing still is always allowed. What brings it back is the controller.
 """
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import numpy as np

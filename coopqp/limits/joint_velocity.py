@@ -1,7 +1,5 @@
 """Joints stay within their speed: -scale v_max <= v <= scale v_max."""
 
-from __future__ import annotations
-
 from typing import Annotated, ClassVar
 
 import numpy as np

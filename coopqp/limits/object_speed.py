@@ -3,8 +3,6 @@
 J_task v <= bound and -J_task v <= bound. The object's velocity is that of its origin.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from coopqp.base.qp import Row, Side

@@ -10,8 +10,6 @@ A body that is too close by more than a millimetre may not come closer, but is n
 (:func:`coopqp.limit.damp`).
 """
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from pydantic import Field

@@ -11,8 +11,6 @@ that is too close by more than a millimetre may not come closer, but is not push
 (:func:`coopqp.limit.damp`), so that one that cannot part does not stop the robot.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Collection, Iterator, Sequence
 

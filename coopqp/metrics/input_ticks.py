@@ -4,6 +4,7 @@ An input was never followed if nothing that could be used has arrived at it, or 
 what arrives being refused.
 """
 
+from dataclasses import asdict
 from typing import Any
 
 from coopqp.assessment import assess
@@ -20,10 +21,4 @@ class InputTicks(Metric):
         """None where nothing follows an input."""
         if not trace.inputs or not trace.ticks:
             return None
-        inputs = assess(trace).inputs
-        return {
-            "refused": inputs.refused,
-            "stale": inputs.stale,
-            "nothing_at": list(inputs.nothing_at),
-            "refused_at_end": inputs.refused_at_end,
-        }
+        return asdict(assess(trace).inputs)

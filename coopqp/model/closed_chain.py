@@ -35,8 +35,7 @@ from coopqp.base.qp import Row, names_of
 from coopqp.base.rank import independent_rows, matrix_rank
 from coopqp.base.spec import Array, vector
 from coopqp.grasp import Grasp
-from coopqp.model.grasp_configuration import SUPPORT, GraspConfiguration, attach
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import SUPPORT, GraspConfiguration, HeldObject, attach
 from coopqp.robot import RobotModel, joint_units
 from coopqp.signal import ENDLESS
 

@@ -12,8 +12,6 @@ object, and everything in the reference's own coordinates,
 so that an error f(x, y) has its exact Jacobian and rate from one chain rule, moving or not.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Notes on ticks: which joints, loops, limits or tasks are behind the causes of a command."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any

@@ -122,9 +122,13 @@ class State:
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Its arrays are views into each other and into pinocchio's data: a copy is made anew.
+        return state_of, (self.chain, self.kept())
+
+    def kept(self) -> Kept:
+        """All that :func:`state_of` needs beside the chain, to be sent elsewhere."""
         sensed = self.q_measured, self.hand_wrench
         own = (self.v, self.gap, sensed, self.corrected, self._commanded, self.felt)
-        return _state, (self.chain, self.q, self.t, self.memory, own, self.inputs.now())
+        return self.q, self.t, self.memory, own, self.inputs.now()
 
     def __repr__(self) -> str:
         return f"State(t={self.t:g}, q={self.q}, v={self.v})"
@@ -393,14 +397,12 @@ class _Locked(State):
         object.__setattr__(self, name, value)
 
 
-def _state(
-    chain: ClosedChain,
-    q: Array,
-    t: float,
-    memory: Memory,
-    own: tuple[Array, Array, tuple[Array | None, Array | None], float, Array, Array],
-    inputs: InputValues,
-) -> State:
+Kept = tuple[Array, float, Memory, tuple[Any, ...], InputValues]
+
+
+def state_of(chain: ClosedChain, kept: Kept) -> State:
+    """The state of a chain, up to date, from what another of it has :meth:`State.kept`."""
+    q, t, memory, own, inputs = kept
     state = State(chain, q, t, memory)
     state.inputs = inputs
     state.v[:], state.gap[:], sensed, state.corrected, state._commanded[:], state.felt[:] = own

@@ -4,8 +4,6 @@ The loop's time stands still while it comes to rest, and waits for late ticks. T
 are of a clock that does neither, so their age is what counts: sent = t - age.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Iterator, Mapping
 from numbers import Real

@@ -7,8 +7,6 @@ at once more after each change that undoes one such mistake: a mistake is named 
 change puts the hands where they belong. Six numbers fit then that did not, so that chance is out.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator
 

@@ -30,8 +30,7 @@ from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.spec import Array, Pose
 from coopqp.base.wording import raised
 from coopqp.controller import Command, ControlProblem, Law
-from coopqp.execution.controller_run import controller_of
-from coopqp.execution.phase_run import PhaseRun
+from coopqp.execution.controller_run import PhaseRun, controller_of
 from coopqp.kernel import native
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.loop_observer import Observer

@@ -1,7 +1,5 @@
 """Checks of a loop's options."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Iterator, Mapping

@@ -14,8 +14,6 @@ without acceleration limits is at once. Arms that are moved by torques come to r
 torque QP, see :class:`Holding`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Literal
@@ -31,8 +29,8 @@ from coopqp.controller import Command, Controller, ControlProblem, InternalForce
 from coopqp.controllers import QPController, TorqueQp
 from coopqp.controllers.passive_grasp_pid import TorquePid
 from coopqp.controllers.torque_qp import TorqueQpLaw
+from coopqp.execution.controller_run import Measured, PhaseRun, begin_phase
 from coopqp.execution.instants import parts_of
-from coopqp.execution.phase_run import Measured, PhaseRun, begin_phase
 from coopqp.grasp import pose_matrix
 from coopqp.limit import Limit
 from coopqp.limits import JointAcceleration, JointPosition

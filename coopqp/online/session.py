@@ -7,8 +7,6 @@
 on the same plant the joints are bit-equal, if there was no stop and no silence in between.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Callable, Mapping, Sequence
@@ -23,11 +21,11 @@ from coopqp.base.errors import CoopqpError
 from coopqp.base.spec import Array
 from coopqp.base.table import csv_text
 from coopqp.controller import Command
-from coopqp.execution.phase_run import PhaseRun
+from coopqp.execution.controller_run import PhaseRun
 from coopqp.limits import JointAcceleration
 from coopqp.model.loop_observer import Observer
 from coopqp.model.state import State
-from coopqp.recordings.sent import FOLDER, Sent, fed, file_name
+from coopqp.recordings.csv_file import FOLDER, Sent, fed, file_name
 from coopqp.scenario.input import Arrival
 from coopqp.scenario.planned import FOLLOWED
 from coopqp.scenario.scenario import Scenario

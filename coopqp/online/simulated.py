@@ -1,7 +1,5 @@
 """A scenario's plant in the place of a robot."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from coopqp.base.spec import Array

@@ -9,8 +9,6 @@ writes one reference, which is atomic in Python and needs no lock; a tick reads 
 beginning. The first Ctrl-C or SIGTERM ends it at rest, the second at once.
 """
 
-from __future__ import annotations
-
 import math
 import signal
 import threading

@@ -10,8 +10,6 @@ fight what is left. With J and Jdot of the loops and J^+ of least norm,
     q' <- q' - J^+ J q',   q'' <- q'' - J^+ (J q'' + Jdot q')
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property

@@ -6,8 +6,6 @@ steps. Who can follow is said by the loops' Jacobian J_c at closed configuration
 good as the mean logarithm of the smallest singular value of its followers' columns.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -26,6 +24,7 @@ from coopqp.kernel.flat import Group, Levels, flat_distances, flat_model, kept_r
 from coopqp.limit import DistanceBounds
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
+from coopqp.planning.linking import ClosedLine, closed_line
 from coopqp.planning.verification import others
 from coopqp.study.explanation.goal import Room
 from coopqp.task import Programs, Task, TaskStack
@@ -164,6 +163,12 @@ class ClosedSpace:
             wait,
         )
         return np.frombuffer(made["path"]).reshape(-1, self.chain.n).copy()
+
+    @cached_property
+    def line(self) -> ClosedLine | None:
+        """The closed line of two arms, which free motions never lead through itself, if proven."""
+        found = closed_line(self.chain, self.programs)
+        return found if found and found.proven else None
 
     @cached_property
     def charts(self) -> NDArray[np.bool_]:

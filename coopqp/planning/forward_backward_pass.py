@@ -8,8 +8,6 @@ of Pham and Pham 2018): what is exceeded between them is then O(ds^2), and u doe
 the coefficient of u passes zero. Each step is a linear program, solved by daqp's dual active set.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any

@@ -1,7 +1,5 @@
 """The configurations of a path that somebody gives: an array, a recorded run, a table in a file."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,7 +14,7 @@ from coopqp.execution.controller_run import run
 from coopqp.model.profile import Profile
 from coopqp.plant import Disturbance
 from coopqp.plants import Kinematic
-from coopqp.recordings.known import read, trace_in
+from coopqp.recordings import read, trace_in
 from coopqp.scenario.planned import PHASE, rows_of_phases
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import POSE, quaternion_of

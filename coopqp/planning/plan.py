@@ -1,7 +1,5 @@
 """A path of closed configurations from a scenario's start to where its tasks are met."""
 
-from __future__ import annotations
-
 import itertools
 import time
 from collections.abc import Sequence
@@ -16,14 +14,14 @@ from coopqp.base.wording import counted
 from coopqp.controller import ControlProblem
 from coopqp.planning.closed_space import Budget, ClosedSpace
 from coopqp.planning.reach import (
-    CUT_OFF,
     MOST,
     PROVEN,
     Goals,
     Progress,
-    cut_off,
     explained,
     need_a_place,
+    no_way,
+    reasons,
     too_far,
 )
 from coopqp.planning.timing import Clock, timed
@@ -309,8 +307,9 @@ class Planner:
         n = self.chain.n
         if given is not None:
             q = self._given(np.atleast_2d(np.array(given, float)))
-            away = cut_off(self.chain, q)
-            return q[~away], f"{PROVEN}: no motion leads there: {CUT_OFF}"
+            none = no_way(self.space, q)
+            ways = np.array([not why for why in none], bool)
+            return q[ways], f"{PROVEN}: no motion leads there: {reasons(none)}"
         if proof := too_far(self.problem, self._t):
             return np.zeros((0, n)), proof
         goals, why = Goals(self.problem, self._t, budget.seed), ""
@@ -329,7 +328,7 @@ class Planner:
             return self._ordered(goals), "no goal configuration keeps the tasks that are to be kept"
         if goals.cut_off:
             them = f"all {len(goals.cut_off)} goal configurations from {goals.tried} starts"
-            why = f"not found: {them} are where no motion leads: {CUT_OFF}"
+            why = f"not found: {them} are where no motion leads: {goals.why}"
         return np.zeros((0, n)), why
 
     def _more(self, ends: Array) -> Array:

@@ -13,10 +13,10 @@ to SU(2), +-U with :math:`U = \cos(|w|/2) I - i \sin(|w|/2) w\cdot \sigma / |w|`
 such U of an arm's joints, at half their angles, is a continuous function of q. Where a loop is
 closed, the lifts of the object's attitude by arm i and by arm 0 are equal or opposite. Closed all
 the way, they stay what they are: a hand that has turned once round against another is on another
-part of the closed configurations (the plate trick; SO(3) is not simply connected).
+part of the closed configurations (the plate trick; SO(3) is not simply connected). Of this half
+angles see odd numbers of turns; of two arms whose bodies keep apart :mod:`coopqp.planning.linking`
+sees all.
 """
-
-from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
@@ -56,6 +56,10 @@ PROVEN = "proven unreachable"
 CUT_OFF = (
     "from the start's joint angles to such ones a hand turns once round against another, which "
     "closed loops never let it"
+)
+WOUND = (
+    "from the start's joint angles to such ones the arms and what they hold wind round each other, "
+    "so that one would have to pass through another"
 )
 
 _PAULI = np.array([[[0, 1], [1, 0]], [[0, -1j], [1j, 0]], [[1, 0], [0, -1]]])
@@ -143,7 +147,7 @@ def reach(
     sentence += f", which bend the arms in {counted(groups, 'way')}"
     if goals.cut_off:
         of_them = f"{len(goals.cut_off)} of them" if goals.found else "all of them"
-        sentence += f"; {of_them} no motion leads to: {CUT_OFF}"
+        sentence += f"; {of_them} no motion leads to: {goals.why}"
     return Reach(found, False, sentence, goals.tried)
 
 
@@ -170,6 +174,7 @@ class Goals:
         self.space = ClosedSpace(problem, self.goal.tasks, t, threads)
         self.found: list[Array] = []
         self.cut_off: list[Array] = []
+        self._why: list[str] = []
         self.lost: list[Bound] = []
         self._presses = any(hand.contact for hand in hands(problem.chain))
         self.tried = 0
@@ -189,9 +194,15 @@ class Goals:
         if not len(q):
             return
         q = q[self.space.is_free(q)]
-        for row, away in zip(q, cut_off(self.space.chain, q), strict=True):
+        for row, why in zip(q, no_way(self.space, q), strict=True):
             if not self.goal.missed(row) and self._holds(row):
-                (self.cut_off if away else self.found).append(row.copy())
+                (self.cut_off if why else self.found).append(row.copy())
+                self._why += [why] * bool(why)
+
+    @property
+    def why(self) -> str:
+        """Why no motion leads to those that are cut off."""
+        return reasons(self._why)
 
     def _holds(self, q: Array) -> bool:
         """Whether motors and friction, with the laws' safety, hold the object where hands press."""
@@ -330,6 +341,20 @@ def cut_off(chain: ClosedChain, q: Array) -> NDArray[np.bool_]:
     """Of closed configurations (N, n), to which ones no motion leads from the start."""
     found = parts(chain, np.vstack([chain.q_start, q]))
     return np.asarray((found[1:] != found[0]).any(axis=1))
+
+
+def no_way(space: ClosedSpace, q: Array) -> list[str]:
+    """Of closed configurations (N, n) why no motion leads there; empty where nothing proves so."""
+    turned, wound = cut_off(space.chain, q), np.zeros(len(q), bool)
+    if space.line and not turned.all():
+        rest = np.vstack([space.chain.q_start, q[~turned]])
+        wound[~turned] = space.line.differs(rest)[1:] != 0
+    return [CUT_OFF if a else WOUND if b else "" for a, b in zip(turned, wound, strict=True)]
+
+
+def reasons(found: Sequence[str]) -> str:
+    """Each once, in words."""
+    return "; to others, ".join(dict.fromkeys(filter(None, found)))
 
 
 def _lifted(chain: ClosedChain, frame: int, q: Array) -> NDArray[np.complex128]:

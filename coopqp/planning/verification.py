@@ -4,8 +4,6 @@ Between its points a path is the straight line in joint space. At equal distance
 looked at whether loops are closed, joints inside their limits and bodies as far apart as asked.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

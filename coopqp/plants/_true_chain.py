@@ -5,8 +5,6 @@ is fixed, q_true = q - offset. So its q is what sensors measure but for noise, w
 and what reports show. Its loops close where the model's are open by some b(q), and vice versa.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Joints that follow commands exactly: q <- q + v dt."""
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 from coopqp.base.spec import spec

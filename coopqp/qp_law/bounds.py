@@ -1,7 +1,5 @@
 """The limits of one problem as bounds and inequality rows on the velocity."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """The QPs of a tick: all of v, or a step from where the levels before have come to."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -16,8 +16,6 @@ infeasible, without acceleration limits, and with limits in space that ask for n
 replaces 1 in all levels of the tick.
 """
 
-from __future__ import annotations
-
 from functools import cached_property
 
 import numpy as np

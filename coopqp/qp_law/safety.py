@@ -1,7 +1,5 @@
 """Step verification: no step may open a loop farther than the budget."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from coopqp.base.spec import Array

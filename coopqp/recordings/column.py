@@ -6,8 +6,6 @@ made from it, and a test holds ``docs/recordings.md`` against it. A column is ca
 stay arrays: float64, in which NaN is an empty cell, and int64 for whole numbers; in texts "" is.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -15,6 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from coopqp.execution.instants import parts_of, rows_of
 from coopqp.model.closed_chain import AXES, AXIS_UNITS
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import Kind
@@ -66,11 +65,9 @@ def layout_of(traces: Collection[Trace]) -> Layout:
 class Shape:
     """What a field has one column of each."""
 
-    words: str  # how the docs write its columns, after the field's name
     # what follows the field's name, in a list for each key
     columns: Callable[[Layout], list[list[str]]]
-    units: tuple[str, ...] = ()  # of what it depends on, as the docs write them
-    # of a column's key and part, where it depends on them
+    # unit of a column by its key and part, where it depends on them
     unit: Callable[[Units, str, str], str] = lambda units, key, part: ""
     named: bool = True  # whether its columns begin with the field's name
 
@@ -93,40 +90,32 @@ def _by_key(units: Units, key: str, part: str) -> str:
     return units.get(key, "")
 
 
-PLAIN = Shape("", lambda layout: [[""]])
-XYZ = Shape("x`, `y`, `z", lambda layout: [["x", "y", "z"]], named=False)
-ROTATION = Shape("R11` ... `R33", lambda layout: [list(_ROTATION)], named=False)
-JOINT = Shape("[JOINT]", lambda layout: _each(layout.joints), ("rad", "m"), _by_key)
+PLAIN = Shape(lambda layout: [[""]])
+XYZ = Shape(lambda layout: [["x", "y", "z"]], named=False)
+ROTATION = Shape(lambda layout: [list(_ROTATION)], named=False)
+JOINT = Shape(lambda layout: _each(layout.joints), _by_key)
 MOTOR = Shape(
-    "[JOINT]",
     lambda layout: _each(layout.joints),
-    ("N m", "N"),
     lambda units, key, part: {"rad": "N m", "m": "N"}.get(units.get(key, ""), ""),
 )
 LOOP = Shape(
-    "[LOOP].AXIS",
     lambda layout: [[f"[{loop + 1}].{axis}" for axis in AXES] for loop in range(layout.loops)],
-    ("m", "rad"),
     lambda units, key, part: dict(zip(AXES, AXIS_UNITS, strict=True)).get(part, ""),
 )
-MEMORY = Shape("[I]", lambda layout: _each(range(layout.memory)))
-VALUE = Shape("[NAME].PART", _of_input(lambda kind: kind.value_columns))
-SENT = Shape("[NAME].PART", _of_input(lambda kind: (*kind.value_columns, "sent")))
-RATE = Shape("[NAME].PART", _of_input(lambda kind: kind.rate_columns))
-TASK = Shape("[TASK]", lambda layout: _each(layout.tasks), ("the task's unit",), _by_key)
-ROW = Shape("[TASK.ROW]", lambda layout: _each(layout.rows), ("the task's unit",), _by_key)
+MEMORY = Shape(lambda layout: _each(range(layout.memory)))
+VALUE = Shape(_of_input(lambda kind: kind.value_columns))
+SENT = Shape(_of_input(lambda kind: (*kind.value_columns, "sent")))
+RATE = Shape(_of_input(lambda kind: kind.rate_columns))
+TASK = Shape(lambda layout: _each(layout.tasks), _by_key)
+ROW = Shape(lambda layout: _each(layout.rows), _by_key)
 LIMIT = Shape(
-    "[LIMIT].UNIT",
     lambda layout: [[f"[{owner}].{unit}"] for owner, unit in layout.limits],
-    ("UNIT",),
     lambda units, key, part: part,
 )
-PUSH = Shape("[PART]", lambda layout: _each(_WRENCH), ("N", "N m"), lambda *of: _WRENCH[of[1]])
-HAND = Shape("[ARM]", lambda layout: _each(layout.arms))
-HAND_POINT = Shape("[ARM].PART", _of_hand("xyz"))
-HAND_WRENCH = Shape(
-    "[ARM].PART", _of_hand(tuple(_WRENCH)), ("N", "N m"), lambda *of: _WRENCH.get(of[-1], "")
-)
+PUSH = Shape(lambda layout: _each(_WRENCH), lambda units, key, part: _WRENCH[key])
+HAND = Shape(lambda layout: _each(layout.arms))
+HAND_POINT = Shape(_of_hand("xyz"))
+HAND_WRENCH = Shape(_of_hand(tuple(_WRENCH)), lambda units, key, part: _WRENCH.get(part, ""))
 
 
 def _limits(trace: Trace) -> tuple[tuple[str, str], ...]:
@@ -141,10 +130,6 @@ def _margins(trace: Trace) -> list[tuple[list[str], NDArray[Any]]]:
         left = np.array([trace.margins[row] for row in rows])
         found.append(([row.words for row in rows], left))
     return found
-
-
-def _margin(trace: Trace) -> Any:
-    return np.array([left.min(axis=0) for _, left in _margins(trace)]).T
 
 
 def _nearest(trace: Trace) -> Any:
@@ -256,7 +241,8 @@ TABLE: tuple[Field, ...] = (
     Field("rate", ROW, "{}/s", "how fast the row's reference moves: the feed-forward, or the "
           "velocity that is asked for", "instant"),
     Field("margin", LIMIT, "{}", "what is left after the tick where the limit is nearest; negative "
-          "where it is broken", of=_margin),
+          "where it is broken",
+          of=lambda trace: np.array([left.min(axis=0) for _, left in _margins(trace)]).T),
     Field("nearest", LIMIT, "", "where that is, such as `RElbowRoll (upper)`",
           of=_nearest, kind="text", beside=True),
     Field("push", PUSH, "{}", "what pushes the object at the tick's end, where something does in "
@@ -384,12 +370,7 @@ def _asked(scenario: Scenario) -> dict[str, str]:
     found: dict[str, str] = {}
     for phase in scenario.schedule:
         begin = f"{phase.name}." if scenario.phases else ""
-        for task in phase.tasks:
-            parts = task.parts(scenario.chain)
-            units = [part.unit for part in parts for _ in range(part.rows)]
-            rows = zip(task.rows(scenario.chain), units, strict=True)
-            found |= {f"{begin}{task.name}.{row}": unit for row, unit in rows}
-            for part in parts:
-                name = f"{task.name}.{part.name}" if part.name else task.name
-                found[begin + name] = part.unit
+        rows = rows_of(phase.tasks, scenario.chain)
+        for part, own in parts_of(phase.tasks, scenario.chain):
+            found |= {begin + name: part.unit for name in (part.name, *rows[own])}
     return found

@@ -1,21 +1,31 @@
-"""Columns of Arrow: Parquet, for pandas, polars and DuckDB, and the stream of a loop that runs.
+"""Columns of Arrow: Parquet, the stream of a loop that runs, and LeRobot's dataset.
+
+Parquet is for pandas, polars and DuckDB.
 
 Numbers are float64, ``tick`` is int64, texts are UTF-8; an empty cell is null, in a stream also
 NaN. The metadata of the file has the scenario, that of each field its unit.
+
+LeRobot's dataset, v3.0, is one episode. ``action`` is where a tick sends the joints and
+``observation.state`` where they were, as LeRobot has them: arm by arm ``left_elbow_flex.pos`` for
+the joint left/elbow_flex, in degrees (metres where it slides), float32, and ``left_gripper.pos``, 0
+where the arm holds the object and 100 % where not. The whole run is in ``meta/coopqp.parquet``,
+which LeRobot does not look at.
 """
 
-from __future__ import annotations
-
-from collections.abc import Iterable, Iterator
+import json
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from coopqp import __version__
 from coopqp.base.errors import CoopqpError
 from coopqp.base.reading import open_bytes
+from coopqp.base.spec import Array
 from coopqp.recordings import column
 from coopqp.recordings.run import ExportFormat, Format, Run, needs, readable, run_of
 from coopqp.scenario.catalog import Catalog
@@ -107,13 +117,11 @@ def arrow_schema(scenario: Scenario, controller: str, source: str, names: Iterab
 
 def _run(path: Path, table: Any) -> Run:
     """A run from a table of pyarrow's."""
-    lists = {name: _values(table.column(i)) for i, name in enumerate(table.column_names)}
+    lists = {
+        name: x.to_numpy() if str(x.type) in ("double", "int64") else x.to_pylist()
+        for name, x in zip(table.column_names, table.columns, strict=True)
+    }
     return run_of(path, f"{path}: row ", lists, np.arange(table.num_rows), str(path))
-
-
-def _values(found: Any) -> Any:
-    kind = str(found.type)
-    return found.to_numpy() if kind in ("double", "int64") else found.to_pylist()
 
 
 def _opened(path: Path, stream: Any) -> Any:
@@ -145,3 +153,140 @@ def scenario_in(path: Path, kept: dict[bytes, bytes] | None, catalog: Catalog) -
         raise CoopqpError(f"{path}: holds no run of coopqp: has no scenario in its metadata")
     assert kept
     return load_text(path, kept[SCENARIO].decode("utf-8", "replace"), catalog)
+
+
+RUN = Path("meta", "coopqp.parquet")
+FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+FIRST = FILE.format(chunk_index=0, file_index=0)
+OPEN = 100.0  # of a gripper [%]
+#: By which times may be off the rate of a dataset [s], as in LeRobot.
+ROUNDING = 1e-4
+QUANTILES = 1, 10, 50, 90, 99
+#: Of the only episode, beside its length and statistics.
+ZEROS = (
+    "episode_index", "dataset_from_index", "data/chunk_index", "data/file_index",
+    "meta/episodes/chunk_index", "meta/episodes/file_index",
+)  # fmt: skip
+INDICES = "frame_index", "episode_index", "index", "task_index"
+
+
+class Lerobot(ExportFormat):
+    """One folder a controller."""
+
+    name: ClassVar[str] = "lerobot"
+    suffix: ClassVar[str] = ".lerobot"
+
+    def holds(self, path: Path) -> bool:
+        return path.suffix == self.suffix or (path / RUN).is_file()
+
+    def write(self, run: Run, scenario: Scenario, path: Path) -> None:
+        with needs("LeRobot's datasets"):
+            import pyarrow as pa
+            from pyarrow import parquet as pq
+        for folder in (path / "data", path / "meta" / "episodes"):
+            (folder / FIRST).parent.mkdir(parents=True)
+        Parquet().write(run, scenario, path / RUN)
+        names, numbers = _frames(run, scenario)
+        task, count = scenario.description or scenario.name, len(numbers["index"])
+        stats, features, columns = dict[str, Any](), dict[str, Any](), dict[str, Any]()
+        for key, x in numbers.items():
+            wide, stats[key] = x.ndim > 1, _stats(x.reshape(count, -1).astype(float))
+            shape = [len(names) if wide else 1]
+            features[key] = {
+                "dtype": str(x.dtype),
+                "shape": shape,
+                "names": names if wide else None,
+            }
+            kind = pa.list_(pa.float32(), len(names)) if wide else None
+            columns[key] = pa.array(list(x) if wide else x, kind)
+        pq.write_table(pa.table(columns), path / "data" / FIRST)
+        pq.write_table(_tasks(task), path / "meta" / "tasks.parquet")
+        pq.write_table(pa.table(_episode(task, count, stats)), path / "meta" / "episodes" / FIRST)
+        rate = round(1.0 / scenario.dt, 6)
+        info = {
+            "codebase_version": "v3.0", "robot_type": scenario.robot_model.name,
+            "total_episodes": 1, "total_frames": count, "total_tasks": 1, "chunks_size": 1000,
+            "data_files_size_in_mb": 100, "video_files_size_in_mb": 200,
+            "fps": int(rate) if rate.is_integer() else rate, "splits": {"train": "0:1"},
+            "data_path": f"data/{FILE}", "video_path": None, "features": features,
+        }  # fmt: skip
+        for name, text in (("info", info), ("stats", stats)):
+            (path / "meta" / f"{name}.json").write_text(json.dumps(text, indent=4), "utf-8")
+
+    def read(self, path: Path) -> Run:
+        return replace(Parquet().read(path / RUN), path=path)
+
+    def scenario(self, path: Path, catalog: Catalog) -> Scenario:
+        with parquet_file(path / RUN) as file:
+            return scenario_in(path, file.schema_arrow.metadata, catalog)
+
+
+def _frames(run: Run, scenario: Scenario) -> tuple[list[str], dict[str, NDArray[Any]]]:
+    """The numbers' names, and a dataset's columns."""
+    ticks, robot = run.ticks, scenario.robot_model
+    late, count = ticks.numbers(["t"])[:, 0], np.arange(len(ticks))
+    off = float(np.ptp(late - count * scenario.dt)) if len(late) else np.inf
+    if off > ROUNDING:
+        words = f"time is up to {off:.3g} s off one tick each {scenario.dt:g} s"
+        raise CoopqpError(f"{run.path}: {words}, and a dataset of LeRobot has one rate")
+    q, told, seen, v = (
+        ticks.joints(name, robot.joint_names, empty=name in ("commanded", "measured"))
+        for name in ("q", "commanded", "measured", "v")
+    )
+    goal = np.where(np.isnan(told), q, told) + scenario.dt * v
+    at, grips = _columns(ticks, scenario)
+    state = np.where(np.isnan(seen), q, seen)
+    scale = np.array([1.0 if unit == "m" else 180.0 / np.pi for unit in robot.joint_units])
+    found: dict[str, NDArray[Any]] = {
+        key: np.hstack([x * scale, grips])[:, [*at.values()]].astype(np.float32)
+        for key, x in (("action", goal), ("observation.state", state))
+    }
+    found["timestamp"] = (count * scenario.dt).astype(np.float32)
+    zero = np.zeros_like(count)
+    return [*at], found | dict(zip(INDICES, (count, zero, count, zero), strict=True))
+
+
+def _columns(ticks: Run, scenario: Scenario) -> tuple[dict[str, int], Array]:
+    """Names arm by arm, where they are among joints and grippers, and how open these are [%]."""
+    robot, joints, at = scenario.robot_model, scenario.robot_model.joint_names, dict[str, int]()
+    grips = np.zeros((len(ticks), len(robot.arms)))
+    for phase in scenario.phases:
+        opened = [OPEN * (arm.name in phase.released) for arm in robot.arms]
+        grips[ticks.columns["phase"] == phase.name] = opened
+    for i, arm in enumerate(robot.arms):
+        at |= {_key(joint): joints.index(joint) for joint in robot.arm_joints(arm)}
+        at[_key(f"{arm.name.split('/')[0]}/gripper")] = len(joints) + i
+    return at | {_key(joint): i for i, joint in enumerate(joints)}, grips
+
+
+def _key(joint: str) -> str:
+    return f"{joint.replace('/', '_')}.pos"
+
+
+def _stats(x: Array) -> dict[str, list[float]]:
+    """What LeRobot keeps of numbers, shape (T, k)."""
+    found = {"min": x.min(axis=0), "max": x.max(axis=0), "mean": x.mean(axis=0)}
+    found |= {"std": x.std(axis=0), "count": np.array([len(x)])}
+    found |= {f"q{part:02d}": np.percentile(x, part, axis=0) for part in QUANTILES}
+    return {name: values.tolist() for name, values in found.items()}
+
+
+def _episode(task: str, count: int, stats: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """The only row of meta/episodes."""
+    row = {"tasks": [task], "length": count, "dataset_to_index": count, **dict.fromkeys(ZEROS, 0)}
+    row |= {f"stats/{key}/{name}": x for key, of in stats.items() for name, x in of.items()}
+    return {name: [value] for name, value in row.items()}
+
+
+def _tasks(task: str) -> Any:
+    """Texts with their numbers; LeRobot looks a text up in the index that pandas makes of it."""
+    import pyarrow as pa
+
+    kinds = ("task_index", "int64", "int64"), ("task", "unicode", "object")
+    known = {
+        "index_columns": ["task"], "column_indexes": [], "pandas_version": "2.0.0",
+        "columns": [{"name": name, "field_name": name, "pandas_type": kind, "numpy_type": of,
+                     "metadata": None} for name, kind, of in kinds],
+    }  # fmt: skip
+    table = pa.table({"task_index": pa.array([0], pa.int64()), "task": [task]})
+    return table.replace_schema_metadata({"pandas": json.dumps(known)})

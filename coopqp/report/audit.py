@@ -4,8 +4,6 @@ One line for each limit, for limits of joints one for each joint: of both its si
 points and pairs of a wall, what is shown is what was nearest.
 """
 
-from __future__ import annotations
-
 import html
 from collections import Counter
 from collections.abc import Mapping

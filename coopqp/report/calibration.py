@@ -1,7 +1,5 @@
 """Results of a calibration: a table, sentences, and lines to paste into the scenario."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 from typing import Any

@@ -1,7 +1,5 @@
 """The numbers of the summary: what is shown for each controller, and which of it is bad."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass

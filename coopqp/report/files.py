@@ -7,8 +7,6 @@ gives ``.report`` its new target, which the file system does in one step or not 
 loss of power the files are flushed to the disk before the rename.
 """
 
-from __future__ import annotations
-
 import fcntl
 import os
 import secrets

@@ -1,7 +1,5 @@
 """The mobility report of a scenario: as a table, as JSON and as a page."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass

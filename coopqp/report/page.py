@@ -1,7 +1,5 @@
 """One HTML page that holds everything, plotly.js included, and works offline."""
 
-from __future__ import annotations
-
 import html
 import json
 import os

@@ -1,7 +1,5 @@
 """Answers of ``coopqp reach``, ``coopqp plan`` and ``coopqp time`` as text, JSON and files."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path

@@ -1,7 +1,5 @@
 """JSON that every reader takes: null for NaN and infinities, for which it has no word."""
 
-from __future__ import annotations
-
 import json
 import math
 from typing import Any

@@ -1,7 +1,5 @@
 """What commands print: comparisons, replayed ticks, explanations."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict

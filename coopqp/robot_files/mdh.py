@@ -7,8 +7,6 @@ The transform from the antecedent frame a(j) to frame j is (paper eq. (2))
 with gamma = b = 0 when x_a(j) is perpendicular to z_j. Lengths in metres, angles in radians.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -29,7 +27,7 @@ from coopqp.base.spec import (
     one_angle,
     spec,
 )
-from coopqp.model.held_object import check_inertia, inertia_matrix
+from coopqp.model.grasp_configuration import check_inertia, inertia_matrix
 
 #: sin(alpha) below which two axes count as parallel.
 PARALLEL_AXES = 1e-8
@@ -55,12 +53,9 @@ def name_of(value: Any) -> Any:
 SIGMA: tuple[str, ...] = ("revolute", "prismatic", "fixed")
 
 
-def _word(value: Any) -> Any:
-    return SIGMA[value] if type(value) is int and 0 <= value <= 2 else value
-
-
-def _antecedent(value: Any) -> Any:
-    return None if type(value) is int and value == 0 else name_of(value)
+#: What rows may say instead of a name and a word.
+Antecedent = BeforeValidator(lambda x: None if type(x) is int and x == 0 else name_of(x))
+Word = BeforeValidator(lambda x: SIGMA[x] if type(x) is int and 0 <= x <= 2 else x)
 
 
 @spec
@@ -69,9 +64,9 @@ class MdhRow:
 
     name: Annotated[str, BeforeValidator(name_of)]
     """Of the joint, or its number j."""
-    antecedent: Annotated[str | None, BeforeValidator(_antecedent)] = None
+    antecedent: Annotated[str | None, Antecedent] = None
     """a(j): name of the row before it; the base when omitted or 0."""
-    sigma: Annotated[Literal["revolute", "prismatic", "fixed"], BeforeValidator(_word)] = "revolute"
+    sigma: Annotated[Literal["revolute", "prismatic", "fixed"], Word] = "revolute"
     """Revolute (0), prismatic (1) or fixed (2)."""
     gamma: float | None = None
     """[rad]"""

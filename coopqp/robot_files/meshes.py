@@ -5,8 +5,6 @@ accepts half a file. Materials, normals and all else are not read, nor unit and 
 COLLADA file, as by pinocchio; its geometry is that of the scene, where its nodes put it.
 """
 
-from __future__ import annotations
-
 import math
 import xml.etree.ElementTree as ET
 from array import array
@@ -16,6 +14,7 @@ from io import BytesIO
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from coopqp.base.errors import InvalidValueError, UnreadableFileError
@@ -249,26 +248,15 @@ def _transform(node: ET.Element) -> Array:
     return X
 
 
-def _translated(p: Array) -> Array:
-    X = np.eye(4)
-    X[:3, 3] = p
-    return X
-
-
 def _turned(axis_and_degrees: Array) -> Array:
-    """Rodrigues' formula."""
-    *axis, degrees = axis_and_degrees.tolist()
-    angle, size = math.radians(degrees), math.hypot(*axis) or 1.0
-    x, y, z = (a / size for a in axis)
-    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    X = np.eye(4)
-    X[:3, :3] += math.sin(angle) * K + (1.0 - math.cos(angle)) * K @ K
-    return X
+    *axis, degrees = axis_and_degrees
+    turn = np.array(axis) * math.radians(degrees) / (math.hypot(*axis) or 1.0)
+    return np.array(pin.SE3(pin.exp3(turn), np.zeros(3)).homogeneous)
 
 
 TRANSFORMS: dict[str, tuple[int, Callable[[Array], Array]]] = {
     "matrix": (16, lambda values: values.reshape(4, 4)),
-    "translate": (3, _translated),
+    "translate": (3, lambda p: np.array(pin.SE3(np.eye(3), p).homogeneous)),
     "rotate": (4, _turned),
     "scale": (3, lambda values: np.diag([*values, 1.0])),
 }

@@ -5,8 +5,6 @@ that lines in MuJoCo's messages are elements of the file. Sections that do not d
 are left out. MuJoCo gets the triangles of meshes only where a body's mass is that of its mesh.
 """
 
-from __future__ import annotations
-
 import difflib
 import re
 import warnings

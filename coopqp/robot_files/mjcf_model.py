@@ -9,8 +9,6 @@ stands while it compiles. Planes are left out; geoms that only collide (group ab
 drawn.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -248,7 +246,9 @@ class Geoms:
             if form in known:
                 form.geom.contype = form.geom.conaffinity = 0  # so that it needs no hull
             elif form.kind in NOT_READ or form.mesh is not None:
-                self._stand_in(form.geom)
+                geom = form.geom
+                geom.type, geom.meshname, geom.hfieldname = mujoco.mjtGeom.mjGEOM_SPHERE, "", ""
+                geom.mass, geom.size[0] = STAND_IN
         for name, mesh in self._meshes.items():
             if mesh.file:
                 surface = surfaces.get(name) or TETRAHEDRON
@@ -291,10 +291,6 @@ class Geoms:
             return read_mesh(file, (1.0, 1.0, 1.0)) if file else None
         except InvalidValueError:
             return None
-
-    def _stand_in(self, geom: Any) -> None:
-        geom.type, geom.meshname, geom.hfieldname = self._mujoco.mjtGeom.mjGEOM_SPHERE, "", ""
-        geom.mass, geom.size[0] = STAND_IN
 
     def shapes(self, model: Any, named: Named) -> tuple[tuple[Shape, ...], tuple[Shape, ...]]:
         """Visual and collision shapes; a mesh without a file is in the latter alone."""

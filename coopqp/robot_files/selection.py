@@ -9,13 +9,11 @@ A description has all joints of a robot; controlled are the joints that move a t
    1e9 or more.
 """
 
-from __future__ import annotations
-
 import fnmatch
 import math
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Annotated, Any
 
 import numpy as np
@@ -74,16 +72,6 @@ class ArmJoints:
     """Those that this arm moves by; all between base and tip when omitted."""
 
 
-@dataclass(frozen=True)
-class _Or:
-    """Adds the schema of a shorter form to the JSON Schema."""
-
-    shorter: dict[str, Any]
-
-    def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> Any:
-        return {"anyOf": [self.shorter, handler(core)]}
-
-
 def _arm_or_tip(value: Any) -> Any:
     if isinstance(value, dict | ArmJoints):
         return value
@@ -107,15 +95,17 @@ def _some_arms(value: Any) -> Any:
 
 
 Arms = Annotated[
-    dict[str, Annotated[ArmJoints, BeforeValidator(_arm_or_tip), _Or({"type": "string"})]],
+    dict[
+        str,
+        Annotated[ArmJoints, BeforeValidator(_arm_or_tip, json_schema_input_type=str | ArmJoints)],
+    ],
     BeforeValidator(_some_arms),
 ]
 """Arms by name, each its tip's frame or {tip: frame, joints: [...]}; the first is the reference."""
 
 Locked = Annotated[
     dict[str, float | None],
-    BeforeValidator(_values_or_names),
-    _Or({"type": "array", "items": {"type": "string"}}),
+    BeforeValidator(_values_or_names, json_schema_input_type=list[str] | dict[str, float | None]),
 ]
 """Joints that stay where they are: names, or names with values [rad or m]."""
 
@@ -167,13 +157,11 @@ class DescribedRobot(Robot):
         own, a free joint that cannot be one coordinate, a value outside the limits, a joint both
         free and locked.
         """
-        description, locked = self.description(), self.locked
-        moving = _free_joints(description, self.arms, self.free, locked)
-        reduced = _without_locked_joints(description, moving, locked)
-        model = _with_one_coordinate(reduced)
+        description = self.description()
+        selection = _Selection(description, self)
+        model = _with_one_coordinate(selection.model())
         _tell_frames_apart(model)
         _set_limits(description, model, self.joint_limits)
-        warnings = [*description.warnings, *_still_followers(description, moving, locked)]
         robot = RobotModel(
             name=description.name,
             model=model,
@@ -181,7 +169,7 @@ class DescribedRobot(Robot):
             shapes=description.shapes,
             collision_shapes=description.collision_shapes,
             unseen=description.unseen,
-            warnings=tuple(warnings),
+            warnings=(*description.warnings, *selection.still_followers()),
         )
         _check_arms(robot)
         return robot
@@ -286,153 +274,129 @@ KINDS = {
 #: has none.
 FIXED_BASE = "root_joint"
 
-
-def _free_joints(
-    description: Description,
-    arms: Mapping[str, ArmJoints],
-    free: Sequence[str],
-    locked: Mapping[str, float | None],
-) -> set[str]:
-    """Names of the joints that move: on arms' paths to tips, and free ones, but the locked."""
-    known = description.joint_names
-    for name in locked:
-        if name not in known and name != FIXED_BASE:
-            raise UnknownNameError("joint", name, known, "locked: ").at("locked", name)
-    for i, name in enumerate(free):
-        if name not in known:
-            raise UnknownNameError("joint", name, known, "free: ").at("free", i)
-    wanted = dict.fromkeys(free, "free")
-    moving = set(free)
-    for name, arm in arms.items():
-        with under("arms", name):
-            way = _way_to_tip(description, name, arm.tip, locked)
-            moving.update(way if arm.joints is None else _named(name, arm, way, known))
-        wanted.update(dict.fromkeys(arm.joints or (), f"arm {name}"))
-    for joint in locked:
-        if joint in wanted:
-            raise InvalidValueError(
-                f"joint {joint}: is listed under {wanted[joint]} and under locked; choose one"
-            ).at("locked", joint)
-    moving -= set(locked)
-    for joint in sorted(moving):
-        _check_free(description, joint)
-    return moving
-
-
-def _way_to_tip(
-    description: Description, name: str, tip: str, locked: Mapping[str, float | None]
-) -> list[str]:
-    """Joints between base and tip, base first."""
-    model = description.model
-    found = [frame for frame in model.frames if frame.name == tip]
-    found.sort(key=lambda frame: frame.type != pin.FrameType.BODY)  # of namesakes the link counts
-    if not found:
-        frames = [frame.name for frame in model.frames]
-        raise UnknownNameError("frame", tip, frames, f"arm {name}: ")
-    for joint, moved in description.floating.items():
-        if tip in moved and joint not in locked:
-            raise _cannot_move(description, joint, "is floating")
-    return [model.names[j] for j in model.supports[found[0].parentJoint] if j > 0]
-
-
-def _named(name: str, arm: ArmJoints, way: Sequence[str], known: Sequence[str]) -> Sequence[str]:
-    joints = arm.joints or ()
-    for joint in joints:
-        if joint not in known:
-            raise UnknownNameError("joint", joint, known, f"arm {name}: ")
-        if joint not in way:
-            raise InvalidValueError(
-                f"arm {name}: joint {joint} does not move the tip {arm.tip}; "
-                f"those that do: {', '.join(way) or 'none'}"
-            )
-    return joints
-
-
-def _check_free(description: Description, joint: str) -> None:
-    """Refuse a free joint that one coordinate cannot describe."""
-    follower = description.followers.get(joint)
-    if follower:
-        leader = follower.leader or "a fixed value"
-        raise _cannot_move(description, joint, f"follows {leader} (mimic)")
-    if joint in description.floating:
-        raise _cannot_move(description, joint, "is floating")
-    model = description.model
-    kind = model.joints[model.getJointId(joint)]
-    if kind.nv != 1:
-        word = KINDS.get(kind.shortname(), "spherical")
-        words = f"is {word}, with {kind.nv} coordinates,"
-        raise _cannot_move(description, joint, words)
-
-
-def _cannot_move(description: Description, joint: str, why: str) -> InvalidValueError:
-    words = f"{why} and cannot be a joint of an arm; list it under locked"
-    return InvalidValueError(f"{description.joint(joint)}: {words}")
-
-
-def _still_followers(
-    description: Description, moving: set[str], locked: Mapping[str, float | None]
-) -> list[str]:
-    """Warnings about locked joints that ought to follow one that moves."""
-    return [
-        f"{description.name}: joint {name} follows {follower.leader}, but is kept still"
-        for name, follower in description.followers.items()
-        if follower.leader in moving and name not in locked
-    ]
-
-
 #: Suffix of frames' names for a moment; no name in a file ends so.
 NAMESAKE = "\0namesake"
 
 
-def _without_locked_joints(
-    description: Description, moving: set[str], locked: Mapping[str, float | None]
-) -> pin.Model:
-    """The model of the joints that move, a copy; others are at their locked value."""
-    model = description.model.copy()
-    q = np.array(pin.neutral(model))
-    for joint in range(1, model.njoints):
-        name, kind = model.names[joint], model.joints[joint]
-        if name in moving:
-            continue
-        if kind.nv == 1:
-            value = _locked_value(description, name, locked)
-            at = [math.cos(value), math.sin(value)] if kind.nq == 2 else [value]
-            q[kind.idx_q : kind.idx_q + kind.nq] = at
-        elif locked.get(name) is not None:
+class _Selection:
+    """Which joints of a description move, by name, and where the others are kept."""
+
+    def __init__(self, description: Description, robot: DescribedRobot) -> None:
+        self._description, self._locked = description, robot.locked
+        known = description.joint_names
+        for name in robot.locked:
+            if name not in known and name != FIXED_BASE:
+                raise UnknownNameError("joint", name, known, "locked: ").at("locked", name)
+        for i, name in enumerate(robot.free):
+            if name not in known:
+                raise UnknownNameError("joint", name, known, "free: ").at("free", i)
+        wanted, moving = dict.fromkeys(robot.free, "free"), set(robot.free)
+        for name, arm in robot.arms.items():
+            with under("arms", name):
+                moving.update(self._joints_of(name, arm))
+            wanted.update(dict.fromkeys(arm.joints or (), f"arm {name}"))
+        for joint in robot.locked:
+            if joint in wanted:
+                raise InvalidValueError(
+                    f"joint {joint}: is listed under {wanted[joint]} and under locked; choose one"
+                ).at("locked", joint)
+        self._moving = moving - set(robot.locked)
+        for joint in sorted(self._moving):
+            self._check_free(joint)
+
+    def _joints_of(self, name: str, arm: ArmJoints) -> Sequence[str]:
+        """Those between base and tip, base first, or what an arm names of them."""
+        model = self._description.model
+        found = [frame for frame in model.frames if frame.name == arm.tip]
+        if not found:
+            frames = [frame.name for frame in model.frames]
+            raise UnknownNameError("frame", arm.tip, frames, f"arm {name}: ")
+        for joint, moved in self._description.floating.items():
+            if arm.tip in moved and joint not in self._locked:
+                raise self._cannot_move(joint, "is floating")
+        # Of namesakes the link counts.
+        tip = min(found, key=lambda frame: frame.type != pin.FrameType.BODY)
+        way = [model.names[j] for j in model.supports[tip.parentJoint] if j > 0]
+        for joint in arm.joints or ():
+            if joint not in self._description.joint_names:
+                known = self._description.joint_names
+                raise UnknownNameError("joint", joint, known, f"arm {name}: ")
+            if joint not in way:
+                raise InvalidValueError(
+                    f"arm {name}: joint {joint} does not move the tip {arm.tip}; "
+                    f"those that do: {', '.join(way) or 'none'}"
+                )
+        return way if arm.joints is None else arm.joints
+
+    def _check_free(self, joint: str) -> None:
+        """Refuse a free joint that one coordinate cannot describe."""
+        if follower := self._description.followers.get(joint):
+            leader = follower.leader or "a fixed value"
+            raise self._cannot_move(joint, f"follows {leader} (mimic)")
+        if joint in self._description.floating:
+            raise self._cannot_move(joint, "is floating")
+        model = self._description.model
+        kind = model.joints[model.getJointId(joint)]
+        if kind.nv != 1:
+            word = KINDS.get(kind.shortname(), "spherical")
+            raise self._cannot_move(joint, f"is {word}, with {kind.nv} coordinates,")
+
+    def _cannot_move(self, joint: str, why: str) -> InvalidValueError:
+        words = f"{why} and cannot be a joint of an arm; list it under locked"
+        return InvalidValueError(f"{self._description.joint(joint)}: {words}")
+
+    def still_followers(self) -> list[str]:
+        """Warnings about locked joints that ought to follow one that moves."""
+        return [
+            f"{self._description.name}: joint {name} follows {follower.leader}, but is kept still"
+            for name, follower in self._description.followers.items()
+            if follower.leader in self._moving and name not in self._locked
+        ]
+
+    def model(self) -> pin.Model:
+        """That of the joints that move, a copy; others are at their locked value."""
+        model = self._description.model.copy()
+        q, still = np.array(pin.neutral(model)), list[int]()
+        for joint in range(1, model.njoints):
+            name, kind = model.names[joint], model.joints[joint]
+            if name in self._moving:
+                continue
+            still.append(joint)
+            if kind.nv == 1:
+                value = self._value(name, self._description.followers)
+                at = [math.cos(value), math.sin(value)] if kind.nq == 2 else [value]
+                q[kind.idx_q : kind.idx_q + kind.nq] = at
+            elif self._locked.get(name) is not None:
+                raise InvalidValueError(
+                    f"locked: joint {name} has {kind.nv} coordinates; give its name without a value"
+                ).at("locked", name)
+        if not still:
+            return model
+        for frame in list(model.frames)[1:]:  # without the world's, which has the name of joint 0
+            if frame.name in model.names and frame.type != pin.FrameType.JOINT:
+                frame.name += NAMESAKE  # pinocchio finds joints' frames by name
+        reduced = pin.buildReducedModel(model, still, q)
+        for frame in reduced.frames:
+            frame.name = frame.name.removesuffix(NAMESAKE)
+        return reduced
+
+    def _value(self, name: str, followers: Mapping[str, Follower]) -> float:
+        """Of a locked joint with one coordinate: given, its leader's, or nearest to zero."""
+        model, given = self._description.model, self._locked.get(name)
+        if given is None and (follower := followers.get(name)):
+            known = follower.leader in model.names
+            # Without the followers: a chain of them would be a circle.
+            leader = self._value(follower.leader, {}) if known else 0.0
+            return follower.ratio * leader + follower.offset
+        kind = model.joints[model.getJointId(name)]
+        lower, upper = -math.inf, math.inf
+        if kind.nq == 1:
+            lower = float(model.lowerPositionLimit[kind.idx_q])
+            upper = float(model.upperPositionLimit[kind.idx_q])
+        if given is None:
+            return min(max(0.0, lower), upper)
+        if not lower <= given <= upper:
             raise InvalidValueError(
-                f"locked: joint {name} has {kind.nv} coordinates; give its name without a value"
+                f"locked: joint {name} at {given:g} is outside its limits {lower:g} to {upper:g}"
             ).at("locked", name)
-    still = [j for j in range(1, model.njoints) if model.names[j] not in moving]
-    if not still:
-        return model
-    for frame in list(model.frames)[1:]:  # without the world's, which has the name of joint 0
-        if frame.name in model.names and frame.type != pin.FrameType.JOINT:
-            frame.name += NAMESAKE  # pinocchio finds joints' frames by name
-    reduced = pin.buildReducedModel(model, still, q)
-    for frame in reduced.frames:
-        frame.name = frame.name.removesuffix(NAMESAKE)
-    return reduced
-
-
-def _locked_value(description: Description, name: str, locked: Mapping[str, float | None]) -> float:
-    """Value of a locked joint with one coordinate: given, its leader's, or nearest to zero."""
-    model, given = description.model, locked.get(name)
-    follower = description.followers.get(name)
-    if given is None and follower:
-        leader = 0.0
-        if follower.leader in model.names:
-            unled = replace(description, followers={})  # a chain of followers would be a circle
-            leader = _locked_value(unled, follower.leader, locked)
-        return follower.ratio * leader + follower.offset
-    kind = model.joints[model.getJointId(name)]
-    lower, upper = -math.inf, math.inf
-    if kind.nq == 1:
-        lower = float(model.lowerPositionLimit[kind.idx_q])
-        upper = float(model.upperPositionLimit[kind.idx_q])
-    if given is None:
-        return min(max(0.0, lower), upper)
-    if not lower <= given <= upper:
-        raise InvalidValueError(
-            f"locked: joint {name} at {given:g} is outside its limits {lower:g} to {upper:g}"
-        ).at("locked", name)
-    return given
+        return given

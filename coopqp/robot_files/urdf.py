@@ -6,8 +6,6 @@ what their attributes must hold, and how links and joints fit together. Elements
 ROS and of robot makers are ignored unless they are a known name misspelt.
 """
 
-from __future__ import annotations
-
 import difflib
 import math
 import os
@@ -25,7 +23,7 @@ import pinocchio as pin
 from coopqp.base.errors import InvalidValueError, unknown_name
 from coopqp.base.reading import absolute
 from coopqp.base.spec import FARTHEST
-from coopqp.model.held_object import inertia_matrix
+from coopqp.model.grasp_configuration import inertia_matrix
 from coopqp.robot import Shape
 from coopqp.robot_files.selection import Description, Follower
 from coopqp.robot_files.xml import (
@@ -308,22 +306,22 @@ def _check_limit(joint: Element) -> None:
 def _check_tree(xml: Element) -> None:
     """Every link but one is the child of exactly one joint."""
     links = {link.get("name", ""): link for link in xml.findall("link")}
-    carried: dict[str, str] = {}
+    moved_by, parents = dict[str, Element](), dict[str, str]()
     for joint in xml.findall("joint"):
-        _end(joint, "parent", links)
-        child = _end(joint, "child", links)
-        name, link = joint.get("name", ""), child.get("link", "")
-        if link in carried:
-            words = f"link {link} is the child of joint {carried[link]} already"
-            raise fault(child, words, f"of joint {name}")
-        carried[link] = name
-    roots = [link for link in links if link not in carried]
+        parent, child = _end(joint, "parent", links), _end(joint, "child", links)
+        link = child.get("link", "")
+        if link in moved_by:
+            words = f"link {link} is the child of joint {moved_by[link].get('name')} already"
+            raise fault(child, words, f"of joint {joint.get('name')}")
+        moved_by[link], parents[link] = joint, parent.get("link", "")
+    roots = [link for link in links if link not in moved_by]
     if not roots:
         words = "every link is the child of a joint; one, the base, must be none"
         raise fault(next(iter(links.values())), words)
     for name in roots[1:]:
         words = f"is the child of no joint, as is link {roots[0]}; only the base may be"
         raise fault(links[name], words)
+    _check_circles(moved_by, parents)
 
 
 def _end(joint: Element, tag: str, links: Collection[str]) -> Element:
@@ -339,9 +337,8 @@ def _end(joint: Element, tag: str, links: Collection[str]) -> Element:
 LONGEST = 500
 
 
-def _check_circles(xml: Element) -> None:
+def _check_circles(moved_by: Mapping[str, Element], parents: Mapping[str, str]) -> None:
     """Refuse links whose way to the base comes back to them."""
-    moved_by = {_link(joint, "child"): joint for joint in xml.findall("joint")}
     joints_to: dict[str, int] = {}
     for first in moved_by:
         way, link = dict[str, None](), first
@@ -350,17 +347,12 @@ def _check_circles(xml: Element) -> None:
                 words = f"link '{link}' moves itself: the joints from it on go round in a circle"
                 raise fault(moved_by[link], words)
             way[link] = None
-            link = _link(moved_by[link], "parent")
+            link = parents[link]
         before = joints_to.get(link, 0)
         joints_to.update((link, before + i) for i, link in enumerate(reversed(way), 1))
         if joints_to[first] > LONGEST:
             words = f"more than {LONGEST} joints are between link '{first}' and the base"
             raise fault(moved_by[first], words)
-
-
-def _link(joint: Element, tag: str) -> str:
-    end = joint.find(tag)
-    return "" if end is None else end.get("link", "")
 
 
 def _told_place(xml: Element, words: Sequence[str]) -> str:
@@ -384,9 +376,7 @@ def _check(xml: Element) -> list[str]:
                 _check_numbers(element, {"xyz": Numbers(3, direction=True)})
             if element.tag == "inertia":
                 warnings.append(_negative_moment(element))
-    strange = _check_schema(xml)
-    _check_circles(xml)
-    return [*(line for line in warnings if line), *strange]
+    return [*filter(None, warnings), *_check_schema(xml)]
 
 
 def _mimics(xml: Element) -> Iterator[tuple[str, Follower]]:
@@ -404,12 +394,19 @@ def _shapes(
 ) -> tuple[tuple[Shape, ...], list[tuple[str, Element]]]:
     """Visual or collision shapes; link and geometry of those that cannot be read."""
     shapes, unread = [], []
-    for frame, X, part in _parts(xml, tag):
-        kind: Any = part.tag
-        mesh = find_mesh(part.get("filename", ""), path, package_dirs) if kind == "mesh" else None
-        if kind not in SIZES or (kind == "mesh" and mesh is None):
-            unread.append((frame, part))
-        else:
+    for link in xml.findall("link"):
+        frame = link.get("name", "")
+        for whole in link.findall(tag):
+            part = whole.find("geometry/*")
+            if part is None:
+                continue
+            kind: Any = part.tag
+            file = part.get("filename", "")
+            mesh = find_mesh(file, path, package_dirs) if kind == "mesh" else None
+            if kind not in SIZES or (kind == "mesh" and mesh is None):
+                unread.append((frame, part))
+                continue
+            X = _pose(whole.find("origin"))
             size = numbers_of(" ".join(part.get(key, "") for key in SIZES[kind]), "1 1 1")
             shapes.append(Shape(frame=frame, placement=X, kind=kind, size=size, mesh=mesh))
     return tuple(shapes), unread
@@ -423,15 +420,7 @@ def _why_unseen(frame: str, part: Element) -> str:
     return f"{frame}: mesh {uri}: there is no such file{where}"
 
 
-def _parts(xml: Element, tag: str) -> Iterator[tuple[str, pin.SE3, Element]]:
-    for link in xml.findall("link"):
-        for part in link.findall(tag):
-            geometry = part.find("geometry")
-            if geometry is not None and len(geometry):
-                yield link.get("name", ""), _origin(part.find("origin")), geometry[0]
-
-
-def _origin(origin: Element | None) -> pin.SE3:
+def _pose(origin: Element | None) -> pin.SE3:
     if origin is None:
         return pin.SE3.Identity()
     roll, pitch, yaw = numbers_of(origin.get("rpy"), "0 0 0")

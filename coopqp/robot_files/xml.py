@@ -4,8 +4,6 @@ What pinocchio reads is written anew from what was checked here, so no parser be
 entities, odd encodings or words where numbers belong.
 """
 
-from __future__ import annotations
-
 import os
 import tempfile
 import xml.etree.ElementTree as ET

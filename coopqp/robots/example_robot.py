@@ -3,8 +3,6 @@
 The package holds files alone: nothing of it is run, and meshes are not read.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from functools import lru_cache
 from importlib import metadata

@@ -3,8 +3,6 @@
 Columns after Khalil and Kleinfinger (1986), the paper's eq. (2): see :mod:`coopqp.robot_files.mdh`.
 """
 
-from __future__ import annotations
-
 from typing import Annotated
 
 from pydantic import Field

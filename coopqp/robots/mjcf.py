@@ -1,7 +1,5 @@
 """A robot from a MuJoCo file (MJCF)."""
 
-from __future__ import annotations
-
 from coopqp.base.errors import under
 from coopqp.base.reading import FilePath
 from coopqp.base.spec import spec

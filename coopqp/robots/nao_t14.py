@@ -6,8 +6,6 @@ the encoder angle plus pi/2, because NAO's zero pose points the arms forward and
 points them sideways.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

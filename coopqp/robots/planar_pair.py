@@ -3,8 +3,6 @@
 All axes point up. Three of the six loop rows (z, rot_x, rot_y) follow from the others.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Two or more robots side by side: one model, names as "left/panda_joint1"."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Annotated, Any
 

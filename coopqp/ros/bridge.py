@@ -4,8 +4,6 @@ Messages are any objects with the fields of ROS's own, those of rclpy or of rosb
 put into a queue by whoever receives them, in whatever thread, and read by the loop's next tick.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -9,8 +9,6 @@ and is taken when |r|^2 falls; mu grows when it does not and shrinks when it doe
 scipy's trf has no rows G, and closes fewer starts of redundant arms in more time.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -36,16 +34,12 @@ Inequalities = Callable[[Array], tuple[Array, Array]]
 
 @dataclass(frozen=True)
 class Stop:
-    """When a search ends: after so many steps, with a residual small enough, or stuck.
-
-    No variable goes farther than ``most`` in a step; ``stuck`` is the least share of change of
-    |r|^2.
-    """
+    """When a search ends: after so many steps, with a residual small enough, or stuck."""
 
     steps: int
-    most: float
-    enough: Callable[[Array], bool]
-    stuck: float = STUCK
+    most: float  # that a variable goes in one
+    enough: Callable[[Array], bool]  # whether the residual is
+    stuck: float = STUCK  # least share of change of |r|^2
 
 
 class BoundedSteps:

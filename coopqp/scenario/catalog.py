@@ -13,8 +13,6 @@ of the same shape:
     my_lab = "my_lab.plugins"           # with my_lab/plugins/tasks/hold_height.py
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import importlib
@@ -128,13 +126,10 @@ def _wrong_with(cls: type, base: type) -> str:
         typing.get_type_hints(cls)
     except NameError as error:  # deferred annotations are only looked up now
         return f"{cls.__name__} has a field whose type is not known: {error}"
-    if base is Metric and (needed := [f.name for f in dataclasses.fields(cls) if _needed(f)]):
-        return f"'{needed[0]}' needs a default, because scenarios have no keys for metrics"
+    for field in dataclasses.fields(cls) if base is Metric else ():
+        if field.default is field.default_factory is dataclasses.MISSING:
+            return f"'{field.name}' needs a default, because scenarios have no keys for metrics"
     return ""
-
-
-def _needed(field: dataclasses.Field[object]) -> bool:
-    return field.default is field.default_factory is dataclasses.MISSING
 
 
 def _line(cls: type) -> int:

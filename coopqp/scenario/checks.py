@@ -3,8 +3,6 @@
 Checks yield what is wrong and where; :meth:`coopqp.scenario.yaml.YamlFile.lines` knows the lines.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import fields
@@ -155,13 +153,6 @@ class Known:
         self._kept[what] = source, found
 
 
-def _of_chain(data: Mapping[str, Any], scenario: Scenario) -> tuple[object, ...]:
-    """All from which a chain follows, but for the object's inertia, which it can exchange."""
-    released = [phase.released for phase in scenario.schedule]
-    held = {k: x for k, x in (data.get("object") or {}).items() if k not in INERTIAL}
-    return *(data.get(key) for key in CHAIN), scenario.start, released, held
-
-
 def _at(data: Any, place: Location) -> Any:
     return reduce(getitem, place, data)
 
@@ -183,7 +174,10 @@ def check_start(data: Mapping[str, Any], scenario: Scenario, known: Known) -> No
     refuse([*_released(scenario), *outside])
     with at(_longest(data, scenario)):
         scenario.check_size()
-    of_chain = _of_chain(data, scenario)
+    # All from which a chain follows, but for the object's inertia, which it can exchange.
+    released = [phase.released for phase in scenario.schedule]
+    held = {k: x for k, x in (data.get("object") or {}).items() if k not in INERTIAL}
+    of_chain = *(data.get(key) for key in CHAIN), scenario.start, released, held
     if before := known.get("chain", of_chain):
         chain = before.chain
         chain = chain if scenario.held == before.held else chain.carrying(scenario.held)

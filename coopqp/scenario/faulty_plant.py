@@ -10,8 +10,6 @@ when the fault began:
 Where there are several, the next one has what the one before has left.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -4,8 +4,6 @@ Every plug-in slot is "one name with its fields": ``rigid``, or ``rigid: {}``, o
 ``point_on_plane: {normal: [0, 0, 1], ...}``. pydantic checks it and writes its JSON Schema.
 """
 
-from __future__ import annotations
-
 import functools
 import json
 import operator
@@ -13,7 +11,7 @@ import types
 import typing
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import (
     BaseModel,
@@ -52,17 +50,7 @@ def _start(value: Any) -> Any:
     return value
 
 
-@dataclass(frozen=True)
-class Words:
-    """Shows in a JSON Schema the words that may stand instead of a value."""
-
-    words: Sequence[str]
-
-    def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> Any:
-        return {"anyOf": [{"enum": [*self.words]}, handler(core)]}
-
-
-def _spelt(kind: str, names: Iterable[str], aliases: Iterable[str] = ()) -> Any:
+def _spelt(kind: str, model: Any, names: Iterable[str], aliases: Iterable[str]) -> Any:
     """Reads any spelling of a plug-in slot as {name: fields}."""
     known, others = sorted(names), sorted(aliases)
 
@@ -78,7 +66,7 @@ def _spelt(kind: str, names: Iterable[str], aliases: Iterable[str] = ()) -> Any:
             raise ValueError(f"{words}; those of your own need --plugins FOLDER")
         return {name: {} if options is None else options}
 
-    return BeforeValidator(read)
+    return BeforeValidator(read, json_schema_input_type=Literal[(*known, *others)] | model)
 
 
 class Slot(BaseModel):
@@ -98,8 +86,7 @@ def one_of(catalog: Catalog, kind: str) -> Any:
     }
     model = create_model(f"One{word.capitalize()}", __base__=Slot, **options)
     aliases = set(qpsolvers_backends.installed()) - set(entries) if kind == "solvers" else ()
-    names = (*sorted(entries), *sorted(aliases))
-    return Annotated[model, _spelt(word, entries, aliases), Words(names)]
+    return Annotated[model, _spelt(word, model, entries, aliases)]
 
 
 def chosen(slot: BaseModel) -> tuple[str, Any]:
@@ -118,7 +105,10 @@ class FileKeys:
     """How every arm holds the object; rigid if omitted."""
     grasps: Mapping[str, Grasp] | None = None
     """How each arm holds it, by arm; instead of grasp."""
-    start: Annotated[Joints | None, BeforeValidator(_start), Words((SOLVE,))] = None
+    start: Annotated[
+        Joints | None,
+        BeforeValidator(_start, json_schema_input_type=Literal["solve"] | Joints | None),
+    ] = None
     """Joint values by arm (base first), joint or passive joint [rad, m]; or solve, to find them
     from object.pose and the grasps' object_in_hand."""
     reference: Followed | None = None

@@ -65,15 +65,13 @@ class InputSettings(MotionLimits):
 
 
 class Channel(TrajectoryFilter):
-    """One input while the arms move, of a kind, which begins at ``value``, shape (values,).
-
-    ``target`` arrived last, or is where it began; ``sent`` is when [s], -inf where nothing has.
-    """
+    """One input while the arms move, of a kind, which begins at ``value``, shape (values,)."""
 
     def __init__(self, kind: Kind, settings: InputSettings, dt: float, value: Array) -> None:
         super().__init__(kind, settings, dt, value)
         self._settings = settings
-        self.target, self.sent = self.value.copy(), -math.inf
+        self.target = self.value.copy()  # arrived last, or is where it began
+        self.sent = -math.inf  # when that was [s]
         lower, upper = settings.lower or -math.inf, settings.upper or math.inf
         self._lower, self._upper = np.array(lower, float), np.array(upper, float)
 

@@ -1,7 +1,5 @@
 """What of a scenario is odd but no fault, in words: what has no effect, or a likely wrong unit."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from functools import partial

@@ -5,8 +5,6 @@ wrench between the hands; all limits stay in force. Its clock waits for joints t
 (``scenario.input.Clock``). Where the plan of a phase ends begin the phase's own tasks.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import replace

@@ -32,7 +32,7 @@ from coopqp.grasps import Rigid
 from coopqp.limit import Limit
 from coopqp.limits import JointPosition, JointVelocity
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 from coopqp.model.loop_observer import Observer
 from coopqp.model.state import State
 from coopqp.plant import Disturbance, Plant, PlantModel

@@ -1,7 +1,5 @@
 """Where a scenario starts: joints by arm or name, and what is wrong with them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 

@@ -36,12 +36,12 @@ from coopqp.closed_loop.screw import LENGTH
 from coopqp.grasp import Grasp, pose_matrix
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.grasp_configuration import (
+    HeldObject,
     add_object_frame,
     grasp_of_each,
     object_at_end,
     with_passive_joints,
 )
-from coopqp.model.held_object import HeldObject
 from coopqp.robot import RobotModel
 from coopqp.scenario.bounded_steps import LEAST_DAMPING, BoundedSteps, Stop
 from coopqp.scenario.start import Start, by_arm, start_of

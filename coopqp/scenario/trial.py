@@ -209,18 +209,18 @@ def try_limit(limit: Limit, places: Places, dt: float) -> None:
         tighten = limit.bind(chain, dt)
         _check_marks(limit.marks(0.0))
         for state in (start, *(place.here for place in places.nearby)):
-            open_, shut = (_limit_rows(chain.n, len(names), width) for width in (np.inf, 0.0))
+            # Rows that it leaves as they were show as NaN in h; zeros of G need not be written.
+            n, p = chain.n, len(names)
+            open_, shut = (
+                LimitRows(np.full(n, -w), np.full(n, w), np.zeros((p, n)), np.full(p, np.nan))
+                for w in (np.inf, 0.0)
+            )
             evaluate_all([(tighten, open_), (tighten, shut)], state)
             _check_finite("G", names, open_.G, chain)
             for name, h in zip(names, open_.h, strict=True):
                 if not h > -np.inf:
                     raise _PromiseError(f"row {name}: h is {h} or not written, needs a number")
             _check_bounds(chain, open_, shut, inside=state is start and chain.starts_inside)
-
-
-def _limit_rows(n: int, p: int, width: float) -> LimitRows:
-    # Rows that a limit leaves as they were show as NaN in h; zeros of G need not be written.
-    return LimitRows(np.full(n, -width), np.full(n, width), np.zeros((p, n)), np.full(p, np.nan))
 
 
 def _check_finite(key: str, names: Sequence[str], values: Array, chain: ClosedChain) -> None:

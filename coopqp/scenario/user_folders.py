@@ -4,8 +4,6 @@ A folder's package is named after its whole path, so that two folders never shar
 process that has never heard of the folder, such as a worker, finds its modules by name alone.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Sequence

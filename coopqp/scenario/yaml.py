@@ -147,13 +147,18 @@ def as_read(text: str, data: dict[str, Any]) -> str:
 FILE_KEYS = {"path", "mesh", "file", "feed_file", "plan"}
 
 
+def files_in(value: Any) -> Iterator[Any]:
+    """What names another file, such as that of the robot, or asks for one."""
+    if isinstance(value, dict):
+        yield from (value[key] for key in FILE_KEYS & value.keys())
+        value = list(value.values())
+    for inside in value if isinstance(value, list) else ():
+        yield from files_in(inside)
+
+
 def has_files(value: Any) -> bool:
     """Whether something in a file, such as its robot or an obstacle, is given by another file."""
-    if isinstance(value, list):
-        return any(map(has_files, value))
-    if isinstance(value, dict):
-        return bool(FILE_KEYS & set(value)) or any(map(has_files, value.values()))
-    return False
+    return any(True for _ in files_in(value))
 
 
 def read_yaml(path: Path) -> YamlFile:
@@ -271,7 +276,9 @@ class _Builder:
         for event in self._events:
             if isinstance(event, events.MappingEndEvent):
                 break
-            key, line = self._key(event), self.line_at(event.start_mark.index)
+            if not isinstance(event, events.ScalarEvent):
+                raise self._fault(event, "needs a plain word as a key, found something else")
+            key, line = self._text(event), self.line_at(event.start_mark.index)
             if key in inside:
                 raise self._fault(event, f"key '{key}' is given twice")
             after = next(self._events)
@@ -294,11 +301,6 @@ class _Builder:
                 raise self._fault(event, "'<<' needs a mapping, or a list of them")
             found = {**part.inside, **found}
         return found
-
-    def _key(self, event: Any) -> str:
-        if not isinstance(event, events.ScalarEvent):
-            raise self._fault(event, "needs a plain word as a key, found something else")
-        return self._text(event)
 
     def _text(self, event: Any) -> str:
         text: str = event.value

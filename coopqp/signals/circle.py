@@ -7,8 +7,6 @@ With c the center, u the unit vector to where it begins, w = n x u and a the ang
 The angle's speed grows from zero to 2 pi / period within the ramp, as 3 x^2 - 2 x^3 of its share x.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -5,8 +5,6 @@ be done then (``scenario.input``). What the task follows is the limited value, w
 keeps in ``state.inputs``; where nothing can arrive, it stays where it begins.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, Any
 
 import numpy as np

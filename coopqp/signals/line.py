@@ -1,7 +1,5 @@
 """There and back between two places, in closed form: x = a + (b - a) (1 - cos(2 pi t / T)) / 2."""
 
-from __future__ import annotations
-
 import math
 from typing import Annotated
 

@@ -5,8 +5,6 @@ keeps self-motion quiet is so small that the cost is nearly flat along it, and f
 stop anywhere on the flat.
 """
 
-from __future__ import annotations
-
 from typing import ClassVar
 
 import daqp

@@ -1,7 +1,5 @@
 """OSQP: operator splitting (first order), warm-started through its own interface."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

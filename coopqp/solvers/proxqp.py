@@ -1,7 +1,5 @@
 """ProxQP of proxsuite: proximal augmented Lagrangian, dense, through its own warm interface."""
 
-from __future__ import annotations
-
 import numpy as np
 from proxsuite import proxqp
 

@@ -1,7 +1,5 @@
 """Any backend of qpsolvers by its name, one cold call a tick: for breadth and cross-checks."""
 
-from __future__ import annotations
-
 import warnings
 from typing import Any
 

@@ -14,8 +14,6 @@ A combination of parameters that the motion does not identify to ``SIZE`` stays 
 Hand-eye calibration by closed loops: Hollerbach and Wampler 1996.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 

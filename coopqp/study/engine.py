@@ -25,7 +25,7 @@ from dataclasses import dataclass, field
 from functools import cache, partial
 from multiprocessing import resource_tracker
 from operator import length_hint
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 from coopqp.base.errors import CoopqpError, InvalidValueError, MissingDependencyError
 
@@ -46,16 +46,6 @@ Numbered = Iterator[tuple[int, Any]]
 
 class WorkersLostError(CoopqpError):
     """A worker died, and with it all that was under way; its words say how."""
-
-
-class Workers(Protocol):
-    """Who does items."""
-
-    def outcomes(self, work: Work, items: Numbered) -> Numbered:
-        """What came of the items, in the order in which they are done.
-
-        Where a worker dies, WorkersLostError; whoever asks again gets new ones.
-        """
 
 
 @dataclass(frozen=True)
@@ -118,48 +108,40 @@ class Engine:
 
 def _results(workers: Workers, work: Work, items: Iterable[Item]) -> Iterator[tuple[Item, Any]]:
     left, under_way = enumerate(items), dict[int, Item]()
+
+    def handed_out() -> Numbered:
+        for number, item in left:
+            under_way[number] = item
+            yield number, item
+
     while True:
         try:
-            yield from _as_done(workers, work, left, under_way)
+            for number, result in workers.outcomes(work, handed_out()):
+                yield under_way.pop(number), result
             if not under_way:
                 return
         except WorkersLostError:
             pass
         lost = [under_way.pop(number) for number in list(under_way)]
-        yield from _again(workers, work, lost)
+        half = (len(lost) + 1) // 2
+        for part in filter(None, (lost[:half], lost[half:])):
+            if len(part) > 1:
+                yield from _results(workers, work, part)
+            else:
+                yield part[0], _alone(workers, work, part[0])
 
 
-def _as_done(
-    workers: Workers, work: Work, items: Iterable[tuple[int, Item]], under_way: dict[int, Item]
-) -> Iterator[tuple[Item, Any]]:
-    """Items with their results; those that are handed out without one stay under way."""
-
-    def handed_out() -> Numbered:
-        for number, item in items:
-            under_way[number] = item
-            yield number, item
-
-    for number, result in workers.outcomes(work, handed_out()):
-        yield under_way.pop(number), result
-
-
-def _again(
-    workers: Workers, work: Work, items: Sequence[Item], tries: int = TRIES
-) -> Iterator[tuple[Item, Any]]:
-    """Items that were lost, with nothing beside them."""
-    left, under_way = enumerate(items), dict[int, Item]()
-    try:
-        yield from _as_done(workers, work, left, under_way)
-    except WorkersLostError as error:
-        lost = [*under_way.values(), *(item for _, item in left)]
-        half = len(lost) // 2
-        if half:
-            yield from _again(workers, work, lost[:half])
-            yield from _again(workers, work, lost[half:])
-        elif tries > 1:
-            yield from _again(workers, work, lost, tries - 1)
+def _alone(workers: Workers, work: Work, item: Any) -> Any:
+    """The result of an item that was lost, with nothing beside it."""
+    why = ""
+    for _ in range(TRIES):
+        try:
+            ((_, result),) = workers.outcomes(work, iter([(0, item)]))
+        except WorkersLostError as error:
+            why = str(error)
         else:
-            yield lost[0], Lost(str(error))
+            return result
+    return Lost(why)
 
 
 @dataclass(frozen=True)
@@ -336,6 +318,13 @@ class Cluster:
     def _gone(self, what: str) -> CoopqpError:
         words = "what was done is kept, and the same command goes on from there"
         return CoopqpError(f"the Dask scheduler at '{self.address}' {what}; {words}")
+
+
+Workers = Here | Processes | Cluster
+"""Who does items: ``outcomes`` gives what came of them, in the order in which they are done.
+
+Where a worker dies, WorkersLostError; whoever asks again gets new ones.
+"""
 
 
 def _answering() -> Any:

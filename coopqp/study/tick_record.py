@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -33,50 +32,38 @@ UNBOUNDED = 1e30  # what an infinite bound is written as
 @with_config(ConfigDict(extra="forbid", strict=True, allow_inf_nan=False))
 @dataclass(frozen=True)
 class TickRecord:
-    """All that explains one tick of a QP controller, and solves it again.
-
-    Attributes:
-        t, q, v, memory: the state before the tick.
-        damping: smallest curvature of the cost.
-        budget: tolerances of an answer.
-        P, q_cost, C, lower, upper: the first level's QP, ``QP``: hard and scaled tasks as equality
-            rows, or, where hard ones cannot hold, as the cost
-            (:class:`coopqp.qp_law.nearest.Nearest`), which has no shares of scaled tasks.
-        inequalities: number of rows of G in C.
-        lb_rows, ub_rows: the limit that each bound on v comes from.
-        J, wanted, task_rows: rows of all tasks.
-        modes: soft, hard or scaled, by the task's name.
-        answer, status: the controller's, all levels included.
-        first_answer: its solver's, of this QP.
-    """
+    """All that explains one tick of a QP controller, and solves it again."""
 
     scenario: str
     controller: str
     tick: int
+    # the state before the tick
     t: float
     q: list[float]
     v: list[float]
     memory: list[float]
     dt: float
-    damping: float
-    budget: Budget
+    damping: float  # smallest curvature of the cost
+    budget: Budget  # tolerances of an answer
+    # the first level's QP: hard and scaled tasks as equality rows, or, where hard ones cannot hold,
+    # as the cost (:class:`coopqp.qp_law.nearest.Nearest`), which has no shares of scaled tasks
     P: list[list[float]]
     q_cost: list[float]
     C: list[list[float]]
     lower: list[float]
     upper: list[float]
-    inequalities: int
+    inequalities: int  # number of rows of G in C
     variables: list[Row]
     inequality_rows: list[Row]
     equality_rows: list[Row]
-    lb_rows: list[Row]
+    lb_rows: list[Row]  # the limit that each bound on v comes from
     ub_rows: list[Row]
-    J: list[list[float]]
+    J: list[list[float]]  # this and the next two are of the rows of all tasks
     wanted: list[float]
     task_rows: list[Row]
-    modes: dict[str, Mode]
-    answer: list[float]
-    first_answer: list[float]
+    modes: dict[str, Mode]  # soft, hard or scaled, by the task's name
+    answer: list[float]  # the controller's, all levels included, as is the status
+    first_answer: list[float]  # its solver's, of this QP
     status: str
 
     def text(self) -> str:
@@ -147,7 +134,9 @@ class TickRecord:
         qp.P[:], qp.q[:] = self.P, self.q_cost
         if self.C:
             qp.C[:] = self.C
-        qp.lower[:], qp.upper[:] = _infinite(self.lower), _infinite(self.upper)
+        bounds = np.array([self.lower, self.upper])
+        bounds[np.abs(bounds) >= UNBOUNDED] *= np.inf
+        qp.lower[:], qp.upper[:] = bounds
         return qp
 
 
@@ -188,12 +177,13 @@ def record_tick(
     )
     tasks = TaskStack(problem.tasks, State(problem.chain))
     tasks.update(state)
+    lower, upper = np.clip([qp.lower, qp.upper], -UNBOUNDED, UNBOUNDED).tolist()
     return TickRecord(
         scenario=scenario, controller=controller, tick=tick,
         t=state.t, q=state.q.tolist(), v=state.v.tolist(), memory=memory,
         dt=problem.dt, damping=level.curvature, budget=problem.budget,
         P=qp.P.tolist(), q_cost=qp.q.tolist(), C=qp.C.tolist(),
-        lower=_finite(qp.lower), upper=_finite(qp.upper), inequalities=qp.p,
+        lower=lower, upper=upper, inequalities=qp.p,
         variables=list(qp.rows.variables), inequality_rows=list(qp.rows.inequalities),
         equality_rows=list(qp.rows.equalities), lb_rows=below, ub_rows=above,
         J=np.pad(tasks.J, pad).tolist(), wanted=tasks.wanted.tolist(), task_rows=list(tasks.rows),
@@ -244,29 +234,15 @@ class NamedBounds:
         return [*self.below, *self.above, *(row for alone, _ in self._each for row in alone.rows)]
 
 
-def _finite(values: Array) -> list[float]:
-    clipped: list[float] = np.clip(values, -UNBOUNDED, UNBOUNDED).tolist()
-    return clipped
-
-
-def _infinite(values: Sequence[float]) -> Array:
-    array = np.array(values, float)
-    array[np.abs(array) >= UNBOUNDED] *= np.inf
-    return array
-
-
 @dataclass(frozen=True)
 class Replay:
-    """A saved tick solved again: verified status, answer v, its residuals.
+    """A saved tick solved again."""
 
-    ``difference`` is the largest distance to the answer that was saved [rad/s].
-    """
-
-    status: Status
-    v: Array
+    status: Status  # verified
+    v: Array  # the answer
     primal_residual: float
     dual_residual: float
-    difference: float
+    difference: float  # largest distance to the answer that was saved [rad/s]
 
     def as_json(self) -> dict[str, Any]:
         return {**asdict(self), "status": self.status.value, "v": self.v.tolist()}

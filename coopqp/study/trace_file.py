@@ -4,8 +4,6 @@ A run is given as read, or by its path, with the scenario that it was written fo
 damaged, or of another scenario, is refused with the line that shows it.
 """
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_right
 from collections.abc import Collection, Sequence
@@ -28,9 +26,9 @@ from coopqp.execution.instants import parts_of, rows_of
 from coopqp.model.state import State
 from coopqp.plant import Disturbance
 from coopqp.plants import Kinematic
+from coopqp.recordings import format_of, read
 from coopqp.recordings.column import Layout, of_field
 from coopqp.recordings.csv_file import CsvFile
-from coopqp.recordings.known import format_of, read
 from coopqp.recordings.run import OTHER, Run
 from coopqp.scenario.input import wanted
 from coopqp.scenario.scenario import Scenario

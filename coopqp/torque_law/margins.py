@@ -21,8 +21,6 @@ delay, some pole is damped less than 0.215: there each oscillation has half the 
 before (quarter-amplitude damping, Ziegler and Nichols 1942).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -7,8 +7,6 @@ sigma is how far the cones of hands that press are violated [N]: zero, unless th
 and then minimal.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -30,7 +28,6 @@ from coopqp.torque_law.hand_wrenches import HandWrenches
 from coopqp.torque_law.task_dynamics import TaskDynamics
 
 Indices = NDArray[np.intp]
-Mask = NDArray[np.bool_]
 
 #: Cost of squared wrenches, so that those that nothing else decides are the least [1/N2].
 WRENCH_COST = 1e-5
@@ -180,7 +177,7 @@ class Program:
         qp.P[layout.a, layout.a], qp.q[layout.a] = P, q
         if hands.hands:
             grip, pull = hands.cost(wrenches)
-            P, q = self._asked(1, wrenches.C, wrenches.weights, wrenches.wanted, soften)
+            P, q = self._asked(1, wrenches.J, wrenches.weights, wrenches.wanted, soften)
             qp.P[layout.h, layout.h], qp.q[layout.h] = costs.grip * grip + P, costs.grip * pull + q
         qp.P[: len(self._diagonal), : len(self._diagonal)] += np.diag(self._diagonal)
         qp.q[layout.a] += costs.damping / costs.damping_time * state.v
@@ -231,11 +228,11 @@ class Program:
         rows[:], right[:] = 0.0, 0.0
         if not len(right):
             return
-        hard = np.concatenate([hard_rows(level)[motion], wrenches.hard[forces]])
+        hard = np.concatenate([level.tasks.hard[motion], wrenches.hard[forces]])
         if soften and not (~hard).any():
             return
         rows[: len(motion), layout.a] = level.tasks.J[motion]
-        rows[len(motion) :, layout.h] = wrenches.C[forces]
+        rows[len(motion) :, layout.h] = wrenches.J[forces]
         right[: len(motion)] = wanted[motion]
         right[len(motion) :] = wrenches.wanted[forces]
         if before is not None:
@@ -251,18 +248,10 @@ class Program:
             rows[again], right[again] = 0.0, 0.0
 
 
-def hard_rows(level: TaskDynamics) -> Mask:
-    """Which motion rows are those of hard tasks, shape (k,)."""
-    modes = [task.mode == "hard" for task in level.tasks.tasks]
-    return np.repeat(modes, level.tasks.sizes).astype(bool)
-
-
 def programs(problem: ControlProblem, layout: Layout) -> Sequence[Program]:
     """The program of each level of priority, first to last; at least one."""
-    tasks, wrenches, hard = layout.level.tasks, layout.wrenches, hard_rows(layout.level)
-    of_motion = np.repeat([task.priority for task in tasks.tasks], tasks.sizes)
-    levels = sorted({*of_motion[~hard].tolist(), *wrenches.priorities[~wrenches.hard].tolist()})
-    both = (hard, of_motion), (wrenches.hard, wrenches.priorities)
+    both = [(of.hard, of.priorities) for of in (layout.level.tasks, layout.wrenches)]
+    levels = sorted({rank for mine, ranks in both for rank in ranks[~mine].tolist()})
 
     def program(number: int) -> Program:
         motion, forces = (np.flatnonzero(~mine & (ranks == number)) for mine, ranks in both)

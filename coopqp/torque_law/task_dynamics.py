@@ -20,8 +20,6 @@ have. Torques for a then produce a + d, with J_c d = c and N' A d = 0, and J d w
 push: it is subtracted.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
@@ -58,7 +56,7 @@ class TaskDynamics:
         start = State(problem.chain)
         self.dynamics = ClosedLoopDynamics(problem.chain)
         self.tasks = TaskStack(problem.tasks, start)
-        self.gains = np.repeat([float(task.gain) for task in problem.tasks], self.tasks.sizes)
+        self.gains = self.tasks.gains
         self.e_dot, self.drift = np.zeros_like(self.tasks.e), np.zeros_like(self.tasks.e)
         self._ahead = State(problem.chain)
         self._effort = problem.chain.model.effortLimit

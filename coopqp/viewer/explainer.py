@@ -3,8 +3,6 @@
 The explainer builds a controller of its own, as the player's is, so as not to disturb the loop.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import islice
 
@@ -12,17 +10,16 @@ import numpy as np
 
 from coopqp.base.errors import CoopqpError
 from coopqp.base.spec import Array
-from coopqp.controller import ControlProblem, Law
+from coopqp.controller import ControlProblem
 from coopqp.controllers import QPController
 from coopqp.execution.controller_run import controller_of
-from coopqp.model.state import State
+from coopqp.model.state import State, state_of
 from coopqp.planning import Budget
 from coopqp.planning.closed_space import ClosedSpace
 from coopqp.planning.plan import Planner
 from coopqp.qp_law.law import QPLaw
 from coopqp.scenario.planned import Way
 from coopqp.scenario.scenario import Scenario
-from coopqp.signal import Trajectory
 from coopqp.study.explanation import at_bound, explain, explain_standing
 from coopqp.study.tick_record import record_tick
 from coopqp.viewer.messages import Explanation, Snapshot, WayRound
@@ -68,35 +65,22 @@ class _Explainer:
         """What keeps the arms from their goals; an error of plug-ins becomes the detail."""
         try:
             tasks = [at_targets(task, snapshot.targets) for task in self._problem.tasks]
-            standing = explain_standing(self._bounded, tasks, snapshot.q, rests=snapshot.rests)
-            active, detail = self._tick(snapshot)
+            state = state_of(self._problem.chain, snapshot.state)
+            standing = explain_standing(self._bounded, tasks, state.q, rests=snapshot.rests)
+            active, detail = self._tick(state)
         except Exception as error:  # noqa: BLE001 - code of plug-ins may raise; the page goes on
             return Explanation(detail=f"cannot be explained: {type(error).__name__}: {error}")
         return Explanation(standing.blocked, standing.sentence, active, detail)
 
-    def _tick(self, snapshot: Snapshot) -> tuple[tuple[str, ...], str]:
+    def _tick(self, state: State) -> tuple[tuple[str, ...], str]:
         """Limits at their bound in the tick, and what it could not do."""
         if not isinstance(self._law, QPLaw):
             return (), ""
         try:
-            state = _state(self._law, snapshot)
             record = record_tick(self._law, state, scenario="", controller=self._name, tick=0)
         except CoopqpError as error:
             return (), str(error)
         return tuple(row.words for row in at_bound(record)), explain(record).sentence
-
-
-def _state(law: Law, snapshot: Snapshot) -> State:
-    state = law.start()
-    state.t, state.q[:], state.v[:] = snapshot.t, snapshot.q, snapshot.v
-    state.memory.numbers[:], state.gap[:] = snapshot.memory, snapshot.gap
-    state.corrected, state.q_measured = snapshot.corrected, snapshot.measured
-    state.hand_wrench = snapshot.hand_wrench
-    for name, (kind, value, rate) in snapshot.inputs.items():
-        state.inputs[name] = Trajectory(kind, value)
-        state.inputs[name].rate[:] = rate
-    state.update()
-    return state
 
 
 def serve_ways(peer: Peer, scenario: Scenario) -> None:
@@ -109,10 +93,11 @@ def found(scenario: Scenario, snapshot: Snapshot) -> WayRound:
     """A way from where the arms are to where the tasks are met with their inputs at the targets."""
     try:
         problem = problem_of(scenario, snapshot)
-        q = inside(problem, snapshot.q, scenario.seed)
+        state = state_of(problem.chain, snapshot.state)
+        q = inside(problem, state.q, scenario.seed)
         chain = problem.chain.handed_over(q, problem.chain.hold.released)
         tasks = tuple(at_targets(task, snapshot.targets) for task in problem.tasks)
-        planner = Planner(replace(problem, chain=chain, tasks=tasks), snapshot.t)
+        planner = Planner(replace(problem, chain=chain, tasks=tasks), state.t)
         made = planner.plan(Budget(seconds=SECONDS, seed=scenario.seed))
     except Exception as error:  # noqa: BLE001 - code of plug-ins may raise; the page goes on
         return WayRound(f"no way round can be looked for: {error}")

@@ -9,8 +9,6 @@ viser hears any message, sets what it names, and ends with an error at what it d
 only those pass that a page of ours sends, with numbers that are finite and as many as needed.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import http
 import ipaddress

@@ -4,18 +4,16 @@ The page first sends its port, or as a text why it cannot be served.
 Letters: b bodies, n joints, s segments. Poses are x, y, z, qx, qy, qz, qw.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coopqp.base.spec import Array
+from coopqp.model.state import Kept
 from coopqp.scenario.planned import Way
-from coopqp.signal import Kind
 
 Tone = Literal["reached", "moving", "blocked", "broken", "waiting"]
 
@@ -39,11 +37,15 @@ class Gizmo:
     turns: bool
 
 
+Key = tuple[Any, ...]
+"""Of a number: tasks, phase, index and field; secondary, index and field; kappa; input, index."""
+
+
 @dataclass(frozen=True)
 class Dial:
     """A slider for a number: its range, step and first value; the label has the unit."""
 
-    key: str
+    key: Key
     group: str
     label: str
     low: float
@@ -123,26 +125,18 @@ class Action:
     """What somebody has done on the page."""
 
     what: str  # play, pause, step, reset, speed, drag, carry, dial, knob, main, save or follow
-    which: int | str = 0  # index of a gizmo or controller, key of a dial or knob
+    which: int | Key = 0  # index of a gizmo or controller, key of a dial or knob
     value: tuple[float, ...] = ()  # a pose, a position, or one number
 
 
 @dataclass(frozen=True)
 class Snapshot:
-    """A state to explain; inputs with kind, value and rate, and their targets, by name."""
+    """A state to explain, and the targets of its inputs, by name."""
 
     law: str  # the controller, with the values of its dials
-    dials: Mapping[str, float]
+    dials: Mapping[Key, float]
     starts: tuple[Array, ...]  # q where each later phase has begun, shape (n,) each
-    t: float
-    q: Array
-    v: Array
-    memory: Array
-    gap: Array
-    corrected: float
-    measured: Array | None
-    hand_wrench: Array | None
-    inputs: Mapping[str, tuple[Kind, Array, Array]]
+    state: Kept
     targets: Mapping[str, Array]
     rests: bool
 

@@ -3,8 +3,6 @@
 viser is imported here alone, so that the control loop's process has none of it.
 """
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """What is drawn of a controller: links, object, forces, and what is violated."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The clock of a player: ticks in real time, the page and the explainer beside it."""
 
-from __future__ import annotations
-
 import errno
 import importlib.util
 import socket

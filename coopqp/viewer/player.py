@@ -4,8 +4,6 @@ No clock and no process: whoever plays it calls :meth:`Player.do` for an action 
 :meth:`Player.tick` when it is time and :meth:`Player.frame` to draw.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -23,9 +21,8 @@ from coopqp.scenario.planned import Way
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import Kind
 from coopqp.viewer import messages, picture
-from coopqp.viewer.recording import Recording
 from coopqp.viewer.simulated_controller import SimulatedController
-from coopqp.viewer.steering import Handle, dials_of, handles, with_dials, with_inputs
+from coopqp.viewer.steering import Handle, Recording, dials_of, handles, with_dials, with_inputs
 
 SLOWEST, FASTEST = 0.05, 4.0
 #: Range of the slider of a force whose input has no bounds [N, N m].
@@ -50,7 +47,7 @@ class Player:
         self.scenario, self._steered = with_inputs(scenario)  # for all that can be dragged
         self._handles = handles(self.scenario, self._steered)
         self._dials = {dial.key: dial for dial in dials_of(self.scenario)}
-        self._values: dict[str, float] = {}
+        self._values: dict[messages.Key, float] = {}
         self._hands: dict[str, list[float]] = {}
         self.playing, self.speed = False, 1.0
         self._main = 0
@@ -108,8 +105,8 @@ class Player:
             self.reset()
         elif what == "speed" and value:
             self.speed = float(np.clip(value[0], SLOWEST, FASTEST))
-        elif what == "main":
-            self._main = int(action.which) % len(self.controllers)
+        elif what == "main" and isinstance(action.which, int):
+            self._main = action.which % len(self.controllers)
             self.explanation = messages.Explanation()
         elif what == "save":
             self.save()
@@ -231,15 +228,7 @@ class Player:
             law=controller.name,
             dials=dict(self._values),
             starts=tuple(controller.starts),
-            t=state.t,
-            q=state.q,
-            v=state.v,
-            memory=state.memory.numbers,
-            gap=state.gap,
-            corrected=state.corrected,
-            measured=state.q_measured,
-            hand_wrench=state.hand_wrench,
-            inputs={name: (of.kind, of.value, of.rate) for name, of in state.inputs.items()},
+            state=state.kept(),
             targets=controller.targets(),
             rests=rests(state.v) and controller.at_targets,
         )
@@ -271,7 +260,7 @@ class Player:
                 low, high = self._range(name, channel.kind, i)
                 low, high = min(low, now), max(high, now)
                 knobs.append(
-                    messages.Dial(f"{name}/{i}", name, column, low, high, (high - low) / 200.0, now)
+                    messages.Dial((name, i), name, column, low, high, (high - low) / 200.0, now)
                 )
         return knobs
 
@@ -301,13 +290,14 @@ class Player:
             if handle := next(movable, None):
                 self._send(handle, handle.carried(value, targets, controller.state).tolist())
         elif action.what == "dial" and which in self._dials and value:
-            dial = self._dials[str(which)]
+            dial = self._dials[which]
             self._values[dial.key] = float(np.clip(value[0], dial.low, dial.high))
             self._changed = True
         elif action.what == "knob" and value:
-            name, _, column = str(which).rpartition("/")
-            if name in targets and any(knob.key == which for knob in self._knobs):
-                self._hands.setdefault(name, targets[name].tolist())[int(column)] = value[0]
+            for name, column in (
+                k.key for k in self._knobs if k.key == which and k.group in targets
+            ):
+                self._hands.setdefault(name, targets[name].tolist())[column] = value[0]
 
     def _send(self, handle: Handle, pose: Sequence[float]) -> None:
         if len(pose) == 7 and 0.5 < np.linalg.norm(pose[3:]) < 2.0:

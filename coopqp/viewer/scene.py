@@ -3,8 +3,6 @@
 Colours with a meaning are Okabe and Ito's, safe for the colour-blind.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """One controller with its plant, tick by tick, phase by phase; people send its inputs."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -13,8 +11,7 @@ from coopqp.assessment.thresholds import torn
 from coopqp.base.errors import CoopqpError
 from coopqp.base.spec import Array
 from coopqp.controller import Command
-from coopqp.execution.controller_run import controller_of
-from coopqp.execution.phase_run import PhaseRun, begin_phase
+from coopqp.execution.controller_run import PhaseRun, begin_phase, controller_of
 from coopqp.execution.rollout import GuardedPlant, drive
 from coopqp.model.state import State
 from coopqp.online.arrivals import in_columns

@@ -4,18 +4,24 @@ A task that asks for a point, a direction, a rotation or a pose, as a constant, 
 begins there: until somebody drags, the motion is that of the scenario. A scenario that has inputs
 already is played with these alone. A gizmo may steer two fields, such as a plane's point and
 normal: its position is the one, its z axis the other.
+
+A :class:`Recording` is what was sent while a scenario was played, as one that ``coopqp compare``
+replays. OUT/scenario.yaml is the scenario with an input for everything that can be dragged,
+OUT/inputs/NAME.csv what has arrived at it, tick by tick: t, sent and the columns of its kind.
 """
 
-from __future__ import annotations
-
+import tempfile
 import typing
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import reduce
+from operator import getitem
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from coopqp.base.errors import CoopqpError
+from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.spec import Array, Pose, spec
 from coopqp.grasp import pose_matrix
 from coopqp.limits import ObjectSpeed
@@ -23,8 +29,11 @@ from coopqp.model.marker import RelativeMarker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.model.trajectory_filter import RAMPS, VELOCITIES, MotionLimits
-from coopqp.scenario.input import InputSettings
-from coopqp.scenario.scenario import Scenario
+from coopqp.recordings.csv_file import FOLDER, Sent, fed, file_name
+from coopqp.report.files import write_one
+from coopqp.scenario.input import Arrival, InputSettings
+from coopqp.scenario.scenario import MOST_KEPT, Scenario
+from coopqp.scenario.yaml import as_yaml, parsed
 from coopqp.signal import (
     DIRECTION,
     ROTATION,
@@ -39,7 +48,7 @@ from coopqp.signal import (
 )
 from coopqp.signals import Input
 from coopqp.task import Task
-from coopqp.viewer.messages import Dial, Gizmo
+from coopqp.viewer.messages import Dial, Gizmo, Key
 
 KAPPA = "kappa"
 SQUEEZE = "squeeze"
@@ -255,51 +264,177 @@ def dials_of(scenario: Scenario) -> Iterator[Dial]:
     """Gains, weights, priorities, squeezes and kappa."""
     for i, phase in enumerate(scenario.schedule):
         for j, task in enumerate(phase.tasks):
-            key, group = f"tasks.{i}.{j}", f"{phase.name}: {task.name}" if phase.name else task.name
-            yield from _dials_of(task, key, group, scenario.dt)
+            place, group = ("tasks", i, j), ": ".join(filter(None, (phase.name, task.name)))
+            yield from _dials_of(task, place, group, scenario.dt)
             if task.mode == "soft":
                 high, now = float(max(MAX_PRIORITY, task.priority)), float(task.priority)
-                yield Dial(f"{key}.priority", group, "priority, 0 is first", 0.0, high, 1.0, now)
+                yield Dial((*place, "priority"), group, "priority, 0 is first", 0.0, high, 1.0, now)
     for i, task in enumerate(scenario.secondary):
-        yield from _dials_of(task, f"secondary.{i}", task.name, scenario.dt)
+        yield from _dials_of(task, ("secondary", i), task.name, scenario.dt)
     now = scenario.drift_gain
     high = max(1.0 / scenario.dt, now)  # which rounding may tell apart
-    yield Dial(KAPPA, "loop", "kappa, drift gain [1/s]", 0.0, high, high / STEPS, now)
+    yield Dial((KAPPA,), "loop", "kappa, drift gain [1/s]", 0.0, high, high / STEPS, now)
 
 
-def _dials_of(task: Task, key: str, group: str, dt: float) -> Iterator[Dial]:
+def _dials_of(task: Task, place: Key, group: str, dt: float) -> Iterator[Dial]:
     force = getattr(task, SQUEEZE, None) if task.of_forces else None
     if isinstance(force, float | int) and force > 0.0:
         high = 2.0 * force
-        yield Dial(f"{key}.{SQUEEZE}", group, "squeeze [N]", 0.0, high, high / STEPS, force)
+        yield Dial((*place, SQUEEZE), group, "squeeze [N]", 0.0, high, high / STEPS, force)
     if not (task.asks_velocity or task.of_forces):
         high = max(min(max(MAX_GAIN, 2.0 * task.gain), 1.0 / dt), task.gain)
         low = min(MIN_GAIN, task.gain)
         step = (high - low) / STEPS
-        yield Dial(f"{key}.gain", group, "gain [1/s]", low, high, step, task.gain)
+        yield Dial((*place, "gain"), group, "gain [1/s]", low, high, step, task.gain)
     high = max(MAX_WEIGHT, 2.0 * task.weight)
-    yield Dial(f"{key}.weight", group, "weight", 0.0, high, high / STEPS, task.weight)
+    yield Dial((*place, "weight"), group, "weight", 0.0, high, high / STEPS, task.weight)
 
 
-def with_dials(scenario: Scenario, values: Mapping[str, float]) -> Scenario:
+def with_dials(scenario: Scenario, values: Mapping[Key, float]) -> Scenario:
     """The scenario with the values of its dials, by key."""
     if not values:
         return scenario
 
-    def changed(task: Task, place: str) -> Task:
-        keys = {name: f"{place}.{name}" for name in ("gain", "weight", "priority", SQUEEZE)}
+    def changed(task: Task, *place: str | int) -> Task:
+        keys = {name: (*place, name) for name in ("gain", "weight", "priority", SQUEEZE)}
         given: dict[str, Any] = {n: values[key] for n, key in keys.items() if key in values}
         if "priority" in given:
             given["priority"] = round(given["priority"])
         return replace(task, **given) if given else task
 
-    secondary = tuple(changed(t, f"secondary.{i}") for i, t in enumerate(scenario.secondary))
-    other = _with_tasks(scenario, lambda task, i, j: changed(task, f"tasks.{i}.{j}"))
-    return replace(other, secondary=secondary, kappa=values.get(KAPPA, scenario.kappa))
+    secondary = tuple(changed(t, "secondary", i) for i, t in enumerate(scenario.secondary))
+    other = _with_tasks(scenario, lambda task, i, j: changed(task, "tasks", i, j))
+    return replace(other, secondary=secondary, kappa=values.get((KAPPA,), scenario.kappa))
 
 
-def dialled_field(key: str) -> tuple[str, int, int, str]:
-    """List, phase, index and field of the task that a dial's key names."""
-    kind, *numbers, field = key.split(".")
-    indices = [int(number) for number in numbers]
-    return kind, indices[0] if len(indices) == 2 else 0, indices[-1], field
+FILE = "scenario.yaml"
+
+
+def check_folder(folder: Path) -> None:
+    """Raise a CoopqpError for a folder that has a session or cannot be written to."""
+    try:
+        if (folder / FILE).exists() or (folder / FOLDER).exists():
+            raise CoopqpError(f"--record: '{folder}' holds a session already; name another folder")
+        there = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+        with tempfile.TemporaryDirectory(dir=there) as trial:
+            (Path(trial) / folder.name).mkdir(exist_ok=True)
+    except (OSError, ValueError) as error:
+        why = f"{getattr(error, 'strerror', None) or error}; name another folder"
+        raise CoopqpError(f"--record: cannot write to '{folder}': {why}") from error
+
+
+class Recording:
+    """What is recorded so far: ticks of each phase; the note says why it has ended."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        steered: Sequence[SteeredField],
+        controllers: Sequence[str],
+        dials: Mapping[Key, float],
+    ) -> None:
+        self._scenario, self._steered, self._names = scenario, steered, controllers
+        self._dials = dict(dials)
+        self.ticks, self.note = [0], ""
+        self._sent: dict[str, Sent] = {}
+        joints = len(scenario.robot_model.joint_names)
+        self._max_ticks = MOST_KEPT // (joints * max(1, len(controllers)))
+
+    @property
+    def seconds(self) -> float:
+        return sum(self.ticks) * self._scenario.dt
+
+    def add(
+        self, phase: int, since: float, t: float, sent: Iterable[Arrival], kinds: Mapping[str, Kind]
+    ) -> None:
+        if self.note:
+            return
+        if sum(self.ticks) >= self._max_ticks:
+            self.note = f"is full after {self.seconds:.0f} s"
+            return
+        while len(self.ticks) <= phase:
+            self.ticks.append(0)
+        self.ticks[phase] += 1
+        for name, value, when in sent:
+            kept = self._sent.setdefault(name, Sent(kinds[name]))
+            kept.add(since + t, since + when, value)
+
+    def end(self, why: str) -> None:
+        """Record no more; what there is can be saved."""
+        self.note = self.note or why
+
+    def save(self, folder: Path) -> Path:
+        """Write it; raise a CoopqpError where that is not possible, or nothing is recorded."""
+        if sum(self.ticks) <= 1:  # the first is decided before anybody looks
+            raise InvalidValueError("nothing has been played yet, so nothing is recorded")
+        try:
+            (folder / FOLDER).mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            reason = error.strerror or str(error)
+            raise CoopqpError(f"cannot write the recording to '{folder}': {reason}") from error
+        names: dict[str, str] = {}
+        for name, sent in self._sent.items():
+            names[name] = file_name(name, names.values())
+            write_one(folder / FOLDER / names[name], sent.header + sent.lines())
+        played = f"{self._scenario.name}, played for {self.seconds:.3f} s"
+        text = f"# {played}; coopqp compare replays it.\n{as_yaml(self._data(names, folder))}"
+        write_one(folder / FILE, text)
+        return folder / FILE
+
+    def _data(self, names: Mapping[str, str], folder: Path) -> dict[str, Any]:
+        """The scenario file as a mapping, with what was played."""
+        scenario = self._scenario
+        data = dict(parsed(Path(scenario.name), scenario.source).data)
+        if scenario.folder is not None:
+            data["folder"] = str(scenario.folder)
+        phases = self._phases(data)
+        secondary = [_spelled(slot) for slot in data.get("secondary", [])]
+        slots: Any = {"tasks": [phase["tasks"] for phase in phases], "secondary": secondary}
+        for (*place, name), value in self._dials.items():
+            if place[:1] == ["tasks"] and place[1] not in range(len(phases)):
+                continue  # of a phase that was not played
+            slot: Any = reduce(getitem, place, slots) if place else {KAPPA: data}
+            (fields,) = slot.values()
+            fields[name] = round(value) if name == "priority" else value
+        if secondary:
+            data["secondary"] = secondary
+        inputs = dict(data.get("inputs") or {})
+        for field in self._steered:
+            if field.start and field.phase < len(phases):
+                _follow(phases[field.phase]["tasks"][field.task], field)
+                inputs.setdefault(field.name, input_limits(scenario))
+        base = Path() if scenario.folder is None else folder.resolve()
+        paths = {name: str(base / FOLDER / file) for name, file in names.items()}
+        if inputs:
+            data["inputs"] = fed(inputs, paths)
+        own = list(scenario.controllers)
+        given = data.get("controllers") or own
+        data["controllers"] = [given[own.index(n)] if n in own else n for n in self._names]
+        return data
+
+    def _phases(self, data: dict[str, Any]) -> list[dict[str, Any]]:
+        """Put the phases that were played into the mapping, with their durations."""
+        given_phases, phases = data.get("phases", [data]), []
+        played = zip(given_phases, self._scenario.schedule, self.ticks, strict=False)
+        for given, phase, ticks in played:
+            end = max((task.end for task in phase.tasks), default=0.0)
+            tasks = [*map(_spelled, given["tasks"])]
+            phases.append(given | {"duration": max(ticks * self._scenario.dt, end), "tasks": tasks})
+        data |= {"phases": phases} if "phases" in data else phases[0]
+        return phases
+
+
+def _spelled(slot: Any) -> dict[str, Any]:
+    """A plug-in's entry as one name with its fields."""
+    if isinstance(slot, str):
+        return {slot: {}}
+    ((name, fields),) = slot.items()
+    return {name: dict(fields or {})}
+
+
+def _follow(slot: dict[str, Any], field: SteeredField) -> None:
+    (fields,) = slot.values()
+    if field.kind.turns and not field.kind.numbers and not field.kind.axis:
+        fields.pop("rpy", None)
+        fields.pop("rpy_deg", None)
+    fields[field.field] = {"input": {"name": field.name, "start": list(field.start or ())}}

@@ -4,8 +4,6 @@ The worker says by None when it is ready, and only then one message is sent, so 
 are never sent at all. What it sends back is read without waiting.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal

@@ -35,7 +35,7 @@ from adapters.servos import Servos
 from coopqp.adapters.dataset import audit
 from coopqp.adapters.motors import ARMS, GRIPPERS, KEYS, SIDES
 from coopqp.execution.comparison import compare
-from coopqp.recordings.known import export, read
+from coopqp.recordings import export, read
 from coopqp.report import files
 
 FPS, DT = 30.0, 1.0 / 30.0

@@ -17,7 +17,7 @@ from coopqp.base.spec import Array
 from coopqp.cli import main
 from coopqp.execution.comparison import compare
 from coopqp.kernel import native
-from coopqp.recordings.known import export, read
+from coopqp.recordings import export, read
 from coopqp.report import files
 from coopqp.scenario.loader import load
 

@@ -17,7 +17,7 @@ from coopqp.execution.comparison import summarize
 from coopqp.execution.controller_run import run
 from coopqp.limits import JointAcceleration
 from coopqp.model.profile import Profile
-from coopqp.recordings.known import read
+from coopqp.recordings import read
 from coopqp.report.cells import cells
 from coopqp.report.files import write
 from coopqp.report.page import how_to_read

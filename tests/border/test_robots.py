@@ -15,7 +15,7 @@ import coopqp
 from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.spec import Pose
 from coopqp.grasps import Prismatic, Rigid
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 from coopqp.robot_files.mjcf import read_mjcf
 from coopqp.robot_files.urdf import read_urdf
 from coopqp.robots import Several, Urdf

@@ -15,7 +15,7 @@ from coopqp.base.spec import Array
 from coopqp.closed_loop.constraint_equations import ConstraintEquations, constraint_equations
 from coopqp.grasps import Rigid
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 from coopqp.robot import Arm, RobotModel
 from coopqp.robot_files import mdh
 from coopqp.robots.planar_pair import PlanarPair

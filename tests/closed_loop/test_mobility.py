@@ -19,7 +19,7 @@ from coopqp.base.spec import Array
 from coopqp.closed_loop.mobility import LENGTH, Mobility, Screw, mobility
 from coopqp.closed_loop.screw import screw_of
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 from coopqp.model.state import State
 from coopqp.report.mobility import study
 from coopqp.robot import RobotModel

@@ -11,11 +11,11 @@ import coopqp
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array
 from coopqp.closed_loop.dynamics import ClosedLoopDynamics
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 from coopqp.model.profile import Profile
 from coopqp.model.state import Memory, State
 from coopqp.plant import Disturbance, Push
-from coopqp.torque_law.external_wrench import MomentumObserver
+from coopqp.torque_law.hand_wrenches import MomentumObserver
 from coopqp.trace import Trace
 
 FORCE, BEGIN, GAIN = np.array([0.6, 0.0, -0.8]), 0.3, 50.0  # [N], [s], [1/s]

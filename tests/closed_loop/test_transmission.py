@@ -16,7 +16,7 @@ from coopqp.closed_loop.hands import hands, points
 from coopqp.closed_loop.transmission import LENGTH, force_words, transmission
 from coopqp.grasps import Spherical
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 from coopqp.model.state import State
 
 #: Scenario: dimensions; commanded, borne, not transmitted; least singular value at the start.

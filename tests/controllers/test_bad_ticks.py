@@ -19,7 +19,7 @@ from coopqp.controllers import QPController, TorqueQp
 from coopqp.grasps import Rigid
 from coopqp.limit import Limit, LimitRows, Tighten
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 from coopqp.model.state import State
 from coopqp.robot import RobotModel
 from coopqp.solver import Solution, Solve, Solver, Status

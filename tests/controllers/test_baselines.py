@@ -25,7 +25,7 @@ from coopqp.controllers.saturation_null_space import Saturated, saturate
 from coopqp.grasps import Revolute
 from coopqp.limits import JointAcceleration, JointPosition, JointVelocity, Workspace
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 from coopqp.model.state import State
 from coopqp.robots import NaoT14
 from coopqp.solver import Status

@@ -21,7 +21,7 @@ from coopqp.controllers import TorqueQp
 from coopqp.controllers.torque_qp import TorqueQpLaw
 from coopqp.grasps import Rigid
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 from coopqp.model.profile import Profile
 from coopqp.robot import RobotModel
 from coopqp.solver import Status

@@ -8,7 +8,7 @@ import numpy as np
 
 from coopqp.grasps import Revolute
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 from coopqp.robot import RobotModel
 
 

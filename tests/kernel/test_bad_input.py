@@ -31,7 +31,7 @@ from coopqp.kernel import native
 from coopqp.kernel.flat import why_not
 from coopqp.kernel.law import KernelLaw
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 from coopqp.model.state import State
 from coopqp.robot_files.mdh import MdhParameters as Parameters
 from coopqp.scenario.loader import load

@@ -7,7 +7,7 @@ from chains import HANDS
 
 from coopqp.grasps import Rigid
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 from coopqp.robot import RobotModel
 
 

@@ -20,7 +20,7 @@ from coopqp.base.qp import names_of
 from coopqp.grasps import Rigid
 from coopqp.limits import SelfCollision
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 from coopqp.robot import RobotModel
 from coopqp.robot_files.selection import ArmJoints
 from coopqp.robots import Mjcf, Urdf

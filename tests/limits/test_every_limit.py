@@ -24,7 +24,7 @@ from coopqp.limits import (
     SelfCollision,
 )
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.robot import RobotModel

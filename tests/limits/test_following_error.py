@@ -13,7 +13,7 @@ from coopqp.grasps import Revolute
 from coopqp.limit import Limit
 from coopqp.limits import FollowingError, JointPosition, JointVelocity
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.robot import RobotModel

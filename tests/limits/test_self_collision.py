@@ -22,7 +22,7 @@ from coopqp.controllers import QPController
 from coopqp.grasps import Rigid, Spherical
 from coopqp.limits import JointPosition, SelfCollision
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.robot import Capsule, RobotModel

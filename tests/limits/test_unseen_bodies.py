@@ -13,7 +13,7 @@ from coopqp.execution.comparison import Comparison
 from coopqp.grasps import Rigid
 from coopqp.limits import SelfCollision
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 from coopqp.report.page import render
 from coopqp.robots import Mjcf
 

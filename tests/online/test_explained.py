@@ -11,7 +11,7 @@ from command_line import typed
 from online_loops import FOLLOWS, go, simulated
 
 import coopqp
-from coopqp.recordings.known import format_of, read
+from coopqp.recordings import format_of, read
 from coopqp.scenario.catalog import Catalog
 from coopqp.study.trace_file import off_the_record, recorded_tick
 

@@ -19,8 +19,8 @@ from scenario_files import HEAD, PHASES, TAIL, phased
 import coopqp
 from coopqp import CoopqpError, InvalidValueError, Law, Scenario, State
 from coopqp.online.recording import ROOM, LiveRecording
+from coopqp.recordings import format_of, read
 from coopqp.recordings.column import cells
-from coopqp.recordings.known import format_of, read
 from coopqp.scenario.catalog import Catalog
 from coopqp.study.trace_file import off_the_record, recorded_tick, state_from_trace
 

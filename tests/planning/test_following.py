@@ -30,7 +30,7 @@ from coopqp.planning.plan import plan
 from coopqp.planning.time_along import TOLERATED, table_of_phases, time_phases
 from coopqp.plant import Disturbance, Plant, PlantModel
 from coopqp.plants.kinematic import KinematicModel
-from coopqp.recordings.known import read
+from coopqp.recordings import read
 from coopqp.report.files import write
 from coopqp.report.planning import write_plan, write_timed
 from coopqp.scenario.input import BRAKES, STANDS

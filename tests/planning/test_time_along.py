@@ -24,7 +24,7 @@ from coopqp.execution.comparison import compare
 from coopqp.execution.controller_run import run
 from coopqp.grasps import Rigid
 from coopqp.limits import JointAcceleration, JointPosition, JointVelocity, ObjectSpeed
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.planning.closed_path import CLOSED

@@ -17,7 +17,7 @@ from side_by_side import needs_kernel
 from coopqp.base.spec import Array
 from coopqp.grasps import Rigid
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 from coopqp.planning.closed_space import Budget, ClosedSpace
 from coopqp.planning.plan import Planner, plan
 from coopqp.planning.reach import cut_off, parts, reach

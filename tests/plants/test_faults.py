@@ -16,7 +16,7 @@ from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.spec import Array
 from coopqp.controller import Command
 from coopqp.controllers import TorqueQp
-from coopqp.execution.phase_run import begin_phase
+from coopqp.execution.controller_run import begin_phase
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.plant import FAULTS, Disturbance, Fault, Plant

@@ -16,7 +16,7 @@ from coopqp.controller import Command, ControlProblem
 from coopqp.execution.controller_run import run
 from coopqp.grasps import Revolute, Rigid
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 from coopqp.model.state import State
 from coopqp.plant import Disturbance, Plant, PlantModel
 from coopqp.plants import Mujoco, RigidBody

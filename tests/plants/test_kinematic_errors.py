@@ -16,7 +16,7 @@ from coopqp.controller import Command, ControlProblem
 from coopqp.grasps import Rigid
 from coopqp.metrics.internal_force import InternalForce
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 from coopqp.model.state import State
 from coopqp.plant import Disturbance, Plant, Slip
 from coopqp.plants import Kinematic, Mujoco, RigidBody

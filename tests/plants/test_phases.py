@@ -18,7 +18,7 @@ from coopqp.controller import Command, ControlProblem, Law
 from coopqp.execution.controller_run import run
 from coopqp.grasps import Rigid
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 from coopqp.model.state import State
 from coopqp.plant import Disturbance, PlantModel
 from coopqp.plants import Kinematic, Mujoco, RigidBody

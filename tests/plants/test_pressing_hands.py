@@ -27,7 +27,7 @@ from coopqp.metrics.slip_distance import SlipDistance
 from coopqp.metrics.squeeze import Squeeze
 from coopqp.metrics.torque_margin import TorqueMargin
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 from coopqp.plant import Disturbance, Plant, Push
 from coopqp.plants import Mujoco, RigidBody
 from coopqp.robots import NaoT14

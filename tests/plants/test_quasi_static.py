@@ -12,7 +12,7 @@ from coopqp.closed_loop.hands import points
 from coopqp.controller import Command, ControlProblem
 from coopqp.grasps import Rigid
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 from coopqp.model.state import State
 from coopqp.plant import Disturbance, Plant, PlantModel
 from coopqp.plants import Mujoco, QuasiStatic, RigidBody

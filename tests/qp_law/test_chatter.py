@@ -16,7 +16,7 @@ from coopqp.controller import ControlProblem
 from coopqp.controllers import QPController
 from coopqp.grasps import Rigid
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 from coopqp.model.state import Memory, State
 from coopqp.qp_law.equations import FADES_IN, FIRM, LETS_GO, MOST_DAMPING, held_pull, note_chatter
 from coopqp.robots import PlanarPair

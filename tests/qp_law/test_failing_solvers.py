@@ -19,7 +19,7 @@ from coopqp.base.spec import spec
 from coopqp.limits import JointAcceleration
 from coopqp.metrics.relaxed_ticks import RelaxedTicks
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 from coopqp.robot import RobotModel
 from coopqp.solver import Solution, Solve, Solver, Status, causes_of
 from coopqp.solvers import Daqp

@@ -19,7 +19,7 @@ from coopqp.grasps import Rigid
 from coopqp.limit import Limit
 from coopqp.limits import JointAcceleration, JointPosition, JointVelocity
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.solver import Budget, Status

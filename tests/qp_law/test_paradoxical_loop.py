@@ -19,7 +19,7 @@ from coopqp.controllers import QPController
 from coopqp.grasps import Rigid
 from coopqp.limits import JointPosition, JointVelocity
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 from coopqp.robot import Arm, RobotModel
 from coopqp.tasks import PointOnPoint
 

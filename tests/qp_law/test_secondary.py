@@ -14,7 +14,7 @@ from laws import LIMITS, PLAIN, WIDE, run, ticks
 from coopqp.controllers import QPController
 from coopqp.grasps import Rigid
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.robot import Arm, RobotModel

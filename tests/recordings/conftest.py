@@ -9,7 +9,7 @@ import pytest
 from scenario_files import HEAD, NO_DRIFT, PHASES
 
 from coopqp.execution.comparison import Comparison, compare
-from coopqp.recordings.known import EXPORTS, export, read
+from coopqp.recordings import EXPORTS, export, read
 from coopqp.report import files
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.loader import load

@@ -14,8 +14,8 @@ from scenario_files import HEAD
 
 from coopqp.base.errors import CoopqpError
 from coopqp.execution.comparison import compare
+from coopqp.recordings import NAMES, export, format_of, read
 from coopqp.recordings.column import Columns
-from coopqp.recordings.known import NAMES, export, format_of, read
 from coopqp.report import files
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.loader import load

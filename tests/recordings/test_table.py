@@ -17,8 +17,7 @@ import coopqp
 from coopqp.execution.comparison import Comparison
 from coopqp.online import recording as live
 from coopqp.online.recording import LiveRecording
-from coopqp.recordings import column
-from coopqp.recordings.known import EXPORTS, export, read
+from coopqp.recordings import EXPORTS, column, export, read
 from coopqp.report import files
 from coopqp.trace import Trace
 
@@ -37,12 +36,35 @@ def comparison(tmp_path: Path) -> Comparison:
     return coopqp.compare(coopqp.load(tmp_path / "given.yaml"))
 
 
+#: How the docs write a field's columns, after its name, and the units of what it depends on.
+IN_DOCS: dict[column.Shape, tuple[str, tuple[str, ...]]] = {
+    column.PLAIN: ("", ()),
+    column.XYZ: ("x`, `y`, `z", ()),
+    column.ROTATION: ("R11` ... `R33", ()),
+    column.JOINT: ("[JOINT]", ("rad", "m")),
+    column.MOTOR: ("[JOINT]", ("N m", "N")),
+    column.LOOP: ("[LOOP].AXIS", ("m", "rad")),
+    column.MEMORY: ("[I]", ()),
+    column.VALUE: ("[NAME].PART", ()),
+    column.SENT: ("[NAME].PART", ()),
+    column.RATE: ("[NAME].PART", ()),
+    column.TASK: ("[TASK]", ("the task's unit",)),
+    column.ROW: ("[TASK.ROW]", ("the task's unit",)),
+    column.LIMIT: ("[LIMIT].UNIT", ("UNIT",)),
+    column.PUSH: ("[PART]", ("N", "N m")),
+    column.HAND: ("[ARM]", ()),
+    column.HAND_POINT: ("[ARM].PART", ()),
+    column.HAND_WRENCH: ("[ARM].PART", ("N", "N m")),
+}
+
+
 def in_docs(line: column.Field) -> str:
     """A line of the table as the docs have it."""
-    name = f"`{line.name if line.shape.named else ''}{line.shape.words}`"
+    words, units = IN_DOCS[line.shape]
+    name = f"`{line.name if line.shape.named else ''}{words}`"
     unit = line.unit
     if "{}" in unit:
-        unit = ", ".join(unit.format(of) for of in line.shape.units)
+        unit = ", ".join(unit.format(of) for of in units)
     return f"| {name} | {unit} | {line.per} | {line.meaning} |"
 
 

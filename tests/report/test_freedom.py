@@ -19,9 +19,9 @@ from coopqp.closed_loop.screw import LENGTH
 from coopqp.controller import ControlProblem
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
-from coopqp.report.figures import freedom
-from coopqp.report.figures.chart import Chart
-from coopqp.report.figures.freedom import (
+from coopqp.report.curves import Chart
+from coopqp.report.figures import object as freedom
+from coopqp.report.figures.object import (
     LESS,
     WORST,
     condition,

@@ -15,7 +15,7 @@ from coopqp.base.spec import Pose as PoseValue
 from coopqp.execution.comparison import summarize
 from coopqp.execution.controller_run import run
 from coopqp.model.profile import Profile
-from coopqp.report.figures.chart import Chart
+from coopqp.report.curves import Chart
 from coopqp.report.figures.groups import task_errors
 from coopqp.scenario.loader import load
 from coopqp.task import Task

@@ -13,7 +13,7 @@ import coopqp
 from coopqp.execution.comparison import Comparison
 from coopqp.metrics.limit_criterion import limit_criterion
 from coopqp.model.state import State
-from coopqp.report.figures.chart import Chart
+from coopqp.report.curves import Chart
 from coopqp.report.figures.groups import groups
 from coopqp.report.figures.joints import joint_figures, joint_rows, limit_figures
 from coopqp.report.scene.playback import scene

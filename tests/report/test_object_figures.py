@@ -19,8 +19,7 @@ from coopqp.execution.comparison import Comparison
 from coopqp.model import marker
 from coopqp.model.marker import Marker
 from coopqp.model.profile import Profile
-from coopqp.report.curves import Figure
-from coopqp.report.figures.chart import Chart
+from coopqp.report.curves import Chart, Figure
 from coopqp.report.figures.object import Coordinate, Tilt, object_figures, targets
 from coopqp.scenario.loader import load
 from coopqp.tasks import PointOnPlane, PointOnPoint, Pose

@@ -24,8 +24,7 @@ from coopqp.controllers import QPController
 from coopqp.execution.comparison import Comparison, summarize
 from coopqp.report import curves, files
 from coopqp.report.cells import cells, facts
-from coopqp.report.curves import styles
-from coopqp.report.figures.chart import Chart
+from coopqp.report.curves import Chart, styles
 from coopqp.report.figures.groups import groups, tick_times
 from coopqp.report.figures.joints import joint_figures, joint_window
 from coopqp.report.page import render

@@ -20,7 +20,7 @@ from coopqp.execution.comparison import Comparison, summarize
 from coopqp.limits import JointAcceleration, Workspace
 from coopqp.report import audit
 from coopqp.report.cells import COLUMNS, cells
-from coopqp.report.figures.chart import Chart
+from coopqp.report.curves import Chart
 from coopqp.report.figures.joints import limit_figures, torques
 from coopqp.report.scene.playback import scene
 from coopqp.report.table import summary

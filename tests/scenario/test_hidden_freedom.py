@@ -19,7 +19,7 @@ from coopqp.closed_loop.mobility import mobility
 from coopqp.execution.comparison import compare
 from coopqp.grasps import Rigid
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 from coopqp.robot import RobotModel
 from coopqp.robots import NaoT14
 from coopqp.scenario.loader import load, load_and_solve

@@ -16,7 +16,7 @@ from coopqp.base.errors import ScenarioError
 from coopqp.closed_loop.mobility import Mobility, mobility
 from coopqp.grasps import Rigid
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 from coopqp.model.state import State
 from coopqp.robots import ExampleRobot, Several, example_robot
 from coopqp.scenario.catalog import Catalog

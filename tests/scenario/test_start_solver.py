@@ -16,7 +16,7 @@ from coopqp.base.spec import Array, Pose
 from coopqp.grasp import Grasp
 from coopqp.grasps import Prismatic, Revolute, Rigid, Spherical
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 from coopqp.model.state import State
 from coopqp.robot import Arm, RobotModel
 from coopqp.robot_files import mdh

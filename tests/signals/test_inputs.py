@@ -16,7 +16,7 @@ from coopqp.execution.comparison import compare
 from coopqp.execution.controller_run import run
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
-from coopqp.recordings.known import read
+from coopqp.recordings import read
 from coopqp.report.files import write
 from coopqp.scenario.input import Inputs, InputSettings
 from coopqp.scenario.loader import load

@@ -22,8 +22,7 @@ from scenario_files import HEAD, PHASES, TAIL, phased
 
 from coopqp.assessment import assess
 from coopqp.base.qp import Row
-from coopqp.execution.controller_run import run
-from coopqp.execution.phase_run import begin_phase
+from coopqp.execution.controller_run import begin_phase, run
 from coopqp.kernel import compiled
 from coopqp.limits import (
     JointAcceleration,
@@ -34,10 +33,9 @@ from coopqp.limits import (
 )
 from coopqp.model.state import State
 from coopqp.scenario.loader import load
-from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Budget
 from coopqp.study.explanation import explain_run, insufficient_time, words
-from coopqp.study.explanation.explained_phase import _Wider, explained_phases
+from coopqp.study.explanation.explained_phase import explained_phases, widen
 from coopqp.study.explanation.goal import Room, Share
 from coopqp.task import TaskRows
 from coopqp.tasks import Twist
@@ -179,8 +177,8 @@ def test_limits_are_as_wide_in_later_phases_as_in_the_first() -> None:
     like = load("regrasp")
     joint = like.chain.joint_names[0]
     row = Row(name="wide", kind="limit", joint=joint, side="upper")
-    known = {name: getattr(like, name) for name in Scenario.__dataclass_fields__}
-    wider = _Wider(**known, wider={row: 0.1})
+    wider = replace(like)
+    widen(wider, {row: 0.1})
     begun = None
     for _ in like.schedule:
         begun = begin_phase(wider, wider.controllers["qp"], begun, timed=False)

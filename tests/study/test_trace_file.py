@@ -19,7 +19,7 @@ from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.execution.comparison import Comparison, compare
 from coopqp.limits import JointAcceleration
 from coopqp.qp_law.law import QPLaw
-from coopqp.recordings.known import read
+from coopqp.recordings import read
 from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario
 from coopqp.study.tick_record import TickRecord

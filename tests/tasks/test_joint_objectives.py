@@ -12,7 +12,7 @@ from example_tasks import EXAMPLES, IN_JOINTS, TIMES, H, at, error, over, rows
 from coopqp.base.errors import CoopqpError
 from coopqp.base.spec import Array
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 from coopqp.model.state import State
 from coopqp.robot import RobotModel
 from coopqp.task import Task

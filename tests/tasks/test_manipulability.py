@@ -10,7 +10,7 @@ from example_tasks import error
 from coopqp.base.spec import Array
 from coopqp.grasps import Rigid
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 from coopqp.model.state import State
 from coopqp.robots import PlanarPair
 from coopqp.task import TaskStack

@@ -9,7 +9,7 @@ from chains import Hinge, Walk
 from example_tasks import rows
 
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.held_object import HeldObject
+from coopqp.model.grasp_configuration import HeldObject
 from coopqp.model.state import State
 from coopqp.robot import RobotModel
 from coopqp.tasks import MinimumKineticEnergy

@@ -92,7 +92,7 @@ def test_where_it_is_stuck_a_way_round_is_offered_and_followed() -> None:
 @needs_robots
 def test_no_way_round_is_offered_for_goals_that_have_moved_since() -> None:
     player = Player(load("shelves"), ("qp",))
-    way = Way(np.arange(3.0), np.tile(player.snapshot().q, (3, 1)), np.zeros((3, 7)))
+    way = Way(np.arange(3.0), np.tile(player.controllers[0].state.q, (3, 1)), np.zeros((3, 7)))
     player.ask_way()
     player.way_round = WayRound("found", way)
     assert player.frame().ghost is not None

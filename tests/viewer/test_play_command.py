@@ -273,7 +273,7 @@ def test_a_session_that_is_there_is_left_alone(there: str, tmp_path: Path) -> No
 
 
 def test_looking_whether_a_recording_can_be_written_leaves_nothing(tmp_path: Path) -> None:
-    from coopqp.viewer.recording import check_folder
+    from coopqp.viewer.steering import check_folder
 
     check_folder(tmp_path / "new" / "inside")
     assert list(tmp_path.iterdir()) == []

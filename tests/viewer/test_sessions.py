@@ -165,7 +165,7 @@ def test_an_input_without_a_place_has_a_slider_for_each_number(tmp_path: Path) -
     assert "Nothing arrives at stick; move its sliders" in frame.sentence
     assert "move the sliders below Inputs" in _head(player.show())
     before = player.controllers[0].state.p_WO.copy()
-    player.do(Action("knob", "stick/2", (-0.02,)))
+    player.do(Action("knob", ("stick", 2), (-0.02,)))
     played(player, 100)
     moved = player.controllers[0].state.p_WO - before
     assert moved[2] == pytest.approx(-0.02, abs=0.004)
@@ -176,7 +176,7 @@ def test_a_dial_rebuilds_the_law_from_where_it_is(tmp_path: Path) -> None:
     player = playing("point_on_point", "qp", folder=tmp_path)
     played(player, 60)
     before, v = player.controllers[0].state.q.copy(), player.controllers[0].state.v.copy()
-    player.do(Action("dial", "tasks.0.0.gain", (2.0,)))
+    player.do(Action("dial", ("tasks", 0, 0, "gain"), (2.0,)))
     player.tick()
     assert player.controllers[0].run.problem.tasks[0].gain == 2.0
     step = player.controllers[0].state.q - before
@@ -206,9 +206,9 @@ def test_what_makes_no_sense_is_left_alone() -> None:
         Action("drag", 0, (0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 0.0)),
         Action("carry", 0, (np.inf, 0.0, 0.0)),
         Action("carry", 0, (1.0,)),
-        Action("dial", "tasks.9.9.gain", (1.0,)),
-        Action("dial", "tasks.0.0.gain", (-5.0, 1.0)),
-        Action("knob", "nothing/7", (1.0,)),
+        Action("dial", ("tasks", 9, 9, "gain"), (1.0,)),
+        Action("dial", ("tasks", 0, 0, "gain"), (-5.0, 1.0)),
+        Action("knob", ("nothing", 7), (1.0,)),
         Action("speed", 0, ()),
         Action("save"),
         Action("dance"),

@@ -4,8 +4,6 @@ With the figures of task errors, of open loops, and of the time of a tick: quart
 99 percent as whiskers, the slowest a cross, in a figure for each language.
 """
 
-from __future__ import annotations
-
 import html
 import math
 from dataclasses import dataclass, field
@@ -18,11 +16,9 @@ from coopqp.closed_loop.screw import LENGTH
 from coopqp.execution.comparison import Comparison
 from coopqp.report import audit, curves
 from coopqp.report.cells import LANGUAGES, length, tick_times_in
-from coopqp.report.curves import Figure, Json
+from coopqp.report.curves import ALWAYS, Chart, Figure, Json, Lines
 from coopqp.report.figures import joints
-from coopqp.report.figures.chart import ALWAYS, Chart, Lines
-from coopqp.report.figures.freedom import freedom_figures
-from coopqp.report.figures.object import object_figures
+from coopqp.report.figures.object import freedom_figures, object_figures
 from coopqp.trace import TaskInfo
 
 FLOOR = 1e-12  # smallest value on log scales [m, rad]; less is drawn here

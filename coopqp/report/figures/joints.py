@@ -1,7 +1,5 @@
 """Joints over time between their limits, as in the paper's figures 4-8; limits; forces."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -17,8 +15,7 @@ from coopqp.closed_loop.forces import squeezes
 from coopqp.metrics.limit_criterion import limit_criterion
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.report import curves
-from coopqp.report.curves import Figure, Json, Window
-from coopqp.report.figures.chart import Chart, Lines
+from coopqp.report.curves import Chart, Figure, Json, Lines, Window
 from coopqp.trace import Trace
 
 FREE_REACH = 2.0 * np.pi  # shown range of a joint without limits, at most [rad or m]

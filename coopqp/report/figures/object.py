@@ -1,4 +1,4 @@
-"""Where the object is and how it leans over time, with the goals and the references' way there.
+"""Where the object is and how it leans over time, and how freely it can be moved for the tasks.
 
 Of each task with a mark, the coordinates that the mark fixes have a goal g(t): all of a point's,
 those across a line or a plane that lies along the world's axes. With s the share of the way that
@@ -6,12 +6,18 @@ the task's profile has gone and x_0 the coordinate at the start, the reference i
 
     x_r(t) = g(t) + (1 - s(t)) (x_0 - g(0)),   R_r(t) = exp(s(t) log(R_g R_0')) R_0
 
-Letters: i instants.
+How freely it can be moved say condition and manipulability of M = J N. J are the rows of all tasks
+of the phase that steer the object, N an orthonormal basis of the joint motions that keep the loops
+closed (the null space of J_c, eq. (14)), so that M is what the joints can still do to the tasks.
+Its smallest singular value is zero where they cannot move the object in some direction that a task
+asks for. Angles count as lengths, ``LENGTH`` to the radian, so that one number compares all rows.
+Manipulability after Yoshikawa 1985, of closed chains after Bicchi and Prattichizzo 2000; passive
+joints move like any other.
+
+Letters: i instants, k rows of the tasks.
 """
 
-from __future__ import annotations
-
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import ClassVar
@@ -19,13 +25,18 @@ from typing import ClassVar
 import numpy as np
 import pinocchio as pin
 
+from coopqp.base.rank import RANK_TOLERANCE, null_space
 from coopqp.base.spec import Array
+from coopqp.base.wording import suppressed
+from coopqp.closed_loop.screw import LENGTH
+from coopqp.controller import ControlProblem
 from coopqp.model import marker
 from coopqp.model.marker import Marker, asked
+from coopqp.model.state import State
 from coopqp.report import curves
-from coopqp.report.curves import Figure, Json
-from coopqp.report.figures.chart import Chart
+from coopqp.report.curves import Chart, Figure, Json, Window
 from coopqp.signal import Moment
+from coopqp.task import LENGTHS, TaskStack
 
 MAX_INSTANTS = 200  # of a goal
 ALIGNED = 1e-9  # smaller components of a unit vector count as zero
@@ -207,3 +218,102 @@ def _drawn(chart: Chart, target: Target) -> list[Json]:
 def _line(name: str, t: Array, y: Array, look: Json) -> Json:
     rows = [0, -1] if (y == y[0]).all() else slice(None)
     return curves.aside(name, t[rows], y[rows], look)
+
+
+MAX_SOLVED = 300  # of each controller and phase
+WORST = 1e6  # larger conditions are drawn here
+LESS = "The tasks ask for more than the loops leave free; what they leave is drawn."
+
+Phases = list[tuple[Array, Array]]  # instants and singular values of each phase
+
+
+def freedom_figures(chart: Chart) -> list[Figure]:
+    """Condition and manipulability; none where no joints can move the object for a task."""
+    runs = {name: _phases(chart, name) for name in chart.names}
+    ratio, product = (_lines(runs, of) for of in (condition, manipulability))
+    if not ratio:
+        return []
+    every = [sigma for phases in runs.values() for _, sigma in phases]
+    notes = (LESS,) if any(left(s).shape[1] < s.shape[1] for s in every) else ()
+    worst, best = (max(float(np.nanmax(y)) for _, y in of.values()) for of in (ratio, product))
+    lowest = min(float(np.nanmin(y)) for _, y in ratio.values())
+    log = curves.logarithmic(Window(min(1.0, lowest), max(10.0, 2.0 * worst)))
+    powers = {"exponentformat": "power", "automargin": True, "nticks": 4}
+    linear = curves.linear(Window(0.0, 1.1 * best or 1.0)) | powers
+    return [
+        Figure(
+            title=title,
+            unit=unit,
+            data=[curves.curve(name, chart.styles[name], t, y) for name, (t, y) in of.items()],
+            layout=chart.layout(axis),
+            notes=notes,
+        )
+        for title, unit, of, axis in (
+            ("Condition", "1, log scale", ratio, log),
+            ("Manipulability", "product of the singular values", product, linear),
+        )
+    ]
+
+
+def singular_values(problem: ControlProblem, t: Array, q: Array) -> Array:
+    """Of M at each instant, largest first, shape (i, k); NaN where a task raises an error.
+
+    At times since the phase began, shape (i,) [s], and configurations, shape (i, n).
+    """
+    chain = problem.chain
+    steering = [task for task in problem.tasks if not task.joint_space]
+    state, tasks = State(chain), TaskStack(steering, State(chain))
+    parts = [part for task in steering for part in task.parts(chain)]
+    lengths = np.array([1.0 if p.unit in LENGTHS else LENGTH for p in parts for _ in range(p.rows)])
+    sigma = np.full((len(t), len(lengths)), np.nan)
+    for k in np.flatnonzero(np.isfinite(q).all(axis=1)).tolist() if len(lengths) else ():
+        state.t, state.q[:] = float(t[k]), q[k]
+        state.update()
+        updated = False
+        with suppressed():  # the tick, which met the same error, names it
+            tasks.update(state)
+            updated = True
+        if updated:
+            M = lengths[:, None] * tasks.J @ null_space(chain.loop_jacobian(q[k]))
+            values = np.linalg.svd(M, compute_uv=False)
+            sigma[k] = np.pad(values, (0, len(lengths) - len(values)))
+    return sigma
+
+
+def left(sigma: Array) -> Array:
+    """The singular values but those that are zero all along, shape (i, .)."""
+    largest = np.nanmax(sigma, axis=0, initial=0.0)
+    kept: Array = sigma[:, largest > RANK_TOLERANCE * max(float(largest.max(initial=0.0)), 1e-300)]
+    return kept
+
+
+def condition(sigma: Array) -> Array:
+    """Largest over smallest singular value, at most ``WORST``, shape (i,)."""
+    kept = left(sigma)
+    ratio: Array = kept[:, 0] / np.maximum(kept[:, -1], kept[:, 0] / WORST)
+    return ratio
+
+
+def manipulability(sigma: Array) -> Array:
+    """Product of the singular values, sqrt(det(M M')), shape (i,)."""
+    product: Array = left(sigma).prod(axis=1)
+    return product
+
+
+def _phases(chart: Chart, name: str) -> Phases:
+    trace = chart.traces[name]
+    instants = chart.instants(trace, MAX_SOLVED)
+    return [
+        (t := trace.t[rows], singular_values(problem, t - t[0], trace.q[rows]))
+        for problem, rows in zip(chart.problems[name], instants, strict=True)
+    ]
+
+
+def _lines(runs: dict[str, Phases], of: Callable[[Array], Array]) -> dict[str, tuple[Array, Array]]:
+    """Time and value of each controller whose joints can move the object for some task."""
+    lines = {}
+    for name, phases in runs.items():
+        if known := [(t, of(sigma)) for t, sigma in phases if left(sigma).size]:
+            t, y = (np.concatenate(part) for part in zip(*known, strict=True))
+            lines[name] = t, y
+    return lines

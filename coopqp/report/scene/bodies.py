@@ -10,8 +10,6 @@ simplification of large polygonal models, SIGGRAPH 2000.
 Letters: v vertices, t triangles, c cells.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -26,7 +26,7 @@ from coopqp.report.strict_json import finite
 from coopqp.report.sweep.table import difference, points
 from coopqp.study.sweep import scenario_of_row
 from coopqp.study.sweep.results import Columns
-from coopqp.study.sweep.space import Box
+from coopqp.study.sweep.space import Interval
 from coopqp.study.sweep.study import DONE, Study
 from coopqp.study.sweep.summary import ERROR, MARGIN, Line, Pair, Summary
 
@@ -261,13 +261,15 @@ class Axis:
 
 def axes(study: Study, columns: Columns) -> list[Axis]:
     """All that takes more than one value, the first ones of many."""
-    boxes = [(one, one.over) for one in study.varied if isinstance(one.over, Box)]
-    logs = {one.path for one, box in boxes if box.grows}
-    ends = {  # as the study has them; of logarithms, those
-        name: (side.low, side.high)
-        for one, box in boxes
-        for name, side in zip(one.columns, box.sides, strict=True)
+    sides = {
+        name: side
+        for one in study.varied
+        for name, side in zip(one.columns, one.over.sides, strict=False)
+        if isinstance(side, Interval)
     }
+    logs = {name for name, side in sides.items() if side.grows}
+    # As the study has them; of logarithms, those.
+    ends = {name: (side.low, side.high) for name, side in sides.items()}
     count = bins_for(study.points.count)
     every = (
         _axis(columns, name, log=name in logs, count=count, ends=ends.get(name))

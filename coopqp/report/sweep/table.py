@@ -1,7 +1,5 @@
 """A study in the terminal: its progress and its results; fits 100 columns."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -14,8 +14,6 @@ x = (translation, rotation vector) from where it is now, and the tasks see it wi
 in a state whose pose is overwritten.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
@@ -130,16 +128,12 @@ class NotBlocked:
 
 @dataclass(frozen=True)
 class BlockedByLimits:
-    """The goal is reachable without the limits only, at ``start``.
+    """The goal is reachable without the limits only."""
 
-    The search inside the limits ends at ``place``, where limits with ``shares`` hold it back;
-    ``elsewhere`` is a place at the goal inside the limits that cannot be reached from here.
-    """
-
-    shares: tuple[Share, ...]
-    place: Place
-    start: Array
-    elsewhere: Place | None = None
+    shares: tuple[Share, ...]  # of the limits that hold the search inside them back
+    place: Place  # where that ends
+    start: Array  # at the goal, without the limits
+    elsewhere: Place | None = None  # at the goal inside the limits, not to be reached from here
 
 
 @dataclass(frozen=True)

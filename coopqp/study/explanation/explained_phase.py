@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -35,7 +35,6 @@ from coopqp.controller import Controller, ControlProblem
 from coopqp.execution.controller_run import controller_of, run
 from coopqp.limit import Limit
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.grasp_configuration import GraspConfiguration
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import InputValues
 from coopqp.solver import Status, causes_of
@@ -141,17 +140,6 @@ def explained_phases(scenario: Scenario, trace: Trace) -> Iterator[ExplainedPhas
 TIMES, SECONDS = 2.0, 2.0
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Wider(Scenario):
-    """A scenario whose joints have wider limits."""
-
-    wider: Mapping[Row, float] = field(default_factory=dict)
-
-    @cached_property
-    def chain(self) -> ClosedChain:
-        return ClosedChain(_widened(super().chain.hold, self.wider))
-
-
 def rerun(
     phase: ExplainedPhase,
     *,
@@ -172,8 +160,7 @@ def rerun(
         changed["duration"] = end.duration
     other = replace(phase.scenario, grasp_of={}, **changed)
     if wider:
-        known = {name: getattr(other, name) for name in Scenario.__dataclass_fields__}
-        other = _Wider(**known, wider=wider)
+        widen(other, wider)
     again = run(other, controller=phase.name, timed=False)
     return list(explained_phases(other, again))[phase.index]
 
@@ -189,8 +176,9 @@ def arrival(goal: Goal, phase: ExplainedPhase) -> float:
     return dt
 
 
-def _widened(hold: GraspConfiguration, wider: Mapping[Row, float]) -> GraspConfiguration:
-    """With other position limits; passive joints have theirs in the grasp."""
+def widen(scenario: Scenario, wider: Mapping[Row, float]) -> None:
+    """Let the chain have other position limits; passive joints have theirs in the grasp."""
+    hold = scenario.chain.hold
     model, own = hold.robot.model.copy(), hold.robot.joint_names
     passive = dict(hold.passive)
     for row, amount in wider.items():
@@ -205,7 +193,8 @@ def _widened(hold: GraspConfiguration, wider: Mapping[Row, float]) -> GraspConfi
             j if j.name != name else replace(j, **{side: getattr(j, side) + outward})
             for j in passive[arm]
         )
-    return replace(hold, robot=replace(hold.robot, model=model), passive=passive)
+    other = replace(hold, robot=replace(hold.robot, model=model), passive=passive)
+    vars(scenario)["chain"] = ClosedChain(other)  # what is cached there is not built again
 
 
 #: Cost of a metre [rad], and of what the equalities are off by.
@@ -228,14 +217,11 @@ STARTS = 5
 
 @dataclass(frozen=True)
 class Violation:
-    """By how much one limit is violated [rad or m].
+    """By how much one limit is violated [rad or m]."""
 
-    ``row`` is its most violated one, ``space`` its index in ``Room.limits``, None for a joint's.
-    """
-
-    row: Row
+    row: Row  # its most violated one
     amount: float
-    space: int | None = None
+    space: int | None = None  # its index in ``Room.limits``, None for a joint's
 
 
 def violations_along(room: Room, qs: Array) -> list[Violation]:
@@ -251,10 +237,6 @@ def violations_along(room: Room, qs: Array) -> list[Violation]:
 
 def _cost(row: Row) -> float:
     return METRE if row.unit == "m" else 1.0
-
-
-def _total(found: Sequence[Violation]) -> float:
-    return sum(violation.amount * _cost(violation.row) for violation in found)
 
 
 class _Programs:
@@ -367,7 +349,10 @@ def minimal_relaxations(goal: Goal, room: Room, found: BlockedByLimits) -> tuple
             starts.append(other.q)
     programs = _Programs(goal, room)
     minima = [minimum for q in starts if (minimum := programs.shrink(q)) is not None]
-    return _rounded(min(minima, key=_total, default=[]))  # nothing where all starts lose the goal
+    fewest = min(
+        minima, key=lambda all_: sum(one.amount * _cost(one.row) for one in all_), default=[]
+    )
+    return _rounded(fewest)  # nothing where all starts lose the goal
 
 
 def _tried(

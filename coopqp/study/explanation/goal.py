@@ -364,15 +364,12 @@ def _level_weight(task: Task) -> float:
 
 @dataclass(frozen=True)
 class Place:
-    """Where a search ended, valid where loops are closed and limits kept.
+    """Where a search ended."""
 
-    It has q, shape (n,), errors e, shape (k,), and the goal's miss.
-    """
-
-    q: Array
-    e: Array
-    miss: float
-    valid: bool
+    q: Array  # shape (n,)
+    e: Array  # errors, shape (k,)
+    miss: float  # the goal's
+    valid: bool  # whether loops are closed and limits kept
 
     @property
     def reached(self) -> bool:
@@ -400,13 +397,15 @@ class Search:
         x = np.clip(q, *self._bounds)
         for weight in STAGES:
             self._down(x, weight)
-        return self._place(x)
+        goal = self.goal
+        goal.look(x)
+        valid = goal.open < CLOSED and self._violation(x) < CLOSED
+        return Place(x.copy(), goal.stack.e.copy(), goal.miss, valid)
 
-    def best(self, q: Array, restarts: int = RESTARTS, *, seed: int = 0) -> Place:
+    def best(self, q: Array) -> Place:
         """The best of several starts; the first that reaches the goal ends it."""
-        found = self.from_(q)
-        rng = np.random.default_rng(seed)
-        for i in range(restarts):
+        found, rng = self.from_(q), np.random.default_rng(0)
+        for i in range(RESTARTS):
             if found.reached:
                 break
             other = self.from_(self._begin(rng, q, near=i % 2 == 0))
@@ -450,9 +449,3 @@ class Search:
 
         stop = Stop(STEPS, STEP, enough)
         self._steps.descend(x, residual, self._bounds, stop, keep if room else None)
-
-    def _place(self, x: Array) -> Place:
-        goal = self.goal
-        goal.look(x)
-        valid = goal.open < CLOSED and self._violation(x) < CLOSED
-        return Place(x.copy(), goal.stack.e.copy(), goal.miss, valid)

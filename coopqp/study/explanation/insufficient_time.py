@@ -7,8 +7,6 @@ A velocity has no goal to search for. At the last tick
     limits, speed   by the multipliers of the ticks, as in :mod:`coopqp.study.explanation.tick`
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any

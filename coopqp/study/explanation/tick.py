@@ -23,8 +23,6 @@ Limits in it that are not active now would come next. It is of one tick, a twent
 less; :mod:`coopqp.study.explanation.whole` has what would do in all.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -6,8 +6,6 @@ something had slipped: at the pad's edge, or else at the friction limit. Tried a
 and more of what the controller presses with.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any

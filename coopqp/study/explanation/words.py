@@ -187,15 +187,12 @@ def broken(found: Assessment) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Relaxed:
-    """A hard or scaled task that is not met in full in some ticks of a run.
-
-    ``missing`` is the share of its rate that it lacks in the last tick.
-    """
+    """A hard or scaled task that is not met in full in some ticks of a run."""
 
     task: str
     mode: Mode
     ticks: int
-    missing: float
+    missing: float  # share of its rate that it lacks in the last tick
 
     @property
     def words(self) -> str:

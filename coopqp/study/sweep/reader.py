@@ -3,15 +3,13 @@
 The form of the file is the model ``StudyFile``, which gives its JSON Schema too.
 """
 
-from __future__ import annotations
-
 import copy
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import (
     AfterValidator,
@@ -31,11 +29,11 @@ from coopqp.base.spec import taken_names
 from coopqp.base.wording import dotted
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.checks import refuse
-from coopqp.scenario.form import STRICT, Words, check, file_model
+from coopqp.scenario.form import STRICT, check, file_model
 from coopqp.scenario.loader import find
 from coopqp.scenario.yaml import MisplacedError, Wrong, YamlFile, parsed, read_yaml
 from coopqp.study.sweep import space
-from coopqp.study.sweep.space import GRID, MOST, SAMPLES, Listed, Points, Variation, needs
+from coopqp.study.sweep.space import GRID, MOST, SAMPLES, Points, Variation, needs
 from coopqp.study.sweep.study import CONTROLLERS, SEED, Study, Varied, located, put
 
 NAMED = "needs the path of a scenario, or the name of a shipped one"
@@ -116,9 +114,9 @@ class StudyFile(BaseModel):
         Field(min_length=1),
         needs(lambda x: isinstance(x, dict) and x != {}, EMPTY),
     ] = Field(description="Paths of the scenario, such as tasks.reach.goal, and over what.")
-    samples: Annotated[Samples, BeforeValidator(_samples), Words((GRID,))] = Field(
-        description="A way to sample and how many variants, and a seed (0)."
-    )
+    samples: Annotated[
+        Samples, BeforeValidator(_samples, json_schema_input_type=Literal["grid"] | Samples)
+    ] = Field(description="A way to sample and how many variants, and a seed (0).")
     metrics: list[Annotated[str, AfterValidator(_metric)]] = Field(
         default=[], description="Columns beside those that every study has."
     )
@@ -268,7 +266,7 @@ def _controllers(
 ) -> Iterator[Wrong]:
     """Write them into the scenario; each variant is run under all of them."""
     place = ["vary", CONTROLLERS]
-    if not isinstance(over, Listed) or over.numbers:
+    if over.values is None or over.numbers:
         yield Wrong(place, "needs choice: [...], names of controllers")
         return
     base.data[CONTROLLERS] = chosen = list(over.values)
@@ -303,7 +301,7 @@ def _tried(
             new = [fault for fault in _faults(tried, catalog) if fault.message not in known]
             words += [fault.message for fault in new]
             taken += [] if new else [value]
-            if isinstance(one.over, Listed):
+            if one.over.values is not None:
                 own += _own_faults(file, one, i, new)
         if taken:
             data = put(data, one.location, taken[0])
@@ -341,7 +339,7 @@ def _points(form: StudyFile, varied: Sequence[Varied]) -> tuple[Points, Sequence
     """The points, and what is varied over them: on a grid everything has levels."""
     method, count = form.sampled
     if method != GRID:
-        dimensions = sum(one.over.dimensions for one in varied)
+        dimensions = sum(len(one.over.sides) for one in varied)
         return space.drawn(method, count, dimensions, form.samples.seed), varied
     wrong, levels, found = list[Wrong](), list[int](), list[Varied]()
     for one in varied:

@@ -16,7 +16,6 @@ from __future__ import annotations
 import math
 import types
 import warnings
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from hashlib import sha256
@@ -45,121 +44,103 @@ SAMPLES = {
 }
 
 
-class Variation(ABC):
-    """What one key is varied over."""
+@dataclass(frozen=True)
+class Interval:
+    """Numbers between two, powers of ten if it grows; at levels if there is a count of them."""
 
-    numbers: int  # of a value that is a list of so many; 0 where it is no list
+    low: float
+    high: float
+    count: int = 0
+    whole: bool = False  # whether they are whole numbers
+    grows: bool = False
+    tries = (0.0, 0.5, 1.0)
+
+    def at(self, u: float) -> float:
+        share = min(int(u * self.count), self.count - 1) / (self.count - 1) if self.count > 1 else u
+        number = self.low + share * (self.high - self.low)
+        if self.whole:
+            return round(number)
+        number = 10.0**number if self.grows else number
+        # Levels without the rounding of arithmetic: 0.35, where 0.3 + 0.05 is that and 4e-17 more.
+        return float(f"{number:.15g}") if self.count else number
+
+    def levels(self, count: int) -> int:
+        return 1 if self.low == self.high else self.count or count
+
+
+@dataclass(frozen=True)
+class Normal:
+    """A number with a mean and a standard deviation."""
+
+    mean: float
+    deviation: float
+    tries = (0.5,)
+
+    def at(self, u: float) -> float:
+        return self.mean + self.deviation * float(ndtri(np.clip(u, LEAST, 1.0 - LEAST)))
+
+    def levels(self, count: int) -> int:
+        return 0
+
+
+@dataclass(frozen=True)
+class Listed:
+    """One of some values."""
+
+    values: tuple[Any, ...]
 
     @property
-    def dimensions(self) -> int:
-        """How many numbers of the unit interval make a value."""
-        return 1
+    def tries(self) -> list[float]:
+        return [(i + 0.5) / len(self.values) for i in range(len(self.values))]
+
+    def at(self, u: float) -> Any:
+        return self.values[min(int(u * len(self.values)), len(self.values) - 1)]
+
+    def levels(self, count: int) -> int:
+        return len(self.values)
+
+
+@dataclass(frozen=True)
+class Variation:
+    """What one key is varied over: what stands on each side makes a number, or else a value.
+
+    Of a side ``at`` is the value of a number u in [0, 1), ``tries`` are those that stand for all,
+    and ``levels`` how many a grid has there; ``count`` where none is said, 0 if none.
+    """
+
+    sides: tuple[Interval | Normal | Listed, ...]
+    numbers: int = 0  # of a value that is a list of so many; 0 where it is no list
+    boxed: bool = False  # whether each side makes one of them
+
+    @property
+    def values(self) -> tuple[Any, ...] | None:
+        """Those that are listed; None where none are."""
+        return self.sides[0].values if isinstance(self.sides[0], Listed) else None
 
     def parts(self, value: Any) -> tuple[Any, ...]:
         """The numbers or texts that stand in the columns of a value."""
         return tuple(value) if self.numbers else (value,)
 
-    @abstractmethod
     def at(self, u: Array) -> Any:
-        """The value of numbers in [0, 1), shape (dimensions,)."""
+        """The value of numbers in [0, 1), one for each side."""
+        found = [side.at(float(x)) for side, x in zip(self.sides, u, strict=True)]
+        return found if self.boxed else found[0]
 
-    @abstractmethod
     def levels(self, count: int) -> tuple[int, ...]:
-        """How many levels a grid has in each dimension; ``count`` where none is said, 0 if none."""
+        """How many levels a grid has on each side."""
+        return tuple(side.levels(count) for side in self.sides)
 
     def gridded(self, levels: Sequence[int]) -> Variation:
         """The same with levels."""
-        return self
+        sides = (
+            replace(side, count=count) if isinstance(side, Interval) else side
+            for side, count in zip(self.sides, levels, strict=True)
+        )
+        return replace(self, sides=tuple(sides))
 
-    @abstractmethod
     def tried(self) -> list[Any]:
         """Values that stand for all, to see whether the key takes them."""
-
-
-@dataclass(frozen=True)
-class Interval:
-    """Numbers between two; at levels, which may be whole numbers, if there is a count of them."""
-
-    low: float
-    high: float
-    count: int = 0
-    whole: bool = False
-
-    def at(self, u: float) -> float:
-        """The number at u; the nearest level where there are levels."""
-        if self.count == 1:
-            return self.low
-        share = min(int(u * self.count), self.count - 1) / (self.count - 1) if self.count else u
-        number = self.low + share * (self.high - self.low)
-        return round(number) if self.whole else number
-
-
-@dataclass(frozen=True)
-class Box(Variation):
-    """One number, or as many as the corners have; powers of ten if it grows."""
-
-    sides: tuple[Interval, ...]
-    numbers: int = 0
-    grows: bool = False
-
-    @property
-    def dimensions(self) -> int:
-        return len(self.sides)
-
-    def at(self, u: Array) -> Any:
-        found = [side.at(float(x)) for side, x in zip(self.sides, u, strict=True)]
-        if self.grows:
-            found = [10.0**x for x in found]
-        for i, side in enumerate(self.sides):
-            if side.count and not side.whole:
-                # Without the rounding of arithmetic: 0.35, where 0.3 + 0.05 is that and 4e-17 more.
-                found[i] = float(f"{found[i]:.15g}")
-        return found if self.numbers else found[0]
-
-    def levels(self, count: int) -> tuple[int, ...]:
-        return tuple(1 if s.low == s.high else s.count or count for s in self.sides)
-
-    def gridded(self, levels: Sequence[int]) -> Box:
-        sides = zip(self.sides, levels, strict=True)
-        return replace(self, sides=tuple(replace(side, count=n) for side, n in sides))
-
-    def tried(self) -> list[Any]:
-        return [self.at(np.full(self.dimensions, u)) for u in (0.0, 0.5, 1.0)]
-
-
-@dataclass(frozen=True)
-class Normal(Variation):
-    """A number with a mean and a standard deviation."""
-
-    mean: float
-    deviation: float
-    numbers: int = 0
-
-    def at(self, u: Array) -> Any:
-        return self.mean + self.deviation * float(ndtri(np.clip(u[0], LEAST, 1.0 - LEAST)))
-
-    def levels(self, count: int) -> tuple[int, ...]:
-        return (0,)
-
-    def tried(self) -> list[Any]:
-        return [self.at(np.full(1, 0.5))]
-
-
-@dataclass(frozen=True)
-class Listed(Variation):
-    """One of some values."""
-
-    values: tuple[Any, ...]
-    numbers: int = 0
-
-    def at(self, u: Array) -> Any:
-        return self.values[min(int(u[0] * len(self.values)), len(self.values) - 1)]
-
-    def levels(self, count: int) -> tuple[int, ...]:
-        return (len(self.values),)
-
-    def tried(self) -> list[Any]:
-        return list(self.values)
+        return [self.at(np.full(len(self.sides), u)) for u in self.sides[0].tries]
 
 
 @dataclass(frozen=True)
@@ -238,19 +219,19 @@ def _box(given: list[Any]) -> Variation:
         raise ValueError(f"needs corners of one length; found {len(low)} and {len(high)}")
     if len(listed) != len(low):
         raise ValueError(f"found {len(listed)} levels; needs {len(low)}, or one for all")
-    return Box(tuple(map(_interval, low, high, listed)), len(low))
+    return Variation(tuple(map(_interval, low, high, listed)), len(low), boxed=True)
 
 
 def _range(given: list[Any]) -> Variation:
-    return Box((_interval(*given),))
+    return Variation((_interval(*given),))
 
 
 def _log(given: list[Any]) -> Variation:
     if given[0] <= 0.0:
         raise ValueError(f"found {given[0]:g}; a logarithm needs numbers above 0")
     found = _interval(*given)
-    side = Interval(math.log10(found.low), math.log10(found.high), found.count)
-    return Box((side,), grows=True)
+    side = Interval(math.log10(found.low), math.log10(found.high), found.count, grows=True)
+    return Variation((side,))
 
 
 def _interval(low: Any, high: Any, count: Any = None) -> Interval:
@@ -272,7 +253,7 @@ def _normal(given: list[Any]) -> Variation:
     mean, deviation = given
     if deviation <= 0.0:
         raise ValueError(f"found a deviation of {deviation:g}; needs more than 0")
-    return Normal(mean, deviation)
+    return Variation((Normal(mean, deviation),))
 
 
 def _values(given: list[Any]) -> Variation:
@@ -282,12 +263,12 @@ def _values(given: list[Any]) -> Variation:
     return replace(_choice(given), numbers=lengths.pop())
 
 
-def _choice(given: list[Any]) -> Listed:
+def _choice(given: list[Any]) -> Variation:
     for i, one in enumerate(given):
         # Python has True equal to 1.
         if any(one == x and isinstance(one, bool) is isinstance(x, bool) for x in given[:i]):
             raise ValueError(f"has {shown(one)} twice; leave one out")
-    return Listed(tuple(given))
+    return Variation((Listed(tuple(given)),))
 
 
 _ENDS = _list(Number, 2, 3, "needs [least, most], or [least, most, levels]")

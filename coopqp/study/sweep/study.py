@@ -9,8 +9,6 @@ where the variant is no scenario, or the controller cannot be used for it, and `
 something broke down that should not have.
 """
 
-from __future__ import annotations
-
 import copy
 import json
 import re
@@ -98,7 +96,7 @@ class Study:
         """A point, whatever the others."""
         u, first, values = self.points.at(index), 0, []
         for one in self.varied:
-            last = first + one.over.dimensions
+            last = first + len(one.over.sides)
             values.append(one.over.at(u[first:last]))
             first = last
         child = np.random.SeedSequence(self.seed, spawn_key=(index,))

@@ -10,8 +10,6 @@ alone; the interval and the test of the difference do not see it.
               sign test does not refuse; both are free of any distribution
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections import Counter
@@ -59,17 +57,13 @@ def wilson(count: int, of: int) -> Share:
 
 @dataclass(frozen=True)
 class Difference:
-    """A controller's value, share or median, less that of the reference, of so many variants.
-
-    The 95 % interval is infinite where there are too few for one; p is that of an exact two-sided
-    test that there is no difference.
-    """
+    """A controller's value, share or median, less that of the reference."""
 
     value: float
-    low: float
+    low: float  # of the 95 % interval, which is infinite where there are too few for one
     high: float
-    p: float
-    of: int
+    p: float  # of an exact two-sided test that there is no difference
+    of: int  # so many variants
 
     @property
     def chance(self) -> str:
@@ -152,30 +146,26 @@ class Line:
 
 @dataclass(frozen=True)
 class Pair:
-    """A controller against the study's first, the reference, on variants on which both are done.
-
-    ``numbers`` are median differences of each task's error, and of the least distance to a joint's
-    limit, by name of the column.
-    """
+    """A controller against the study's first, the reference, on variants on which both are done."""
 
     controller: str
     reference: str
     success: Success
+    # median differences of each task's error, and of the least distance to a joint's limit, by name
+    # of the column
     numbers: dict[str, Difference]
 
 
 @dataclass(frozen=True)
 class Summary:
-    """A study in few numbers, exact where nothing was drawn, so that there is nothing to estimate.
-
-    ``pairs`` has one for each controller but the reference, ``reasons`` how often each was given by
-    rows that are not done, the most frequent first; those that only differ in numbers together.
-    """
+    """A study in few numbers."""
 
     rows: int
-    exact: bool
+    exact: bool  # where nothing was drawn, so that there is nothing to estimate
     lines: tuple[Line, ...]
-    pairs: tuple[Pair, ...]
+    pairs: tuple[Pair, ...]  # one for each controller but the reference
+    # how often each was given by rows that are not done, the most frequent first; those that only
+    # differ in numbers together
     reasons: dict[str, int]
 
 

@@ -3,8 +3,6 @@
 What makes two folders the same study is a hash of each part that results follow from.
 """
 
-from __future__ import annotations
-
 import inspect
 import json
 import math
@@ -31,7 +29,7 @@ from coopqp.scenario.catalog import COLLECTIONS, Catalog
 from coopqp.scenario.checks import Known
 from coopqp.scenario.loader import load_file
 from coopqp.scenario.scenario import Scenario
-from coopqp.scenario.yaml import FILE_KEYS, YamlFile, as_read, as_yaml, has_files, parsed
+from coopqp.scenario.yaml import YamlFile, as_read, as_yaml, files_in, has_files, parsed
 from coopqp.study.engine import Engine, Lost
 from coopqp.study.sweep.reader import study_text
 from coopqp.study.sweep.results import (
@@ -63,17 +61,13 @@ EVERY = 0.1  # s between what is written to the journal, at least
 
 @dataclass
 class Progress:
-    """How far a sweep is: so many variants of this share were there before, and are done.
-
-    ``states`` are those of the rows that came since it began; ``damaged`` are records that were not
-    as they were written: what they said is done again.
-    """
+    """How far a sweep is: so many variants of this share were there before, and are done."""
 
     total: int
     before: int
     done: int
-    states: Counter[str] = field(default_factory=Counter)
-    damaged: int = 0
+    states: Counter[str] = field(default_factory=Counter)  # of the rows since it began
+    damaged: int = 0  # records that were not as they were written: what they said is done again
     begun: float = field(default_factory=time.monotonic)
 
     @property
@@ -229,12 +223,13 @@ PARTS = {
 def _head_for(study: Study) -> dict[str, Any]:
     """What a journal says of its study, with a hash of each part that results follow from."""
     data, folder = study.scenario.data, study.scenario.folder
-    named = {absolute(folder / name) for name in _files([data, study.file.data])}
+    named = files_in([data, study.file.data])
+    paths = {absolute(folder / name) for name in named if isinstance(name, str)}
     code = _hash(*_of_files(Path(coopqp.__file__).parent.rglob("*.py")))  # versions in development
     identity = {
         "study": _hash(json.dumps(study.file.data, sort_keys=True)),
         "scenario": _hash(study.scenario.path.stem, json.dumps(data, sort_keys=True)),
-        "files": _hash(*_of_files(named)),
+        "files": _hash(*_of_files(paths)),
         "plugins": _plugins_hash(study),
         "points": study.points.digest,
         "version": f"{coopqp.__version__} ({code})",
@@ -270,15 +265,6 @@ def _of_files(paths: Iterable[Path]) -> Iterator[str]:
             yield f"{path.name} {sha256(path.read_bytes()).hexdigest()}"
         except OSError:
             yield f"{path.name} -"
-
-
-def _files(value: Any) -> Iterator[str]:
-    """What of a scenario or a study names a file, such as its robot's."""
-    if isinstance(value, dict):
-        yield from (x for key, x in value.items() if key in FILE_KEYS and isinstance(x, str))
-        value = list(value.values())
-    for inside in value if isinstance(value, list) else ():
-        yield from _files(inside)
 
 
 #: Files that only a comparison's folder has.
