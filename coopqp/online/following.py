@@ -53,8 +53,8 @@ SUSPICIOUS, MEAN_SQUARE, DEVIATIONS = 12.0, 3.0, 6.0
 #: Share of it that a fault must explain; the share that is left by others that count as equal. Two
 #: swapped joints need less where all other faults leave so much more.
 EXPLAINED, EXPLAINED_SWAPPED, AS_GOOD, ALONE = 0.9, 0.95, 0.03, 0.25
-#: A fault that leaves more than this share, and so many times as much as one of other joints, which
-#: may be none, is no fault: something else has happened, as where friction makes several joints late.
+#: A fault that leaves more than this share, and so many times as much as one of other joints, is
+#: none, whatever that other one is: something else has happened, as where friction makes them late.
 CREDIBLE, TIMES_AS_MUCH = 0.05, 2.0
 #: delta over dq_c of a joint that does not follow, at least and, unless it stands still, at most;
 #: of two swapped ones, 1 but for what else there is; above which it moves the wrong way. When in a
