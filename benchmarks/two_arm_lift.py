@@ -43,7 +43,7 @@ import numpy as np
 import pinocchio as pin
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
-from robosuite_two_arm_lift import DT, go, minimum_jerk, reaching, scenario_of, take_hold
+from robosuite_two_arm_lift import DT, YIELD, go, minimum_jerk, reaching, scenario_of, take_hold
 
 import coopqp
 from coopqp.adapters.robosuite import KP, RobosuiteWorld, controllers
@@ -60,6 +60,8 @@ VARIANTS = {
     "base 10 mm, 15 mrad off": {"off": True}, "circle with yaw": {"circle": True},
     "push of 20 N": {"push": 20.0},
 }  # fmt: skip
+#: Of the loop, from rest to full speed: a reference that jumps does not jolt the grips [s].
+SPEED_UP = 0.8
 HEIGHT, LIFT, HOLD = 0.15, 1.5, 1.0  # m, s, s
 OSC_KP = 150.0
 #: From where robosuite has Baxter begin, reaching ends with the elbows at the torso: out with them
@@ -341,6 +343,8 @@ class Hands:
         world.grip = dict.fromkeys(world.arms, 1.0)
         for _ in range(round(0.5 / dt)):
             self.osc(at)
+        for _ in range(round(YIELD / dt)):
+            self.osc([world.hand(arm) for arm in world.arms])
 
     def osc(self, goals: list[pin.SE3], mass: float = 0.0) -> None:
         """A step of robosuite's OSC; its springs are drawn out by half of the weight."""
@@ -361,7 +365,7 @@ def follower(
     if law in ("qp", NO_OBSERVER, "pseudoinverse", "torque_qp"):
         observer = Observer(enabled=law != NO_OBSERVER)
         law = law.removesuffix(", no observer")
-        loop = coopqp.OnlineLoop(scenario, law, clock=None, observer=observer)
+        loop = coopqp.OnlineLoop(scenario, law, clock=None, observer=observer, speed_up=SPEED_UP)
 
         def ours(t: float) -> None:
             command = loop.tick(world.read())
@@ -394,7 +398,12 @@ class Watch:
     def __init__(self, world: RobosuiteWorld) -> None:
         self.world, self.begun = world, world.object
         self.held = [world.object.actInv(world.hand(arm)) for arm in world.arms]
-        self.force, self.slip, self.tilt, self.over = [], 0.0, 0.0, []
+        grippers = [world.env.robots[i].gripper[arm] for i, arm in world._of.values()]
+        sides = "left_fingerpad", "right_fingerpad"
+        named = [[n for side in sides for n in g.important_geoms[side]] for g in grippers]
+        self.pads = [[world.model.geom(name).id for name in names] for names in named]
+        self.touched = self.touching()
+        self.force, self.slip, self.shift, self.tilt, self.over = [], 0.0, 0.0, 0.0, []
         motors = range(world.model.nu)
         own = [i for i in motors if "gripper" not in world.model.actuator(i).name]
         self.motors, self.range = own, world.model.actuator_ctrlrange[own]
@@ -402,13 +411,22 @@ class Watch:
         self.q = [row.qposadr[0] for row in rows]
         self.limits = np.array([row.range for row in rows])
 
+    def touching(self) -> Array:
+        """Where each hand's pads are at the pot, in its axes, shape (N, 3)."""
+        places, pot = self.world.data.geom_xpos, self.world.object
+        return np.array([places[pads].mean(axis=0) for pads in self.pads] - pot.translation) @ (
+            pot.rotation
+        )
+
     def look(self) -> None:
         world, pot = self.world, self.world.object
         one, two = world.hand_wrench().reshape(-1, 6)[:, :3]
         self.force.append(float(np.linalg.norm(one - two)) / 2.0)
         for arm, X in zip(world.arms, self.held, strict=True):
             off = pot.actInv(world.hand(arm)).translation - X.translation
-            self.slip = max(self.slip, float(np.linalg.norm(off)))
+            self.shift = max(self.shift, float(np.linalg.norm(off)))
+        slid = np.linalg.norm(self.touching() - self.touched, axis=1)
+        self.slip = max(self.slip, float(slid.max()))
         up = float(np.clip(pot.rotation[2] @ self.begun.rotation[2], -1.0, 1.0))
         self.tilt = max(self.tilt, float(np.degrees(np.arccos(up))))
         u, q = world.data.ctrl[self.motors], world.data.qpos[self.q]
@@ -419,24 +437,25 @@ class Watch:
 
     def found(self, success: bool) -> dict[str, Any]:
         force = float(np.percentile(self.force, 95)) if self.force else np.nan
-        return {"success": success, "force": force, "slip": 1e3 * self.slip, "tilt": self.tilt,
+        return {"success": success, "force": force, "slip": 1e3 * self.slip,
+                "shift": 1e3 * self.shift, "tilt": self.tilt,
                 "over": 100.0 * float(np.mean(self.over)) if self.over else np.nan}  # fmt: skip
 
 
 def table(found: list[dict[str, Any]]) -> str:
     """In Markdown."""
-    lines = ["| variant | law | lifted | internal force N | slip mm | tilt deg | at limits % |",
-             "|---|---|---|---|---|---|---|"]  # fmt: skip
+    lines = ["| variant | law | lifted | internal force N | slip mm | shift mm | tilt deg "
+             "| at limits % |", "|---|---|---|---|---|---|---|---|"]  # fmt: skip
     for variant in VARIANTS:
         for law in LAWS:
             runs = [x for x in found if (x["variant"], x["law"]) == (variant, law)]
             if runs:
-                middle = {
-                    k: np.median([x[k] for x in runs]) for k in ("force", "slip", "tilt", "over")
-                }
+                kinds = "force", "slip", "shift", "tilt", "over"
+                middle = {kind: np.median([x[kind] for x in runs]) for kind in kinds}
                 lines.append(
                     f"| {variant} | {law} | {sum(x['success'] for x in runs)}/{len(runs)} "
-                    f"| {middle['force']:.1f} | {middle['slip']:.1f} | {middle['tilt']:.1f} "
+                    f"| {middle['force']:.1f} | {middle['slip']:.2f} "
+                    f"| {middle['shift']:.1f} | {middle['tilt']:.1f} "
                     f"| {middle['over']:.0f} |"
                 )
     return "\n".join(lines)

@@ -24,8 +24,7 @@ from coopqp.scenario.scenario import Scenario
 from coopqp.signals import Waypoints
 from coopqp.tasks import Pose as PoseTask
 
-DT = 0.01  # s
-ABOVE = 0.08  # m, from where the hands go down
+DT, ABOVE, YIELD = 0.01, 0.08, 1.0  # s; m, from where hands go down; s, while closed ones give way
 LAWS = QPController(name="qp"), TorqueQp(name="torque_qp"), Pseudoinverse(name="pseudoinverse")
 Way = Callable[[float], pin.SE3]
 
@@ -73,8 +72,8 @@ def go(world: RobosuiteWorld, q: Array, time: float, dt: float = DT) -> Array:
     return q
 
 
-def take_hold(world: RobosuiteWorld, robot: coopqp.RobotModel, dt: float = DT) -> Array:
-    """Reach from above, look, go down, close; the joints that are commanded at the end."""
+def take_hold(world: RobosuiteWorld, robot: coopqp.RobotModel, dt: float = DT) -> None:
+    """Reach from above, look, go down, close, and give way, so that hands no longer press."""
     at, data = grasp_poses(world), robot.model.createData()
     up = pin.SE3(np.eye(3), np.array([0.0, 0.0, ABOVE]))
     over = go(world, reaching(robot, [up * X for X in at], np.atleast_2d(world.read())[0]), 1.0, dt)
@@ -83,7 +82,8 @@ def take_hold(world: RobosuiteWorld, robot: coopqp.RobotModel, dt: float = DT) -
     at = [H * world.hand(a).inverse() * X for a, H, X in zip(world.arms, hands, at, strict=True)]
     q = go(world, reaching(robot, at, over), 0.7, dt)
     world.grip = dict.fromkeys(world.arms, 1.0)
-    return go(world, q, 0.5, dt)
+    go(world, q, 0.5, dt)
+    world.give_way(round(YIELD / dt))
 
 
 def scenario_of(

@@ -112,7 +112,10 @@ class InternalWrench(Task):
     def _pair(self, held: tuple[Hand, ...]) -> tuple[int, int]:
         names = [hand.arm for hand in held]
         if self.arms is None:
-            if len(names) != 2:
+            if len(names) < 2:
+                found = "one hand holds" if names else "no hand holds"
+                raise GraspError(f"{found} the object; what cancels needs two that do")
+            if len(names) > 2:
                 raise GraspError(
                     f"arms: {len(names)} hands hold the object; say between which two, such as "
                     f"[{', '.join(names[:2])}]"

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from coopqp.adapters.motors import ARMS, GRIPPERS, KEYS, MotorUnits
-from coopqp.base.errors import CoopqpError, InvalidValueError
+from coopqp.base.errors import CoopqpError, InvalidValueError, unknown_name
 from coopqp.base.spec import Array, NonNegative, Positive, real, spec
 from coopqp.base.wording import said
 from coopqp.controller import ControlProblem
@@ -178,7 +178,7 @@ class ChunkFilter:
 
         Args:
             chunk: N frames, shape (N, 12) in LeRobot's order, or N dicts with its keys; what a dict
-                leaves out stays as it was.
+                leaves out stays as it was, and what is no motor's, without .pos, comes back.
             start: the frame that was sent last, or an observation, before the first one; the last
                 frame of the chunk before if omitted. What hands hold then is taken as it is there.
 
@@ -405,6 +405,9 @@ def _told(row: Array, action: Any) -> Array:
         raise ValueError(f"found a {type(action).__name__} among dicts")
     if action and not any(key in action for key in KEYS):
         raise ValueError(f"knows none of {', '.join(map(str, action))}; needs keys as {KEYS[0]}")
+    for key in action:  # else it would go to a motor as it is
+        if key not in KEYS and str(key).endswith(".pos"):
+            raise ValueError(unknown_name("motor", str(key), KEYS))
     found = [real(action.get(key, row[k])) for k, key in enumerate(KEYS)]
     for key, value in zip(KEYS, found, strict=True):
         if value.size != 1:

@@ -4,7 +4,7 @@ import json
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
@@ -64,11 +64,12 @@ def audit(
     """
     fps, at, count = _described(folder, column)
     chunks = ChunkFilter(scenario, units, fps=fps, **settings)
-    for episode, rows in _episodes(folder, column, count):
+    for episode, numbers, rows in _episodes(folder, column, count):
         given = rows[:, at]
         most = np.abs(np.nan_to_num(given[:, ARMS])).max(initial=0.0)
         radians = chunks.units.use_degrees and bool(0.0 < most < 3.2)
-        yield AuditedEpisode(episode, len(rows), tuple(chunks.audit(given)), radians)
+        broken = (replace(x, frame=numbers[x.frame]) for x in chunks.audit(given))
+        yield AuditedEpisode(episode, len(rows), tuple(broken), radians)
 
 
 def _described(folder: Path, column: str) -> tuple[float, list[int], int]:
@@ -89,7 +90,8 @@ def _described(folder: Path, column: str) -> tuple[float, list[int], int]:
     return fps, [names.index(key) for key in KEYS], len(names)
 
 
-def _episodes(folder: Path, column: str, count: int) -> Iterator[tuple[int, Array]]:
+def _episodes(folder: Path, column: str, count: int) -> Iterator[tuple[int, list[int], Array]]:
+    """Of each episode its number, those of its frames, and its rows, (frames, count)."""
     try:
         import pyarrow.parquet as parquet
     except ImportError:
@@ -106,11 +108,13 @@ def _episodes(folder: Path, column: str, count: int) -> Iterator[tuple[int, Arra
             if not (isinstance(episode, int) and isinstance(frame, int)):
                 words = f"row {k}: episode_index and frame_index need whole numbers"
                 raise UnreadableFileError(file, words)
-            kept.setdefault(episode, []).append((frame, _numbers(row, count, f"{file}: row {k}")))
+            place = f"{file}: frame {frame} of episode {episode}"
+            kept.setdefault(episode, []).append((frame, _numbers(row, count, place)))
     if not kept:
         raise UnreadableFileError(folder / "data", "has no frames in */*.parquet")
     for episode in sorted(kept):
-        yield episode, np.array([row for _, row in sorted(kept[episode], key=itemgetter(0))])
+        frames, found = zip(*sorted(kept[episode], key=itemgetter(0)), strict=True)
+        yield episode, list(frames), np.array(found)
 
 
 def _numbers(row: Any, count: int, place: str) -> Array:

@@ -148,6 +148,12 @@ class RobosuiteWorld:
         a = self._kp * (q + ahead - now) - 2.0 * np.sqrt(self._kp) * rate
         return self.step(M @ a + self.data.qfrc_bias[self._v])
 
+    def give_way(self, steps: int) -> None:
+        """Hold the joints where they are pushed to, so that hands that closed press no longer."""
+        for _ in range(steps):
+            q = np.atleast_2d(self.read())[0]
+            self.write(q, np.zeros_like(q))
+
     def apply(self, tau: Array) -> None:
         """Apply torques, shape (n,) [N m]."""
         self.step(tau)

@@ -20,14 +20,7 @@ import numpy as np
 from coopqp.base.errors import InvalidValueError, MissingDependencyError
 from coopqp.base.reading import absolute
 from coopqp.base.spec import FARTHEST
-from coopqp.robot_files.mjcf_model import (
-    Geoms,
-    Named,
-    floating,
-    followers,
-    pinocchio_model,
-    row_of,
-)
+from coopqp.robot_files.mjcf_model import Geoms, Named, floating, followers, pinocchio_model, row_of
 from coopqp.robot_files.selection import Description
 from coopqp.robot_files.xml import (
     ALIKE,

@@ -178,7 +178,8 @@ def check_start(data: Mapping[str, Any], scenario: Scenario, known: Known) -> No
     released = [phase.released for phase in scenario.schedule]
     held = {k: x for k, x in (data.get("object") or {}).items() if k not in INERTIAL}
     of_chain = *(data.get(key) for key in CHAIN), scenario.start, released, held
-    if before := known.get("chain", of_chain):
+    before, tried = known.get("chain", of_chain) or (None, dict[str, Places]())
+    if before:
         chain = before.chain
         chain = chain if scenario.held == before.held else chain.carrying(scenario.held)
         vars(scenario)["chain"] = chain
@@ -189,7 +190,7 @@ def check_start(data: Mapping[str, Any], scenario: Scenario, known: Known) -> No
     problems = list(scenario.problems(lambda _: chain.q_start))
     # Later phases are tried where the first begins: nobody knows yet where the motion leads.
     places = {
-        phase.name: Places(problem.chain, known.get(("places", phase.name), of_chain))
+        phase.name: Places(problem.chain, tried.get(phase.name))
         for phase, problem in zip(scenario.schedule, problems, strict=True)
     }
     refuse(_badly_held(data, places))
@@ -215,10 +216,8 @@ def check_start(data: Mapping[str, Any], scenario: Scenario, known: Known) -> No
             wrong_starts += [Wrong(["limits", i], words) for words in limit.start_faults(chain)]
     refuse(wrong_starts)
     _check_plant(scenario)
-    known.keep("chain", of_chain, scenario)
+    known.keep("chain", of_chain, (scenario, places))
     known.keep("limits", of_limits)
-    for name, tried in places.items():
-        known.keep(("places", name), of_chain, tried)
     for place, source in of_tasks.items():
         known.keep(place, source)
 

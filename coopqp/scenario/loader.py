@@ -13,14 +13,7 @@ from coopqp.grasps import Rigid
 from coopqp.model.grasp_configuration import grasp_of_each
 from coopqp.model.profile import FASTEST
 from coopqp.scenario.catalog import Catalog
-from coopqp.scenario.checks import (
-    Known,
-    at,
-    check_start,
-    contradictions,
-    placed_tasks,
-    refuse,
-)
+from coopqp.scenario.checks import Known, at, check_start, contradictions, placed_tasks, refuse
 from coopqp.scenario.form import SOLVE, check, chosen, fields_of, given
 from coopqp.scenario.planned import Followed, following
 from coopqp.scenario.scenario import Scenario

@@ -232,6 +232,11 @@ STILL = dict.fromkeys(KEYS, 0.0)
         ([{KEYS[0]: "1"}], STILL, "chunk: found a text"),
         ([{KEYS[0]: [1.0, 2.0]}], STILL, r"chunk: left_shoulder_pan.pos: found shape \(2,\)"),
         ([{"shoulder.pos": 1.0}], STILL, "chunk: knows none of shoulder.pos; needs keys as left_"),
+        (
+            [STILL | {"left_elbow.pos": 1.0}],
+            STILL,
+            "chunk: unknown motor 'left_elbow.pos'; did you mean 'left_elbow_flex.pos'",
+        ),
     ],
 )
 def test_what_is_no_chunk_is_refused(

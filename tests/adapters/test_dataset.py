@@ -69,6 +69,16 @@ def test_each_broken_frame_is_found_and_no_other(tmp_path: Path) -> None:
     assert {c.frame for c in found[2].broken} <= {10, 11}
 
 
+def test_frames_are_named_by_their_recorded_numbers(tmp_path: Path) -> None:
+    cut = episode(80.0)
+    cut[20, 2] = 98.0  # of 96.8 degrees
+    (found,) = audit(
+        written(tmp_path, cut, frame_index=[100 + k for k in range(50)]), load("two_so101")
+    )
+    assert 120 in {change.frame for change in found.broken} <= {120, 121}
+    assert "frame 120: " in str(found)
+
+
 def test_hands_that_part_are_found_while_both_hold(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -168,11 +178,11 @@ ROW = [0.0] * 12
 @pytest.mark.parametrize(
     ("others", "words"),
     [
-        ({"action": [ROW, ROW[:6]]}, "row 1: needs 12 numbers"),
-        ({"action": [ROW, None]}, "row 1: needs 12 numbers"),
-        ({"action": ["abc", "abc"]}, "row 0: needs 12 numbers"),
-        ({"action": [["a"] * 12] * 2}, "row 0: needs 12 numbers"),
-        ({"action": [1.0, 1.0]}, "row 0: needs 12 numbers"),
+        ({"action": [ROW, ROW[:6]]}, "frame 1 of episode 0: needs 12 numbers"),
+        ({"action": [ROW, None]}, "frame 1 of episode 0: needs 12 numbers"),
+        ({"action": ["abc", "abc"]}, "frame 0 of episode 0: needs 12 numbers"),
+        ({"action": [["a"] * 12] * 2}, "frame 0 of episode 0: needs 12 numbers"),
+        ({"action": [1.0, 1.0]}, "frame 0 of episode 0: needs 12 numbers"),
         ({"action": [ROW] * 2, "episode_index": [0, None]}, "row 1: episode_index and frame_index"),
         ({"action": [], "episode_index": [], "frame_index": []}, "data: has no frames"),
     ],

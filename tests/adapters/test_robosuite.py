@@ -83,6 +83,16 @@ def test_hands_bear_the_weight_by_their_contacts(world: RobosuiteWorld) -> None:
     assert np.abs(world.read()).max() < 5e-3
 
 
+def test_hands_that_give_way_go_on_where_they_are_pushed_to(world: RobosuiteWorld) -> None:
+    for _ in range(100):
+        world.write(np.zeros(2), np.zeros(2))
+    stays = world.read()[0]
+    world.give_way(20)
+    gone = world.read()[0] - stays
+    assert (gone < 0.5 * stays).all()  # they hold the object's weight no longer
+    assert (gone > -0.04).all()  # not faster than 0.2 m/s, as their damping has it
+
+
 def test_the_robot_has_the_motors_limits_and_robosuites_names(
     world: RobosuiteWorld, tmp_path: Path
 ) -> None:

@@ -80,6 +80,16 @@ def test_pairs_that_do_not_have_it_are_refused(
         stack_of(make(), **settings)
 
 
+@pytest.mark.parametrize(
+    ("released", "words"), [(("left",), "one hand holds the object; what cancels needs two"),
+                            (("left", "right"), "no hand holds the object; what cancels needs")],
+)  # fmt: skip
+def test_hands_that_are_free_are_no_pair(released: tuple[str, ...], words: str) -> None:
+    chain = planar_pair()
+    with pytest.raises(CoopqpError, match=words):
+        stack_of(chain.handed_over(chain.q_start, released), squeeze=1.0)
+
+
 def test_one_arm_is_no_pair() -> None:
     with pytest.raises(ValueError, match="needs two different ones"):
         InternalWrench(squeeze=1.0, arms=("left", "left"))

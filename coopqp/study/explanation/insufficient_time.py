@@ -28,20 +28,8 @@ from coopqp.study.explanation.explained_phase import (
     rerun,
     with_suggestion,
 )
-from coopqp.study.explanation.goal import (
-    Goal,
-    PartOfTask,
-    Place,
-    Room,
-    Share,
-    least_relaxation,
-)
-from coopqp.study.explanation.tick import (
-    PhaseTicks,
-    contradicting_rows,
-    held_up,
-    speed_share,
-)
+from coopqp.study.explanation.goal import Goal, PartOfTask, Place, Room, Share, least_relaxation
+from coopqp.study.explanation.tick import PhaseTicks, contradicting_rows, held_up, speed_share
 from coopqp.study.explanation.words import RunExplanation
 
 #: The loop budget is what slows where more than MANY of the LAST ticks were cut for it.

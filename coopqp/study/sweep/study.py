@@ -146,9 +146,11 @@ def located(data: Mapping[str, Any], path: str, defaults: Mapping[str, Any]) -> 
             step, rest = _step(here if isinstance(here, dict) else {}, rest, path)
             if not isinstance(here, dict):
                 words = "leads into a value, which has no keys"
-                raise InvalidValueError(f"'{_upto(path, rest)}' {words}")
+                raise InvalidValueError(f"'{path.removesuffix(rest)}' {words}")
             if isinstance(step, int):
-                raise InvalidValueError(f"'{_upto(path, rest)}': there is no list; needs a name")
+                raise InvalidValueError(
+                    f"'{path.removesuffix(rest)}': there is no list; needs a name"
+                )
             if rest and not location and step not in here and step in defaults:
                 here[step] = copy.deepcopy(defaults[step])
             keys = [step]
@@ -166,10 +168,6 @@ def _opened(here: Any, key: str | int) -> Any:
     elif inside is None and isinstance(here, dict):
         here[key] = {}
     return here[key]
-
-
-def _upto(path: str, rest: str) -> str:
-    return path[: len(path) - len(rest)] if rest else path
 
 
 def _step(here: Mapping[str, Any], rest: str, path: str) -> tuple[str | int, str]:
@@ -193,16 +191,18 @@ def _in_list(here: list[Any], rest: str, path: str) -> tuple[list[str | int], st
     step, after = _step(known, rest, path)
     if isinstance(step, int):
         if step >= len(here):
-            raise InvalidValueError(f"'{_upto(path, after)}': the list has {len(here)} values")
+            raise InvalidValueError(
+                f"'{path.removesuffix(after)}': the list has {len(here)} values"
+            )
         if after:
             _check_slot(_opened(here, step), after, path)
         return [step], after
     found: list[str | int] = [i for i, item in enumerate(names) if step in item]
     if not found and not known:
         words = "is a list of values; needs a place in it, from [0] on"
-        raise InvalidValueError(f"'{_upto(path, rest).rstrip('.')}' {words}")
+        raise InvalidValueError(f"'{path.removesuffix(rest).rstrip('.')}' {words}")
     if not found:
-        what = _upto(path, rest).rpartition(".")[2].rstrip("s") or "name"
+        what = path.removesuffix(rest).rpartition(".")[2].rstrip("s") or "name"
         raise InvalidValueError(unknown_name(what, step, known))
     if len(found) > 1:
         raise InvalidValueError(f"'{step}' is the name of {len(found)} of them; needs [i] instead")
@@ -216,7 +216,7 @@ def _check_slot(item: Any, after: str, path: str) -> None:
     if name and isinstance(item, dict) and len(item) == 1 and name[2]:
         ((kind, fields),) = item.items()
         if name[2] != kind and (isinstance(fields, dict) or fields is None):
-            to = _upto(path, after)
+            to = path.removesuffix(after)
             raise InvalidValueError(f"'{to}' is a {kind}; write {to}.{kind}{after}")
 
 
