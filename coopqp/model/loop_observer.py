@@ -26,6 +26,8 @@ load is the object's weight where the stiffness is known, else nothing, until it
 by least squares of q_m - q_c.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Mapping
 from functools import cached_property

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from coopqp.base.errors import InvalidValueError, MissingDependencyError
+from coopqp.base.errors import InvalidValueError, needs
 from coopqp.base.spec import Array, NonNegative, Positive, spec
 from coopqp.closed_loop.forces import OFF_FACE, overhang
 from coopqp.closed_loop.grasp_matrix import moved
@@ -284,10 +284,8 @@ class MujocoModel(DynamicModel):
     ) -> None:
         servo = ServoLaw(problem.chain, settings.servo)
         super().__init__(problem, servo, settings.time_step, seed, disturbance)
-        try:
+        with needs("plant 'mujoco'", "mujoco"):
             import mujoco
-        except ImportError:
-            raise MissingDependencyError("plant 'mujoco'", "mujoco") from None
         self._mujoco: Any = mujoco
         self._settings = settings
         if settings.spring_hands:
