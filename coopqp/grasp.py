@@ -43,21 +43,13 @@ class ForceRows:
 
 @dataclass(frozen=True, kw_only=True)
 class Contact(ABC):
-    """A hand's contact with the object.
+    """A hand's contact with the object."""
 
-    Attributes:
-        placement: pose of the contact frame in the hand's tip frame, a pinocchio SE3.
-        friction: coefficient mu.
-        half_lengths: of the pad along the frame's x and y [m]; zero for a point.
-        reach: share of the half-lengths that is counted on; what holds is the whole pad.
-        least, most: bounds on the normal force [N].
-    """
-
-    placement: Any
-    friction: float
-    half_lengths: tuple[float, float] = (0.0, 0.0)
-    reach: float = 1.0
-    least: float = 0.0
+    placement: Any  # pose of the contact frame in the hand's tip frame, a pinocchio SE3
+    friction: float  # coefficient mu
+    half_lengths: tuple[float, float] = (0.0, 0.0)  # of the pad along x and y [m]; 0 for a point
+    reach: float = 1.0  # share of these that is counted on; what holds is the whole pad
+    least: float = 0.0  # least, most: bounds on the normal force [N]
     most: float = np.inf
 
     @abstractmethod
@@ -116,20 +108,13 @@ def used(rows: Array, w: Array) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class PassiveJoint:
-    """One free motion of the object in the hand.
+    """One free motion of the object in the hand."""
 
-    Attributes:
-        name: without the arm's name, such as "hinge".
-        joint: pinocchio joint model with one coordinate.
-        placement: pose of the joint frame in the one before it (the tip frame for the first).
-        lower, upper: limits [rad or m].
-    """
-
-    name: str
-    joint: Any
-    placement: pin.SE3
-    lower: float = -math.inf
-    upper: float = math.inf
+    name: str  #: Without the arm's name, such as "hinge".
+    joint: Any  #: Pinocchio joint model with one coordinate.
+    placement: pin.SE3  #: Pose of the joint frame in the one before it, the tip's for the first.
+    lower: float = -math.inf  #: Lower limit [rad or m].
+    upper: float = math.inf  #: Upper limit [rad or m].
 
     def __post_init__(self) -> None:
         if wrong := range_fault(self.lower, self.upper):

@@ -46,37 +46,26 @@ class Bounded(IntEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class JointBounds:
-    """Bounds on each joint's velocity, for the kernel, from bounds of what ``of`` names.
-
-    ``step`` is how much v may change in a tick (BRAKING), ``speed`` that of recovery (POSITION).
-    """
+    """Bounds on each joint's velocity, for the kernel, from bounds of what ``of`` names."""
 
     of: Bounded
     lower: Array
     upper: Array
-    step: Array | None = None
-    speed: float = 0.0
+    step: Array | None = None  # how much v may change in a tick (BRAKING)
+    speed: float = 0.0  # of recovery (POSITION)
 
 
 @dataclass(frozen=True, kw_only=True)
 class TwistBounds:
-    """Rows of a limit on the object's twist alone, for the kernel.
+    """Rows of a limit on the object's twist alone, for the kernel."""
 
-    Attributes:
-        components: of the twist in world axes whose size is bounded, upper sides, then lower ones.
-        bounds: their bounds [m/s, rad/s].
-        points: of the object, which stay on one side of a plane, in the object frame, shape (k, 3).
-        normal: unit normal of the plane, into the side that is allowed.
-        offset: n'p of the points on it [m].
-        gain: share of the distance that may be used up per second [1/s].
-    """
-
-    components: Sequence[int] = ()
-    bounds: Sequence[float] = ()
+    components: Sequence[int] = ()  # in world axes that are bounded, upper sides, then lower ones
+    bounds: Sequence[float] = ()  # their bounds [m/s, rad/s]
+    # of the object, which stay on one side of a plane, in the object frame, shape (k, 3) [m]
     points: Array = field(default_factory=lambda: np.zeros((0, 3)))
-    normal: Array = field(default_factory=lambda: np.zeros(3))
-    offset: float = 0.0
-    gain: float = 0.0
+    normal: Array = field(default_factory=lambda: np.zeros(3))  # into the side that is allowed
+    offset: float = 0.0  # n'p of the points on it [m]
+    gain: float = 0.0  # share of the distance that may be used up per second [1/s]
 
     @property
     def rows(self) -> int:
@@ -85,22 +74,14 @@ class TwistBounds:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DistanceBounds:
-    """Rows of a limit that keeps pairs of bodies apart, for the kernel.
+    """Rows of a limit that keeps pairs of bodies apart, for the kernel."""
 
-    Attributes:
-        bodies: each with the id of the joint that carries it; 0 is the world.
-        levers: how fast each joint, at speed 1, moves a body's points at most, (b, n) [m, 1].
-        pairs: of bodies, as numbers in ``bodies``, shape (p, 2).
-        distance: to keep [m]; of what is left ``gain`` may be used up per second [1/s].
-        within: what pairs are farther apart than that may be used up in a tick [m].
-    """
-
-    bodies: Sequence[tuple[int, Convex]]
-    levers: Array
-    pairs: NDArray[np.int64]
-    distance: float
-    gain: float
-    within: float
+    bodies: Sequence[tuple[int, Convex]]  # each with the id of its joint; 0 is the world
+    levers: Array  # how fast each joint, at speed 1, moves a body's points at most, (b, n) [m, 1]
+    pairs: NDArray[np.int64]  # of bodies, as numbers in ``bodies``, shape (p, 2)
+    distance: float  # to keep [m]
+    gain: float  # share of what is left that may be used up per second [1/s]
+    within: float  # what pairs are farther apart than that may be used up in a tick [m]
 
 
 Program = JointBounds | TwistBounds | DistanceBounds

@@ -39,21 +39,15 @@ class Arm:
 
 @dataclass(frozen=True, kw_only=True)
 class Shape:
-    """A part of a link, for drawing or for collisions.
+    """A part of a link, for drawing or for collisions."""
 
-    Attributes:
-        frame: the model's frame that it is fixed to.
-        placement: pose in that frame.
-        size: box: edges; cylinder and capsule: radius, length along z (without the capsule's caps);
-            sphere: radius; ellipsoid: radii along x, y, z [m]; mesh: scale along x, y, z.
-        mesh: file of a mesh.
-    """
-
-    frame: str
-    placement: pin.SE3
+    frame: str  # the model's frame that it is fixed to
+    placement: pin.SE3  # pose in that frame
     kind: Literal["mesh", "box", "cylinder", "capsule", "sphere", "ellipsoid"]
+    # box: edges; cylinder and capsule: radius, length along z (without the capsule's caps); sphere:
+    # radius; ellipsoid: radii along x, y, z [m]; mesh: scale along x, y, z
     size: tuple[float, ...]
-    mesh: Path | None = None
+    mesh: Path | None = None  # file of a mesh
 
 
 class Form(IntEnum):
@@ -98,30 +92,21 @@ class Capsule:
 
 @dataclass(frozen=True, kw_only=True)
 class RobotModel:
-    """A robot ready to grasp something.
-
-    Attributes:
-        model: pinocchio model with one coordinate per joint (nq = nv), position limits [rad, m],
-            velocity limits [rad/s, m/s] and effort limits [N m, N].
-        arms: in the order of the loops; the first is the reference of the others.
-        shapes: how the links look; a link without shapes is drawn as a capsule.
-        capsules: collision bodies, base first on each arm; see
-            :class:`coopqp.limits.SelfCollision`.
-        collision_shapes: the same from a robot's file, where it gives no capsules; a mesh counts as
-            its convex hull.
-        unseen: what of a file's collision geometry cannot be used, one sentence each, which begins
-            with the link's name.
-        warnings: what was left out when the robot was read, one sentence each.
-    """
+    """A robot ready to grasp something."""
 
     name: str
+    #: Pinocchio model with one coordinate per joint (nq = nv), position limits [rad, m], velocity
+    #: limits [rad/s, m/s] and effort limits [N m, N].
     model: pin.Model
-    arms: tuple[Arm, ...]
-    shapes: tuple[Shape, ...] = ()
+    arms: tuple[Arm, ...]  #: In the order of the loops; the first is the reference of the others.
+    shapes: tuple[Shape, ...] = ()  #: How links look; one without shapes is drawn as a capsule.
+    #: Collision bodies, base first on each arm; see :class:`coopqp.limits.SelfCollision`.
     capsules: tuple[Capsule, ...] = ()
+    #: The same from a robot's file, where it gives no capsules; a mesh counts as its convex hull.
     collision_shapes: tuple[Shape, ...] = ()
+    #: What of these cannot be used, one sentence each, which begins with the link's name.
     unseen: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()  #: What was left out when it was read, one sentence each.
 
     def __post_init__(self) -> None:
         if self.model.nq != self.model.nv:

@@ -51,25 +51,15 @@ FASTEST = 1e3
 
 @dataclass(frozen=True)
 class Kind:
-    """What a signal is asked for.
+    """What a signal is asked for."""
 
-    Attributes:
-        name: for messages.
-        numbers: how many beside the rotation.
-        turns: whether there is a rotation.
-        columns: names of the values, as files have them.
-        velocity: whether the numbers are velocities, which are not to go on where nobody steers.
-        axis: whether only the third axis of the rotation counts.
-        each: whether bounds hold for each number, and not for the length of all.
-    """
-
-    name: str
-    numbers: int
-    turns: bool = False
-    columns: tuple[str, ...] = ()
-    velocity: bool = False
-    axis: bool = False
-    each: bool = False
+    name: str  #: For messages.
+    numbers: int  #: How many beside the rotation.
+    turns: bool = False  #: Whether there is a rotation.
+    columns: tuple[str, ...] = ()  #: Names of the values, as files have them.
+    velocity: bool = False  #: Whether it is one, which is not to go on where nobody steers.
+    axis: bool = False  #: Whether only the third axis of the rotation counts.
+    each: bool = False  #: Whether bounds hold for each number, and not for the length of all.
 
     @property
     def values(self) -> int:

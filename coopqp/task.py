@@ -45,17 +45,11 @@ def level_of(mode: Mode, priority: int) -> Level:
 
 @dataclass(frozen=True)
 class TaskRows:
-    """Where a task writes its rows.
+    """Where a task writes its rows."""
 
-    Attributes:
-        e: error, shape (k,) [unit of the task].
-        J: task Jacobian, shape (k, n) [unit per rad or m].
-        rate: J v that keeps the error constant, shape (k,) [unit/s].
-    """
-
-    e: Array
-    J: Array
-    rate: Array
+    e: Array  #: Error, shape (k,) [unit of the task].
+    J: Array  #: Task Jacobian, shape (k, n) [unit per rad or m].
+    rate: Array  #: J v that keeps the error constant, shape (k,) [unit/s].
 
 
 Evaluate = Callable[[State, TaskRows], None]
@@ -89,21 +83,14 @@ class Part:
 
 @dataclass(frozen=True)
 class Impedance:
-    """How rows yield to a wrench w on the object: mass e_ddot + damping e_dot + stiffness e = w.
+    """How rows yield to a wrench w on the object: mass e_ddot + damping e_dot + stiffness e = w."""
 
-    Attributes:
-        axes: which components of w the rows feel, at the object's origin, world axes.
-        stiffness: shape (k,) [N/m, N m/rad].
-        damping: shape (k,) [N s/m, N m s/rad]; None where every mode has the damping_ratio.
-        damping_ratio: [-].
-        mass: shape (k,) [kg, kg m2]; None where it is what object and arms have there.
-    """
-
-    axes: tuple[int, ...]
-    stiffness: Array
+    axes: tuple[int, ...]  # components of w that the rows feel, at the object's origin, world axes
+    stiffness: Array  # shape (k,) [N/m, N m/rad]
+    # shape (k,) [N s/m, N m s/rad]; None where every mode has the damping_ratio
     damping: Array | None
-    damping_ratio: float
-    mass: Array | None
+    damping_ratio: float  # [-]
+    mass: Array | None  # shape (k,) [kg, kg m2]; None where it is what object and arms have there
 
 
 @spec

@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,23 +51,17 @@ class TickBatch:
 
 @dataclass(frozen=True)
 class TaskInfo:
-    """A task, or a part of it with a unit of its own, as the trace needs it.
-
-    Attributes:
-        end: when its reference arrives [s].
-        rows: of the trace, during which it counts; its error is NaN in the others.
-        springs: of an impedance, which of the task's rows each is, its axis of the push, and its
-            stiffness [N/m, N m/rad].
-        mode, priority: as the task says.
-    """
+    """A task, or a part of it with a unit of its own, as the trace needs it."""
 
     name: str
     unit: str
     tolerance: float
-    end: float
+    end: float  # when its reference arrives [s]
+    # of the trace, during which it counts; its error is NaN in the others
     rows: slice = field(default_factory=lambda: slice(None))
+    # of an impedance: which of the task's rows, its axis of the push, its stiffness [N/m, N m/rad]
     springs: tuple[tuple[int, int, float], ...] = ()
-    mode: Mode = "soft"
+    mode: Mode = "soft"  # mode, priority: as the task says
     priority: int = 0
 
 
@@ -82,16 +76,13 @@ class PhaseInfo:
 
 @dataclass(frozen=True)
 class InputTrace:
-    """What arrived at an input for each tick, when it was sent [s], and how it was followed.
-
-    NaN where nothing arrived; shapes (T, values), (T,), (T, values) and (T, rates).
-    """
+    """What arrived at an input for each tick, and how it was followed; NaN where nothing did."""
 
     kind: Kind
-    arrived: Array
-    sent: Array
-    value: Array
-    rate: Array
+    arrived: Array  # shape (T, values)
+    sent: Array  # when, shape (T,) [s]
+    value: Array  # shape (T, values)
+    rate: Array  # shape (T, rates)
 
 
 def followed(inputs: Mapping[str, InputTrace], k: int) -> InputValues:
@@ -238,106 +229,89 @@ def _phases(parts: list[Any], phases: Phases) -> tuple[PhaseInfo, ...]:
 
 @dataclass(frozen=True, kw_only=True)
 class Trace:
-    """One controller's run.
+    """One controller's run; with each field stands how those of several phases are joined."""
 
-    Attributes:
-        solver: name of its QP solver; None for laws without one.
-        engine: "kernel" or "python", whichever is asked first; None for laws without a QP.
-        dt: control period [s]. kappa: gain of the Baumgarte stabilisation [1/s].
-        joints: names, shape (n,). units: of their coordinates, "rad" or "m".
-        lower, upper, velocity, effort: the limits, shape (n,) [rad or m; rad/s or m/s; N m or N];
-            no effort for passive joints.
-        tasks: in the order of task_error.
-        manipulability: directional: how much of what is missed of each task in the end joints with
-            closed loops can still bring about, over the start's, shape (K,); 0 where singular, 1 if
-            none is missed.
-        t: shape (T + 1,) [s].
-        q: positions of the plant's joints, before noise, shape (T + 1, n) [rad or m].
-        v: commanded velocity, or the plant's after the tick when torques were commanded, shape (T,
-            n) [rad/s or m/s].
-        commanded: the configuration from which each tick decided: the integral of the commands, or
-            what was measured when torques were commanded, shape (T, n).
-        measured: measured joint positions when each tick decided, shape (T, n); NaN where there are
-            none, as where joints follow their commands exactly.
-        gap: the part of the loop error that each tick took for the model's own, loop by loop in the
-            order of the phase's arms, zero for open ones, shape (T, 6 L) [m, rad].
-        memory: what the law remembered when each tick began, zero beyond what it remembers, shape
-            (T, .); with t, commanded, gap and the v before it repeats the tick.
-        position: of the object, shape (T + 1, 3) [m].
-        rotation: of the object, shape (T + 1, 3, 3).
-        loop_position, loop_orientation: largest loop error, shape (T + 1,) [m], [rad].
-        task_error: Euclidean norm of each task's error, to its reference, which may be on its way
-            to the goal, shape (T + 1, K) [the task's unit].
-        goal_error: the same to the goal, as if the reference were there from the start.
-        task_rows: the rows of all tasks, such as "reach.z", R of them.
-        e: each row's error, value minus reference, shape (T + 1, R) [the task's unit]; 0 for tasks
-            that ask for a velocity alone.
-        rate: how fast each row's reference moves, shape (T + 1, R) [unit/s].
-        usable: whether the tick's answer was used, shape (T,).
-        inaccurate: whether it was used although not optimal to the declared accuracy, shape (T,).
-        status: of each tick, as :func:`coopqp.solver.written` writes it, shape (T,).
-        scale: least share of its rate at which a hard or scaled task ran, else 1, shape (T,).
-        margins: of every limit after each tick, by row, shape (T,); negative when violated.
-        starts: the same before the first tick, at rest.
-        unaudited: names of limits that do not say how far a run stayed away from them.
-        compiled: whether the kernel decided the tick; the plain law decides the others, shape (T,).
-        rows_in_python: names of tasks and limits of which Python filled rows for the kernel.
-        rows_us: what that took of each tick, shape (T,) [us].
-        tick_us: time of each tick, shape (T,) [us]; NaN where many were done at once.
-        points: joint origins and hand of each arm for drawing, by arm, shape (T + 1, p, 3) [m].
-        supports: what of the problem the law reads, :attr:`coopqp.controller.Controller.supports`.
-        failures: ticks that held still, and why.
-        phases: one after the other; none where arms neither let go nor take hold.
-        signals: the plant's signals after each tick, by name, shape (T, .): see the plant.
-        inputs: what arrived from outside, by name.
-    """
-
-    controller: str = field(metadata={"join": _same})
-    solver: str | None = field(metadata={"join": _same})
-    engine: str | None = field(metadata={"join": _same})
-    dt: float = field(metadata={"join": _same})
-    kappa: float = field(metadata={"join": _same})
-    joints: tuple[str, ...] = field(metadata={"join": _same})
-    units: tuple[str, ...] = field(metadata={"join": _same})
-    lower: Array = field(metadata={"join": _same})
-    upper: Array = field(metadata={"join": _same})
-    velocity: Array = field(metadata={"join": _same})
-    effort: Array = field(metadata={"join": _same})
-    tasks: tuple[TaskInfo, ...] = field(metadata={"join": _tasks})
-    manipulability: Array = field(metadata={"join": _ticks})
-    t: Array = field(metadata={"join": _times})
-    q: Array = field(metadata={"join": _instants})
-    v: Array = field(metadata={"join": _ticks})
-    commanded: Array = field(metadata={"join": _ticks})
-    measured: Array = field(metadata={"join": _ticks})
-    gap: Array = field(metadata={"join": _padded})
-    memory: Array = field(metadata={"join": _padded})
-    position: Array = field(metadata={"join": _instants})
-    rotation: Array = field(metadata={"join": _instants})
-    loop_position: Array = field(metadata={"join": _instants})
-    loop_orientation: Array = field(metadata={"join": _instants})
-    task_error: Array = field(metadata={"join": _task_errors})
-    goal_error: Array = field(metadata={"join": _task_errors})
-    task_rows: tuple[str, ...] = field(metadata={"join": _rows_of_tasks})
-    e: Array = field(metadata={"join": _task_errors})
-    rate: Array = field(metadata={"join": _task_errors})
-    usable: NDArray[np.bool_] = field(metadata={"join": _ticks})
-    inaccurate: NDArray[np.bool_] = field(metadata={"join": _ticks})
-    status: tuple[str, ...] = field(metadata={"join": _chained})
-    scale: Array = field(metadata={"join": _ticks})
-    margins: dict[Row, Array] = field(metadata={"join": _margins})
-    starts: dict[Row, float] = field(metadata={"join": _starts})
-    compiled: NDArray[np.bool_] = field(metadata={"join": _ticks})
-    tick_us: Array = field(metadata={"join": _ticks})
-    points: dict[str, Array] = field(metadata={"join": _points})
-    supports: frozenset[str] = field(metadata={"join": _same})
-    failures: tuple[Failure, ...] = field(metadata={"join": _failures})
-    unaudited: tuple[str, ...] = field(metadata={"join": _once}, default=())
-    rows_in_python: tuple[str, ...] = field(metadata={"join": _once}, default=())
-    rows_us: Array = field(metadata={"join": _ticks}, default_factory=lambda: np.zeros(0))
-    signals: dict[str, Array] = field(metadata={"join": _signals}, default_factory=dict)
-    inputs: dict[str, InputTrace] = field(metadata={"join": _inputs}, default_factory=dict)
-    phases: tuple[PhaseInfo, ...] = field(metadata={"join": _phases}, default=())
+    controller: Annotated[str, _same]
+    solver: Annotated[str | None, _same]  #: Name of its QP solver; None for laws without one.
+    #: "kernel" or "python", whichever is asked first; None for laws without a QP.
+    engine: Annotated[str | None, _same]
+    dt: Annotated[float, _same]  #: Control period [s].
+    kappa: Annotated[float, _same]  #: Gain of the Baumgarte stabilisation [1/s].
+    joints: Annotated[tuple[str, ...], _same]  #: Names, shape (n,).
+    units: Annotated[tuple[str, ...], _same]  #: Of their coordinates, "rad" or "m".
+    lower: Annotated[Array, _same]  #: Position limits, shape (n,) [rad or m].
+    upper: Annotated[Array, _same]  #: The same.
+    velocity: Annotated[Array, _same]  #: Velocity limits, shape (n,) [rad/s or m/s].
+    effort: Annotated[Array, _same]  #: Of motors, 0 for passive joints, shape (n,) [N m or N].
+    tasks: Annotated[tuple[TaskInfo, ...], _tasks]  #: In the order of task_error.
+    #: Directional: how much of what is missed of each task in the end joints with closed loops can
+    #: still bring about, over the start's, shape (K,); 0 where singular, 1 if none is missed.
+    manipulability: Annotated[Array, _ticks]
+    t: Annotated[Array, _times]  #: Shape (T + 1,) [s].
+    #: Positions of the plant's joints, before noise, shape (T + 1, n) [rad or m].
+    q: Annotated[Array, _instants]
+    #: Commanded velocity, or the plant's after the tick when torques were commanded, shape (T, n)
+    #: [rad/s or m/s].
+    v: Annotated[Array, _ticks]
+    #: The configuration from which each tick decided: the integral of the commands, or what was
+    #: measured when torques were commanded, shape (T, n).
+    commanded: Annotated[Array, _ticks]
+    #: Measured joint positions when each tick decided, shape (T, n); NaN where there are none, as
+    #: where joints follow their commands exactly.
+    measured: Annotated[Array, _ticks]
+    #: The part of the loop error that each tick took for the model's own, loop by loop in the order
+    #: of the phase's arms, zero for open ones, shape (T, 6 L) [m, rad].
+    gap: Annotated[Array, _padded]
+    #: What the law remembered when each tick began, zero beyond what it remembers, shape (T, .);
+    #: with t, commanded, gap and the v before it repeats the tick.
+    memory: Annotated[Array, _padded]
+    position: Annotated[Array, _instants]  #: Of the object, shape (T + 1, 3) [m].
+    rotation: Annotated[Array, _instants]  #: Of the object, shape (T + 1, 3, 3).
+    loop_position: Annotated[Array, _instants]  #: Largest loop error, shape (T + 1,) [m].
+    loop_orientation: Annotated[Array, _instants]  #: The same [rad].
+    #: Euclidean norm of each task's error, to its reference, which may be on its way to the goal,
+    #: shape (T + 1, K) [the task's unit].
+    task_error: Annotated[Array, _task_errors]
+    #: The same to the goal, as if the reference were there from the start.
+    goal_error: Annotated[Array, _task_errors]
+    #: The rows of all tasks, such as "reach.z", R of them.
+    task_rows: Annotated[tuple[str, ...], _rows_of_tasks]
+    #: Each row's error, value minus reference, shape (T + 1, R) [the task's unit]; 0 for tasks that
+    #: ask for a velocity alone.
+    e: Annotated[Array, _task_errors]
+    #: How fast each row's reference moves, shape (T + 1, R) [unit/s].
+    rate: Annotated[Array, _task_errors]
+    usable: Annotated[NDArray[np.bool_], _ticks]  #: Whether the tick's answer was used, shape (T,).
+    #: Whether it was used although not optimal to the declared accuracy, shape (T,).
+    inaccurate: Annotated[NDArray[np.bool_], _ticks]
+    #: Of each tick, as :func:`coopqp.solver.written` writes it, shape (T,).
+    status: Annotated[tuple[str, ...], _chained]
+    #: Least share of its rate at which a hard or scaled task ran, else 1, shape (T,).
+    scale: Annotated[Array, _ticks]
+    #: Of every limit after each tick, by row, shape (T,); negative when violated.
+    margins: Annotated[dict[Row, Array], _margins]
+    starts: Annotated[dict[Row, float], _starts]  #: The same before the first tick, at rest.
+    #: Whether the kernel decided the tick; the plain law decides the others, shape (T,).
+    compiled: Annotated[NDArray[np.bool_], _ticks]
+    #: Time of each tick, shape (T,) [us]; NaN where many were done at once.
+    tick_us: Annotated[Array, _ticks]
+    #: Joint origins and hand of each arm for drawing, by arm, shape (T + 1, p, 3) [m].
+    points: Annotated[dict[str, Array], _points]
+    #: What of the problem the law reads, :attr:`coopqp.controller.Controller.supports`.
+    supports: Annotated[frozenset[str], _same]
+    failures: Annotated[tuple[Failure, ...], _failures]  #: Ticks that held still, and why.
+    #: Names of limits that do not say how far a run stayed away from them.
+    unaudited: Annotated[tuple[str, ...], _once] = ()
+    #: Names of tasks and limits of which Python filled rows for the kernel.
+    rows_in_python: Annotated[tuple[str, ...], _once] = ()
+    #: What that took of each tick, shape (T,) [us].
+    rows_us: Annotated[Array, _ticks] = field(default_factory=lambda: np.zeros(0))
+    #: The plant's signals after each tick, by name, shape (T, .): see the plant.
+    signals: Annotated[dict[str, Array], _signals] = field(default_factory=dict)
+    #: What arrived from outside, by name.
+    inputs: Annotated[dict[str, InputTrace], _inputs] = field(default_factory=dict)
+    #: One after the other; none where arms neither let go nor take hold.
+    phases: Annotated[tuple[PhaseInfo, ...], _phases] = ()
 
     def __repr__(self) -> str:
         end = f"{self.t[-1]:g} s" if len(self.t) else "nothing"
@@ -390,7 +364,7 @@ def join(phases: Phases) -> Trace:
     a loop is as open as it was before a hand took hold anew.
     """
     joined = {
-        of.name: of.metadata["join"]([getattr(part, of.name) for _, part in phases], phases)
-        for of in fields(Trace)
+        name: hint.__metadata__[0]([getattr(part, name) for _, part in phases], phases)
+        for name, hint in get_type_hints(Trace, include_extras=True).items()
     }
     return Trace(**joined)

@@ -13,6 +13,8 @@ Errors belong to the border, where things are read and built. Inside a tick noth
 what goes wrong there is a :class:`coopqp.solver.Status`.
 """
 
+from __future__ import annotations
+
 import difflib
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -76,6 +78,15 @@ class MissingDependencyError(CoopqpError, ImportError):
 
     def __init__(self, what: str, extra: str = "", *, words: str = "") -> None:
         super().__init__(f"{what} needs: " + (words or f"pip install 'coopqp[{extra}]'"))
+
+
+@contextmanager
+def needs(what: str, extra: str) -> Iterator[None]:
+    """Name the extra where a package is missing that is imported meanwhile."""
+    try:
+        yield
+    except ImportError:
+        raise MissingDependencyError(what, extra) from None
 
 
 class UnreadableFileError(CoopqpError):

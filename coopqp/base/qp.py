@@ -6,6 +6,8 @@ with the letters of qpsolvers. All constraints lie in one block, lower <= [I; C]
 C = [G; A], so that solvers with either convention read it without a copy.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -21,31 +23,19 @@ DEPENDENT = 1e-12  # singular value of rows that depend on each other, as a shar
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """One variable, equality, inequality or bound.
+    """One variable, equality, inequality or bound."""
 
-    Attributes:
-        name: for people, such as "limit.position[RElbowRoll].upper".
-        kind: what it belongs to.
-        owner: which one of the kind: an arm for a loop, a task's or a limit's name.
-        unit: of what it bounds or asks for, such as "rad" or "m/s".
-        joint: whose, where it belongs to one joint.
-        side: which, where there are two.
-        label: what a sentence calls it, such as "RElbowRoll (upper)"; the name when empty.
-        of_place: whether it bounds a place, so that its violation in a QP of velocities, times dt,
-            has the unit given.
-        bodies: the two whose distance it is; none for other rows.
-        kept: distance that is kept free between them [m]; rows that differ in it alone are equal.
-    """
-
-    name: str
-    kind: Kind
-    owner: str = ""
-    unit: str = ""
-    joint: str = ""
-    side: Side | None = None
-    label: str = ""
+    name: str  #: For people, such as "limit.position[RElbowRoll].upper".
+    kind: Kind  #: What it belongs to.
+    owner: str = ""  #: Which one of the kind: an arm for a loop, a task's or a limit's name.
+    unit: str = ""  #: Of what it bounds or asks for, such as "rad" or "m/s".
+    joint: str = ""  #: Whose, where it belongs to one joint.
+    side: Side | None = None  #: Which, where there are two.
+    label: str = ""  #: What a sentence calls it, such as "RElbowRoll (upper)"; or the name.
+    #: Whether it bounds a place: its violation in a QP of velocities, times dt, has the unit given.
     of_place: bool = False
-    bodies: tuple[str, ...] = ()
+    bodies: tuple[str, ...] = ()  #: The two whose distance it is; none for other rows.
+    #: Distance that is kept free between them [m]; rows that differ in it alone are equal.
     kept: float = field(default=0.0, compare=False)
 
     def __str__(self) -> str:

@@ -16,12 +16,12 @@ RANK_TOLERANCE = 1e-8
 _LEAST = 1e-300  # a matrix of zeros has rank zero, whatever the share
 
 
-def matrix_rank(matrix: Array) -> int:
+def matrix_rank(matrix: Array, tolerance: float = RANK_TOLERANCE) -> int:
     """How many rows of a matrix are independent."""
     if not matrix.size:
         return 0
     values = np.linalg.svd(matrix, compute_uv=False)
-    return int(np.count_nonzero(values > RANK_TOLERANCE * values[0]))
+    return int(np.count_nonzero(values > tolerance * values[0]))
 
 
 def null_space(matrix: Array) -> Array:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from coopqp.base.errors import InvalidValueError, MissingDependencyError
+from coopqp.base.errors import InvalidValueError, needs
 from coopqp.base.reading import read_bytes, read_text, version
 from coopqp.base.spec import Array
 
@@ -105,11 +105,9 @@ def _number(place: str, name: str, cell: str) -> float:
 
 
 def _parquet(path: Path) -> Table:
-    try:
+    with needs("a Parquet file", "recordings"):
         import pyarrow as arrow
         from pyarrow import parquet
-    except ImportError as error:
-        raise MissingDependencyError("a Parquet file", "recordings") from error
     content = read_bytes(path, MOST)
     try:
         read = parquet.read_table(arrow.BufferReader(content))

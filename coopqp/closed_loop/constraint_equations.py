@@ -169,15 +169,7 @@ def _rows_in_cut_frames(
     for i, joint in enumerate(cut, start=1):
         X_WC = data.oMi[model.getJointId(chain.joint_names[joint])]
         lever = X_WC.translation - data.oMf[chain.frames[i]].translation
-        to_cut = _shift(X_WC.rotation, lever)
+        to_cut = pin.SE3(X_WC.rotation, lever).toActionMatrixInverse()
         rows.append(to_cut @ (J_arms[i] - J_arms[0]))
         terms.append(to_cut @ (drift[i] - drift[0]))
     return np.vstack(rows), np.concatenate(terms), J_arms
-
-
-def _shift(R: Array, lever: Array) -> Array:
-    """Map (v; omega) at a point in world axes to another point in the axes of R, shape (6, 6)."""
-    shift = np.zeros((6, 6))
-    shift[:3, :3] = shift[3:, 3:] = R.T
-    shift[:3, 3:] = -R.T @ pin.skew(lever)
-    return shift

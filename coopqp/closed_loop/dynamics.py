@@ -14,8 +14,6 @@ matrix is inverted (with a massless link behind a passive joint A is singular, o
 and a singular actuation scheme is noticed by its condition.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -66,6 +64,15 @@ class InverseResult:
     # whether the scheme cannot produce every motion here; tau is then the least-squares solution
     singular: bool
     residual: float  # largest generalised force that tau does not produce [N m]
+
+
+@dataclass(frozen=True)
+class ObjectWrenches:
+    """Wrenches on the object: force [N] and torque [N m] at its origin, world axes."""
+
+    needed: Array  # by its motion and weight, shape (6,)
+    by_arm: Array  # of each hand, shape (N, 6); they sum to ``needed``
+    internal: Array  # the part that cancels between the hands, shape (N, 6); sums to zero
 
 
 class ClosedLoopDynamics:
@@ -279,15 +286,6 @@ class ClosedLoopDynamics:
     def potential_energy(self, q: Array) -> float:
         """Potential energy [J]."""
         return float(pin.computePotentialEnergy(self.model, self._data, q))
-
-
-@dataclass(frozen=True)
-class ObjectWrenches:
-    """Wrenches on the object: force [N] and torque [N m] at its origin, world axes."""
-
-    needed: Array  # by its motion and weight, shape (6,)
-    by_arm: Array  # of each hand, shape (N, 6); they sum to ``needed``
-    internal: Array  # the part that cancels between the hands, shape (N, 6); sums to zero
 
 
 def actuated_joints(chain: ClosedChain, names: Sequence[str] | None) -> NDArray[np.intp]:

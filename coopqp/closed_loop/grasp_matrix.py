@@ -38,12 +38,8 @@ SHARE_SUM = 1e-9
 
 def grasp_matrix(points: ArrayLike, origin: ArrayLike) -> Array:
     """G with w = G h, shape (6, 6 N), from the hands' points (N, 3) and the object's origin [m]."""
-    levers = np.asarray(points, float) - np.asarray(origin, float)
-    G = np.empty((6, 6 * len(levers)))
-    for i, lever in enumerate(levers):
-        G[:, 6 * i : 6 * i + 6] = np.eye(6)
-        G[3:, 6 * i : 6 * i + 3] = pin.skew(lever)
-    return G
+    levers, one = np.asarray(points, float) - np.asarray(origin, float), np.eye(3)
+    return np.hstack([np.zeros((6, 0)), *(pin.SE3(one, p).toDualActionMatrix() for p in levers)])
 
 
 def moved(wrench: Array, point: ArrayLike, to: ArrayLike) -> Array:

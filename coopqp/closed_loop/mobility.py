@@ -7,6 +7,8 @@ Generic poses are random configurations within the limits at which the object is
 that the loops are closed in each; the start can be less or more mobile than they are.
 """
 
+from __future__ import annotations
+
 import itertools
 import math
 from collections.abc import Sequence
@@ -33,78 +35,52 @@ WEAK = 0.02
 
 @dataclass(frozen=True)
 class Scheme:
-    """A choice of independent actuated joints.
-
-    ``condition`` of the block to be inverted is the median over generic poses, and ``admissible``
-    says whether it is regular at any of them; ``_start`` is of the start.
-    """
+    """A choice of independent actuated joints; ``_start`` is of the start."""
 
     joints: tuple[str, ...]
-    condition: float
+    condition: float  # of the block to be inverted, the median over generic poses
     condition_start: float
-    admissible: bool
+    admissible: bool  # whether it is regular at any of these
     admissible_start: bool
 
 
 @dataclass(frozen=True)
 class TaskMobility:
-    """A task's rows, and how many of them, ``rank``, can be chosen freely at the start.
-
-    ``weakest`` is their smallest singular value [m or rad for a unit of joint motion].
-    """
+    """A task's rows, and how far they can be chosen freely at the start."""
 
     name: str
     rows: int
-    rank: int
-    weakest: float
+    rank: int  # how many of them can
+    weakest: float  # their smallest singular value [m or rad for a unit of joint motion]
 
 
 @dataclass(frozen=True)
 class Mobility:
-    """The mobility report; see the module for the letters.
+    """The mobility report; see the module for the letters. ``_start`` is of the start."""
 
-    Attributes:
-        joints: names of the l joints, passive ones included.
-        passive: names of the passive joints.
-        rank, rank_start: of J_c at generic poses (the most common) and at the start.
-        ranks: every rank that occurred at the generic poses.
-        freedom, freedom_start: l - rank.
-        dropped: loop rows that follow from others.
-        object_freedom, object_freedom_start: independent object motions.
-        motor_freedom, motor_freedom_start: those that the actuated joints decide.
-        impossible: object motions that the grasp forbids at the start.
-        uncontrolled: object motions that no motor decides, at the start.
-        tasks: each task by itself.
-        tasks_rows, tasks_rank, tasks_weakest: of all tasks together.
-        schemes_total: number of choices of f among the actuated joints.
-        schemes: those that were tried, best first; all when ``schemes_complete``.
-        asked: the scheme that the user asked about.
-        hidden: the freedom that rounded values hide; None where they hide none.
-    """
-
-    joints: tuple[str, ...]
+    joints: tuple[str, ...]  # names of the l joints, passive ones included
     passive: tuple[str, ...]
-    rank: int
+    rank: int  # of J_c at generic poses, the most common
     rank_start: int
-    ranks: tuple[int, ...]
-    freedom: int
+    ranks: tuple[int, ...]  # every one that occurred at the generic poses
+    freedom: int  # l - rank
     freedom_start: int
-    dropped: tuple[str, ...]
-    object_freedom: int
+    dropped: tuple[str, ...]  # loop rows that follow from others
+    object_freedom: int  # independent object motions
     object_freedom_start: int
-    motor_freedom: int
+    motor_freedom: int  # those that the actuated joints decide
     motor_freedom_start: int
-    impossible: tuple[Screw, ...]
-    uncontrolled: tuple[Screw, ...]
-    tasks: tuple[TaskMobility, ...]
-    tasks_rows: int
+    impossible: tuple[Screw, ...]  # object motions that the grasp forbids at the start
+    uncontrolled: tuple[Screw, ...]  # object motions that no motor decides, at the start
+    tasks: tuple[TaskMobility, ...]  # each task by itself
+    tasks_rows: int  # tasks_rows, tasks_rank, tasks_weakest: of all tasks together
     tasks_rank: int
     tasks_weakest: float
-    schemes_total: int
-    schemes: tuple[Scheme, ...]
-    schemes_complete: bool
-    asked: Scheme | None
-    hidden: HiddenFreedom | None = None
+    schemes_total: int  # number of choices of f among the actuated joints
+    schemes: tuple[Scheme, ...]  # those that were tried, best first
+    schemes_complete: bool  # whether these are all
+    asked: Scheme | None  # that the user asked about
+    hidden: HiddenFreedom | None = None  # the freedom that rounded values hide, if they hide one
 
     @property
     def inadmissible(self) -> int:

@@ -23,8 +23,6 @@ v + a dt <= (upper - q)/brake_time. A velocity beyond a limit recovers with the 
 acceleration.
 """
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Annotated, ClassVar, Literal
 
@@ -65,6 +63,103 @@ from coopqp.torque_law.task_dynamics import (
 
 #: Ticks in which a motion may die out, or a joint brake, at the fastest.
 MIN_TICKS = 4
+
+
+@spec
+class TorqueQp(Controller):
+    """QP at torque level: dynamics and loops hard, motor, joint and acceleration limits hard."""
+
+    uses_solver: ClassVar[bool] = True
+    supports: ClassVar[Features] = frozenset({"limits", "modes", "priorities", "forces"})
+
+    integral: NonNegative = 0.3
+    """Weight of the integral over gain cubed; refused where it oscillates, from 0.8 on or less."""
+    damping: Positive = 1e-5
+    """Cost of squared accelerations that do not brake [s4/rad2]."""
+    damping_time: Positive = 0.05
+    """Motion that no task asks for dies out in this time [s]."""
+    effort: Positive = 1e-5
+    """Cost of squared motor torques [1/(N m)2]; decides how redundant motors share."""
+    grip: Positive = 1e-4
+    """Cost of squared internal wrenches that no task asks for, torques over 10 cm [1/N2]."""
+    split: Literal["virtual_inertia", "walker"] = "virtual_inertia"
+    """What counts as internal: virtual_inertia spares the hands torques, walker shares them too."""
+    shares: dict[str, NonNegative] | Literal["weights", "motors"] = "weights"
+    """Share of the load by arm, with sum 1; weights: as in the object's pose; motors: as they have
+    left."""
+    safety: Annotated[float, Field(ge=1.0, le=10.0)] = SAFETY
+    """Friction of hands that press is counted on over this."""
+    external_wrench: Literal["unknown", "observed", "measured"] = "unknown"
+    """Of the surroundings on the object: observed from joints and torques, by the generalised
+    momentum, or measured by sensors in the hands. Hands then bear it, and impedances feel it."""
+    observer_gain: Positive = 50.0
+    """One over the time in which a push is followed [1/s]; at most 1/dt."""
+    brake_time: Positive = 0.05
+    """A joint may move towards its stop at most at the distance over this time [s]."""
+    acceleration: Positive = 500.0
+    """Largest joint acceleration [rad/s2]."""
+
+    def __post_init__(self) -> None:
+        if self.external_wrench == "unknown" and self.observer_gain != TorqueQp.observer_gain:
+            raise ValueError(
+                f"observer_gain: found {self.observer_gain:g}, but nothing is observed; add "
+                "external_wrench: observed or measured, or leave it out"
+            )
+
+    @property
+    def commands_torques(self) -> bool:
+        return True
+
+    def build(self, problem: ControlProblem) -> Law:
+        """Refuse tasks that the motors cannot decide, gains and integrals that oscillate."""
+        name = self.name
+        for task in problem.tasks:
+            if task.mode == "scaled":
+                raise InvalidValueError(
+                    f"{name}: task '{task.name}' is scaled; accelerations are soft or hard"
+                )
+        require_motor_freedom(problem, name, free=True)
+        require_damped_models(problem, name)
+        require_forces(problem, self.safety, name)
+        knows = self.external_wrench != "unknown"
+        require_impedances(problem, TaskDynamics(problem), name, knows_wrench=knows)
+        self._require_times(problem.dt, name)
+        self._require_damped_integral(problem, name)
+        return TorqueQpLaw(problem, self)
+
+    def observer(
+        self, dynamics: ClosedLoopDynamics, dt: float
+    ) -> MomentumObserver | HandSensors | None:
+        """The estimator of the external wrench, for a control period [s]; None where unknown."""
+        if self.external_wrench == "unknown":
+            return None
+        if self.external_wrench == "measured":
+            return HandSensors(dynamics, gain=self.observer_gain, dt=dt)
+        try:
+            return MomentumObserver(dynamics, gain=self.observer_gain, dt=dt)
+        except InvalidValueError as error:
+            raise InvalidValueError(f"{self.name}: observer_{error}") from None
+
+    def _require_times(self, dt: float, name: str) -> None:
+        """What dies out or brakes within a tick or two overshoots, and passes the stop."""
+        for key in ("damping_time", "brake_time"):
+            found = getattr(self, key)
+            if found < MIN_TICKS * dt:
+                raise InvalidValueError(
+                    f"{name}.{key}: found {found:g} s, needs at least {MIN_TICKS} ticks, "
+                    f"{MIN_TICKS * dt:g} s"
+                )
+
+    def _require_damped_integral(self, problem: ControlProblem, name: str) -> None:
+        dt = problem.dt
+        for task in problem.tasks:
+            holds = partial(_integral_holds, task.gain, dt)
+            if not holds(self.integral):
+                raise InvalidValueError(
+                    f"{name}.integral: found {self.integral:g}, needs at most "
+                    f"{largest(holds, self.integral):g} at gain {task.gain:g} 1/s (task "
+                    f"{task.name}) and dt {1e3 * dt:g} ms; more oscillates, so lower it"
+                )
 
 
 class TorqueQpLaw(Law):
@@ -227,103 +322,6 @@ class TorqueQpLaw(Law):
         """Keep what the motors do until the next tick, for the observer."""
         if isinstance(self._estimator, MomentumObserver):
             state.memory["observer.tau"][:] = self.command.tau
-
-
-@spec
-class TorqueQp(Controller):
-    """QP at torque level: dynamics and loops hard, motor, joint and acceleration limits hard."""
-
-    uses_solver: ClassVar[bool] = True
-    supports: ClassVar[Features] = frozenset({"limits", "modes", "priorities", "forces"})
-
-    integral: NonNegative = 0.3
-    """Weight of the integral over gain cubed; refused where it oscillates, from 0.8 on or less."""
-    damping: Positive = 1e-5
-    """Cost of squared accelerations that do not brake [s4/rad2]."""
-    damping_time: Positive = 0.05
-    """Motion that no task asks for dies out in this time [s]."""
-    effort: Positive = 1e-5
-    """Cost of squared motor torques [1/(N m)2]; decides how redundant motors share."""
-    grip: Positive = 1e-4
-    """Cost of squared internal wrenches that no task asks for, torques over 10 cm [1/N2]."""
-    split: Literal["virtual_inertia", "walker"] = "virtual_inertia"
-    """What counts as internal: virtual_inertia spares the hands torques, walker shares them too."""
-    shares: dict[str, NonNegative] | Literal["weights", "motors"] = "weights"
-    """Share of the load by arm, with sum 1; weights: as in the object's pose; motors: as they have
-    left."""
-    safety: Annotated[float, Field(ge=1.0, le=10.0)] = SAFETY
-    """Friction of hands that press is counted on over this."""
-    external_wrench: Literal["unknown", "observed", "measured"] = "unknown"
-    """Of the surroundings on the object: observed from joints and torques, by the generalised
-    momentum, or measured by sensors in the hands. Hands then bear it, and impedances feel it."""
-    observer_gain: Positive = 50.0
-    """One over the time in which a push is followed [1/s]; at most 1/dt."""
-    brake_time: Positive = 0.05
-    """A joint may move towards its stop at most at the distance over this time [s]."""
-    acceleration: Positive = 500.0
-    """Largest joint acceleration [rad/s2]."""
-
-    def __post_init__(self) -> None:
-        if self.external_wrench == "unknown" and self.observer_gain != TorqueQp.observer_gain:
-            raise ValueError(
-                f"observer_gain: found {self.observer_gain:g}, but nothing is observed; add "
-                "external_wrench: observed or measured, or leave it out"
-            )
-
-    @property
-    def commands_torques(self) -> bool:
-        return True
-
-    def build(self, problem: ControlProblem) -> Law:
-        """Refuse tasks that the motors cannot decide, gains and integrals that oscillate."""
-        name = self.name
-        for task in problem.tasks:
-            if task.mode == "scaled":
-                raise InvalidValueError(
-                    f"{name}: task '{task.name}' is scaled; accelerations are soft or hard"
-                )
-        require_motor_freedom(problem, name, free=True)
-        require_damped_models(problem, name)
-        require_forces(problem, self.safety, name)
-        knows = self.external_wrench != "unknown"
-        require_impedances(problem, TaskDynamics(problem), name, knows_wrench=knows)
-        self._require_times(problem.dt, name)
-        self._require_damped_integral(problem, name)
-        return TorqueQpLaw(problem, self)
-
-    def observer(
-        self, dynamics: ClosedLoopDynamics, dt: float
-    ) -> MomentumObserver | HandSensors | None:
-        """The estimator of the external wrench, for a control period [s]; None where unknown."""
-        if self.external_wrench == "unknown":
-            return None
-        if self.external_wrench == "measured":
-            return HandSensors(dynamics, gain=self.observer_gain, dt=dt)
-        try:
-            return MomentumObserver(dynamics, gain=self.observer_gain, dt=dt)
-        except InvalidValueError as error:
-            raise InvalidValueError(f"{self.name}: observer_{error}") from None
-
-    def _require_times(self, dt: float, name: str) -> None:
-        """What dies out or brakes within a tick or two overshoots, and passes the stop."""
-        for key in ("damping_time", "brake_time"):
-            found = getattr(self, key)
-            if found < MIN_TICKS * dt:
-                raise InvalidValueError(
-                    f"{name}.{key}: found {found:g} s, needs at least {MIN_TICKS} ticks, "
-                    f"{MIN_TICKS * dt:g} s"
-                )
-
-    def _require_damped_integral(self, problem: ControlProblem, name: str) -> None:
-        dt = problem.dt
-        for task in problem.tasks:
-            holds = partial(_integral_holds, task.gain, dt)
-            if not holds(self.integral):
-                raise InvalidValueError(
-                    f"{name}.integral: found {self.integral:g}, needs at most "
-                    f"{largest(holds, self.integral):g} at gain {task.gain:g} 1/s (task "
-                    f"{task.name}) and dt {1e3 * dt:g} ms; more oscillates, so lower it"
-                )
 
 
 def _integral_holds(gain: float, dt: float, integral: float) -> bool:

@@ -9,8 +9,6 @@ too much at rest or too little in a push, which is what this baseline shows; see
 and Marcus 1991, Erhart and Hirche 2015, and the pseudoinverse as ``minimum_norm``.
 """
 
-from __future__ import annotations
-
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -28,6 +26,37 @@ from coopqp.torque_law.task_dynamics import TaskDynamics, require_motor_freedom
 
 #: Cost of joint accelerations that no task asks for.
 DAMPING = 1e-5
+
+
+@spec
+class WrenchSplit(Controller):
+    """Inverse dynamics with the load split by a formula and a fixed squeeze; knows no friction."""
+
+    supports: ClassVar[Features] = NO_FEATURES
+
+    split: Literal["walker", "virtual_inertia", "minimum_norm"] = "virtual_inertia"
+    """Which formula: shares of everything, virtual bodies, or the pseudoinverse."""
+    inertia: Positive = 1e-4
+    """Of a virtual body over its mass, for virtual_inertia [m2]."""
+    squeeze: NonNegative = 0.0
+    """Added along the line between two hands [N]."""
+    damping_time: Positive = 0.05
+    """Motion that no task asks for dies out in this time [s]."""
+
+    @property
+    def commands_torques(self) -> bool:
+        return True
+
+    def build(self, problem: ControlProblem) -> Law:
+        """Refuse tasks that motors cannot decide, oscillating gains, squeezes of three hands."""
+        name = self.name
+        require_motor_freedom(problem, name)
+        require_damped_models(problem, name)
+        if self.squeeze and problem.chain.holding != 2:
+            raise GraspError(
+                f"{name}.squeeze: is between two hands, and {problem.chain.holding} hold the object"
+            )
+        return WrenchSplitLaw(problem, self)
 
 
 class WrenchSplitLaw(Law):
@@ -97,34 +126,3 @@ class WrenchSplitLaw(Law):
     def hold_still(self, state: State) -> None:
         assert self.command.tau is not None
         self.command.tau[:] = self._level.holding(state, self._settings.damping_time)
-
-
-@spec
-class WrenchSplit(Controller):
-    """Inverse dynamics with the load split by a formula and a fixed squeeze; knows no friction."""
-
-    supports: ClassVar[Features] = NO_FEATURES
-
-    split: Literal["walker", "virtual_inertia", "minimum_norm"] = "virtual_inertia"
-    """Which formula: shares of everything, virtual bodies, or the pseudoinverse."""
-    inertia: Positive = 1e-4
-    """Of a virtual body over its mass, for virtual_inertia [m2]."""
-    squeeze: NonNegative = 0.0
-    """Added along the line between two hands [N]."""
-    damping_time: Positive = 0.05
-    """Motion that no task asks for dies out in this time [s]."""
-
-    @property
-    def commands_torques(self) -> bool:
-        return True
-
-    def build(self, problem: ControlProblem) -> Law:
-        """Refuse tasks that motors cannot decide, oscillating gains, squeezes of three hands."""
-        name = self.name
-        require_motor_freedom(problem, name)
-        require_damped_models(problem, name)
-        if self.squeeze and problem.chain.holding != 2:
-            raise GraspError(
-                f"{name}.squeeze: is between two hands, and {problem.chain.holding} hold the object"
-            )
-        return WrenchSplitLaw(problem, self)

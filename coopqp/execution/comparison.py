@@ -1,5 +1,7 @@
 """Run a scenario's controllers side by side, measure them and judge them."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -16,25 +18,15 @@ from coopqp.trace import Trace
 
 @dataclass(frozen=True)
 class Comparison:
-    """The outcome of one scenario under several controllers.
+    """The outcome of one scenario under several controllers."""
 
-    Attributes:
-        scenario: as run.
-        traces: by controller.
-        metrics: by controller, then by metric.
-        verdicts: one sentence each, by controller.
-        refused: why a controller could not be run, by controller.
-        faults: errors of metrics, one sentence each.
-        notes: what of the robot the limits do not bound, and its faults, one sentence each.
-    """
-
-    scenario: Scenario
-    traces: Mapping[str, Trace]
-    metrics: Mapping[str, Mapping[str, Any]]
-    verdicts: Mapping[str, str]
-    refused: Mapping[str, str] = field(default_factory=dict)
-    faults: Sequence[str] = ()
-    notes: Sequence[str] = ()
+    scenario: Scenario  #: As run.
+    traces: Mapping[str, Trace]  #: By controller.
+    metrics: Mapping[str, Mapping[str, Any]]  #: By controller, then by metric.
+    verdicts: Mapping[str, str]  #: One sentence each, by controller.
+    refused: Mapping[str, str] = field(default_factory=dict)  #: By controller: why not run.
+    faults: Sequence[str] = ()  #: Errors of metrics, one sentence each.
+    notes: Sequence[str] = ()  #: What limits do not bound of the robot, and its faults.
 
     def __str__(self) -> str:
         said = {**self.verdicts, **{name: f"left out: {why}" for name, why in self.refused.items()}}

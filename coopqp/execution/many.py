@@ -1,5 +1,7 @@
 """Many motions of one controller from many starts, on several threads, without Python between."""
 
+from __future__ import annotations
+
 import os
 from collections import deque
 from collections.abc import Sequence
@@ -23,21 +25,13 @@ CHUNK, AT_ONCE = 16, 200_000
 
 @dataclass(frozen=True)
 class Motions:
-    """M motions of T ticks each.
+    """M motions of T ticks each."""
 
-    Attributes:
-        q: joints before each tick and at the end, shape (M, T + 1, n) [rad, m].
-        v: commands, shape (M, T, n) [rad/s, m/s].
-        said: what each tick said, an index of ``causes``, shape (M, T).
-        causes: all that was said; the first is OPTIMAL alone.
-        compiled: whether the kernel decided the tick, shape (M, T).
-    """
-
-    q: Array
-    v: Array
-    said: NDArray[np.uint8]
-    causes: tuple[tuple[Status, ...], ...]
-    compiled: NDArray[np.bool_]
+    q: Array  #: Joints before each tick and at the end, shape (M, T + 1, n) [rad, m].
+    v: Array  #: Commands, shape (M, T, n) [rad/s, m/s].
+    said: NDArray[np.uint8]  #: What each tick said, an index of ``causes``, shape (M, T).
+    causes: tuple[tuple[Status, ...], ...]  #: All that was said; the first is OPTIMAL alone.
+    compiled: NDArray[np.bool_]  #: Whether the kernel decided the tick, shape (M, T).
 
     def share(self, status: Status) -> float:
         """Share of all ticks with a status."""

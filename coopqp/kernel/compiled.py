@@ -75,15 +75,13 @@ class Limits:
 
     @property
     def in_python(self) -> tuple[str, ...]:
-        rows = self.filled.rows if self.filled else ()
-        return tuple(dict.fromkeys(row.owner for row in rows))
+        return tuple(dict.fromkeys(x.owner for x in (self.filled.rows if self.filled else ())))
 
     def update(self, state: State) -> None:
         if self.filled is not None:
             self.filled.update(state)
         if self.q_measured is not None:
-            reading = state.reading
-            self.q_measured[:] = np.nan if reading is None else reading
+            self.q_measured[:] = np.nan if (reading := state.reading) is None else reading
 
 
 class Outcome(IntEnum):

@@ -219,8 +219,7 @@ class KernelLaw(Law):
         """Without the GIL, bit-equal to ticks; the plain law where the kernel has no answer."""
         done, ticks = 0, len(found.v)
         while done < ticks:
-            inputs = state.inputs
-            outside = inputs.stale or inputs.refused or state.q_measured is not None
+            outside = state.inputs.stale or state.inputs.refused or state.q_measured is not None
             if self._runs and not outside and self._alone(state):
                 rest = min(ticks - done, AT_ONCE)  # in between signals are heard
                 made = self._run(state, found, done, rest)

@@ -6,8 +6,6 @@ are bodies of one robot that touch by construction: those that do so in nearly a
 configurations, or, one carrying the other, where all joints are at zero.
 """
 
-from __future__ import annotations
-
 import bisect
 import fnmatch
 import itertools
@@ -40,6 +38,70 @@ SAMPLES, SHARE = 100, 0.95
 
 #: Reach of a joint without limits in them [rad or m].
 UNLIMITED = np.pi
+
+
+class _Tree:
+    """Which bodies follow which."""
+
+    def __init__(self, robot: RobotModel, model: pin.Model, bodies: Collection[Body]) -> None:
+        self._model, self._occupied = model, {body.joint for body in bodies}
+        ways = [robot.arm_joints(arm) for arm in robot.arms]
+        # What several arms share, such as a waist, belongs to none.
+        self._arm_of = {
+            joint: i
+            for i, way in enumerate(ways)
+            for joint in way
+            if sum(joint in other for other in ways) == 1
+        }
+
+        frames = list(model.frames)
+        self._root_ids = [i for i, f in enumerate(frames) if i and f.parentFrame == 0]
+        self._roots = [frames[i].name for i in self._root_ids]
+
+    def neighbours(self, a: Body, b: Body) -> bool:
+        if a.joint == b.joint:
+            return True
+        if not (a.link or b.link) and self._one_arm(a, b):
+            return True  # capsules are too coarse for an arm against itself
+        one, other = (a, b) if a.joint < b.joint else (b, a)
+        return self.before(other.joint) == one.joint and (
+            one.joint > 0 or self.root(one) in ("", self.root(other))
+        )
+
+    def carries(self, a: Body, b: Body) -> bool:
+        supports = self._model.supports
+        return a.joint in list(supports[b.joint]) or b.joint in list(supports[a.joint])
+
+    def before(self, joint: int) -> int:
+        """The nearest joint before it that carries bodies; 0 if none does."""
+        before = [j for j in self._model.supports[joint] if j != joint and j in self._occupied]
+        return max(before, default=0)
+
+    def root(self, body: Body) -> str:
+        """Name of the first link of the robot that it belongs to; empty for capsules."""
+        if not body.link:
+            return ""
+        # Of a robot the first frame alone follows the world's; pinocchio forgets the frame before
+        # a locked joint, but keeps a robot's frames together.
+        at = self._model.getFrameId(body.link)
+        return str(self._roots[bisect.bisect(self._root_ids, at) - 1])
+
+    def hands(self, chain: ClosedChain) -> set[int]:
+        """Joints whose bodies may touch the object: hands, what follows and what is before them.
+
+        Not of arms that neither hold it nor are about to.
+        """
+        model, found = self._model, set[int]()
+        for arm in (arm for arm in chain.robot.arms if arm.name not in chain.hold.away):
+            tip = model.frames[model.getFrameId(arm.tip)].parentJoint
+            found |= {j for j in range(model.njoints) if tip in model.supports[j]}
+            hand = tip if tip in self._occupied else self.before(tip)
+            found |= {hand, self.before(hand)} - {0}
+        return found
+
+    def _one_arm(self, a: Body, b: Body) -> bool:
+        arms = {self._arm_of.get(self._model.names[body.joint]) for body in (a, b)}
+        return len(arms) == 1 and None not in arms
 
 
 def robot_bodies(robot: RobotModel, model: pin.Model) -> tuple[list[Body], list[str]]:
@@ -180,67 +242,3 @@ def _configurations(model: pin.Model) -> Array:
     upper = np.where(np.isfinite(upper), upper, UNLIMITED)
     samples = np.random.default_rng(0).uniform(lower, upper, (SAMPLES, len(lower)))
     return np.vstack([zero, samples])
-
-
-class _Tree:
-    """Which bodies follow which."""
-
-    def __init__(self, robot: RobotModel, model: pin.Model, bodies: Collection[Body]) -> None:
-        self._model, self._occupied = model, {body.joint for body in bodies}
-        ways = [robot.arm_joints(arm) for arm in robot.arms]
-        # What several arms share, such as a waist, belongs to none.
-        self._arm_of = {
-            joint: i
-            for i, way in enumerate(ways)
-            for joint in way
-            if sum(joint in other for other in ways) == 1
-        }
-
-        frames = list(model.frames)
-        self._root_ids = [i for i, f in enumerate(frames) if i and f.parentFrame == 0]
-        self._roots = [frames[i].name for i in self._root_ids]
-
-    def neighbours(self, a: Body, b: Body) -> bool:
-        if a.joint == b.joint:
-            return True
-        if not (a.link or b.link) and self._one_arm(a, b):
-            return True  # capsules are too coarse for an arm against itself
-        one, other = (a, b) if a.joint < b.joint else (b, a)
-        return self.before(other.joint) == one.joint and (
-            one.joint > 0 or self.root(one) in ("", self.root(other))
-        )
-
-    def carries(self, a: Body, b: Body) -> bool:
-        supports = self._model.supports
-        return a.joint in list(supports[b.joint]) or b.joint in list(supports[a.joint])
-
-    def before(self, joint: int) -> int:
-        """The nearest joint before it that carries bodies; 0 if none does."""
-        before = [j for j in self._model.supports[joint] if j != joint and j in self._occupied]
-        return max(before, default=0)
-
-    def root(self, body: Body) -> str:
-        """Name of the first link of the robot that it belongs to; empty for capsules."""
-        if not body.link:
-            return ""
-        # Of a robot the first frame alone follows the world's; pinocchio forgets the frame before
-        # a locked joint, but keeps a robot's frames together.
-        at = self._model.getFrameId(body.link)
-        return str(self._roots[bisect.bisect(self._root_ids, at) - 1])
-
-    def hands(self, chain: ClosedChain) -> set[int]:
-        """Joints whose bodies may touch the object: hands, what follows and what is before them.
-
-        Not of arms that neither hold it nor are about to.
-        """
-        model, found = self._model, set[int]()
-        for arm in (arm for arm in chain.robot.arms if arm.name not in chain.hold.away):
-            tip = model.frames[model.getFrameId(arm.tip)].parentJoint
-            found |= {j for j in range(model.njoints) if tip in model.supports[j]}
-            hand = tip if tip in self._occupied else self.before(tip)
-            found |= {hand, self.before(hand)} - {0}
-        return found
-
-    def _one_arm(self, a: Body, b: Body) -> bool:
-        arms = {self._arm_of.get(self._model.names[body.joint]) for body in (a, b)}
-        return len(arms) == 1 and None not in arms

@@ -6,8 +6,6 @@ With d a distance, or that of a corner from a plane (:class:`Corners`), each row
 not go deeper and is not pushed apart.
 """
 
-from __future__ import annotations
-
 import math
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
@@ -170,7 +168,7 @@ class KeepApart(Limit):
         d = distances_along(chain, pairs, q[1:]) - self.distance
         return dict(zip(self._of_pairs(pairs), d.T, strict=True))
 
-    def relaxed(self, by: float) -> KeepApart | None:
+    def relaxed(self, by: float) -> Limit | None:
         """A smaller distance; None where bodies would have to sink into each other."""
         return replace(self, distance=self.distance - by) if by <= self.distance else None
 

@@ -9,8 +9,6 @@ A point that is deeper than a millimetre on the wrong side may not go farther, b
 back (:func:`coopqp.limit.damp`), so that one that cannot recover does not stop the robot.
 """
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 
@@ -106,7 +104,7 @@ class Workspace(Limit):
 
         return left
 
-    def relaxed(self, by: float) -> Workspace:
+    def relaxed(self, by: float) -> Limit:
         """The plane moved away from the side that is allowed."""
         x, y, z = (np.array(self.through) - by * unit(self.normal)).tolist()
         return replace(self, through=(x, y, z))

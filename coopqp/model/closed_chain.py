@@ -326,8 +326,7 @@ class ClosedChain:
     def _rank_where_closed(self) -> int:
         """On a walk with closed loops, lower in paradoxical linkages (Bennett's); 0 if none."""
         jacobians = map(self.loop_jacobian, self.closed_walk(WALK))
-        ranks = (int(np.linalg.matrix_rank(J, rtol=WALK_TOLERANCE)) for J in jacobians)
-        return max(ranks, default=0)
+        return max((matrix_rank(J, WALK_TOLERANCE) for J in jacobians), default=0)
 
     def closed_walk(self, steps: int) -> Iterator[Array]:
         """At most so many closed configurations, on a random walk from the start."""
@@ -394,9 +393,6 @@ def _generic_rows(chain: ClosedChain) -> LoopRows:
 
 def _mixing_matrix(alpha: Array) -> Array:
     """M with [J_tsk; J_rel] = M [J_0; J_1; ...], eq. (30)-(31), shape (6 N, 6 N)."""
-    arms = len(alpha)
-    blocks = np.zeros((arms, arms))
-    blocks[0] = alpha
-    for i in range(1, arms):
-        blocks[i, 0], blocks[i, i] = -1.0, 1.0
-    return np.kron(blocks, np.eye(6)).astype(float)
+    blocks = np.eye(len(alpha))
+    blocks[0], blocks[1:, 0] = alpha, -1.0
+    return np.asarray(np.kron(blocks, np.eye(6)))

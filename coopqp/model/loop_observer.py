@@ -77,6 +77,61 @@ class Observer:
     """How far the model's error may be from its first value [m]; in rotation 10 rad/m of that."""
 
 
+class WeightSag:
+    """The sag for one newton of weight.
+
+    Attributes:
+        compliance: 1/K by joint, shape (n,) [rad/(N m)].
+        torque: of the springs, shape (n,) [N m/N]. sag: u, shape (n,) [rad/N].
+        up: against gravity, (3,). at_origin: each hand's wrench for a load along x, y, z, (6 N, 3).
+        opened: by which the loops open for one newton, shape (6 L,) [m/N, rad/N].
+    """
+
+    def __init__(self, chain: ClosedChain, compliance: Array) -> None:
+        self.compliance, self.torque = compliance, np.zeros(chain.n)
+        self.sag, self.opened = np.zeros(chain.n), np.zeros(6 * (len(chain.arms) - 1))
+        self._squeeze = self._bent = np.zeros(chain.n)
+        self.up = -chain.model.gravity.linear
+        self.up = self.up / max(float(np.linalg.norm(self.up)), 1e-12)
+        com = pin.skew(np.array(chain.held.com))
+        self.at_origin = at_origin = np.zeros((6 * len(chain.arms), 3))
+        if places := [X.translation for X in chain.hand_poses()]:
+            at_origin[: 6 * len(places)] = _shares(places) @ np.vstack([np.eye(3), com])
+        # Of J_ext = M [J_0; J_1; ...], so that sum_i J_i' h_i = J_ext' M^-T h.
+        self._to_rows = np.linalg.solve(chain.mixing.T, at_origin)
+
+    def update(self, state: State, along: Array | None = None) -> None:
+        """Follow an up-to-date state, in which the hands may squeeze ``along`` a loop direction."""
+        R = state.R_WO
+        rows = self._to_rows.dot(self.up.dot(R)).reshape(-1, 3).dot(R.T)
+        rows.ravel().dot(state.J_ext, self.torque)
+        np.multiply(self.compliance, self.torque, self.sag)
+        np.negative(self.sag, self.sag)
+        if along is not None:
+            self._squeeze = along.dot(state.J_rel)
+            self._bent = self.compliance * self._squeeze
+            self._bent /= max(float(self._bent.dot(self._squeeze)), TINY)
+            self.straighten(self.sag)
+        state.J_rel.dot(self.sag, self.opened)
+
+    def straighten(self, sag: Array) -> None:
+        """Take out of a sag, shape (n,) [rad], what a squeeze along that direction does to it."""
+        sag -= self._squeeze.dot(sag) * self._bent
+
+    def load(self, state: State, sag: Array) -> float:
+        """The load that a sag, shape (n,) [rad], tells of, by least squares [N]; NaN in motion."""
+        if state.v.dot(state.v) > MOVES * MOVES:  # before anybody asks for Jacobians
+            return math.nan
+        twist, size = state.J_task.dot(state.v) * SPEEDS, -self.torque.dot(self.sag)
+        if not twist.dot(twist) < REST * REST or not size > TINY:
+            return math.nan
+        load = max(0.0, float(-self.torque.dot(sag) / size))
+        other = sag - load * self.sag
+        if np.abs(sag).max() > FARTHEST and other.dot(other) > (1.0 - SHAPED) * sag.dot(sag):
+            return math.nan
+        return load
+
+
 class LoopObserver:
     """Estimates ``State.gap``.
 
@@ -226,68 +281,11 @@ class LoopObserver:
         )
 
 
-class WeightSag:
-    """The sag for one newton of weight.
-
-    Attributes:
-        compliance: 1/K by joint, shape (n,) [rad/(N m)].
-        torque: of the springs, shape (n,) [N m/N]. sag: u, shape (n,) [rad/N].
-        up: against gravity, (3,). at_origin: each hand's wrench for a load along x, y, z, (6 N, 3).
-        opened: by which the loops open for one newton, shape (6 L,) [m/N, rad/N].
-    """
-
-    def __init__(self, chain: ClosedChain, compliance: Array) -> None:
-        self.compliance, self.torque = compliance, np.zeros(chain.n)
-        self.sag, self.opened = np.zeros(chain.n), np.zeros(6 * (len(chain.arms) - 1))
-        self._squeeze = self._bent = np.zeros(chain.n)
-        self.up = -chain.model.gravity.linear
-        self.up = self.up / max(float(np.linalg.norm(self.up)), 1e-12)
-        com = pin.skew(np.array(chain.held.com))
-        self.at_origin = at_origin = np.zeros((6 * len(chain.arms), 3))
-        if places := [X.translation for X in chain.hand_poses()]:
-            at_origin[: 6 * len(places)] = _shares(places) @ np.vstack([np.eye(3), com])
-        # Of J_ext = M [J_0; J_1; ...], so that sum_i J_i' h_i = J_ext' M^-T h.
-        self._to_rows = np.linalg.solve(chain.mixing.T, at_origin)
-
-    def update(self, state: State, along: Array | None = None) -> None:
-        """Follow an up-to-date state, in which the hands may squeeze ``along`` a loop direction."""
-        R = state.R_WO
-        rows = self._to_rows.dot(self.up.dot(R)).reshape(-1, 3).dot(R.T)
-        rows.ravel().dot(state.J_ext, self.torque)
-        np.multiply(self.compliance, self.torque, self.sag)
-        np.negative(self.sag, self.sag)
-        if along is not None:
-            self._squeeze = along.dot(state.J_rel)
-            self._bent = self.compliance * self._squeeze
-            self._bent /= max(float(self._bent.dot(self._squeeze)), TINY)
-            self.straighten(self.sag)
-        state.J_rel.dot(self.sag, self.opened)
-
-    def straighten(self, sag: Array) -> None:
-        """Take out of a sag, shape (n,) [rad], what a squeeze along that direction does to it."""
-        sag -= self._squeeze.dot(sag) * self._bent
-
-    def load(self, state: State, sag: Array) -> float:
-        """The load that a sag, shape (n,) [rad], tells of, by least squares [N]; NaN in motion."""
-        if state.v.dot(state.v) > MOVES * MOVES:  # before anybody asks for Jacobians
-            return math.nan
-        twist, size = state.J_task.dot(state.v) * SPEEDS, -self.torque.dot(self.sag)
-        if not twist.dot(twist) < REST * REST or not size > TINY:
-            return math.nan
-        load = max(0.0, float(-self.torque.dot(sag) / size))
-        other = sag - load * self.sag
-        if np.abs(sag).max() > FARTHEST and other.dot(other) > (1.0 - SHAPED) * sag.dot(sag):
-            return math.nan
-        return load
-
-
 def _shares(points: list[Array]) -> Array:
     """Each hand's wrench at the object's origin for one there, shape (6 N, 6), object axes."""
-    each, grips = [], np.diag([1.0, 1.0, 1.0, *[GRIP_SIZE**2] * 3])
-    for p in points:
-        G = np.eye(6)
-        G[3:, :3] = pin.skew(p)
-        each.append(G @ grips @ G.T)
+    grips, one = np.diag([1.0, 1.0, 1.0, *[GRIP_SIZE**2] * 3]), np.eye(3)
+    moved = [pin.SE3(one, p).toDualActionMatrix() for p in points]
+    each = [G @ grips @ G.T for G in moved]
     return np.asarray(np.vstack(each) @ np.linalg.inv(sum(each)), float)
 
 

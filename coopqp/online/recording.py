@@ -26,13 +26,12 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.base.errors import CoopqpError, InvalidValueError
+from coopqp.base.errors import CoopqpError, InvalidValueError, needs
 from coopqp.base.spec import Array
 from coopqp.controller import Command, Law
 from coopqp.model.state import State
 from coopqp.recordings.column import Layout, names, of_field
 from coopqp.recordings.parquet import SUFFIX, arrow_schema
-from coopqp.recordings.run import needs
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status, written
 
@@ -115,7 +114,7 @@ class LiveRecording:
         if not text:
             words = "a recording keeps its scenario's text, but this one was read from no file"
             raise InvalidValueError(f"{words}; use coopqp.load, or give source")
-        with needs("a recording of a live loop"):
+        with needs("a recording of a live loop", "recordings"):
             import pyarrow as pa
         self._pa: Any = pa
         self._schema = arrow_schema(held, controller, text, columns)

@@ -12,15 +12,13 @@ but a hand's contact and the object touch. Behind a fingertip the object turns b
 the passive joints that stand for that have no bodies here.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from coopqp.base.errors import InvalidValueError, MissingDependencyError
+from coopqp.base.errors import InvalidValueError, needs
 from coopqp.base.spec import Array, NonNegative, Positive, spec
 from coopqp.closed_loop.forces import OFF_FACE, overhang
 from coopqp.closed_loop.grasp_matrix import moved
@@ -32,6 +30,7 @@ from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.plant import Disturbance, Plant, PlantModel
 from coopqp.plants._dynamic import DynamicModel, Servo, ServoLaw
+from coopqp.robot import axis_of
 
 #: A link without mass gets this much, because MuJoCo moves no massless body [kg], [kg m2].
 LEAST_MASS, LEAST_INERTIA = 2e-3, 2e-6
@@ -77,6 +76,27 @@ class SpringHand:
                     f"of {time_step:g} s follow at most {limit:g}; make time_step shorter, or "
                     "leave spring_hands out for hands that hardly yield"
                 )
+
+
+@spec
+class Mujoco(Plant):
+    """The same in MuJoCo: a free object, welded to the hands or pressed (extra coopqp[mujoco])."""
+
+    time_step: Positive = 0.0005
+    """Integration step; must divide the control period [s]."""
+    stiffness_time: Positive = 0.002
+    """Time constant of the welds [s]; at least two time steps."""
+    contact_time: Positive = 0.005
+    """Time constant of contacts [s]; at least two time steps."""
+    servo: Servo = Servo()
+    """How the joints follow velocity commands."""
+    end_stops: bool = True
+    """Whether joints stop at their position limits, as stiff as the welds."""
+    spring_hands: SpringHand | None = None
+    """What yields between each arm and the object; nothing but the welds if omitted."""
+
+    def build(self, problem: ControlProblem, seed: int, disturbance: Disturbance) -> PlantModel:
+        return MujocoModel(problem, self, seed, disturbance)
 
 
 def mjcf(chain: ClosedChain, time_step: float, settings: Mujoco, disturbance: Disturbance) -> str:
@@ -213,11 +233,10 @@ def _stops(chain: ClosedChain, weld: str) -> dict[str, str]:
 
 def _axis(model: pin.Model, joint: int) -> tuple[str, Array]:
     """MuJoCo's joint type and axis of a joint with one coordinate."""
-    data = model.createData()
-    pin.computeJointJacobians(model, data, pin.neutral(model))
-    column = pin.getJointJacobian(model, data, joint, pin.LOCAL)[:, model.idx_vs[joint]]
-    turning = np.linalg.norm(column[3:]) > 0.5
-    return ("hinge", column[3:]) if turning else ("slide", column[:3])
+    axis = axis_of(model.joints[joint])
+    assert axis is not None  # robots have no others
+    turning = np.linalg.norm(axis[3:]) > 0.5
+    return ("hinge", axis[3:]) if turning else ("slide", axis[:3])
 
 
 def _inertial(body: pin.Inertia) -> str:
@@ -265,10 +284,8 @@ class MujocoModel(DynamicModel):
     ) -> None:
         servo = ServoLaw(problem.chain, settings.servo)
         super().__init__(problem, servo, settings.time_step, seed, disturbance)
-        try:
+        with needs("plant 'mujoco'", "mujoco"):
             import mujoco
-        except ImportError:
-            raise MissingDependencyError("plant 'mujoco'", "mujoco") from None
         self._mujoco: Any = mujoco
         self._settings = settings
         if settings.spring_hands:
@@ -473,24 +490,3 @@ def angles_xyz(R: Array) -> Array:
     """The angles of successive turns about x, y and z, R = Rx Ry Rz, shape (3,) [rad]."""
     middle = np.arcsin(np.clip(R[0, 2], -1.0, 1.0))
     return np.array([np.arctan2(-R[1, 2], R[2, 2]), middle, np.arctan2(-R[0, 1], R[0, 0])])
-
-
-@spec
-class Mujoco(Plant):
-    """The same in MuJoCo: a free object, welded to the hands or pressed (extra coopqp[mujoco])."""
-
-    time_step: Positive = 0.0005
-    """Integration step; must divide the control period [s]."""
-    stiffness_time: Positive = 0.002
-    """Time constant of the welds [s]; at least two time steps."""
-    contact_time: Positive = 0.005
-    """Time constant of contacts [s]; at least two time steps."""
-    servo: Servo = Servo()
-    """How the joints follow velocity commands."""
-    end_stops: bool = True
-    """Whether joints stop at their position limits, as stiff as the welds."""
-    spring_hands: SpringHand | None = None
-    """What yields between each arm and the object; nothing but the welds if omitted."""
-
-    def build(self, problem: ControlProblem, seed: int, disturbance: Disturbance) -> PlantModel:
-        return MujocoModel(problem, self, seed, disturbance)

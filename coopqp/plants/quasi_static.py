@@ -12,8 +12,6 @@ stable at every period, and a tick costs some 0.3 ms. With e the loop error, S =
 the compliance of two grips, a pair of arms at rest has the internal force (e - s) / (S + C).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import ClassVar
 
@@ -38,6 +36,36 @@ STUCK = 1e-9
 ITERATIONS, AGREED = 30, 1e-6
 #: A hand that has slipped by more than this has lost the object [m].
 LOST = 0.05
+
+
+@spec
+class QuasiStatic(Plant):
+    """Servos as springs that sag, grips that yield, creep or slip: statics, fast at any period."""
+
+    takes_torques: ClassVar[bool] = False
+    feels: ClassVar[tuple[str, ...]] = ("object_mass", "push", "noise_position", "delay")
+
+    stiffness: Positive | Mapping[str, Positive] | None = None
+    """Of the servos, one for all or by joint [N m/rad]; full torque at 0.05 rad if omitted."""
+    lag: NonNegative = 0.03
+    """Time after which a joint has done 63 % of a step [s]."""
+    integral_time: Positive | None = None
+    """In which an integral part of the servos removes the sag [s]; none if omitted."""
+    joint_friction: NonNegative = 0.0
+    """Coulomb friction of every motor's joint [N m]."""
+    arms_compensated: NonNegative = 1.0
+    """Share of the arms' own weight in the servos' feed-forward."""
+    object_compensated: NonNegative = 1.0
+    """Share of the object's modelled weight there, split by the arms' weights in the pose."""
+    grip: Positive = 1e6
+    """Stiffness of each hand's grip [N/m], and (0.03 m)^2 of it about axes [N m/rad]."""
+    creep: Positive | None = None
+    """Force over speed with which a grip creeps [N s/m], and (0.03 m)^2 of it; none if omitted."""
+    slip_force: Positive | None = None
+    """Force beyond which a hand slips along the object [N]; none if omitted."""
+
+    def build(self, problem: ControlProblem, seed: int, disturbance: Disturbance) -> PlantModel:
+        return QuasiStaticModel(problem, self, seed, disturbance)
 
 
 class SpringServo(ServoLaw):
@@ -228,33 +256,3 @@ class QuasiStaticModel(DynamicModel):
         wrenches = np.ravel([a * moved(carried, origin, p) for a, p in at])
         torque = (settings.arms_compensated - 1.0) * own + J.T @ wrenches
         return np.where(self._moves, torque, 0.0)
-
-
-@spec
-class QuasiStatic(Plant):
-    """Servos as springs that sag, grips that yield, creep or slip: statics, fast at any period."""
-
-    takes_torques: ClassVar[bool] = False
-    feels: ClassVar[tuple[str, ...]] = ("object_mass", "push", "noise_position", "delay")
-
-    stiffness: Positive | Mapping[str, Positive] | None = None
-    """Of the servos, one for all or by joint [N m/rad]; full torque at 0.05 rad if omitted."""
-    lag: NonNegative = 0.03
-    """Time after which a joint has done 63 % of a step [s]."""
-    integral_time: Positive | None = None
-    """In which an integral part of the servos removes the sag [s]; none if omitted."""
-    joint_friction: NonNegative = 0.0
-    """Coulomb friction of every motor's joint [N m]."""
-    arms_compensated: NonNegative = 1.0
-    """Share of the arms' own weight in the servos' feed-forward."""
-    object_compensated: NonNegative = 1.0
-    """Share of the object's modelled weight there, split by the arms' weights in the pose."""
-    grip: Positive = 1e6
-    """Stiffness of each hand's grip [N/m], and (0.03 m)^2 of it about axes [N m/rad]."""
-    creep: Positive | None = None
-    """Force over speed with which a grip creeps [N s/m], and (0.03 m)^2 of it; none if omitted."""
-    slip_force: Positive | None = None
-    """Force beyond which a hand slips along the object [N]; none if omitted."""
-
-    def build(self, problem: ControlProblem, seed: int, disturbance: Disturbance) -> PlantModel:
-        return QuasiStaticModel(problem, self, seed, disturbance)

@@ -4,8 +4,6 @@ Integrates the direct dynamic model with the classical Runge-Kutta method at a s
 the control period, and projects q and v back on the closed loops after every step.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from coopqp.base.spec import Array, Positive, spec
@@ -31,6 +29,23 @@ SLIP_STEPS = 3
 STOP_ANGLE = 0.005
 #: Largest natural frequency of a stop times the integration step; Runge-Kutta diverges above 1.4.
 STABLE = 0.5
+
+
+@spec
+class RigidBody(Plant):
+    """Rigid bodies with joint servos and torque limits, integrated with the loops closed."""
+
+    time_step: Positive = 0.001
+    """Integration step; must divide the control period [s]."""
+    servo: Servo = Servo()
+    """How the joints follow velocity commands."""
+    friction: Friction = Friction()
+    """In every joint."""
+    end_stops: bool = True
+    """Whether joints stop at their position limits: full torque presses them in by 5 mrad."""
+
+    def build(self, problem: ControlProblem, seed: int, disturbance: Disturbance) -> PlantModel:
+        return RigidBodyModel(problem, self, seed, disturbance)
 
 
 class RigidBodyModel(DynamicModel):
@@ -194,20 +209,3 @@ class EndStops:
         push = np.where(below > 0.0, np.maximum(self._k * below - self._d * v, 0.0), 0.0)
         push -= np.where(above > 0.0, np.maximum(self._k * above + self._d * v, 0.0), 0.0)
         return push
-
-
-@spec
-class RigidBody(Plant):
-    """Rigid bodies with joint servos and torque limits, integrated with the loops closed."""
-
-    time_step: Positive = 0.001
-    """Integration step; must divide the control period [s]."""
-    servo: Servo = Servo()
-    """How the joints follow velocity commands."""
-    friction: Friction = Friction()
-    """In every joint."""
-    end_stops: bool = True
-    """Whether joints stop at their position limits: full torque presses them in by 5 mrad."""
-
-    def build(self, problem: ControlProblem, seed: int, disturbance: Disturbance) -> PlantModel:
-        return RigidBodyModel(problem, self, seed, disturbance)

@@ -29,6 +29,7 @@ from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.limit import states_along
 from coopqp.model.state import State
+from coopqp.program import sees_twist
 from coopqp.qp_law.equations import MOST_DAMPING, held_pull
 from coopqp.qp_law.level import Given, Step
 from coopqp.solver import Status
@@ -76,7 +77,9 @@ class Order:
         if any(task.joint_space and task.all_joints for task in tasks):
             return True
         chain = self.start.chain
-        if len(chain.loops.solver_rows) + sum(len(task.rows(chain)) for task in tasks) < chain.n:
+        rows = [(len(task.rows(chain)), sees_twist(self.programs.of(task))) for task in tasks]
+        twist = min(6, sum(k for k, sees in rows if sees))  # the object's has six numbers
+        if len(chain.loops.solver_rows) + twist + sum(k for k, sees in rows if not sees) < chain.n:
             return False
         stack = TaskStack(tasks, self.start)
         anywhere = states_along(chain, chain.sample(np.random.default_rng(0), SAMPLES))

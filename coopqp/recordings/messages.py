@@ -23,12 +23,12 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp import __version__
-from coopqp.base.errors import CoopqpError
+from coopqp.base.errors import CoopqpError, needs
 from coopqp.base.reading import open_bytes
 from coopqp.base.spec import Array
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.recordings import column
-from coopqp.recordings.run import ExportFormat, Run, needs, read_rows, readable
+from coopqp.recordings.run import ExportFormat, Run, read_rows, readable
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.loader import load_text
 from coopqp.scenario.scenario import Scenario
@@ -233,7 +233,7 @@ class Mcap(ExportFormat):
 
     def write(self, run: Run, scenario: Scenario, path: Path) -> None:
         # foxglove's own writer prints what goes wrong, and goes on; this one raises.
-        with needs("MCAP"):
+        with needs("MCAP", "recordings"):
             from foxglove import messages
             from mcap.writer import Writer
         with open(path, "wb") as stream:
@@ -263,7 +263,7 @@ class Mcap(ExportFormat):
 
 @contextmanager
 def _reader(path: Path) -> Iterator[Any]:
-    with needs("MCAP"):
+    with needs("MCAP", "recordings"):
         from mcap.reader import make_reader
     with open_bytes(path) as stream, readable(path):
         yield make_reader(stream)
@@ -366,7 +366,7 @@ class Rosbag2(ExportFormat):
         return path.suffix == self.suffix or (path / "metadata.yaml").is_file()
 
     def write(self, run: Run, scenario: Scenario, path: Path) -> None:
-        with needs("rosbag2"):
+        with needs("rosbag2", "recordings"):
             from rosbags.rosbag2 import Writer
         try:
             with Writer(path, version=VERSION) as writer:
@@ -398,7 +398,7 @@ def _types() -> Any:
 
 
 def _strings(path: Path, topic: str) -> Iterator[str]:
-    with needs("rosbag2"):
+    with needs("rosbag2", "recordings"):
         from rosbags.rosbag2 import Reader
     types = _types()
     with readable(path), Reader(path) as reader:

@@ -23,11 +23,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coopqp import __version__
-from coopqp.base.errors import CoopqpError
+from coopqp.base.errors import CoopqpError, needs
 from coopqp.base.reading import open_bytes
 from coopqp.base.spec import Array
 from coopqp.recordings import column
-from coopqp.recordings.run import ExportFormat, Format, Run, needs, readable, run_of
+from coopqp.recordings.run import ExportFormat, Format, Run, readable, run_of
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.loader import load_text
 from coopqp.scenario.scenario import Scenario
@@ -46,7 +46,7 @@ class Parquet(ExportFormat):
     suffix: ClassVar[str] = ".parquet"
 
     def write(self, run: Run, scenario: Scenario, path: Path) -> None:
-        with needs("Parquet"):
+        with needs("Parquet", "recordings"):
             import pyarrow as pa
             from pyarrow import parquet as pq
         schema = arrow_schema(scenario, run.controllers[0], scenario.portable, run.columns)
@@ -70,7 +70,7 @@ class Parquet(ExportFormat):
 @contextmanager
 def parquet_file(path: Path) -> Iterator[Any]:
     """As pyarrow opens it; errors as :meth:`Format.read`."""
-    with needs("Parquet"):
+    with needs("Parquet", "recordings"):
         from pyarrow import parquet as pq
     with open_bytes(path) as stream, readable(path):
         yield pq.ParquetFile(stream)
@@ -125,7 +125,7 @@ def _run(path: Path, table: Any) -> Run:
 
 
 def _opened(path: Path, stream: Any) -> Any:
-    with needs("a recording of a live loop"):
+    with needs("a recording of a live loop", "recordings"):
         import pyarrow as pa
     if not stream.read(1):
         raise CoopqpError(f"{path}: is empty: its writer was killed before the first tick")
@@ -180,7 +180,7 @@ class Lerobot(ExportFormat):
         return path.suffix == self.suffix or (path / RUN).is_file()
 
     def write(self, run: Run, scenario: Scenario, path: Path) -> None:
-        with needs("LeRobot's datasets"):
+        with needs("LeRobot's datasets", "recordings"):
             import pyarrow as pa
             from pyarrow import parquet as pq
         for folder in (path / "data", path / "meta" / "episodes"):

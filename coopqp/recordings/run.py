@@ -21,13 +21,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from coopqp.base.errors import (
-    CoopqpError,
-    InvalidValueError,
-    MissingDependencyError,
-    UnknownNameError,
-    one_line,
-)
+from coopqp.base.errors import CoopqpError, InvalidValueError, UnknownNameError, one_line
 from coopqp.base.spec import Array
 from coopqp.recordings import column
 from coopqp.scenario.catalog import Catalog
@@ -245,15 +239,6 @@ class ExportFormat(Format):
             raise CoopqpError(f"cannot write '{path}': {error.strerror or error}") from error
         finally:
             shutil.rmtree(aside, ignore_errors=True)
-
-
-@contextmanager
-def needs(what: str) -> Iterator[None]:
-    """Name the extra where a package is missing."""
-    try:
-        yield
-    except ImportError:
-        raise MissingDependencyError(what, "recordings") from None
 
 
 @contextmanager

@@ -72,15 +72,14 @@ def sentences(result: Calibration, *, encoders: bool) -> Iterator[str]:
 
 def as_json(result: Calibration) -> dict[str, Any]:
     """All numbers; those that the motion does not show are null."""
+    same = ("before", "after", "noise", "predicted", "explains", "hidden", "ticks")
     return {
-        "offsets": [dataclasses.asdict(offset) for offset in result.offsets],
+        "offsets": result.offsets,
         "object_in_hand": {
             arm: _pose(_object_in_hand(result, arm)) for arm in result.chain.hold.holders
         },
         "start": dict(zip(result.chain.joint_names, result.chain.q_start.tolist(), strict=True)),
-        **{key: getattr(result, key).tolist() for key in ("before", "after", "noise")},
-        "predicted": None if result.predicted is None else result.predicted.tolist(),
-        **{key: getattr(result, key) for key in ("explains", "hidden", "ticks")},
+        **{key: getattr(result, key) for key in same},
     }
 
 

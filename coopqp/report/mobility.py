@@ -120,8 +120,8 @@ def as_json(result: Study) -> dict[str, Any]:
         "forces": _forces_json(result.forces),
         "inadmissible": m.inadmissible,
         "inadmissible_start": m.inadmissible_start,
-        "lost_at_start": [list(s.joints) for s in m.lost_at_start],
-        "manipulability": {"t": result.t.tolist(), "value": result.manipulability.tolist()},
+        "lost_at_start": [s.joints for s in m.lost_at_start],
+        "manipulability": {"t": result.t, "value": result.manipulability},
     }
     written: dict[str, Any] = finite(data)
     return written
@@ -134,7 +134,7 @@ def _forces_json(internal: Forces | None) -> dict[str, Any] | None:
     ranks = internal.transmission
     return {
         "dimensions": ranks.dimensions,
-        "all": asdict(ranks.all),
+        "all": ranks.all,
         "arms": {
             arm.arm: asdict(arm.counts) | {"borne": [*map(force_words, arm.borne)]}
             for arm in ranks.arms

@@ -1,8 +1,9 @@
 """JSON that every reader takes: null for NaN and infinities, for which it has no word."""
 
 import json
-import math
 from typing import Any
+
+from pydantic_core import to_jsonable_python
 
 
 def text(value: Any) -> str:
@@ -11,11 +12,5 @@ def text(value: Any) -> str:
 
 
 def finite(value: Any) -> Any:
-    """The same, with None for NaN and infinities."""
-    if isinstance(value, dict):
-        return {key: finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [finite(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+    """As mappings and lists, arrays and dataclasses too, with None for NaN and infinities."""
+    return to_jsonable_python(value, inf_nan_mode="null", fallback=lambda array: array.tolist())

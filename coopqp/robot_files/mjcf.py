@@ -17,7 +17,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from coopqp.base.errors import InvalidValueError, MissingDependencyError
+from coopqp.base.errors import InvalidValueError, needs
 from coopqp.base.reading import absolute
 from coopqp.base.spec import FARTHEST
 from coopqp.robot_files.mjcf_model import Geoms, Named, floating, followers, pinocchio_model, row_of
@@ -108,10 +108,8 @@ def read_mjcf(path: Path) -> Description:
 
 
 def _mujoco() -> ModuleType:
-    try:
+    with needs("a robot from an MJCF file", "mujoco"):
         import mujoco
-    except ImportError:
-        raise MissingDependencyError("a robot from an MJCF file", "mujoco") from None
     found: ModuleType = mujoco
     return found
 

@@ -1,7 +1,5 @@
 """The node, with rclpy: topics around a bridge, and the loop."""
 
-from __future__ import annotations
-
 import importlib
 import threading
 import time
@@ -35,6 +33,93 @@ TRAJECTORY, TRANSFORMS = "trajectory_msgs/msg/JointTrajectory", "tf2_msgs/msg/TF
 FAREWELL = 1.0  # for the last messages to be received [s]
 WAITING = 0.1  # between checks for the first joint states [s]
 SLOWEST = 0.2  # of the machine's time that a period of simulated time may take [s]
+
+
+class Topics:
+    """The node's publishers and subscriptions; ``simulated`` if its time is that of /clock."""
+
+    def __init__(self, node: Any, settings: RosSettings, joints: Joints, dt: float) -> None:
+        self._node, self._settings, self._joints, self._dt = node, settings, joints, dt
+        self.simulated = bool(node.get_parameter("use_sim_time").value)
+        trajectories = settings.command == "trajectory"
+        kind, topic = (TRAJECTORY, "joint_trajectory") if trajectories else (NUMBERS, "commands")
+        self._commands = {
+            name: node.create_publisher(_type(kind), f"/{name}/{topic}", 1)
+            for name in settings.controllers
+        }
+        self._diagnostics = node.create_publisher(_type(DIAGNOSTICS), "/diagnostics", 10)
+        self._grippers: dict[str, Any] = {}
+        places = settings.object_frame
+        self._tf = node.create_publisher(_type(TRANSFORMS), "/tf", 10) if places else None
+
+    def subscribe(self, kind: str, topic: str, take: Any) -> None:
+        """Subscribe, with the QoS of sensors: lost messages are not sent again.
+
+        CoopqpError: no topic can be called so.
+        """
+        from rclpy.qos import qos_profile_sensor_data
+
+        try:
+            self._node.create_subscription(_type(kind), topic, take, qos_profile_sensor_data)
+        except Exception as error:  # noqa: BLE001 - each of rclpy's layers has its own
+            words = " ".join(str(error).split())
+            raise CoopqpError(f"topic '{topic}': {words}") from None
+
+    def now(self) -> int:
+        """By the clock of stamps [ns]."""
+        return int(self._node.get_clock().now().nanoseconds)
+
+    def seconds(self) -> float:
+        """The same in seconds."""
+        return 1e-9 * self.now()
+
+    def command(self, controller: str, q: list[float], v: list[float]) -> None:
+        """Send positions at the end of the period [rad, m], or velocities until then."""
+        if self._settings.command == "trajectory":
+            # A header without a stamp: the point is to be reached a period after it has come.
+            point = _type(POINT)(positions=q, velocities=v)
+            after = point.time_from_start
+            after.sec, after.nanosec = divmod(round(self._dt * NS), NS)
+            names = self._joints.orders[controller]
+            message = _type(TRAJECTORY)(joint_names=names, points=[point])
+        else:
+            message = _type(NUMBERS)(data=v if self._settings.command == "velocity" else q)
+        self._commands[controller].publish(message)
+
+    def grip(self, arm: str, closed: bool) -> None:
+        """Send whether a gripper shall be closed, on a topic that keeps its last message."""
+        from rclpy.qos import DurabilityPolicy, QoSProfile
+
+        if arm not in self._grippers:
+            kept = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+            topic = f"~/grippers/{ros_name(arm)}"
+            self._grippers[arm] = self._node.create_publisher(_type(CLOSED), topic, kept)
+        self._grippers[arm].publish(_type(CLOSED)(data=closed))
+
+    def place(self, position: list[float], quaternion: list[float]) -> None:
+        """Send the object's position in the world [m] and its orientation (x, y, z, w)."""
+        transform = _type("geometry_msgs/msg/TransformStamped")()
+        transform.header.stamp = self._node.get_clock().now().to_msg()
+        transform.header.frame_id = self._settings.frame
+        transform.child_frame_id = self._settings.object_frame
+        for axis, x in zip("xyz", position, strict=True):
+            setattr(transform.transform.translation, axis, x)
+        for axis, x in zip("xyzw", quaternion, strict=True):
+            setattr(transform.transform.rotation, axis, x)
+        assert self._tf is not None  # the bridge asks for it where there is a frame
+        self._tf.publish(_type(TRANSFORMS)(transforms=[transform]))
+
+    def diagnose(self, remarks: Sequence[Remark]) -> None:
+        array = _type(DIAGNOSTICS)(status=[_status(remark) for remark in remarks])
+        array.header.stamp = self._node.get_clock().now().to_msg()
+        self._diagnostics.publish(array)
+
+    def wait(self) -> None:
+        """Wait until what was published has been received, but not long."""
+        from rclpy.duration import Duration
+
+        for publisher in (*self._commands.values(), self._diagnostics):
+            publisher.wait_for_all_acked(Duration(seconds=FAREWELL))
 
 
 def run_node(scenario: Scenario, arguments: Sequence[str] = ()) -> Ended:
@@ -162,93 +247,6 @@ def _type(name: str) -> Any:
     """The class of a message, by its name in ROS."""
     package, _, kind = name.split("/")
     return getattr(importlib.import_module(f"{package}.msg"), kind)
-
-
-class Topics:
-    """The node's publishers and subscriptions; ``simulated`` if its time is that of /clock."""
-
-    def __init__(self, node: Any, settings: RosSettings, joints: Joints, dt: float) -> None:
-        self._node, self._settings, self._joints, self._dt = node, settings, joints, dt
-        self.simulated = bool(node.get_parameter("use_sim_time").value)
-        trajectories = settings.command == "trajectory"
-        kind, topic = (TRAJECTORY, "joint_trajectory") if trajectories else (NUMBERS, "commands")
-        self._commands = {
-            name: node.create_publisher(_type(kind), f"/{name}/{topic}", 1)
-            for name in settings.controllers
-        }
-        self._diagnostics = node.create_publisher(_type(DIAGNOSTICS), "/diagnostics", 10)
-        self._grippers: dict[str, Any] = {}
-        places = settings.object_frame
-        self._tf = node.create_publisher(_type(TRANSFORMS), "/tf", 10) if places else None
-
-    def subscribe(self, kind: str, topic: str, take: Any) -> None:
-        """Subscribe, with the QoS of sensors: lost messages are not sent again.
-
-        CoopqpError: no topic can be called so.
-        """
-        from rclpy.qos import qos_profile_sensor_data
-
-        try:
-            self._node.create_subscription(_type(kind), topic, take, qos_profile_sensor_data)
-        except Exception as error:  # noqa: BLE001 - each of rclpy's layers has its own
-            words = " ".join(str(error).split())
-            raise CoopqpError(f"topic '{topic}': {words}") from None
-
-    def now(self) -> int:
-        """By the clock of stamps [ns]."""
-        return int(self._node.get_clock().now().nanoseconds)
-
-    def seconds(self) -> float:
-        """The same in seconds."""
-        return 1e-9 * self.now()
-
-    def command(self, controller: str, q: list[float], v: list[float]) -> None:
-        """Send positions at the end of the period [rad, m], or velocities until then."""
-        if self._settings.command == "trajectory":
-            # A header without a stamp: the point is to be reached a period after it has come.
-            point = _type(POINT)(positions=q, velocities=v)
-            after = point.time_from_start
-            after.sec, after.nanosec = divmod(round(self._dt * NS), NS)
-            names = self._joints.orders[controller]
-            message = _type(TRAJECTORY)(joint_names=names, points=[point])
-        else:
-            message = _type(NUMBERS)(data=v if self._settings.command == "velocity" else q)
-        self._commands[controller].publish(message)
-
-    def grip(self, arm: str, closed: bool) -> None:
-        """Send whether a gripper shall be closed, on a topic that keeps its last message."""
-        from rclpy.qos import DurabilityPolicy, QoSProfile
-
-        if arm not in self._grippers:
-            kept = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-            topic = f"~/grippers/{ros_name(arm)}"
-            self._grippers[arm] = self._node.create_publisher(_type(CLOSED), topic, kept)
-        self._grippers[arm].publish(_type(CLOSED)(data=closed))
-
-    def place(self, position: list[float], quaternion: list[float]) -> None:
-        """Send the object's position in the world [m] and its orientation (x, y, z, w)."""
-        transform = _type("geometry_msgs/msg/TransformStamped")()
-        transform.header.stamp = self._node.get_clock().now().to_msg()
-        transform.header.frame_id = self._settings.frame
-        transform.child_frame_id = self._settings.object_frame
-        for axis, x in zip("xyz", position, strict=True):
-            setattr(transform.transform.translation, axis, x)
-        for axis, x in zip("xyzw", quaternion, strict=True):
-            setattr(transform.transform.rotation, axis, x)
-        assert self._tf is not None  # the bridge asks for it where there is a frame
-        self._tf.publish(_type(TRANSFORMS)(transforms=[transform]))
-
-    def diagnose(self, remarks: Sequence[Remark]) -> None:
-        array = _type(DIAGNOSTICS)(status=[_status(remark) for remark in remarks])
-        array.header.stamp = self._node.get_clock().now().to_msg()
-        self._diagnostics.publish(array)
-
-    def wait(self) -> None:
-        """Wait until what was published has been received, but not long."""
-        from rclpy.duration import Duration
-
-        for publisher in (*self._commands.values(), self._diagnostics):
-            publisher.wait_for_all_acked(Duration(seconds=FAREWELL))
 
 
 def _status(remark: Remark) -> Any:

@@ -27,7 +27,7 @@ from multiprocessing import resource_tracker
 from operator import length_hint
 from typing import Any, TypeVar
 
-from coopqp.base.errors import CoopqpError, InvalidValueError, MissingDependencyError
+from coopqp.base.errors import CoopqpError, InvalidValueError, needs
 
 Item = TypeVar("Item")
 
@@ -270,10 +270,8 @@ class Cluster:
     @contextmanager
     def at(cls, address: str) -> Iterator[Cluster]:
         """Those of a scheduler that has to answer, and to have workers, within some seconds."""
-        try:
+        with needs("--scheduler", "dask"):
             from distributed import Client
-        except ImportError:
-            raise MissingDependencyError("--scheduler", "dask") from None
         # Dask's own lines about what comes and goes are not to stand between ours.
         for name in list(logging.root.manager.loggerDict):
             if name.partition(".")[0] in ("distributed", "tornado", "asyncio"):

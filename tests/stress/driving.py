@@ -49,14 +49,9 @@ def record_of(problem: ControlProblem) -> Record:
 def drive_on(
     law: Law, state: State, record: Record, errors: PartErrors, *, patient: bool = False
 ) -> None:
-    """Run until it has ended, or its time is up.
+    """Run until it has ended, or its time is up; the state of its start and the record are written.
 
-    Args:
-        law: what is tried out.
-        state: of its start; written.
-        record: of no ticks; written.
-        errors: of its tasks.
-        patient: whether all that has not ended goes on for :data:`LONGEST`.
+    If ``patient``, all that has not ended goes on for :data:`LONGEST`.
     """
     record.q = state.q[None].copy()
     while _goes_on(state, record, errors, patient=patient):
@@ -96,9 +91,8 @@ def _goes_on(state: State, record: Record, errors: PartErrors, *, patient: bool)
     if ticks < max(FEWEST, record.rest):
         return True
     turning = turns(record.q[record.rest :], record.units)
-    if ticks >= MOST and not turning and not patient:
-        return False
-    return ticks * record.dt < LONGEST and (turning or not _ended(state, record, errors))
+    late = ticks * record.dt >= LONGEST or (ticks >= MOST and not turning and not patient)
+    return not late and (turning or not _ended(state, record, errors))
 
 
 def turns(q: Array, units: Sequence[str]) -> bool:
@@ -115,7 +109,7 @@ def turns(q: Array, units: Sequence[str]) -> bool:
 
 def _ended(state: State, record: Record, errors: PartErrors) -> bool:
     """Whether nothing changes any more, now that the references have arrived."""
-    if signs.slowest(record) < signs.STILL:
-        return True
     inside = bool(((record.lower <= state.q) & (state.q <= record.upper)).all())
-    return inside and errors.at_end(state, record).max() <= 1.0
+    return signs.slowest(record) < signs.STILL or (
+        inside and errors.at_end(state, record).max() <= 1.0
+    )

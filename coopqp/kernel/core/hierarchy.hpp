@@ -16,6 +16,7 @@ namespace coopqp {
 
 constexpr double NOTHING = 1e-13;    // left of a task row that others explain
 constexpr double ORTHOGONAL = 1e-13;  // cosine of rows whose lengths are singular values
+constexpr double HARDLY = 1e-7;  // cosines and turns that leave rows as orthogonal as this squared
 constexpr int MOST_SWEEPS = 30;
 
 class Hierarchy {
@@ -27,7 +28,8 @@ class Hierarchy {
           H_(arena.take(std::size_t(free) * std::size_t(width_))),
           S_(arena.take(std::size_t(most_rows + LANES) * std::size_t(width_))),
           h_(arena.take(std::size_t(width_))), t_(arena.take(std::size_t(width_))),
-          sigma_(std::size_t(most_rows + 1)), held_pull_(std::size_t(free)),
+          sigma_(std::size_t(most_rows + 1)), sizes2_(std::size_t(most_rows + 1)),
+          held_pull_(std::size_t(free)),
           column_(std::size_t(most_rows + LANES)) {
         pivots_.reserve(std::size_t(most_rows));  // a tick takes no memory
         left_out_.reserve(std::size_t(most_rows));
@@ -99,10 +101,13 @@ class Hierarchy {
             if (decided >= free_) break;
             const int s = crowded && i < soft ? most_left(rows, soft) : i;
             if (std::find(left_out_.begin(), left_out_.end(), s) != left_out_.end()) continue;
-            const double onto = reflection(row(s), decided, blocks_, s < soft ? IDLE : NOTHING, h_, beta);
+            const double least = s < soft ? IDLE : NOTHING;
+            const double onto =
+                crowded ? reflection(row(s), decided, blocks_, least, h_, beta)
+                        : reflect_from(row(s), width_, rows + count - s - 1, decided, blocks_,
+                                       least, h_, beta);
             if (onto == 0.0) continue;
-            const int next = crowded ? rows : s + 1;
-            reflect_rows(row(next), width_, rows + count - next, h_, beta, blocks_);
+            if (crowded) reflect_rows(row(rows), width_, count, h_, beta, blocks_);
             reflect_columns(V_, width_, free_, h_, beta, blocks_, t_);
             put_end(row(s), decided, onto, blocks_);
             pivots_.push_back(s);
@@ -128,11 +133,13 @@ class Hierarchy {
         for (int s = 0; s < rows; s++) copy(S_ + s * width_, row(s), blocks_);
         for (int s = rows; s < rows + LANES; s++) clear(S_ + s * width_, blocks_);
         if (rows > decided) triangulate(b);
-        for (int sweep = 0; sweep < MOST_SWEEPS; sweep++) {
-            bool turned = false;
+        bool turned = true;
+        for (int sweep = 0; sweep < MOST_SWEEPS && turned; sweep++) {
+            turned = false;
+            for (int i = 0; i < decided; i++)
+                sizes2_[std::size_t(i)] = dot(S_ + i * width_, S_ + i * width_, b);
             for (int i = 0; i < decided; i++)
                 for (int j = i + 1; j < decided; j++) turned |= make_orthogonal(i, j, b);
-            if (!turned) break;
         }
         int found = 0;
         for (int s = 0; s < decided; s++) {
@@ -197,26 +204,29 @@ class Hierarchy {
         }
     }
 
-    // One-sided Jacobi.
+    // One-sided Jacobi. Returns whether it had more than HARDLY anything to do.
     bool make_orthogonal(int i, int j, int b) {
         double *x = S_ + i * width_, *y = S_ + j * width_;
-        const double xx = dot(x, x, b), yy = dot(y, y, b), xy = dot(x, y, b);
-        if (!(xy * xy > ORTHOGONAL * ORTHOGONAL * (xx * yy)) || !(xx > 1e-26) || !(yy > 1e-26))
-            return false;
+        double &xx = sizes2_[std::size_t(i)], &yy = sizes2_[std::size_t(j)];
+        const double xy = dot(x, y, b), xy2 = xy * xy, most2 = xx * yy;
+        if (!(xy2 > ORTHOGONAL * ORTHOGONAL * most2) || !(xx > 1e-26) || !(yy > 1e-26)) return false;
         double c, s;
         turn(yy - xx, 2.0 * xy, c, s);
+        const double more = s / c * xy;
+        xx -= more;
+        yy += more;
         v4 *p = lanes(x), *q = lanes(y);
         for (int k = 0; k < b; k++) {
             const v4 a = p[k], d = q[k];
             p[k] = a * c - d * s;
             q[k] = a * s + d * c;
         }
-        return true;
+        return xy2 > HARDLY * HARDLY * most2 || std::fabs(s) > HARDLY;
     }
 
     int free_, blocks_, width_;
     double *V_, *Y_, *H_, *S_, *h_, *t_;
-    std::vector<double> sigma_, held_pull_, column_;
+    std::vector<double> sigma_, sizes2_, held_pull_, column_;
     std::vector<int> pivots_, left_out_;
     bool identity_ = true;
 };

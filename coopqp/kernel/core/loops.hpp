@@ -5,9 +5,10 @@
 // Stage i sees arm i's own joints and the carry: what the stages before leave of arm 0's joints and
 // of those that move several arms. Reflections split both into what loop i decides and what it
 // leaves free. Of the latter only six directions, and one for each joint that moves several arms,
-// still move arm 0: they are the next carry, the rest is finished. So each stage costs the same
-// however many arms there are, and the finished directions are an orthonormal basis Z of the null
-// space of all loops. With two arms this is the factorisation of the 6 x n matrix itself.
+// still move arm 0: they are the next carry, of which later stages only ask what it does to these, its
+// touch; the rest is finished, and goes back through the stages to be one of all joints. So each stage
+// costs the same however many arms there are, and the finished directions are an orthonormal basis Z
+// of the null space of all loops. With two arms this is the factorisation of the 6 x n matrix itself.
 #pragma once
 #include <memory>
 #include <stdexcept>
@@ -43,16 +44,21 @@ class StagedLoops final : public Loops {
     struct Stage {
         int arm, carry, own, next = 0;
         std::vector<int> kept;
-        Reflections<B> decide, compress;
-        double* E;  // the carry's directions, (carry, lanes); of the first stage none
+        Reflections<B> decide;
+        // How the carry moves arm 0, six rows, and the joints that move several arms, (touches, tall).
+        double* touch = nullptr;
+        int tall = 0;
         // Directions over [carry | own], each from a multiple of four lanes on: first those that
         // change one row alone, then those that rows leave, of these first the next carry.
-        double* Q;
+        double* Q = nullptr;
+        double* x = nullptr;    // one direction
+        double* rho = nullptr;  // of its rows
         bool compresses = false;
 
         int rows() const { return int(kept.size()); }
         int left() const { return carry + own - rows(); }
         int own_at() const { return padded(std::max(carry, 1)); }
+        double* nulls() const { return Q + rows() * WIDTH; }
 
         // Lanes of both.
         std::vector<int> coordinates() const {
@@ -66,26 +72,35 @@ class StagedLoops final : public Loops {
   public:
     // kept: which of each loop's six rows are independent.
     StagedLoops(const Model& model, const std::vector<std::vector<int>>& kept, Arena& arena)
-        : m_(model), rows_(arena.take(8 * WIDTH)),
-          touch_(arena.take((6 + MOST_SHARED) * WIDTH)) {
-        shared_ = shared_lanes(model);
-        const int touches = 6 + int(shared_.size());
-        int carry = model.base_lanes;
+        : m_(model), shared_(shared_lanes(model)), touches_(6 + int(shared_.size())),
+          rows_(arena.take(8 * WIDTH)), h_(arena.take(std::size_t(touches_) * WIDTH)),
+          beta_(arena.take(std::size_t(touches_))),
+          seen_(arena.take(std::size_t(touches_ + LANES) * WIDTH)),
+          idle_(arena.take(std::size_t(WIDTH + LANES) * WIDTH)), scratch_(arena.take(WIDTH)),
+          tau_(arena.take(std::size_t(padded(touches_)))),
+          moved_(arena.take(std::size_t(padded(touches_)))) {
+        int carry = model.base_lanes, tall = LANES * model.base_blocks;
         for (int i = 1; i < model.holding; i++) {
-            const int own = int(model.arms[std::size_t(i)].own.size());
-            Stage s{i, carry, own, 0, kept[std::size_t(i - 1)], {}, {}, nullptr, nullptr, false};
+            Stage s;
+            s.arm = i;
+            s.carry = carry;
+            s.own = int(model.arms[std::size_t(i)].own.size());
+            s.kept = kept[std::size_t(i - 1)];
             const int left = s.left();
             if (left < 0) throw std::invalid_argument("a loop has fewer joints than rows");
             const bool last = i == model.holding - 1;
-            s.next = last ? 0 : std::min(left, touches);
-            s.compresses = !last && left > touches;
+            s.compresses = !last && left > padded(touches_);  // no shorter carry is any cheaper
+            s.next = last ? 0 : s.compresses ? touches_ : left;
             s.decide.open(arena, s.rows(), s.coordinates());
-            std::vector<int> first(std::size_t(left), 0);
-            for (int k = 0; k < left; k++) first[std::size_t(k)] = k;
-            if (s.compresses) s.compress.open(arena, touches, first);
             s.Q = arena.take(std::size_t(s.rows() + left + LANES) * WIDTH);
-            if (i > 1) s.E = arena.take(std::size_t(s.own_at()) * lanes_of(model));
+            s.x = arena.take(WIDTH);
+            s.rho = arena.take(8);
+            s.tall = tall;
+            s.touch = arena.take(std::size_t(touches_ + LANES) * std::size_t(tall));
+            for (std::size_t k = 0; i == 1 && k < shared_.size(); k++)
+                s.touch[(6 + k) * std::size_t(tall) + std::size_t(shared_[k])] = 1.0;
             carry = s.next;
+            tall = padded(std::max(left, 1));
             free += left - s.next;
             stages_.push_back(std::move(s));
         }
@@ -114,82 +129,85 @@ class StagedLoops final : public Loops {
         for (std::size_t i = 0; i < stages_.size(); i++) {
             Stage& s = stages_[i];
             fill_rows(s);
-            if (!s.decide.factor(rows_, s.rows(), DEPENDENT, true)) return false;
-            const int left = s.left();
-            double* nulls = s.Q + s.rows() * WIDTH;
+            if (!s.decide.factor(rows_, DEPENDENT)) return false;
             s.decide.basis(s.Q);
-            s.decide.part(s.Q);
-            if (s.compresses) compress(s, left, nulls);
-            for (int k = 0; k < left; k++) {
-                const bool carried = k < s.next;
-                double* to = carried ? stages_[i + 1].E + k * stride() : finished;
-                direction(s, nulls + k * WIDTH, to);
-                if (!carried) finished += stride();
-            }
+            s.decide.part(s.Q, rows_);
+            if (!is_last(i)) carry_on(s, stages_[i + 1]);
+            for (int k = s.next; k < s.left(); k++, finished += stride())
+                direction(i, s.nulls() + k * WIDTH, finished);
         }
         return true;
     }
 
     void particular(const double* b, double* v) const override {
         clear(v, m_.blocks);
-        alignas(64) double x[WIDTH];
-        for (const Stage& s : stages_) {
-            double y[8] = {};
-            for (int k = 0; k < s.rows(); k++) {
-                y[k] = b[k];
-                if (s.E) y[k] -= along_base(s, s.kept[std::size_t(k)], v);  // else v is zero
-            }
-            clear(x, B);
-            add_rows(x, s.Q, WIDTH, s.rows(), y, Blocks<B>{});
-            add_direction(s, x, v);
+        if (stages_.empty()) return;
+        clear(tau_, blocks_of(touches_));
+        for (std::size_t i = 0; i < stages_.size(); i++) {
+            const Stage& s = stages_[i];
+            alignas(64) double y[8] = {};
+            for (int k = 0; k < s.rows(); k++)
+                y[k] = b[k] - of_touches(s, s.kept[std::size_t(k)], tau_);
+            clear(s.x, B);
+            add_rows(s.x, s.Q, WIDTH, s.rows(), y, Blocks<B>{});
             b += s.rows();
+            if (is_last(i)) break;
+            multiply(moved_, s.touch, s.tall, touches_, s.x, s.own_at() / LANES);
+            add(tau_, moved_, 1.0, blocks_of(touches_));
         }
+        for (std::size_t i = stages_.size(); i-- > 0;) {
+            const Stage& s = stages_[i];
+            if (!is_last(i)) add_rows(s.x, s.nulls(), WIDTH, s.next, stages_[i + 1].x, Blocks<B>{});
+            const Arm& arm = m_.arms[std::size_t(s.arm)];
+            copy(v + arm.first, s.x + s.own_at(), arm.own_blocks);
+        }
+        copy(v, stages_[0].x, m_.base_blocks);
     }
 
     void balance(double* t, double* y) const override {
         if (stages_.empty()) return;
-        alignas(64) double x[WIDTH], g[MOST_BASE], rho[MOST_STAGES][8];
-        const int base = m_.base_blocks;
+        copy(stages_[0].x, t, m_.base_blocks);
         int at = 0;
-        copy(g, t, base);
         for (std::size_t i = 0; i < stages_.size(); i++) {
             const Stage& s = stages_[i];
-            gather(s, g, t, x);
-            multiply(rho[i], s.Q, WIDTH, s.rows(), x, Blocks<B>{});
-            multiply(g, s.Q + s.rows() * WIDTH, WIDTH, s.next, x, Blocks<B>{});
+            const Arm& arm = m_.arms[std::size_t(s.arm)];
+            copy(s.x + s.own_at(), t + arm.first, arm.own_blocks);
+            clear(s.x + s.own_at() + LANES * arm.own_blocks, rest(s));
+            multiply(s.rho, s.Q, WIDTH, s.rows(), s.x, Blocks<B>{});
             at += s.rows();
+            if (is_last(i)) break;
+            clear(stages_[i + 1].x, stages_[i + 1].own_at() / LANES);
+            multiply(stages_[i + 1].x, s.nulls(), WIDTH, s.next, s.x, Blocks<B>{});
         }
-        alignas(64) double w[MOST_BASE] = {};
+        clear(tau_, blocks_of(touches_));  // what loops push at arm 0, and at shared joints
         for (std::size_t i = stages_.size(); i-- > 0;) {
             const Stage& s = stages_[i];
             at -= s.rows();
-            if (i + 1 < stages_.size()) {
+            if (!is_last(i)) {
                 alignas(64) double more[8];
-                clear(x, B);
-                if (s.E)
-                    multiply(x, s.E, stride(), s.own_at(), w, base);
-                else
-                    copy(x, w, base);
-                multiply(more, s.Q, WIDTH, s.rows(), x, Blocks<B>{});
-                for (int k = 0; k < s.rows(); k++) rho[i][k] += more[k];
+                const int blocks = s.own_at() / LANES;
+                clear(s.x, blocks);
+                add_rows(s.x, s.touch, s.tall, touches_, tau_, blocks);
+                multiply(more, s.Q, WIDTH, s.rows(), s.x, blocks);
+                add(s.rho, more, 1.0, blocks_of(s.rows()));
             }
             const Arm& arm = m_.arms[std::size_t(s.arm)];
-            double by[6] = {}, back[6] = {};
+            double by[6] = {};
             for (int k = 0; k < s.rows(); k++) {
                 const int r = s.kept[std::size_t(k)];
-                y[at + k] -= rho[i][k];
-                by[r] = -rho[i][k];
-                back[r] = rho[i][k];
+                y[at + k] -= s.rho[k];
+                by[r] = -s.rho[k];
+                tau_[r] += s.rho[k];
+                for (std::size_t j = 0; j < shared_.size(); j++)
+                    tau_[6 + j] -= m_.J_base(s.arm, r)[shared_[j]] * s.rho[k];
             }
-            if (!arm.base.empty()) add_six(w, m_.J_base(s.arm, 0), by, base);
-            add_six(w, m_.J_base(0, 0), back, base);
             if (arm.own_blocks) add_six(t + arm.first, m_.J_own(s.arm, 0), by, arm.own_blocks);
         }
-        add(t, w, 1.0, base);
+        add_six(t, m_.J_base(0, 0), tau_, m_.base_blocks);
+        for (std::size_t j = 0; j < shared_.size(); j++) t[shared_[j]] += tau_[6 + j];
     }
 
   private:
-    static constexpr int MOST_SHARED = 6, MOST_STAGES = 16, MOST_BASE = WIDTH;
     // Of joints in block 0 that move another arm than the first.
     static std::vector<int> shared_lanes(const Model& model) {
         std::vector<int> shared;
@@ -203,76 +221,104 @@ class StagedLoops final : public Loops {
     }
     static std::size_t lanes_of(const Model& model) { return std::size_t(model.blocks) * LANES; }
     int stride() const { return m_.blocks * LANES; }
+    bool is_last(std::size_t stage) const { return stage + 1 == stages_.size(); }
+
+    // Blocks of a direction over [carry | own] after both.
+    int rest(const Stage& s) const {
+        return B - s.own_at() / LANES - m_.arms[std::size_t(s.arm)].own_blocks;
+    }
+
+    // What a row of a loop sees of a motion of arm 0 and of shared joints, as touches are ordered.
+    double of_touches(const Stage& s, int r, const double* touches) const {
+        double seen = -touches[r];
+        for (std::size_t k = 0; k < shared_.size(); k++)
+            seen += m_.J_base(s.arm, r)[shared_[k]] * touches[6 + k];
+        return seen;
+    }
 
     // Rows of one loop over [carry | own].
-    void fill_rows(const Stage& s) {
-        const int base = m_.base_blocks;
+    void fill_rows(Stage& s) {
         const Arm& arm = m_.arms[std::size_t(s.arm)];
-        alignas(64) double moved[MOST_BASE];
-        const int own_at = s.own_at(), own = arm.own_blocks, rest = B - own_at / LANES - own;
+        const int of_carry = s.own_at() / LANES, own_at = s.own_at(), own = arm.own_blocks;
+        const bool first = &s == &stages_[0];
+        if (first && !is_last(0)) copy(s.touch, m_.J_base(0, 0), 6 * m_.base_blocks);
         double* row = rows_;
         for (int r : s.kept) {
-            const v4 *Ji = lanes(m_.J_base(s.arm, r)), *J0 = lanes(m_.J_base(0, r));
-            v4* to = lanes(s.E ? moved : row);
-            for (int b = 0; b < base; b++) to[b] = Ji[b] - J0[b];
-            if (s.E) multiply(row, s.E, stride(), own_at, moved, base);
-            if (own) copy(row + own_at, m_.J_own(s.arm, r), own);
-            clear(row + own_at + own * LANES, rest);
+            const double *touch = s.touch + r * s.tall, *J_0 = first ? m_.J_base(0, r) : touch;
+            for (int b = 0; b < of_carry; b++) lanes(row)[b] = -lanes(J_0)[b];
+            if (!arm.base.empty()) {
+                const double* J = m_.J_base(s.arm, r);
+                if (first) add(row, J, 1.0, of_carry);
+                for (std::size_t k = 0; !first && k < shared_.size(); k++)
+                    add(row, s.touch + (6 + int(k)) * s.tall, J[shared_[k]], of_carry);
+            }
+            copy(row + own_at, m_.J_own(s.arm, r), own);
+            clear(row + own_at + own * LANES, rest(s));
             row += WIDTH;
         }
     }
 
-    // Turn the directions left so that the first of them alone move arm 0 and shared joints.
-    void compress(Stage& s, int left, double* nulls) {
-        const int base = m_.base_blocks, touches = 6 + int(shared_.size());
-        alignas(64) double moved[MOST_BASE];
-        for (int k = 0; k < touches; k++) clear(touch_ + k * WIDTH, B);
-        for (int i = 0; i < left; i++) {
-            clear(moved, base);
-            const double* null = nulls + i * WIDTH;
-            if (s.E)
-                add_rows(moved, s.E, stride(), s.carry, null, base);
-            else
-                copy(moved, null, base);
-            for (int r = 0; r < 6; r++) touch_[r * WIDTH + i] = dot(m_.J_base(0, r), moved, base);
-            for (std::size_t k = 0; k < shared_.size(); k++)
-                touch_[(6 + int(k)) * WIDTH + i] = moved[shared_[k]];
+    // What the directions that rows leave do to arm 0 and shared joints, turned so that the last of
+    // them do nothing.
+    void carry_on(const Stage& s, const Stage& next) {
+        const int left = s.left(), tall = next.tall, blocks = tall / LANES;
+        for (int r = 0; r < touches_; r++)
+            multiply(next.touch + r * tall, s.nulls(), WIDTH, left, s.touch + r * s.tall,
+                     s.own_at() / LANES);
+        if (!s.compresses) return;
+        for (int k = 0; k < left - s.next; k++) unit(idle_ + k * WIDTH, s.next + k, blocks);
+        find_idle(next.touch, tall, left - s.next);
+        for (int k = left; k-- > s.next;) {
+            copy(h_, idle_ + (k - s.next) * WIDTH, blocks);
+            const double size = std::sqrt(dot(h_, h_, blocks)), onto = h_[k] > 0 ? -size : size;
+            h_[k] -= onto;
+            const double beta = -1.0 / (onto * h_[k]);
+            reflect_rows(idle_, WIDTH, k - s.next, h_, beta, blocks);
+            reflect_rows(next.touch, tall, touches_, h_, beta, blocks);
+            reflect_columns(s.nulls(), WIDTH, left, h_, beta, B, scratch_);
         }
-        s.compress.factor(touch_, touches, UNTOUCHED, false);
-        s.compress.mix(nulls);
+        for (int r = 0; r < touches_; r++) {
+            double* row = next.touch + r * tall;
+            put_end(row, s.next - 1, row[s.next - 1], blocks);
+        }
     }
 
-    // A direction over [carry | own] as one of all joints.
-    void direction(const Stage& s, const double* x, double* v) const {
-        clear(v, m_.blocks);
-        add_direction(s, x, v);
+    // Turn unit vectors along the last lanes into directions that no row of a touch sees.
+    void find_idle(const double* touch, int tall, int count) {
+        const int blocks = tall / LANES;
+        copy(seen_, touch, touches_ * blocks);
+        int rank = 0;
+        for (int r = 0; r < touches_; r++) {
+            double *row = seen_ + r * tall, *h = h_ + rank * WIDTH;
+            const double onto =
+                reflect_from(row, tall, touches_ - r - 1, rank, blocks, UNTOUCHED, h, beta_[rank]);
+            rank += onto != 0.0;
+        }
+        while (rank-- > 0)
+            reflect_rows(idle_, WIDTH, count, h_ + rank * WIDTH, beta_[rank], blocks);
     }
 
-    void add_direction(const Stage& s, const double* x, double* v) const {
-        const Arm& arm = m_.arms[std::size_t(s.arm)];
-        if (s.E)
-            add_rows(v, s.E, stride(), s.carry, x, arm.first / LANES);
-        else
-            add(v, x, 1.0, m_.base_blocks);
-        add(v + arm.first, x + s.own_at(), 1.0, arm.own_blocks);
-    }
-
-    void gather(const Stage& s, const double* carry, const double* t, double* x) const {
-        const Arm& arm = m_.arms[std::size_t(s.arm)];
-        clear(x, B);
-        copy(x, carry, s.own_at() / LANES);
-        copy(x + s.own_at(), t + arm.first, arm.own_blocks);
-    }
-
-    double along_base(const Stage& s, int r, const double* v) const {
-        return dot(m_.J_base(s.arm, r), v, m_.base_blocks) -
-               dot(m_.J_base(0, r), v, m_.base_blocks);
+    // A direction over [carry | own] of a stage as one of all joints; those of arms after it are at rest.
+    void direction(std::size_t stage, const double* x, double* v) const {
+        for (std::size_t i = stage;; i--) {
+            const Stage& s = stages_[i];
+            const Arm& arm = m_.arms[std::size_t(s.arm)];
+            copy(v + arm.first, x + s.own_at(), arm.own_blocks);
+            if (i == 0) break;
+            const Stage& before = stages_[i - 1];
+            double* whole = before.x;
+            clear(whole, B);
+            add_rows(whole, before.nulls(), WIDTH, before.next, x, Blocks<B>{});
+            x = whole;
+        }
+        copy(v, x, m_.base_blocks);
     }
 
     const Model& m_;
     std::vector<Stage> stages_;
     std::vector<int> shared_, alone_;
-    double *rows_, *touch_;
+    int touches_;  // of arm 0 and of shared joints
+    double *rows_, *h_, *beta_, *seen_, *idle_, *scratch_, *tau_, *moved_;
 };
 
 // Of the width that a chain needs.

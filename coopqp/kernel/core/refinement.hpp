@@ -144,7 +144,8 @@ class Refinement {
         L_.assign(height_ * height_, {});
         for (std::size_t i = 0; i < height_; i++) {
             scaled_.resize(width_);
-            for (std::size_t j = 0; j < width_; j++) scaled_[j] = C(i, j) / D_[j];
+            for (std::size_t j = 0; j < width_; j++)
+                scaled_[j] = C(i, j).hi != 0.0 ? C(i, j) / D_[j] : Twofold();
             for (std::size_t k = i; k < height_; k++)
                 for (std::size_t j = 0; j < width_; j++)
                     if (scaled_[j].hi != 0.0 && C(k, j).hi != 0.0) L(k, i) += C(k, j) * scaled_[j];
@@ -156,15 +157,17 @@ class Refinement {
             side_.assign(height_, {});
             for (std::size_t i = 0; i < height_; i++) {
                 side_[i] = -b_[i];
-                for (std::size_t j = 0; j < width_; j++) side_[i] += C(i, j) * x_[j];
+                for (std::size_t j = 0; j < width_; j++)
+                    if (C(i, j).hi != 0.0) side_[i] += C(i, j) * x_[j];
             }
             back(side_);
-            x_ = best_;
+            pulls_.assign(width_, {});
             for (std::size_t i = 0; i < height_; i++) {
                 y_[i] += side_[i];
                 for (std::size_t j = 0; j < width_; j++)
-                    if (C(i, j).hi != 0.0) x_[j] -= C(i, j) * y_[i] / D_[j];
+                    if (C(i, j).hi != 0.0) pulls_[j] += C(i, j) * y_[i];
             }
+            for (std::size_t j = 0; j < width_; j++) x_[j] = best_[j] - pulls_[j] / D_[j];
         }
         return true;
     }
@@ -172,14 +175,15 @@ class Refinement {
     // L E L', with E on the diagonal.
     bool factor() {
         scaled_.resize(std::max(width_, height_));
+        by_.resize(height_);
         for (std::size_t k = 0; k < height_; k++) scaled_[k] = L(k, k);
         for (std::size_t k = 0; k < height_; k++) {
             if (!(L(k, k).hi > SINGULAR * scaled_[k].hi)) return false;
             for (std::size_t i = k + 1; i < height_; i++) {
-                const Twofold by = L(i, k) / L(k, k);
-                for (std::size_t j = i; j < height_; j++) L(j, i) -= by * L(j, k);
+                by_[i] = L(i, k) / L(k, k);
+                for (std::size_t j = i; j < height_; j++) L(j, i) -= by_[i] * L(j, k);
             }
-            for (std::size_t i = k + 1; i < height_; i++) L(i, k) = L(i, k) / L(k, k);
+            for (std::size_t i = k + 1; i < height_; i++) L(i, k) = by_[i];
         }
         return true;
     }
@@ -242,7 +246,7 @@ class Refinement {
     const Level& level_;
     const std::vector<std::vector<int>>& kept_;
     std::size_t width_ = 0, height_ = 0;  // columns and rows of C
-    std::vector<Twofold> C_, b_, L_, x_, y_, best_, scaled_, side_;
+    std::vector<Twofold> C_, b_, L_, x_, y_, best_, scaled_, by_, side_, pulls_;
     std::vector<double> D_, limit_;
 };
 

@@ -8,14 +8,6 @@
 
 namespace coopqp {
 
-template <int B>
-__attribute__((always_inline)) inline void reflect(double* x, const double* h, double beta) {
-    v4* a = lanes(x);
-    const v4* t = lanes(h);
-    const double u = beta * dot<B>(x, h);
-    for (int b = 0; b < B; b++) a[b] -= t[b] * u;
-}
-
 // The reflection of a row's lanes from `first` on onto lane `first`; returns what lane `first`
 // becomes, and 0 where less than `least` is there. Lanes are set by whole vectors: a number that is
 // written alone makes whoever reads its vector wait. Inlined, so that loops over B blocks unroll.
@@ -56,48 +48,92 @@ inline void put_end(double* row, int last, double onto, int blocks) {
     for (int b = at + 1; b < blocks; b++) a[b] = v4{};
 }
 
-// Up to `most` rows of B blocks of four lanes; `coordinates` says which lanes hold one, the others
+// The same, which is also done to the `after` rows that follow. What the first of these are along
+// the row is known before its length is, so that none waits for both.
+__attribute__((noinline)) inline double reflect_from(double* row, int stride, int after,
+                                                     int first, int blocks, double least,
+                                                     double* h, double& beta) {
+    double onto = 0.0;
+    with(blocks, [&](auto n) {
+        const v4i index = {0, 1, 2, 3};
+        const std::size_t step = std::size_t(stride);
+        v4 *t = lanes(h), *a = lanes(row), *b = lanes(row + step), *c = lanes(row + 2 * step),
+           *d = lanes(row + 3 * step), all[4] = {};
+        for (int i = 0; i < n; i++) {
+            t[i] = index >= v4i{} + (first - i * LANES) ? a[i] : v4{};
+            all[0] += t[i] * t[i];
+            all[1] += b[i] * t[i];
+            all[2] += c[i] * t[i];
+            all[3] += d[i] * t[i];
+        }
+        const v4 along = sums(all[0], all[1], all[2], all[3]);
+        const double size2 = along[0], pivot = row[first];
+        if (!(size2 > least * least)) return;
+        const double size = std::sqrt(size2), longer = pivot + (pivot > 0 ? size : -size);
+        onto = pivot - longer;
+        beta = 1.0 / (size2 + std::fabs(pivot) * size);
+        const int at = first / LANES;
+        t[at] = index == v4i{} + first % LANES ? v4{} + longer : t[at];
+        const v4 heads = {0.0, row[step + std::size_t(first)], row[2 * step + std::size_t(first)],
+                          row[3 * step + std::size_t(first)]};
+        const v4 by = (along - heads * onto) * beta;
+        for (int i = 0; i < n; i++) {
+            b[i] -= t[i] * by[1];
+            c[i] -= t[i] * by[2];
+            d[i] -= t[i] * by[3];
+        }
+    });
+    if (onto != 0.0 && after > LANES - 1)
+        reflect_rows(row + LANES * stride, stride, after - LANES + 1, h, beta, blocks);
+    return onto;
+}
+
+// Independent rows of B blocks of four lanes; `coordinates` says which lanes hold one, the others
 // are zero.
 template <int B>
 class Reflections {
   public:
-    static constexpr int WIDTH = B * LANES;
+    static constexpr int WIDTH = B * LANES, MOST = 6;
 
-    void open(Arena& arena, int most, std::vector<int> coordinates) {
-        most_ = most;
+    // count: of the rows, no more than MOST, nor than coordinates.
+    void open(Arena& arena, int count, std::vector<int> coordinates) {
+        count_ = count;
         lane_ = std::move(coordinates);
-        h_ = arena.take(std::size_t(most) * WIDTH);
-        C_ = arena.take(std::size_t(most) * WIDTH);
+        h_ = arena.take(std::size_t(count + LANES) * WIDTH);
+        C_ = arena.take(std::size_t(count) * WIDTH);
         units_ = arena.take(lane_.size() * WIDTH);
         for (std::size_t k = 0; k < lane_.size(); k++) units_[k * WIDTH + std::size_t(lane_[k])] = 1.0;
-        L_.assign(std::size_t(most) * std::size_t(most), 0.0);
-        beta_.assign(std::size_t(most), 0.0);
-        inverse_.assign(std::size_t(most), 0.0);
+        beta_.assign(std::size_t(count), 0.0);
+        inverse_.assign(std::size_t(count), 0.0);
     }
 
-    // Factor rows (count, WIDTH), overwritten. A row of which the rows before it leave less than
-    // `least` brings no reflection; false where that is not allowed.
-    bool factor(double* rows, int count, double least, bool independent) {
-        rank_ = 0;
-        const int most = std::min(most_, int(lane_.size()));
+    // Factor rows (count, WIDTH), overwritten; false where the rows before one leave less than `least`
+    // of it. Row s then holds L on the lanes of the coordinates before s. What rows are along one is
+    // known before its length is, so that none waits for both.
+    bool factor(double* rows, double least) {
+        double *beta = beta_.data(), *inverse = inverse_.data(), along[MOST];
+        const int* lane = lane_.data();
+        const int count = count_;
+        const v4i index = {0, 1, 2, 3};
         for (int s = 0; s < count; s++) {
-            double *row = rows + s * WIDTH, *h = h_ + rank_ * WIDTH, beta = 0.0;
-            const double onto =
-                rank_ < most ? reflection(row, lane(rank_), B, least, h, beta) : 0.0;
-            if (onto == 0.0) {
-                if (independent) return false;
-                continue;
+            double *row = rows + s * WIDTH, *h = h_ + s * WIDTH;
+            const int first = lane[s];
+            for (int b = 0; b < B; b++)
+                lanes(h)[b] = index >= v4i{} + (first - b * LANES) ? lanes(row)[b] : v4{};
+            const double size2 = dot<B>(h, h), pivot = row[first];
+            for (int j = s + 1; j < count; j++) along[j] = dot<B>(rows + j * WIDTH, h);
+            if (!(size2 > least * least)) return false;
+            const double size = std::sqrt(size2), longer = pivot + (pivot > 0 ? size : -size);
+            const double onto = pivot - longer;
+            beta[s] = 1.0 / (size2 + std::fabs(pivot) * size);
+            inverse[s] = 1.0 / onto;
+            v4& head = lanes(h)[first / LANES];
+            head = index == v4i{} + first % LANES ? v4{} + longer : head;
+            for (int j = s + 1; j < count; j++) {
+                double* other = rows + j * WIDTH;
+                const double by = (along[j] - other[first] * onto) * beta[s];
+                for (int b = 0; b < B; b++) lanes(other)[b] -= lanes(h)[b] * by;
             }
-            if (s < most_) {
-                double* L = L_.data() + s * most_;
-                const int* lane = lane_.data();
-                for (int k = 0; k < rank_; k++) L[k] = row[lane[k]];
-                L[rank_] = onto;
-            }
-            beta_[std::size_t(rank_)] = beta;
-            inverse_[std::size_t(rank_)] = 1.0 / onto;
-            for (int j = s + 1; j < count; j++) reflect<B>(rows + j * WIDTH, h, beta);
-            rank_++;
         }
         return true;
     }
@@ -107,11 +143,12 @@ class Reflections {
     // of Schreiber and Van Loan 1989, T = M^-1 after Puglisi 1992.
     void basis(double* Q) const {
         const double* beta = beta_.data();
-        for (int s = rank_; s-- > 0;) {
+        const int rank = count_;
+        for (int s = rank; s-- > 0;) {
             const v4* h = lanes(h_ + s * WIDTH);
             v4 c[B];
             for (int b = 0; b < B; b++) c[b] = h[b];
-            for (int t = s + 1; t < rank_; t++) {
+            for (int t = s + 1; t < rank; t++) {
                 const double by = dot<B>(h_ + s * WIDTH, h_ + t * WIDTH);
                 for (int b = 0; b < B; b++) c[b] -= lanes(C_ + t * WIDTH)[b] * by;
             }
@@ -122,48 +159,32 @@ class Reflections {
             const double* of_lane = C_ + lane_[std::size_t(k)];
             v4 row[B];
             for (int b = 0; b < B; b++) row[b] = lanes(units_ + k * WIDTH)[b];
-            for (int at = 0, end = std::min(rank_, k + 1) * WIDTH; at < end; at += WIDTH)
+            for (int at = 0, end = std::min(rank, k + 1) * WIDTH; at < end; at += WIDTH)
                 for (int b = 0; b < B; b++) row[b] -= lanes(h_ + at)[b] * of_lane[at];
             for (int b = 0; b < B; b++) lanes(Q + k * WIDTH)[b] = row[b];
         }
     }
 
     // Turn the first rows of Q', those that the factored rows see, into L^-T Q': the motions that
-    // change one row alone, each. For independent rows.
-    void part(double* Q) const {
-        for (int k = rank_; k-- > 0;) {
-            const double* by = L_.data() + k * most_ + k;
+    // change one row alone, each.
+    void part(double* Q, const double* rows) const {
+        for (int k = count_; k-- > 0;) {
+            const double* by = rows + k * WIDTH + lane_[std::size_t(k)];
             v4 row[B];
             for (int b = 0; b < B; b++) row[b] = lanes(Q + k * WIDTH)[b];
-            for (const double* other = Q + (k + 1) * WIDTH; other < Q + rank_ * WIDTH; other += WIDTH) {
-                by += most_;
+            for (const double* other = Q + (k + 1) * WIDTH; other < Q + count_ * WIDTH; other += WIDTH) {
+                by += WIDTH;
                 for (int b = 0; b < B; b++) row[b] -= lanes(other)[b] * *by;
             }
             for (int b = 0; b < B; b++) lanes(Q + k * WIDTH)[b] = row[b] * inverse_[std::size_t(k)];
         }
     }
 
-    // X Q, in place; X has a column for each coordinate, one after the other in memory. For
-    // coordinates that hold the first lanes.
-    void mix(double* X) const {
-        for (int s = 0; s < rank_; s++) {
-            const double* h = h_ + s * WIDTH;
-            v4 all[B] = {};
-            for (int i = s; i < int(lane_.size()); i++)
-                for (int b = 0; b < B; b++) all[b] += lanes(X)[i * B + b] * h[i];
-            for (int b = 0; b < B; b++) all[b] *= beta_[std::size_t(s)];
-            for (int i = s; i < int(lane_.size()); i++)
-                for (int b = 0; b < B; b++) lanes(X)[i * B + b] -= all[b] * h[i];
-        }
-    }
-
   private:
-    int lane(int coordinate) const { return lane_[std::size_t(coordinate)]; }
-
     double *h_ = nullptr, *C_ = nullptr, *units_ = nullptr;
-    std::vector<double> beta_, inverse_, L_;
+    std::vector<double> beta_, inverse_;
     std::vector<int> lane_;
-    int most_ = 0, rank_ = 0;
+    int count_ = 0;
 };
 
 }  // namespace coopqp

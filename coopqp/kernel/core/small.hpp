@@ -35,8 +35,8 @@ class SmallLeastSquares {
         }
         for (int k = 0; k < columns_; k++) {
             double beta = 0.0;
-            diagonal_[std::size_t(k)] = reflection(column(k), k, blocks_, 0.0, h_, beta);
-            reflect_rows(column(k + 1), width_, columns_ - k, h_, beta, blocks_);
+            diagonal_[std::size_t(k)] =
+                reflect_from(column(k), width_, columns_ - k, k, blocks_, 0.0, h_, beta);
         }
         for (int k = 0; k < columns_; k++) x_[std::size_t(k)] = b(k);
         back();

@@ -6,8 +6,6 @@ centre of mass. Markers of tasks and limits that move with the robot differ betw
 Letters: m points, r rims, f frames of a marker.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -68,6 +66,54 @@ AS_THEY_ARE: dict[type, str] = {
     marker.PointMarker: "goals", marker.CircleMarker: "circles", marker.SphereMarker: "spheres",
     marker.TrackedMarker: TRACKED, marker.PostureMarker: POSTURE,
 }  # fmt: skip
+
+
+class Place:
+    """Draws markers; what has no end is cut off near the object's start."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._start, self._size = scenario.chain.start_position, max(scenario.held.size)
+
+    def drawn(self, mark: Marker) -> tuple[str, Json]:
+        """The kind and what is drawn."""
+        match mark:
+            case marker.LineMarker():
+                return self._line(mark)
+            case marker.PlaneMarker():
+                return "planes", {"corners": self._patch(mark)}
+            case marker.SolidMarker():
+                return SOLID, {"solid": mark}
+            case marker.PoseMarker(position=None):
+                return "orientations", {"axes": self._axes(mark.rotation)}
+            case marker.PoseMarker() | marker.RelativeMarker():
+                kind = "poses" if isinstance(mark, marker.PoseMarker) else RELATIVE
+                return kind, {"at": mark.position, "axes": self._axes(mark.rotation)}
+        return AS_THEY_ARE[type(mark)], vars(mark)
+
+    def _line(self, line: marker.LineMarker) -> tuple[str, Json]:
+        """Ends of a piece of it, or a vector from the object."""
+        d = line.direction
+        way = LINE_SHARE * self._size * d
+        if line.through is None:
+            return "directions", {"way": way}
+        middle = line.through + d * (d @ (self._start - line.through))
+        return "lines", {"ends": [middle - way, middle + way]}
+
+    def _axes(self, rotation: Array) -> Array:
+        axes: Array = AXES_SHARE * self._size * rotation.T
+        return axes
+
+    def _patch(self, plane: marker.PlaneMarker) -> Array:
+        """Corners of a patch of a plane, shape (4, 3) [m]."""
+        n = plane.normal
+        middle = self._start - n * (n @ (self._start - plane.through))
+        side = np.cross(n, np.eye(3)[np.abs(n).argmin()])
+        side /= np.linalg.norm(side)
+        other = np.cross(n, side)
+        signs = ((1, 1), (-1, 1), (-1, -1), (1, -1))
+        half = PLANE_SHARE * self._size
+        corners: Array = middle + half * np.array([a * side + b * other for a, b in signs])
+        return corners
 
 
 def scene(comparison: Comparison) -> Json:
@@ -329,54 +375,6 @@ def _through_time(
                 every.append(shown)
             shown.values.append(values)
     return every
-
-
-class Place:
-    """Draws markers; what has no end is cut off near the object's start."""
-
-    def __init__(self, scenario: Scenario) -> None:
-        self._start, self._size = scenario.chain.start_position, max(scenario.held.size)
-
-    def drawn(self, mark: Marker) -> tuple[str, Json]:
-        """The kind and what is drawn."""
-        match mark:
-            case marker.LineMarker():
-                return self._line(mark)
-            case marker.PlaneMarker():
-                return "planes", {"corners": self._patch(mark)}
-            case marker.SolidMarker():
-                return SOLID, {"solid": mark}
-            case marker.PoseMarker(position=None):
-                return "orientations", {"axes": self._axes(mark.rotation)}
-            case marker.PoseMarker() | marker.RelativeMarker():
-                kind = "poses" if isinstance(mark, marker.PoseMarker) else RELATIVE
-                return kind, {"at": mark.position, "axes": self._axes(mark.rotation)}
-        return AS_THEY_ARE[type(mark)], vars(mark)
-
-    def _line(self, line: marker.LineMarker) -> tuple[str, Json]:
-        """Ends of a piece of it, or a vector from the object."""
-        d = line.direction
-        way = LINE_SHARE * self._size * d
-        if line.through is None:
-            return "directions", {"way": way}
-        middle = line.through + d * (d @ (self._start - line.through))
-        return "lines", {"ends": [middle - way, middle + way]}
-
-    def _axes(self, rotation: Array) -> Array:
-        axes: Array = AXES_SHARE * self._size * rotation.T
-        return axes
-
-    def _patch(self, plane: marker.PlaneMarker) -> Array:
-        """Corners of a patch of a plane, shape (4, 3) [m]."""
-        n = plane.normal
-        middle = self._start - n * (n @ (self._start - plane.through))
-        side = np.cross(n, np.eye(3)[np.abs(n).argmin()])
-        side /= np.linalg.norm(side)
-        other = np.cross(n, side)
-        signs = ((1, 1), (-1, 1), (-1, -1), (1, -1))
-        half = PLANE_SHARE * self._size
-        corners: Array = middle + half * np.array([a * side + b * other for a, b in signs])
-        return corners
 
 
 def as_json(marks: Sequence[Shown]) -> dict[str, list[Json]]:

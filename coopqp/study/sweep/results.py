@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import coopqp
-from coopqp.base.errors import CoopqpError, MissingDependencyError
+from coopqp.base.errors import CoopqpError, needs
 from coopqp.base.reading import check_plain
 from coopqp.base.spec import Array
 from coopqp.study.engine import Share
@@ -265,10 +265,8 @@ def _wider(one: str, other: str) -> str:
 
 def needs_arrow() -> None:
     """Refuse to begin where results could not be written."""
-    try:
+    with needs("a study", "studies"):
         import pyarrow  # noqa: F401
-    except ImportError:
-        raise MissingDependencyError("a study", "studies") from None
 
 
 def compact(study: Study, folder: Path) -> Index:
