@@ -44,9 +44,9 @@ Stiffness = float | Mapping[str, float]
 class Earlier(LoopObserver):
     """The law before the servos' sag was known of."""
 
-    def _unload(self, state: State, along: Array | None) -> Array:
+    def _unload(self, state: State, along: Array | None) -> float:
         self._sag  # noqa: B018 - as made for the other law
-        return np.zeros(len(state.gap))
+        return 0.0
 
 
 @dataclass(frozen=True)

@@ -65,34 +65,26 @@ ALL_FEATURES: Features = frozenset({"limits", "modes", "priorities", "secondary"
 
 @dataclass(frozen=True, kw_only=True)
 class ControlProblem:
-    """What a controller is built for; InvalidValueError with everything that cannot be asked.
-
-    Attributes:
-        wrenches: tasks that ask for wrenches of the hands, for controllers that support forces.
-        secondary: objectives in the null space of the tasks.
-        limits: hard bounds, for controllers that support them.
-        dt: control period [s].
-        kappa: gain of the Baumgarte stabilisation, J_c v = -kappa e [1/s]; 1/dt when omitted, which
-            removes the linearisation error of each step in the next, and 10 for torques; 0 is the
-            paper's law.
-        budget: tolerances of a usable solution.
-        on_infeasible: what to do in a tick in which not everything can hold: "scale" meets hard and
-            scaled tasks as nearly as possible, and where loops and limits alone clash corrects
-            drift in part, then relaxes acceleration limits; "hold" stands still for the tick, but
-            for joints outside their limits, which recover; "stop" from the next on.
-        observer: of the loop-closure offset, where joints are measured.
-    """
+    """What a controller is built for; InvalidValueError with everything that cannot be asked."""
 
     chain: ClosedChain
     tasks: Sequence[Task]
     solver: Solver
+    #: Tasks that ask for wrenches of the hands, for controllers that support forces.
     wrenches: Sequence[Task] = ()
-    secondary: Sequence[Task] = ()
-    limits: Sequence[Limit] = ()
-    dt: float = 0.01
+    secondary: Sequence[Task] = ()  #: Objectives in the null space of the tasks.
+    limits: Sequence[Limit] = ()  #: Hard bounds, for controllers that support them.
+    dt: float = 0.01  #: Control period [s].
+    #: Gain of the Baumgarte stabilisation, J_c v = -kappa e [1/s]; 1/dt when omitted, which removes
+    #: the linearisation error of each step in the next, and 10 for torques; 0 is the paper's law.
     kappa: float = math.inf
-    budget: Budget = field(default_factory=Budget)
+    budget: Budget = field(default_factory=Budget)  #: Tolerances of a usable solution.
+    #: What to do in a tick in which not everything can hold: "scale" meets hard and scaled tasks as
+    #: nearly as possible, and where loops and limits alone clash corrects drift in part, then
+    #: relaxes acceleration limits; "hold" stands still for the tick, but for joints outside their
+    #: limits, which recover; "stop" from the next on.
     on_infeasible: OnInfeasible = "scale"
+    #: Of the loop-closure offset, where joints are measured.
     observer: Observer = field(default_factory=Observer)
 
     @property

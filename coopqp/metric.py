@@ -1,5 +1,7 @@
 """What a metric is: one number, or a few, out of a trace."""
 
+from __future__ import annotations
+
 import json
 from abc import ABC, abstractmethod
 from collections.abc import Mapping

@@ -68,6 +68,11 @@ class Status(enum.Enum):
         True,
         True,
     )
+    JOINT_DOUBTED = (
+        "brakes: a joint may not follow its commands, as the next samples will show",
+        True,
+        True,
+    )
     CLOCK_WRONG = "comes to rest: the loop's clock does not say the time", True, True
     STOPPED = "comes to rest, and stays there until it is told to go on", True, True
     NOT_BEGUN = "stands still: the loop cannot begin where the robot is"
@@ -78,7 +83,8 @@ class Status(enum.Enum):
 
 
 HALTS = frozenset({
-    Status.ROBOT_SILENT, Status.MEASURED_JUMPED, Status.CLOCK_WRONG, Status.STOPPED
+    Status.ROBOT_SILENT, Status.MEASURED_JUMPED, Status.CLOCK_WRONG, Status.JOINT_DOUBTED,
+    Status.STOPPED,
 })  # fmt: skip
 """What the loop for robots says of a tick in which it brakes and asks its law for nothing; it does
 so for ``NOT_MEASURED``, too, with which others go on."""

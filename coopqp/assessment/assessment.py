@@ -5,6 +5,8 @@ sample of an oscillation says nothing; of an impedance that is pushed to the end
 F / K: it was asked to give way by that.
 """
 
+from __future__ import annotations
+
 from collections import Counter
 from dataclasses import dataclass
 from functools import cached_property

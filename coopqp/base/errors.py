@@ -13,6 +13,8 @@ Errors belong to the border, where things are read and built. Inside a tick noth
 what goes wrong there is a :class:`coopqp.solver.Status`.
 """
 
+from __future__ import annotations
+
 import difflib
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager

@@ -6,6 +6,8 @@ with the letters of qpsolvers. All constraints lie in one block, lower <= [I; C]
 C = [G; A], so that solvers with either convention read it without a copy.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache

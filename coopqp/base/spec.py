@@ -5,6 +5,8 @@ and no unknown keys, NaN or infinity. The same class therefore reads a YAML mapp
 Python API, with one set of checks and one JSON Schema.
 """
 
+from __future__ import annotations
+
 import ast
 import functools
 import inspect

@@ -7,6 +7,8 @@ Generic poses are random configurations within the limits at which the object is
 that the loops are closed in each; the start can be less or more mobile than they are.
 """
 
+from __future__ import annotations
+
 import itertools
 import math
 from collections.abc import Sequence

@@ -69,14 +69,12 @@ class ArmTransmission:
 
 @dataclass(frozen=True)
 class PairTransmission:
-    """Wrenches of two hands against each other.
-
-    ``components`` of the section wrench, each with the others zero, are "commanded", "structure",
-    "not transmitted", or "not alone" where a component comes with others only.
-    """
+    """Wrenches of two hands against each other."""
 
     arms: tuple[str, str]
     counts: Counts
+    # of the section wrench, each with the others zero: "commanded", "structure", "not transmitted",
+    # or "not alone" where a component comes with others only
     components: dict[str, str]
 
 

@@ -1,5 +1,7 @@
 """Run a scenario's controllers side by side, measure them and judge them."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any

@@ -5,6 +5,8 @@ sends inputs. How a phase begins, ends and hands over is the same: the next phas
 measured joints, with their speed, and the hands that then hold the object hold it where it is.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass

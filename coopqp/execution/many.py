@@ -1,5 +1,7 @@
 """Many motions of one controller from many starts, on several threads, without Python between."""
 
+from __future__ import annotations
+
 import os
 from collections import deque
 from collections.abc import Sequence

@@ -100,19 +100,27 @@ class Samples {
             const std::vector<int>& spans, int long_one, const std::vector<double>& compliance,
             double h)
         : c_(c), m_(m), own_(own), arms_(arms), spans_(spans), compliance_(compliance), h_(h),
-          stuck_(stuck), long_(long_one), kept_(int(c.shape(0))), n_(c.shape(1)), r_(n_) {
+          stuck_(stuck), long_(long_one), kept_(int(c.shape(0))), n_(c.shape(1)), r_(n_), read_(2 * n_) {
         for (std::size_t j : own_) last_ = std::max(last_, j);
     }
 
-    // A share of sample number k, the first one or a further one.
-    void add(int k, bool first, double share, const Numbers& commanded, const Numbers& measured) {
+    // A share of sample number k, the first one or a further one. Whether a joint is farther than `leap`
+    // from where it would have gone from the last two readings.
+    bool add(int k, bool first, double share, const Numbers& commanded, const Numbers& measured,
+             double leap) {
         if (k < 0 || std::min(commanded.size(), measured.size()) <= last_)
             throw std::invalid_argument("joints of another robot");
         double *c = c_.data() + std::size_t(k % kept_) * n_, *m = m_.data() + std::size_t(k % kept_) * n_;
+        bool leapt = false;
         for (std::size_t i = 0; i < n_; i++) {
+            const double q = measured.data()[own_[i]];
+            if (k == 0 && first) read_[i] = read_[n_ + i] = q;
+            leapt |= std::fabs(q - 2.0 * read_[i] + read_[n_ + i]) > leap;
+            read_[n_ + i] = read_[i], read_[i] = q;
             c[i] = (first ? 0.0 : c[i]) + share * commanded.data()[own_[i]];
-            m[i] = (first ? 0.0 : m[i]) + share * measured.data()[own_[i]];
+            m[i] = (first ? 0.0 : m[i]) + share * q;
         }
+        return leapt;
     }
 
     // Whether nothing is to be said of the last of so many samples: the readings of every arm have
@@ -262,7 +270,7 @@ class Samples {
     double h_;
     int stuck_, long_, kept_, count_ = 0;
     std::size_t n_, last_ = 0;
-    std::vector<double> r_;
+    std::vector<double> r_, read_;  // read_: the last two readings of `own`
 };
 
 }  // namespace KERNEL_MODULE

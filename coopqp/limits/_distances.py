@@ -167,15 +167,12 @@ def _hull_of(points: bytes) -> Convex | None:
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A convex body in the frame of a joint (an id; 0 is the world), named as in limits.
-
-    ``link`` is the robot's frame that it is a part of; empty for capsules and what is no robot.
-    """
+    """A convex body in the frame of a joint, named as in limits."""
 
     name: str
-    joint: int
+    joint: int  # its id; 0 is the world
     convex: Convex
-    link: str = ""
+    link: str = ""  # the robot's frame that it is a part of; none of capsules and what is no robot
 
 
 Pair = tuple[Body, Body]

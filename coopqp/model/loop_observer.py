@@ -20,9 +20,13 @@ hands' forces h_i on the object carry its weight,
 with the h_i as grips alike share them, forces at the hands' points and as little torque as can be:
 h = W G' (G W G')^-1 w, W = diag(1, (0.03 m)^2). Grips that yield transmit no more. It opens the
 loop by d without any squeeze: an observer of e_m alone would rest only where the hands pull by d
-over the servos' compliance, and never on grips that creep. The load is the object's weight where
-the stiffness is known, else nothing, until it is felt: at rest, by least squares of q_m - q_c.
+over the servos' compliance, and never on grips that creep. What d changes by as the arms move is
+known, and so taken off the gap at once, gap' = ... - d'; the rest would lag behind by ``time``. The
+load is the object's weight where the stiffness is known, else nothing, until it is felt: at rest,
+by least squares of q_m - q_c.
 """
+
+from __future__ import annotations
 
 import math
 from collections.abc import Mapping
@@ -215,9 +219,13 @@ class LoopObserver:
         if math.isnan(state.felt[0]):
             measured.update_poses()
             self._first(state, measured.loop_error)
-        opened = self._unload(state, along)
+        began, before = self._told[2] == 0.0, self._sag.opened.copy()
+        load = self._unload(state, along)
+        opened = load * self._sag.opened
         measured.update_poses()
         learnt = self._share * (measured.loop_error - state.loop_error)
+        if not began:
+            learnt += load * before - opened
         about = state.felt[2:] - opened
         learnt[len(state.closed_error) :] = 0.0  # what holds nothing has no offset
         pressed = 0.0 if along is None else along.dot(state.gap) * along
@@ -232,10 +240,11 @@ class LoopObserver:
         g = float(np.linalg.norm(self._chain.model.gravity.linear))
         state.felt[0] = g * self._chain.held.mass if self._known else 0.0
         state.felt[1], state.felt[2:] = 0.0, error
+        self._told[2] = 0.0
         self._sag  # noqa: B018 - made now, not in a tick
 
-    def _unload(self, state: State, along: Array | None) -> Array:
-        """Take sag and squeeze out of the measured joints; what the sag opens the loops by."""
+    def _unload(self, state: State, along: Array | None) -> float:
+        """Take sag and squeeze out of the measured joints; the load that makes them sag."""
         sag, felt, q, known = self._sag, state.felt, self._measured.q, self._known
         if self._told[2] % self._every == 0:
             sag.update(state, along if known else None)
@@ -255,7 +264,7 @@ class LoopObserver:
         if not known and load * np.abs(sag.sag).max() < SLIGHT:
             load = 0.0
         q -= load * sag.sag
-        return np.asarray(load * sag.opened, float)
+        return load
 
     def _learn(self, gap: Array, learnt: Array, about: Array) -> None:
         """Move the gap, at most as far ``about`` a value as a model's error changes."""

@@ -4,6 +4,8 @@ A marker without a place of its own, such as a direction to point along, is draw
 Arrays, lists and tuples may be given; they are kept as arrays.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args

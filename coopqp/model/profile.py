@@ -1,5 +1,7 @@
 """How a reference moves from its start to its goal: a share s(t) from 0 to 1 and its rate."""
 
+from __future__ import annotations
+
 import itertools
 from dataclasses import field
 from typing import Literal

@@ -8,6 +8,8 @@ reference is, phi = log(R_value R'), anew in each step.
 Bounds hold for lengths of vectors: each of k axes gets its k^-1/2. Each joint has its own.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Iterator
 

@@ -111,13 +111,20 @@ class FaultMonitor:
                 findings.append(self._named(suspect))
                 self._misled = True
             # What a wrong encoder says is no error of the model: the loop must not follow it.
-            self._law.observer.paused = self._joints.suspicious or self._misled
+            joints = self._joints
+            self._law.observer.paused = joints.suspicious or joints.leapt or self._misled
         for kind, where, note in filter(None, findings):
             if not any((kind, where) == fault[:2] for fault in self.found):
                 fault = Fault(kind, where, state.t, note)
                 self.found = (*self.found, fault)
                 return fault
         return None
+
+    @property
+    def doubt(self) -> Finding | None:
+        """What one look has found at joints, until the next one confirms it or not."""
+        suspect = self._joints.suspect if self._joints and not self._misled else None
+        return self._named(suspect) if suspect else None
 
     def _observed(self) -> Finding | None:
         """What the observer of the loop-closure offset has found."""

@@ -53,13 +53,18 @@ SUSPICIOUS, MEAN_SQUARE, DEVIATIONS = 12.0, 3.0, 6.0
 #: Share of it that a fault must explain; the share that is left by others that count as equal. Two
 #: swapped joints need less where all other faults leave so much more.
 EXPLAINED, EXPLAINED_SWAPPED, AS_GOOD, ALONE = 0.9, 0.95, 0.03, 0.25
+#: A fault that leaves more than this share, and so many times as much as one of other joints, is
+#: none, whatever that other one is: something else has happened, as where friction makes them late.
+CREDIBLE, TIMES_AS_MUCH = 0.05, 2.0
 #: delta over dq_c of a joint that does not follow, at least and, unless it stands still, at most;
 #: of two swapped ones, 1 but for what else there is; above which it moves the wrong way. When in a
 #: window that began; share of delta beside twice the reading's motion where its sign is wrong.
 LEAST_SLOPE, MOST_SLOPE, SWAPPED, REVERSED = 0.6, 2.5, (0.7, 1.0 / 0.7), 1.5
-ONSETS, BACKWARDS = (0.0, 0.35, 0.65), 0.2
-#: A reading has jumped by so much at least [rad, m], most of it within two samples.
-LEAST_JUMP, JUMP = 8e-3, 0.8
+ONSETS, BACKWARDS = np.linspace(0.0, 0.9, 10), 0.2
+#: A reading has jumped by so much at least [rad, m], most of it within two samples. One that is
+#: farther from where the last two lead to has leapt, and is not believed before it is looked at:
+#: six standard deviations of noise of 1 mrad, or 150 rad/s2 in a tick of 10 ms.
+LEAST_JUMP, JUMP, LEAP = 8e-3, 0.8, 0.015
 #: Commanded motion below which a joint says nothing, and so near to the end of its range that it
 #: may press into its stop [rad, m]; share of it that a joint which stands still may measure.
 LEAST_MOTION, NEAR, STANDS = 1.5e-3, 0.02, 0.1
@@ -89,6 +94,8 @@ class JointFollowing:
 
     Attributes:
         suspicious: whether internal forces and lag do not explain the last samples.
+        leapt: whether a reading has leapt in these, or since.
+        suspect: whom the last look has found, if the next one is to confirm it.
     """
 
     def __init__(self, chain: ClosedChain, dt: float, observer: LoopObserver) -> None:
@@ -106,6 +113,7 @@ class JointFollowing:
         self._spans = [max(2, round(window / h)) for window in WINDOWS]
         kept = self._spans[-1] + len(self._lags) // 2 + round(FADED * TIMES[-1] / h) + 2
         self._c, self._m = np.zeros((2, kept, n))
+        self._read = np.zeros((2, n))  # the last readings
         self._pairs = list(combinations(range(n), 2))
         unit = np.identity(n)
         self._faults = np.vstack([unit, *(unit[j] - unit[k] for j, k in self._pairs)])
@@ -130,7 +138,9 @@ class JointFollowing:
         self._count = self._samples = self._lag = 0
         self._whitened, self._earlier = -self._renew, list[Array]()
         self._before: list[Suspect | None] = [None, None]  # of the last look, and the last long one
-        self.suspicious = False
+        self.suspicious = self.leapt = False
+        self.suspect: Suspect | None = None
+        self._believed = 0  # number of readings from which on they are
 
     def update(self, state: State, q_c: Array, q_m: Array) -> Suspect | None:
         """Who does not follow, once two looks in succession agree; c is commanded, m measured."""
@@ -151,22 +161,33 @@ class JointFollowing:
     def _agreed(self, found: Suspect | None, span: int, spans: Sequence[int]) -> Suspect | None:
         """What the last look has found, too, or that of the long window, which is a rare one."""
         long, earlier = self._spans[-1], list(self._before)
-        self._before[0] = found
+        self._before[0], self.suspect = found, None
         if long in spans:
             self._before[1] = found if span == long else None
         agree = (e and found and set(e.joints) & set(found.joints) for e in earlier)
-        return found if any(agree) else None
+        if any(agree):
+            return found
+        self.suspect = found if span != long else None
+        return None
 
     def _add(self, q_c: Array, q_m: Array) -> bool:
         """Add to the sample that is being taken; whether it is whole."""
         at, part = divmod(self._count, self._every)
         if self._quick:
-            self._quick.add(at, part == 0, 1.0 / self._every, q_c, q_m)
+            leapt = self._quick.add(at, part == 0, 1.0 / self._every, q_c, q_m, LEAP)
         else:
+            q = q_m[self._own]
+            if not self._count:
+                self._read[:] = q
+            leapt = bool((np.abs(q - 2.0 * self._read[0] + self._read[1]) > LEAP).any())
+            self._read[:] = np.stack([q, self._read[0]])
             for ring, q in ((self._c, q_c), (self._m, q_m)):
                 sample = ring[at % len(ring)]
                 sample[:] = (sample if part else 0.0) + q[self._own] / self._every
         self._count += 1
+        if leapt:
+            self._believed = self._count + 2 * self._every
+        self.leapt = self._count < self._believed
         self._samples = self._count // self._every
         return self._samples > at
 
@@ -254,8 +275,7 @@ class JointFollowing:
         z = (m - c) @ self._white
         sizes = np.einsum("ltd,ltd->l", z, z)
         self._lag = int(sizes.argmin())
-        (T, d), steps = z.shape[1:], np.diff(z[self._lag], 2, axis=0)
-        self._noise = float(np.sum(steps**2)) * (T - 1) / (6.0 * (T - 2))
+        (T, d), self._noise = z.shape[1:], float(_white(z[self._lag]).sum())
         white = DEVIATIONS * self._noise * (1.9 / (T * d)) ** 0.5
         self._enough = max(MEAN_SQUARE * T, white)
         if sizes[self._lag] - self._noise < self._enough:
@@ -306,7 +326,8 @@ class JointFollowing:
         noise = self._noise * (1.0 - 1.0 / self._white.shape[1])
         share = np.maximum(left - noise, 0.0) / above
         read = m @ self._faults.T
-        backwards = np.sum((delta - 2.0 * read) ** 2, axis=0) < BACKWARDS * np.sum(delta**2, axis=0)
+        unlike, size = (np.sum(x**2, axis=0) - _white(x) for x in (delta - 2.0 * read, delta))
+        backwards = unlike < BACKWARDS * size
         still = np.ptp(read, axis=0) < STANDS * np.maximum(np.ptp(motion, axis=0), ranges)
         off = moves & (slope > LEAST_SLOPE) & (still | (slope < MOST_SLOPE)) | jumped | backwards
         exchanged = moves & (slope > SWAPPED[0]) & (slope < SWAPPED[1])
@@ -326,6 +347,9 @@ class JointFollowing:
             left_r = r[lags[f]] - np.outer(delta[:, f], self._faults[f])
             rest[f] = np.sum(left_r**2) * (1.0 if f < n else PENALTY)
         best = int(rest.argmin())
+        others = share[~(self._faults[:, self._faults[best] != 0.0] != 0.0).any(axis=1)]
+        if share[best] > max(TIMES_AS_MUCH * others.min(initial=1.0), CREDIBLE):
+            return None
         if best >= n:
             j, k = (int(self._own[i]) for i in pairs[best - n])
             return Suspect("joints_swapped", (j, k), float(slope[best]))
@@ -335,6 +359,12 @@ class JointFollowing:
         others = [f for f in range(n) if f != best and rest[f] < AMBIGUOUS * rest[best]]
         joints = tuple(int(self._own[f]) for f in (best, *others))
         return Suspect(kind, joints, float(slope[best]))
+
+
+def _white(x: Array) -> Array:
+    """Sum of squares of what is white noise in x (T, ...), by von Neumann's second differences."""
+    T = len(x)
+    return np.asarray(np.sum(np.diff(x, 2, axis=0) ** 2, axis=0)) * (T - 1) / (6.0 * (T - 2))
 
 
 def _slopes(delta: Array, motion: Array) -> Array:

@@ -9,6 +9,8 @@ before and after, so that
 is 1 for the joint that is moved and 0 for all others.
 """
 
+from __future__ import annotations
+
 import time
 from contextlib import suppress
 from dataclasses import dataclass

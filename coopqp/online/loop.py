@@ -527,6 +527,9 @@ class OnlineLoop:
         halts = [self._wrong] if self._wrong else []
         if self._stops.why or phases.over:
             halts.append(Status.STOPPED)
+        doubt = "" if halts else self._doubt()
+        if doubt:
+            halts.append(Status.JOINT_DOUBTED)
         self._moved = not halts
         if not halts:
             return self._at_pace(run)
@@ -539,7 +542,7 @@ class OnlineLoop:
             if isinstance(why, Why):  # the reading's own note has it
                 why.leave_out(Status.NOT_MEASURED)
         waits = f"slows down for phase {phases.next_name}" if phases.over else ""
-        wrong = self._time.wrong, self._readings.note, self._stops.why
+        wrong = self._time.wrong, self._readings.note, self._stops.why, doubt
         notes = (*wrong, waits, *run.state.inputs.refused)
         command.told = (*filter(None, notes), *command.told)
         return command
@@ -559,6 +562,11 @@ class OnlineLoop:
             self._stops.halt(monitor.found[-1].note)
         step = self.problem.dt / SLOWING
         self._pace = max(SLOW, self._pace - step) if slow else min(1.0, self._pace + step)
+
+    def _doubt(self) -> str:
+        """Why to brake until it is known whether there is a fault; empty without such a doubt."""
+        kind, _, note = self._phases.monitor.doubt or ("", (), "")
+        return note if kind and self._reactions[kind] == "rest" else ""
 
     def _at_pace(self, run: PhaseRun) -> Command:
         """The law's command; slowed down, the same path in more time, references with it."""

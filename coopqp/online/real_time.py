@@ -8,6 +8,8 @@ Sleeping is not exact, so the last part of a period is a busy wait. After a late
 a whole period later: ticks in quick succession would ask for as much motion in less time.
 """
 
+from __future__ import annotations
+
 import gc
 import inspect
 import time

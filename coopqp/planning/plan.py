@@ -1,5 +1,7 @@
 """A path of closed configurations from a scenario's start to where its tasks are met."""
 
+from __future__ import annotations
+
 import itertools
 import time
 from collections.abc import Sequence

@@ -18,6 +18,8 @@ angles see odd numbers of turns; of two arms whose bodies keep apart :mod:`coopq
 sees all.
 """
 
+from __future__ import annotations
+
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

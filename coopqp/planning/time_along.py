@@ -10,6 +10,8 @@ A linear program's wrench jumps from vertex to vertex, so the torques of an inst
     min |tau / tau_max|^2   with the rows kept, x and u given
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property

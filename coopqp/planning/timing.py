@@ -4,6 +4,8 @@ The way of a task with ``kind: fastest`` is timed along where a slow run of the 
 at each share of it, by the passes of :mod:`coopqp.planning.forward_backward_pass`.
 """
 
+from __future__ import annotations
+
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace

@@ -13,6 +13,8 @@ of the same shape:
     my_lab = "my_lab.plugins"           # with my_lab/plugins/tasks/hold_height.py
 """
 
+from __future__ import annotations
+
 import dataclasses
 import functools
 import importlib

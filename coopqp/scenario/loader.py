@@ -1,5 +1,7 @@
 """From a scenario file to a scenario, or to all that is wrong with the file."""
 
+from __future__ import annotations
+
 import os
 from dataclasses import replace
 from pathlib import Path

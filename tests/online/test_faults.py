@@ -165,7 +165,7 @@ def test_two_swapped_joints_are_named(nao: State) -> None:
 
 @pytest.mark.few(2)
 @needs_robots
-@pytest.mark.parametrize("seed", [6, 7, 36, 37, 41])
+@pytest.mark.parametrize("seed", [6, 7, 36, 37, 40536, 40603, 40837, 41])
 def test_a_session_with_a_fault_names_it_before_it_hurts(seed: int) -> None:
     """``python -m tests.sessions`` runs a thousand."""
     session = run(seed, sound=False)
@@ -178,13 +178,49 @@ def test_a_session_with_a_fault_names_it_before_it_hurts(seed: int) -> None:
 
 @pytest.mark.few(1)
 @needs_robots
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", [*range(5), 60010, 60100])
 def test_a_sound_session_names_nothing(seed: int) -> None:
     session = run(seed, sound=True)
     assert session.overloaded == (seed == 3)  # Baxter's shoulder is too weak for this one
     assert not session.broken
     if not session.overloaded:
         assert not session.kind
+
+
+@pytest.mark.parametrize("reaction", ["rest", "go_on"])
+def test_arms_brake_while_a_joint_is_doubted_and_go_on(
+    reaction: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One look is no fault, and the next one a sample away, in which wrong arms pull."""
+    scenario = coopqp.load("point_on_point")
+    loop, robot = simulated(scenario, reference="commanded", reactions={"joint_reversed": reaction})
+    go(loop, robot, 60)
+    before, doubt = loop.state.t, ("joint_reversed", ("LElbowYaw",), "LElbowYaw moves back")
+    with monkeypatch.context() as doubted:
+        doubted.setattr(found.FaultMonitor, "doubt", doubt)
+        fast = np.abs(loop.command.v).max()
+        go(loop, robot, 2)
+        brakes = np.abs(loop.command.v).max() < 0.9 * fast
+        says = Status.JOINT_DOUBTED in loop.command.causes and "LElbowYaw" in loop.note
+    assert (brakes, says) == (reaction == "rest",) * 2
+    go(loop, robot, 400)
+    assert not loop.faults
+    assert not loop.stopped
+    assert loop.state.t == pytest.approx(before + scenario.dt * (400 if says else 402))
+
+
+@pytest.mark.parametrize("size", [0.01, 0.04])
+def test_a_reading_that_leaps_is_not_believed_until_it_was_looked_at(
+    nao: State, size: float
+) -> None:
+    following, c = JointFollowing(nao.chain, DT, LoopObserver(nao.chain, DT)), motion(nao.chain.n)
+    leapt = []
+    for k in range(40):
+        off = size * (np.arange(nao.chain.n) == 3) * (k >= 20)
+        following.update(nao, nao.q + c[k], nao.q + c[max(0, k - LAG)] + off)
+        leapt.append(following.leapt)
+    expected = [20 <= k < 25 for k in range(40)] if size > 0.015 else [False] * 40
+    assert leapt == expected
 
 
 def pressed(fault: Fault | None, mass: float = 1.0) -> Scenario:

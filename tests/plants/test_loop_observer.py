@@ -129,7 +129,7 @@ def test_hands_do_not_pull_and_the_gap_comes_to_rest(
 def test_an_observer_of_the_sag_alone_pulls(monkeypatch: pytest.MonkeyPatch) -> None:
     """The law without the sag ends with d / S between the hands, and winds up where grips creep."""
     _, _, _, force = run(scenario(FIRM, KNOWN), 6.0)
-    nothing = lambda observer, state, along: np.zeros(len(state.gap))  # noqa: E731
+    nothing = lambda observer, state, along: 0.0  # noqa: E731
     monkeypatch.setattr(LoopObserver, "_unload", nothing)
     _, _, _, pulled = run(scenario(FIRM, KNOWN), 6.0, "python")
     assert np.mean(pulled[-50:]) > 5.0 * np.mean(force[-50:])

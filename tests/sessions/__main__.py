@@ -50,6 +50,8 @@ def main(sessions: int, sound: int, seed: int, engine: Any) -> None:
     able = [s for s in fine if not s.overloaded]
     named = sum(s.named == s.named for s in able)
     click.echo(f"{named} false alarms in {len(able)} sound sessions")
+    doubts = sum(s.doubted and s.named != s.named for s in able)
+    click.echo(f"{doubts} of these braked for a sample or more, as a joint was doubted")
     weak = [s for s in fine if s.overloaded]
     told = sum(s.named == s.named for s in weak)
     click.echo(f"{told} of {len(weak)} in which a motor was at its limit are named")

@@ -53,6 +53,7 @@ class Session:
         named: when a fault was found; NaN if none was [s]. kind, found: which, and where.
         right: whether what was found is where the fault is.
         force_named: internal force when it could first be named; most: largest later [N].
+        doubted: whether it braked before a fault was found, or where none was.
         overloaded: whether a motor was at its limit for a tenth of a second before.
         opened: how far the loop itself told the hands to part or close, beyond what an encoder's
             fault makes of it: a reading that is off by d moves its hand by J d unseen; where that
@@ -73,6 +74,7 @@ class Session:
     right: bool = False
     force_named: float = 0.0
     most: float = 0.0
+    doubted: bool = False
     overloaded: bool = False
     opened: float = 0.0
     stopped: str = ""
@@ -189,7 +191,7 @@ class _Watch:
         self._loop, self._robot, self._squeeze = loop, robot, squeeze
         self._forces: list[float] = []
         self._opened, self._start, self._broken = 0.0, None, []
-        self._named = -1
+        self._named, self._doubted = -1, False
         self._misled = 0.0  # what the fault makes of the loop, at most so far [m]
         self.ticks_at_rest = 0
         self.wrong: list[int] = []  # joints whose readings are wrong
@@ -203,7 +205,9 @@ class _Watch:
         if self._named < 0 and "saturated" in self._robot.plant.signals:
             share = self._robot.plant.signals["saturated"]
             self._loaded = self._loaded + share * loop.problem.dt
-        told = loop.faults or loop.stopped or HALTS & set(command.causes)
+        halts = HALTS & set(command.causes)
+        self._doubted |= Status.JOINT_DOUBTED in halts
+        told = loop.faults or loop.stopped or halts - {Status.JOINT_DOUBTED}
         if self._named < 0 and (told or Status.NOT_MEASURED in command.causes):
             self._named = k
         if not loop.begun:
@@ -254,5 +258,5 @@ class _Watch:
             right=right, stopped=loop.stopped, overloaded=bool(self._loaded.max() > 0.1),
             force_named=float(F[named]) if named >= 0 else 0.0,
             most=float(F[max(0, named) :].max(initial=0.0)), opened=self._opened,
-            broken=tuple(dict.fromkeys(self._broken)),
+            doubted=self._doubted, broken=tuple(dict.fromkeys(self._broken)),
         )  # fmt: skip

@@ -23,7 +23,7 @@ class LoopObserver {
   public:
     LoopObserver(const Model& model, Observed given)
         : model_(model), o_(std::move(given)), measured_(model), q_(model.joints.size()),
-          before_(6 * model.arms.size()) {}
+          before_(6 * model.arms.size()), opened_(before_.size()) {}
 
     // Learn from joints measured at `reading` where q is commanded and v was. Its Jacobians are up to
     // date; the gap and what is felt are moved. False where that is Python's: nothing is moved then.
@@ -34,6 +34,8 @@ class LoopObserver {
         std::copy_n(o_.told, 3, told_);
         std::copy_n(felt, 2, felt_);
         std::copy_n(gap, loops, before_.begin());
+        std::copy_n(o_.opened, loops, opened_.begin());
+        const bool began = o_.told[2] == 0.0;
         const double load = unload(there, q, v, reading, felt);
         measured_.place(q_.data());
         measured_.measure();
@@ -42,7 +44,8 @@ class LoopObserver {
         moved_ = true;
         const std::size_t closed = 6 * std::size_t(std::max(model_.loops(), 0));
         for (std::size_t i = 0; i < closed; i++)
-            gap[i] += o_.share * (measured_.loop_error[i] - there.loop_error[i]);
+            gap[i] += o_.share * (measured_.loop_error[i] - there.loop_error[i]) +
+                      (began ? 0.0 : load * opened_[i] - load * o_.opened[i]);
         for (std::size_t i = 0; i < closed; i += 3) {
             double away[3];
             for (std::size_t r = 0; r < 3; r++)
@@ -65,6 +68,7 @@ class LoopObserver {
         std::copy_n(told_, 3, o_.told);
         std::copy_n(felt_, 2, all_felt_);
         std::copy_n(before_.begin(), 6 * (model_.arms.size() - 1), gap_);
+        std::copy_n(opened_.begin(), 6 * (model_.arms.size() - 1), o_.opened);
     }
 
   private:
@@ -168,7 +172,7 @@ class LoopObserver {
     const Model& model_;
     Observed o_;
     Kinematics measured_;
-    std::vector<double> q_, before_;
+    std::vector<double> q_, before_, opened_;
     double told_[3], felt_[2];
     double *gap_ = nullptr, *all_felt_ = nullptr;
     bool moved_ = false;

@@ -6,7 +6,7 @@ import inspect
 import re
 from enum import Enum
 
-ANNOTATED = re.compile(r"\bAnnotated\[")
+ANNOTATED = re.compile(r"~?\b(\w+\.)*Annotated\[")
 WIDTH = 100
 
 
