@@ -10,12 +10,13 @@ A run is some 5 s of the simulation: hands reach and take hold as in
 examples/robosuite_two_arm_lift.py, once for all laws and variants that do it alike, then lift the
 pot by 15 cm in 1.5 s and hold it for 1 s. Printed are, of all seeds: successes by robosuite's own
 check at the end; medians of the internal force, (f_1 - f_2)/2 by contacts (95th percentile over a
-run), of the slip in the grip and of the tilt, at worst; share of steps with a motor at its limit,
-or a joint outside its range.
+run), of the slip of the pads on the bar, of the shift of a hand, which is mostly the travel of its
+fingers, and of the tilt, at worst; share of steps with a motor at its limit, or a joint outside its
+range.
 
     qp, pseudoinverse  the loop on joint servos (JOINT_POSITION, kp 300)
     qp, no observer    without the observer of the loop-closure offset, which takes what soft servos
-                       yield for a model's error and lets hands slide
+                       yield for a model's error
     torque_qp          the loop on motors (JOINT_TORQUE), 200 times a second
     IK                 each arm by damped least squares, on the same servos
     OSC                robosuite's own, kp 150, each hand's path given
