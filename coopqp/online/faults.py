@@ -178,6 +178,7 @@ class ForceMonitor:
         self._ways, self._stood, self._began = np.zeros(N), np.zeros((N, N, 3)), 0.0
         self._wrong, self._finest = np.zeros(4), np.full(N, np.inf)
         self._borne = math.inf, 0.0  # share of the weight, and height [m]
+        self._first = 0.0, 0.0  # way and squeeze as they began to be contrary [m, N]
 
     def update(self, state: State) -> Finding | None:
         """Kind, hands and note of what is wrong with a state's wrenches, if anything is."""
@@ -211,7 +212,10 @@ class ForceMonitor:
         squeeze = 0.5 * float(self._squeezer.along[:3].dot(self._smooth[0] - self._smooth[1]))
         way = self._closed_in(state) - self._began
         contrary = abs(way) > CLOSED_IN and abs(squeeze) > SMALL and way * squeeze < 0.0
-        if self._lasts(2, contrary) < LASTING:
+        lasts = self._lasts(2, contrary)
+        self._first = (way, squeeze) if lasts <= self._dt else self._first
+        # Sound hands that still pull, pull less as they close.
+        if lasts < LASTING or (way - self._first[0]) * (squeeze - self._first[1]) > 0.0:
             return None
         told, pull = ("close", "pull") if way > 0.0 else ("part", "press")
         words = (
