@@ -30,7 +30,7 @@ from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.model.state import State
 from coopqp.qp_law.bounds import Bounds
-from coopqp.qp_law.equations import LEAST_SPEED, MOST_DAMPING, SCALE_WEIGHT, Damping, swinging
+from coopqp.qp_law.equations import LEAST_SPEED, MOST_DAMPING, SCALE_WEIGHT, Damping
 from coopqp.qp_law.nearest import ASIDE, LESS, MET, NEAR, SLOW, WHOLE, blocked
 from coopqp.qp_law.priorities import NOISE as RELEASED
 from coopqp.qp_law.safety import drift_gain
@@ -151,7 +151,7 @@ class Cascade:
         v = self._nearest(J, w, tasks.weights, least)
         lacks, counts = _lacks(J @ v - w), 1.0
         size = float(np.sqrt(lacks @ lacks))
-        swings = swinging(self._state)
+        swings = self._damping.swings(self._state)
         if (size > 0.0 or swings) and size < SLOW and self._can_hold(J, w):
             exact = self._shares(J, w, np.zeros(0, LONG), self._damping.least)[0]
             counts = min(max(self._at_limits(exact), 2.0 * size / SLOW - 1.0), 1.0)

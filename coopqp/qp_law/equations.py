@@ -64,6 +64,11 @@ class Damping:
         grown = float(state.memory["chatter"][0]) if self.share > 0.0 else 0.0
         return self.of(tasks.curvature(state.v), state) + grown * tasks.joint_weight
 
+    def swings(self, state: State) -> float:
+        """How far joints that reverse damp hard tasks like soft ones, 0 to 1."""
+        grown = float(state.memory["chatter"][0]) if self.share > 0.0 else 0.0
+        return min(max(grown - 1.0, 0.0), 1.0)
+
     def of_drift(self, state: State, kappa: float) -> float:
         """What a reduced Baumgarte correction adds; nothing where the last tick did all.
 
@@ -89,11 +94,6 @@ def note_chatter(state: State, v: Array, dt: float) -> None:
     less = max(grown / (1.0 + dt * now / FADES_IN), 1.0)
     chatter[0] = (min(GROWS * grown, MOST_GROWN) if again else less) - 1.0
     chatter[1:] = back
-
-
-def swinging(state: State) -> float:
-    """How far hard tasks are damped like soft ones, as joints reverse again and again: 0 to 1."""
-    return min(max(float(state.memory["chatter"][0]) - 1.0, 0.0), 1.0)
 
 
 def held_pull(new: float, old: float) -> float:

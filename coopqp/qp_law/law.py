@@ -34,14 +34,7 @@ from coopqp.base.rank import null_space
 from coopqp.base.spec import Array
 from coopqp.controller import Command, ControlProblem, InternalForceControl, Law
 from coopqp.model.state import State
-from coopqp.qp_law.equations import (
-    LEAST_SPEED,
-    MOST_DAMPING,
-    SCALE_WEIGHT,
-    Damping,
-    note_chatter,
-    swinging,
-)
+from coopqp.qp_law.equations import LEAST_SPEED, MOST_DAMPING, SCALE_WEIGHT, Damping, note_chatter
 from coopqp.qp_law.level import Given, Level
 from coopqp.qp_law.limit_recovery import DriftShare, LimitRecovery
 from coopqp.qp_law.nearest import ASIDE, FAST, LESS, MET, NEAR, PLAIN, SLOW, WHOLE, Nearest, blocked
@@ -174,11 +167,11 @@ class QPLaw(Law):
         return v, causes
 
     def _decide_exact(self, state: State, kappa: float) -> tuple[Array, tuple[Status, ...]]:
-        """Hard and scaled tasks; first the nearest where hard ones lacked something before."""
+        """Hard and scaled tasks."""
         first = self.first
         status = whole = first.solve()
         v, set_out, leaves, self._shares = first.v, first.v, 0.0, first.shares
-        firm = whole.usable and not swinging(state) and self._holds_firmly(met=False)
+        firm = whole.usable and not self._damping.swings(state) and self._holds_firmly(met=False)
         if self._relaxes and not firm:
             status, v, set_out, leaves = self._come_near(state, kappa, whole)
         if not status.usable:
@@ -207,7 +200,7 @@ class QPLaw(Law):
         """
         first, nearest = self.first, self.nearest
         status, near = nearest.of_hard(state, kappa), nearest.v
-        lacks, counts, swings = self._missed(near), 1.0, swinging(state)
+        lacks, counts, swings = self._missed(near), 1.0, self._damping.swings(state)
         if lacks.any() or swings:
             counts = max(self._counts(state, kappa, whole, norm(lacks)), swings)
         lacks = counts * lacks

@@ -14,18 +14,17 @@ they want, v_s has the largest shares s_k of it and the least part t of v_h, by 
 a is J v_h of all scaled tasks, made as long as SLOW where it is shorter: next to no motion takes
 neither t = 1 nor multipliers that cost the answer its digits. p_k is what v_n has along a
 direction, LEAST_SPEED at least; r is at least t and, where hard tasks lack a speed, that over SLOW,
-up to 1. v_n sets out from v_s, or from v_h as far as hard tasks are slow. Later levels keep v. The
-damping of v_n is that of a soft task (:class:`coopqp.qp_law.equations.Damping`); that of v_h is next
-to nothing first, and then grows with what its rows lack, m_i: d = c dt sum_i w_i |m_i| L_i. Where
-joints reverse again and again, it is that of a soft task as well.
+up to 1. v_n sets out from v_s, or from v_h as far as hard tasks are slow. Later levels keep v.
+
+The damping of v_n is that of a soft task (:class:`coopqp.qp_law.equations.Damping`). That of v_h is
+next to nothing first, and then grows with what its rows lack, m_i: d = c dt sum_i w_i |m_i| L_i;
+where joints reverse again and again, it is that of a soft task as well.
 
 Where hard tasks can hold v_h lacks something, too, as its damping costs near a singularity. Up to
 MET of each row that counts as nothing, from 2 MET on as a whole, but only in part where the exact
 motion of the hard tasks alone is within NEAR of a limit, and as nothing where it is not, or v_h
 lacks less than half of SLOW. So that motion and v_h meet where it ceases to exist.
 """
-
-from __future__ import annotations
 
 from dataclasses import replace
 
