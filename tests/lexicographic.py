@@ -136,7 +136,7 @@ class Cascade:
             v, shares = self._shares(rows, sides, best, d)
             t = float(shares[-1])
             shares, leaves = shares[:-1], max(leaves, t if t > EXCESS else 0.0)
-        elif (lacks != J_h @ v - w_h).any() and self._can_hold(rows, sides):
+        elif not scaled.tasks and (lacks != J_h @ v - w_h).any() and self._can_hold(rows, sides):
             v, shares = self._shares(rows, sides, best, d)
         self._v = v
         if scaled.tasks and (leaves > 0.0 or shares.min() < WHOLE):

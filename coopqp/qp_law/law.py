@@ -265,8 +265,8 @@ class QPLaw(Law):
         aside[hard] -= wanted[hard]
         aside *= SLOW / min(max(norm(aside), MET), SLOW)
         leaves = min(norm(lacks) / SLOW, 1.0)
-        asked = self._scaled or in_part
-        if leaves < 1.0 and asked and np.isfinite(aside @ self.exact.wanted):
+        asked = leaves < 1.0 if self._scaled else in_part
+        if asked and np.isfinite(aside @ self.exact.wanted):
             level.qp.A[:] = 0.0
             self._assemble_exact(level, state, kappa, wanted, 0.0 if self._scaled else PLAIN)
             level.qp.A[len(state.e_loop) :, -1] = -aside

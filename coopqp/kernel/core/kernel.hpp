@@ -436,7 +436,7 @@ class Kernel {
         rows_.object_twist(v, V_);
         for (int s = 0; s < level.exact; s++) got_[std::size_t(s)] = rows_.times(level, s, v, V_);
         leaves_ = least_leaves_ = std::min(lack() / SLOW, 1.0);
-        if (leaves_ == 1.0) return Status::Optimal;
+        if (leaves_ == 1.0 && level.shares) return Status::Optimal;
         const double d = d_ + (level.shares ? 0.0 : PLAIN);
         const Status status =
             nearest_.of_shares(missed_.data(), got_.data(), d, b_.data(), set_out_);
