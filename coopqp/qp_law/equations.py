@@ -26,7 +26,7 @@ GROWS, MOST_GROWN = 1.5, 16.0
 FADES_IN = 0.1
 #: A joint reverses whose speed changes its sign, from more than this to more than this [rad/s,
 #: m/s], however fast others are: chatter grows from little, and is damped while small.
-SWINGS_AT = 1e-4
+SWINGS_AT = 2e-4
 #: What a later level pulls falls to no less than this share of what it was a tick before, while
 #: that is more than FIRM: a pull that passes through zero is no reason to let go [1/s].
 LETS_GO, FIRM = 0.97, 100.0

@@ -60,7 +60,7 @@ def test_chatter_beside_a_joint_that_goes_on_much_faster_is_seen(chain: ClosedCh
         [(0.1, 0.0), (0.1, 0.0)],  # goes on
         [(0.1, 0.0), (0.0, 0.0), (-0.1, 0.0)],  # stands in between
         [(0.1, 0.0), (-0.1, 0.0), (-0.1, 0.0), (0.1, 0.0)],  # turns, as references do
-        [(0.00009, 0.0), (-0.00009, 0.0), (0.00009, 0.0)],  # slowly
+        [(0.00019, 0.0), (-0.00019, 0.0), (0.00019, 0.0)],  # slowly
         [(0.1, 0.1), (-0.1, 0.1), (-0.1, -0.1)],  # one joint after the other
     ],
 )
