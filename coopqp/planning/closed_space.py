@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from coopqp.base.errors import CoopqpError
+from coopqp.base.rank import matrix_rank
 from coopqp.base.spec import Array, NonNegative, Positive, spec
 from coopqp.controller import ControlProblem
 from coopqp.kernel import native
@@ -210,7 +211,7 @@ def _jacobians(chain: ClosedChain, tasks: Sequence[Task], t: float, q: Array) ->
 
 def _charts(chain: ClosedChain, J: Array) -> NDArray[np.bool_]:
     """The best charts in which all arms but one follow, as far as their joints do."""
-    rank = int(np.median(np.linalg.matrix_rank(J, rtol=1e-6))) if J.shape[1] else 0
+    rank = int(np.median([matrix_rank(rows, 1e-6) for rows in J])) if J.shape[1] else 0
     charts, worst = [], 0.0
     for leader in chain.arms[: chain.holding]:
         own = [chain.joint_names.index(joint) for joint in chain.robot.arm_joints(leader)]

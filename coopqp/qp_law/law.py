@@ -195,8 +195,7 @@ class QPLaw(Law):
     ) -> tuple[Status, Array, Array, float]:
         """Decide between the exact program, with the outcome ``whole``, and the nearest motion.
 
-        Returned are the outcome of the answer, the answer v, the motion that scaled tasks set out
-        from where they leave their directions, and by how much they do, 0 to 1.
+        Returned are the answer's outcome, v, what scaled tasks set out from, and how far they leave.
         """
         first, nearest = self.first, self.nearest
         status, near = nearest.of_hard(state, kappa), nearest.v

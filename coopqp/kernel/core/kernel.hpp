@@ -286,8 +286,7 @@ class Kernel {
         tasks_.begin(b_.data(), set_out_);
         const Status status = tasks_.decide(0, d_);
         const bool proved = !s_.relaxes && status != Status::Unproven && status != Status::Clashing;
-        const bool damps = s_.relaxes && s_.error_damping > 0.0;
-        swings_ = damps ? std::min(std::max(bound.chatter[0] - 1.0, 0.0), 1.0) : 0.0;
+        swings_ = s_.relaxes ? damping_.swings() : 0.0;
         const bool firm = swings_ == 0.0 && holds_firmly(status, false);
         if (!level.exact || proved || (firm && least_share() >= WHOLE)) {
             if (status == Status::Optimal) note_missed(tasks_.v());
@@ -594,7 +593,7 @@ class Kernel {
     // strong convexity: N^2 + sum_k firm_k |ds_k| <= sqrt(d) off N, N^2 = W |ds|^2 + d |dv|^2, firm_k
     // where a bound holds share k. So no firm_k |ds_k| is more than saving, d off^2 / 4.
     double off_ = 0.0, off_in_shares_ = 0.0, saving_ = 0.0;
-    double swings_ = 0.0;                  // as coopqp.qp_law.equations.Damping.swings
+    double swings_ = 0.0;                  // as joints reverse, how far hard tasks are damped like soft ones
     bool near_scaled_ = false;             // whether their nearest motion was looked for
     double *set_out_, *v_, *last_, *near_, *base_, *V_, *t_;
     bool comes_back_ = false;

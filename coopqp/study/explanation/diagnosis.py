@@ -22,7 +22,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.assessment.thresholds import BEYOND
-from coopqp.base.rank import independent_rows, null_space
+from coopqp.base.rank import independent_rows, matrix_rank, null_space
 from coopqp.base.spec import Array
 from coopqp.scenario.bounded_steps import BoundedSteps, Stop
 from coopqp.study.explanation.goal import (
@@ -220,9 +220,9 @@ def _too_few(goal: Goal, q: Array) -> TooFewFreedoms | None:
             alone.append(goal.stack.J.copy())
     if not within:
         return None
-    asked = max(np.linalg.matrix_rank(J, rtol=RANK) for J in alone)
-    best = max(within, key=lambda JZ: int(np.linalg.matrix_rank(JZ, rtol=RANK)))
-    left = int(np.linalg.matrix_rank(best, rtol=RANK))
+    asked = max(matrix_rank(J, RANK) for J in alone)
+    best = max(within, key=lambda JZ: matrix_rank(JZ, RANK))
+    left = matrix_rank(best, RANK)
     rows = independent_rows(best, most=left)
     if left >= asked or not rows or not Search(goal.masked(rows)).best(q).reached:
         return None
