@@ -195,7 +195,7 @@ class QPLaw(Law):
     ) -> tuple[Status, Array, Array, float]:
         """Decide between the exact program, with the outcome ``whole``, and the nearest motion.
 
-        Returned are the answer's outcome, v, what scaled tasks set out from, and how far they leave.
+        Returned are the outcome, v, what scaled tasks set out from, and how far they leave.
         """
         first, nearest = self.first, self.nearest
         status, near = nearest.of_hard(state, kappa), nearest.v
