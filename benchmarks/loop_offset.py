@@ -44,7 +44,7 @@ Stiffness = float | Mapping[str, float]
 class Earlier(LoopObserver):
     """The law before the servos' sag was known of."""
 
-    def _unload(self, state: State, along: Array | None) -> float:
+    def _unload(self, state: State, along: Array | None, *, rests: bool) -> float:
         self._sag  # noqa: B018 - as made for the other law
         return 0.0
 
