@@ -113,6 +113,7 @@ class JointFollowing:
         #: In half samples, of which odd ones lie between two samples.
         self._lags, self._h = np.arange(2 * round(LATEST / h) + 1), h
         self._spans = [max(2, round(window / h)) for window in WINDOWS]
+        self._short = self._spans[:-1]
         kept = self._spans[-1] + len(self._lags) // 2 + round(FADED * TIMES[-1] / h) + 2
         self._c, self._m = np.zeros((2, kept, n))
         self._read = np.zeros((2, n))  # the last readings
@@ -151,7 +152,7 @@ class JointFollowing:
             return None
         if self._samples - self._whitened >= self._renew:
             self._white, self._whitened = self._whitening(state), self._samples
-        spans = self._spans if self._samples % LONG == 0 else self._spans[:-1]
+        spans = self._short if self._samples % LONG else self._spans
         if self._quick and self._quick.quiet(self._samples, self._lag, self._white, SUSPICIOUS):
             self.suspicious = False
             return self._agreed(None, 0, spans)
@@ -165,6 +166,9 @@ class JointFollowing:
 
     def _agreed(self, found: Suspect | None, span: int, spans: Sequence[int]) -> Suspect | None:
         """What the last look has found, too, or that of the long window, which is a rare one."""
+        if found is None and self._before == [None, None]:
+            self.suspect = None
+            return None
         long, earlier = self._spans[-1], list(self._before)
         self._before[0], self.suspect = found, None
         if long in spans:
