@@ -179,28 +179,23 @@ def how_to_read(comparison: Comparison) -> Iterator[str]:
         "stay where it holds the object. This condition is the closed loop. The loop error is "
         "what steps of finite length leave; Baumgarte stabilisation with the gain κ pulls it back."
     )
-    yield _of_motors(comparison)
-    of_forces = list(_forces(comparison))
-    yield from of_forces
-    laws = [type_name(type(law)) for law in comparison.scenario.controllers.values()]
-    if not of_forces or any("pseudoinverse" in law for law in laws):
-        yield from _laws(comparison)
-
-
-def _of_motors(comparison: Comparison) -> str:
-    """What the acceleration and the time of a tick are beside."""
     advice = (
         "the scenario's joint_acceleration bounds it"
         if any(isinstance(limit, JointAcceleration) for limit in comparison.scenario.limits)
         else "joint_acceleration in the scenario's limits bounds it here as well"
     )
-    return (
+    yield (
         "The acceleration is how fast the speed of a joint changes from one tick to the next. "
         "The loop for robots, OnlineLoop, allows as much as brings a joint from rest to its full "
         f"speed in {SPEED_UP:g} s, or {ACCELERATION_UNLIMITED:g} rad/s2 without a speed limit; "
         f"{advice}. The time of a tick has to stay below the control period, "
         f"{1e3 * comparison.scenario.dt:g} ms."
     )
+    of_forces = list(_forces(comparison))
+    yield from of_forces
+    laws = [type_name(type(law)) for law in comparison.scenario.controllers.values()]
+    if not of_forces or any("pseudoinverse" in law for law in laws):
+        yield from _laws(comparison)
 
 
 def _forces(comparison: Comparison) -> Iterator[str]:
