@@ -3,8 +3,9 @@
 import html
 import json
 import os
+import re
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import zip_longest
 from pathlib import Path
 from string import Template
@@ -28,6 +29,8 @@ HERE = Path(__file__).parent
 KINDS = {None: "", True: "bad", False: "good"}  # of cells, by whether they are bad
 PANES_A_ROW = {1: 1, 2: 2, 4: 2}  # by the number of controllers; three for the others
 #: Columns that may get narrow, so that the verdict does not.
+FEW = 4  # columns that narrow pages have room for
+WORDS = ("blocked_<wbr>by", "broken")  # columns of names, in studies
 WRAPPING = ("task_error", "limit", "speed", "acceleration", "margin", "loop", "motors", "tick")
 
 
@@ -81,6 +84,31 @@ def breakable(name: str) -> str:
 def asset(name: str) -> str:
     """A text file of this folder."""
     return (HERE / name).read_text(encoding="utf-8")
+
+
+def html_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table of cells that are HTML already; the first of each row is its name.
+
+    On narrow pages each row of many columns is a card, where every cell has its heading.
+    """
+    first, *others = heads
+    words = [re.sub(r"<[^>]*>", " ", head.replace("<wbr>", "")).strip() for head in others]
+    kinds = [' class="words"' if head in WORDS else "" for head in others]
+    head = f'<th class="name">{first}</th>' + "".join(f"<th>{x}</th>" for x in others)
+    body = "".join(
+        f'<tr><th scope="row" class="name">{name}</th>'
+        + "".join(
+            f'<td{kind} data-heading="{word}">{cell}</td>'
+            for kind, word, cell in zip(kinds, words, cells, strict=True)
+        )
+        + "</tr>"
+        for name, *cells in rows
+    )
+    kind = "summary result" if len(heads) > FEW else "summary"
+    return (
+        f'<div class="wide"><table class="{kind}">'
+        f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>"
+    )
 
 
 def _summary(comparison: Comparison, looks: dict[str, Style], folder: Path | None) -> str:
