@@ -149,7 +149,12 @@ class Task(ABC):
         if program is None:
             words = "needs a method bind, geometry or program"
             raise InvalidValueError(f"{type_name(type(self))}: {words}")
-        return _evaluate(program, start)
+        fill = evaluated(program, start)
+
+        def evaluate(state: State, rows: TaskRows) -> None:
+            fill(state, rows.e, rows.J, rows.rate)
+
+        return evaluate
 
     def geometry(self, at: Instant) -> tuple[Primitive, ...]:
         """The rows as primitives of the object, its references setting out at an instant."""
@@ -199,23 +204,6 @@ class Task(ABC):
         return 0.0
 
 
-def _evaluate(program: Sequence[Primitive], start: State) -> Evaluate:
-    fill = evaluated(program, start)
-
-    def evaluate(state: State, rows: TaskRows) -> None:
-        fill(state, rows.e, rows.J, rows.rate)
-
-    return evaluate
-
-
-def _bound(task: Task, start: State | Programs) -> Evaluate:
-    """As :meth:`Task.bind`, by the program that is made already where there is one."""
-    if isinstance(start, State):
-        return task.bind(start)
-    program = None if type(task).bind is not Task.bind else start.of(task)
-    return task.bind(start.start) if program is None else _evaluate(program, start.start)
-
-
 def _ends(values: Iterable[object]) -> Iterator[float]:
     """When each motion that a task follows comes to rest [s]."""
     for value in values:
@@ -242,8 +230,7 @@ def pose_parts(
 class TaskStack:
     """The rows of several tasks in one block, shapes (k,) and (k, n) with k = all rows.
 
-    J has n ``columns``, one a joint unless said otherwise. ``start`` is the state from which the
-    references set out, or the programs of the tasks there, whose references are then theirs, too.
+    J has n ``columns``, one a joint unless said otherwise.
 
     Attributes:
         slices: of each task's rows. sizes: their numbers.
@@ -253,12 +240,9 @@ class TaskStack:
         bound: the function of each task, and where it writes.
     """
 
-    def __init__(
-        self, tasks: Sequence[Task], start: State | Programs, columns: int | None = None
-    ) -> None:
-        chain = start.start.chain if isinstance(start, Programs) else start.chain
-        self._chain, n = chain, chain.n if columns is None else columns
-        sizes = [len(task.rows(chain)) for task in tasks]
+    def __init__(self, tasks: Sequence[Task], start: State, columns: int | None = None) -> None:
+        self._chain, n = start.chain, start.chain.n if columns is None else columns
+        sizes = [len(task.rows(start.chain)) for task in tasks]
         ends = list(itertools.accumulate(sizes, initial=0))
         k = ends[-1]
         self.tasks = tuple(tasks)
@@ -274,7 +258,7 @@ class TaskStack:
         self.priorities = np.repeat([task.priority for task in tasks], sizes).astype(int)
         #: Largest second derivative of each row's error [unit/rad2].
         self.levers = np.array(
-            [lever for task in tasks for lever in levers_of(task, chain)], float
+            [lever for task in tasks for lever in levers_of(task, start.chain)], float
         ).reshape(k)
         self._asking = [
             part for task, part in zip(tasks, self.slices, strict=True) if task.asks_velocity
@@ -284,7 +268,7 @@ class TaskStack:
             if task.joint_space:
                 self.J[part] = np.eye(n)
             block = TaskRows(self.e[part], self.J[part], self.rate[part])
-            self.bound.append((_bound(task, start), block))
+            self.bound.append((task.bind(start), block))
 
     @cached_property
     def rows(self) -> tuple[Row, ...]:

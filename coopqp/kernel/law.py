@@ -58,7 +58,7 @@ BOUND_TO = "q", "v", "gap", "felt", "memory", "inputs"
 
 
 class KernelLaw(Law):
-    """The QP law, compiled; ``whole`` is the problem, ``programs`` are those of its tasks.
+    """The QP law, compiled; ``whole`` is the problem.
 
     ``damping`` is the cost of |v|^2, ``error_damping`` the share of it that rules out any
     overshoot.
@@ -76,7 +76,6 @@ class KernelLaw(Law):
     ) -> None:
         super().__init__(problem, force_control=force_control)
         self._order = order = Order(problem)
-        self.programs = order.programs
         self._limits = limits = Limits(problem, order.start)
         self._settings = limits, damping, error_damping
         first, *later = order.groups

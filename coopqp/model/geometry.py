@@ -101,18 +101,17 @@ class Reference:
         axis: Vector3 | None = None,
     ) -> None:
         start = start or Moment()
-        placed, steered = isinstance(origin, Signal), isinstance(direction, Signal)
-        if placed and any(velocity):
+        if isinstance(origin, Signal) and any(velocity):
             words = "velocity: the place is a signal, which says how it moves; omit it"
             raise InvalidValueError(words)
-        if steered and turn is not None:
+        if isinstance(direction, Signal) and turn is not None:
             words = "turn: the direction is a signal, which says how it turns; omit it"
             raise InvalidValueError(words)
         here = along = None
         if isinstance(start, State):
-            if placed and point is not None:
+            if isinstance(origin, Signal) and point is not None:
                 here = start.point(np.array(point))
-            if steered:
+            if isinstance(direction, Signal):
                 along = DIRECTION.read(_UP if axis is None else start.R_WO @ np.array(axis))
         self._origin = (
             origin if isinstance(origin, Trajectory) else trajectory_of(origin, POINT, start, here)

@@ -26,7 +26,7 @@ from coopqp.qp_law.bounds import Bounds
 from coopqp.solver import written
 from coopqp.study.explanation import explain
 from coopqp.study.tick_record import record_tick
-from coopqp.task import Programs, TaskStack
+from coopqp.task import TaskStack
 
 from . import signs
 from .signs import Record
@@ -58,11 +58,10 @@ class PartErrors:
 
     Args:
         problem: with the tasks.
-        start: the state from which their references set out, or programs of the tasks that set out
-            there; the chain's when omitted.
+        start: the state from which their references set out; the chain's when omitted.
     """
 
-    def __init__(self, problem: ControlProblem, start: State | Programs | None = None) -> None:
+    def __init__(self, problem: ControlProblem, start: State | None = None) -> None:
         self._problem = problem
         self._seen, self._found = -1, np.zeros(0)  # after how many ticks what was found
         self._tasks = TaskStack(problem.tasks, start or State(problem.chain))

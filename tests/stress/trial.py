@@ -9,7 +9,6 @@ from functools import partial
 from typing import TypeVar
 
 from coopqp.base.errors import MissingDependencyError
-from coopqp.kernel.law import KernelLaw
 from coopqp.plant import Plant
 from coopqp.plants.kinematic import Kinematic
 from coopqp.solver import Solver
@@ -94,8 +93,7 @@ def _run(seed: int, solver: Solver, plant: Plant) -> Rollout:
     drawn = draw(seed, solver)
     law = LAW.unprepared(drawn.problem)
     state = law.start()
-    made = law.programs if isinstance(law, KernelLaw) else state
-    record, errors = record_of(drawn.problem), PartErrors(drawn.problem, made)
+    record, errors = record_of(drawn.problem), PartErrors(drawn.problem, state)
     drive_on(law, state, record, errors, patient=seed % PATIENT == 0)
     rollout = judged(seed, drawn, law, state, record, errors)
     missed = [] if rollout.oscillating else missed_hard_tasks(drawn.problem, state, record)
