@@ -54,8 +54,8 @@ SUSPICIOUS, MEAN_SQUARE, DEVIATIONS = 12.0, 3.0, 6.0
 #: swapped joints need less where all other faults leave so much more.
 EXPLAINED, EXPLAINED_SWAPPED, AS_GOOD, ALONE = 0.9, 0.95, 0.03, 0.25
 #: A fault that leaves more than this share, and so many times as much as one of other joints or a
-#: push from outside, is none, whatever that is: something else has happened, as where friction makes
-#: joints late, or air or a person holds a hand back.
+#: push from outside, is none, whatever that is: something else has happened, as where friction
+#: makes joints late, or a person holds a hand back.
 CREDIBLE, TIMES_AS_MUCH = 0.05, 2.0
 #: delta over dq_c of a joint that does not follow, at least and, unless it stands still, at most;
 #: of two swapped ones, 1 but for what else there is; above which it moves the wrong way. When in a
@@ -329,9 +329,9 @@ class JointFollowing:
         return float(np.einsum("xya,sab,xyb->sxy", p, G, p).min())
 
     def _pushed(self, state: State, z: Array) -> float:
-        """What is left of the parity vector, (servos, T, d), where wrenches from outside turn joints.
+        """What wrenches from outside leave of the parity vector z, shape (servos, T, d).
 
-        As those of internal forces, their ways are K^-1 J' h, now of h that the object feels.
+        Hands that bear h on the object as well move joints by K^-1 J' h, as internal ones do.
         """
         J = np.vstack([state.J_task, state.J_loop])
         N = null_space(J[:, self._passive].T) if len(self._passive) else np.identity(len(J))
