@@ -53,7 +53,10 @@ class Kernel {
           last_(arena_->take(std::size_t(stride()))),
           near_(arena_->take(std::size_t(stride()))), base_(arena_->take(std::size_t(stride()))),
           V_(arena_->take(TWIST)),
-          t_(arena_->take(std::size_t(stride()))) {}
+          t_(arena_->take(std::size_t(stride()))) {
+        for (const Level& level : levels)
+            for (char twist : level.twist) sees_twist_ |= twist != 0;
+    }
 
     // Kinematics of q; what follows from them is written to the bound arrays.
     Status update(double t) {
@@ -93,6 +96,7 @@ class Kernel {
         aim_loops(ahead_.kappa(bound.drift));
         if (!fault(Fault::StaleFactor) && !loops_->factor()) return Status::Singular;
         if (fault(Fault::WrongDirection)) loops_->Z[0] += 1e-3;
+        if (sees_twist_) loops_->see_object(rows_);
         loops_->particular(b_.data(), set_out_);
         if (fault(Fault::WrongSide)) set_out_[0] += 1e-4;
         if (!look_around()) return Status::Unproven;
@@ -597,6 +601,7 @@ class Kernel {
     bool near_scaled_ = false;             // whether their nearest motion was looked for
     double *set_out_, *v_, *last_, *near_, *base_, *V_, *t_;
     bool comes_back_ = false;
+    bool sees_twist_ = false;  // whether there are rows that see the object's twist
 };
 
 }  // namespace coopqp
