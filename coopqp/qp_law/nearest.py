@@ -53,8 +53,6 @@ LESS = 1e-3
 MET = 1e-6
 #: Speed from a limit from which on exact motions stand, whatever v_h lacks [m/s, rad/s].
 NEAR = 0.1
-#: Damping of v_s where no task is scaled, which leaves v_s as it is and its multipliers small.
-PLAIN = 1.0
 #: Slope of the cost of t, above the multipliers that it may have, over W.
 ASIDE = 1e3
 
@@ -92,11 +90,11 @@ class Nearest:
         level.v[:] = self._refined.v
         return status
 
-    def hold(self, state: State, kappa: float, wanted: Array) -> Status:
+    def hold(self, state: State, kappa: float) -> Status:
         """Hold hard tasks as they are, without the scaled ones."""
         level, m = self.held, len(state.e_loop)
         level.assemble(state, kappa)
-        level.qp.A[m:], level.qp.b[m:] = self.hard.tasks.J, wanted
+        level.qp.A[m:], level.qp.b[m:] = self.hard.tasks.J, self.hard.tasks.wanted
         return level.solve()
 
     def of_scaled(self, state: State, v: Array) -> tuple[Array, Status]:
@@ -105,6 +103,11 @@ class Nearest:
             stack.update(state)
         loops, pull = null_space(state.J_loop).T, state.memory["scaled pull"]
         return self.scaled.improve(state, loops, v, pull)
+
+
+def counting(missed: Array) -> float:
+    """How much counts of what rows of hard tasks lack."""
+    return min(max(float(np.abs(missed).max(initial=0.0)) / MET - 1.0, 0.0), 1.0)
 
 
 def blocked(share: float, wanted: Array, near: Array) -> float:

@@ -66,18 +66,17 @@ class Nearest {
     }
     const double* held() const { return held_.v(); }  // in lanes
 
-    // The largest shares of scaled tasks, and the least t, beside the motion of_hard.
-    //   missed: what the rows of hard tasks may lack; got: all exact rows of that motion.
+    // The largest shares of scaled tasks, and the least t, beside a motion of hard ones.
+    //   got: all exact rows of that motion.
     //   d: damping.
-    Status of_shares(const double* missed, const double* got, double d, const double* b,
-                     const double* v) {
+    Status of_shares(const double* got, double d, const double* b, const double* v) {
         Level& level = beside_[0];
         double size2 = 0.0;
-        for (std::size_t s = 0; s < std::size_t(level.exact); s++) {
-            const bool hard = int(s) < given_.hard;
-            level.wanted[s] = given_.wanted[s] + (hard ? missed[s] : 0.0);
-            level.aside[s] = got[s] - (hard ? level.wanted[s] : 0.0);
-            size2 += level.aside[s] * level.aside[s];
+        std::copy_n(got, given_.hard, level.wanted.begin());
+        for (std::size_t s = std::size_t(given_.hard); s < std::size_t(level.exact); s++) {
+            level.wanted[s] = given_.wanted[s];
+            level.aside[s] = got[s];
+            size2 += got[s] * got[s];
         }
         const double size = std::min(std::max(std::sqrt(size2), MET), SLOW);
         for (double& aside : level.aside) aside *= SLOW / size;
