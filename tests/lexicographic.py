@@ -33,6 +33,7 @@ from coopqp.model.state import State
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.equations import LEAST_SPEED, MOST_DAMPING, SCALE_WEIGHT, Damping
 from coopqp.qp_law.nearest import ASIDE, LESS, MET, NEAR, SLOW, WHOLE, blocked
+from coopqp.qp_law.priorities import IDLE
 from coopqp.qp_law.priorities import NOISE as RELEASED
 from coopqp.qp_law.safety import drift_gain
 from coopqp.task import Task, TaskStack
@@ -163,7 +164,8 @@ class Cascade:
 
     def _at_limits(self, v: Array) -> float:
         """How near an exact motion v is to a limit, from 0 at NEAR to 1 at it."""
-        room = (self._h - self._G @ v) / np.sqrt((self._G * self._G).sum(axis=1))
+        sizes = np.sqrt((self._G * self._G).sum(axis=1))
+        room = (self._h - self._G @ v) / np.maximum(sizes, LONG(IDLE))
         return min(max(1.0 - float(room.min(initial=NEAR)) / NEAR, 0.0), 1.0)
 
     def _leave(
