@@ -146,7 +146,7 @@ class Cascade:
 
     def _hard(self, tasks: TaskStack, J: Array, w: Array) -> tuple[Array, Array]:
         """The motion of hard tasks, and what it lacks."""
-        least = (LESS if tasks.tasks else 1.0) * self._damping.least
+        least = self._damping.least * (LESS * float(tasks.weights.max()) if tasks.tasks else 1.0)
         v, swings = self._nearest(J, w, tasks.weights, least), self._damping.swings(self._state)
         missed, exact, counts = J @ v - w, v, 1.0
         size = float(np.sqrt(missed @ missed))

@@ -245,7 +245,8 @@ class QPLaw(Law):
         weights, hard = self.exact.weights[self._hard_rows], y[self._hard_rows]
         if met or not len(hard):
             return True
-        lacks = LESS * self._damping.least / self.first.curvature * norm(hard / np.sqrt(weights))
+        share = LESS * float(weights.max()) * self._damping.least / self.first.curvature
+        lacks = share * norm(hard / np.sqrt(weights))
         return lacks <= MET * float(np.sqrt(weights.min()))
 
     def _at_limits(self, v: Array) -> float:

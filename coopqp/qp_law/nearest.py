@@ -47,7 +47,7 @@ LITTLE = 0.1
 SLOW = 5e-3
 #: What |a| is taken to be at most [m/s, rad/s]: multipliers up to ASIDE W / FAST leave t at 0.
 FAST = 1.0
-#: Least damping of the level of the hard tasks, as a share of that of the soft ones.
+#: Least damping of the level of the hard tasks for their largest weight, as a share of the others'.
 LESS = 1e-3
 #: Rows that lack less than this are met, from twice it on they are not [m/s, rad/s].
 MET = 1e-6
@@ -63,7 +63,7 @@ class Nearest:
     def __init__(self, given: Given, order: Order) -> None:
         loops, self._damping = given.problem.chain.loops, given.damping
         hard, scaled = (TaskStack(tasks, order.start) for tasks in (order.hard, order.scaled))
-        least = (LESS if order.hard else 1.0) * given.damping.least
+        least = given.damping.least * (LESS * float(hard.weights.max()) if order.hard else 1.0)
         firm = replace(given, damping=replace(given.damping, least=least))
         self.hard, self._refined = Level(firm, hard, loops.solver_rows), Step(firm, hard)
         rows = [*loops.solver_rows, *order.exact.rows[: len(hard.wanted)]]

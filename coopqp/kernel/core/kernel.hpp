@@ -24,6 +24,8 @@ namespace coopqp {
 // plus a speed that one may set out with [rad/s, m/s].
 constexpr double FASTER = 1.5, STARTS = 0.2;
 constexpr int MOST_LOOKS = 8;
+// Share of the accuracy to which damping must tell the motion of hard tasks: later levels multiply it.
+constexpr double SURE = 0.03;
 
 class Kernel {
   public:
@@ -409,7 +411,7 @@ class Kernel {
         short_ = counts > 0.0;
         for (std::size_t s = 0; s < missed_.size(); s++)
             missed_[s] = counts * std::fabs(missed_[s]) + swings_ * std::fabs(levels[0].wanted[s]);
-        const bool damps = counts == 1.0 && nearest_.unsure(missed_.data()) <= s_.budget.accuracy;
+        const bool damps = counts == 1.0 && nearest_.unsure(missed_.data()) <= SURE * s_.budget.accuracy;
         if (unsure && !damps) return Status::Inaccurate;
         holds = !short_ && holds_firmly(whole, true);
         if (short_) {

@@ -19,7 +19,7 @@ class Nearest {
     Nearest(const Model& model, const Settings& settings, const Rows& rows, const Loops& loops,
             const Limits& limits, const std::vector<std::vector<int>>& kept, const Level& given,
             Arena& arena)
-        : s_(settings), given_(given),
+        : s_(settings), given_(given), least_(settings.damping * (given.hard ? LESS * given.most_weight() : 1.0)),
           levels_{part(given, 0, given.hard, rows.stride()),
                   part(given, given.hard, given.exact, rows.stride())},
           beside_{part(given, 0, given.exact, rows.stride())},
@@ -45,7 +45,7 @@ class Nearest {
             all += given_.weight[s] * pulls[s] * given_.lever[s];
         }
         const double speed = std::sqrt(dot(v(), v(), blocks_));
-        const double off = found.off * std::sqrt(LESS * s_.damping * squares / 4.0) / all * speed;
+        const double off = found.off * std::sqrt(least_ * squares / 4.0) / all * speed;
         return found.astray <= s_.budget.accuracy ? off : std::numeric_limits<double>::infinity();
     }
 
@@ -114,7 +114,7 @@ class Nearest {
   private:
     Status of_hard(const double* b, const double* v, double d) {
         cascade_.begin(b, v);
-        return cascade_.decide(0, (given_.hard ? LESS : 1.0) * s_.damping + d);
+        return cascade_.decide(0, least_ + d);
     }
 
     // Some rows of a level, as soft ones.
@@ -155,6 +155,7 @@ class Nearest {
 
     const Settings& s_;
     const Level& given_;
+    double least_;  // damping
     std::vector<Level> levels_, beside_, alone_;
     int blocks_;
     Cascade cascade_, shares_, held_;
