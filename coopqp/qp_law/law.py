@@ -33,6 +33,7 @@ import numpy as np
 from coopqp.base.rank import null_space
 from coopqp.base.spec import Array
 from coopqp.controller import Command, ControlProblem, InternalForceControl, Law
+from coopqp.limit import ROUNDING
 from coopqp.model.state import State
 from coopqp.qp_law.equations import LEAST_SPEED, MOST_DAMPING, SCALE_WEIGHT, Damping, note_chatter
 from coopqp.qp_law.level import Given, Level
@@ -237,10 +238,13 @@ class QPLaw(Law):
         """Whether the exact program answers as the levels of least squares would.
 
         So it is where no multipliers of its rows are so large that v_h would lack something of hard
-        tasks, unless these are ``met``, nor so large that the penalty of t would not be exact.
+        tasks, unless these are ``met``, nor so large that the penalty of t would not be exact. Rows
+        beside shares that hold by the solver's tolerance alone do not.
         """
-        y = self.first.solution.y[-len(self.exact.wanted) :]
-        if self._scaled and norm(y) * FAST > ASIDE * SCALE_WEIGHT:
+        solution = self.first.solution
+        y = solution.y[-len(self.exact.wanted) :]
+        lacking = solution.primal_residual > ROUNDING or norm(y) * FAST > ASIDE * SCALE_WEIGHT
+        if self._scaled and lacking:
             return False
         weights, hard = self.exact.weights[self._hard_rows], y[self._hard_rows]
         if met or not len(hard):
