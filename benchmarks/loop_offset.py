@@ -42,11 +42,14 @@ Stiffness = float | Mapping[str, float]
 
 
 class Earlier(LoopObserver):
-    """The law before the servos' sag was known of."""
+    """The law before the servos' sag was known of, whose gap never stays."""
 
-    def _unload(self, state: State, along: Array | None) -> float:
+    def _unload(self, state: State, along: Array | None, *, rests: bool) -> float:
         self._sag  # noqa: B018 - as made for the other law
         return 0.0
+
+    def _look_back(self, left: Array, *, rests: bool) -> None:
+        pass
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.base.spec import Array, Vector3, unit
+from coopqp.model import marker
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.geometry import (
     TINY,
@@ -24,16 +25,6 @@ from coopqp.model.geometry import (
     RotationError,
     inverse_alignment,
     polar,
-)
-from coopqp.model.marker import (
-    CircleMarker,
-    LineMarker,
-    Marker,
-    PlaneMarker,
-    PointMarker,
-    PoseMarker,
-    SphereMarker,
-    TrackedMarker,
 )
 from coopqp.model.profile import Profile
 from coopqp.model.state import PointOfObject, State
@@ -182,33 +173,33 @@ def sees_twist(program: Sequence[Primitive] | None) -> bool:
     return program is not None and not any(p.of_joints or p.kind in of_joints for p in program)
 
 
-def markers(geometry: Sequence[Primitive], at: Instant) -> tuple[Marker, ...]:
+def markers(geometry: Sequence[Primitive], at: Instant) -> tuple[marker.Marker, ...]:
     """What the object is steered to at an instant, then its point that is."""
     for p in geometry:
         if p.goal:
             p.goal.update(at)
         p.reference.update(at)
-    found, of = list[Marker](), {p.kind: p for p in geometry}
+    found, of = list[marker.Marker](), {p.kind: p for p in geometry}
     spot, radial, turned = of.get(Kind.POINT), of.get(Kind.RADIAL), of.get(Kind.ROTATION)
     placed = spot or radial or of.get(Kind.TWIST)
     if radial:
         c, normal = radial.reference.c, radial.reference.RT[2]
-        ball = SphereMarker(center=c, radius=radial.length)
-        circle = CircleMarker(center=c, normal=normal, radius=radial.length)
+        ball = marker.SphereMarker(center=c, radius=radial.length)
+        circle = marker.CircleMarker(center=c, normal=normal, radius=radial.length)
         found.append(circle if radial.planar else ball)
     elif spot and spot.rows == (2,):
-        found.append(PlaneMarker(normal=spot.reference.RT[2], through=spot.reference.c))
+        found.append(marker.PlaneMarker(normal=spot.reference.RT[2], through=spot.reference.c))
     elif spot and (spot.rows == (0, 1) or Kind.LEAN in of):
-        found.append(LineMarker(direction=spot.reference.RT[2], through=spot.reference.c))
+        found.append(marker.LineMarker(direction=spot.reference.RT[2], through=spot.reference.c))
     elif Kind.LEAN in of:
-        found.append(LineMarker(direction=of[Kind.LEAN].reference.RT[2]))
+        found.append(marker.LineMarker(direction=of[Kind.LEAN].reference.RT[2]))
     whole = spot.reference.c if spot and len(spot.rows) == 3 else None
     if turned and turned.goal:
         R = turned.reference.RT.T @ turned.goal.R
-        found.append(PoseMarker(rotation=R, position=whole))
+        found.append(marker.PoseMarker(rotation=R, position=whole))
     elif whole is not None:
-        found.append(PointMarker(at=whole))
-    return (*found, TrackedMarker(point=placed.point)) if placed else tuple(found)
+        found.append(marker.PointMarker(at=whole))
+    return (*found, marker.TrackedMarker(point=placed.point)) if placed else tuple(found)
 
 
 Fill = Callable[[State, Array, Array, Array], None]

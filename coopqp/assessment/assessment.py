@@ -15,20 +15,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from coopqp.assessment import limits
+from coopqp.assessment import limits, thresholds
 from coopqp.assessment.limits import LimitViolation
 from coopqp.assessment.oscillation import Oscillation, oscillation
-from coopqp.assessment.thresholds import (
-    ACCELERATION_UNLIMITED,
-    SATURATED,
-    SETTLED,
-    SPEED_UP,
-    at_effort,
-    closed,
-    rests,
-    torn,
-    within,
-)
 from coopqp.base.spec import Array
 from coopqp.solver import Status, causes_of
 from coopqp.task import Level, Mode, level_of
@@ -50,7 +39,7 @@ def _end_errors(trace: Trace, k: int) -> Array:
     error = trace.task_error[task.rows.start : last + 1, k]
     if task.unit not in FORCES:
         return error[-1:]
-    ticks = min(round(SETTLED / trace.dt), (len(error) - 1) // 5)
+    ticks = min(round(thresholds.SETTLED / trace.dt), (len(error) - 1) // 5)
     return error[-max(ticks, 1) :]
 
 
@@ -101,7 +90,7 @@ class TaskEnd:
     @property
     def arrives(self) -> bool:
         """Whether the error is within the tolerance."""
-        return within(self.error, self.tolerance)
+        return thresholds.within(self.error, self.tolerance)
 
     @property
     def reached(self) -> bool:
@@ -246,7 +235,7 @@ class Assessment:
     @property
     def loop_closed(self) -> bool:
         """Whether the loops were closed all the time."""
-        return closed(*self.loop)
+        return thresholds.closed(*self.loop)
 
     @property
     def held(self) -> bool | None:
@@ -301,9 +290,11 @@ class Assessment:
         tau = self.trace.signals.get("tau")
         if tau is None or not tau.size:
             return {}
-        share = at_effort(tau, self.trace.effort).mean(axis=0)
+        share = thresholds.at_effort(tau, self.trace.effort).mean(axis=0)
         order = np.argsort(-share, kind="stable").tolist()
-        return {self.trace.joints[i]: float(share[i]) for i in order if share[i] > SATURATED}
+        return {
+            self.trace.joints[i]: float(share[i]) for i in order if share[i] > thresholds.SATURATED
+        }
 
     @cached_property
     def oscillation(self) -> Oscillation | None:
@@ -318,7 +309,7 @@ class Assessment:
         """How it ends: "at rest", "moving" or "oscillating"."""
         if self.oscillation:
             return "oscillating"
-        return "at rest" if rests(self.trace.v[-1:]) else "moving"
+        return "at rest" if thresholds.rests(self.trace.v[-1:]) else "moving"
 
     @property
     def fastest(self) -> tuple[str, float, str] | None:
@@ -347,7 +338,7 @@ class Assessment:
         if "held" in trace.signals:  # hands that press may move along the object
             return np.append(False, trace.signals["held"][:, 0] <= 0.0)
         sizes = zip(trace.loop_position.tolist(), trace.loop_orientation.tolist(), strict=True)
-        return np.array([torn(*size) for size in sizes])
+        return np.array([thresholds.torn(*size) for size in sizes])
 
 
 def assess(trace: Trace) -> Assessment:
@@ -371,11 +362,13 @@ def accelerations(trace: Trace) -> Accelerations:
     return Accelerations(change, np.where(motors, change / allowed, 0.0), allowed)
 
 
-def allowed_acceleration(velocity: Array, speed_up: float = SPEED_UP) -> Array:
+def allowed_acceleration(velocity: Array, speed_up: float = thresholds.SPEED_UP) -> Array:
     """What the loop for robots allows joints whose scenario has no limit of it, shape (n,).
 
     Joints with a speed limit [rad/s, m/s] take ``speed_up`` from rest to full speed [s].
     """
     limited = np.isfinite(velocity) & (velocity > 0.0)
-    allowed: Array = np.where(limited, velocity / speed_up, float(ACCELERATION_UNLIMITED))
+    allowed: Array = np.where(
+        limited, velocity / speed_up, float(thresholds.ACCELERATION_UNLIMITED)
+    )
     return allowed

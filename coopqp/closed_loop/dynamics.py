@@ -110,7 +110,12 @@ class ClosedLoopDynamics:
         mass_scale: float = 1.0,
     ) -> None:
         self.chain = chain
-        _check_released(chain)
+        for arm in chain.arms[chain.holding :]:
+            if chain.grasps[arm.name].passive_joints(np.eye(3)):
+                raise GraspError(
+                    f"arm {arm.name}, when it lets go, would leave the joints of its passive grasp "
+                    "swinging without mass; use plant: kinematic, or a rigid grasp"
+                )
         body = chain.held.body()
         # Kept, because pinocchio makes these arrays anew whenever it is asked.
         self._mass, self._lever = mass_scale * body.mass, body.lever.copy()
@@ -303,15 +308,6 @@ def actuated_joints(chain: ClosedChain, names: Sequence[str] | None) -> NDArray[
             f"name at least {freedom}"
         )
     return np.array(motors, np.intp)
-
-
-def _check_released(chain: ClosedChain) -> None:
-    for arm in chain.arms[chain.holding :]:
-        if chain.grasps[arm.name].passive_joints(np.eye(3)):
-            raise GraspError(
-                f"arm {arm.name}, when it lets go, would leave the joints of its passive grasp "
-                "swinging without mass; use plant: kinematic, or a rigid grasp"
-            )
 
 
 def _shares(chain: ClosedChain, shares: Mapping[str, float] | None) -> Array:

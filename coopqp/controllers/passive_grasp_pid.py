@@ -44,16 +44,7 @@ from coopqp.controller import Command, Controller, ControlProblem, Features, Law
 from coopqp.model.state import State
 from coopqp.solver import Status
 from coopqp.task import TaskStack
-from coopqp.torque_law.margins import (
-    MIN_DAMPING,
-    ReferenceModel,
-    TorqueLoop,
-    VelocityLoop,
-    damped,
-    largest,
-    memory_of,
-    require_damped_models,
-)
+from coopqp.torque_law import margins
 from coopqp.torque_law.task_dynamics import TaskDynamics, require_motor_freedom
 
 Gains = Annotated[tuple[NonNegative, ...], Field(min_length=1)]
@@ -66,9 +57,9 @@ class KinematicPid(Law):
         super().__init__(problem)
         self._tasks = TaskStack(problem.tasks, State(problem.chain))
         k = len(self._tasks.e)
-        self.memory_sizes = memory_of(k)
+        self.memory_sizes = margins.memory_of(k)
         kp, ki, kd = settings.gains(problem, KINEMATIC_GAINS, k)
-        self._loop = VelocityLoop(kp, ki, kd, problem.dt)
+        self._loop = margins.VelocityLoop(kp, ki, kd, problem.dt)
         settings.require_damping(problem, self._loop)
 
     def decide(self, state: State) -> Command:
@@ -88,16 +79,16 @@ class TorquePid(Law):
     def __init__(self, problem: ControlProblem, settings: PassiveGraspPid) -> None:
         super().__init__(problem, torques=True)
         self._level = level = TaskDynamics(problem)
-        self._model = ReferenceModel(level.gains, problem.dt)
+        self._model = margins.ReferenceModel(level.gains, problem.dt)
         self.memory_sizes = self._model.memory_sizes
         defaults = torque_gains(problem.dt)
         self._gains = kp, ki, kd = settings.gains(problem, defaults, len(level.tasks.e))
         self._inverse = settings.feed_forward == "inverse_dynamics"
-        require_damped_models(problem, settings.name)
+        margins.require_damped_models(problem, settings.name)
         level.update(State(problem.chain))
         J, forward = level.tasks.J, float(self._inverse)
         W = J @ level.inverse_inertia() @ J.T
-        self.loop = TorqueLoop(level.gains, kp, ki, kd, W, problem.dt, forward)
+        self.loop = margins.TorqueLoop(level.gains, kp, ki, kd, W, problem.dt, forward)
         settings.require_damping(problem, self.loop)
         self._effort = problem.chain.model.effortLimit
         self._wrenches = WrenchStack(problem.wrenches, State(problem.chain))
@@ -253,21 +244,23 @@ class PassiveGraspPid(Controller):
                 )
         return found[0], found[1], found[2]
 
-    def require_damping(self, problem: ControlProblem, loop: TorqueLoop | VelocityLoop) -> None:
+    def require_damping(
+        self, problem: ControlProblem, loop: margins.TorqueLoop | margins.VelocityLoop
+    ) -> None:
         """Refuse gains that oscillate at the start with commands one tick late."""
-        if damped(loop):
+        if margins.damped(loop):
             return
         raise InvalidValueError(
             f"{self.name}: the gains oscillate at dt "
             f"{1e3 * problem.dt:g} ms with commands a tick late (damping ratio "
-            f"{loop.damping():.2f}, needs {MIN_DAMPING:.2f}); {_fix(loop)}"
+            f"{loop.damping():.2f}, needs {margins.MIN_DAMPING:.2f}); {_fix(loop)}"
         )
 
 
-def _fix(loop: TorqueLoop | VelocityLoop) -> str:
+def _fix(loop: margins.TorqueLoop | margins.VelocityLoop) -> str:
     """Which gains to lower, and by how much."""
     for powers in REMEDIES:
-        most = largest(partial(_damped_at, loop, powers), 1.0)
+        most = margins.largest(partial(_damped_at, loop, powers), 1.0)
         if most > 0.0:
             times = (
                 f"{key} at most {most**power:.2g} times as large"
@@ -278,6 +271,8 @@ def _fix(loop: TorqueLoop | VelocityLoop) -> str:
     return "needs gains of another size: all much lower, or more kd with the same kp and ki"
 
 
-def _damped_at(loop: TorqueLoop | VelocityLoop, powers: Sequence[int], factor: float) -> bool:
+def _damped_at(
+    loop: margins.TorqueLoop | margins.VelocityLoop, powers: Sequence[int], factor: float
+) -> bool:
     kp, ki, kd = (factor**power for power in powers)
-    return damped(replace(loop, kp=kp * loop.kp, ki=ki * loop.ki, kd=kd * loop.kd))
+    return margins.damped(replace(loop, kp=kp * loop.kp, ki=ki * loop.ki, kd=kd * loop.kd))

@@ -40,26 +40,8 @@ from coopqp.grasp import SAFETY
 from coopqp.model.state import State
 from coopqp.qp_law.bounds import Bounds
 from coopqp.solver import Solution, Status
-from coopqp.torque_law.hand_wrenches import (
-    HandSensors,
-    HandWrenches,
-    MomentumObserver,
-    require_forces,
-)
-from coopqp.torque_law.margins import (
-    ReferenceModel,
-    damped,
-    largest,
-    require_damped_models,
-    row_loop,
-)
+from coopqp.torque_law import hand_wrenches, margins, task_dynamics
 from coopqp.torque_law.program import Costs, HeldTorques, Layout, programs
-from coopqp.torque_law.task_dynamics import (
-    Impedances,
-    TaskDynamics,
-    require_impedances,
-    require_motor_freedom,
-)
 
 #: Ticks in which a motion may die out, or a joint brake, at the fastest.
 MIN_TICKS = 4
@@ -118,25 +100,27 @@ class TorqueQp(Controller):
                 raise InvalidValueError(
                     f"{name}: task '{task.name}' is scaled; accelerations are soft or hard"
                 )
-        require_motor_freedom(problem, name, free=True)
-        require_damped_models(problem, name)
-        require_forces(problem, self.safety, name)
+        task_dynamics.require_motor_freedom(problem, name, free=True)
+        margins.require_damped_models(problem, name)
+        hand_wrenches.require_forces(problem, self.safety, name)
         knows = self.external_wrench != "unknown"
-        require_impedances(problem, TaskDynamics(problem), name, knows_wrench=knows)
+        task_dynamics.require_impedances(
+            problem, task_dynamics.TaskDynamics(problem), name, knows_wrench=knows
+        )
         self._require_times(problem.dt, name)
         self._require_damped_integral(problem, name)
         return TorqueQpLaw(problem, self)
 
     def observer(
         self, dynamics: ClosedLoopDynamics, dt: float
-    ) -> MomentumObserver | HandSensors | None:
+    ) -> hand_wrenches.MomentumObserver | hand_wrenches.HandSensors | None:
         """The estimator of the external wrench, for a control period [s]; None where unknown."""
         if self.external_wrench == "unknown":
             return None
         if self.external_wrench == "measured":
-            return HandSensors(dynamics, gain=self.observer_gain, dt=dt)
+            return hand_wrenches.HandSensors(dynamics, gain=self.observer_gain, dt=dt)
         try:
-            return MomentumObserver(dynamics, gain=self.observer_gain, dt=dt)
+            return hand_wrenches.MomentumObserver(dynamics, gain=self.observer_gain, dt=dt)
         except InvalidValueError as error:
             raise InvalidValueError(f"{self.name}: observer_{error}") from None
 
@@ -157,7 +141,7 @@ class TorqueQp(Controller):
             if not holds(self.integral):
                 raise InvalidValueError(
                     f"{name}.integral: found {self.integral:g}, needs at most "
-                    f"{largest(holds, self.integral):g} at gain {task.gain:g} 1/s (task "
+                    f"{margins.largest(holds, self.integral):g} at gain {task.gain:g} 1/s (task "
                     f"{task.name}) and dt {1e3 * dt:g} ms; more oscillates, so lower it"
                 )
 
@@ -171,13 +155,13 @@ class TorqueQpLaw(Law):
     def __init__(self, problem: ControlProblem, settings: TorqueQp) -> None:
         super().__init__(problem, torques=True, gives_way=True)
         self.settings = settings
-        self._level = level = TaskDynamics(problem)
+        self._level = level = task_dynamics.TaskDynamics(problem)
         chain, dynamics = problem.chain, level.dynamics
         start = State(chain)
         self._bounds = Bounds(
             chain, problem.limits, start, problem.dt, position_time=settings.brake_time
         )
-        self.hands = HandWrenches(
+        self.hands = hand_wrenches.HandWrenches(
             chain, safety=settings.safety, split=settings.split, shares=settings.shares
         )
         self.wrenches = WrenchStack(problem.wrenches, start)
@@ -187,9 +171,9 @@ class TorqueQpLaw(Law):
         self._has_hard = bool(level.tasks.hard.any() or self.wrenches.hard.any())
         self._wrench: Array | None = None
         self._effort = chain.model.effortLimit[dynamics.actuated]
-        self._impedances = Impedances(problem, level)
+        self._impedances = task_dynamics.Impedances(problem, level)
         self._followed = self._impedances.others
-        self._model = ReferenceModel(level.gains[self._followed], problem.dt)
+        self._model = margins.ReferenceModel(level.gains[self._followed], problem.dt)
         self._integral_gains = settings.integral * level.gains[self._followed]
         self._estimator = settings.observer(dynamics, problem.dt)
         self._held_torques = HeldTorques(self.hands, self.layout, dynamics)
@@ -320,9 +304,9 @@ class TorqueQpLaw(Law):
 
     def _remember(self, state: State) -> None:
         """Keep what the motors do until the next tick, for the observer."""
-        if isinstance(self._estimator, MomentumObserver):
+        if isinstance(self._estimator, hand_wrenches.MomentumObserver):
             state.memory["observer.tau"][:] = self.command.tau
 
 
 def _integral_holds(gain: float, dt: float, integral: float) -> bool:
-    return damped(row_loop(gain, integral, dt))
+    return margins.damped(margins.row_loop(gain, integral, dt))

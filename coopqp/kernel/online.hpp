@@ -94,13 +94,14 @@ class Samples {
   public:
     // c, m: rings of commanded and measured joints `own`, shape (kept, n); arms: of these which
     // belong to an arm; stuck, spans: samples between which they are compared; compliance: of their
-    // servos; h: time between two samples.
+    // servos; h: time between two samples; late, moved: the latest that a joint may follow, in
+    // samples, and what it must be commanded to move by for a reading to be asked to change.
     Samples(const Written& c, const Written& m, const std::vector<std::size_t>& own,
             const std::vector<std::vector<std::size_t>>& arms, int stuck,
             const std::vector<int>& spans, int long_one, const std::vector<double>& compliance,
-            double h)
+            double h, int late, double moved)
         : c_(c), m_(m), own_(own), arms_(arms), spans_(spans), compliance_(compliance), h_(h),
-          stuck_(stuck), long_(long_one), kept_(int(c.shape(0))), n_(c.shape(1)), r_(n_), read_(2 * n_) {
+          moved_(moved), late_(late), stuck_(stuck), long_(long_one), kept_(int(c.shape(0))), n_(c.shape(1)), r_(n_), read_(2 * n_) {
         for (std::size_t j : own_) last_ = std::max(last_, j);
     }
 
@@ -124,7 +125,8 @@ class Samples {
     }
 
     // Whether nothing is to be said of the last of so many samples: the readings of every arm have
-    // changed, and the parity vector is below `suspicious` by squares.
+    // changed, and of every joint that was commanded to move; the parity vector is below `suspicious`
+    // by squares.
     bool quiet(int count, int lag, const Numbers& white, double suspicious) {
         const int last = count - 1;
         count_ = count;
@@ -134,6 +136,8 @@ class Samples {
                         return of(m_, last)[j] == of(m_, last - stuck_)[j];
                     }))
                     return false;
+        for (std::size_t j = 0; j < n_; j++)
+            if (still(j, last)) return false;
         if (white.ndim() != 2 || white.shape(0) != n_) return false;
         const std::size_t d = white.shape(1);
         for (std::size_t s = 0; s < spans_.size() - (count % long_ ? 1 : 0); s++) {
@@ -217,6 +221,17 @@ class Samples {
     }
 
   private:
+    // Whether no reading of a joint has changed since commands should have moved it.
+    bool still(std::size_t j, int last) const {
+        int first = last;
+        while (first > std::max(0, last + 1 - kept_) && of(m_, first - 1)[j] == of(m_, last)[j]) first--;
+        if (last - first < stuck_) return false;
+        double way = 0.0;
+        for (int t = first; t <= last - late_; t++)
+            way = std::max(way, std::fabs(of(c_, t)[j] - of(c_, first)[j]));
+        return way > moved_;
+    }
+
     // x with (A'A + least^2) x = A'r, A (n, m).
     template <class Residual>
     std::vector<double> pull(const std::vector<double>& A, std::size_t m, double least,
@@ -267,8 +282,8 @@ class Samples {
     std::vector<std::vector<std::size_t>> arms_;
     std::vector<int> spans_;
     std::vector<double> compliance_;
-    double h_;
-    int stuck_, long_, kept_, count_ = 0;
+    double h_, moved_;
+    int late_, stuck_, long_, kept_, count_ = 0;
     std::size_t n_, last_ = 0;
     std::vector<double> r_, read_;  // read_: the last two readings of `own`
 };

@@ -24,6 +24,10 @@ over the servos' compliance, and never on grips that creep. What d changes by as
 known, and so taken off the gap at once, gap' = ... - d'; the rest would lag behind by ``time``. The
 load is the object's weight where the stiffness is known, else nothing, until it is felt: at rest,
 by least squares of q_m - q_c.
+
+What is wrong with u then winds up a grip that creeps: it gives way as fast as the gap moves, and
+what is left of e(q_m - u) - e_c stays. So a loop's gap stays, too, where a second at rest has left
+what there was, and another one, until the object moves or something has happened to the hands.
 """
 
 from __future__ import annotations
@@ -43,6 +47,9 @@ from coopqp.model.state import State
 
 #: Time constant, at least so long and at least so many ticks [s].
 TIME, TICKS = 0.15, 10
+#: So much faster where the object rests on servos of known stiffness: what is left then is of grips
+#: that yield more than the servos do.
+SOONER = 1.5
 #: Hands that begin farther apart than this do not hold the object as written [m], [rad].
 MOST_POSITION, MOST_ORIENTATION = 30e-3, 100e-3
 #: Most rotation for each metre of ``Observer.most`` [rad/m].
@@ -53,11 +60,16 @@ RENEWED, DOUBT = 0.05, 5e-4
 AFTER, FEELS = 0.2, 0.3
 #: Smaller sags of unknown servos may as well be errors of their feed-forward [rad].
 SLIGHT = 2e-4
+#: Share of what is left of a loop's error by which it must change in a span at rest [s], else its
+#: gap stays after so many of them; what it must change by for the gap to move again [m], a rotation
+#: counts as below.
+STALLED, SPAN, SPANS, HAPPENED = 0.03, 1.0, 2, 5e-4
 #: Size of a grip: its rotational stiffness over the other is (this)^2 [m].
 GRIP_SIZE = 0.03
 #: An object that is commanded to move faster does not rest: the servos' lag would count as a sag
-#: [m/s]; a rotation counts by 0.1 m.
-MOVES, REST, TURN_COUNTS = 0.05, 0.005, 0.1
+#: [m/s]; a rotation counts by 0.1 m. Joints may move meanwhile, in the null space or as the gap has
+#: them move: hands that do not move, or move apart, tell of no load; but not faster [rad/s].
+MOVES, REST, TURN_COUNTS = 0.5, 0.005, 0.1
 SPEEDS = np.repeat([1.0, TURN_COUNTS], 3)
 #: A load that is felt makes no joint sag by more [rad], unless of the sags so much has its shape,
 #: by squares; else a wall or a hand may hold the arms up.
@@ -120,12 +132,10 @@ class WeightSag:
         """Take out of a sag, shape (n,) [rad], what a squeeze along that direction does to it."""
         sag -= self._squeeze.dot(sag) * self._bent
 
-    def load(self, state: State, sag: Array) -> float:
-        """The load that a sag, shape (n,) [rad], tells of, by least squares [N]; NaN in motion."""
-        if state.v.dot(state.v) > MOVES * MOVES:  # before anybody asks for Jacobians
-            return math.nan
-        twist, size = state.J_task.dot(state.v) * SPEEDS, -self.torque.dot(self.sag)
-        if not twist.dot(twist) < REST * REST or not size > TINY:
+    def load(self, sag: Array) -> float:
+        """The load that a sag, shape (n,) [rad], tells of, by least squares [N]; NaN if of none."""
+        size = -self.torque.dot(self.sag)
+        if not size > TINY:
             return math.nan
         load = max(0.0, float(-self.torque.dot(sag) / size))
         other = sag - load * self.sag
@@ -155,6 +165,12 @@ class LoopObserver:
         self.note, self.paused = "", False
         self._every = max(1, round(RENEWED / dt))
         self._told = np.array([math.nan, math.inf, 0.0])  # load, doubt, number of ticks
+        self._span = max(1, round(SPAN / dt))
+        loops = len(chain.arms) - 1
+        # What is left of the loops' errors, summed since a span began, and its mean in the one
+        # before; by loop, how many in succession it has stalled for; ticks since the span began.
+        self._left, self._stalled = np.full((2, 6 * loops), math.nan), np.zeros(loops)
+        self._spent = np.zeros(1)
 
     @cached_property
     def _measured(self) -> State:
@@ -178,6 +194,8 @@ class LoopObserver:
     def flat(self) -> dict[str, Any]:
         """Numbers, and arrays that the kernel writes where it does an :meth:`update` itself."""
         own = {"told": self._told, "dt": self._dt, "share": self._share, "every": self._every}
+        own |= {"left": self._left, "stalled": self._stalled}
+        own |= {"spent": self._spent, "span": self._span}
         return {**vars(self._sag), **own, "most": np.array(self._most), "known": self._known}
 
     def begins(self, state: State) -> bool:
@@ -220,10 +238,14 @@ class LoopObserver:
             measured.update_poses()
             self._first(state, measured.loop_error)
         began, before = self._told[2] == 0.0, self._sag.opened.copy()
-        load = self._unload(state, along)
+        rests = _rests(state)
+        load = self._unload(state, along, rests=rests)
         opened = load * self._sag.opened
         measured.update_poses()
-        learnt = self._share * (measured.loop_error - state.loop_error)
+        left = _without(measured.loop_error - state.loop_error, along)
+        self._look_back(left, rests=rests)
+        share = self._share * (SOONER if self._known and state.felt[1] > AFTER else 1.0)
+        learnt = share * left * np.repeat(self._stalled < SPANS, 6)
         if not began:
             learnt += load * before - opened
         about = state.felt[2:] - opened
@@ -241,9 +263,10 @@ class LoopObserver:
         state.felt[0] = g * self._chain.held.mass if self._known else 0.0
         state.felt[1], state.felt[2:] = 0.0, error
         self._told[2] = 0.0
+        self._look_back(error, rests=False)
         self._sag  # noqa: B018 - made now, not in a tick
 
-    def _unload(self, state: State, along: Array | None) -> float:
+    def _unload(self, state: State, along: Array | None, *, rests: bool) -> float:
         """Take sag and squeeze out of the measured joints; the load that makes them sag."""
         sag, felt, q, known = self._sag, state.felt, self._measured.q, self._known
         if self._told[2] % self._every == 0:
@@ -254,8 +277,8 @@ class LoopObserver:
         if along is not None and known:
             sag.straighten(lag)
             np.add(state.q, lag, out=q)
-        if along is None or known:  # else a squeeze could not be told from a load
-            load = sag.load(state, lag)
+        if rests and (along is None or known):  # else a squeeze could not be told from a load
+            load = sag.load(lag)
         felt[1] = felt[1] + self._dt if math.isfinite(load) else 0.0
         if felt[1] > AFTER:
             felt[0] += min(1.0, self._dt / FEELS) * (load - felt[0])
@@ -266,6 +289,24 @@ class LoopObserver:
         q -= load * sag.sag
         return load
 
+    def _look_back(self, left: Array, *, rests: bool) -> None:
+        """See which loops stall, by what was left of their errors in this span and before."""
+        total, before = self._left
+        if not rests:
+            self._spent[0], total[:], before[:], self._stalled[:] = 0.0, 0.0, math.nan, 0.0
+            return
+        total += left
+        self._spent[0] += 1.0
+        if self._spent[0] < self._span:
+            return
+        mean, was = (x.reshape(-1, 6) * SPEEDS for x in (total / self._span, before))
+        size, change = (was**2).sum(axis=1), mean - was
+        stands = (change**2).sum(axis=1) < HAPPENED**2
+        stalled = np.abs((change * was).sum(axis=1)) < STALLED * size
+        stalled = np.where(self._stalled < SPANS, stalled, stands)
+        self._stalled[:] = np.where(stalled, self._stalled + 1.0, 0.0)
+        self._spent[0], before[:], total[:] = 0.0, total / self._span, 0.0
+
     def _learn(self, gap: Array, learnt: Array, about: Array) -> None:
         """Move the gap, at most as far ``about`` a value as a model's error changes."""
         gap += learnt
@@ -275,6 +316,7 @@ class LoopObserver:
             if size > most:
                 part = slice(i, i + 3)
                 gap[part] = about[part] + most / size * (gap[part] - about[part])
+                self._left[1, part], self._stalled[i // 6] = math.nan, 0.0  # can come no nearer
                 self._say(i)
 
     def _say(self, row: int) -> None:
@@ -286,6 +328,14 @@ class LoopObserver:
             f"the model's error between {arm} and {first} has changed by {size}, the most that "
             "observer.most lets it; has the object slipped, or is a joint's reading wrong?"
         )
+
+
+def _rests(state: State) -> bool:
+    """Whether the object is commanded to rest."""
+    if state.v.dot(state.v) > MOVES * MOVES:  # before anybody asks for Jacobians
+        return False
+    twist = state.J_task.dot(state.v) * SPEEDS
+    return bool(twist.dot(twist) < REST * REST)
 
 
 def _shares(points: list[Array]) -> Array:

@@ -69,8 +69,10 @@ LEAST_JUMP, JUMP, LEAP = 8e-3, 0.8, 0.015
 #: may press into its stop [rad, m]; share of it that a joint which stands still may measure.
 LEAST_MOTION, NEAR, STANDS = 1.5e-3, 0.02, 0.1
 #: Readings that do not change for so long [s] are stuck where commands move a joint by so much
-#: [rad, m]; for so many samples, to see whether they are.
-STUCK, MOVED, AWAITED = 0.2, 0.01, 2
+#: [rad, m]; for so many samples, to see whether they are. One joint alone may stand by friction,
+#: and is moved by so many times as much, unless its readings have changed in each of as many
+#: samples before: no friction stops an encoder's noise.
+STUCK, MOVED, AWAITED, STICKS = 0.2, 0.01, 2, 3.0
 #: Singular values of K^-1 J_c' below this share of the largest are none. Least share, by squares,
 #: of what shows of the clearest fault in the space that lambda leaves.
 SINGULAR, LEAST_SIGNATURE = 1e-3, 1e-3
@@ -130,7 +132,8 @@ class JointFollowing:
         self._stuck_for = round(STUCK / h) - 1  # of which the first lasts as long, too
         rings, members = (self._c, self._m), [arm.tolist() for arm in self._arms]
         made, found = (*rings, own.tolist(), members, self._stuck_for, self._spans), native.module()
-        self._quick = found and found.Samples(*made, LONG, self._compliance.tolist(), h)
+        stands = len(self._lags) // 2, MOVED
+        self._quick = found and found.Samples(*made, LONG, self._compliance.tolist(), h, *stands)
         self.forget()
 
     def forget(self) -> None:
@@ -156,6 +159,8 @@ class JointFollowing:
             return stuck
         if self._stuck(AWAITED):
             return None
+        if still := self._still():
+            return still
         return self._agreed(*self._look(state, spans), spans)
 
     def _agreed(self, found: Suspect | None, span: int, spans: Sequence[int]) -> Suspect | None:
@@ -201,6 +206,23 @@ class JointFollowing:
             m, c = (np.diff(self._of(ring, at)[:, arm], axis=0) for ring in (self._m, self._c))
             if not m.any() and c.any(axis=1).all() and np.abs(c).sum(axis=0).max() > least:
                 return Suspect("readings_stuck", tuple(int(j) for j in self._own[arm]), 0.0)
+        return None
+
+    def _still(self) -> Suspect | None:
+        """A joint of which no reading has changed by a bit since commands should have moved it."""
+        last, late = self._samples - 1, len(self._lags) // 2
+        if last < self._stuck_for + late:
+            return None
+        at = np.arange(max(0, last + 1 - len(self._m)), last + 1)
+        m, c = self._of(self._m, at), self._of(self._c, at)
+        for j in np.flatnonzero((m[-1 - self._stuck_for :] == m[-1]).all(axis=0)):
+            first = int(np.flatnonzero(np.append(True, m[:-1, j] != m[-1, j]))[-1])
+            told = c[first:, j]
+            way = np.abs(told[: max(1, len(told) - late)] - told[0]).max()
+            lively = first >= self._stuck_for and np.diff(m[: first + 1, j]).all()
+            stops = min(told.min() - self._least[j], self._most[j] - told.max()) < NEAR
+            if way > MOVED * (1.0 if lively else STICKS) and not stops:
+                return Suspect("joint_stands_still", (int(self._own[j]),), 1.0)
         return None
 
     def _whitening(self, state: State) -> Array:

@@ -13,15 +13,7 @@ from coopqp.closed_loop.hands import in_axes, into_contacts, points
 from coopqp.controller import ControlProblem
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.plant import Disturbance, Plant, PlantModel
-from coopqp.plants._dynamic import (
-    UNLIMITED_EFFORT,
-    DynamicModel,
-    Servo,
-    ServoLaw,
-    fair_shares,
-    full_effort,
-    inertia_seen,
-)
+from coopqp.plants import _dynamic
 
 #: Newton steps on the loops after a small slip.
 SLIP_STEPS = 3
@@ -37,7 +29,7 @@ class RigidBody(Plant):
 
     time_step: Positive = 0.001
     """Integration step; must divide the control period [s]."""
-    servo: Servo = Servo()
+    servo: _dynamic.Servo = _dynamic.Servo()
     """How the joints follow velocity commands."""
     friction: Friction = Friction()
     """In every joint."""
@@ -48,7 +40,7 @@ class RigidBody(Plant):
         return RigidBodyModel(problem, self, seed, disturbance)
 
 
-class RigidBodyModel(DynamicModel):
+class RigidBodyModel(_dynamic.DynamicModel):
     """The rigid bodies.
 
     Attributes:
@@ -63,7 +55,7 @@ class RigidBodyModel(DynamicModel):
     def __init__(
         self, problem: ControlProblem, settings: RigidBody, seed: int, disturbance: Disturbance
     ) -> None:
-        servo = ServoLaw(problem.chain, settings.servo)
+        servo = _dynamic.ServoLaw(problem.chain, settings.servo)
         super().__init__(problem, servo, settings.time_step, seed, disturbance)
         chain, self._settings = problem.chain, settings
         self._open()
@@ -97,7 +89,7 @@ class RigidBodyModel(DynamicModel):
         # Where planar arms leave it open who carries the weight, each carries its share.
         self._dynamics = ClosedLoopDynamics(
             chain,
-            shares=fair_shares(chain),
+            shares=_dynamic.fair_shares(chain),
             friction=self._settings.friction,
             mass_scale=mass_scale,
         )
@@ -184,9 +176,9 @@ class EndStops:
     def __init__(self, chain: ClosedChain, h: float) -> None:
         self._lower = np.minimum(chain.lower, chain.q_start)
         self._upper = np.maximum(chain.upper, chain.q_start)
-        effort = full_effort(chain)
+        effort = _dynamic.full_effort(chain)
         # A passive joint's stop is a part of the hand: as firm as the weakest motor's.
-        least = effort[effort > 0.0].min(initial=UNLIMITED_EFFORT)
+        least = effort[effort > 0.0].min(initial=_dynamic.UNLIMITED_EFFORT)
         self._firm = np.where(effort > 0.0, effort, least) / STOP_ANGLE
         self._k, self._d = self._firm, np.zeros(chain.n)
         self._most = (STABLE / h) ** 2
@@ -202,7 +194,7 @@ class EndStops:
         if not (np.count_nonzero(q > self._upper) or np.count_nonzero(q < self._lower)):
             return self._nothing
         if self._seen:
-            W = inertia_seen(*self._seen)
+            W = _dynamic.inertia_seen(*self._seen)
             self._k = np.minimum(self._firm, W * self._most)
             self._d, self._seen = 2.0 * np.sqrt(self._k * W), None
         above, below = q - self._upper, self._lower - q

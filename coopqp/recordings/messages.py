@@ -17,6 +17,7 @@ import sqlite3
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace as Message
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -273,26 +274,40 @@ class _Messages:
     """The topics of one file, and how rows go into them."""
 
     def __init__(self, writer: Any, messages: Any, controller: str) -> None:
-        self._writer, self._of, self._controller = writer, messages, controller
+        self._writer, self._of, self._name = writer, messages, controller
         self._channels: dict[str, int] = {}
         self._said: dict[str, tuple[int, str]] = {}
 
     def log(self, instant: Instant) -> None:
         of, ns = self._of, instant.ns
         stamp = of.Timestamp(ns // NS, ns % NS)
-        for topic, joints in instant.joints.items():
-            self._write(topic, ns, of.JointStates(timestamp=stamp, joints=self._states(joints)))
-        frames = [self._frame(stamp, placed) for placed in (*instant.frames, instant.held)]
+        for topic, (names, *values) in instant.joints.items():
+            columns: list[list[Any]] = [list(own) or [None] * len(names) for own in values]
+            states = [
+                of.JointState(name=name, position=q, velocity=v, effort=tau)
+                for name, q, v, tau in zip(names, *columns, strict=True)
+            ]
+            self._write(topic, ns, of.JointStates(timestamp=stamp, joints=states))
+        frames = []
+        for placed in (*instant.frames, instant.held):
+            p = of.Vector3(**dict(zip("xyz", placed.p, strict=True)))
+            R = of.Quaternion(**dict(zip("xyzw", placed.q, strict=True)))
+            between = {"parent_frame_id": WORLD, "child_frame_id": placed.name}
+            frames.append(of.FrameTransform(timestamp=stamp, translation=p, rotation=R, **between))
         self._write(TF, ns, of.FrameTransforms(transforms=frames))
-        p, q = self._vectors(instant.held)
-        pose = of.Pose(position=p, orientation=q)
+        pose = of.Pose(position=p, orientation=R)  # of the last, the object
         self._write(POSE, ns, of.PoseInFrame(timestamp=stamp, frame_id=WORLD, pose=pose))
-        for remark in instant.remarks:
-            said = remark.level, remark.words
-            if said != self._said.get(remark.about, (0, "")):
-                self._said[remark.about] = said
-                self._write(LOG, ns, self._log(stamp, remark))
-        self._write_row(ns, instant.row)
+        levels = of.LogLevel.Info, of.LogLevel.Warning, of.LogLevel.Error
+        for about, level, words, _ in instant.remarks:
+            if (level, words) != self._said.get(about, (0, "")):
+                self._said[about] = level, words
+                told = {"message": f"{about}: {words or 'free again'}", "name": self._name}
+                self._write(LOG, ns, of.Log(timestamp=stamp, level=levels[level], **told))
+        if TICK not in self._channels:
+            schema = json.dumps({"title": "coopqp.Tick", **_schema(instant.row)}).encode("utf-8")
+            self._open(TICK, "json", "coopqp.Tick", "jsonschema", schema)
+        row = json.dumps(instant.row).encode("utf-8")
+        self._writer.add_message(self._channels[TICK], ns, row, ns)
 
     def _write(self, topic: str, ns: int, message: Any) -> None:
         if topic not in self._channels:
@@ -300,46 +315,9 @@ class _Messages:
             self._open(topic, "protobuf", schema.name, schema.encoding, schema.data)
         self._writer.add_message(self._channels[topic], ns, message.encode(), ns)
 
-    def _write_row(self, ns: int, row: Mapping[str, Any]) -> None:
-        if TICK not in self._channels:
-            schema = json.dumps({"title": "coopqp.Tick", **_schema(row)}).encode("utf-8")
-            self._open(TICK, "json", "coopqp.Tick", "jsonschema", schema)
-        self._writer.add_message(self._channels[TICK], ns, json.dumps(row).encode("utf-8"), ns)
-
     def _open(self, topic: str, encoding: str, *schema: Any) -> None:
         known = self._writer.register_schema(*schema)
         self._channels[topic] = self._writer.register_channel(topic, encoding, known)
-
-    def _log(self, stamp: Any, remark: Remark) -> Any:
-        level = (self._of.LogLevel.Info, self._of.LogLevel.Warning, self._of.LogLevel.Error)
-        return self._of.Log(
-            timestamp=stamp,
-            level=level[remark.level],
-            message=f"{remark.about}: {remark.words or 'free again'}",
-            name=self._controller,
-        )
-
-    def _states(self, joints: Joints) -> list[Any]:
-        values = (joints.position, joints.velocity, joints.effort)
-        columns: list[list[Any]] = [list(of) or [None] * len(joints.names) for of in values]
-        return [
-            self._of.JointState(name=name, position=q, velocity=v, effort=tau)
-            for name, q, v, tau in zip(joints.names, *columns, strict=True)
-        ]
-
-    def _frame(self, stamp: Any, placed: Placed) -> Any:
-        p, q = self._vectors(placed)
-        return self._of.FrameTransform(
-            timestamp=stamp,
-            parent_frame_id=WORLD,
-            child_frame_id=placed.name,
-            translation=p,
-            rotation=q,
-        )
-
-    def _vectors(self, placed: Placed) -> tuple[Any, Any]:
-        (x, y, z), (qx, qy, qz, qw) = placed.p, placed.q
-        return self._of.Vector3(x=x, y=y, z=z), self._of.Quaternion(x=qx, y=qy, z=qz, w=qw)
 
 
 def _schema(row: Mapping[str, Any]) -> dict[str, Any]:
@@ -373,8 +351,7 @@ class Rosbag2(ExportFormat):
                 bag = _Bag(writer, run.controllers[0])
                 for i, instant in enumerate(instants(run, scenario)):
                     if not i:
-                        text = bag.new(STRING, data=scenario.portable)
-                        bag.write(SCENARIO, STRING, instant.ns, text)
+                        bag.write(SCENARIO, STRING, instant.ns, data=scenario.portable)
                     bag.log(instant)
         except sqlite3.Error as error:  # as of a full disk
             raise OSError(str(error)) from error
@@ -410,67 +387,45 @@ def _strings(path: Path, topic: str) -> Iterator[str]:
 
 
 class _Bag:
+    """Topics of a bag; messages are any objects with the fields of their kind."""
+
     def __init__(self, writer: Any, controller: str) -> None:
         self._writer, self._controller, self._store = writer, controller, _types()
         self._topics: dict[str, Any] = {}
 
-    def new(self, kind: str, **values: Any) -> Any:
-        return self._store.types[kind](**values)
-
-    def write(self, topic: str, kind: str, ns: int, message: Any) -> None:
+    def write(self, topic: str, kind: str, ns: int, **fields: Any) -> None:
         if topic not in self._topics:
             added = self._writer.add_connection(topic, kind, typestore=self._store)
             self._topics[topic] = added
-        self._writer.write(self._topics[topic], ns, self._store.serialize_cdr(message, kind))
+        data = self._store.serialize_cdr(Message(**fields), kind)
+        self._writer.write(self._topics[topic], ns, data)
 
     def log(self, instant: Instant) -> None:
-        ns = instant.ns
-        stamp = self.new("builtin_interfaces/msg/Time", sec=ns // NS, nanosec=ns % NS)
-        head = self._head(stamp, WORLD)
-        for topic, joints in instant.joints.items():
-            kind, head_of_joints = "sensor_msgs/msg/JointState", self._head(stamp, "")
-            names, *values = joints
+        ns, stamp = instant.ns, Message(sec=instant.ns // NS, nanosec=instant.ns % NS)
+        head, nameless = (Message(stamp=stamp, frame_id=frame) for frame in (WORLD, ""))
+        for topic, (names, *values) in instant.joints.items():
             fields = zip(("position", "velocity", "effort"), map(np.array, values), strict=True)
-            own = self.new(kind, header=head_of_joints, name=list(names), **dict(fields))
-            self.write(topic, kind, ns, own)
-        frames = [self._frame(head, placed) for placed in (*instant.frames, instant.held)]
-        kind = "tf2_msgs/msg/TFMessage"
-        self.write(TF, kind, ns, self.new(kind, transforms=frames))
-        kind, held = "geometry_msgs/msg/PoseStamped", instant.held
-        position = self._xyz("geometry_msgs/msg/Point", held)
-        pose = self.new("geometry_msgs/msg/Pose", position=position, orientation=self._xyzw(held))
-        self.write(POSE, kind, ns, self.new(kind, header=head, pose=pose))
+            kind = "sensor_msgs/msg/JointState"
+            self.write(topic, kind, ns, header=nameless, name=list(names), **dict(fields))
+        frames = []
+        for placed in (*instant.frames, instant.held):
+            p = Message(**dict(zip("xyz", placed.p, strict=True)))
+            R = Message(**dict(zip("xyzw", placed.q, strict=True)))
+            way = Message(translation=p, rotation=R)
+            frames.append(Message(header=head, child_frame_id=placed.name, transform=way))
+        self.write(TF, "tf2_msgs/msg/TFMessage", ns, transforms=frames)
+        pose = Message(position=p, orientation=R)  # of the last, the object
+        self.write(POSE, "geometry_msgs/msg/PoseStamped", ns, header=head, pose=pose)
+        said = [
+            Message(
+                level=remark.level,
+                name=f"{self._controller}: {remark.about}",
+                message=remark.words,
+                hardware_id="",
+                values=[Message(key=key, value=value) for key, value in remark.values.items()],
+            )
+            for remark in instant.remarks
+        ]
         kind = "diagnostic_msgs/msg/DiagnosticArray"
-        said = [self._status(remark) for remark in instant.remarks]
-        self.write(DIAGNOSTICS, kind, ns, self.new(kind, header=head, status=said))
-        self.write(TICK, STRING, ns, self.new(STRING, data=json.dumps(instant.row)))
-
-    def _head(self, stamp: Any, frame: str) -> Any:
-        return self.new("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
-
-    def _frame(self, head: Any, placed: Placed) -> Any:
-        moved = self.new(
-            "geometry_msgs/msg/Transform",
-            translation=self._xyz("geometry_msgs/msg/Vector3", placed),
-            rotation=self._xyzw(placed),
-        )
-        kind = "geometry_msgs/msg/TransformStamped"
-        return self.new(kind, header=head, child_frame_id=placed.name, transform=moved)
-
-    def _xyz(self, kind: str, placed: Placed) -> Any:
-        return self.new(kind, **dict(zip("xyz", placed.p, strict=True)))
-
-    def _xyzw(self, placed: Placed) -> Any:
-        kind = "geometry_msgs/msg/Quaternion"
-        return self.new(kind, **dict(zip("xyzw", placed.q, strict=True)))
-
-    def _status(self, remark: Remark) -> Any:
-        pair = "diagnostic_msgs/msg/KeyValue"
-        return self.new(
-            "diagnostic_msgs/msg/DiagnosticStatus",
-            level=remark.level,
-            name=f"{self._controller}: {remark.about}",
-            message=remark.words,
-            hardware_id="",
-            values=[self.new(pair, key=key, value=value) for key, value in remark.values.items()],
-        )
+        self.write(DIAGNOSTICS, kind, ns, header=head, status=said)
+        self.write(TICK, STRING, ns, data=json.dumps(instant.row))

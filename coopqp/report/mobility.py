@@ -21,12 +21,13 @@ from coopqp.closed_loop.mobility import WEAK, Mobility, manipulability, mobility
 from coopqp.closed_loop.transmission import force_words
 from coopqp.execution.controller_run import run
 from coopqp.model.state import State
-from coopqp.report.page import asset, script_json, text
+from coopqp.report.page import asset, html_table, script_json, text
 from coopqp.report.strict_json import finite
 from coopqp.scenario.scenario import Scenario
 from coopqp.task import TaskStack
 
 SHOWN = 8  # schemes in the tables
+POSES = ("generic poses", "at the start")
 MAX_POINTS = 400  # of the manipulability curve
 
 
@@ -220,7 +221,7 @@ def tables(result: Study) -> list[Table]:
     """For the terminal."""
     shown = "asked for, then best" if result.mobility.asked else "best"
     titles = f"mobility of {result.name}", "actuation schemes: condition number"
-    headings = ("", "generic poses", "at the start"), (shown, "generic", "start")
+    headings = ("", *POSES), (shown, "generic", "start")
     every = []
     for title, heads, lines in zip(titles, headings, (rows(result), schemes(result)), strict=True):
         table = Table(*heads, title=Text(title), title_justify="left")
@@ -246,16 +247,8 @@ def page(result: Study) -> str:
         version=__version__,
         description=text(result.scenario.description),
         verdict=text(result.verdict()),
-        rows=_html_rows(rows(result)),
-        schemes=_html_rows(schemes(result)),
+        rows=html_table(("", *POSES), [[*map(text, row)] for row in rows(result)]),
+        schemes=html_table(("joints", *POSES), [[*map(text, row)] for row in schemes(result)]),
         figure=script_json({"data": [line], "layout": layout}),
         plotly=get_plotlyjs(),
-    )
-
-
-def _html_rows(lines: Sequence[tuple[str, str, str]]) -> str:
-    return "".join(
-        f"<tr><td class='name'>{text(name)}</td>"
-        f"{''.join(f'<td>{text(value)}</td>' for value in values)}</tr>"
-        for name, *values in lines
     )

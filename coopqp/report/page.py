@@ -3,8 +3,9 @@
 import html
 import json
 import os
+import re
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import zip_longest
 from pathlib import Path
 from string import Template
@@ -28,6 +29,8 @@ HERE = Path(__file__).parent
 KINDS = {None: "", True: "bad", False: "good"}  # of cells, by whether they are bad
 PANES_A_ROW = {1: 1, 2: 2, 4: 2}  # by the number of controllers; three for the others
 #: Columns that may get narrow, so that the verdict does not.
+FEW = 4  # columns that narrow pages have room for
+WORDS = ("blocked_<wbr>by", "broken")  # columns of names, in studies
 WRAPPING = ("task_error", "limit", "speed", "acceleration", "margin", "loop", "motors", "tick")
 
 
@@ -81,6 +84,31 @@ def breakable(name: str) -> str:
 def asset(name: str) -> str:
     """A text file of this folder."""
     return (HERE / name).read_text(encoding="utf-8")
+
+
+def html_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table of cells that are HTML already; the first of each row is its name.
+
+    On narrow pages each row of many columns is a card, where every cell has its heading.
+    """
+    first, *others = heads
+    words = [re.sub(r"<[^>]*>", " ", head.replace("<wbr>", "")).strip() for head in others]
+    kinds = [' class="words"' if head in WORDS else "" for head in others]
+    head = f'<th class="name">{first}</th>' + "".join(f"<th>{x}</th>" for x in others)
+    body = "".join(
+        f'<tr><th scope="row" class="name">{name}</th>'
+        + "".join(
+            f'<td{kind} data-heading="{word}">{cell}</td>'
+            for kind, word, cell in zip(kinds, words, cells, strict=True)
+        )
+        + "</tr>"
+        for name, *cells in rows
+    )
+    kind = "summary result" if len(heads) > FEW else "summary"
+    return (
+        f'<div class="wide"><table class="{kind}">'
+        f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>"
+    )
 
 
 def _summary(comparison: Comparison, looks: dict[str, Style], folder: Path | None) -> str:
@@ -179,28 +207,23 @@ def how_to_read(comparison: Comparison) -> Iterator[str]:
         "stay where it holds the object. This condition is the closed loop. The loop error is "
         "what steps of finite length leave; Baumgarte stabilisation with the gain κ pulls it back."
     )
-    yield _of_motors(comparison)
-    of_forces = list(_forces(comparison))
-    yield from of_forces
-    laws = [type_name(type(law)) for law in comparison.scenario.controllers.values()]
-    if not of_forces or any("pseudoinverse" in law for law in laws):
-        yield from _laws(comparison)
-
-
-def _of_motors(comparison: Comparison) -> str:
-    """What the acceleration and the time of a tick are beside."""
     advice = (
         "the scenario's joint_acceleration bounds it"
         if any(isinstance(limit, JointAcceleration) for limit in comparison.scenario.limits)
         else "joint_acceleration in the scenario's limits bounds it here as well"
     )
-    return (
+    yield (
         "The acceleration is how fast the speed of a joint changes from one tick to the next. "
         "The loop for robots, OnlineLoop, allows as much as brings a joint from rest to its full "
         f"speed in {SPEED_UP:g} s, or {ACCELERATION_UNLIMITED:g} rad/s2 without a speed limit; "
         f"{advice}. The time of a tick has to stay below the control period, "
         f"{1e3 * comparison.scenario.dt:g} ms."
     )
+    of_forces = list(_forces(comparison))
+    yield from of_forces
+    laws = [type_name(type(law)) for law in comparison.scenario.controllers.values()]
+    if not of_forces or any("pseudoinverse" in law for law in laws):
+        yield from _laws(comparison)
 
 
 def _forces(comparison: Comparison) -> Iterator[str]:

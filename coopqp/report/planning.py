@@ -18,7 +18,7 @@ from coopqp.planning.time_along import NOTHING, TimedPath, table_of_phases
 from coopqp.report import strict_json
 from coopqp.report.curves import BLACK, PALETTE
 from coopqp.report.files import write_one
-from coopqp.report.page import asset, text
+from coopqp.report.page import asset, html_table, text
 from coopqp.scenario.loader import load
 from coopqp.scenario.planned import NEAR
 from coopqp.scenario.scenario import Scenario
@@ -152,17 +152,15 @@ def _page(parts: Sequence[TimedPath], tried: Sequence[dict[str, float]], scenari
     sections = ""
     for title, found, more in zip(phase_titles(parts, scenario), parts, tried, strict=True):
         colors = dict(zip([name for name in found.shares if name != NOTHING], COLORS, strict=False))
-        rows = "".join(
-            f'<tr><th class="name" style="color: {colors.get(name, GRAY)}">{text(name)}</th>'
-            f"<td>{'</td><td>'.join(cells)}</td></tr>"
+        rows = [
+            (f'<span style="color: {colors.get(name, GRAY)}">{text(name)}</span>', *cells)
             for name, *cells in _active(found, more)
-        )
+        ]
         lines = filter(None, [*found.sentences, found.coarse(scenario.dt)])
         said = "".join(f"<p>{text(line)}</p>" for line in lines)
         sections += (
             f'<section><h2>{text(title)}</h2><aside class="how">{said}</aside>'
-            f'{_picture(found, colors)}<table class="summary"><thead><tr><th class="name">'
-            f"{'</th><th>'.join(TITLES)}</th></tr></thead><tbody>{rows}</tbody></table></section>"
+            f"{_picture(found, colors)}{html_table(TITLES, rows)}</section>"
         )
     about = text(scenario.description)
     return page.substitute(

@@ -80,20 +80,32 @@ class _Panel:
     ) -> None:
         self._gui, self._setup, self._send, self._arrange = gui, setup, send, arrange
         self._texts: dict[int, str] = {}
-        self._gui.add_html(_head(setup))
-        self._round = self._gui.add_button("Go round", visible=False, hint="along the ghost's way")
+        gui.add_html(_head(setup))
+        self._round = gui.add_button("Go round", visible=False, hint="along the ghost's way")
         self._on(self._round.on_click, lambda: Action("follow"))
-        self._verdict = self._gui.add_html("")
-        self._buttons()
-        self._status = self._gui.add_html("")
+        self._verdict = gui.add_html("")
+        buttons = gui.add_button_group("", tuple(BUTTONS))
+        self._on(buttons.on_click, lambda: Action(BUTTONS[buttons.value]))
+        speed = gui.add_slider("speed", 0.05, 4.0, 0.05, 1.0, hint="1 is real time")
+        self._on(speed.on_update, lambda: Action("speed", 0, (float(speed.value),)))
+        self._status = gui.add_html("")
         self._choice()
-        self._table = self._gui.add_html("")
-        self._gui.add_html(_legend(setup))
-        self._all_dials()
+        self._table = gui.add_html("")
+        gui.add_html(_legend(setup))
+        with gui.add_folder("Gains, weights, priorities, kappa", expand_by_default=False):
+            for group in dict.fromkeys(dial.group for dial in setup.dials):
+                with gui.add_folder(group):
+                    for dial in setup.dials:
+                        if dial.group == group:
+                            self._slider(dial, "dial", dial.label)
+        if setup.knobs:
+            with gui.add_folder("Inputs"):
+                for knob in setup.knobs:
+                    self._slider(knob, "knob", f"{knob.group} {knob.label}")
         with gui.add_folder("Recording"):
-            self._recorded = self._gui.add_html("")
+            self._recorded = gui.add_html("")
             if setup.folder:
-                save = self._gui.add_button("Save", hint=f"to {setup.folder}")
+                save = gui.add_button("Save", hint=f"to {setup.folder}")
                 self._on(save.on_click, lambda: Action("save"))
 
     def draw(self, frame: Frame) -> None:
@@ -111,12 +123,6 @@ class _Panel:
     def _set(self, handle: Any, text: str) -> None:
         if self._texts.get(id(handle)) != text:
             self._texts[id(handle)] = handle.content = text
-
-    def _buttons(self) -> None:
-        buttons = self._gui.add_button_group("", tuple(BUTTONS))
-        self._on(buttons.on_click, lambda: Action(BUTTONS[buttons.value]))
-        speed = self._gui.add_slider("speed", 0.05, 4.0, 0.05, 1.0, hint="1 is real time")
-        self._on(speed.on_update, lambda: Action("speed", 0, (float(speed.value),)))
 
     def _on(self, register: Callable[[Any], Any], action: Callable[[], Action]) -> None:
         """Send an action whenever somebody uses a control."""
@@ -142,19 +148,6 @@ class _Panel:
             self._arrange({OVERLAID: "overlaid", APART: "apart"}.get(choice.value, "one"), main)
 
         choice.on_update(choose)
-
-    def _all_dials(self) -> None:
-        folder = self._gui.add_folder
-        with folder("Gains, weights, priorities, kappa", expand_by_default=False):
-            for group in dict.fromkeys(dial.group for dial in self._setup.dials):
-                with folder(group):
-                    for dial in self._setup.dials:
-                        if dial.group == group:
-                            self._slider(dial, "dial", dial.label)
-        if self._setup.knobs:
-            with folder("Inputs"):
-                for knob in self._setup.knobs:
-                    self._slider(knob, "knob", f"{knob.group} {knob.label}")
 
     def _slider(self, dial: Dial, what: str, label: str) -> None:
         slider = self._gui.add_slider(label, dial.low, dial.high, dial.step, dial.value)

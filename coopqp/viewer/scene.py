@@ -90,7 +90,21 @@ class Scene:
     def __init__(self, server: Any, setup: PageSetup, send: Callable[[Action], None]) -> None:
         self._setup, self._send, self._server, self._scene = setup, send, server, server.scene
         self._size = max(setup.size)
-        self._look_around()
+        low, (middle, eye) = setup.low, view(setup)
+        wide = float(np.linalg.norm(setup.high - low))
+        self._middle, self._diagonal, self._aside = middle, wide, eye - middle
+        self._scene.set_up_direction("+z")
+        camera = server.initial_camera
+        camera.look_at, camera.position = tuple(middle), tuple(eye)
+        camera.fov, camera.near = FOV, 0.01 * wide
+        self._scene.configure_default_lights(cast_shadow=False)
+        self._scene.world_axes.visible = False
+        cell, edge = 10.0 ** np.floor(np.log10(wide / 2.0)), 4.0 * wide
+        self._scene.add_grid(
+            "/floor", edge, edge, cell_size=cell, section_size=5.0 * cell,
+            cell_color=(232, 234, 237), section_color=(214, 217, 221), fade_distance=6.0 * wide,
+            shadow_opacity=0.0, position=(middle[0], middle[1], low[2]),
+        )  # fmt: skip
         self._drawn = [
             _Controller(server, setup, (f"/law{i}", rgb(color)), send)
             for i, color in enumerate(setup.laws.values())
@@ -139,23 +153,6 @@ class Scene:
         below = np.array([0.0, 0.0, LOWER * self._diagonal])
         camera.position = self._middle - below + FARTHER * self._aside
         camera.look_at = self._middle - below  # after the position, which takes it along
-
-    def _look_around(self) -> None:
-        low, (middle, eye) = self._setup.low, view(self._setup)
-        wide = float(np.linalg.norm(self._setup.high - low))
-        self._middle, self._diagonal, self._aside = middle, wide, eye - middle
-        self._scene.set_up_direction("+z")
-        camera = self._server.initial_camera
-        camera.look_at, camera.position = tuple(middle), tuple(eye)
-        camera.fov, camera.near = FOV, 0.01 * wide
-        self._scene.configure_default_lights(cast_shadow=False)
-        self._scene.world_axes.visible = False
-        cell, edge = 10.0 ** np.floor(np.log10(wide / 2.0)), 4.0 * wide
-        self._scene.add_grid(
-            "/floor", edge, edge, cell_size=cell, section_size=5.0 * cell,
-            cell_color=(232, 234, 237), section_color=(214, 217, 221), fade_distance=6.0 * wide,
-            shadow_opacity=0.0, position=(middle[0], middle[1], low[2]),
-        )  # fmt: skip
 
     def _gizmo(self, i: int) -> Any:
         gizmo = self._setup.gizmos[i]

@@ -45,7 +45,13 @@ CONSTANTS: Mapping[object, Mapping[str, str]] = {
     profile: {"RAMP": "RAMP"},
     geometry: {"TINY": "TINY", "CONE": "CONE"},
     loop_observer: {
-        **{name: name for name in ("AFTER", "FEELS", "SLIGHT", "MOVES", "REST", "TURN_COUNTS")},
+        **{
+            name: name
+            for name in (
+                "AFTER", "SOONER", "FEELS", "SLIGHT", "MOVES", "REST", "TURN_COUNTS", "STALLED",
+                "SPANS", "HAPPENED",
+            )
+        },
         "FARTHEST": "FARTHEST", "SHAPED": "SHAPED", "DOUBT": "DOUBT", "TINY": "SAG_ROUNDING",
     },
     following: {

@@ -14,6 +14,7 @@ from coopqp.controllers import QPController
 from coopqp.kernel import native
 from coopqp.kernel.law import KernelLaw
 from coopqp.limits import FollowingError
+from coopqp.model import loop_observer
 from coopqp.model.loop_observer import LoopObserver, Observer
 from coopqp.model.state import State
 from coopqp.online.following import NOISE, SINGULAR
@@ -43,6 +44,7 @@ def told(one: Law, state: State) -> np.ndarray:
     return np.concatenate([
         one.command.v, state.gap, state.felt, state.drift, state.loop_error, state.p_WO,
         [one.observer.load, one.observer.doubt, one.command.scale, one.command.drift],
+        one.observer.flat()["stalled"],
     ])  # fmt: skip
 
 
@@ -52,8 +54,11 @@ def told(one: Law, state: State) -> np.ndarray:
     Observer(most=0.1), Observer(stiffness=80.0, most=0.1), Observer(stiffness=80.0, most=BOUND),
     Observer(enabled=False),
 ], ids=["felt", "known", "at bound", "disabled"])  # fmt: skip
-def test_what_is_learnt_is_what_python_learns(name: str, observer: Observer) -> None:
-    """Joints that sag, with noise and lag, and sensors that fail now and then."""
+def test_what_is_learnt_is_what_python_learns(
+    name: str, observer: Observer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Joints that sag, with noise and lag, and sensors that fail now and then; short spans."""
+    monkeypatch.setattr(loop_observer, "SPAN", 0.05)
     rng = np.random.default_rng(3)
     laws = [law(name, observer, kind) for kind in (LoopObserver, InPython)]
     states = [one.start(q_measured=one.problem.chain.q_start) for one in laws]
@@ -179,7 +184,7 @@ def test_what_internal_wrenches_leave_is_that_of_lapack(n: int, m: int) -> None:
     rng, found = np.random.default_rng(n), native.module()
     assert found
     still, own = (np.zeros((5, n)), np.zeros((5, n))), list(range(n))
-    samples = found.Samples(*still, own, [], 1, [1, 2], 4, [1.0] * n, 0.02)
+    samples = found.Samples(*still, own, [], 1, [1, 2], 4, [1.0] * n, 0.02, 7, 0.01)
     for case in range(20):
         A = rng.standard_normal((n, m)) * 10.0 ** rng.uniform(-0.1 * case, 0.1 * case, (n, 1))
         A[:, m // 2] = A[:, 0]

@@ -135,6 +135,28 @@ def test_the_joint_that_does_not_follow_is_told_from_internal_forces(
         assert found.slope == pytest.approx(-slope, rel=0.25)
 
 
+@pytest.mark.parametrize("quick", [True, False])
+@pytest.mark.parametrize(
+    ("way", "step", "named"), [(0.015, 0.0, True), (0.005, 0.0, False), (0.015, 2e-3, False),
+                               (0.04, 2e-3, True)],
+)  # fmt: skip
+def test_a_reading_that_stands_to_the_bit_is_named_whatever_the_noise(
+    nao: State, way: float, step: float, named: bool, quick: bool
+) -> None:
+    """All others are too noisy to tell; one that is coarse may stand by friction, for a little."""
+    following = JointFollowing(nao.chain, DT, LoopObserver(nao.chain, DT))
+    following._quick = following._quick if quick else None
+    j, rng = nao.chain.joint_names.index("LElbowYaw"), np.random.default_rng(0)
+    c, found = nao.q.copy(), None
+    for k in range(TICKS):
+        c[j] += 0.05 * DT if k < TICKS // 2 else min(0.1 * DT, nao.q[j] + 0.03 + way - c[j])
+        measured = c + rng.normal(0.0, 1e-2, len(c))
+        measured[j] = c[j] + 3e-4 * rng.normal() if k < TICKS // 2 else nao.q[j] + 0.03
+        measured[j] = step * round(measured[j] / step) if step else measured[j]
+        found = found or following.update(nao, c.copy(), measured)
+    assert found == (Suspect("joint_stands_still", (j,), 1.0) if named else None)
+
+
 @pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("kind", "seconds"), [("quintic", 0.03), ("quintic", 0.1), ("quintic", 0.14), ("step", 0.03)]
@@ -165,7 +187,7 @@ def test_two_swapped_joints_are_named(nao: State) -> None:
 
 @pytest.mark.few(2)
 @needs_robots
-@pytest.mark.parametrize("seed", [6, 7, 36, 37, 40536, 40603, 40837, 41])
+@pytest.mark.parametrize("seed", [6, 7, 36, 37, 40112, 40536, 40603, 40837, 41])
 def test_a_session_with_a_fault_names_it_before_it_hurts(seed: int) -> None:
     """``python -m tests.sessions`` runs a thousand."""
     session = run(seed, sound=False)

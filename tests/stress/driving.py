@@ -56,7 +56,8 @@ def drive_on(
     record.q = state.q[None].copy()
     while _goes_on(state, record, errors, patient=patient):
         made = law.run(state, ROUND if len(record.v) else FEWEST)
-        record.q, record.v = np.vstack([record.q, made.q[1:]]), np.vstack([record.v, made.v])
+        record.q = np.concatenate([record.q, made.q[1:]])
+        record.v = np.concatenate([record.v, made.v])
         record.causes.extend(made.causes)
         record.plain += int(np.count_nonzero(~made.compiled))
         note_loops(record, state.loop_position_error, state.loop_orientation_error)

@@ -380,7 +380,7 @@ class Cascade {
         if (l == 0 && levels_[0].exact > first)
             for (double by = LEAST_WIDTH, wide = 0.0; status == Status::Infeasible && by <= CONSISTENT;
                  wide = by, by *= WIDER) {
-                clash_ |= check_.excludes(first, constraints_, wide) != Status::Unproven;
+                clash_ = clash_ || check_.excludes(first, constraints_, wide) != Status::Unproven;
                 constraints_.widen(by - wide);
                 status = nearest.solve(shares + K);
             }

@@ -153,14 +153,25 @@ class Check {
 
     // Whether active limits, with multipliers that say so, leave no motion to loops and exact rows:
     // whether a sum of rows that is nothing, but for rounding, asks for more than nothing: Infeasible,
-    // Clashing where that is by less than solvers let rows give way, or Unproven.
+    // Clashing where that is by less than solvers let rows give way, or Unproven. What multipliers
+    // prove needs no finer ones.
     //   first: how many rows are exact, all of level 0.
     //   width: by how much rows that depend on others have given way.
     Status excludes(int first, const Constraints& c, double width = CONSISTENT) {
-        const Level& level = levels_[0];
         clear(y_.g, m_.blocks);
         y_.push_limits(c.nearest, c.limits.G, c.limits.h.size());
-        for (int pass = 0; pass < MOST_PASSES; pass++) y_.balance(first);
+        Status proof = Status::Unproven;
+        for (int pass = 0; pass < MOST_PASSES && proof != Status::Infeasible; pass++) {
+            y_.balance(first);
+            proof = proved(c, width);
+        }
+        return proof;
+    }
+
+  private:
+    // What the multipliers as they are prove, of excludes.
+    Status proved(const Constraints& c, double width) const {
+        const Level& level = levels_[0];
         double all = 0.0, asked = 0.0, widest2 = 0.0;
         for (int i = 0; i < m_.blocks * LANES; i++) {
             const double by = y_.box[i], most = std::max(std::fabs(c.limits.lb[i]), std::fabs(c.limits.ub[i]));
@@ -196,7 +207,6 @@ class Check {
         return asked - off > given + CLOSELY * all ? Status::Clashing : Status::Unproven;
     }
 
-  private:
     // Put the shares between 0 and 1; by how much they were not, squared.
     double clip_shares() {
         double squares = 0.0;

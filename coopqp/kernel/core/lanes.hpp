@@ -117,7 +117,10 @@ template <class Body>
 __attribute__((always_inline)) inline void with(int blocks, const Body& body) {
     if (blocks == 1) return body(Blocks<1>{});
     if (blocks == 2) return body(Blocks<2>{});
+    if (blocks == 3) return body(Blocks<3>{});
     if (blocks == 4) return body(Blocks<4>{});
+    if (blocks == 5) return body(Blocks<5>{});
+    if (blocks == 6) return body(Blocks<6>{});
     body(blocks);
 }
 

@@ -17,13 +17,15 @@ struct Observed {
     int every;   // ticks between two looks at the sag
     bool known;  // the stiffness of the servos
     double *sag, *torque, *opened, *told;  // told: load, doubt, ticks
+    double *left, *stalled, *spent, span;  // as LoopObserver._look_back has them
 };
 
 class LoopObserver {
   public:
     LoopObserver(const Model& model, Observed given)
         : model_(model), o_(std::move(given)), measured_(model), q_(model.joints.size()),
-          before_(6 * model.arms.size()), opened_(before_.size()) {}
+          before_(6 * model.arms.size()), opened_(before_.size()), left_(2 * before_.size()),
+          stalled_(model.arms.size()) {}
 
     // Learn from joints measured at `reading` where q is commanded and v was. Its Jacobians are up to
     // date; the gap and what is felt are moved. False where that is Python's: nothing is moved then.
@@ -35,16 +37,22 @@ class LoopObserver {
         std::copy_n(felt, 2, felt_);
         std::copy_n(gap, loops, before_.begin());
         std::copy_n(o_.opened, loops, opened_.begin());
+        std::copy_n(o_.left, 2 * loops, left_.begin());
+        std::copy_n(o_.stalled, loops / 6, stalled_.begin());
+        spent_ = *o_.spent;
         const bool began = o_.told[2] == 0.0;
-        const double load = unload(there, q, v, reading, felt);
+        const bool rests = at_rest(v);
+        const double load = unload(there, q, rests, reading, felt);
         measured_.place(q_.data());
         measured_.measure();
         gap_ = gap;
         all_felt_ = felt;
         moved_ = true;
         const std::size_t closed = 6 * std::size_t(std::max(model_.loops(), 0));
+        const double share = o_.share * (o_.known && felt[1] > AFTER ? SOONER : 1.0);
+        look_back(there, rests);
         for (std::size_t i = 0; i < closed; i++)
-            gap[i] += o_.share * (measured_.loop_error[i] - there.loop_error[i]) +
+            gap[i] += share * (measured_.loop_error[i] - there.loop_error[i]) * (o_.stalled[i / 6] < SPANS) +
                       (began ? 0.0 : load * opened_[i] - load * o_.opened[i]);
         for (std::size_t i = 0; i < closed; i += 3) {
             double away[3];
@@ -69,17 +77,20 @@ class LoopObserver {
         std::copy_n(felt_, 2, all_felt_);
         std::copy_n(before_.begin(), 6 * (model_.arms.size() - 1), gap_);
         std::copy_n(opened_.begin(), 6 * (model_.arms.size() - 1), o_.opened);
+        std::copy_n(left_.begin(), 12 * (model_.arms.size() - 1), o_.left);
+        std::copy_n(stalled_.begin(), model_.arms.size() - 1, o_.stalled);
+        *o_.spent = spent_;
     }
 
   private:
     // The reading without the sag, q_; the load that it is taken to have.
-    double unload(const Kinematics& there, const double* q, const double* v, const double* reading,
+    double unload(const Kinematics& there, const double* q, bool rests, const double* reading,
                   double* felt) {
         const std::size_t n = q_.size();
         if (std::fmod(o_.told[2], double(o_.every)) == 0.0) look_at_sag(there);
         o_.told[2] += 1.0;
         for (std::size_t j = 0; j < n; j++) q_[j] = reading[j] - q[j];
-        double load = felt_load(v);
+        double load = rests ? felt_load() : std::numeric_limits<double>::quiet_NaN();
         felt[1] = std::isfinite(load) ? felt[1] + o_.dt : 0.0;
         if (felt[1] > AFTER) felt[0] += std::min(1.0, o_.dt / FEELS) * (load - felt[0]);
         o_.told[0] = o_.known ? felt[0] : std::numeric_limits<double>::quiet_NaN();
@@ -87,6 +98,36 @@ class LoopObserver {
         if (!o_.known && load * largest_sag() < SLIGHT) load = 0.0;
         for (std::size_t j = 0; j < n; j++) q_[j] = reading[j] - load * o_.sag[j];
         return load;
+    }
+
+    // As LoopObserver._look_back, of loop errors as measured and there.
+    void look_back(const Kinematics& there, bool rests) {
+        const std::size_t loops = model_.arms.size() - 1;
+        double *total = o_.left, *before = o_.left + 6 * loops;
+        if (!rests) {
+            *o_.spent = 0.0;
+            std::fill_n(total, 6 * loops, 0.0);
+            std::fill_n(before, 6 * loops, std::numeric_limits<double>::quiet_NaN());
+            std::fill_n(o_.stalled, loops, 0.0);
+            return;
+        }
+        for (std::size_t i = 0; i < 6 * loops; i++)
+            total[i] += measured_.loop_error[i] - there.loop_error[i];
+        if (++*o_.spent < o_.span) return;
+        *o_.spent = 0.0;
+        for (std::size_t loop = 0; loop < loops; loop++) {
+            double size = 0.0, along = 0.0, change = 0.0;
+            for (std::size_t i = 6 * loop; i < 6 * loop + 6; i++) {
+                const double mean = total[i] / o_.span, counts = i % 6 < 3 ? 1.0 : TURN_COUNTS;
+                const double was = before[i] * counts, by = mean * counts - was;
+                size += was * was, along += by * was, change += by * by;
+                before[i] = mean, total[i] = 0.0;
+            }
+            double& spans = o_.stalled[loop];
+            const bool stalls = spans < SPANS ? std::fabs(along) < STALLED * size
+                                              : change < HAPPENED * HAPPENED;
+            spans = stalls ? spans + 1.0 : 0.0;
+        }
     }
 
     double largest_sag() const {
@@ -122,24 +163,29 @@ class LoopObserver {
     }
 
     // As WeightSag.load, of the sag q_.
-    double felt_load(const double* v) const {
+    double felt_load() const {
         const double unknown = std::numeric_limits<double>::quiet_NaN();
-        double v2 = 0.0, size = 0.0, along = 0.0, most = 0.0, all = 0.0, other = 0.0, V2 = 0.0;
-        double V[6] = {}, own[6];
+        double size = 0.0, along = 0.0, most = 0.0, all = 0.0, other = 0.0;
         for (std::size_t j = 0; j < q_.size(); j++) {
-            v2 += v[j] * v[j];
             size -= o_.torque[j] * o_.sag[j];
             along -= o_.torque[j] * q_[j];
             most = std::max(most, std::fabs(q_[j]));
         }
-        if (v2 > MOVES * MOVES || !(size > SAG_ROUNDING)) return unknown;
+        if (!(size > SAG_ROUNDING)) return unknown;
         const double load = std::max(0.0, along / size);
         for (std::size_t j = 0; j < q_.size(); j++) {
             const double r = q_[j] - load * o_.sag[j];
             all += q_[j] * q_[j];
             other += r * r;
         }
-        if (most > FARTHEST && other > (1.0 - SHAPED) * all) return unknown;
+        return most > FARTHEST && other > (1.0 - SHAPED) * all ? unknown : load;
+    }
+
+    // As _rests, of commanded joints that moved at v.
+    bool at_rest(const double* v) const {
+        double v2 = 0.0, V2 = 0.0, V[6] = {}, own[6];
+        for (std::size_t j = 0; j < q_.size(); j++) v2 += v[j] * v[j];
+        if (v2 > MOVES * MOVES) return false;
         for (std::size_t i = 0; i < model_.arms.size(); i++) {
             twist(i, v, own);
             for (int r = 0; r < 6; r++) V[r] += model_.arms[i].alpha * own[r];
@@ -148,7 +194,7 @@ class LoopObserver {
             const double x = V[r] * (r < 3 ? 1.0 : TURN_COUNTS);
             V2 += x * x;
         }
-        return V2 < REST * REST ? load : unknown;
+        return V2 < REST * REST;
     }
 
     // J_i x, (v; omega) of the object as carried by an arm.
@@ -172,8 +218,8 @@ class LoopObserver {
     const Model& model_;
     Observed o_;
     Kinematics measured_;
-    std::vector<double> q_, before_, opened_;
-    double told_[3], felt_[2];
+    std::vector<double> q_, before_, opened_, left_, stalled_;
+    double told_[3], felt_[2], spent_ = 0.0;
     double *gap_ = nullptr, *all_felt_ = nullptr;
     bool moved_ = false;
 };

@@ -149,7 +149,7 @@ class Program {
         times3(C, axis, y);
         const Polar seen = polar(y);
         const double theta = seen.angle, u = seen.way[0], w = seen.way[1];
-        const double lowest = (PI - CONE) / std::tan(PI - CONE);
+        static const double lowest = (PI - CONE) / std::tan(PI - CONE);
         double h = theta < 1.0 ? 1.0 : lowest;
         if (seen.sine > TINY) h = std::max(theta * std::cos(theta) / seen.sine, lowest);
         const double rest = 1.0 - h;

@@ -65,11 +65,15 @@ constexpr double CONE = 0.02;
 
 // coopqp.model.loop_observer
 constexpr double AFTER = 0.2;
+constexpr double SOONER = 1.5;
 constexpr double FEELS = 0.3;
 constexpr double SLIGHT = 0.0002;
-constexpr double MOVES = 0.05;
+constexpr double MOVES = 0.5;
 constexpr double REST = 0.005;
 constexpr double TURN_COUNTS = 0.1;
+constexpr double STALLED = 0.03;
+constexpr double SPANS = 2.0;
+constexpr double HAPPENED = 0.0005;
 constexpr double FARTHEST = 0.02;
 constexpr double SHAPED = 0.9;
 constexpr double DOUBT = 0.0005;

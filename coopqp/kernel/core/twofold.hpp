@@ -1,7 +1,9 @@
 // Numbers of twice the digits: the sum of two, the second less than the last digit of the first.
 //
-// After Dekker (1971) and Shewchuk (1997), without fused multiplication: the same bits everywhere.
+// After Dekker (1971) and Shewchuk (1997): the same bits everywhere, as what a product lacks is exact
+// with fused multiplication and without.
 #pragma once
+#include <cmath>
 
 namespace coopqp {
 
@@ -21,10 +23,15 @@ struct Twofold {
         return {s, (a - (s - t)) + (b - t)};
     }
     static Twofold product(double a, double b) {
+        const double p = a * b;
+#if defined(__FMA__)
+        return {p, std::fma(a, b, -p)};
+#else
         constexpr double SPLIT = 134217729.0;  // 2^27 + 1
-        const double p = a * b, s = SPLIT * a, t = SPLIT * b;
+        const double s = SPLIT * a, t = SPLIT * b;
         const double a1 = s - (s - a), a2 = a - a1, b1 = t - (t - b), b2 = b - b1;
         return {p, ((a1 * b1 - p) + a1 * b2 + a2 * b1) + a2 * b2};
+#endif
     }
 };
 

@@ -24,6 +24,10 @@ from coopqp.trace import TaskInfo
 FLOOR = 1e-12  # smallest value on log scales [m, rad]; less is drawn here
 MAX_FIRST = 3  # tasks that are shown first
 MAX_TICKS = 5  # as many as fit side by side on a narrow page
+PAPER = (
+    " The paper's figures 4 to 8 are q1 to q5 of the right arm: its pseudo is pseudoinverse here, "
+    "its joint limit motion pseudoinverse_null_space."
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,147 +46,118 @@ class Group:
 def groups(comparison: Comparison) -> list[Group]:
     """Those that have figures, in the order of the page."""
     chart = Chart(comparison)
-    decisive, joints = _joints(chart)
-    parts = (_object, _errors, _limits), (_freedom, _hands, _torques, _rest)
-    first, last = ([group(chart) for group in part] for part in parts)
-    every = (decisive, *first, joints, *last)
-    return [group for group in every if group.figures or group.folded]
-
-
-def _object(chart: Chart) -> Group:
-    figures, others = object_figures(chart)
-    return Group(
-        title="Where the object is",
-        hint="Dashed black: the goal of a task, where it fixes the coordinate. Dotted: the "
-        "reference, which leads from the start to the goal in the task's own time.",
-        words={"Tilt": "the angle between the object's z axis and the world's."},
-        figures=figures,
-        folded=others,
-        more="Other points of the object that tasks steer",
-    )
-
-
-def _errors(chart: Chart) -> Group:
-    figures, others = task_errors(chart)
-    return Group(
-        title="How far the tasks are from done",
-        hint="First to the goal itself, then to the reference that leads there: a law that follows "
-        "well is near zero there all the time, long before it is at the goal.",
-        figures=figures,
-        folded=others,
-        more="The other tasks",
-    )
-
-
-def _limits(chart: Chart) -> Group:
-    return Group(
-        title="Room to the limits",
-        hint="Hatched: beyond a limit, where the robot cannot go.",
-        words={
-            "Margin": "distance of the joint nearest to its limit. It tells whether limits are "
-            "kept.",
-            "Criterion φ": "the sum over all joints of ((q - middle) / range)²: 0 with every "
-            "joint in the middle of its range, a quarter for each joint at a limit. "
-            "joint_centering as the null-space term Z of the paper's eq. (33) goes down its "
-            "gradient. φ can fall while one joint leaves its limits: a small φ is no promise.",
-            "Null-space term": "motion of the joints that neither tasks nor loops feel, so that it "
-            "is free for a second purpose.",
-        },
-        figures=joints.limit_figures(chart),
-    )
-
-
-def _joints(chart: Chart) -> tuple[Group, Group]:
-    decisive, first, others = joints.joint_figures(chart)
-    paper = (
-        " The paper's figures 4 to 8 are q1 to q5 of the right arm: its pseudo is pseudoinverse "
-        "here, its joint limit motion pseudoinverse_null_space."
-        if chart.comparison.scenario.robot_model.name == joints.PAPER_ROBOT
-        else ""
-    )
-    nearest = Group(
-        title="The joint nearest to a limit",
-        hint="The one that comes nearest to a limit or goes farthest beyond it, with the same "
-        "joint of the other arm. Hatched: beyond a limit. A cross marks where a joint leaves its "
-        "limits.",
-        figures=decisive,
-        leads=True,
-    )
+    decisive, near, other_joints = joints.joint_figures(chart)
+    where, other_points = object_figures(chart)
+    errors, other_errors = task_errors(chart)
+    hands, loads = joints.hands(chart), joints.load_shares(chart)
+    internal, active = joints.internal_forces(chart), audit.timeline(chart.traces, chart.styles)
     others_near = "others that come near" if decisive else "ones that come nearest to"
-    return nearest, Group(
-        title="Joints",
-        hint=f"The {others_near} a limit, with the same joint of the other arm.{paper}",
-        figures=first,
-        folded=others,
-        more=f"The other {len(others)} joints",
+    of_paper = comparison.scenario.robot_model.name == joints.PAPER_ROBOT
+    every = (
+        Group(
+            title="The joint nearest to a limit",
+            hint="The one that comes nearest to a limit or goes farthest beyond it, with the same "
+            "joint of the other arm. Hatched: beyond a limit. A cross marks where a joint leaves "
+            "its limits.",
+            figures=decisive,
+            leads=True,
+        ),
+        Group(
+            title="Where the object is",
+            hint="Dashed black: the goal of a task, where it fixes the coordinate. Dotted: the "
+            "reference, which leads from the start to the goal in the task's own time.",
+            words={"Tilt": "the angle between the object's z axis and the world's."},
+            figures=where,
+            folded=other_points,
+            more="Other points of the object that tasks steer",
+        ),
+        Group(
+            title="How far the tasks are from done",
+            hint="First to the goal itself, then to the reference that leads there: a law that "
+            "follows well is near zero there all the time, long before it is at the goal.",
+            figures=errors,
+            folded=other_errors,
+            more="The other tasks",
+        ),
+        Group(
+            title="Room to the limits",
+            hint="Hatched: beyond a limit, where the robot cannot go.",
+            words={
+                "Margin": "distance of the joint nearest to its limit. It tells whether limits are "
+                "kept.",
+                "Criterion φ": "the sum over all joints of ((q - middle) / range)²: 0 with every "
+                "joint in the middle of its range, a quarter for each joint at a limit. "
+                "joint_centering as the null-space term Z of the paper's eq. (33) goes down its "
+                "gradient. φ can fall while one joint leaves its limits: a small φ is no promise.",
+                "Null-space term": "motion of the joints that neither tasks nor loops feel, so "
+                "that it is free for a second purpose.",
+            },
+            figures=joints.limit_figures(chart),
+        ),
+        Group(
+            title="Joints",
+            hint=f"The {others_near} a limit, with the same joint of the other arm."
+            f"{PAPER if of_paper else ''}",
+            figures=near,
+            folded=other_joints,
+            more=f"The other {len(other_joints)} joints",
+        ),
+        Group(
+            title="How freely the object can be moved",
+            hint="Of the matrix M = J N: N are the joint motions that keep the loops closed, J is "
+            f"what the tasks measure (angles count {LENGTH:g} m a radian), by the controller's "
+            "model.",
+            words={
+                "Condition": "its largest singular value over its smallest: how much more the "
+                "joints have to move for the hardest direction than for the easiest. It grows "
+                "without bound near a singular posture, where the pseudoinverse asks for speeds "
+                "without bound.",
+                "Manipulability": "the product of its singular values (Yoshikawa): 0 where a "
+                "direction is lost.",
+            },
+            figures=freedom_figures(chart),
+        ),
+        Group(
+            title="Hands that press",
+            hint="Hatched: beyond friction, where the object slips along the hand, and beyond a "
+            "pad's edge, over which it tips.",
+            words={
+                "Friction": "the coefficient that the hand's wrench needs, over the real one. What "
+                "a controller counts on is less, by its safety factor.",
+                "Pressure": "where the normal force is on the pad: 0 in the middle, 1 at the edge.",
+            },
+            figures=hands,
+            folded=loads if hands else [],
+            more="Share of the load by arm",
+        ),
+        Group(
+            title="Torques and forces",
+            hint="Hatched: beyond what the motor can do.",
+            words={
+                "Internal force": "what the hands do to each other through the object: it squeezes "
+                "the object and does not move it.",
+                "Squeeze": "its part along the line between two hands: above zero they press.",
+            }
+            if internal
+            else {},
+            figures=[*joints.squeeze_of_fastened(chart), *internal],
+            folded=[*joints.torques(chart), *([] if hands else loads)],
+            more="Torque of each motor"
+            + (", share of the load by arm" if loads and not hands else ""),
+        ),
+        Group(
+            title="Loops, active limits and computing time",
+            hint="",
+            words={
+                "Loop error": "how far apart two arms carry the object; Baumgarte stabilisation "
+                "with the gain κ pulls it back.",
+                "Active": "a limit that the QP is at, which then decides with it what is done.",
+            },
+            folded=[*loop_errors(chart), *([active] if active else []), *tick_times(chart)],
+            more="Loop errors, active limits, time of a tick",
+        ),
     )
-
-
-def _freedom(chart: Chart) -> Group:
-    return Group(
-        title="How freely the object can be moved",
-        hint="Of the matrix M = J N: N are the joint motions that keep the loops closed, J is what "
-        f"the tasks measure (angles count {LENGTH:g} m a radian), by the controller's model.",
-        words={
-            "Condition": "its largest singular value over its smallest: how much more the "
-            "joints have to move for the hardest direction than for the easiest. It grows without "
-            "bound near a singular posture, where the pseudoinverse asks for speeds without bound.",
-            "Manipulability": "the product of its singular values (Yoshikawa): 0 where a direction "
-            "is lost.",
-        },
-        figures=freedom_figures(chart),
-    )
-
-
-def _hands(chart: Chart) -> Group:
-    figures = joints.hands(chart)
-    return Group(
-        title="Hands that press",
-        hint="Hatched: beyond friction, where the object slips along the hand, and beyond a pad's "
-        "edge, over which it tips.",
-        words={
-            "Friction": "the coefficient that the hand's wrench needs, over the real one. What a "
-            "controller counts on is less, by its safety factor.",
-            "Pressure": "where the normal force is on the pad: 0 in the middle, 1 at the edge.",
-        },
-        figures=figures,
-        folded=joints.load_shares(chart) if figures else [],
-        more="Share of the load by arm",
-    )
-
-
-def _torques(chart: Chart) -> Group:
-    shares = [] if joints.hands(chart) else joints.load_shares(chart)
-    internal = joints.internal_forces(chart)
-    return Group(
-        title="Torques and forces",
-        hint="Hatched: beyond what the motor can do.",
-        words={
-            "Internal force": "what the hands do to each other through the object: it squeezes "
-            "the object and does not move it.",
-            "Squeeze": "its part along the line between two hands: above zero they press.",
-        }
-        if internal
-        else {},
-        figures=[*joints.squeeze_of_fastened(chart), *internal],
-        folded=[*joints.torques(chart), *shares],
-        more="Torque of each motor" + (", share of the load by arm" if shares else ""),
-    )
-
-
-def _rest(chart: Chart) -> Group:
-    active = audit.timeline(chart.traces, chart.styles)
-    return Group(
-        title="Loops, active limits and computing time",
-        hint="",
-        words={
-            "Loop error": "how far apart two arms carry the object; Baumgarte stabilisation with "
-            "the gain κ pulls it back.",
-            "Active": "a limit that the QP is at, which then decides with it what is done.",
-        },
-        folded=[*loop_errors(chart), *([active] if active else []), *tick_times(chart)],
-        more="Loop errors, active limits, time of a tick",
-    )
+    return [group for group in every if group.figures or group.folded]
 
 
 def task_errors(chart: Chart) -> tuple[list[Figure], list[Figure]]:
@@ -194,7 +169,13 @@ def task_errors(chart: Chart) -> tuple[list[Figure], list[Figure]]:
     for trace in (chart.any, *chart.traces.values()):  # whose tasks may differ
         for task in trace.tasks:
             tasks.setdefault((task.name, task.rows.start), task)
-    order = sorted(tasks, key=lambda key: -max(1.0, _end_error(chart, tasks[key])))
+
+    def missed(key: tuple[str, int | None]) -> float:
+        """Its largest error at the end, over its tolerance; NaN is the worst."""
+        ends = [error[-1] for error in _by_trace(chart, tasks[key], "goal_error").values()]
+        return max(1.0, float(np.nan_to_num(np.max(ends), nan=np.inf)) / tasks[key].tolerance)
+
+    order = sorted(tasks, key=missed, reverse=True)
     first, others = (
         [f for key, task in tasks.items() if key in part for f in _of_task(chart, task)]
         for part in (order[:MAX_FIRST], order[MAX_FIRST:])
@@ -210,12 +191,6 @@ def _by_trace(chart: Chart, task: TaskInfo, kind: str) -> Lines:
             if (own.name, own.rows.start) == (task.name, task.rows.start):
                 found[name] = getattr(trace, kind)[task.rows, i]
     return found
-
-
-def _end_error(chart: Chart, task: TaskInfo) -> float:
-    """A task's largest error at the end, over its tolerance; NaN is the worst."""
-    ends = [error[-1] for error in _by_trace(chart, task, "goal_error").values()]
-    return float(np.nan_to_num(np.max(ends), nan=np.inf)) / task.tolerance
 
 
 def _of_task(chart: Chart, task: TaskInfo) -> list[Figure]:

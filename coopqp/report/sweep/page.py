@@ -6,8 +6,7 @@ It shows the study in bins, a few thousand numbers for any number of rows.
 from __future__ import annotations
 
 import itertools
-import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from string import Template
@@ -21,7 +20,7 @@ from coopqp.base.spec import Array
 from coopqp.report import curves
 from coopqp.report.curves import Style
 from coopqp.report.files import write_one
-from coopqp.report.page import asset, breakable, script_json, text
+from coopqp.report.page import asset, breakable, html_table, script_json, text
 from coopqp.report.strict_json import finite
 from coopqp.report.sweep.table import difference, points
 from coopqp.study.sweep import scenario_of_row
@@ -37,7 +36,6 @@ TESTS = (
     '<p class="hint">Success: interval of Bonett and Price, exact test of McNemar. Numbers: '
     "median of the differences, with order statistics as its interval, and the sign test.</p>"
 )
-WORDS = ("blocked_<wbr>by", "broken")  # columns of names
 BINS, MIN_BINS = 16, 4  # of an axis with numbers
 ROWS_A_CELL = 8  # of a map and a controller, where there are enough variants
 LEVELS = 24  # values that have a bin each; of texts the most frequent
@@ -119,27 +117,6 @@ def _facts(study: Study, summary: Summary) -> str:
     return " · ".join(f"{name} <b>{text(value)}</b>" for name, value in facts.items())
 
 
-def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table of cells that are HTML already; the first of each row is its name."""
-    first, *others = heads
-    head = f'<th class="name">{first}</th>' + "".join(f"<th>{x}</th>" for x in others)
-    body = "".join(
-        f'<tr><th scope="row" class="name">{row[0]}</th>'
-        + "".join(_cell(*pair) for pair in zip(others, row[1:], strict=True))
-        + "</tr>"
-        for row in rows
-    )
-    table = f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody>"
-    return f'<div class="wide"><table class="summary result">{table}</table></div>'
-
-
-def _cell(head: str, cell: str) -> str:
-    """With its heading, for narrow pages without columns."""
-    words = re.sub(r"<[^>]*>", " ", head.replace("<wbr>", ""))
-    kind = ' class="words"' if head in WORDS else ""
-    return f'<td{kind} data-heading="{words.strip()}">{cell}</td>'
-
-
 def _summary(summary: Summary) -> str:
     names = list(dict.fromkeys(name for line in summary.lines for name in line.errors))
     errors = [f"{text(name)}<small>median, 95 %</small>" for name in names]
@@ -149,7 +126,7 @@ def _summary(summary: Summary) -> str:
         "reached<small>%</small>", *errors, "least margin<small>median, 5 % [rad or m]</small>",
     ]  # fmt: skip
     lines = enumerate(summary.lines)
-    return _table(heads, [_line(k, line, names, exact=summary.exact) for k, line in lines])
+    return html_table(heads, [_line(k, line, names, exact=summary.exact) for k, line in lines])
 
 
 def _line(k: int, line: Line, names: Sequence[str], *, exact: bool) -> list[str]:
@@ -193,7 +170,9 @@ def _paired(pairs: Sequence[Pair], *, exact: bool) -> str:
         lines = (f'<span class="lines">{v.replace(chr(10), "<br>")}</span>' for v in values)
         rows.append([breakable(p.controller), *(f"{n:,}" for n in counts), *lines])
     hint = "" if exact else TESTS
-    return f"<section><h2>Controllers against each other</h2>{hint}{_table(heads, rows)}</section>"
+    return (
+        f"<section><h2>Controllers against each other</h2>{hint}{html_table(heads, rows)}</section>"
+    )
 
 
 def _limits(line: Line) -> str:
@@ -224,12 +203,12 @@ def _worst(name: str, rows: Sequence[int], varied: Sequence[str], columns: Colum
     shown = [*varied, *errors, MARGIN, "blocked_by", "broken"]
     values = [_cells(columns, column, rows) for column in shown]
     numbers = columns.numbers("row")[list(rows)].astype(int)
-    table = [
+    linked = [
         [f'<a href="{ROWS}/{number}.yaml">{number}</a>', *(v[k] for v in values)]
         for k, number in enumerate(numbers)
     ]
     heads = ["row", *(breakable(column).replace(".", ".<wbr>") for column in shown)]
-    return f'{head}<div class="worst">{_table(heads, table)}</div>'
+    return f'{head}<div class="worst">{html_table(heads, linked)}</div>'
 
 
 def _cells(columns: Columns, name: str, rows: Sequence[int]) -> list[str]:

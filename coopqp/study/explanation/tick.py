@@ -36,7 +36,7 @@ from coopqp.base.qp import QP, Row, names_of
 from coopqp.base.rank import null_space
 from coopqp.base.spec import Array
 from coopqp.model.state import State
-from coopqp.solver import HALTS, Budget, Status, causes_of
+from coopqp.solver import HALTS, Budget, Status, causes_of, norm
 from coopqp.study.explanation.diagnosis import contradicting
 from coopqp.study.explanation.explained_phase import ExplainedPhase
 from coopqp.study.explanation.goal import (
@@ -330,10 +330,10 @@ def _spanned(basis: Array, row: Array) -> Array | None:
     """Orthonormal rows that span one more; None where that is spanned already."""
     left = row - basis.T @ (basis @ row)
     left -= basis.T @ (basis @ left)  # what rounding has left
-    size = float(np.linalg.norm(left))
-    if not size > IMPOSSIBLE * max(float(np.linalg.norm(row)), 1e-12):
+    size = norm(left)
+    if not size > IMPOSSIBLE * max(norm(row), 1e-12):
         return None
-    return np.vstack([basis, left / size])
+    return np.concatenate([basis, left[None] / size])
 
 
 def _contradiction(

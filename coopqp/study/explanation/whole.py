@@ -23,17 +23,7 @@ from coopqp.execution.controller_run import run
 from coopqp.metrics.friction_margin import FrictionMargin
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status
-from coopqp.study.explanation import insufficient_time, words
-from coopqp.study.explanation.diagnosis import (
-    BlockedByLimits,
-    Contradiction,
-    Diagnosis,
-    Elsewhere,
-    NotBlocked,
-    TooFewFreedoms,
-    Unreachable,
-    diagnose,
-)
+from coopqp.study.explanation import diagnosis, insufficient_time, words
 from coopqp.study.explanation.explained_phase import (
     ExplainedPhase,
     by_geometry,
@@ -178,11 +168,11 @@ def _blocked(phase: ExplainedPhase, base: RunExplanation, report: Report) -> Run
         return base.because("unplaced", "it asks for no place")
     goal, found = _diagnosed(phase, goal)
     report(0.4)
-    if isinstance(found, NotBlocked):
+    if isinstance(found, diagnosis.NotBlocked):
         if velocities:
             return insufficient_time.explain_velocity(phase, base)
         return insufficient_time.explain(phase, goal, found.place, base)
-    if isinstance(found, BlockedByLimits):
+    if isinstance(found, diagnosis.BlockedByLimits):
         suggestion = by_geometry(phase, goal, found, report)
         other = found.elsewhere
         more = [words.elsewhere(other, goal.chain)] if other else []
@@ -192,28 +182,30 @@ def _blocked(phase: ExplainedPhase, base: RunExplanation, report: Report) -> Run
     return _by_geometry(phase, found, base)
 
 
-def _diagnosed(phase: ExplainedPhase, goal: Goal) -> tuple[Goal, Diagnosis]:
+def _diagnosed(phase: ExplainedPhase, goal: Goal) -> tuple[Goal, diagnosis.Diagnosis]:
     """Of hard and scaled tasks alone where geometry keeps these already from their goals."""
     modes = {part.task.mode for part, _ in phase.missed} if phase.ordered else {"soft"}
     first_modes = {"hard"} if "hard" in modes else {"hard", "scaled"}
     first = [task for task in goal.tasks if task.mode in first_modes]
     if first and modes != {"soft"}:
         before = goal.only(first)
-        found = diagnose(before, phase.room, phase.q[-1])
-        if not isinstance(found, NotBlocked):
+        found = diagnosis.diagnose(before, phase.room, phase.q[-1])
+        if not isinstance(found, diagnosis.NotBlocked):
             return before, found
-    return goal, diagnose(goal, phase.room, phase.q[-1])
+    return goal, diagnosis.diagnose(goal, phase.room, phase.q[-1])
 
 
-def _by_geometry(phase: ExplainedPhase, found: Unreachable, base: RunExplanation) -> RunExplanation:
+def _by_geometry(
+    phase: ExplainedPhase, found: diagnosis.Unreachable, base: RunExplanation
+) -> RunExplanation:
     sentence = words.geometry(found, phase.missed, phase.problem.chain, ordered=phase.ordered)
     base = replace(base, sentence="", tasks=tuple(task.name for task in found.tasks))
-    if isinstance(found, Elsewhere):
+    if isinstance(found, diagnosis.Elsewhere):
         at = tuple(found.place.q.tolist())
         return base.because("elsewhere", sentence, found.shares, elsewhere=at)
-    if isinstance(found, Contradiction):
+    if isinstance(found, diagnosis.Contradiction):
         return base.because("contradiction", sentence, any_robot=found.any_robot)
-    if isinstance(found, TooFewFreedoms):
+    if isinstance(found, diagnosis.TooFewFreedoms):
         return base.because("freedom", sentence)
     sentence += insufficient_time.behind(phase, found)
     way = tuple((found.gap / max(found.distance, 1e-300)).tolist()) if found.in_world else ()
@@ -344,10 +336,10 @@ def explain_standing(
     if not missed:
         return Standing(True, False, "at every goal" if goal.parts else "")
     short, room = words.stops_short(*missed[0]), Room(problem)
-    found = diagnose(goal, room, q)
-    if isinstance(found, NotBlocked):
+    found = diagnosis.diagnose(goal, room, q)
+    if isinstance(found, diagnosis.NotBlocked):
         return Standing(False, False, f"{short}; it can be reached from here")
-    if not isinstance(found, BlockedByLimits):
+    if not isinstance(found, diagnosis.BlockedByLimits):
         # At one instant nobody knows which law acts, and which task it puts first.
         sentence = words.geometry(found, missed, chain, ordered=False)
         return Standing(False, True, sentence)

@@ -31,18 +31,8 @@ from coopqp.scenario.loader import load_file
 from coopqp.scenario.scenario import Scenario
 from coopqp.scenario.yaml import YamlFile, as_read, as_yaml, files_in, has_files, parsed
 from coopqp.study.engine import Engine, Lost
+from coopqp.study.sweep import results
 from coopqp.study.sweep.reader import study_text
-from coopqp.study.sweep.results import (
-    NAME,
-    PATTERN,
-    Index,
-    Journal,
-    compact,
-    head_of,
-    journals,
-    needs_arrow,
-    path_of,
-)
 from coopqp.study.sweep.study import (
     CONTROLLERS,
     DONE,
@@ -93,13 +83,13 @@ def sweep(
     Killed at any moment, it goes on from there when called again; the file is the same in the end.
     The folder is made if it does not exist; ``progress`` is called when something was written.
     """
-    needs_arrow()
+    results.needs_arrow()
     head = _head_for(study)
     _check_folder(folder, head)
     job = job_of(study)
-    with Journal.opened(path_of(folder, engine.share), head) as journal:
+    with results.Journal.opened(results.path_of(folder, engine.share), head) as journal:
         mine = engine.share.taken(range(study.points.count))
-        index = Index(folder, study)
+        index = results.Index(folder, study)
         missing = index.missing(mine)
         there = len(mine) - len(missing)
         state = Progress(len(mine), there, there, damaged=index.damaged)
@@ -125,7 +115,7 @@ def sweep(
         finally:
             if found:
                 write()
-    compact(study, folder)
+    results.compact(study, folder)
     return state
 
 
@@ -277,16 +267,16 @@ def _check_folder(folder: Path, own: dict[str, Any]) -> None:
     """Refuse what is not the folder of the study with this head, saying what differs."""
     if folder.exists() and not folder.is_dir():
         raise CoopqpError(f"'{folder}' is not a folder")
-    found = journals(folder)
+    found = results.journals(folder)
     for name in COMPARISONS if not found else ():
         if (folder / name).exists():
             raise CoopqpError(f"'{folder}' holds a comparison ({name}); {AWAY}")
-    if not found and (folder / NAME).exists():
-        torn = any(folder.glob(PATTERN))
+    if not found and (folder / results.NAME).exists():
+        torn = any(folder.glob(results.PATTERN))
         why = "the head of its journal is damaged" if torn else "its journal is not there"
-        raise CoopqpError(f"'{folder}' has {NAME}, but {why}; {AWAY}")
+        raise CoopqpError(f"'{folder}' has {results.NAME}, but {why}; {AWAY}")
     for path in found:
-        head = head_of(path) or {}
+        head = results.head_of(path) or {}
         if different := list(_different(head, own)):
             words = f"'{folder}' belongs to another study ('{head.get('name')}'), or an older one"
             differ = "differ" if len(different) > 1 else "differs"
@@ -355,11 +345,11 @@ def _head(folder: Path) -> dict[str, Any]:
         raise CoopqpError(f"'{folder}' is a file; --table and --show need the folder of a study")
     if not folder.is_dir():
         raise CoopqpError(f"'{folder}' is neither a study file nor the folder of a study")
-    found = journals(folder)
+    found = results.journals(folder)
     if not found:
         words = "holds no study: needs a journal, as 'coopqp sweep' writes it"
         raise CoopqpError(f"'{folder}' {words}")
-    return head_of(found[0]) or {}
+    return results.head_of(found[0]) or {}
 
 
 def scenario_of_row(study: Study, row: int) -> tuple[str, str]:
