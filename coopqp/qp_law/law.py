@@ -38,19 +38,8 @@ from coopqp.model.state import State
 from coopqp.qp_law.equations import LEAST_SPEED, MOST_DAMPING, SCALE_WEIGHT, Damping, note_chatter
 from coopqp.qp_law.level import Given, Level
 from coopqp.qp_law.limit_recovery import DriftShare, LimitRecovery
-from coopqp.qp_law.nearest import (
-    ASIDE,
-    FAST,
-    LESS,
-    MET,
-    NEAR,
-    SLOW,
-    WHOLE,
-    Nearest,
-    blocked,
-    counting,
-)
-from coopqp.qp_law.priorities import IDLE, LaterLevel, Order
+from coopqp.qp_law.nearest import ASIDE, FAST, LESS, MET, SLOW, WHOLE, Nearest, blocked, counting
+from coopqp.qp_law.priorities import LaterLevel, Order
 from coopqp.qp_law.safety import StepVerification, drift_gain
 from coopqp.solver import Status, norm
 
@@ -213,7 +202,7 @@ class QPLaw(Law):
         if self._scaled:
             alone = self._hard and norm(lacks) < SLOW
             held, v = (nearest.hold(state, kappa), nearest.held.v) if alone else (status, near)
-        counts = max(self._counts(v, near), swings) if held.usable else 1.0
+        counts = max(nearest.counts(v), swings) if held.usable else 1.0
         firm = counts == 0.0 and self._holds_firmly(met=True)
         if whole.usable and (firm or not status.usable):
             return whole, first.v, first.v, 0.0
@@ -228,12 +217,6 @@ class QPLaw(Law):
         beside, most = self._scale_beside(state, kappa, v, leaves)
         return status, beside, beside + leaves * (v - beside), most
 
-    def _counts(self, v: Array, near: Array) -> float:
-        """How much v_h, ``near``, counts beside the exact motion v of the hard tasks alone."""
-        missed = (self.exact.J @ near - self.exact.wanted)[self._hard_rows]
-        slow = 2.0 * norm(missed) / SLOW - 1.0
-        return counting(missed) * min(max(self._at_limits(v), slow, 0.0), 1.0)
-
     def _holds_firmly(self, *, met: bool) -> bool:
         """Whether the exact program answers as the levels of least squares would.
 
@@ -247,19 +230,11 @@ class QPLaw(Law):
         if self._scaled and lacking:
             return False
         weights, hard = self.exact.weights[self._hard_rows], y[self._hard_rows]
-        if met or not len(hard):
+        if met or not self._hard:
             return True
         share = LESS * float(weights.max()) * self._damping.least / self.first.curvature
         lacks = share * norm(hard / np.sqrt(weights))
         return lacks <= MET * float(np.sqrt(weights.min()))
-
-    def _at_limits(self, v: Array) -> float:
-        """1 where the exact motion v is at a limit, 0 where it is NEAR none."""
-        bounds = self._given.bounds
-        slack = np.concatenate([bounds.ub, bounds.h, -bounds.lb]) - bounds.C.dot(v)
-        sizes = np.maximum(np.linalg.norm(bounds.C, axis=1), IDLE)
-        room = float((slack / sizes).min(initial=NEAR))
-        return min(1.0 - room / NEAR, 1.0)
 
     def _scale_beside(
         self, state: State, kappa: float, v: Array, leaves: float
