@@ -15,6 +15,7 @@ in which the same hands hold are one call of the compiled kernel.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -262,11 +263,11 @@ class ChunkFilter:
         inside = (wished >= -ROUNDING) & (wished <= OPEN + ROUNDING)  # of NaN it is False
         if inside.all() and (np.abs(np.diff(wished, axis=0, prepend=last[None])) <= most).all():
             return wished
-        found = np.empty_like(wished)
-        for k, wish in enumerate(wished):
-            near = np.clip(wish, last - self._grip_step, last + self._grip_step)
-            last = found[k] = np.where(np.isfinite(wish), np.clip(near, 0.0, OPEN), last)
-        return found
+        steps = [
+            _stepped(x, a, self._grip_step)
+            for x, a in zip(wished.T.tolist(), last.tolist(), strict=True)
+        ]
+        return np.array(steps).T
 
     def _follow(
         self, given: Array, q: Array, holding: NDArray[np.bool_], taken: Array | None, *,
@@ -397,6 +398,16 @@ def _law(chain: ClosedChain, kept: FilterSettings, *limits: Limit) -> KernelLaw:
     assert isinstance(law, KernelLaw)
     law.tick(law.start())  # which binds the engine to the arrays of a state
     return law
+
+
+def _stepped(wished: Sequence[float], last: float, most: float) -> list[float]:
+    """A gripper's numbers, each in its range and at most a step from the one before."""
+    found = []
+    for wish in wished:
+        if math.isfinite(wish):
+            last = min(max(min(max(wish, last - most), last + most), 0.0), OPEN)
+        found.append(last)
+    return found
 
 
 def _told(row: Array, action: Any) -> Array:

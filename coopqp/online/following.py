@@ -53,14 +53,16 @@ SUSPICIOUS, MEAN_SQUARE, DEVIATIONS = 12.0, 3.0, 6.0
 #: Share of it that a fault must explain; the share that is left by others that count as equal. Two
 #: swapped joints need less where all other faults leave so much more.
 EXPLAINED, EXPLAINED_SWAPPED, AS_GOOD, ALONE = 0.9, 0.95, 0.03, 0.25
-#: A fault that leaves more than this share, and so many times as much as one of other joints, is
-#: none, whatever that other one is: something else has happened, as where friction makes them late.
+#: A fault that leaves more than this share, and so many times as much as one of other joints or a
+#: push from outside, is none, whatever that is: something else has happened, as where friction
+#: makes joints late, or a person holds a hand back.
 CREDIBLE, TIMES_AS_MUCH = 0.05, 2.0
 #: delta over dq_c of a joint that does not follow, at least and, unless it stands still, at most;
 #: of two swapped ones, 1 but for what else there is; above which it moves the wrong way. When in a
-#: window that began; share of delta beside twice the reading's motion where its sign is wrong.
+#: window that began; share of delta beside twice the reading's motion where its sign is wrong, and
+#: commanded motion over delta at least, which without commands is that of a push.
 LEAST_SLOPE, MOST_SLOPE, SWAPPED, REVERSED = 0.6, 2.5, (0.7, 1.0 / 0.7), 1.5
-ONSETS, BACKWARDS = np.linspace(0.0, 0.9, 10), 0.2
+ONSETS, BACKWARDS, COMMANDED = np.linspace(0.0, 0.9, 10), 0.2, 0.1
 #: A reading has jumped by so much at least [rad, m], most of it within two samples. One that is
 #: farther from where the last two lead to has leapt, and is not believed before it is looked at:
 #: six standard deviations of noise of 1 mrad, or 150 rad/s2 in a tick of 10 ms.
@@ -273,7 +275,7 @@ class JointFollowing:
                 continue
             if self._samples > self._whitened + self._fresh:
                 self._white, self._whitened = self._whitening(state), self._samples
-            if found := self._judge(first, last):
+            if found := self._judge(state, first, last):
                 return found, span
         return None, 0
 
@@ -288,7 +290,7 @@ class JointFollowing:
         at = max(at, oldest) if isinstance(at, int) else np.maximum(at, oldest)
         return np.asarray(ring[at % len(ring)])
 
-    def _judge(self, first: int, last: int) -> Suspect | None:
+    def _judge(self, state: State, first: int, last: int) -> Suspect | None:
         at = np.arange(first, last + 1, max(1, (last - first) // LOOKS))
         m = self._of(self._m, at)
         m = m - m.mean(axis=0)
@@ -303,7 +305,7 @@ class JointFollowing:
         if sizes[self._lag] - self._noise < self._enough:
             return None
         self.suspicious = True
-        return self._best(m, np.concatenate([c, self._slow(at)]), at)
+        return self._best(state, m, np.concatenate([c, self._slow(at)]), at)
 
     def _slow(self, at: Any) -> Array:
         """Commands as servos of a first order follow them, late as well, shape (servos, T, n)."""
@@ -326,7 +328,19 @@ class JointFollowing:
         p = np.stack([np.ones((7, 7)), *np.meshgrid(short, gains)], axis=-1)
         return float(np.einsum("xya,sab,xyb->sxy", p, G, p).min())
 
-    def _best(self, m: Array, c: Array, at: Any) -> Suspect | None:
+    def _pushed(self, state: State, z: Array) -> float:
+        """What wrenches from outside leave of the parity vector z, shape (servos, T, d).
+
+        Hands that bear h on the object as well move joints by K^-1 J' h, as internal ones do.
+        """
+        J = np.vstack([state.J_task, state.J_loop])
+        N = null_space(J[:, self._passive].T) if len(self._passive) else np.identity(len(J))
+        ways = (self._compliance[:, None] * (J.T @ N)[self._own]).T @ self._white
+        _, values, V = np.linalg.svd(ways)
+        free = V[int(np.sum(values > SINGULAR * values.max(initial=0.0))) :]
+        return float(np.min(np.sum((z @ free.T) ** 2, axis=(1, 2))))
+
+    def _best(self, state: State, m: Array, c: Array, at: Any) -> Suspect | None:
         """The fault that leaves least beside sound servos' motions c, if it explains the rest."""
         r = m - c
         z = r @ self._white
@@ -349,7 +363,7 @@ class JointFollowing:
         share = np.maximum(left - noise, 0.0) / above
         read = m @ self._faults.T
         unlike, size = (np.sum(x**2, axis=0) - _white(x) for x in (delta - 2.0 * read, delta))
-        backwards = unlike < BACKWARDS * size
+        backwards = (unlike < BACKWARDS * size) & (np.ptp(motion, axis=0) > COMMANDED * ranges)
         still = np.ptp(read, axis=0) < STANDS * np.maximum(np.ptp(motion, axis=0), ranges)
         off = moves & (slope > LEAST_SLOPE) & (still | (slope < MOST_SLOPE)) | jumped | backwards
         exchanged = moves & (slope > SWAPPED[0]) & (slope < SWAPPED[1])
@@ -370,7 +384,8 @@ class JointFollowing:
             rest[f] = np.sum(left_r**2) * (1.0 if f < n else PENALTY)
         best = int(rest.argmin())
         others = share[~(self._faults[:, self._faults[best] != 0.0] != 0.0).any(axis=1)]
-        if share[best] > max(TIMES_AS_MUCH * others.min(initial=1.0), CREDIBLE):
+        pushed = (self._pushed(state, z) - noise) / above
+        if share[best] > max(TIMES_AS_MUCH * min(pushed, *others), CREDIBLE):
             return None
         if best >= n:
             j, k = (int(self._own[i]) for i in pairs[best - n])

@@ -78,6 +78,25 @@ def test_internal_forces_of_any_size_are_no_fault(nao: State, noise: float) -> N
         assert judged(nao, motion(nao.chain.n), sag, noise) is None
 
 
+@needs_robots
+@pytest.mark.parametrize(
+    ("name", "seeds"), [("point_on_point", (4, 13, 19, 30, 38, 59, 65)), ("baxter_tray", (7, 59))]
+)
+def test_a_push_is_no_fault_though_servos_are_not_as_stiff_as_motors_are_strong(
+    name: str, seeds: tuple[int, ...]
+) -> None:
+    """It turns soft joints most, as if their own readings were wrong."""
+    state = State(coopqp.load(name).chain)
+    state.update()
+    t = DT * np.arange(TICKS)[:, None]
+    push = np.where((t > 0.5) & (t < 0.9), np.sin(np.pi * (t - 0.5) / 0.4) ** 2, 0.0)
+    for seed in seeds:
+        rng = np.random.default_rng(seed)
+        K = stiffness(state) * np.exp(rng.normal(size=state.chain.n))
+        turned = push * (rng.normal(size=6) @ state.J_task) / K
+        assert judged(state, 0.0 * turned, 0.05 / np.abs(turned).max() * turned, 3e-4) is None
+
+
 def test_white_noise_is_no_fault(nao: State) -> None:
     """A window is judged about its mean, not from its first sample, whose noise all share."""
     rng, c = np.random.default_rng(2), motion(nao.chain.n)
