@@ -156,8 +156,11 @@ class JointFollowing:
             return None
         if self._samples - self._whitened >= self._renew:
             self._white, self._whitened = self._whitening(state), self._samples
-        spans = self._short if self._samples % LONG else self._spans
-        if self._quick and self._quick.quiet(self._samples, self._lag, self._white, SUSPICIOUS):
+        # What the long window has found is looked at again at once, as in the short ones.
+        long = self._before[1] is not None or self._samples % LONG == 0
+        spans, white = self._spans if long else self._short, self._white
+        quick = self._quick if self._before[1] is None else None
+        if quick and quick.quiet(self._samples, self._lag, white, SUSPICIOUS):
             self.suspicious = False
             return self._agreed(None, 0, spans)
         if stuck := self._stuck(self._stuck_for):
@@ -325,7 +328,8 @@ class JointFollowing:
         self._lag = int(sizes.argmin())
         (T, d), self._noise = z.shape[1:], float(_white(z[self._lag]).sum())
         noise = DEVIATIONS * self._noise * (1.9 / (T * d)) ** 0.5
-        self._enough = max(MEAN_SQUARE * T, noise)
+        lasting = T - self._noise / d  # of the variance, of which the rest is white noise
+        self._enough = max(MEAN_SQUARE * lasting, noise)
         if sizes[self._lag] - self._noise < self._enough:
             return None
         self.suspicious = True
