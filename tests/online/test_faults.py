@@ -238,6 +238,14 @@ def test_a_session_with_a_fault_names_it_before_it_hurts(seed: int) -> None:
     assert session.most < 2.0 * max(session.force_named, EFFECT)
 
 
+@needs_robots
+def test_a_fault_that_is_small_and_lasts_is_named_within_white_noise() -> None:
+    """A reversed encoder of a joint that moves by 2 mrad in noise of 0.9 mrad."""
+    session = run(40497, sound=False)
+    assert session.right
+    assert session.named - session.effect <= 0.8
+
+
 @pytest.mark.few(1)
 @needs_robots
 @pytest.mark.parametrize("seed", [*range(5), 60010, 60100, 82221])
