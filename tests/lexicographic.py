@@ -3,11 +3,12 @@
 From the state, the tasks and the limits, never from the law's programs:
 
     0  J_c v = -kappa e,  lb <= v <= ub,  G v <= h
-    1  v_h: min sum weight |J_h v - w_h|^2 + d |v|^2 of the hard tasks, which get w_h where v_h
-       lacks less than MET of each row; to 2 MET what it lacks counts more and more; where w_h can
-       hold also from NEAR a limit to the limit, or from SLOW / 2 to SLOW
-    2  v_s: J_k v = s_k w_k + t a_k of the scaled tasks, 0 <= s_k, t <= 1, where a is J_k v_h, made
-       as long as SLOW where it is shorter,  min 1e3 (sum (1 - s_k)^2 + (t + ASIDE)^2) + d |v|^2
+    1  v_h: min sum weight |J_h v - w_h|^2 + d |v|^2 of the hard tasks; where w_h can hold, that and
+       the shortest motion with w_h are mixed: v_h counts where it lacks more than MET of a row, in
+       part up to 2 MET, and from NEAR a limit to the limit, or from SLOW / 2 to SLOW
+    2  v_s: J_k v = s_k w_k + t a_k of the scaled tasks, 0 <= s_k, t <= 1, where a is what level 1
+       makes of J_k v, as long as SLOW where it is shorter, and J_h v stays,
+       min 1e3 (sum (1 - s_k)^2 + (t + ASIDE)^2) + d |v|^2
        v_n: min sum weight |J_k v - w_k|^2 + d |v|^2
        v = (1 - r) v_s + r v_n  with r of :func:`coopqp.qp_law.nearest.blocked`, and at least t and
        what hard tasks lack over SLOW
@@ -32,6 +33,7 @@ from coopqp.model.state import State
 from coopqp.qp_law.bounds import Bounds
 from coopqp.qp_law.equations import LEAST_SPEED, MOST_DAMPING, SCALE_WEIGHT, Damping
 from coopqp.qp_law.nearest import ASIDE, LESS, MET, NEAR, SLOW, WHOLE, blocked
+from coopqp.qp_law.priorities import IDLE
 from coopqp.qp_law.priorities import NOISE as RELEASED
 from coopqp.qp_law.safety import drift_gain
 from coopqp.task import Task, TaskStack
@@ -126,46 +128,44 @@ class Cascade:
         d = self._damping.least + (self._pulled(scaled) if scaled.tasks else 0.0)
         v, lacks = self._hard(hard, J_h, w_h)
         near, shares = v, best
-        slow = min(float(np.sqrt(lacks @ lacks)) / SLOW, 1.0)
-        leaves, got = slow, w_h + lacks
-        sides[: len(got)] = got
+        slow = leaves = min(float(np.sqrt(lacks @ lacks)) / SLOW, 1.0)
         if scaled.tasks and leaves < 1.0:
-            aside = np.concatenate([J_h @ v - got, J_k @ v])
+            sides[: len(w_h)] = J_h @ v
+            aside = np.concatenate([0.0 * w_h, J_k @ v])
             aside *= SLOW / min(max(np.sqrt(aside @ aside), MET), SLOW)
             rows, best = np.hstack([rows, -aside[:, None]]), np.append(best, -LONG(ASIDE))
             v, shares = self._shares(rows, sides, best, d)
             t = float(shares[-1])
             shares, leaves = shares[:-1], max(leaves, t if t > EXCESS else 0.0)
-        elif not scaled.tasks and (lacks != J_h @ v - w_h).any() and self._can_hold(rows, sides):
-            v, shares = self._shares(rows, sides, best, d)
         self._v = v
         if scaled.tasks and (leaves > 0.0 or shares.min() < WHOLE):
             leaves = self._leave(scaled, J_k, shares, leaves, (J_h, v + LONG(slow) * (near - v)))
         self._keep(np.vstack([J_h, J_k]), np.concatenate([J_h @ self._v, J_k @ self._v]))
-        relaxed = bool(_lacks(J_h @ self._v - w_h).any())
+        relaxed = _counting(J_h @ self._v - w_h) > 0.0
         return relaxed, bool(scaled.tasks) and leaves > 0.0
 
     def _hard(self, tasks: TaskStack, J: Array, w: Array) -> tuple[Array, Array]:
-        """The nearest motion of hard tasks, and what they may lack."""
-        least = (LESS if tasks.tasks else 1.0) * self._damping.least
-        v = self._nearest(J, w, tasks.weights, least)
-        lacks, counts = _lacks(J @ v - w), 1.0
-        size = float(np.sqrt(lacks @ lacks))
-        swings = self._damping.swings(self._state)
-        if (size > 0.0 or swings) and size < SLOW and self._can_hold(J, w):
+        """The motion of hard tasks, and what it lacks."""
+        least = self._damping.least * (LESS * float(tasks.weights.max()) if tasks.tasks else 1.0)
+        v, swings = self._nearest(J, w, tasks.weights, least), self._damping.swings(self._state)
+        missed, exact, counts = J @ v - w, v, 1.0
+        size = float(np.sqrt(missed @ missed))
+        if tasks.tasks and size < SLOW and self._can_hold(J, w):
             exact = self._shares(J, w, np.zeros(0, LONG), self._damping.least)[0]
             counts = min(max(self._at_limits(exact), 2.0 * size / SLOW - 1.0), 1.0)
-        counts = max(counts, swings)
-        if (counts * lacks).any() or swings:
-            pulls = np.abs(counts * lacks) + swings * np.abs(w)
+            counts = max(_counting(missed) * counts, swings)
+        if counts > 0.0:
+            pulls = counts * _counting(missed) * np.abs(missed) + swings * np.abs(w)
             size = float(tasks.weights @ (pulls * tasks.levers))
             v = self._nearest(J, w, tasks.weights, least + self._damping.of(size, self._state))
-            lacks = _lacks(J @ v - w)
-        return v, counts * lacks
+        v = exact + LONG(counts) * (v - exact)
+        missed = J @ v - w
+        return v, _counting(missed) * missed
 
     def _at_limits(self, v: Array) -> float:
         """How near an exact motion v is to a limit, from 0 at NEAR to 1 at it."""
-        room = (self._h - self._G @ v) / np.sqrt((self._G * self._G).sum(axis=1))
+        sizes = np.sqrt((self._G * self._G).sum(axis=1))
+        room = (self._h - self._G @ v) / np.maximum(sizes, LONG(IDLE))
         return min(max(1.0 - float(room.min(initial=NEAR)) / NEAR, 0.0), 1.0)
 
     def _leave(
@@ -288,9 +288,9 @@ class Cascade:
         return self._jitter * np.finfo(float).eps * self._rng.uniform(-1.0, 1.0, shape)
 
 
-def _lacks(missed: Array) -> Array:
-    """What hard tasks lack, but for what still counts as met."""
-    return missed * min(max(float(np.abs(missed).max(initial=0.0)) / MET - 1.0, 0.0), 1.0)
+def _counting(missed: Array) -> float:
+    """How much counts of what hard tasks lack: none that still counts as met."""
+    return min(max(float(np.abs(missed).max(initial=0.0)) / MET - 1.0, 0.0), 1.0)
 
 
 def _ways(scaled: TaskStack) -> Array:

@@ -71,7 +71,8 @@ NB_MODULE(KERNEL_MODULE, m) {
     nb::class_<Ring>(m, "Ring").def(nb::init<const nb::dict&>()).def("add", &Ring::add);
     nb::class_<Samples>(m, "Samples")
         .def(nb::init<const Written&, const Written&, const Joints&, const std::vector<Joints>&, int,
-                      const std::vector<int>&, int, const std::vector<double>&, double, int, double>())
+                      const std::vector<int>&, int, const std::vector<double>&, double, int, double,
+                      double>())
         .def("add", &Samples::add)
         .def("quiet", &Samples::quiet)
         .def("whiten", &Samples::whiten);

@@ -263,9 +263,8 @@ class KernelLaw(Law):
         """Whether the kernel may decide: no forces are measured, and no joints beside own rows."""
         if self.force_control:
             return False
-        if state.q_measured is None:
-            return self._ready(state)
-        reads = self.whole.alone and self.whole.measures(state, self.observer)
+        whole = self.whole
+        reads = state.q_measured is None or (whole.alone and whole.measures(state, self.observer))
         return reads and self._ready(state)
 
     def _ready(self, state: State) -> bool:

@@ -95,13 +95,14 @@ class Samples {
     // c, m: rings of commanded and measured joints `own`, shape (kept, n); arms: of these which
     // belong to an arm; stuck, spans: samples between which they are compared; compliance: of their
     // servos; h: time between two samples; late, moved: the latest that a joint may follow, in
-    // samples, and what it must be commanded to move by for a reading to be asked to change.
+    // samples, and what it must be commanded to move by for a reading to be asked to change; band:
+    // in which it may stay behind.
     Samples(const Written& c, const Written& m, const std::vector<std::size_t>& own,
             const std::vector<std::vector<std::size_t>>& arms, int stuck,
             const std::vector<int>& spans, int long_one, const std::vector<double>& compliance,
-            double h, int late, double moved)
+            double h, int late, double moved, double band)
         : c_(c), m_(m), own_(own), arms_(arms), spans_(spans), compliance_(compliance), h_(h),
-          moved_(moved), late_(late), stuck_(stuck), long_(long_one), kept_(int(c.shape(0))), n_(c.shape(1)), r_(n_), read_(2 * n_) {
+          moved_(moved), band_(band), late_(late), stuck_(stuck), long_(long_one), kept_(int(c.shape(0))), n_(c.shape(1)), r_(n_), read_(2 * n_) {
         for (std::size_t j : own_) last_ = std::max(last_, j);
     }
 
@@ -200,7 +201,7 @@ class Samples {
             for (int t = first + 1; t <= last; t++) speed += std::fabs(told(t, i) - told(t - 1, i));
             for (std::size_t k = 0; k < m; k++) otherwise += D.data()[i * m + k] * x[k];
             const double bend = told(first + 2 * half, i) - 2.0 * told(first + half, i) + told(first, i);
-            const double terms[] = {noise, coopqp::LAG_NOISE * speed / (h_ * std::max(1, T - 1)),
+            const double terms[] = {noise, band_, coopqp::LAG_NOISE * speed / (h_ * std::max(1, T - 1)),
                                     coopqp::STIFFNESS_NOISE * std::sqrt(sag[i]), load.data()[i],
                                     coopqp::INERTIA_NOISE * bend / (h_ * h_ * std::max(half * half, 1)),
                                     compliance_[i] * otherwise / std::sqrt(3.0)};
@@ -282,7 +283,7 @@ class Samples {
     std::vector<std::vector<std::size_t>> arms_;
     std::vector<int> spans_;
     std::vector<double> compliance_;
-    double h_, moved_;
+    double h_, moved_, band_;
     int late_, stuck_, long_, kept_, count_ = 0;
     std::size_t n_, last_ = 0;
     std::vector<double> r_, read_;  // read_: the last two readings of `own`

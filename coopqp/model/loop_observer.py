@@ -25,6 +25,8 @@ known, and so taken off the gap at once, gap' = ... - d'; the rest would lag beh
 load is the object's weight where the stiffness is known, else nothing, until it is felt: at rest,
 by least squares of q_m - q_c.
 
+Where a joint may stay behind its servo's command by a dead band, so much of q_m - q_c is none.
+
 What is wrong with u then winds up a grip that creeps: it gives way as fast as the gap moves, and
 what is left of e(q_m - u) - e_c stays. So a loop's gap stays, too, where a second at rest has left
 what there was, and another one, until the object moves or something has happened to the hands.
@@ -41,7 +43,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.base.errors import UnknownNameError
-from coopqp.base.spec import Array, Positive, spec
+from coopqp.base.spec import Array, NonNegative, Positive, spec
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 
@@ -89,6 +91,8 @@ class Observer:
     not yield [N m/rad]; believed to be alike and felt at rest if omitted."""
     most: Positive = 0.01
     """How far the model's error may be from its first value [m]; in rotation 10 rad/m of that."""
+    dead_band: NonNegative = 0.0
+    """Range in which a joint may stay off its servo's command, by backlash or friction [rad, m]."""
 
 
 class WeightSag:
@@ -161,6 +165,7 @@ class LoopObserver:
         self._compliance = _compliance(chain, self.settings.stiffness)
         self._known = self.settings.stiffness is not None
         self._most = self.settings.most, ROTATION * self.settings.most
+        self._band = 0.5 * self.settings.dead_band
         self.at_bound: tuple[str, ...] = ()
         self.note, self.paused = "", False
         self._every = max(1, round(RENEWED / dt))
@@ -195,7 +200,7 @@ class LoopObserver:
         """Numbers, and arrays that the kernel writes where it does an :meth:`update` itself."""
         own = {"told": self._told, "dt": self._dt, "share": self._share, "every": self._every}
         own |= {"left": self._left, "stalled": self._stalled}
-        own |= {"spent": self._spent, "span": self._span}
+        own |= {"spent": self._spent, "span": self._span, "band": self._band}
         return {**vars(self._sag), **own, "most": np.array(self._most), "known": self._known}
 
     def begins(self, state: State) -> bool:
@@ -274,6 +279,9 @@ class LoopObserver:
             self._told[1] = DOUBT / max(float(np.abs(sag.sag).max()), TINY)
         self._told[2] += 1
         lag, load = q - state.q, math.nan
+        if self._band:
+            lag -= np.clip(lag, -self._band, self._band)
+            np.add(state.q, lag, out=q)
         if along is not None and known:
             sag.straighten(lag)
             np.add(state.q, lag, out=q)

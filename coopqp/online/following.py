@@ -110,11 +110,13 @@ class JointFollowing:
         K = chain.model.effortLimit[own] if stiffness is None else stiffness[own]
         usable = (K > 0.0).all() and np.isfinite(K).any()
         self._compliance = 1.0 / K if usable else np.ones(n)
+        self._band = observer.settings.dead_band
         self._every = max(1, round(SAMPLE / dt))
         h = self._every * dt
         #: In half samples, of which odd ones lie between two samples.
         self._lags, self._h = np.arange(2 * round(LATEST / h) + 1), h
         self._spans = [max(2, round(window / h)) for window in WINDOWS]
+        self._short = self._spans[:-1]
         kept = self._spans[-1] + len(self._lags) // 2 + round(FADED * TIMES[-1] / h) + 2
         self._c, self._m = np.zeros((2, kept, n))
         self._read = np.zeros((2, n))  # the last readings
@@ -123,6 +125,7 @@ class JointFollowing:
         self._faults = np.vstack([unit, *(unit[j] - unit[k] for j, k in self._pairs)])
         self._white = np.zeros((n, n))
         self._renew, self._fresh = max(1, round(RENEWED / h)), max(1, round(FRESH / h))
+        self._kept = -(-self._spans[-1] // self._renew)  # Jacobians before, of the long window
         arms = (set(chain.robot.arm_joints(arm)) for arm in chain.robot.arms)
         self._arms = [
             np.array([i for i, j in enumerate(own) if chain.joint_names[j] in arm], int)
@@ -134,7 +137,7 @@ class JointFollowing:
         self._stuck_for = round(STUCK / h) - 1  # of which the first lasts as long, too
         rings, members = (self._c, self._m), [arm.tolist() for arm in self._arms]
         made, found = (*rings, own.tolist(), members, self._stuck_for, self._spans), native.module()
-        stands = len(self._lags) // 2, MOVED
+        stands = len(self._lags) // 2, MOVED + self._band, self._band
         self._quick = found and found.Samples(*made, LONG, self._compliance.tolist(), h, *stands)
         self.forget()
 
@@ -153,7 +156,7 @@ class JointFollowing:
             return None
         if self._samples - self._whitened >= self._renew:
             self._white, self._whitened = self._whitening(state), self._samples
-        spans = self._spans if self._samples % LONG == 0 else self._spans[:-1]
+        spans = self._short if self._samples % LONG else self._spans
         if self._quick and self._quick.quiet(self._samples, self._lag, self._white, SUSPICIOUS):
             self.suspicious = False
             return self._agreed(None, 0, spans)
@@ -167,6 +170,9 @@ class JointFollowing:
 
     def _agreed(self, found: Suspect | None, span: int, spans: Sequence[int]) -> Suspect | None:
         """What the last look has found, too, or that of the long window, which is a rare one."""
+        if found is None and self._before == [None, None]:
+            self.suspect = None
+            return None
         long, earlier = self._spans[-1], list(self._before)
         self._before[0], self.suspect = found, None
         if long in spans:
@@ -200,7 +206,7 @@ class JointFollowing:
 
     def _stuck(self, span: int) -> Suspect | None:
         """An arm of which no reading has changed by a bit while it was commanded to move."""
-        last, least = self._samples - 1, MOVED * span / self._stuck_for
+        last, least = self._samples - 1, MOVED * span / self._stuck_for + self._band
         if last < span:
             return None
         at = np.arange(last - span, last + 1)
@@ -223,27 +229,42 @@ class JointFollowing:
             way = np.abs(told[: max(1, len(told) - late)] - told[0]).max()
             lively = first >= self._stuck_for and np.diff(m[: first + 1, j]).all()
             stops = min(told.min() - self._least[j], self._most[j] - told.max()) < NEAR
-            if way > MOVED * (1.0 if lively else STICKS) and not stops:
+            if way > MOVED * (1.0 if lively else STICKS) + self._band and not stops:
                 return Suspect("joint_stands_still", (int(self._own[j]),), 1.0)
         return None
 
     def _whitening(self, state: State) -> Array:
         """W with r W of unit variance without a fault, and zero for every internal wrench."""
-        J, last = state.J_loop.copy(), self._samples - 1
+        J = state.J_loop.copy()
         if self._samples - self._whitened >= self._renew:
-            self._earlier = [*self._earlier[-1:], J]
-        N = null_space(J[:, self._passive].T) if len(self._passive) else np.identity(len(J))
-        pulls, turned = ((X.T @ N)[self._own] for X in (J, J - self._earlier[0]))
+            self._earlier = [*self._earlier[-self._kept :], J]
+        pulls, turned = self._pulls(J, self._earlier[-2:][0])
         load, n = self._observer.sag(state)[self._own], len(self._own)
-        if self._quick:
-            W = np.empty(n * n)
-            d = self._quick.whiten(self._samples, self._lag, pulls, turned, load, W)
-            return W[: n * d].reshape(n, d)
+        if not self._quick:
+            return self._white_over(self._spans[1], pulls, turned, load)
+        W = np.empty(n * n)
+        d = self._quick.whiten(self._samples, self._lag, pulls, turned, load, W)
+        return W[: n * d].reshape(n, d)
+
+    def _long_whitening(self, state: State) -> Array:
+        """The same of the long window, on whose way joints may have been faster and turned more."""
+        load = self._observer.sag(state)[self._own]
+        pulls, turned = self._pulls(state.J_loop, self._earlier[0])
+        return self._white_over(self._spans[-1], pulls, turned, load)
+
+    def _pulls(self, J: Array, before: Array) -> tuple[Array, Array]:
+        """What internal wrenches pull the joints by, and by how much more than before, (n, m)."""
+        N = null_space(J[:, self._passive].T) if len(self._passive) else np.identity(len(J))
+        return (J.T @ N)[self._own], ((J - before).T @ N)[self._own]
+
+    def _white_over(self, span: int, pulls: Array, turned: Array, load: Array) -> Array:
+        """W of so many samples, of sag and speed on their way."""
+        last = self._samples - 1
         A = self._compliance[:, None] * pulls
         U, values, _ = np.linalg.svd(A)
         rank = int(np.sum(values > SINGULAR * values.max(initial=1e-12)))
         U, parity = U[:, :rank], U[:, rank:]
-        at = np.arange(max(0, last - self._spans[1]), last + 1)
+        at = np.arange(max(0, last - span), last + 1)
         m, c = self._of(self._m, at), self._told(at, self._lag)
         r = (m - c) - (m[0] - c[0])
         sag = np.mean((r @ U @ U.T) ** 2, axis=0)
@@ -251,12 +272,14 @@ class JointFollowing:
         noise = max(NOISE, OF_BENDS * float(np.median(np.abs(np.diff(m, 2, axis=0)))))
         half = (len(c) - 1) // 2
         bend = np.abs(c[2 * half] - 2.0 * c[half] + c[0]) / max(half * self._h, self._h) ** 2
-        variance = noise**2 + (LAG_NOISE * speed) ** 2 + STIFFNESS_NOISE**2 * sag
+        variance = noise**2 + self._band**2 + (LAG_NOISE * speed) ** 2 + STIFFNESS_NOISE**2 * sag
         variance += (INERTIA_NOISE * bend) ** 2
         # What pulled as now pulled otherwise before J_c turned with the joints.
         least = (SINGULAR * values.max(initial=1e-12)) ** 2 * np.identity(A.shape[1])
-        pull = np.linalg.solve(A.T @ A + least, A.T @ (m - c)[-1])
-        variance += (self._compliance * (turned @ pull)) ** 2 / 3.0  # on the way
+        lags = (m - c)[-1:] if span <= self._spans[1] else m - c
+        pull = np.linalg.solve(A.T @ A + least, A.T @ lags.T)
+        turns = self._compliance[:, None] * (turned @ pull)
+        variance += np.mean(turns**2, axis=1) / 3.0  # on the way
         # The object's weight is no internal wrench, changes with the pose, and may be told wrong.
         variance += load**2
         L = np.linalg.cholesky(parity.T @ (variance[:, None] * parity))
@@ -275,7 +298,8 @@ class JointFollowing:
                 continue
             if self._samples > self._whitened + self._fresh:
                 self._white, self._whitened = self._whitening(state), self._samples
-            if found := self._judge(state, first, last):
+            white = self._white if span < self._spans[-1] else self._long_whitening(state)
+            if found := self._judge(state, first, last, white):
                 return found, span
         return None, 0
 
@@ -290,22 +314,22 @@ class JointFollowing:
         at = max(at, oldest) if isinstance(at, int) else np.maximum(at, oldest)
         return np.asarray(ring[at % len(ring)])
 
-    def _judge(self, state: State, first: int, last: int) -> Suspect | None:
+    def _judge(self, state: State, first: int, last: int, white: Array) -> Suspect | None:
         at = np.arange(first, last + 1, max(1, (last - first) // LOOKS))
         m = self._of(self._m, at)
         m = m - m.mean(axis=0)
         c = self._told(at[None, :], self._lags[:, None])
         c = c - c.mean(axis=1, keepdims=True)  # (lags, T, n)
-        z = (m - c) @ self._white
+        z = (m - c) @ white
         sizes = np.einsum("ltd,ltd->l", z, z)
         self._lag = int(sizes.argmin())
         (T, d), self._noise = z.shape[1:], float(_white(z[self._lag]).sum())
-        white = DEVIATIONS * self._noise * (1.9 / (T * d)) ** 0.5
-        self._enough = max(MEAN_SQUARE * T, white)
+        noise = DEVIATIONS * self._noise * (1.9 / (T * d)) ** 0.5
+        self._enough = max(MEAN_SQUARE * T, noise)
         if sizes[self._lag] - self._noise < self._enough:
             return None
         self.suspicious = True
-        return self._best(state, m, np.concatenate([c, self._slow(at)]), at)
+        return self._best(state, m, np.concatenate([c, self._slow(at)]), at, white)
 
     def _slow(self, at: Any) -> Array:
         """Commands as servos of a first order follow them, late as well, shape (servos, T, n)."""
@@ -315,39 +339,39 @@ class JointFollowing:
         c = c.reshape(-1, len(at), len(self._own))
         return np.asarray(c - c.mean(axis=1, keepdims=True))
 
-    def _alike(self, r: Array, c: Array, time: float) -> float:
+    def _alike(self, r: Array, c: Array, time: float, white: Array) -> float:
         """What joints that are sound leave of the parity vector where all follow alike.
 
         They follow a share s of the velocities that their servos are told, of samples after each
         ``time``, and a loop of gain k takes their error to zero: r' = -(1 - s) dq_c' - s k r.
         """
         causes = np.stack([r, c, r.cumsum(axis=1) * time])
-        causes = (causes - causes.mean(axis=2, keepdims=True)) @ self._white
+        causes = (causes - causes.mean(axis=2, keepdims=True)) @ white
         G = np.einsum("asti,bsti->sab", causes, causes)
         short, gains = (np.linspace(0.0, most, 7) for most in ALIKE)
         p = np.stack([np.ones((7, 7)), *np.meshgrid(short, gains)], axis=-1)
         return float(np.einsum("xya,sab,xyb->sxy", p, G, p).min())
 
-    def _pushed(self, state: State, z: Array) -> float:
+    def _pushed(self, state: State, z: Array, white: Array) -> float:
         """What wrenches from outside leave of the parity vector z, shape (servos, T, d).
 
         Hands that bear h on the object as well move joints by K^-1 J' h, as internal ones do.
         """
         J = np.vstack([state.J_task, state.J_loop])
         N = null_space(J[:, self._passive].T) if len(self._passive) else np.identity(len(J))
-        ways = (self._compliance[:, None] * (J.T @ N)[self._own]).T @ self._white
+        ways = (self._compliance[:, None] * (J.T @ N)[self._own]).T @ white
         _, values, V = np.linalg.svd(ways)
         free = V[int(np.sum(values > SINGULAR * values.max(initial=0.0))) :]
         return float(np.min(np.sum((z @ free.T) ** 2, axis=(1, 2))))
 
-    def _best(self, state: State, m: Array, c: Array, at: Any) -> Suspect | None:
+    def _best(self, state: State, m: Array, c: Array, at: Any, white: Array) -> Suspect | None:
         """The fault that leaves least beside sound servos' motions c, if it explains the rest."""
         r = m - c
-        z = r @ self._white
+        z = r @ white
         sizes = np.einsum("ltd,ltd->l", z, z)
         n, pairs, above = len(self._own), self._pairs, sizes.min() - self._noise
         told = self._told(at, self._lag)
-        signs = self._faults @ self._white  # (faults, d)
+        signs = self._faults @ white  # (faults, d)
         lengths = np.einsum("fd,fd->f", signs, signs)
         lengths[lengths < LEAST_SIGNATURE * lengths.max()] = np.inf
         along = z @ signs.T  # (lags, T, faults)
@@ -359,7 +383,7 @@ class JointFollowing:
         moves = np.ptp(motion, axis=0) > LEAST_MOTION
         steps, ranges = np.abs(delta[2:] - delta[:-2]).max(axis=0), np.ptp(delta, axis=0)
         jumped = (steps > JUMP * ranges) & (ranges > LEAST_JUMP)
-        noise = self._noise * (1.0 - 1.0 / self._white.shape[1])
+        noise = self._noise * (1.0 - 1.0 / white.shape[1])
         share = np.maximum(left - noise, 0.0) / above
         read = m @ self._faults.T
         unlike, size = (np.sum(x**2, axis=0) - _white(x) for x in (delta - 2.0 * read, delta))
@@ -372,7 +396,7 @@ class JointFollowing:
         first, second = np.argsort(left)[:2]
         if first >= n and share[first] < ALONE * min(1.0, share[second]):
             good[first] = exchanged[first]
-        alike = self._alike(r, c, self._h * (at[1] - at[0])) - self._noise
+        alike = self._alike(r, c, self._h * (at[1] - at[0]), white) - self._noise
         stops = np.minimum(told - self._least, self._most - told).min(axis=0) < NEAR
         stopped = (share[:n][stops] < 1.0 - EXPLAINED).any()
         if stopped or not good.any() or alike < max(LAGGING * above, self._enough):
@@ -384,7 +408,7 @@ class JointFollowing:
             rest[f] = np.sum(left_r**2) * (1.0 if f < n else PENALTY)
         best = int(rest.argmin())
         others = share[~(self._faults[:, self._faults[best] != 0.0] != 0.0).any(axis=1)]
-        pushed = (self._pushed(state, z) - noise) / above
+        pushed = (self._pushed(state, z, white) - noise) / above
         if share[best] > max(TIMES_AS_MUCH * min(pushed, *others), CREDIBLE):
             return None
         if best >= n:

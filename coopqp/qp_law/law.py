@@ -33,12 +33,13 @@ import numpy as np
 from coopqp.base.rank import null_space
 from coopqp.base.spec import Array
 from coopqp.controller import Command, ControlProblem, InternalForceControl, Law
+from coopqp.limit import ROUNDING
 from coopqp.model.state import State
 from coopqp.qp_law.equations import LEAST_SPEED, MOST_DAMPING, SCALE_WEIGHT, Damping, note_chatter
 from coopqp.qp_law.level import Given, Level
 from coopqp.qp_law.limit_recovery import DriftShare, LimitRecovery
-from coopqp.qp_law.nearest import ASIDE, FAST, LESS, MET, NEAR, PLAIN, SLOW, WHOLE, Nearest, blocked
-from coopqp.qp_law.priorities import IDLE, LaterLevel, Order
+from coopqp.qp_law.nearest import ASIDE, FAST, LESS, MET, SLOW, WHOLE, Nearest, blocked, counting
+from coopqp.qp_law.priorities import LaterLevel, Order
 from coopqp.qp_law.safety import StepVerification, drift_gain
 from coopqp.solver import Status, norm
 
@@ -127,12 +128,10 @@ class QPLaw(Law):
         self._assemble_exact(self.first, state, kappa, self.exact.wanted)
         return kappa
 
-    def _assemble_exact(
-        self, level: Level, state: State, kappa: float, wanted: Array, damping: float = 0.0
-    ) -> None:
+    def _assemble_exact(self, level: Level, state: State, kappa: float, wanted: Array) -> None:
         """J_j v = wanted_j of hard tasks, J_k v - s_k wanted_k = 0 of scaled ones."""
         n, m = self.problem.chain.n, len(state.e_loop)
-        damping += self._damping.of_tasks(level.tasks, state)
+        damping = self._damping.of_tasks(level.tasks, state)
         level.assemble(state, kappa, damping + self._scaled_damping(state))
         A, b = level.qp.A[m:], level.qp.b[m:]
         A[:, :n], b[:] = self.exact.J, wanted
@@ -197,88 +196,68 @@ class QPLaw(Law):
 
         Returned are the outcome, v, what scaled tasks set out from, and how far they leave.
         """
-        first, nearest = self.first, self.nearest
-        status, near = nearest.of_hard(state, kappa), nearest.v
-        lacks, counts, swings = self._missed(near), 1.0, self._damping.swings(state)
-        if lacks.any() or swings:
-            counts = max(self._counts(state, kappa, whole, norm(lacks)), swings)
-        lacks = counts * lacks
-        firm = not lacks.any() and not swings and self._holds_firmly(met=True)
+        first, nearest, wanted = self.first, self.nearest, self.exact.wanted[self._hard_rows]
+        status, near, swings = nearest.of_hard(state, kappa), nearest.v, self._damping.swings(state)
+        lacks, held, v = self._missed(near), whole, first.v
+        if self._scaled:
+            alone = self._hard and norm(lacks) < SLOW
+            held, v = (nearest.hold(state, kappa), nearest.held.v) if alone else (status, near)
+        counts = max(nearest.counts(v), swings) if held.usable else 1.0
+        firm = counts == 0.0 and self._holds_firmly(met=True)
         if whole.usable and (firm or not status.usable):
             return whole, first.v, first.v, 0.0
-        if status.usable and (lacks.any() or swings):
-            pulls = np.abs(lacks) + swings * np.abs(self.exact.wanted[self._hard_rows])
-            status = nearest.damp(state, kappa, pulls)
-            lacks = counts * self._missed(near)
+        if counts > 0.0 and status.usable:
+            status = nearest.damp(state, kappa, counts * np.abs(lacks) + swings * np.abs(wanted))
         if not status.usable:
             return status, near, near, 0.0
-        v, leaves = self._scale_beside(state, kappa, near, lacks)
-        return status, v, v + min(norm(lacks) / SLOW, 1.0) * (near - v), leaves
-
-    def _counts(self, state: State, kappa: float, whole: Status, lack: float) -> float:
-        """How much of what v_h lacks counts: all of it where hard tasks alone cannot hold."""
-        held, v = whole, self.first.v
-        if lack >= SLOW:
-            return 1.0
-        if self._scaled:
-            wanted = self.exact.wanted[self._hard_rows]
-            held, v = self.nearest.hold(state, kappa, wanted), self.nearest.held.v
-        if not held.usable:
-            return 1.0
-        return min(max(self._at_limits(v), 2.0 * lack / SLOW - 1.0, 0.0), 1.0)
+        v = near if counts == 1.0 else (1.0 - counts) * v + counts * near
+        if not self._scaled:
+            return status, v, v, 0.0
+        leaves = min(norm(self._missed(v)) / SLOW, 1.0)
+        beside, most = self._scale_beside(state, kappa, v, leaves)
+        return status, beside, beside + leaves * (v - beside), most
 
     def _holds_firmly(self, *, met: bool) -> bool:
         """Whether the exact program answers as the levels of least squares would.
 
         So it is where no multipliers of its rows are so large that v_h would lack something of hard
-        tasks, unless these are ``met``, nor so large that the penalty of t would not be exact.
+        tasks, unless these are ``met``, nor so large that the penalty of t would not be exact. Rows
+        beside shares that hold by the solver's tolerance alone do not.
         """
-        y = self.first.solution.y[-len(self.exact.wanted) :]
-        if self._scaled and norm(y) * FAST > ASIDE * SCALE_WEIGHT:
+        solution = self.first.solution
+        y = solution.y[-len(self.exact.wanted) :]
+        lacking = solution.primal_residual > ROUNDING or norm(y) * FAST > ASIDE * SCALE_WEIGHT
+        if self._scaled and lacking:
             return False
         weights, hard = self.exact.weights[self._hard_rows], y[self._hard_rows]
-        if met or not len(hard):
+        if met or not self._hard:
             return True
-        lacks = LESS * self._damping.least / self.first.curvature * norm(hard / np.sqrt(weights))
+        share = LESS * float(weights.max()) * self._damping.least / self.first.curvature
+        lacks = share * norm(hard / np.sqrt(weights))
         return lacks <= MET * float(np.sqrt(weights.min()))
 
-    def _at_limits(self, v: Array) -> float:
-        """1 where the exact motion v is at a limit, 0 where it is NEAR none."""
-        bounds = self._given.bounds
-        slack = np.concatenate([bounds.ub, bounds.h, -bounds.lb]) - bounds.C.dot(v)
-        sizes = np.maximum(np.linalg.norm(bounds.C, axis=1), IDLE)
-        room = float((slack / sizes).min(initial=NEAR))
-        return min(1.0 - room / NEAR, 1.0)
-
     def _scale_beside(
-        self, state: State, kappa: float, v: Array, lacks: Array
+        self, state: State, kappa: float, v: Array, leaves: float
     ) -> tuple[Array, float]:
-        """The largest shares beside the motion v of hard tasks; how far these may be left.
-
-        ``lacks`` is what hard tasks may lack of their rates, at most what v lacks.
-        """
-        level, wanted, aside = self.nearest.beside, self.exact.wanted.copy(), self.exact.J @ v
+        """The largest shares beside the motion v of hard tasks; how far these may be left."""
+        level, wanted, got = self.nearest.beside, self.exact.wanted.copy(), self.exact.J @ v
         hard, self._shares = self._hard_rows, level.shares[:-1]
-        in_part = lacks.any() and (lacks != aside[hard] - wanted[hard]).any()
-        wanted[hard] += lacks
-        aside[hard] -= wanted[hard]
-        aside *= SLOW / min(max(norm(aside), MET), SLOW)
-        leaves = min(norm(lacks) / SLOW, 1.0)
-        asked = leaves < 1.0 if self._scaled else in_part
-        if asked and np.isfinite(aside @ self.exact.wanted):
-            level.qp.A[:] = 0.0
-            self._assemble_exact(level, state, kappa, wanted, 0.0 if self._scaled else PLAIN)
-            level.qp.A[len(state.e_loop) :, -1] = -aside
-            level.qp.orthogonalize()
-            found = level.solve().usable
-            v, leaves = (level.v, max(leaves, level.shares[-1])) if found else (v, 1.0)
-        return v, leaves if self._scaled else 0.0
+        wanted[hard] = got[hard]
+        aside = got * (SLOW / min(max(norm(got[hard.stop :]), MET), SLOW))
+        aside[hard] = 0.0
+        if leaves == 1.0 or not np.isfinite(got).all():
+            return v, 1.0
+        level.qp.A[:] = 0.0
+        self._assemble_exact(level, state, kappa, wanted)
+        level.qp.A[len(state.e_loop) :, -1] = -aside
+        level.qp.orthogonalize()
+        found = level.solve().usable
+        return (level.v, max(leaves, level.shares[-1])) if found else (v, 1.0)
 
     def _missed(self, v: Array) -> Array:
         """What rows of hard tasks lack, zero where that is rounding."""
         missed: Array = (self.exact.J @ v - self.exact.wanted)[self._hard_rows]
-        part = float(np.abs(missed).max(initial=0.0)) / MET - 1.0
-        return missed * min(max(part, 0.0), 1.0)
+        return missed * counting(missed)
 
     def _remember(self, state: State, v: Array, leaves: float) -> None:
         """What hard and scaled tasks lack, for the damping of the next tick; the scale of this."""

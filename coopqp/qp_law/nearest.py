@@ -5,25 +5,22 @@ They are levels of least squares (:mod:`coopqp.qp_law.law`) above all soft ones:
     minimise    sum_i w_i |J_i v - wanted_i|^2 + d |v|^2
     subject to  J_c v = -kappa e,   lb <= v <= ub,   G v <= h
 
-with the answer v_h; then, with J_i v of these fixed, the scaled ones: v_n is the nearest to all
-they want, v_s has the largest shares s_k of it and the least part t of v_h, by an exact penalty:
+with the answer v_h. Its damping d is next to nothing first, and then grows with what the rows lack,
+m_i: d = c dt sum_i w_i |m_i| L_i; where joints reverse again and again, it is that of a soft task.
+So v_h lacks something near a singularity where hard tasks can hold, too, exactly, by v_e. Their
+motion is (1 - c) v_e + c v_h: c is 1 where they cannot hold, else 0 up to MET of each row, or where
+v_e is not within NEAR of a limit and v_h lacks less than half of SLOW. v_e and v_h meet where v_e
+ceases to exist. With J_i v of it fixed scaled tasks have the largest shares s_k in v_s, beside the
+least part t of that motion, by an exact penalty; v_n is the nearest to all they want:
 
     J_k v_s = s_k wanted_k + t a_k,   at the cost W (t^2 / 2 + ASIDE t) more
     v = (1 - r) v_s + r v_n,   r = max_k (1 - s_k |wanted_k| / (LITTLE p_k))+ (1 - s_k / WHOLE)+
 
-a is J v_h of all scaled tasks, made as long as SLOW where it is shorter: next to no motion takes
-neither t = 1 nor multipliers that cost the answer its digits. p_k is what v_n has along a
-direction, LEAST_SPEED at least; r is at least t and, where hard tasks lack a speed, that over SLOW,
-up to 1. v_n sets out from v_s, or from v_h as far as hard tasks are slow. Later levels keep v.
-
-The damping of v_n is that of a soft task (:class:`coopqp.qp_law.equations.Damping`). That of v_h is
-next to nothing first, and then grows with what its rows lack, m_i: d = c dt sum_i w_i |m_i| L_i;
-where joints reverse again and again, it is that of a soft task as well.
-
-Where hard tasks can hold v_h lacks something, too, as its damping costs near a singularity. Up to
-MET of each row that counts as nothing, from 2 MET on as a whole, but only in part where the exact
-motion of the hard tasks alone is within NEAR of a limit, and as nothing where it is not, or v_h
-lacks less than half of SLOW. So that motion and v_h meet where it ceases to exist.
+a is what that motion does of all scaled tasks, made as long as SLOW where it is shorter: next to no
+motion takes neither t = 1 nor multipliers that cost the answer digits. p_k is what v_n has along
+a direction, LEAST_SPEED at least; r is at least t and, where hard tasks lack a speed, that over
+SLOW, up to 1. v_n, damped as a soft task (:class:`coopqp.qp_law.equations.Damping`), sets out from
+v_s, or from the motion of the hard tasks as far as these are slow. Later levels keep v.
 """
 
 from dataclasses import replace
@@ -35,7 +32,7 @@ from coopqp.base.spec import Array
 from coopqp.model.state import State
 from coopqp.qp_law.equations import LEAST_SPEED, SCALE_WEIGHT
 from coopqp.qp_law.level import Given, Level, Step
-from coopqp.qp_law.priorities import LaterLevel, Order
+from coopqp.qp_law.priorities import IDLE, LaterLevel, Order
 from coopqp.solver import Status, norm
 from coopqp.task import TaskStack
 
@@ -47,14 +44,12 @@ LITTLE = 0.1
 SLOW = 5e-3
 #: What |a| is taken to be at most [m/s, rad/s]: multipliers up to ASIDE W / FAST leave t at 0.
 FAST = 1.0
-#: Least damping of the level of the hard tasks, as a share of that of the soft ones.
+#: Least damping of the level of the hard tasks for their largest weight, as a share of the others'.
 LESS = 1e-3
 #: Rows that lack less than this are met, from twice it on they are not [m/s, rad/s].
 MET = 1e-6
 #: Speed from a limit from which on exact motions stand, whatever v_h lacks [m/s, rad/s].
 NEAR = 0.1
-#: Damping of v_s where no task is scaled, which leaves v_s as it is and its multipliers small.
-PLAIN = 1.0
 #: Slope of the cost of t, above the multipliers that it may have, over W.
 ASIDE = 1e3
 
@@ -63,9 +58,9 @@ class Nearest:
     """Levels of hard and scaled tasks; that of v_s is ``beside``, its last share t; v is v_h."""
 
     def __init__(self, given: Given, order: Order) -> None:
-        loops, self._damping = given.problem.chain.loops, given.damping
+        loops, self._damping, self._bounds = given.problem.chain.loops, given.damping, given.bounds
         hard, scaled = (TaskStack(tasks, order.start) for tasks in (order.hard, order.scaled))
-        least = (LESS if order.hard else 1.0) * given.damping.least
+        least = given.damping.least * (LESS * float(hard.weights.max()) if order.hard else 1.0)
         firm = replace(given, damping=replace(given.damping, least=least))
         self.hard, self._refined = Level(firm, hard, loops.solver_rows), Step(firm, hard)
         rows = [*loops.solver_rows, *order.exact.rows[: len(hard.wanted)]]
@@ -92,12 +87,20 @@ class Nearest:
         level.v[:] = self._refined.v
         return status
 
-    def hold(self, state: State, kappa: float, wanted: Array) -> Status:
+    def hold(self, state: State, kappa: float) -> Status:
         """Hold hard tasks as they are, without the scaled ones."""
         level, m = self.held, len(state.e_loop)
         level.assemble(state, kappa)
-        level.qp.A[m:], level.qp.b[m:] = self.hard.tasks.J, wanted
+        level.qp.A[m:], level.qp.b[m:] = self.hard.tasks.J, self.hard.tasks.wanted
         return level.solve()
+
+    def counts(self, v: Array) -> float:
+        """How much v_h counts beside the exact motion v of the hard tasks alone."""
+        missed, bounds = self.hard.tasks.J @ self.v - self.hard.tasks.wanted, self._bounds
+        slack = np.concatenate([bounds.ub, bounds.h, -bounds.lb]) - bounds.C.dot(v)
+        sizes = np.maximum(np.linalg.norm(bounds.C, axis=1), IDLE)
+        limited = 1.0 - float((slack / sizes).min(initial=NEAR)) / NEAR
+        return counting(missed) * min(max(limited, 2.0 * norm(missed) / SLOW - 1.0, 0.0), 1.0)
 
     def of_scaled(self, state: State, v: Array) -> tuple[Array, Status]:
         """What the level of the scaled tasks makes of v, in what hard tasks leave free."""
@@ -105,6 +108,11 @@ class Nearest:
             stack.update(state)
         loops, pull = null_space(state.J_loop).T, state.memory["scaled pull"]
         return self.scaled.improve(state, loops, v, pull)
+
+
+def counting(missed: Array) -> float:
+    """How much counts of what rows of hard tasks lack."""
+    return min(max(float(np.abs(missed).max(initial=0.0)) / MET - 1.0, 0.0), 1.0)
 
 
 def blocked(share: float, wanted: Array, near: Array) -> float:

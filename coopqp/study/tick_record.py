@@ -16,7 +16,7 @@ from coopqp.base.qp import QP, Row, Rows, Side
 from coopqp.base.reading import line_in_json, read_text
 from coopqp.base.spec import Array
 from coopqp.base.wording import Location, dotted
-from coopqp.controller import ControlProblem
+from coopqp.controller import ControlProblem, Law
 from coopqp.limit import bound_rows
 from coopqp.model.state import State
 from coopqp.qp_law.bounds import Bounds
@@ -155,11 +155,11 @@ def _refused(path: Path, text: str, location: Location, why: str) -> CoopqpError
 
 
 def record_tick(
-    law: QPLaw, state: State, *, scenario: str, controller: str, tick: int
+    law: QPLaw, state: State, *, scenario: str, controller: str, tick: int, by: Law | None = None
 ) -> TickRecord:
-    """Record the tick that a law would do at an updated state with the law's memory."""
+    """Record the tick that a law, or its compiled one, would do at an updated state."""
     memory = state.memory.numbers.tolist()
-    command = law.tick(state)
+    command = (by or law).tick(state)
     if command.status is Status.RAISED:
         raise InvalidValueError(f"tick {tick} of '{controller}' has no QP: {command.note}")
     relaxed = state.memory["missed"].any()
@@ -167,6 +167,8 @@ def record_tick(
     problem, level = law.problem, law.first
     law.assemble(state)
     holds = level.solve().usable and not relaxed
+    if by and not holds:  # then the levels of the plain law say more
+        return record_tick(law, state, scenario=scenario, controller=controller, tick=tick)
     if not holds and problem.on_infeasible == "scale" and law.nearest.hard.solution.status.usable:
         level = law.nearest.hard  # where hard tasks cannot hold, theirs decides first
     qp = level.qp
@@ -177,7 +179,7 @@ def record_tick(
         [*rows, *(replace(share, name=f"scale.{side}", side=side) for share in shares)]
         for rows, side in zip((named.below, named.above), SIDES, strict=True)
     )
-    tasks = TaskStack(problem.tasks, State(problem.chain))
+    tasks = TaskStack(problem.tasks, law.order.start)
     tasks.update(state)
     lower, upper = np.clip([qp.lower, qp.upper], -UNBOUNDED, UNBOUNDED).tolist()
     return TickRecord(

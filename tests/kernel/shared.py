@@ -31,7 +31,7 @@ CONSTANTS: Mapping[object, Mapping[str, str]] = {
     },
     nearest: {
         name: name
-        for name in ("WHOLE", "LITTLE", "SLOW", "FAST", "LESS", "MET", "NEAR", "PLAIN", "ASIDE")
+        for name in ("WHOLE", "LITTLE", "SLOW", "FAST", "LESS", "MET", "NEAR", "ASIDE")
     },
     level: {"DECIDED": "DECIDED", "UNSEEN": "UNSEEN"},
     priorities: {"IDLE": "IDLE", "NOISE": "NOISE", "WALL": "WALL"},

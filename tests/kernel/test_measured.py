@@ -52,8 +52,8 @@ def told(one: Law, state: State) -> np.ndarray:
 @pytest.mark.parametrize("name", SCENARIOS)
 @pytest.mark.parametrize("observer", [
     Observer(most=0.1), Observer(stiffness=80.0, most=0.1), Observer(stiffness=80.0, most=BOUND),
-    Observer(enabled=False),
-], ids=["felt", "known", "at bound", "disabled"])  # fmt: skip
+    Observer(enabled=False), Observer(most=0.1, dead_band=2e-3),
+], ids=["felt", "known", "at bound", "disabled", "dead band"])  # fmt: skip
 def test_what_is_learnt_is_what_python_learns(
     name: str, observer: Observer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -184,7 +184,7 @@ def test_what_internal_wrenches_leave_is_that_of_lapack(n: int, m: int) -> None:
     rng, found = np.random.default_rng(n), native.module()
     assert found
     still, own = (np.zeros((5, n)), np.zeros((5, n))), list(range(n))
-    samples = found.Samples(*still, own, [], 1, [1, 2], 4, [1.0] * n, 0.02, 7, 0.01)
+    samples = found.Samples(*still, own, [], 1, [1, 2], 4, [1.0] * n, 0.02, 7, 0.01, 0.0)
     for case in range(20):
         A = rng.standard_normal((n, m)) * 10.0 ** rng.uniform(-0.1 * case, 0.1 * case, (n, 1))
         A[:, m // 2] = A[:, 0]

@@ -192,6 +192,27 @@ def test_servos_that_are_slow_have_no_fault(kind: str, seconds: float) -> None:
     assert not loop.faults
 
 
+@pytest.mark.parametrize("stated", [True, False])
+@pytest.mark.parametrize("wrong", [True, False])
+def test_joints_with_a_dead_band_have_a_fault_only_where_one_is_wrong(
+    stated: bool, wrong: bool
+) -> None:
+    """Coarse encoders on joints that stay behind by up to 10 mrad to either side."""
+    band, step = 0.02, 1.5e-3
+    observer = Observer(dead_band=band if stated else 0.0)
+    loop = OnlineLoop(coopqp.load("point_on_point"), clock=None, observer=observer)
+    chain, motors = loop.problem.chain, loop.problem.chain.q_start.copy()
+    q, turns = motors.copy(), np.ones(chain.n)
+    turns[chain.joint_names.index("RElbowRoll")] = -1.0 if wrong else 1.0
+    for _ in range(100):
+        loop.tick(step * np.round(q / step))
+        told = chain.q_start + turns * (loop.setpoint - chain.q_start)
+        motors += 0.3 * (told - motors)
+        q = np.clip(q, motors - 0.5 * band, motors + 0.5 * band)
+    assert bool(loop.faults) == (wrong or not stated)
+    assert not wrong or not stated or loop.faults[0].where == ("RElbowRoll",)
+
+
 def test_two_swapped_joints_are_named(nao: State) -> None:
     c, names = motion(nao.chain.n), nao.chain.joint_names
     late = np.vstack([np.zeros((LAG, nao.chain.n)), c[:-LAG]])

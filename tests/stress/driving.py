@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from coopqp.assessment.oscillation import SHORTEST, extent, least_size, reach
+from coopqp.assessment.oscillation import SHORTEST, least_size, reach
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem, Law
 from coopqp.kernel.trajectory_evaluation import TrajectoryEvaluation, survey
@@ -104,8 +104,12 @@ def turns(q: Array, units: Sequence[str]) -> bool:
     if len(q) <= SHORTEST:
         return False
     late = q[-(len(q) // 2) :]
-    wide = reach(late) > least_size(units)
-    return bool(wide.any() and (extent(late[:, wide])[1] > TURNS).any())
+    size = reach(late)
+    wide = size > least_size(units)
+    if not wide.any():
+        return False
+    path = np.abs(np.diff(late, axis=0)).sum(axis=0)
+    return bool((path[wide] > TURNS * size[wide]).any())
 
 
 def _ended(state: State, record: Record, errors: PartErrors) -> bool:

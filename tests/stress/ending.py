@@ -128,7 +128,8 @@ def _rest(law: Law, state: State, record: Record, errors: PartErrors) -> Ending:
     """Why the tasks rest short of the goal; a speed limit blocks nobody who stands still."""
     problem, tasks = law.problem, errors.stack(state)
     plain = law.plain if isinstance(law, KernelLaw) else QPController().plain(problem)
-    why = explain(record_tick(plain, state, scenario="random", controller="qp", tick=0))
+    tick = record_tick(plain, state, scenario="random", controller="qp", tick=0, by=law)
+    why = explain(tick)
     limits = [r.name for r in why.relaxations]
     names = [name for name in limits if not name.startswith(OF_SPEED)]
     names += [f"loops|{name}" for name in why.impossible]

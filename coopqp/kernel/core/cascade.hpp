@@ -51,23 +51,18 @@ class Cascade {
           V_(arena.take(TWIST)),
           kept_V_(arena.take(TWIST)),
           t_(arena.take(std::size_t(stride()))),
-          W_(arena.take(std::size_t(TWIST * hierarchy_.width()))),
           w_(arena.take(std::size_t(hierarchy_.width()))),
           x_(arena.take(std::size_t(hierarchy_.width()))),
           z_(arena.take(std::size_t(hierarchy_.width()))),
           residual_(std::size_t(most_rows_ + 1)),
           small_(most_rows_ + loops.free + 1, std::min(most_rows_, loops.free) + 1, arena),
-          pulls_(levels.size()) {
-        for (const Level& level : levels)
-            for (char twist : level.twist) sees_twist_ |= twist != 0;
-    }
+          pulls_(levels.size()) {}
 
     // Set out from the motion v, in lanes, that moves the loops by b, their independent rows.
     void begin(const double* b, const double* v) {
         check_.aim(b);
         b_ = b;
         copy(v_, v, m_.blocks);
-        if (sees_twist_) see_object();
         hierarchy_.forget();
         hierarchy_.begin();
     }
@@ -139,13 +134,6 @@ class Cascade {
     }
 
     int stride() const { return m_.blocks * LANES; }
-
-    // The object's twist along each column of Z. All arms that hold it move it alike there, so arm 0
-    // speaks for all.
-    void see_object() {
-        for (int z = 0; z < loops_.free; z++)
-            rows_.twist(0, loops_.Z + std::size_t(z * stride()), W_ + TWIST * z);
-    }
 
     // Decide the rows of a level, which the hierarchy has after `before` others of the levels before;
     // these have decided so many coordinates.
@@ -268,7 +256,7 @@ class Cascade {
         for (int s = 0; s < level.rows; s++) {
             double* row = hierarchy_.row(hierarchy_.rows + s);
             if (level.twist[std::size_t(s)])
-                multiply(row, W_, TWIST, loops_.free, level.T + TWIST * s, Blocks<2>{});
+                multiply(row, loops_.W, TWIST, loops_.free, level.T + TWIST * s, Blocks<2>{});
             else
                 multiply(row, loops_.Z, stride(), loops_.free,
                          level.J + std::size_t(s * stride()), m_.blocks);
@@ -420,14 +408,13 @@ class Cascade {
     Refinement refinement_;
     const double* b_ = nullptr;
     double accuracy_;
-    double *v_, *before_, *kept_v_, *V_, *kept_V_, *t_, *W_, *w_, *x_, *z_;
+    double *v_, *before_, *kept_v_, *V_, *kept_V_, *t_, *w_, *x_, *z_;
     int refined_ = 0;
     bool clash_ = false;  // whether rows, if they gave way by less, would leave no motion
     std::vector<double> residual_;
     SmallLeastSquares small_;
     Outcome outcome_{};
     std::vector<double> pulls_;
-    bool sees_twist_ = false;  // whether there are rows that see the object's twist
 };
 
 }  // namespace coopqp

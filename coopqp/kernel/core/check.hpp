@@ -124,7 +124,8 @@ class Check {
             least = std::min(least, weight);
         }
         if (level.shares && std::sqrt(all2) * FAST > ASIDE * SCALE_WEIGHT) return false;
-        return met || LESS * s_.damping / d * std::sqrt(lacks2) <= MET * std::sqrt(least);
+        const double least_damping = LESS * level.most_weight() * s_.damping;
+        return met || least_damping / d * std::sqrt(lacks2) <= MET * std::sqrt(least);
     }
 
     // Whether exact rows exceed limits by more than last digits, in the answer judged last: near others

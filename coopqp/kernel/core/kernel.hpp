@@ -24,6 +24,8 @@ namespace coopqp {
 // plus a speed that one may set out with [rad/s, m/s].
 constexpr double FASTER = 1.5, STARTS = 0.2;
 constexpr int MOST_LOOKS = 8;
+// Share of the accuracy to which damping must tell the motion of hard tasks: later levels multiply it.
+constexpr double SURE = 0.03;
 
 class Kernel {
   public:
@@ -53,7 +55,10 @@ class Kernel {
           last_(arena_->take(std::size_t(stride()))),
           near_(arena_->take(std::size_t(stride()))), base_(arena_->take(std::size_t(stride()))),
           V_(arena_->take(TWIST)),
-          t_(arena_->take(std::size_t(stride()))) {}
+          t_(arena_->take(std::size_t(stride()))) {
+        for (const Level& level : levels)
+            for (char twist : level.twist) sees_twist_ |= twist != 0;
+    }
 
     // Kinematics of q; what follows from them is written to the bound arrays.
     Status update(double t) {
@@ -93,6 +98,7 @@ class Kernel {
         aim_loops(ahead_.kappa(bound.drift));
         if (!fault(Fault::StaleFactor) && !loops_->factor()) return Status::Singular;
         if (fault(Fault::WrongDirection)) loops_->Z[0] += 1e-3;
+        if (sees_twist_) loops_->see_object(rows_);
         loops_->particular(b_.data(), set_out_);
         if (fault(Fault::WrongSide)) set_out_[0] += 1e-4;
         if (!look_around()) return Status::Unproven;
@@ -354,42 +360,20 @@ class Kernel {
     //   holds: whether its answer stands, of which a share is small.
     Status come_near(Status whole, bool holds) {
         off_ = off_in_shares_ = saving_ = least_leaves_ = aside_ = 0.0;
-        bool in_part = false;
         if (!holds) {
-            Status status = nearest_.of_hard(b_.data(), set_out_);
-            const bool unsure = status == Status::Inaccurate;
-            if (status != Status::Optimal && !unsure) return status;
-            double counts = note_missed(nearest_.v()) > 0.0 || swings_ > 0.0 ? 1.0 : 0.0;
-            if (counts > 0.0) {
-                status = count(whole, counts);
-                if (!may_come_near(status) || status == Status::Inaccurate) return status;
-                counts = std::max(counts, swings_);
-            }
-            short_ = counts > 0.0;
-            for (std::size_t s = 0; s < missed_.size(); s++)
-                missed_[s] = counts * std::fabs(missed_[s]) + swings_ * std::fabs(levels[0].wanted[s]);
-            const bool damps = counts == 1.0 && nearest_.unsure(missed_.data()) <= s_.budget.accuracy;
-            if (unsure && !damps) return Status::Inaccurate;
-            holds = !short_ && holds_firmly(whole, true);
-            if (short_) {
-                status = nearest_.damp(damping_, missed_.data(), b_.data(), set_out_);
-                if (status != Status::Optimal) return status;
-                in_part = counts * note_missed(nearest_.v()) < 1.0;
-            }
-            for (double& missed : missed_) missed *= counts;
+            const Status status = move_hard(whole, holds);
+            if (status != Status::Optimal) return status;
         }
         const bool scales = levels[0].shares > 0;
-        copy(near_, holds ? tasks_.v() : nearest_.v(), m_->blocks);
         if (holds) {
+            copy(near_, tasks_.v(), m_->blocks);
             nearest_.accept_hard(b_.data(), near_);
-        } else {
-            Status status = Status::Optimal;
-            if (scales || in_part) status = scale_beside(near_);
+        } else if (scales) {
+            copy(base_, near_, m_->blocks);
+            const Status status = scale_beside(near_);
             if (status != Status::Optimal) return status;
-            if (scales && leaves_ < 1.0) {
-                mix(base_, near_, nearest_.v(), least_leaves_);
-                nearest_.accept_hard(b_.data(), base_);
-            }
+            mix(base_, near_, base_, least_leaves_);
+            nearest_.accept_hard(b_.data(), base_);
         }
         if (scales && (leaves_ > 0.0 || off_ > 0.0 || least_share() < WHOLE)) {
             const Status status = nearest_.of_scaled(damping_, bound.scaled_pull[0]);
@@ -408,24 +392,47 @@ class Kernel {
         return Status::Optimal;
     }
 
+    // The motion near_ of hard tasks, the nearest where they cannot hold; what it lacks.
+    //   whole: of the level with all they ask.
+    //   holds: whether its answer stands after all.
+    Status move_hard(Status whole, bool& holds) {
+        Status status = nearest_.of_hard(b_.data(), set_out_), held = whole;
+        const bool unsure = status == Status::Inaccurate;
+        if (status != Status::Optimal && !unsure) return status;
+        const double part = note_missed(nearest_.v());
+        const double* exact = tasks_.v();
+        if (levels[0].shares) {
+            const bool alone = levels[0].hard && lack() < SLOW;
+            held = alone ? nearest_.hold(b_.data(), set_out_) : Status::Optimal;
+            exact = alone ? nearest_.held() : nearest_.v();
+        }
+        if (!may_come_near(held) || held == Status::Inaccurate) return held;
+        double counts = 1.0;
+        if (held == Status::Optimal) {
+            counts = std::max(at_limits(exact), 2.0 * lack() / SLOW - 1.0);
+            counts = std::max(part * std::min(std::max(counts, 0.0), 1.0), swings_);
+        }
+        short_ = counts > 0.0;
+        for (std::size_t s = 0; s < missed_.size(); s++)
+            missed_[s] = counts * std::fabs(missed_[s]) + swings_ * std::fabs(levels[0].wanted[s]);
+        const bool damps = counts == 1.0 && nearest_.unsure(missed_.data()) <= SURE * s_.budget.accuracy;
+        if (unsure && !damps) return Status::Inaccurate;
+        holds = !short_ && holds_firmly(whole, true);
+        if (short_) {
+            status = nearest_.damp(damping_, missed_.data(), b_.data(), set_out_);
+            if (status != Status::Optimal) return status;
+        }
+        mix(near_, counts == 1.0 ? nearest_.v() : exact, nearest_.v(), counts);
+        note_missed(near_);
+        return Status::Optimal;
+    }
+
     // What lies between two motions inside limits, a share of the way.
     void mix(double* v, const double* from, const double* to, double share) {
         for (int b = 0; b < m_->blocks; b++) {
             const v4 between = lanes(from)[b] + share * (lanes(to)[b] - lanes(from)[b]);
             lanes(v)[b] = smaller(larger(between, lanes(limits.lb)[b]), lanes(limits.ub)[b]);
         }
-    }
-
-    // How much of what hard tasks lack counts, from none to all of it, where they hold exactly.
-    Status count(Status whole, double& counts) {
-        if (lack() >= SLOW) return Status::Optimal;
-        const bool alone = levels[0].shares > 0;
-        const Status status = alone ? nearest_.hold(b_.data(), set_out_) : whole;
-        if (status != Status::Optimal) return status;
-        const double* v = alone ? nearest_.held() : tasks_.v();
-        counts = std::max(at_limits(v), 2.0 * lack() / SLOW - 1.0);
-        counts = std::min(std::max(counts, 0.0), 1.0);
-        return status;
     }
 
     // The largest shares that a motion v of hard tasks leaves, which v becomes, and how far these
@@ -435,25 +442,23 @@ class Kernel {
         rows_.object_twist(v, V_);
         for (int s = 0; s < level.exact; s++) got_[std::size_t(s)] = rows_.times(level, s, v, V_);
         leaves_ = least_leaves_ = std::min(lack() / SLOW, 1.0);
-        if (leaves_ == 1.0 && level.shares) return Status::Optimal;
-        const double d = d_ + (level.shares ? 0.0 : PLAIN);
-        const Status status =
-            nearest_.of_shares(missed_.data(), got_.data(), d, b_.data(), set_out_);
+        if (leaves_ == 1.0) return Status::Optimal;
+        const Status status = nearest_.of_shares(got_.data(), d_, b_.data(), set_out_);
         shares_ = &nearest_.beside().shares();
-        if (status == Status::Infeasible || status == Status::Unproven || status == Status::Clashing)
+        if (status == Status::Infeasible || status == Status::Unproven || status == Status::Clashing) {
             leaves_ = 1.0;
-        else {
-            const Outcome& found = nearest_.beside().outcome();
-            if (status == Status::Inaccurate && found.astray <= s_.budget.accuracy)
-                off_ = found.off;  // which may matter little, is_sure
-            else if (status != Status::Optimal)
-                return status;
-            off_in_shares_ = off_ * std::sqrt(std::min(d / SCALE_WEIGHT, 1.0));
-            saving_ = off_ * off_ * d / 4.0;
-            copy(v, nearest_.beside().v(), m_->blocks);
-            aside_ = nearest_.aside();
-            leaves_ = level.shares ? std::max(leaves_, aside_) : 0.0;
+            return Status::Optimal;
         }
+        const Outcome& found = nearest_.beside().outcome();
+        if (status == Status::Inaccurate && found.astray <= s_.budget.accuracy)
+            off_ = found.off;  // which may matter little, is_sure
+        else if (status != Status::Optimal)
+            return status;
+        off_in_shares_ = off_ * std::sqrt(std::min(d_ / SCALE_WEIGHT, 1.0));
+        saving_ = off_ * off_ * d_ / 4.0;
+        copy(v, nearest_.beside().v(), m_->blocks);
+        aside_ = nearest_.aside();
+        leaves_ = std::max(leaves_, aside_);
         return Status::Optimal;
     }
 
@@ -597,6 +602,7 @@ class Kernel {
     bool near_scaled_ = false;             // whether their nearest motion was looked for
     double *set_out_, *v_, *last_, *near_, *base_, *V_, *t_;
     bool comes_back_ = false;
+    bool sees_twist_ = false;  // whether there are rows that see the object's twist
 };
 
 }  // namespace coopqp

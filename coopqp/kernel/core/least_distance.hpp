@@ -88,6 +88,7 @@ class LeastDistance {
         K_ = columns;
         blocks_ = blocks_of(std::max(columns, 1));
         active = 0;
+        turned_ = false;
         clear(u, blocks_);
         clear(values_, row_blocks_);
         for (int s = 0; s < padded(K_); s++)
@@ -169,7 +170,8 @@ class LeastDistance {
         const double size2 = dot(normal_, normal_, blocks_);
         for (;; change++) {
             if (change >= MOST_CHANGES) return Status::Iterations;
-            multiply(d_, Q_, width_, K_, normal_, blocks_);
+            if (turned_) multiply(d_, Q_, width_, K_, normal_, blocks_);
+            else copy(d_, normal_, blocks_);
             copy_from(h_, d_, active, blocks_);
             const double free2 = dot(h_, h_, blocks_);
             solve_triangular();
@@ -196,7 +198,8 @@ class LeastDistance {
             }
             if (!(step < std::numeric_limits<double>::infinity())) return contradict(row, side);
             for (int b = 0; moves && b < blocks_; b++) lanes(h_)[b] *= step;
-            if (moves) add_rows(u, Q_, width_, K_, h_, blocks_);
+            if (moves && turned_) add_rows(u, Q_, width_, K_, h_, blocks_);
+            else if (moves) add(u, h_, 1.0, blocks_);
             for (int i = 0; i < active; i++)
                 multiplier_[std::size_t(i)] -= step * r_[std::size_t(i)];
             pushed += step;
@@ -224,6 +227,7 @@ class LeastDistance {
         double beta = 0.0;
         const double onto = reflection(d_, q, blocks_, 0.0, h_, beta);
         reflect_columns(Q_, width_, K_, h_, beta, blocks_, normal_);
+        turned_ = true;
         for (int i = 0; i < q; i++) R(i, q) = d_[i];
         R(q, q) = onto;
         row_[std::size_t(q)] = row;
@@ -294,6 +298,7 @@ class LeastDistance {
     std::vector<int> row_;
     std::vector<double> side_;
     int most_, K_ = 0, blocks_ = 0;
+    bool turned_ = false;  // whether Q is another than the identity
 };
 
 }  // namespace coopqp

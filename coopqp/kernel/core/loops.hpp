@@ -16,6 +16,7 @@
 
 #include "kinematics.hpp"
 #include "reflections.hpp"
+#include "rows.hpp"
 
 namespace coopqp {
 
@@ -28,6 +29,13 @@ class Loops {
 
     int free = 0;          // columns of Z
     double* Z = nullptr;   // (free, lanes)
+    double* W = nullptr;   // (free, TWIST), the object's twist along each column of Z
+
+    // Fill W. All arms that hold the object move it alike there, so arm 0 speaks for all.
+    void see_object(const Rows& rows) {
+        for (int z = 0; z < free; z++)
+            rows.twist(0, Z + std::size_t(z) * rows.stride(), W + TWIST * z);
+    }
 
     // Factor at the Jacobians of the model; false where independent rows are not so.
     virtual bool factor() = 0;
@@ -112,6 +120,7 @@ class StagedLoops final : public Loops {
         for (std::size_t i = 0; i < alone_.size(); i++)
             Z[(std::size_t(free) + i) * std::size_t(stride) + std::size_t(alone_[i])] = 1.0;
         free += int(alone_.size());
+        W = arena.take(TWIST * std::size_t(padded(free)));
     }
 
     // Lanes that a chain's widest stage takes; more than WIDTH cannot be done.

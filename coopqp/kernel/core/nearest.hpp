@@ -19,7 +19,7 @@ class Nearest {
     Nearest(const Model& model, const Settings& settings, const Rows& rows, const Loops& loops,
             const Limits& limits, const std::vector<std::vector<int>>& kept, const Level& given,
             Arena& arena)
-        : s_(settings), given_(given),
+        : s_(settings), given_(given), least_(settings.damping * (given.hard ? LESS * given.most_weight() : 1.0)),
           levels_{part(given, 0, given.hard, rows.stride()),
                   part(given, given.hard, given.exact, rows.stride())},
           beside_{part(given, 0, given.exact, rows.stride())},
@@ -45,7 +45,7 @@ class Nearest {
             all += given_.weight[s] * pulls[s] * given_.lever[s];
         }
         const double speed = std::sqrt(dot(v(), v(), blocks_));
-        const double off = found.off * std::sqrt(LESS * s_.damping * squares / 4.0) / all * speed;
+        const double off = found.off * std::sqrt(least_ * squares / 4.0) / all * speed;
         return found.astray <= s_.budget.accuracy ? off : std::numeric_limits<double>::infinity();
     }
 
@@ -66,18 +66,17 @@ class Nearest {
     }
     const double* held() const { return held_.v(); }  // in lanes
 
-    // The largest shares of scaled tasks, and the least t, beside the motion of_hard.
-    //   missed: what the rows of hard tasks may lack; got: all exact rows of that motion.
+    // The largest shares of scaled tasks, and the least t, beside a motion of hard ones.
+    //   got: all exact rows of that motion.
     //   d: damping.
-    Status of_shares(const double* missed, const double* got, double d, const double* b,
-                     const double* v) {
+    Status of_shares(const double* got, double d, const double* b, const double* v) {
         Level& level = beside_[0];
         double size2 = 0.0;
-        for (std::size_t s = 0; s < std::size_t(level.exact); s++) {
-            const bool hard = int(s) < given_.hard;
-            level.wanted[s] = given_.wanted[s] + (hard ? missed[s] : 0.0);
-            level.aside[s] = got[s] - (hard ? level.wanted[s] : 0.0);
-            size2 += level.aside[s] * level.aside[s];
+        std::copy_n(got, given_.hard, level.wanted.begin());
+        for (std::size_t s = std::size_t(given_.hard); s < std::size_t(level.exact); s++) {
+            level.wanted[s] = given_.wanted[s];
+            level.aside[s] = got[s];
+            size2 += got[s] * got[s];
         }
         const double size = std::min(std::max(std::sqrt(size2), MET), SLOW);
         for (double& aside : level.aside) aside *= SLOW / size;
@@ -115,7 +114,7 @@ class Nearest {
   private:
     Status of_hard(const double* b, const double* v, double d) {
         cascade_.begin(b, v);
-        return cascade_.decide(0, (given_.hard ? LESS : 1.0) * s_.damping + d);
+        return cascade_.decide(0, least_ + d);
     }
 
     // Some rows of a level, as soft ones.
@@ -156,6 +155,7 @@ class Nearest {
 
     const Settings& s_;
     const Level& given_;
+    double least_;  // damping
     std::vector<Level> levels_, beside_, alone_;
     int blocks_;
     Cascade cascade_, shares_, held_;

@@ -18,12 +18,13 @@ struct Observed {
     bool known;  // the stiffness of the servos
     double *sag, *torque, *opened, *told;  // told: load, doubt, ticks
     double *left, *stalled, *spent, span;  // as LoopObserver._look_back has them
+    double band;                           // by which a joint may stay on either side of its command
 };
 
 class LoopObserver {
   public:
     LoopObserver(const Model& model, Observed given)
-        : model_(model), o_(std::move(given)), measured_(model), q_(model.joints.size()),
+        : model_(model), o_(std::move(given)), measured_(model), q_(model.joints.size()), reading_(q_.size()),
           before_(6 * model.arms.size()), opened_(before_.size()), left_(2 * before_.size()),
           stalled_(model.arms.size()) {}
 
@@ -83,20 +84,24 @@ class LoopObserver {
     }
 
   private:
-    // The reading without the sag, q_; the load that it is taken to have.
+    // The reading without dead band and sag, q_; the load that it is taken to have.
     double unload(const Kinematics& there, const double* q, bool rests, const double* reading,
                   double* felt) {
         const std::size_t n = q_.size();
         if (std::fmod(o_.told[2], double(o_.every)) == 0.0) look_at_sag(there);
         o_.told[2] += 1.0;
-        for (std::size_t j = 0; j < n; j++) q_[j] = reading[j] - q[j];
+        for (std::size_t j = 0; j < n; j++) {
+            const double lag = reading[j] - q[j];
+            q_[j] = lag - std::min(std::max(lag, -o_.band), o_.band);
+            reading_[j] = o_.band > 0.0 ? q[j] + q_[j] : reading[j];
+        }
         double load = rests ? felt_load() : std::numeric_limits<double>::quiet_NaN();
         felt[1] = std::isfinite(load) ? felt[1] + o_.dt : 0.0;
         if (felt[1] > AFTER) felt[0] += std::min(1.0, o_.dt / FEELS) * (load - felt[0]);
         o_.told[0] = o_.known ? felt[0] : std::numeric_limits<double>::quiet_NaN();
         load = felt[0];
         if (!o_.known && load * largest_sag() < SLIGHT) load = 0.0;
-        for (std::size_t j = 0; j < n; j++) q_[j] = reading[j] - load * o_.sag[j];
+        for (std::size_t j = 0; j < n; j++) q_[j] = reading_[j] - load * o_.sag[j];
         return load;
     }
 
@@ -218,7 +223,7 @@ class LoopObserver {
     const Model& model_;
     Observed o_;
     Kinematics measured_;
-    std::vector<double> q_, before_, opened_, left_, stalled_;
+    std::vector<double> q_, reading_, before_, opened_, left_, stalled_;
     double told_[3], felt_[2], spent_ = 0.0;
     double *gap_ = nullptr, *all_felt_ = nullptr;
     bool moved_ = false;

@@ -1,5 +1,6 @@
 // What a kernel is built for: everything that does not change from tick to tick.
 #pragma once
+#include <algorithm>
 #include <memory>
 #include <vector>
 
@@ -34,6 +35,12 @@ struct Level {
         return share[std::size_t(s)] == k ? wanted[std::size_t(s)] : 0.0;
     }
     double best_share(int k) const { return k + 1 == shares && !aside.empty() ? -ASIDE : 1.0; }
+
+    double most_weight() const {  // of hard rows
+        double most = 0.0;
+        for (int s = 0; s < hard; s++) most = std::max(most, weight[std::size_t(s)]);
+        return most;
+    }
 
     void want() {
         for (std::size_t s = 0; s < std::size_t(rows); s++) wanted[s] = rate[s] - gain[s] * e[s];

@@ -23,7 +23,6 @@ constexpr double FAST = 1.0;
 constexpr double LESS = 0.001;
 constexpr double MET = 1e-06;
 constexpr double NEAR = 0.1;
-constexpr double PLAIN = 1.0;
 constexpr double ASIDE = 1000.0;
 
 // coopqp.qp_law.level

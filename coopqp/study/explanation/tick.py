@@ -331,9 +331,8 @@ def _spanned(basis: Array, row: Array) -> Array | None:
     left = row - basis.T @ (basis @ row)
     left -= basis.T @ (basis @ left)  # what rounding has left
     size = norm(left)
-    if not size > IMPOSSIBLE * max(norm(row), 1e-12):
-        return None
-    return np.concatenate([basis, left[None] / size])
+    adds = size > IMPOSSIBLE * max(norm(row), 1e-12)
+    return np.concatenate([basis, left[None] / size]) if adds else None
 
 
 def _contradiction(
