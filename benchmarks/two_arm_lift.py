@@ -154,7 +154,8 @@ def made(robots: tuple[str, ...], law: str, kp: float) -> Made:
     env._observables.clear()
     env.reward = lambda action: 0.0
     world = RobosuiteWorld(env)
-    robot, was = world.robot("out"), {name: getattr(world.model, name).copy() for name in CHANGED}
+    robot = world.robot(Path("out") / "_".join((*robots, law)))  # for runs side by side
+    was = {name: getattr(world.model, name).copy() for name in CHANGED}
     return Made(env, dt, was, robot, robot.build(), {})
 
 

@@ -89,20 +89,32 @@ class Trial:
         chunk[:, ARMS], chunk[:, GRIPPERS] = np.degrees(draw(rng, q0, kind)), grips
         if rng.random() < 0.3:  # they take hold and let go
             chunk[:, GRIPPERS] = np.repeat(rng.uniform(-20.0, 120.0, (4, 2)), FRAMES // 4, axis=0)
+        return self.judged(kind, chunk, start, held=held)
+
+    def judged(
+        self, kind: str, chunk: Array, start: Array, *, held: bool, at_once: int = FRAMES
+    ) -> Judged:
+        """What comes of frames (N, 12) from a start, so many of which are filtered at once."""
         self.filter.reset()
         wall, cpu = time.perf_counter(), time.process_time()
-        found = self.filter.filter_chunk(chunk, start)
+        done = [
+            self.filter.filter_chunk(chunk[k : k + at_once], None if k else start)
+            for k in range(0, len(chunk), at_once)
+        ]
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
-        q = np.radians(found.actions[:, ARMS])
-        grips_of = found.actions[:, GRIPPERS]
+        actions, q0 = np.concatenate([found.actions for found in done]), np.radians(start[ARMS])
+        q, grips, grips_of = np.radians(actions[:, ARMS]), start[GRIPPERS], actions[:, GRIPPERS]
         closed = (np.vstack([grips, grips_of]) <= self.filter.settings.holds_below).all(axis=1)
         faults = broken(self.oracle, q, q0, closed[1:] & closed[:-1], FPS)
         if (np.abs(np.diff(grips_of, axis=0, prepend=grips[None])) > 250.0 / FPS + 1e-6).any():
             faults.append("speed of a gripper")
         if (grips_of < 0.0).any() or (grips_of > 100.0).any():
             faults.append("range of a gripper")
-        named = {change.frame for change in found.changes if change.names}
-        other = ~np.isclose(found.actions, chunk, rtol=0.0, atol=1e-9).all(axis=1)
+        named = {
+            k * at_once + change.frame
+            for k, found in enumerate(done) for change in found.changes if change.names
+        }  # fmt: skip
+        other = ~np.isclose(actions, chunk, rtol=0.0, atol=1e-9).all(axis=1)
         unnamed = len(set(np.flatnonzero(other).tolist()) ^ named)
         moves = np.abs(np.diff(q, axis=0, prepend=q0[None])).max(axis=1)
         x, holding = np.radians(chunk[:, ARMS]), closed[1:] & closed[:-1]

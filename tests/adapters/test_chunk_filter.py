@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scenario_files import LOADABLE
 
+from adapters import leaders
 from adapters.adversarial import FRAMES, KINDS, Trial, draw
 from adapters.so101_oracle import START
 from coopqp.adapters.chunk_filter import ChunkFilter
@@ -245,3 +246,21 @@ def test_what_is_no_chunk_is_refused(
     with pytest.raises(InvalidValueError, match=words):
         chunks.filter_chunk(chunk, start)
     assert not chunks.begun
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("seed", [0, 1])
+def test_leaders_that_jump_and_freeze_are_followed_without_a_frozen_frame(
+    trial: Trial, seed: int
+) -> None:
+    """``python -m tests.adapters.leaders`` follows a hundred."""
+    judged = leaders.arms(trial, seed)
+    assert not judged.broken
+    assert not judged.unnamed
+    assert not judged.frozen
+
+
+def test_the_object_follows_a_point_that_jumps_without_a_frozen_tick() -> None:
+    followed = leaders.point(0)
+    assert not followed.beyond
+    assert not followed.frozen
