@@ -46,9 +46,9 @@ NOISE, LAG_NOISE, INERTIA_NOISE, STIFFNESS_NOISE = 4e-4, 6e-3, 2e-3, 0.1
 #: sigma of white noise over the median of |second differences|, which is 1.65 sigma, 1.2 of few.
 OF_BENDS = 0.73
 #: Square of the parity vector's change over its variance from which a fault is looked for; mean
-#: square about the mean, less the noise, from which it is one, and by how many standard deviations
-#: sqrt(1.9/(T d)) of von Neumann's ratio (variance to that of second differences) for T samples of
-#: d white components: by 6 once in 1e9 looks.
+#: square about the mean, less the noise, from which it is one, over the variance that is not white,
+#: and by how many standard deviations sqrt(1.9/(T d)) of von Neumann's ratio (variance to that of
+#: second differences) for T samples of d white components: by 6 once in 1e9 looks.
 SUSPICIOUS, MEAN_SQUARE, DEVIATIONS = 12.0, 3.0, 6.0
 #: Share of it that a fault must explain; the share that is left by others that count as equal. Two
 #: swapped joints need less where all other faults leave so much more.
@@ -173,9 +173,6 @@ class JointFollowing:
 
     def _agreed(self, found: Suspect | None, span: int, spans: Sequence[int]) -> Suspect | None:
         """What the last look has found, too, or that of the long window, which is a rare one."""
-        if found is None and self._before == [None, None]:
-            self.suspect = None
-            return None
         long, earlier = self._spans[-1], list(self._before)
         self._before[0], self.suspect = found, None
         if long in spans:
@@ -328,8 +325,7 @@ class JointFollowing:
         self._lag = int(sizes.argmin())
         (T, d), self._noise = z.shape[1:], float(_white(z[self._lag]).sum())
         noise = DEVIATIONS * self._noise * (1.9 / (T * d)) ** 0.5
-        lasting = T - self._noise / d  # of the variance, of which the rest is white noise
-        self._enough = max(MEAN_SQUARE * lasting, noise)
+        self._enough = max(MEAN_SQUARE * (T - self._noise / d), noise)
         if sizes[self._lag] - self._noise < self._enough:
             return None
         self.suspicious = True

@@ -227,23 +227,16 @@ def test_two_swapped_joints_are_named(nao: State) -> None:
 
 @pytest.mark.few(2)
 @needs_robots
-@pytest.mark.parametrize("seed", [6, 7, 36, 37, 40112, 40536, 40603, 40837, 41])
+@pytest.mark.parametrize("seed", [6, 7, 36, 37, 40112, 40497, 40536, 40603, 40837, 41])
 def test_a_session_with_a_fault_names_it_before_it_hurts(seed: int) -> None:
     """``python -m tests.sessions`` runs a thousand."""
     session = run(seed, sound=False)
     assert not session.broken
     assert session.right
     assert session.stopped
-    assert session.named < 0.3 + (session.effect if session.effect == session.effect else 9.0)
+    latest = 0.8 if seed == 40497 else 0.3  # its joint moves by 2 mrad, in noise of 0.9 mrad
+    assert session.named < latest + (session.effect if session.effect == session.effect else 9.0)
     assert session.most < 2.0 * max(session.force_named, EFFECT)
-
-
-@needs_robots
-def test_a_fault_that_is_small_and_lasts_is_named_within_white_noise() -> None:
-    """A reversed encoder of a joint that moves by 2 mrad in noise of 0.9 mrad."""
-    session = run(40497, sound=False)
-    assert session.right
-    assert session.named - session.effect <= 0.8
 
 
 @pytest.mark.few(1)
