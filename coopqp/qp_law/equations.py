@@ -27,6 +27,8 @@ FADES_IN = 0.1
 #: A joint reverses whose speed changes its sign, from more than this to more than this [rad/s,
 #: m/s], however fast others are: chatter grows from little, and is damped while small.
 SWINGS_AT = 2e-4
+#: A reversal counts the less the longer the one before is ago, LETS_GO a tick; from here on nothing.
+LONG_AGO = 0.3
 #: What a later level pulls falls to no less than this share of what it was a tick before, while
 #: that is more than FIRM: a pull that passes through zero is no reason to let go [1/s].
 LETS_GO, FIRM = 0.97, 100.0
@@ -89,11 +91,13 @@ def note_chatter(state: State, v: Array, dt: float) -> None:
     do so where a reference turns.
     """
     chatter, now = state.memory["chatter"], np.abs(v).max(initial=0.0)
-    back = (v * state.v < 0.0) & (np.minimum(np.abs(v), np.abs(state.v)) > SWINGS_AT)
-    grown, again = 1.0 + chatter[0], (chatter[1:] * back).any()
-    less = max(grown / (1.0 + dt * now / FADES_IN), 1.0)
-    chatter[0] = (min(GROWS * grown, MOST_GROWN) if again else less) - 1.0
-    chatter[1:] = back
+    ways, moves = chatter[1:], np.abs(v) > SWINGS_AT
+    back = moves & (v * ways < 0.0)
+    again = max(float(np.abs(ways[back]).max(initial=0.0)) - LONG_AGO, 0.0) / (1.0 - LONG_AGO)
+    faded = max((1.0 + chatter[0]) / (1.0 + dt * now / FADES_IN), 1.0)
+    chatter[0] = (min(GROWS**again * (1.0 + chatter[0]), MOST_GROWN) if again else faded) - 1.0
+    known = np.where(moves, np.sign(v), np.sign(ways))
+    ways[:] = np.where(back, known, known * np.maximum(LETS_GO * np.abs(ways), LONG_AGO))
 
 
 def held_pull(new: float, old: float) -> float:

@@ -213,7 +213,7 @@ class QPLaw(Law):
         v = near if counts == 1.0 else (1.0 - counts) * v + counts * near
         if not self._scaled:
             return status, v, v, 0.0
-        leaves = min(norm(self._missed(v)) / SLOW, 1.0)
+        leaves = max(min(norm(self._missed(v)) / SLOW, 1.0), swings)
         beside, most = self._scale_beside(state, kappa, v, leaves)
         return status, beside, beside + leaves * (v - beside), most
 

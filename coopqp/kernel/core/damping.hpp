@@ -71,28 +71,19 @@ class StepDamping {
 
     // Note how joints chatter in a tick with the velocity v, in lanes, as coopqp.qp_law.equations.
     void note_chatter(const Model& m, const double* v, double* chatter) const {
-        v4 backward = v4{}, fastest = v4{};
-        for (int b = 0; b < m.blocks; b++) {
-            const v4 x = lanes(v)[b], last = lanes(v_last_)[b];
-            const v4 slower = smaller(magnitude(x), magnitude(last));
-            backward = x * last < 0.0 && slower > SWINGS_AT ? v4{} + 1.0 : backward;
-            fastest = larger(fastest, magnitude(x));
+        double again = LONG_AGO, fastest = 0.0;
+        for (int j = 0; j < m.n(); j++) {
+            const double x = v[m.joints[std::size_t(j)].lane], speed = std::fabs(x);
+            double& way = chatter[1 + j];
+            const bool moves = speed > SWINGS_AT, back = moves && x * way < 0.0;
+            if (back) again = std::max(again, std::fabs(way));
+            const double fresh = back ? 1.0 : std::max(LETS_GO * std::fabs(way), LONG_AGO);
+            if (moves || way != 0.0) way = std::copysign(fresh, moves ? x : way);
+            fastest = std::max(fastest, speed);
         }
-        const int n = m.n();
-        bool again = false;
-        if (any_above(backward, 0.0)) {
-            for (int j = 0; j < n; j++) {
-                const int lane = m.joints[std::size_t(j)].lane;
-                const double slower = std::min(std::fabs(v[lane]), std::fabs(v_last_[lane]));
-                const bool back = v[lane] * v_last_[lane] < 0.0 && slower > SWINGS_AT;
-                again |= back && chatter[1 + j] > 0.0;
-                chatter[1 + j] = back;
-            }
-        } else {
-            std::fill_n(chatter + 1, n, 0.0);
-        }
-        const double grown = 1.0 + chatter[0], fades = 1.0 + dt_ * largest(fastest) / FADES_IN;
-        chatter[0] = (again ? std::min(GROWS * grown, MOST_GROWN) : std::max(grown / fades, 1.0)) - 1.0;
+        const double grown = 1.0 + chatter[0], fades = 1.0 + dt_ * fastest / FADES_IN;
+        const double more = std::pow(GROWS, (again - LONG_AGO) / (1.0 - LONG_AGO)) * grown;
+        chatter[0] = (again > LONG_AGO ? std::min(more, MOST_GROWN) : std::max(grown / fades, 1.0)) - 1.0;
     }
 
   private:

@@ -441,7 +441,7 @@ class Kernel {
         const Level& level = levels[0];
         rows_.object_twist(v, V_);
         for (int s = 0; s < level.exact; s++) got_[std::size_t(s)] = rows_.times(level, s, v, V_);
-        leaves_ = least_leaves_ = std::min(lack() / SLOW, 1.0);
+        leaves_ = least_leaves_ = std::max(std::min(lack() / SLOW, 1.0), swings_);
         if (leaves_ == 1.0) return Status::Optimal;
         const Status status = nearest_.of_shares(got_.data(), d_, b_.data(), set_out_);
         shares_ = &nearest_.beside().shares();

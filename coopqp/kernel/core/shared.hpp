@@ -12,6 +12,7 @@ constexpr double GROWS = 1.5;
 constexpr double MOST_GROWN = 16.0;
 constexpr double FADES_IN = 0.1;
 constexpr double SWINGS_AT = 0.0002;
+constexpr double LONG_AGO = 0.3;
 constexpr double LETS_GO = 0.97;
 constexpr double FIRM = 100.0;
 
