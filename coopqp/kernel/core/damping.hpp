@@ -71,19 +71,20 @@ class StepDamping {
 
     // Note how joints chatter in a tick with the velocity v, in lanes, as coopqp.qp_law.equations.
     void note_chatter(const Model& m, const double* v, double* chatter) const {
-        double again = LONG_AGO, fastest = 0.0;
+        double again = TURNS - 1.0, fastest = 0.0;
         for (int j = 0; j < m.n(); j++) {
             const double x = v[m.joints[std::size_t(j)].lane], speed = std::fabs(x);
             double& way = chatter[1 + j];
             const bool moves = speed > SWINGS_AT, back = moves && x * way < 0.0;
             if (back) again = std::max(again, std::fabs(way));
-            const double fresh = back ? 1.0 : std::max(LETS_GO * std::fabs(way), LONG_AGO);
-            if (moves || way != 0.0) way = std::copysign(fresh, moves ? x : way);
+            const double size = std::fabs(way);
+            const double counts = std::max(back ? std::min(1.0 + size, TURNS) : FORGETS * size, LONG_AGO);
+            if (moves || way != 0.0) way = std::copysign(counts, moves ? x : way);
             fastest = std::max(fastest, speed);
         }
         const double grown = 1.0 + chatter[0], fades = 1.0 + dt_ * fastest / FADES_IN;
-        const double more = std::pow(GROWS, (again - LONG_AGO) / (1.0 - LONG_AGO)) * grown;
-        chatter[0] = (again > LONG_AGO ? std::min(more, MOST_GROWN) : std::max(grown / fades, 1.0)) - 1.0;
+        const double more = std::pow(GROWS, again - TURNS + 1.0) * grown;
+        chatter[0] = (again > TURNS - 1.0 ? std::min(more, MOST_GROWN) : std::max(grown / fades, 1.0)) - 1.0;
     }
 
   private:

@@ -12,7 +12,9 @@ constexpr double GROWS = 1.5;
 constexpr double MOST_GROWN = 16.0;
 constexpr double FADES_IN = 0.1;
 constexpr double SWINGS_AT = 0.0002;
-constexpr double LONG_AGO = 0.3;
+constexpr double LONG_AGO = 1e-09;
+constexpr double TURNS = 3.0;
+constexpr double FORGETS = 0.985;
 constexpr double LETS_GO = 0.97;
 constexpr double FIRM = 100.0;
 
