@@ -28,8 +28,8 @@ FADES_IN = 0.1
 #: m/s], however fast others are: chatter grows from little, and is damped while small.
 SWINGS_AT = 2e-4
 #: A reversal counts the less the longer the one before is ago, LETS_GO a tick; from here on nothing.
-LONG_AGO = 1e-9
-TURNS, FORGETS = 3.0, 0.985
+LONG_AGO = 1e-300
+TURNS, FORGETS = 4.0, 0.985
 #: What a later level pulls falls to no less than this share of what it was a tick before, while
 #: that is more than FIRM: a pull that passes through zero is no reason to let go [1/s].
 LETS_GO, FIRM = 0.97, 100.0
@@ -92,14 +92,14 @@ def note_chatter(state: State, v: Array, dt: float) -> None:
     do so where a reference turns.
     """
     chatter, now = state.memory["chatter"], np.abs(v).max(initial=0.0)
-    ways, moves = chatter[1:], np.abs(v) > SWINGS_AT
-    back = moves & (v * ways < 0.0)
-    again = max(float(np.abs(ways[back]).max(initial=0.0)) - TURNS + 1.0, 0.0)
+    ways, sizes, moves = chatter[1:], np.abs(chatter[1:]), np.abs(v) > SWINGS_AT
+    back, at_once = moves & (v * ways < 0.0), (sizes == np.round(sizes))
+    counts = np.where(at_once, TURNS, np.minimum(1.0 + sizes, TURNS))
+    again = max(float(counts[back].max(initial=0.0)) - TURNS + 1.0, 0.0)
     faded = max((1.0 + chatter[0]) / (1.0 + dt * now / FADES_IN), 1.0)
     chatter[0] = (min(GROWS**again * (1.0 + chatter[0]), MOST_GROWN) if again else faded) - 1.0
-    known = np.where(moves, np.sign(v), np.sign(ways))
-    counts = np.where(back, np.minimum(1.0 + np.abs(ways), TURNS), FORGETS * np.abs(ways))
-    ways[:] = known * np.maximum(counts, LONG_AGO)
+    counts = np.where(back, counts, np.maximum(FORGETS * sizes, LONG_AGO))
+    ways[:] = counts * np.where(moves, np.sign(v), np.sign(ways))
 
 
 def held_pull(new: float, old: float) -> float:

@@ -76,10 +76,11 @@ class StepDamping {
             const double x = v[m.joints[std::size_t(j)].lane], speed = std::fabs(x);
             double& way = chatter[1 + j];
             const bool moves = speed > SWINGS_AT, back = moves && x * way < 0.0;
-            if (back) again = std::max(again, std::fabs(way));
             const double size = std::fabs(way);
-            const double counts = std::max(back ? std::min(1.0 + size, TURNS) : FORGETS * size, LONG_AGO);
-            if (moves || way != 0.0) way = std::copysign(counts, moves ? x : way);
+            double count = std::max(FORGETS * size, LONG_AGO);
+            if (back) count = size == std::round(size) ? TURNS : std::min(1.0 + size, TURNS);
+            if (back) again = std::max(again, count);
+            if (moves || way != 0.0) way = std::copysign(count, moves ? x : way);
             fastest = std::max(fastest, speed);
         }
         const double grown = 1.0 + chatter[0], fades = 1.0 + dt_ * fastest / FADES_IN;
