@@ -84,7 +84,7 @@ class _Kept:
     note = ""
 
     def __init__(self, force_control: InternalForceControl) -> None:
-        self.along = force_control.along
+        self.along, self.wanted = force_control.along, force_control.wanted
 
     def update(self, state: State) -> None:
         return
