@@ -37,6 +37,8 @@ class InternalForceControl(Protocol):
 
     along: Array
     """That direction among all loops, a unit vector, shape (6 L,)."""
+    wanted: float
+    """The force that they are to press with; NaN before it is known [N]."""
     memory_sizes: Mapping[str, int]
     """What a law must remember for it, see ``State.memory``."""
 

@@ -88,7 +88,7 @@ class InternalForceControl:
 
     Attributes:
         along: direction among all loops in which the gap is the squeeze's, shape (6 L,).
-        gain: g [m/(s N)].
+        gain: g [m/(s N)]. wanted: F_wanted of the last update; NaN before [N].
         memory_sizes: what a law must remember for it.
         note: details of the last tick's status.
 
@@ -112,7 +112,7 @@ class InternalForceControl:
         if fault := _gain_fault(settings, self.gain, dt):
             raise InvalidValueError(fault)
         self._hands = hands(chain)
-        self._readings, self.note = WrenchReadings(chain), ""
+        self._readings, self.note, self.wanted = WrenchReadings(chain), "", math.nan
         self._wrenches = WrenchStack(problem.wrenches, State(chain))
         self.along = np.zeros(6 * (len(chain.arms) - 1))
         self.memory_sizes: Mapping[str, int] = {ALONG: 3, GROWN: 1}
@@ -167,11 +167,12 @@ class InternalForceControl:
         if measured is None:
             return math.nan
         missing, grown = -float(self._wrenches.error(measured)[0]), state.memory[GROWN]
+        wanted = float(self._wrenches.wanted[0])
         if self._presses:
-            wanted = float(self._wrenches.wanted[0])
             needed = self._needed(state, measured, wanted, wanted - missing)
             share = min(1.0, self._dt / GROWING)
             grown[0] += share * max(0.0, needed - wanted - float(grown[0]))
+        self.wanted = wanted + float(grown[0])
         return missing + float(grown[0])
 
     def _needed(self, state: State, measured: Array, wanted: float, pressed: float) -> float:

@@ -212,6 +212,8 @@ class ForceMonitor:
         squeeze = 0.5 * float(self._squeezer.along[:3].dot(self._smooth[0] - self._smooth[1]))
         way = self._closed_in(state) - self._began
         contrary = abs(way) > CLOSED_IN and abs(squeeze) > SMALL and way * squeeze < 0.0
+        # By sound sensors the force becomes what is wanted, whatever way that takes.
+        contrary &= abs(self._squeezer.wanted - squeeze) > SMALL
         lasts = self._lasts(2, contrary)
         self._first = (way, squeeze) if lasts <= self._dt else self._first
         # Sound hands that still pull, pull less as they close.

@@ -50,13 +50,14 @@ OF_BENDS = 0.73
 #: and by how many standard deviations sqrt(1.9/(T d)) of von Neumann's ratio (variance to that of
 #: second differences) for T samples of d white components: by 6 once in 1e9 looks.
 SUSPICIOUS, MEAN_SQUARE, DEVIATIONS = 12.0, 3.0, 6.0
-#: Share of it that a fault must explain; the share that is left by others that count as equal. Two
-#: swapped joints need less where all other faults leave so much more.
+#: Share of it that a fault must explain, beside as much as sound joints leave along one direction;
+#: the share that is left by others that count as equal. Two swapped joints need less where all
+#: other faults leave so much more.
 EXPLAINED, EXPLAINED_SWAPPED, AS_GOOD, ALONE = 0.9, 0.95, 0.03, 0.25
-#: A fault that leaves more than this share, and so many times as much as one of other joints or a
-#: push from outside, is none, whatever that is: something else has happened, as where friction
-#: makes joints late, or a person holds a hand back.
-CREDIBLE, TIMES_AS_MUCH = 0.05, 2.0
+#: A fault that leaves more than this share, and by a standard deviation of what white noise leaves
+#: more than one of other joints or a push from outside, is none, whatever that is: something else
+#: has happened, as where friction makes joints late, or a person holds a hand back.
+CREDIBLE = 0.05
 #: delta over dq_c of a joint that does not follow, at least and, unless it stands still, at most;
 #: of two swapped ones, 1 but for what else there is; above which it moves the wrong way. When in a
 #: window that began; share of delta beside twice the reading's motion where its sign is wrong, and
@@ -294,7 +295,8 @@ class JointFollowing:
             r = self._of(self._m, last) - self._of(self._m, first)
             r += self._told(first, self._lag) - self._told(last, self._lag)
             z = r.dot(self._white)
-            if z.dot(z) < SUSPICIOUS:
+            again = span == self._spans[-1] and self._before[1] is not None
+            if z.dot(z) < SUSPICIOUS and not again:
                 continue
             if self._samples > self._whitened + self._fresh:
                 self._white, self._whitened = self._whitening(state), self._samples
@@ -315,17 +317,19 @@ class JointFollowing:
         return np.asarray(ring[at % len(ring)])
 
     def _judge(self, state: State, first: int, last: int, white: Array) -> Suspect | None:
-        at = np.arange(first, last + 1, max(1, (last - first) // LOOKS))
-        m = self._of(self._m, at)
+        step = max(1, (last - first) // LOOKS)
+        at = np.arange(last, first + step - 2, -step)[::-1] - np.arange(step)[:, None]
+        m = self._of(self._m, at).mean(axis=0)
         m = m - m.mean(axis=0)
-        c = self._told(at[None, :], self._lags[:, None])
+        c = self._told(at[:, None, :], self._lags[:, None]).mean(axis=0)
         c = c - c.mean(axis=1, keepdims=True)  # (lags, T, n)
         z = (m - c) @ white
         sizes = np.einsum("ltd,ltd->l", z, z)
         self._lag = int(sizes.argmin())
         (T, d), self._noise = z.shape[1:], float(_white(z[self._lag]).sum())
         noise = DEVIATIONS * self._noise * (1.9 / (T * d)) ** 0.5
-        self._enough = max(MEAN_SQUARE * (T - self._noise / d), noise)
+        self._usual = T - step * self._noise / d
+        self._enough = max(MEAN_SQUARE * self._usual, noise)
         if sizes[self._lag] - self._noise < self._enough:
             return None
         self.suspicious = True
@@ -334,9 +338,9 @@ class JointFollowing:
     def _slow(self, at: Any) -> Array:
         """Commands as servos of a first order follow them, late as well, shape (servos, T, n)."""
         before = np.arange(len(self._kernels))
-        late = np.array([at[:, None] - before - lag // 2 for lag in self._lags[::2]])
-        c = np.tensordot(self._kernels, self._of(self._c, late), (0, 2))
-        c = c.reshape(-1, len(at), len(self._own))
+        late = np.array([at[..., None] - before - lag // 2 for lag in self._lags[::2]])
+        c = np.tensordot(self._kernels, self._of(self._c, late).mean(axis=1), (0, 2))
+        c = c.reshape(-1, at.shape[1], len(self._own))
         return np.asarray(c - c.mean(axis=1, keepdims=True))
 
     def _alike(self, r: Array, c: Array, time: float, white: Array) -> float:
@@ -362,7 +366,8 @@ class JointFollowing:
         ways = (self._compliance[:, None] * (J.T @ N)[self._own]).T @ white
         _, values, V = np.linalg.svd(ways)
         free = V[int(np.sum(values > SINGULAR * values.max(initial=0.0))) :]
-        return float(np.min(np.sum((z @ free.T) ** 2, axis=(1, 2))))
+        left = float(np.min(np.sum((z @ free.T) ** 2, axis=(1, 2))))
+        return left - self._noise * len(free) / len(V)
 
     def _best(self, state: State, m: Array, c: Array, at: Any, white: Array) -> Suspect | None:
         """The fault that leaves least beside sound servos' motions c, if it explains the rest."""
@@ -370,7 +375,7 @@ class JointFollowing:
         z = r @ white
         sizes = np.einsum("ltd,ltd->l", z, z)
         n, pairs, above = len(self._own), self._pairs, sizes.min() - self._noise
-        told = self._told(at, self._lag)
+        told = self._told(at[0], self._lag)
         signs = self._faults @ white  # (faults, d)
         lengths = np.einsum("fd,fd->f", signs, signs)
         lengths[lengths < LEAST_SIGNATURE * lengths.max()] = np.inf
@@ -385,18 +390,19 @@ class JointFollowing:
         jumped = (steps > JUMP * ranges) & (ranges > LEAST_JUMP)
         noise = self._noise * (1.0 - 1.0 / white.shape[1])
         share = np.maximum(left - noise, 0.0) / above
+        explained = 1.0 - np.maximum(left - noise - self._usual, 0.0) / above
         read = m @ self._faults.T
         unlike, size = (np.sum(x**2, axis=0) - _white(x) for x in (delta - 2.0 * read, delta))
         backwards = (unlike < BACKWARDS * size) & (np.ptp(motion, axis=0) > COMMANDED * ranges)
         still = np.ptp(read, axis=0) < STANDS * np.maximum(np.ptp(motion, axis=0), ranges)
         off = moves & (slope > LEAST_SLOPE) & (still | (slope < MOST_SLOPE)) | jumped | backwards
         exchanged = moves & (slope > SWAPPED[0]) & (slope < SWAPPED[1])
-        two = exchanged & (share < 1.0 - EXPLAINED_SWAPPED)
-        good = np.where(faults < n, off & (share < 1.0 - EXPLAINED), two)
+        two = exchanged & (explained > EXPLAINED_SWAPPED)
+        good = np.where(faults < n, off & (explained > EXPLAINED), two)
         first, second = np.argsort(left)[:2]
         if first >= n and share[first] < ALONE * min(1.0, share[second]):
             good[first] = exchanged[first]
-        alike = self._alike(r, c, self._h * (at[1] - at[0]), white) - self._noise
+        alike = self._alike(r, c, self._h * len(at), white) - self._noise
         stops = np.minimum(told - self._least, self._most - told).min(axis=0) < NEAR
         stopped = (share[:n][stops] < 1.0 - EXPLAINED).any()
         if stopped or not good.any() or alike < max(LAGGING * above, self._enough):
@@ -408,8 +414,9 @@ class JointFollowing:
             rest[f] = np.sum(left_r**2) * (1.0 if f < n else PENALTY)
         best = int(rest.argmin())
         others = share[~(self._faults[:, self._faults[best] != 0.0] != 0.0).any(axis=1)]
-        pushed = (self._pushed(state, z, white) - noise) / above
-        if share[best] > max(TIMES_AS_MUCH * min(pushed, *others), CREDIBLE):
+        pushed = self._pushed(state, z, white) / above
+        chance = (1.9 * noise * self._noise / z[0].size) ** 0.5 / above
+        if share[best] > max(min(pushed, *others) + chance, CREDIBLE):
             return None
         if best >= n:
             j, k = (int(self._own[i]) for i in pairs[best - n])

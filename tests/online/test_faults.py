@@ -227,7 +227,7 @@ def test_two_swapped_joints_are_named(nao: State) -> None:
 
 @pytest.mark.few(2)
 @needs_robots
-@pytest.mark.parametrize("seed", [6, 7, 36, 37, 40112, 40497, 40536, 40603, 40837, 41])
+@pytest.mark.parametrize("seed", [6, 7, 36, 37, 40112, 40497, 40536, 40603, 40837, 40991, 41])
 def test_a_session_with_a_fault_names_it_before_it_hurts(seed: int) -> None:
     """``python -m tests.sessions`` runs a thousand."""
     session = run(seed, sound=False)
@@ -241,7 +241,7 @@ def test_a_session_with_a_fault_names_it_before_it_hurts(seed: int) -> None:
 
 @pytest.mark.few(1)
 @needs_robots
-@pytest.mark.parametrize("seed", [*range(5), 60010, 60100, 82221])
+@pytest.mark.parametrize("seed", [*range(5), 60010, 60100, 82221, 121153, 130538, 130781])
 def test_a_sound_session_names_nothing(seed: int) -> None:
     session = run(seed, sound=True)
     assert session.overloaded == (seed == 3)  # Baxter's shoulder is too weak for this one
