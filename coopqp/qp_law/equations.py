@@ -19,17 +19,17 @@ ALL_OF_IT = 1.0 - 1e-6
 LEAST_SPEED = 1e-4
 #: Damping that scaled tasks and decided rows may ask for; beyond it solvers see a wall.
 MOST_DAMPING = 1e4
-#: After two consecutive ticks in which one joint reverses damping is this many times what it was,
-#: up to the most,
+#: While a joint reverses again and again damping is up to this many times what it was with each
+#: reversal, up to the most,
 GROWS, MOST_GROWN = 1.5, 16.0
 #: and fades as the joints travel, to 1/e in this much [rad, m]: arms at rest keep it.
 FADES_IN = 0.1
 #: A joint reverses whose speed changes its sign, from more than this to more than this [rad/s,
 #: m/s], however fast others are: chatter grows from little, and is damped while small.
 SWINGS_AT = 2e-4
-#: A reversal counts the less the longer the one before is ago, LETS_GO a tick; from here on nothing.
-LONG_AGO = 1e-300
-TURNS, FORGETS = 4.0, 0.985
+#: It does again and again after so many reversals, of which each counts this share less with every
+#: tick, to next to nothing; or at once, if it reverses in two consecutive ticks.
+REVERSALS, FORGETS, NO_REVERSAL = 4.0, 0.985, 1e-300
 #: What a later level pulls falls to no less than this share of what it was a tick before, while
 #: that is more than FIRM: a pull that passes through zero is no reason to let go [1/s].
 LETS_GO, FIRM = 0.97, 100.0
@@ -45,7 +45,7 @@ class Damping:
     oscillates ever more until a bound stops it; d = dt L keeps a below 1, half of it below 2.
 
     That holds of each level alone. Two that share one nearly singular direction may overshoot
-    together: then joints reverse in tick after tick, and all damping grows (:func:`note_chatter`).
+    together: then joints reverse again and again, and all damping grows (:func:`note_chatter`).
 
     ``least`` is d without curvature, ``share`` c of what rules out any overshoot, dt in s.
     """
@@ -86,20 +86,20 @@ class Damping:
 
 
 def note_chatter(state: State, v: Array, dt: float) -> None:
-    """Remember whether joints reverse in v after state.v, for the damping of the next ticks.
+    """Remember which joints reverse in v, for the damping of the next ticks.
 
-    Kept are how much the damping has grown, and which joints reversed in the last tick: once they
-    do so where a reference turns.
+    Kept are how much the damping has grown, and how often each joint has reversed lately, with the
+    sign of the way it went last. Where a reference turns it does so once.
     """
     chatter, now = state.memory["chatter"], np.abs(v).max(initial=0.0)
-    ways, sizes, moves = chatter[1:], np.abs(chatter[1:]), np.abs(v) > SWINGS_AT
-    back, at_once = moves & (v * ways < 0.0), (sizes == np.round(sizes))
-    counts = np.where(at_once, TURNS, np.minimum(1.0 + sizes, TURNS))
-    again = max(float(counts[back].max(initial=0.0)) - TURNS + 1.0, 0.0)
+    ways, times, moves = chatter[1:], np.abs(chatter[1:]), np.abs(v) > SWINGS_AT
+    back, at_once = moves & (v * ways < 0.0), times == np.round(times)
+    more = np.where(at_once, REVERSALS, np.minimum(1.0 + times, REVERSALS))
+    again = max(float(more[back].max(initial=0.0)) - REVERSALS + 1.0, 0.0)
     faded = max((1.0 + chatter[0]) / (1.0 + dt * now / FADES_IN), 1.0)
     chatter[0] = (min(GROWS**again * (1.0 + chatter[0]), MOST_GROWN) if again else faded) - 1.0
-    counts = np.where(back, counts, np.maximum(FORGETS * sizes, LONG_AGO))
-    ways[:] = counts * np.where(moves, np.sign(v), np.sign(ways))
+    times = np.where(back, more, np.maximum(FORGETS * times, NO_REVERSAL))
+    ways[:] = times * np.where(moves, np.sign(v), np.sign(ways))
 
 
 def held_pull(new: float, old: float) -> float:

@@ -71,21 +71,23 @@ class StepDamping {
 
     // Note how joints chatter in a tick with the velocity v, in lanes, as coopqp.qp_law.equations.
     void note_chatter(const Model& m, const double* v, double* chatter) const {
-        double again = TURNS - 1.0, fastest = 0.0;
+        double most = 0.0, fastest = 0.0;
         for (int j = 0; j < m.n(); j++) {
-            const double x = v[m.joints[std::size_t(j)].lane], speed = std::fabs(x);
             double& way = chatter[1 + j];
-            const bool moves = speed > SWINGS_AT, back = moves && x * way < 0.0;
-            const double size = std::fabs(way);
-            double count = std::max(FORGETS * size, LONG_AGO);
-            if (back) count = size == std::round(size) ? TURNS : std::min(1.0 + size, TURNS);
-            if (back) again = std::max(again, count);
-            if (moves || way != 0.0) way = std::copysign(count, moves ? x : way);
+            const double x = v[m.joints[std::size_t(j)].lane], speed = std::fabs(x), old = std::fabs(way);
+            const bool moves = speed > SWINGS_AT;
+            double times = std::max(FORGETS * old, NO_REVERSAL);
+            if (moves && x * way < 0.0) {
+                const bool at_once = old == std::round(old);
+                times = at_once ? REVERSALS : std::min(1.0 + old, REVERSALS);
+                most = std::max(most, times);
+            }
+            if (moves || way != 0.0) way = std::copysign(times, moves ? x : way);
             fastest = std::max(fastest, speed);
         }
-        const double grown = 1.0 + chatter[0], fades = 1.0 + dt_ * fastest / FADES_IN;
-        const double more = std::pow(GROWS, again - TURNS + 1.0) * grown;
-        chatter[0] = (again > TURNS - 1.0 ? std::min(more, MOST_GROWN) : std::max(grown / fades, 1.0)) - 1.0;
+        const double again = most - REVERSALS + 1.0, grown = 1.0 + chatter[0];
+        const double faded = std::max(grown / (1.0 + dt_ * fastest / FADES_IN), 1.0);
+        chatter[0] = (again > 0.0 ? std::min(std::pow(GROWS, again) * grown, MOST_GROWN) : faded) - 1.0;
     }
 
   private:

@@ -84,7 +84,7 @@ struct Bound {
     double* scaled_pull = nullptr;  // of scaled tasks at hard ones
     double* missing = nullptr;  // what each share lacks to 1
     double* recovery = nullptr;  // what the way back has pulled at the loops
-    double* chatter = nullptr;    // how much more damping there is, and which joints turned back
+    double* chatter = nullptr;    // how much more damping there is, and joints' reversals
 };
 
 }  // namespace coopqp

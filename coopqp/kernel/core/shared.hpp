@@ -12,9 +12,9 @@ constexpr double GROWS = 1.5;
 constexpr double MOST_GROWN = 16.0;
 constexpr double FADES_IN = 0.1;
 constexpr double SWINGS_AT = 0.0002;
-constexpr double LONG_AGO = 1e-300;
-constexpr double TURNS = 4.0;
+constexpr double REVERSALS = 4.0;
 constexpr double FORGETS = 0.985;
+constexpr double NO_REVERSAL = 1e-300;
 constexpr double LETS_GO = 0.97;
 constexpr double FIRM = 100.0;
 
