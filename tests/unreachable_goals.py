@@ -6,6 +6,7 @@ not fall short of: both want its least squares first.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import dataclass, replace
 from functools import cache
@@ -17,6 +18,7 @@ from stress.firmness import as_soft
 from stress.goals import Aim, pick
 from walks import walk
 
+from coopqp.assessment.oscillation import oscillation
 from coopqp.base.rank import null_space
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
@@ -40,8 +42,6 @@ FIRM = ("point_on_point", "point_on_plane", "point_on_line", "pose", "distance",
 MOVING = ("twist", "relative_motion")
 #: Robots of shipped scenarios that the stress test does not draw.
 OTHERS = ("pr2_circle", "two_so101")
-#: A path of one coordinate that is longer than this, and than so many times its range, oscillates.
-OSCILLATES, OBJECT_PATH, JOINT_PATH = 5.0, 1e-3, 1e-2  # [1, m, rad or m]
 FARTHER, FARTHER_SHARE = 2e-4, 0.01  # what hard may be off more than soft [m], or as a share
 AT_REST = 1e-4  # an object that moves less rests [m]
 FARTHER_OFF = "farther off"
@@ -76,7 +76,7 @@ class Ended:
         object_path, object_range: of the object's coordinate with the longest path in the last
             half [m].
         joint_path, joint_range: likewise of a joint [rad, m].
-        oscillates: whether one of these is much longer than its range.
+        oscillates: whether a joint does, once the references rest.
         statuses: ticks by what they say.
         q: configuration at the end.
     """
@@ -123,15 +123,17 @@ def run(
     goal.update(state)
     half = made.q[ticks // 2 :]
     places = np.array([problem.chain.object_pose(at).translation for at in half])
-    moves = [_path_and_range(places, OBJECT_PATH), _path_and_range(half, JOINT_PATH)]
-    (object_path, object_range, object_oscillates), (path, width, oscillates) = moves
+    object_path, object_range = _longest_path(places)
+    joint_path, joint_range = _longest_path(half)
+    resting = made.q[math.ceil(max(task.end for task in problem.tasks) / problem.dt) :]
+    oscillates = oscillation(resting, problem.chain.joint_units, problem.dt)
     return Ended(
         error=float(np.linalg.norm(goal.e)),
         object_path=object_path,
         object_range=object_range,
-        joint_path=path,
-        joint_range=width,
-        oscillates=object_oscillates or oscillates,
+        joint_path=joint_path,
+        joint_range=joint_range,
+        oscillates=oscillates is not None,
         statuses=Counter(written(causes) for causes in made.causes),
         q=made.q[-1].copy(),
     )
@@ -163,12 +165,11 @@ def shortfall(found: Ended, reference: Ended, problem: ControlProblem, firm: Tas
     return FARTHER_OFF
 
 
-def _path_and_range(x: Array, least: float) -> tuple[float, float, bool]:
-    """The longest path of a coordinate, its range, and whether any of them oscillates."""
+def _longest_path(x: Array) -> tuple[float, float]:
+    """The longest path of a coordinate, and its range."""
     path, width = np.abs(np.diff(x, axis=0)).sum(axis=0), np.ptp(x, axis=0)
     longest = int(np.argmax(path))
-    oscillates = (path > least) & (path > OSCILLATES * width)
-    return float(path[longest]), float(width[longest]), bool(oscillates.any())
+    return float(path[longest]), float(width[longest])
 
 
 def falls_short(found: Ended, reference: Ended) -> bool:

@@ -23,7 +23,7 @@ MOST_DAMPING = 1e4
 #: reversal, up to the most,
 GROWS, MOST_GROWN = 1.5, 16.0
 #: and fades as the joints travel, to 1/e in this much [rad, m]: arms at rest keep it.
-FADES_IN = 0.1
+FADES_IN = 0.2
 #: A joint reverses whose speed changes its sign, from more than this to more than this [rad/s,
 #: m/s], however fast others are: chatter grows from little, and is damped while small.
 SWINGS_AT = 2e-4
