@@ -2,9 +2,10 @@
 
 Each draw has one hard or scaled task, unreachable by 0 to 50 mm, and one to three soft ones
 (tests/unreachable_goals.py). It runs for 12 s, and again with the firm task as soft of priority 0.
-Told are draws that oscillate (:mod:`coopqp.assessment.oscillation`) and draws whose firm task ends farther off than as soft by more than 0.2 mm and
-1 %. Of the latter those are at fault that are still farther off after both have gone on for 120 s
-from where the firm run has come to; the others have come to another minimum, or not yet to rest.
+Told are draws that oscillate (:mod:`coopqp.assessment.oscillation`) and draws whose firm task ends
+farther off than as soft by more than 0.2 mm and 1 %. Of the latter those are at fault that are
+still farther off after both have gone on for 120 s from where the firm run has come to; the others
+have come to another minimum, or not yet to rest.
 Exit code 1 if there are oscillations or faults. ``--seed S --draws 1`` runs a draw again;
 ``--file scenario.yaml`` runs the hard task of a scenario in the same way.
 """
