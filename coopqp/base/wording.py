@@ -216,16 +216,13 @@ def _inside(data: Any, location: tuple[str | int, ...], *, missing: bool) -> tup
 
 def _keys(model: Any, location: Location, instead: Mapping[type, Any]) -> list[str]:
     for part in location:
-        hints = typing.get_type_hints(model, include_extras=False) if _has_keys(model) else {}
+        has_keys = isinstance(model, type) and (issubclass(model, BaseModel) or is_dataclass(model))
+        hints = typing.get_type_hints(model, include_extras=False) if has_keys else {}
         model = _bare(hints.get(str(part), model))
         model = _bare(instead.get(model, model))
     if isinstance(model, type) and issubclass(model, BaseModel):
         return list(model.model_fields)
     return [field.name for field in fields(model)] if is_dataclass(model) else []
-
-
-def _has_keys(model: Any) -> bool:
-    return isinstance(model, type) and (issubclass(model, BaseModel) or is_dataclass(model))
 
 
 def _bare(hint: Any) -> Any:

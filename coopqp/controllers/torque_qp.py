@@ -23,7 +23,6 @@ v + a dt <= (upper - q)/brake_time. A velocity beyond a limit recovers with the 
 acceleration.
 """
 
-from functools import partial
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
@@ -137,7 +136,10 @@ class TorqueQp(Controller):
     def _require_damped_integral(self, problem: ControlProblem, name: str) -> None:
         dt = problem.dt
         for task in problem.tasks:
-            holds = partial(_integral_holds, task.gain, dt)
+
+            def holds(integral: float, gain: float = task.gain) -> bool:
+                return margins.damped(margins.row_loop(gain, integral, dt))
+
             if not holds(self.integral):
                 raise InvalidValueError(
                     f"{name}.integral: found {self.integral:g}, needs at most "
@@ -306,7 +308,3 @@ class TorqueQpLaw(Law):
         """Keep what the motors do until the next tick, for the observer."""
         if isinstance(self._estimator, hand_wrenches.MomentumObserver):
             state.memory["observer.tau"][:] = self.command.tau
-
-
-def _integral_holds(gain: float, dt: float, integral: float) -> bool:
-    return margins.damped(margins.row_loop(gain, integral, dt))

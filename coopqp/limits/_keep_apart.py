@@ -329,16 +329,11 @@ def _moved(chain: ClosedChain, pairs: Sequence[Pair]) -> list[Array]:
 
 def _levers_of(chain: ClosedChain, bodies: Sequence[Body]) -> Array:
     """Longest way from each joint to a body's far end, 1 where the joint slides, shape (k, n)."""
-    far_of = {body: _far_end(body) for body in dict.fromkeys(bodies)}
-    far = np.array([far_of[body] for body in bodies])
+    shapes = [body.convex for body in bodies]  # how far each reaches from its joint's frame [m]
+    far = np.array([np.linalg.norm(s.placement.translation) + s.radius for s in shapes])
     (ways, slides), joints = chain.once(_ways), [body.joint for body in bodies]
     reach = np.where(slides, 1.0, ways[np.array(joints, int)] + far[:, None])
     return np.where(movers(chain, joints) > 0.0, reach, 0.0)
-
-
-def _far_end(body: Body) -> float:
-    """How far it reaches from its joint's frame at most [m]."""
-    return float(np.linalg.norm(body.convex.placement.translation)) + body.convex.radius
 
 
 def _ways(chain: ClosedChain) -> tuple[Array, Array]:

@@ -88,7 +88,8 @@ def timed(
             near = _near(clock.parts(where), path, q if straight else None, allowed)
             if near is None:
                 break
-            excess = max(_excess(near, push, dt), _opened(chain, near, clock) / SHARE)
+            pushed = np.diff(near, 2, axis=0, prepend=near[:1], append=near[-1:]) / dt**2
+            excess = float((np.abs(pushed) / push).max(initial=_opened(chain, near, clock) / SHARE))
             if excess < least:
                 best, least = near, excess
             if excess <= 1.0:
@@ -139,12 +140,6 @@ def _opened(chain: ClosedChain, q: Array, clock: Clock) -> float:
     loops = Loops(chain)
     starts = clock.parts(np.arange(len(q)))
     return max(loops.opened(q[max(part[0] - 2, 0) : part[-1] + 1]) for part in starts)
-
-
-def _excess(q: Array, push: Array, dt: float) -> float:
-    """Largest acceleration over its limit, from rest to rest."""
-    v = np.diff(q, axis=0, prepend=q[:1], append=q[-1:]) / dt
-    return float((np.abs(np.diff(v, axis=0)) / dt / push).max(initial=0.0))
 
 
 def finite_limits(problem: ControlProblem) -> tuple[Array, Array, Array]:

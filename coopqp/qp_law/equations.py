@@ -19,8 +19,7 @@ ALL_OF_IT = 1.0 - 1e-6
 LEAST_SPEED = 1e-4
 #: Damping that scaled tasks and decided rows may ask for; beyond it solvers see a wall.
 MOST_DAMPING = 1e4
-#: While a joint reverses again and again damping is up to this many times what it was with each
-#: reversal, up to the most,
+#: While a joint reverses again and again damping grows so many times a reversal, up to the most,
 GROWS, MOST_GROWN = 1.5, 16.0
 #: and fades as the joints travel, to 1/e in this much [rad, m]: arms at rest keep it.
 FADES_IN = 0.2
@@ -88,15 +87,15 @@ class Damping:
 def note_chatter(state: State, v: Array, dt: float) -> None:
     """Remember which joints reverse in v, for the damping of the next ticks.
 
-    Kept are how much the damping has grown, and how often each joint has reversed lately, with the
-    sign of the way it went last. Where a reference turns it does so once.
+    Kept are how much the damping has grown, and each joint's latest reversals: how many, signed by
+    the way it went last.
     """
-    chatter, now = state.memory["chatter"], np.abs(v).max(initial=0.0)
-    ways, times, moves = chatter[1:], np.abs(chatter[1:]), np.abs(v) > SWINGS_AT
+    chatter, speeds = state.memory["chatter"], np.abs(v)
+    ways, times, moves = chatter[1:], np.abs(chatter[1:]), speeds > SWINGS_AT
     back, at_once = moves & (v * ways < 0.0), times == np.round(times)
     more = np.where(at_once, REVERSALS, np.minimum(1.0 + times, REVERSALS))
     again = max(float(more[back].max(initial=0.0)) - REVERSALS + 1.0, 0.0)
-    faded = max((1.0 + chatter[0]) / (1.0 + dt * now / FADES_IN), 1.0)
+    faded = max((1.0 + chatter[0]) / (1.0 + dt * speeds.max(initial=0.0) / FADES_IN), 1.0)
     chatter[0] = (min(GROWS**again * (1.0 + chatter[0]), MOST_GROWN) if again else faded) - 1.0
     times = np.where(back, more, np.maximum(FORGETS * times, NO_REVERSAL))
     ways[:] = times * np.where(moves, np.sign(v), np.sign(ways))

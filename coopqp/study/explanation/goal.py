@@ -285,7 +285,9 @@ class Goal:
         self.state.inputs = inputs or InputValues()
         self.stack = TaskStack(tasks, State(chain))
         self.parts = tuple(parts_of(tasks, chain))
-        counts = [_level_weight(task) for task in tasks]
+        firm = [10.0 * max(task.weight, 1.0) for task in tasks]  # hard and scaled ones come first
+        soft = [max(task.weight, 1e-3) * PER_LEVEL**task.priority for task in tasks]
+        counts = np.where([task.mode == "soft" for task in tasks], soft, firm)
         weights = np.repeat(counts, self.stack.sizes) if tasks else np.zeros(0)
         self.weights = weights / weights.max(initial=1e-12)
         self._counts = np.ones(len(weights))
@@ -353,13 +355,6 @@ def _has_place(task: Task, chain: ClosedChain) -> bool:
         sides.append(goal.stack.e.copy())
     slope, difference = goal.stack.J @ step * 2.0, sides[0] - sides[1]
     return bool(np.linalg.norm(slope - difference) <= AGREES * np.linalg.norm(slope) + 1e-12)
-
-
-def _level_weight(task: Task) -> float:
-    """By weight and priority; hard and scaled tasks before all soft ones."""
-    if task.mode != "soft":
-        return 10.0 * max(task.weight, 1.0)
-    return float(max(task.weight, 1e-3) * PER_LEVEL**task.priority)
 
 
 @dataclass(frozen=True)
