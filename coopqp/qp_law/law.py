@@ -185,7 +185,7 @@ class QPLaw(Law):
         self._remember(state, v, leaves)
         if not whole.usable and whole is not Status.INFEASIBLE:
             return v, (Status.SOLVER_FAILED, status)
-        if leaves > 0.0 or state.memory["missed"].any():
+        if leaves > 0.0 or self.command.scale < MET or state.memory["missed"].any():
             return v, (Status.TASKS_RELAXED, status)
         return v, (status,)
 

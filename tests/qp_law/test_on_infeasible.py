@@ -10,13 +10,16 @@ import laws
 import numpy as np
 import pytest
 from conflicts import REACH, TURN, jerked
-from laws import LIMITS, PLAIN, run
+from laws import LIMITS, PLAIN, STEP, run
 
 from coopqp.base.qp import QP
 from coopqp.base.spec import spec
+from coopqp.controllers import QPController
 from coopqp.limits import JointAcceleration
 from coopqp.model.closed_chain import ClosedChain
+from coopqp.scenario.loader import load
 from coopqp.solver import Solution, Solve, Solver, Status
+from coopqp.tasks import PointOnPoint
 
 problem = partial(laws.problem, limits=LIMITS)
 
@@ -47,6 +50,24 @@ def test_stop_stands_still_from_then_on(chain: ClosedChain) -> None:
         state.v[:] = 0.0
     # The stop is in the state, so that another run starts afresh.
     assert law.tick(law.start()).v.any()
+
+
+@pytest.mark.parametrize("engine", ["python", "auto"])
+def test_scaled_task_of_which_nothing_can_be_done_is_not_optimal(
+    engine: Literal["python", "auto"],
+) -> None:
+    """A limit ends the straight way to the goal of joint_limit_stress."""
+    given = load("joint_limit_stress").problem()
+    goal = (0.10, -0.05, 0.04)
+    task = PointOnPoint(name="reach", goal=goal, profile=STEP, mode="scaled")
+    law = QPController(engine=engine).build(replace(given, tasks=(task,), on_infeasible="hold"))
+    state = law.start()
+    law.run(state, 600)
+    command = law.tick(state)
+    assert np.abs(command.v).max() < 1e-6
+    assert np.linalg.norm(state.p_WO - goal) > 1e-3
+    assert command.causes == (Status.TASKS_RELAXED,)
+    assert command.scale < 1e-6
 
 
 @pytest.mark.parametrize("on_infeasible", ["scale", "hold", "stop"])

@@ -146,7 +146,10 @@ class Kernel {
     bool comes_back() const { return comes_back_; }
 
     // Whether hard or scaled tasks were not met in full when it was decided last.
-    bool relaxed() const { return leaves_ > 0.0 || lacks(); }
+    bool relaxed() const {
+        const auto stuck = [](double missing) { return missing > 1.0 - MET; };
+        return leaves_ > 0.0 || lacks() || std::any_of(missing_.begin(), missing_.end(), stuck);
+    }
     // How many answers of levels needed twice the digits, since the beginning.
     int refined() const { return tasks_.refined() + nearest_.refined(); }
     double leaves() const { return leaves_; }  // how far scaled tasks left their directions
