@@ -128,7 +128,8 @@ class Cascade:
         d = self._damping.least + (self._pulled(scaled) if scaled.tasks else 0.0)
         v, lacks = self._hard(hard, J_h, w_h)
         near, shares = v, best
-        slow = leaves = min(float(np.sqrt(lacks @ lacks)) / SLOW, 1.0)
+        slow = min(float(np.sqrt(lacks @ lacks)) / SLOW, 1.0)
+        slow = leaves = max(slow, self._damping.swings(self._state))
         if scaled.tasks and leaves < 1.0:
             sides[: len(w_h)] = J_h @ v
             aside = np.concatenate([0.0 * w_h, J_k @ v])
