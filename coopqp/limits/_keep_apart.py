@@ -329,10 +329,10 @@ def _moved(chain: ClosedChain, pairs: Sequence[Pair]) -> list[Array]:
 
 def _levers_of(chain: ClosedChain, bodies: Sequence[Body]) -> Array:
     """Longest way from each joint to a body's far end, 1 where the joint slides, shape (k, n)."""
-    shapes = [body.convex for body in bodies]  # how far each reaches from its joint's frame [m]
-    far = np.array([np.linalg.norm(s.placement.translation) + s.radius for s in shapes])
+    far = {b: np.linalg.norm(b.convex.placement.translation) + b.convex.radius for b in {*bodies}}
+    far_ends = np.array([far[body] for body in bodies])  # from the joints' frames, at most [m]
     (ways, slides), joints = chain.once(_ways), [body.joint for body in bodies]
-    reach = np.where(slides, 1.0, ways[np.array(joints, int)] + far[:, None])
+    reach = np.where(slides, 1.0, ways[np.array(joints, int)] + far_ends[:, None])
     return np.where(movers(chain, joints) > 0.0, reach, 0.0)
 
 

@@ -23,8 +23,8 @@ MOST_DAMPING = 1e4
 GROWS, MOST_GROWN = 1.5, 16.0
 #: and fades as the joints travel, to 1/e in this much [rad, m]: arms at rest keep it.
 FADES_IN = 0.2
-#: A joint reverses whose speed changes its sign, from more than this to more than this [rad/s,
-#: m/s], however fast others are: chatter grows from little, and is damped while small.
+#: A joint moves from this speed on, and reverses where it moves the other way than it did last
+#: [rad/s, m/s], however fast others are: chatter grows from little, and is damped while small.
 SWINGS_AT = 2e-4
 #: It does again and again after so many reversals, of which each counts this share less with every
 #: tick, to next to nothing; or at once, if it reverses in two consecutive ticks.
@@ -67,7 +67,7 @@ class Damping:
         return self.of(tasks.curvature(state.v), state) + grown * tasks.joint_weight
 
     def swings(self, state: State) -> float:
-        """How far joints that reverse damp hard tasks like soft ones, 0 to 1."""
+        """How far joints that reverse soften hard and scaled tasks, 0 to 1."""
         grown = float(state.memory["chatter"][0]) if self.share > 0.0 else 0.0
         return min(max(grown - 1.0, 0.0), 1.0)
 
@@ -92,7 +92,7 @@ def note_chatter(state: State, v: Array, dt: float) -> None:
     """
     chatter, speeds = state.memory["chatter"], np.abs(v)
     ways, times, moves = chatter[1:], np.abs(chatter[1:]), speeds > SWINGS_AT
-    back, at_once = moves & (v * ways < 0.0), times == np.round(times)
+    back, at_once = moves & (v * ways < 0.0), times == np.round(times)  # has not faded
     more = np.where(at_once, REVERSALS, np.minimum(1.0 + times, REVERSALS))
     again = max(float(more[back].max(initial=0.0)) - REVERSALS + 1.0, 0.0)
     faded = max((1.0 + chatter[0]) / (1.0 + dt * speeds.max(initial=0.0) / FADES_IN), 1.0)

@@ -17,10 +17,10 @@ least part t of that motion, by an exact penalty; v_n is the nearest to all they
     v = (1 - r) v_s + r v_n,   r = max_k (1 - s_k |wanted_k| / (LITTLE p_k))+ (1 - s_k / WHOLE)+
 
 a is what that motion does of all scaled tasks, made as long as SLOW where it is shorter: next to no
-motion takes neither t = 1 nor multipliers that cost the answer digits. p_k is what v_n has along
-a direction, LEAST_SPEED at least; r is at least t and, where hard tasks lack a speed, that over
-SLOW, up to 1. v_n, damped as a soft task (:class:`coopqp.qp_law.equations.Damping`), sets out from
-v_s, or from the motion of the hard tasks as far as these are slow. Later levels keep v.
+motion takes neither t = 1 nor multipliers that cost the answer digits. p_k is what v_n has along a
+direction, LEAST_SPEED at least; r is at least t, what hard tasks lack over SLOW, up to 1, and how
+far reversing joints soften them. v_n, damped as a soft task, sets out from v_s, or from the motion
+of the hard tasks as far as these are slow. Later levels keep v.
 """
 
 from dataclasses import replace

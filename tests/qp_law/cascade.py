@@ -155,7 +155,7 @@ def _remember(state: State, rng: np.random.Generator) -> None:
     """Let half of the states remember that tasks were missed and that levels pulled."""
     if rng.random() < 0.5:
         return
-    sizes = {"missed": 0.1, "missing": 1.0, "later pulls": 10.0, "chatter": 1.0}
+    sizes = {"missed": 0.1, "missing": 1.0, "later pulls": 10.0, "chatter": 2.5}
     for name, size in sizes.items():
         state.memory[name][:] = size * rng.random(len(state.memory[name]))
     state.memory["chatter"][1:] = 0.0
