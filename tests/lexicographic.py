@@ -126,10 +126,9 @@ class Cascade:
         rows, sides = _exact(J_h, w_h, J_k, ways)
         best = np.ones(ways.shape[1], LONG)
         d = self._damping.least + (self._pulled(scaled) if scaled.tasks else 0.0)
-        v, lacks = self._hard(hard, J_h, w_h)
+        v, lacks, softens = self._hard(hard, J_h, w_h)
         near, shares = v, best
-        slow = min(float(np.sqrt(lacks @ lacks)) / SLOW, 1.0)
-        slow = leaves = max(slow, self._damping.swings(self._state))
+        slow = leaves = max(min(float(np.sqrt(lacks @ lacks)) / SLOW, 1.0), softens)
         if scaled.tasks and leaves < 1.0:
             sides[: len(w_h)] = J_h @ v
             aside = np.concatenate([0.0 * w_h, J_k @ v])
@@ -137,7 +136,8 @@ class Cascade:
             rows, best = np.hstack([rows, -aside[:, None]]), np.append(best, -LONG(ASIDE))
             v, shares = self._shares(rows, sides, best, d)
             t = float(shares[-1])
-            shares, leaves = shares[:-1], max(leaves, t if t > EXCESS else 0.0)
+            overreaches = self._damping.overreaches(scaled.levers, (J_k @ v).astype(float), v.astype(float))
+            shares, leaves = shares[:-1], max(leaves, t if t > EXCESS else 0.0, overreaches)
         self._v = v
         if scaled.tasks and (leaves > 0.0 or shares.min() < WHOLE):
             leaves = self._leave(scaled, J_k, shares, leaves, (J_h, v + LONG(slow) * (near - v)))
@@ -145,23 +145,33 @@ class Cascade:
         relaxed = _counting(J_h @ self._v - w_h) > 0.0
         return relaxed, bool(scaled.tasks) and leaves > 0.0
 
-    def _hard(self, tasks: TaskStack, J: Array, w: Array) -> tuple[Array, Array]:
-        """The motion of hard tasks, and what it lacks."""
+    def _hard(self, tasks: TaskStack, J: Array, w: Array) -> tuple[Array, Array, float]:
+        """The motion of hard tasks, what it lacks, and how far they are softened."""
         least = self._damping.least * (LESS * float(tasks.weights.max()) if tasks.tasks else 1.0)
-        v, swings = self._nearest(J, w, tasks.weights, least), self._damping.swings(self._state)
+        v = near = self._nearest(J, w, tasks.weights, least)
         missed, exact, counts = J @ v - w, v, 1.0
         size = float(np.sqrt(missed @ missed))
         if tasks.tasks and size < SLOW and self._can_hold(J, w):
             exact = self._shares(J, w, np.zeros(0, LONG), self._damping.least)[0]
             counts = min(max(self._at_limits(exact), 2.0 * size / SLOW - 1.0), 1.0)
-            counts = max(_counting(missed) * counts, swings)
+            counts = _counting(missed) * counts
+        pulls = counts * _counting(missed) * np.abs(missed)
+
+        def damped() -> Array:
+            d = self._damping.of(float(tasks.weights @ (pulls * tasks.levers)), self._state)
+            return self._nearest(J, w, tasks.weights, least + d)
+
         if counts > 0.0:
-            pulls = counts * _counting(missed) * np.abs(missed) + swings * np.abs(w)
-            size = float(tasks.weights @ (pulls * tasks.levers))
-            v = self._nearest(J, w, tasks.weights, least + self._damping.of(size, self._state))
-        v = exact + LONG(counts) * (v - exact)
+            near = damped()
+        v = exact + LONG(counts) * (near - exact)
+        done, speeds = (J @ v).astype(float), v.astype(float)
+        softens = self._damping.overreaches(tasks.levers, done, speeds)
+        softens = max(softens, self._damping.swings(self._state))
+        if softens > 0.0:
+            pulls += softens * np.abs(w)
+            v = v + LONG(softens) * (damped() - v)
         missed = J @ v - w
-        return v, _counting(missed) * missed
+        return v, _counting(missed) * missed, softens
 
     def _at_limits(self, v: Array) -> float:
         """How near an exact motion v is to a limit, from 0 at NEAR to 1 at it."""

@@ -170,11 +170,13 @@ class QPLaw(Law):
         first = self.first
         status = whole = first.solve()
         v, set_out, leaves, self._shares = first.v, first.v, 0.0, first.shares
-        firm = whole.usable and not self._damping.swings(state) and self._holds_firmly(met=False)
+        firm = whole.usable and not self._softens(state, v) and self._holds_firmly(met=False)
         if self._relaxes and not firm:
             status, v, set_out, leaves = self._come_near(state, kappa, whole)
         if not status.usable:
             return v, (status,)
+        if self._relaxes and self._scaled:
+            leaves = max(leaves, self._overreaches(slice(self._hard_rows.stop, None), v))
         if self._relaxes and (leaves > 0.0 or self._shares.min(initial=1.0) < WHOLE):
             near, found = self.nearest.of_scaled(state, set_out)
             status = found if status is Status.OPTIMAL else status
@@ -197,25 +199,37 @@ class QPLaw(Law):
         Returned are the outcome, v, what scaled tasks set out from, and how far they leave.
         """
         first, nearest, wanted = self.first, self.nearest, self.exact.wanted[self._hard_rows]
-        status, near, swings = nearest.of_hard(state, kappa), nearest.v, self._damping.swings(state)
+        status, near = nearest.of_hard(state, kappa), nearest.v
         lacks, held, v = self._missed(near), whole, first.v
         if self._scaled:
             alone = self._hard and norm(lacks) < SLOW
             held, v = (nearest.hold(state, kappa), nearest.held.v) if alone else (status, near)
-        counts = max(nearest.counts(v), swings) if held.usable else 1.0
-        firm = counts == 0.0 and self._holds_firmly(met=True)
+        counts = nearest.counts(v) if held.usable else 1.0
+        if counts > 0.0 and status.usable:
+            status = nearest.damp(state, kappa, counts * np.abs(lacks))
+        v = near.copy() if counts == 1.0 else (1.0 - counts) * v + counts * near
+        softens = self._softens(state, v)
+        firm = counts == softens == 0.0 and self._holds_firmly(met=True)
         if whole.usable and (firm or not status.usable):
             return whole, first.v, first.v, 0.0
-        if counts > 0.0 and status.usable:
-            status = nearest.damp(state, kappa, counts * np.abs(lacks) + swings * np.abs(wanted))
+        if softens > 0.0 and status.usable:
+            pulls = counts * np.abs(lacks) + softens * np.abs(wanted)
+            status = nearest.damp(state, kappa, pulls)
+            v = (1.0 - softens) * v + softens * near
         if not status.usable:
             return status, near, near, 0.0
-        v = near if counts == 1.0 else (1.0 - counts) * v + counts * near
         if not self._scaled:
             return status, v, v, 0.0
-        leaves = max(min(norm(self._missed(v)) / SLOW, 1.0), swings)
+        leaves = max(min(norm(self._missed(v)) / SLOW, 1.0), softens)
         beside, most = self._scale_beside(state, kappa, v, leaves)
         return status, beside, beside + leaves * (v - beside), most
+
+    def _softens(self, state: State, v: Array) -> float:
+        """How far hard tasks are damped like soft ones, 0 to 1, as they would do v."""
+        return max(self._damping.swings(state), self._overreaches(self._hard_rows, v))
+
+    def _overreaches(self, rows: slice, v: Array) -> float:
+        return self._damping.overreaches(self.exact.levers[rows], self.exact.J[rows] @ v, v)
 
     def _holds_firmly(self, *, met: bool) -> bool:
         """Whether the exact program answers as the levels of least squares would.

@@ -33,6 +33,13 @@ class StepDamping {
         return error_damping_ > 0.0 ? std::min(std::max(chatter_ - 1.0, 0.0), 1.0) : 0.0;
     }
 
+    // As coopqp.qp_law.equations.Damping.overreaches.
+    double overreaches(double curvature, double moved) const {
+        if (!(error_damping_ > 0.0)) return 0.0;
+        const double bent = 0.5 * dt_ * curvature;
+        return std::min(std::max(bent / (BENDS * std::max(moved, LEAST_SPEED)) - 1.0, 0.0), 1.0);
+    }
+
     // For a curvature.
     double of(double curvature) const { return share_ * curvature; }
 

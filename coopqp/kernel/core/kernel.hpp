@@ -48,7 +48,7 @@ class Kernel {
           nearest_(*m_, s_, rows_, *loops_, limits, kept_, levels[0], *arena_),
           limit_recovery_(*m_, s_, rows_, *loops_, limits, kept_, *arena_),
           b_(std::size_t(6 * std::max(m_->loops(), 1))),
-          missed_(std::size_t(levels[0].hard)), got_(std::size_t(levels[0].exact)),
+          missed_(std::size_t(levels[0].hard)), lacks_(missed_.size()), got_(std::size_t(levels[0].exact)),
           missing_(std::size_t(levels[0].shares)), speed_(m_->joints.size()),
           set_out_(arena_->take(std::size_t(stride()))),
           v_(arena_->take(std::size_t(stride()))),
@@ -296,8 +296,12 @@ class Kernel {
         const Status status = tasks_.decide(0, d_);
         const bool proved = !s_.relaxes && status != Status::Unproven && status != Status::Clashing;
         swings_ = s_.relaxes ? damping_.swings() : 0.0;
+        if (s_.relaxes && level.exact && status == Status::Optimal) {
+            swings_ = std::max(swings_, overreaches(tasks_.v(), 0, level.hard));
+            leaves_ = overreaches(tasks_.v(), level.hard, level.exact);
+        }
         const bool firm = swings_ == 0.0 && holds_firmly(status, false);
-        if (!level.exact || proved || (firm && least_share() >= WHOLE)) {
+        if (!level.exact || proved || (firm && leaves_ == 0.0 && least_share() >= WHOLE)) {
             if (status == Status::Optimal) note_missed(tasks_.v());
             return status;
         }
@@ -358,6 +362,19 @@ class Kernel {
         return least;
     }
 
+    // How far exact rows from one on are softened since a tick of the motion v, in lanes, bends them
+    // by more than it moves them.
+    double overreaches(const double* v, int from, int to) {
+        double levers2 = 0.0, moved2 = 0.0;
+        rows_.object_twist(v, V_);
+        for (int s = from; s < to; s++) {
+            const double along = rows_.times(levels[0], s, v, V_), lever = levels[0].lever[std::size_t(s)];
+            levers2 += lever * lever;
+            moved2 += along * along;
+        }
+        return damping_.overreaches(std::sqrt(levers2) * dot(v, v, m_->blocks), std::sqrt(moved2));
+    }
+
     // The levels of hard and of scaled tasks where not all they ask can be done.
     //   whole: of the level with all they ask.
     //   holds: whether its answer stands, of which a share is small.
@@ -377,6 +394,10 @@ class Kernel {
             if (status != Status::Optimal) return status;
             mix(base_, near_, base_, least_leaves_);
             nearest_.accept_hard(b_.data(), base_);
+        }
+        if (scales && leaves_ < 1.0) {
+            least_leaves_ = std::max(least_leaves_, overreaches(near_, levels[0].hard, levels[0].exact));
+            leaves_ = std::max(leaves_, least_leaves_);
         }
         if (scales && (leaves_ > 0.0 || off_ > 0.0 || least_share() < WHOLE)) {
             const Status status = nearest_.of_scaled(damping_, bound.scaled_pull[0]);
@@ -413,19 +434,26 @@ class Kernel {
         double counts = 1.0;
         if (held == Status::Optimal) {
             counts = std::max(at_limits(exact), 2.0 * lack() / SLOW - 1.0);
-            counts = std::max(part * std::min(std::max(counts, 0.0), 1.0), swings_);
+            counts = part * std::min(std::max(counts, 0.0), 1.0);
         }
-        short_ = counts > 0.0;
-        for (std::size_t s = 0; s < missed_.size(); s++)
-            missed_[s] = counts * std::fabs(missed_[s]) + swings_ * std::fabs(levels[0].wanted[s]);
-        const bool damps = counts == 1.0 && nearest_.unsure(missed_.data()) <= SURE * s_.budget.accuracy;
+        for (std::size_t s = 0; s < missed_.size(); s++) lacks_[s] = counts * std::fabs(missed_[s]);
+        const bool damps = counts == 1.0 && nearest_.unsure(lacks_.data()) <= SURE * s_.budget.accuracy;
         if (unsure && !damps) return Status::Inaccurate;
-        holds = !short_ && holds_firmly(whole, true);
-        if (short_) {
-            status = nearest_.damp(damping_, missed_.data(), b_.data(), set_out_);
+        if (counts > 0.0) {
+            status = nearest_.damp(damping_, lacks_.data(), b_.data(), set_out_);
             if (status != Status::Optimal) return status;
         }
         mix(near_, counts == 1.0 ? nearest_.v() : exact, nearest_.v(), counts);
+        swings_ = std::max(damping_.swings(), overreaches(near_, 0, levels[0].hard));
+        short_ = counts > 0.0 || swings_ > 0.0;
+        holds = !short_ && holds_firmly(whole, true);
+        if (swings_ > 0.0) {
+            for (std::size_t s = 0; s < lacks_.size(); s++)
+                lacks_[s] += swings_ * std::fabs(levels[0].wanted[s]);
+            status = nearest_.damp(damping_, lacks_.data(), b_.data(), set_out_);
+            if (status != Status::Optimal) return status;
+            mix(near_, near_, nearest_.v(), swings_);
+        }
         note_missed(near_);
         return Status::Optimal;
     }
@@ -588,7 +616,7 @@ class Kernel {
     Nearest nearest_;
     LimitRecovery limit_recovery_;
     std::vector<double> b_;
-    std::vector<double> missed_, got_;     // of hard rows, and of all exact ones
+    std::vector<double> missed_, lacks_, got_;  // of hard rows, of which sizes, and of all exact ones
     bool short_ = false;                   // whether the nearest motion of hard tasks lacks anything
     const Shares* shares_ = nullptr;       // that were decided last
     std::vector<double> missing_;          // of shares

@@ -15,6 +15,7 @@ constexpr double SWINGS_AT = 0.0002;
 constexpr double REVERSALS = 4.0;
 constexpr double FORGETS = 0.985;
 constexpr double NO_REVERSAL = 1e-300;
+constexpr double BENDS = 2.0;
 constexpr double LETS_GO = 0.97;
 constexpr double FIRM = 100.0;
 
