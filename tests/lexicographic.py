@@ -126,9 +126,9 @@ class Cascade:
         rows, sides = _exact(J_h, w_h, J_k, ways)
         best = np.ones(ways.shape[1], LONG)
         d = self._damping.least + (self._pulled(scaled) if scaled.tasks else 0.0)
-        v, lacks, softens = self._hard(hard, J_h, w_h)
+        v, lacks = self._hard(hard, J_h, w_h)
         near, shares = v, best
-        slow = leaves = max(min(float(np.sqrt(lacks @ lacks)) / SLOW, 1.0), softens)
+        slow = leaves = min(float(np.sqrt(lacks @ lacks)) / SLOW, 1.0)
         if scaled.tasks and leaves < 1.0:
             sides[: len(w_h)] = J_h @ v
             aside = np.concatenate([0.0 * w_h, J_k @ v])
@@ -136,8 +136,8 @@ class Cascade:
             rows, best = np.hstack([rows, -aside[:, None]]), np.append(best, -LONG(ASIDE))
             v, shares = self._shares(rows, sides, best, d)
             t = float(shares[-1])
-            overreaches = self._damping.overreaches(scaled.levers, (J_k @ v).astype(float), v.astype(float))
-            shares, leaves = shares[:-1], max(leaves, t if t > EXCESS else 0.0, overreaches)
+            shares, leaves = shares[:-1], max(leaves, t if t > EXCESS else 0.0)
+            leaves = max(leaves, self._overreaches(scaled, J_k, v))
         self._v = v
         if scaled.tasks and (leaves > 0.0 or shares.min() < WHOLE):
             leaves = self._leave(scaled, J_k, shares, leaves, (J_h, v + LONG(slow) * (near - v)))
@@ -145,8 +145,8 @@ class Cascade:
         relaxed = _counting(J_h @ self._v - w_h) > 0.0
         return relaxed, bool(scaled.tasks) and leaves > 0.0
 
-    def _hard(self, tasks: TaskStack, J: Array, w: Array) -> tuple[Array, Array, float]:
-        """The motion of hard tasks, what it lacks, and how far they are softened."""
+    def _hard(self, tasks: TaskStack, J: Array, w: Array) -> tuple[Array, Array]:
+        """The motion of hard tasks, and what it lacks."""
         least = self._damping.least * (LESS * float(tasks.weights.max()) if tasks.tasks else 1.0)
         v = near = self._nearest(J, w, tasks.weights, least)
         missed, exact, counts = J @ v - w, v, 1.0
@@ -164,14 +164,16 @@ class Cascade:
         if counts > 0.0:
             near = damped()
         v = exact + LONG(counts) * (near - exact)
-        done, speeds = (J @ v).astype(float), v.astype(float)
-        softens = self._damping.overreaches(tasks.levers, done, speeds)
-        softens = max(softens, self._damping.swings(self._state))
+        softens = self._overreaches(tasks, J, v)
         if softens > 0.0:
             pulls += softens * np.abs(w)
             v = v + LONG(softens) * (damped() - v)
         missed = J @ v - w
-        return v, _counting(missed) * missed, softens
+        return v, _counting(missed) * missed
+
+    def _overreaches(self, tasks: TaskStack, J: Array, v: Array) -> float:
+        """How far rows are softened that see J v of a motion."""
+        return self._damping.overreaches(tasks.levers, (J @ v).astype(float), v.astype(float))
 
     def _at_limits(self, v: Array) -> float:
         """How near an exact motion v is to a limit, from 0 at NEAR to 1 at it."""

@@ -29,7 +29,7 @@ SWINGS_AT = 2e-4
 #: It does again and again after so many reversals, of which each counts this share less with every
 #: tick, to next to nothing; or at once, if it reverses in two consecutive ticks.
 REVERSALS, FORGETS, NO_REVERSAL = 4.0, 0.985, 1e-300
-#: Second over first order of exact rows' step from which on they are damped like soft ones.
+#: Second over first order of hard or scaled rows' step from which on they are softened.
 BENDS = 2.0
 #: What a later level pulls falls to no less than this share of what it was a tick before, while
 #: that is more than FIRM: a pull that passes through zero is no reason to let go [1/s].
@@ -68,14 +68,12 @@ class Damping:
         grown = float(state.memory["chatter"][0]) if self.share > 0.0 else 0.0
         return self.of(tasks.curvature(state.v), state) + grown * tasks.joint_weight
 
-    def swings(self, state: State) -> float:
-        """How far joints that reverse soften hard and scaled tasks, 0 to 1."""
-        grown = float(state.memory["chatter"][0]) if self.share > 0.0 else 0.0
-        return min(max(grown - 1.0, 0.0), 1.0)
-
     def overreaches(self, levers: Array, done: Array, v: Array) -> float:
-        """How far rows are softened, 0 to 1, since a tick of v, of which they see ``done``, bends
-        them by more than it moves them: arms would pass a singularity."""
+        """How far hard or scaled rows are softened, 0 to 1, as they see ``done`` of v.
+
+        So they are where a tick bends them by more than BENDS times what it moves them: a linear
+        step would pass the singularity.
+        """
         bent = 0.5 * self.dt * norm(levers) * float(v @ v) if self.share > 0.0 else 0.0
         return min(max(bent / (BENDS * max(norm(done), LEAST_SPEED)) - 1.0, 0.0), 1.0)
 

@@ -170,8 +170,8 @@ class QPLaw(Law):
         first = self.first
         status = whole = first.solve()
         v, set_out, leaves, self._shares = first.v, first.v, 0.0, first.shares
-        firm = whole.usable and not self._softens(state, v) and self._holds_firmly(met=False)
-        if self._relaxes and not firm:
+        firm = whole.usable and not self._overreaches(self._hard_rows, v)
+        if self._relaxes and not (firm and self._holds_firmly(met=False)):
             status, v, set_out, leaves = self._come_near(state, kappa, whole)
         if not status.usable:
             return v, (status,)
@@ -208,7 +208,7 @@ class QPLaw(Law):
         if counts > 0.0 and status.usable:
             status = nearest.damp(state, kappa, counts * np.abs(lacks))
         v = near.copy() if counts == 1.0 else (1.0 - counts) * v + counts * near
-        softens = self._softens(state, v)
+        softens = self._overreaches(self._hard_rows, v)
         firm = counts == softens == 0.0 and self._holds_firmly(met=True)
         if whole.usable and (firm or not status.usable):
             return whole, first.v, first.v, 0.0
@@ -220,15 +220,12 @@ class QPLaw(Law):
             return status, near, near, 0.0
         if not self._scaled:
             return status, v, v, 0.0
-        leaves = max(min(norm(self._missed(v)) / SLOW, 1.0), softens)
+        leaves = min(norm(self._missed(v)) / SLOW, 1.0)
         beside, most = self._scale_beside(state, kappa, v, leaves)
         return status, beside, beside + leaves * (v - beside), most
 
-    def _softens(self, state: State, v: Array) -> float:
-        """How far hard tasks are damped like soft ones, 0 to 1, as they would do v."""
-        return max(self._damping.swings(state), self._overreaches(self._hard_rows, v))
-
     def _overreaches(self, rows: slice, v: Array) -> float:
+        """How far these rows are softened."""
         return self._damping.overreaches(self.exact.levers[rows], self.exact.J[rows] @ v, v)
 
     def _holds_firmly(self, *, met: bool) -> bool:

@@ -28,11 +28,6 @@ class StepDamping {
         if (share_ > 0.0 && asks_) rows_.object_twist(v_last, V_);
     }
 
-    // How far joints that reverse damp hard tasks like soft ones, 0 to 1.
-    double swings() const {
-        return error_damping_ > 0.0 ? std::min(std::max(chatter_ - 1.0, 0.0), 1.0) : 0.0;
-    }
-
     // As coopqp.qp_law.equations.Damping.overreaches.
     double overreaches(double curvature, double moved) const {
         if (!(error_damping_ > 0.0)) return 0.0;

@@ -295,12 +295,10 @@ class Kernel {
         tasks_.begin(b_.data(), set_out_);
         const Status status = tasks_.decide(0, d_);
         const bool proved = !s_.relaxes && status != Status::Unproven && status != Status::Clashing;
-        swings_ = s_.relaxes ? damping_.swings() : 0.0;
-        if (s_.relaxes && level.exact && status == Status::Optimal) {
-            swings_ = std::max(swings_, overreaches(tasks_.v(), 0, level.hard));
-            leaves_ = overreaches(tasks_.v(), level.hard, level.exact);
-        }
-        const bool firm = swings_ == 0.0 && holds_firmly(status, false);
+        const bool found = s_.relaxes && status == Status::Optimal;
+        softens_ = found ? overreaches(tasks_.v(), 0, level.hard) : 0.0;
+        leaves_ = found ? overreaches(tasks_.v(), level.hard, level.exact) : 0.0;
+        const bool firm = softens_ == 0.0 && holds_firmly(status, false);
         if (!level.exact || proved || (firm && leaves_ == 0.0 && least_share() >= WHOLE)) {
             if (status == Status::Optimal) note_missed(tasks_.v());
             return status;
@@ -444,15 +442,15 @@ class Kernel {
             if (status != Status::Optimal) return status;
         }
         mix(near_, counts == 1.0 ? nearest_.v() : exact, nearest_.v(), counts);
-        swings_ = std::max(damping_.swings(), overreaches(near_, 0, levels[0].hard));
-        short_ = counts > 0.0 || swings_ > 0.0;
+        softens_ = overreaches(near_, 0, levels[0].hard);
+        short_ = counts > 0.0 || softens_ > 0.0;
         holds = !short_ && holds_firmly(whole, true);
-        if (swings_ > 0.0) {
+        if (softens_ > 0.0) {
             for (std::size_t s = 0; s < lacks_.size(); s++)
-                lacks_[s] += swings_ * std::fabs(levels[0].wanted[s]);
+                lacks_[s] += softens_ * std::fabs(levels[0].wanted[s]);
             status = nearest_.damp(damping_, lacks_.data(), b_.data(), set_out_);
             if (status != Status::Optimal) return status;
-            mix(near_, near_, nearest_.v(), swings_);
+            mix(near_, near_, nearest_.v(), softens_);
         }
         note_missed(near_);
         return Status::Optimal;
@@ -472,7 +470,7 @@ class Kernel {
         const Level& level = levels[0];
         rows_.object_twist(v, V_);
         for (int s = 0; s < level.exact; s++) got_[std::size_t(s)] = rows_.times(level, s, v, V_);
-        leaves_ = least_leaves_ = std::max(std::min(lack() / SLOW, 1.0), swings_);
+        leaves_ = least_leaves_ = std::min(lack() / SLOW, 1.0);
         if (leaves_ == 1.0) return Status::Optimal;
         const Status status = nearest_.of_shares(got_.data(), d_, b_.data(), set_out_);
         shares_ = &nearest_.beside().shares();
@@ -629,7 +627,7 @@ class Kernel {
     // strong convexity: N^2 + sum_k firm_k |ds_k| <= sqrt(d) off N, N^2 = W |ds|^2 + d |dv|^2, firm_k
     // where a bound holds share k. So no firm_k |ds_k| is more than saving, d off^2 / 4.
     double off_ = 0.0, off_in_shares_ = 0.0, saving_ = 0.0;
-    double swings_ = 0.0;                  // as joints reverse, how far hard tasks are damped like soft ones
+    double softens_ = 0.0;                 // how far hard tasks are damped like soft ones
     bool near_scaled_ = false;             // whether their nearest motion was looked for
     double *set_out_, *v_, *last_, *near_, *base_, *V_, *t_;
     bool comes_back_ = false;
