@@ -6,12 +6,13 @@ They are levels of least squares (:mod:`coopqp.qp_law.law`) above all soft ones:
     subject to  J_c v = -kappa e,   lb <= v <= ub,   G v <= h
 
 with the answer v_h. Its damping d is next to nothing first, and then grows with what the rows lack,
-m_i: d = c dt sum_i w_i |m_i| L_i; where joints reverse again and again, it is that of a soft task.
-So v_h lacks something near a singularity where hard tasks can hold, too, exactly, by v_e. Their
-motion is (1 - c) v_e + c v_h: c is 1 where they cannot hold, else 0 up to MET of each row, or where
-v_e is not within NEAR of a limit and v_h lacks less than half of SLOW. v_e and v_h meet where v_e
-ceases to exist. With J_i v of it fixed scaled tasks have the largest shares s_k in v_s, beside the
-least part t of that motion, by an exact penalty; v_n is the nearest to all they want:
+m_i: d = c dt sum_i w_i |m_i| L_i. So v_h lacks something near a singularity where hard tasks can
+hold, too, exactly, by v_e. Their motion is (1 - c) v_e + c v_h: c is 1 where they cannot hold, else
+0 up to MET of each row, or where v_e is not within NEAR of a limit and v_h lacks less than half of
+SLOW. v_e and v_h meet where v_e ceases to exist. As far as a tick of it overreaches
+(:meth:`coopqp.qp_law.equations.Damping.overreaches`) v_h with the damping of a soft task replaces
+it. With J_i v of it fixed scaled tasks have the largest shares s_k in v_s, beside the least part t
+of that motion, by an exact penalty; v_n is the nearest to all they want:
 
     J_k v_s = s_k wanted_k + t a_k,   at the cost W (t^2 / 2 + ASIDE t) more
     v = (1 - r) v_s + r v_n,   r = max_k (1 - s_k |wanted_k| / (LITTLE p_k))+ (1 - s_k / WHOLE)+
@@ -19,8 +20,8 @@ least part t of that motion, by an exact penalty; v_n is the nearest to all they
 a is what that motion does of all scaled tasks, made as long as SLOW where it is shorter: next to no
 motion takes neither t = 1 nor multipliers that cost the answer digits. p_k is what v_n has along a
 direction, LEAST_SPEED at least; r is at least t, what hard tasks lack over SLOW, up to 1, and how
-far reversing joints soften them. v_n, damped as a soft task, sets out from v_s, or from the motion
-of the hard tasks as far as these are slow. Later levels keep v.
+far v_s overreaches. v_n, damped as a soft task, sets out from v_s, or from the motion of the hard
+tasks as far as these are slow. Later levels keep v.
 """
 
 from dataclasses import replace
