@@ -10,21 +10,47 @@
 
 namespace KERNEL_MODULE {
 
+// The attributes of an object, as it has them.
+inline nb::dict attributes_of(nb::handle of) {
+    return nb::steal<nb::dict>(PyObject_GenericGetDict(of.ptr(), nullptr));
+}
+
 class BoundState {
   public:
     // same: dictionaries, keys and the objects there, or None, that make it the one that is bound;
-    // usual: those that a step needs beside them.
-    BoundState(nb::object state, nb::dict attributes, nb::list same, nb::list usual)
-        : state_(std::move(state)), attributes_(std::move(attributes)),
-          held_(nb::make_tuple(same, usual)), same_(entries(same)), usual_(entries(usual)),
-          t_key_(interned("t")), corrected_key_(interned("corrected")),
+    // usual: those that a step needs beside them; after: those that it leaves where it is optimal, in
+    // the state and in the command, and of the command's scale where that is 1.
+    BoundState(nb::object state, nb::object command, nb::list same, nb::list usual, nb::list after,
+               nb::object scale)
+        : state_(std::move(state)), command_(std::move(command)), attributes_(attributes_of(state_)),
+          held_(nb::make_tuple(same, usual, after, scale)), same_(entries(same)),
+          usual_(entries(usual)), after_(entries(after)), t_key_(interned("t")),
+          corrected_key_(interned("corrected")),
           t_(entry(attributes_.ptr(), t_key_.ptr(), nullptr)),
-          corrected_(entry(attributes_.ptr(), corrected_key_.ptr(), nullptr)) {}
+          corrected_(entry(attributes_.ptr(), corrected_key_.ptr(), nullptr)), scale_(one(scale)) {}
 
     bool is(nb::handle state) const { return state.is(state_) && hold(same_); }
     bool is_usual() const { return hold(usual_); }
     double t() const { return number(t_); }
     double corrected() const { return number(corrected_); }
+    const nb::object& command() const { return command_; }
+
+    // Leave what an optimal step leaves, the time after it, and the command's scale.
+    void leave(double t, double scale) const {
+        put(t_, nb::float_(t).ptr());
+        for (const Entry& entry : after_) keep(entry);
+        if (scale == 1.0) keep(scale_);
+        else put(scale_, nb::float_(scale).ptr());
+    }
+
+    // For Python's collector.
+    int visit(visitproc visit, void* arg) const {
+        Py_VISIT(state_.ptr());
+        Py_VISIT(command_.ptr());
+        Py_VISIT(attributes_.ptr());
+        Py_VISIT(held_.ptr());
+        return 0;
+    }
 
   private:
     struct Entry {
@@ -49,11 +75,14 @@ class BoundState {
         return {of, key, value, -1};
     }
 
+    static Entry one(nb::handle listed) {
+        return entry(nb::handle(listed[0]).ptr(), nb::handle(listed[1]).ptr(),
+                     nb::handle(listed[2]).ptr());
+    }
+
     static std::vector<Entry> entries(const nb::list& listed) {
         std::vector<Entry> found;
-        for (nb::handle one : listed)
-            found.push_back(entry(nb::handle(one[0]).ptr(), nb::handle(one[1]).ptr(),
-                                  nb::handle(one[2]).ptr()));
+        for (nb::handle each : listed) found.push_back(one(each));
         return found;
     }
 
@@ -69,6 +98,14 @@ class BoundState {
         return true;
     }
 
+    static void keep(const Entry& entry) {
+        if (entry.now() != entry.value) put(entry, entry.value);
+    }
+
+    static void put(const Entry& entry, PyObject* value) {
+        if (PyDict_SetItem(entry.of, entry.key, value)) throw nb::python_error();
+    }
+
     // NaN where it is none.
     static double number(const Entry& entry) {
         PyObject* now = entry.now();
@@ -76,12 +113,12 @@ class BoundState {
         return PyFloat_AsDouble(now);
     }
 
-    nb::object state_;
+    nb::object state_, command_;
     nb::dict attributes_;
     nb::tuple held_;
-    std::vector<Entry> same_, usual_;
+    std::vector<Entry> same_, usual_, after_;
     nb::object t_key_, corrected_key_;
-    Entry t_, corrected_;
+    Entry t_, corrected_, scale_;
 };
 
 }  // namespace KERNEL_MODULE

@@ -88,11 +88,15 @@ class Engine {
         return true;
     }
 
-    // Whose arrays these are, as BoundState has it; nobody's after `let_go`.
-    void bind_owner(nb::object state, nb::dict attributes, nb::list same, nb::list usual) {
-        owner_.emplace(std::move(state), std::move(attributes), std::move(same), std::move(usual));
+    // Whose arrays these are, and what tells of them, as BoundState has it; nobody's after `let_go`.
+    void bind_owner(nb::object state, nb::object command, nb::list same, nb::list usual,
+                    nb::list after, nb::object scale) {
+        owner_.emplace(std::move(state), std::move(command), std::move(same), std::move(usual),
+                       std::move(after), std::move(scale));
     }
     void let_go() { owner_.reset(); }
+    int visit(visitproc visit, void* arg) const { return owner_ ? owner_->visit(visit, arg) : 0; }
+    const nb::object& command() const { return owner_->command(); }
     bool is_bound(nb::handle state) const { return owner_ && owner_->is(state); }
 
     void bind_measured(const Numbers& q) {
@@ -184,21 +188,26 @@ class Engine {
     }
 
     // The least share of its rate at which a hard or scaled task ran in the last tick.
-    double scale() const { return kernel_->scale(); }
+    double scale() const { return kernel_->levels[0].exact ? kernel_->scale() : 1.0; }
 
-    // A whole tick, and the step q += v dt of joints that do as told, where it has an answer; not
-    // where the law stands still, is bound to another state, something of it is not usual, or the
-    // tick before has not done all of the drift correction.
+    // A whole tick, and the step q += v dt of joints that do as told, where it has an answer, after
+    // which Python's objects are as an optimal one leaves them; not where the law stands still, is
+    // bound to another state, something of it is not usual, or the tick before has not done all of
+    // the drift correction.
     int step(nb::handle state) {
         const Use use(*this);
         if (!use.alone || !is_bound(state) || !owner_->is_usual() || waits()) return BUSY;
         if (!(owner_->corrected() >= coopqp::ALL_OF_IT)) return BUSY;
         const double t = owner_->t();
-        const Unlocked unlocked(*kernel_);
-        const int status = evaluate(t);
-        if (status) return status;
-        const coopqp::Status decided = solve(t, true);
-        if (is_answer(decided)) advance();
+        coopqp::Status decided;
+        {
+            const Unlocked unlocked(*kernel_);
+            const int status = evaluate(t);
+            if (status) return status;
+            decided = solve(t, true);
+            if (is_answer(decided)) advance();
+        }
+        if (is_answer(decided)) owner_->leave(t + kernel_->settings().dt, scale());
         return told(decided);
     }
 
@@ -340,8 +349,7 @@ class Engine {
 
     // As coopqp.kernel.law says it.
     double scale_of(int how) const {
-        if (!kernel_->levels[0].exact) return 1.0;
-        return how & STANDS ? 0.0 : kernel_->scale();
+        return kernel_->levels[0].exact && how & STANDS ? 0.0 : scale();
     }
 
     // Decide what was evaluated. Where that took twice the digits it is asked whether joints that
