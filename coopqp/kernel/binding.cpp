@@ -64,6 +64,7 @@ NB_MODULE(KERNEL_MODULE, m) {
         .def("run", &Engine::run, "t"_a, "q"_a, "v"_a, "said"_a, "scale"_a, "memory"_a,
              "remembered"_a, "stops"_a, "all_corrected"_a)
         .def("step", &Engine::step)
+        .def_static("give_step", &KERNEL_MODULE::give_step)
         .def("scale", &Engine::scale)
         .def("unlocks", &Engine::unlocks)
         .def("rows", &Engine::rows)
@@ -101,7 +102,6 @@ NB_MODULE(KERNEL_MODULE, m) {
     nb::class_<TrajectoryEvaluation>(m, "TrajectoryEvaluation")
         .def(nb::init<const nb::dict&>())
         .def("look", &TrajectoryEvaluation::look);
-    m.def("give_step", &KERNEL_MODULE::give_step);
     m.attr("sources") = KERNEL_SOURCES;  // coopqp.kernel.native.digest
     m.def("has_avx2", [] {
 #if defined(__x86_64__) || defined(__i386__)

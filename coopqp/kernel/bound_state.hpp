@@ -18,30 +18,36 @@ inline nb::dict attributes_of(nb::handle of) {
 class BoundState {
   public:
     // same: dictionaries, keys and the objects there, or None, that make it the one that is bound;
-    // usual: those that a step needs beside them; after: those that it leaves where it is optimal, in
-    // the state and in the command, and of the command's scale where that is 1.
+    // usual: those that a step needs beside them; after: those that it leaves where it is optimal;
+    // said: those of the command that change where the first of them does, its scale comes last.
     BoundState(nb::object state, nb::object command, nb::list same, nb::list usual, nb::list after,
-               nb::object scale)
+               nb::list said)
         : state_(std::move(state)), command_(std::move(command)), attributes_(attributes_of(state_)),
-          held_(nb::make_tuple(same, usual, after, scale)), same_(entries(same)),
-          usual_(entries(usual)), after_(entries(after)), t_key_(interned("t")),
-          corrected_key_(interned("corrected")),
+          held_(nb::make_tuple(same, usual, after, said)), same_(entries(same)),
+          usual_(entries(usual)), after_(entries(after)), said_(entries(said)),
+          t_key_(interned("t")), corrected_key_(interned("corrected")), whole_(nb::float_(1.0)),
           t_(entry(attributes_.ptr(), t_key_.ptr(), nullptr)),
-          corrected_(entry(attributes_.ptr(), corrected_key_.ptr(), nullptr)), scale_(one(scale)) {}
+          corrected_(entry(attributes_.ptr(), corrected_key_.ptr(), whole_.ptr())) {}
 
     bool is(nb::handle state) const { return state.is(state_) && hold(same_); }
     bool is_usual() const { return hold(usual_); }
     double t() const { return number(t_); }
-    double corrected() const { return number(corrected_); }
+    double corrected() const {
+        return corrected_.now() == corrected_.value ? 1.0 : number(corrected_);
+    }
     const nb::object& command() const { return command_; }
 
-    // Leave what an optimal step leaves, the time after it, and the command's scale.
-    void leave(double t, double scale) const {
+    // Leave what an optimal step leaves, and the time after it.
+    //   corrected: what was so before it.
+    void leave(double t, double corrected) const {
         put(t_, nb::float_(t).ptr());
-        for (const Entry& entry : after_) keep(entry);
-        if (scale == 1.0) keep(scale_);
-        else put(scale_, nb::float_(scale).ptr());
+        if (corrected != 1.0) put(corrected_, corrected_.value);
+        for (const Entry& entry : after_)
+            if (entry.now() != entry.value) put(entry, entry.value);
+        if (said_.front().now() != said_.front().value)
+            for (const Entry& entry : said_) put(entry, entry.value);
     }
+    void leave_scale(double scale) const { put(said_.back(), nb::float_(scale).ptr()); }
 
     // For Python's collector.
     int visit(visitproc visit, void* arg) const {
@@ -98,10 +104,6 @@ class BoundState {
         return true;
     }
 
-    static void keep(const Entry& entry) {
-        if (entry.now() != entry.value) put(entry, entry.value);
-    }
-
     static void put(const Entry& entry, PyObject* value) {
         if (PyDict_SetItem(entry.of, entry.key, value)) throw nb::python_error();
     }
@@ -116,9 +118,9 @@ class BoundState {
     nb::object state_, command_;
     nb::dict attributes_;
     nb::tuple held_;
-    std::vector<Entry> same_, usual_, after_;
-    nb::object t_key_, corrected_key_;
-    Entry t_, corrected_, scale_;
+    std::vector<Entry> same_, usual_, after_, said_;
+    nb::object t_key_, corrected_key_, whole_;
+    Entry t_, corrected_;
 };
 
 }  // namespace KERNEL_MODULE

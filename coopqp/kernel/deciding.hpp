@@ -90,9 +90,9 @@ class Engine {
 
     // Whose arrays these are, and what tells of them, as BoundState has it; nobody's after `let_go`.
     void bind_owner(nb::object state, nb::object command, nb::list same, nb::list usual,
-                    nb::list after, nb::object scale) {
+                    nb::list after, nb::list said) {
         owner_.emplace(std::move(state), std::move(command), std::move(same), std::move(usual),
-                       std::move(after), std::move(scale));
+                       std::move(after), std::move(said));
     }
     void let_go() { owner_.reset(); }
     int visit(visitproc visit, void* arg) const { return owner_ ? owner_->visit(visit, arg) : 0; }
@@ -197,8 +197,8 @@ class Engine {
     int step(nb::handle state) {
         const Use use(*this);
         if (!use.alone || !is_bound(state) || !owner_->is_usual() || waits()) return BUSY;
-        if (!(owner_->corrected() >= coopqp::ALL_OF_IT)) return BUSY;
-        const double t = owner_->t();
+        const double t = owner_->t(), corrected = owner_->corrected();
+        if (!(corrected >= coopqp::ALL_OF_IT)) return BUSY;
         coopqp::Status decided;
         {
             const Unlocked unlocked(*kernel_);
@@ -207,7 +207,9 @@ class Engine {
             decided = solve(t, true);
             if (is_answer(decided)) advance();
         }
-        if (is_answer(decided)) owner_->leave(t + kernel_->settings().dt, scale());
+        if (!is_answer(decided)) return told(decided);
+        owner_->leave(t + kernel_->settings().dt, corrected);
+        if (kernel_->levels[0].exact) owner_->leave_scale(kernel_->scale());
         return told(decided);
     }
 

@@ -8,14 +8,13 @@ every other tick: stabilisation in part, acceleration limits that are relaxed.
 
 from __future__ import annotations
 
-from functools import cache, cached_property
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coopqp.base.spec import Array
 from coopqp.controller import Command, ControlProblem, InternalForceControl, Law
-from coopqp.kernel import native
 from coopqp.kernel.compiled import Compiled, Limits, Outcome, plain_numbers
 from coopqp.kernel.flat import Group
 from coopqp.model.loop_observer import LoopObserver
@@ -92,7 +91,8 @@ class KernelLaw(Law):
         # To take turns is 5 % of a tick; where the engine keeps the GIL it steps this or nothing.
         alone = self._runs and not self.whole.engine.unlocks()
         self._stepper = self.whole.engine if alone else None
-        _give_step()
+        if KernelLaw.step is Law.step:  # which then is compiled, for what is not rare
+            self.whole.engine.give_step(KernelLaw)
         self._asked = False  # whether the kernel has been asked in this tick
         self._raised: BaseException | None = None  # by code of plug-ins meanwhile
         self._raised_in_step: BaseException | None = None  # for the tick that says it
@@ -283,18 +283,10 @@ class KernelLaw(Law):
             return False
         same = [*((own, name, own[name]) for name in BOUND_TO), *arriving]
         usual = [(own, "q_measured", None), (sent, "stale", ()), (sent, "refused", ())]
-        said = vars(self.command)
-        after = [(said, "causes", ALL_WELL[OPTIMAL]), (said, "told", ()), (said, "drift", 1.0)]
-        after += (own, "jacobians_due", True), (own, "corrected", 1.0)
-        engine.bind_owner(state, self.command, same, usual, after, (said, "scale", 1.0))
+        ours = vars(self.command)
+        after = [(ours, "told", ()), (own, "jacobians_due", True)]
+        said = [(ours, "causes", ALL_WELL[OPTIMAL]), (ours, "drift", 1.0), (ours, "scale", 1.0)]
+        engine.bind_owner(state, self.command, same, usual, after, said)
         self._stopped = memory["stopped"]
         self._missed, self._missing = memory["missed"], memory["missing"]
         return True
-
-
-@cache
-def _give_step() -> None:
-    """Let the kernel's own method be ``KernelLaw.step``, which leaves to Python what is rare."""
-    engine = native.module()
-    assert engine is not None  # whoever builds a law has asked coopqp.kernel.flat.why_not
-    engine.give_step(KernelLaw)
