@@ -2,6 +2,9 @@
 // dictionary is asked at the position where it had a key, and by the key only where that is elsewhere
 // by now: to ask by keys took a tenth of a tick on NAO.
 #pragma once
+#include <algorithm>
+#include <cstdint>
+#include <initializer_list>
 #include <limits>
 #include <utility>
 #include <vector>
@@ -15,37 +18,55 @@ inline nb::dict attributes_of(nb::handle of) {
     return nb::steal<nb::dict>(PyObject_GenericGetDict(of.ptr(), nullptr));
 }
 
+// Another number after each change of any dictionary, by PEP 509; 0 where Python does not tell.
+inline std::uint64_t version_of([[maybe_unused]] PyObject* dict) {
+#if !defined(Py_LIMITED_API) && PY_VERSION_HEX < 0x030C0000
+    return reinterpret_cast<PyDictObject*>(dict)->ma_version_tag;
+#else
+    return 0;
+#endif
+}
+
 class BoundState {
   public:
     // same: dictionaries, keys and the objects there, or None, that make it the one that is bound;
-    // usual: those that a step needs beside them; after: those that it leaves where it is optimal;
-    // said: those of the command that change where the first of them does, its scale comes last.
-    BoundState(nb::object state, nb::object command, nb::list same, nb::list usual, nb::list after,
-               nb::list said)
+    // usual: those that a step needs beside them; said: those of the command, its scale last, that an
+    // optimal one leaves.
+    BoundState(nb::object state, nb::object command, nb::list same, nb::list usual, nb::list said)
         : state_(std::move(state)), command_(std::move(command)), attributes_(attributes_of(state_)),
-          held_(nb::make_tuple(same, usual, after, said)), same_(entries(same)),
-          usual_(entries(usual)), after_(entries(after)), said_(entries(said)),
-          t_key_(interned("t")), corrected_key_(interned("corrected")), whole_(nb::float_(1.0)),
+          held_(nb::make_tuple(same, usual, said)), same_(entries(same)), usual_(entries(usual)),
+          said_(entries(said)), seen_(all_of({&same_, &usual_})), said_seen_(all_of({&said_})),
+          t_key_(interned("t")), corrected_key_(interned("corrected")),
+          due_key_(interned("jacobians_due")), whole_(nb::float_(1.0)),
           t_(entry(attributes_.ptr(), t_key_.ptr(), nullptr)),
-          corrected_(entry(attributes_.ptr(), corrected_key_.ptr(), whole_.ptr())) {}
+          corrected_(entry(attributes_.ptr(), corrected_key_.ptr(), whole_.ptr())),
+          due_(entry(attributes_.ptr(), due_key_.ptr(), Py_True)) {}
 
     bool is(nb::handle state) const { return state.is(state_) && hold(same_); }
-    bool is_usual() const { return hold(usual_); }
-    double t() const { return number(t_); }
-    double corrected() const {
-        return corrected_.now() == corrected_.value ? 1.0 : number(corrected_);
+
+    // Whether a step may begin, when, and what was corrected in the tick before; nothing is asked
+    // where no dictionary has changed since the last step.
+    bool begins(nb::handle state, double& t, double& corrected) {
+        known_ = state.is(state_) && same(seen_);
+        t = known_ ? left_at_ : number(t_);
+        corrected = known_ || corrected_.now() == corrected_.value ? 1.0 : number(corrected_);
+        return known_ || (is(state) && hold(usual_));
     }
     const nb::object& command() const { return command_; }
 
     // Leave what an optimal step leaves, and the time after it.
-    //   corrected: what was so before it.
-    void leave(double t, double corrected) const {
+    //   corrected: what was so before it. alone: whether nobody else had the GIL meanwhile.
+    void leave(double t, double corrected, bool alone) {
         put(t_, nb::float_(t).ptr());
+        left_at_ = t;
         if (corrected != 1.0) put(corrected_, corrected_.value);
-        for (const Entry& entry : after_)
-            if (entry.now() != entry.value) put(entry, entry.value);
-        if (said_.front().now() != said_.front().value)
-            for (const Entry& entry : said_) put(entry, entry.value);
+        if (!known_ && due_.now() != due_.value) put(due_, due_.value);
+        for (Seen& one : seen_) one.version = alone ? version_of(one.of) : 0;
+        if (same(said_seen_)) return;
+        const bool holds = hold(said_);
+        for (const Entry& entry : said_)
+            if (!holds) put(entry, entry.value);
+        for (Seen& one : said_seen_) one.version = holds ? version_of(one.of) : 0;
     }
     void leave_scale(double scale) const { put(said_.back(), nb::float_(scale).ptr()); }
 
@@ -96,6 +117,28 @@ class BoundState {
         return nb::steal(PyUnicode_InternFromString(name));
     }
 
+    // A dictionary, and its version when it was as it should be.
+    struct Seen {
+        PyObject* of;
+        std::uint64_t version;
+    };
+
+    static std::vector<Seen> all_of(std::initializer_list<const std::vector<Entry>*> parts) {
+        std::vector<Seen> found;
+        for (const auto* entries : parts)
+            for (const Entry& entry : *entries) {
+                const auto is_here = [&entry](const Seen& one) { return one.of == entry.of; };
+                if (std::none_of(found.begin(), found.end(), is_here)) found.push_back({entry.of, 0});
+            }
+        return found;
+    }
+
+    static bool same(const std::vector<Seen>& seen) {
+        for (const Seen& one : seen)
+            if (one.version == 0 || one.version != version_of(one.of)) return false;
+        return true;
+    }
+
     static bool hold(const std::vector<Entry>& entries) {
         for (const Entry& entry : entries) {
             PyObject* now = entry.now();
@@ -118,9 +161,12 @@ class BoundState {
     nb::object state_, command_;
     nb::dict attributes_;
     nb::tuple held_;
-    std::vector<Entry> same_, usual_, after_, said_;
-    nb::object t_key_, corrected_key_, whole_;
-    Entry t_, corrected_;
+    std::vector<Entry> same_, usual_, said_;
+    std::vector<Seen> seen_, said_seen_;  // all dictionaries of them
+    nb::object t_key_, corrected_key_, due_key_, whole_;
+    Entry t_, corrected_, due_;
+    bool known_ = false;  // whether a step has begun where the last one had left all
+    double left_at_ = 0.0;
 };
 
 }  // namespace KERNEL_MODULE

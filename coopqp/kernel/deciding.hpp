@@ -90,9 +90,9 @@ class Engine {
 
     // Whose arrays these are, and what tells of them, as BoundState has it; nobody's after `let_go`.
     void bind_owner(nb::object state, nb::object command, nb::list same, nb::list usual,
-                    nb::list after, nb::list said) {
+                    nb::list said) {
         owner_.emplace(std::move(state), std::move(command), std::move(same), std::move(usual),
-                       std::move(after), std::move(said));
+                       std::move(said));
     }
     void let_go() { owner_.reset(); }
     int visit(visitproc visit, void* arg) const { return owner_ ? owner_->visit(visit, arg) : 0; }
@@ -196,8 +196,8 @@ class Engine {
     // the drift correction.
     int step(nb::handle state) {
         const Use use(*this);
-        if (!use.alone || !is_bound(state) || !owner_->is_usual() || waits()) return BUSY;
-        const double t = owner_->t(), corrected = owner_->corrected();
+        double t, corrected;
+        if (!use.alone || !owner_ || !owner_->begins(state, t, corrected) || waits()) return BUSY;
         if (!(corrected >= coopqp::ALL_OF_IT)) return BUSY;
         coopqp::Status decided;
         {
@@ -208,7 +208,7 @@ class Engine {
             if (is_answer(decided)) advance();
         }
         if (!is_answer(decided)) return told(decided);
-        owner_->leave(t + kernel_->settings().dt, corrected);
+        owner_->leave(t + kernel_->settings().dt, corrected, !takes_long(*kernel_));
         if (kernel_->levels[0].exact) owner_->leave_scale(kernel_->scale());
         return told(decided);
     }

@@ -283,10 +283,9 @@ class KernelLaw(Law):
             return False
         same = [*((own, name, own[name]) for name in BOUND_TO), *arriving]
         usual = [(own, "q_measured", None), (sent, "stale", ()), (sent, "refused", ())]
-        ours = vars(self.command)
-        after = [(ours, "told", ()), (own, "jacobians_due", True)]
-        said = [(ours, "causes", ALL_WELL[OPTIMAL]), (ours, "drift", 1.0), (ours, "scale", 1.0)]
-        engine.bind_owner(state, self.command, same, usual, after, said)
+        optimal = {"causes": ALL_WELL[OPTIMAL], "told": (), "drift": 1.0, "scale": 1.0}
+        said = [(vars(self.command), *pair) for pair in optimal.items()]
+        engine.bind_owner(state, self.command, same, usual, said)
         self._stopped = memory["stopped"]
         self._missed, self._missing = memory["missed"], memory["missing"]
         return True
