@@ -1,7 +1,6 @@
 // The kernel as a Python class. Arrays are bound once; the GIL is released for all that takes long.
 #pragma once
 #include <algorithm>
-#include <atomic>
 #include <cstdint>
 #include <cstdlib>
 #include <optional>
@@ -360,7 +359,8 @@ class Engine {
         auto& bound = kernel_->bound;
         const int refined = kernel_->refined();
         doubtful_ = false;
-        std::copy_n(memory_, kept_.size(), kept_.data());
+        const bool may_refine = kernel_->levels[0].exact;  // no other answers take twice the digits
+        if (may_refine) std::copy_n(memory_, kept_.size(), kept_.data());
         const coopqp::Status status = kernel_->solve(all_corrected);
         if (!is_answer(status) || kernel_->refined() == refined) return status;
         const double* q = bound.q;
@@ -466,11 +466,14 @@ class Engine {
         return kernel.model().blocks > 8;  // of joints
     }
 
-    // One thread at a time: another is told so.
+    // One thread at a time: another is told so. Each has the GIL where it begins and ends, so that the
+    // processor need not do both at once.
     struct Use {
-        explicit Use(Engine& engine) : engine(engine), alone(!engine.busy_.test_and_set()) {}
+        explicit Use(Engine& engine) : engine(engine), alone(!engine.busy_) {
+            if (alone) engine.busy_ = true;
+        }
         ~Use() {
-            if (alone) engine.busy_.clear();
+            if (alone) engine.busy_ = false;
         }
         Engine& engine;
         bool alone;
@@ -528,7 +531,7 @@ class Engine {
     std::optional<coopqp::ResolvedRate> resolved_rate_;
     coopqp::Program program_;
     coopqp::Bounds bounds_;
-    std::atomic_flag busy_ = ATOMIC_FLAG_INIT;
+    bool busy_ = false;
     coopqp::TwistLimits twist_limits_;
     FilledLimits filled_limits_{};
     std::vector<Filled> filled_;
