@@ -64,7 +64,7 @@ def _coopqp(job: Job, engine: Literal["kernel", "python"]) -> Motion:
         value, targets = target.value, job.targets
 
         def step(k: int) -> None:
-            value[:] = targets[k]
+            value[...] = targets[k]
             built.step(state)
 
         us = median_us(step, pause)

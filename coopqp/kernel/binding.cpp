@@ -9,6 +9,7 @@
 #include "online.hpp"
 #include "planning.hpp"
 #include "sliding.hpp"
+#include "stepping.hpp"
 #include "trajectory_evaluation.hpp"
 
 using namespace nb::literals;
@@ -25,9 +26,22 @@ using KERNEL_MODULE::TrajectoryEvaluation;
 using KERNEL_MODULE::Written;
 using Joints = std::vector<std::size_t>;
 
+// An engine holds a state and a command, which may tell of the law that holds the engine.
+int visit_engine(PyObject* self, visitproc visit, void* arg) {
+    Py_VISIT(Py_TYPE(self));
+    return nb::inst_ready(self) ? nb::inst_ptr<Engine>(self)->visit(visit, arg) : 0;
+}
+int clear_engine(PyObject* self) {
+    nb::inst_ptr<Engine>(self)->let_go();
+    return 0;
+}
+PyType_Slot of_engine[] = {{Py_tp_traverse, reinterpret_cast<void*>(visit_engine)},
+                           {Py_tp_clear, reinterpret_cast<void*>(clear_engine)},
+                           {0, nullptr}};
+
 NB_MODULE(KERNEL_MODULE, m) {
     nb::set_leak_warnings(false);  // what a script holds to its end is no leak of ours
-    nb::class_<Engine>(m, "Engine")
+    nb::class_<Engine>(m, "Engine", nb::type_slots(of_engine))
         .def(nb::init<const nb::dict&>())
         .def("bind_state", &Engine::bind_state)
         .def("bind_owner", &Engine::bind_owner)
@@ -45,11 +59,12 @@ NB_MODULE(KERNEL_MODULE, m) {
         .def("place", &Engine::place)
         .def("tick_with_rows", &Engine::tick_with_rows)
         .def("rest", &Engine::rest)
-        .def("step", &Engine::step)
         .def("run_starts", &Engine::run_starts)
         .def("resolve", &Engine::resolve)
         .def("run", &Engine::run, "t"_a, "q"_a, "v"_a, "said"_a, "scale"_a, "memory"_a,
              "remembered"_a, "stops"_a, "all_corrected"_a)
+        .def("step", &Engine::step)
+        .def_static("give_step", &KERNEL_MODULE::give_step)
         .def("scale", &Engine::scale)
         .def("unlocks", &Engine::unlocks)
         .def("rows", &Engine::rows)

@@ -1,7 +1,6 @@
 // The kernel as a Python class. Arrays are bound once; the GIL is released for all that takes long.
 #pragma once
 #include <algorithm>
-#include <atomic>
 #include <cstdint>
 #include <cstdlib>
 #include <optional>
@@ -88,11 +87,15 @@ class Engine {
         return true;
     }
 
-    // Whose arrays these are, as BoundState has it; nobody's after `let_go`.
-    void bind_owner(nb::object state, nb::dict attributes, nb::list same, nb::list usual) {
-        owner_.emplace(std::move(state), std::move(attributes), std::move(same), std::move(usual));
+    // Whose arrays these are, and what tells of them, as BoundState has it; nobody's after `let_go`.
+    void bind_owner(nb::object state, nb::object command, nb::list same, nb::list usual,
+                    nb::list said) {
+        owner_.emplace(std::move(state), std::move(command), std::move(same), std::move(usual),
+                       std::move(said));
     }
     void let_go() { owner_.reset(); }
+    int visit(visitproc visit, void* arg) const { return owner_ ? owner_->visit(visit, arg) : 0; }
+    const nb::object& command() const { return owner_->command(); }
     bool is_bound(nb::handle state) const { return owner_ && owner_->is(state); }
 
     void bind_measured(const Numbers& q) {
@@ -184,21 +187,28 @@ class Engine {
     }
 
     // The least share of its rate at which a hard or scaled task ran in the last tick.
-    double scale() const { return kernel_->scale(); }
+    double scale() const { return kernel_->levels[0].exact ? kernel_->scale() : 1.0; }
 
-    // A whole tick, and the step q += v dt of joints that do as told, where it has an answer; not
-    // where the law stands still, is bound to another state, something of it is not usual, or the
-    // tick before has not done all of the drift correction.
+    // A whole tick, and the step q += v dt of joints that do as told, where it has an answer, after
+    // which Python's objects are as an optimal one leaves them; not where the law stands still, is
+    // bound to another state, something of it is not usual, or the tick before has not done all of
+    // the drift correction.
     int step(nb::handle state) {
         const Use use(*this);
-        if (!use.alone || !is_bound(state) || !owner_->is_usual() || waits()) return BUSY;
-        if (!(owner_->corrected() >= coopqp::ALL_OF_IT)) return BUSY;
-        const double t = owner_->t();
-        const Unlocked unlocked(*kernel_);
-        const int status = evaluate(t);
-        if (status) return status;
-        const coopqp::Status decided = solve(t, true);
-        if (is_answer(decided)) advance();
+        double t, corrected;
+        if (!use.alone || !owner_ || !owner_->begins(state, t, corrected) || waits()) return BUSY;
+        if (!(corrected >= coopqp::ALL_OF_IT)) return BUSY;
+        coopqp::Status decided;
+        {
+            const Unlocked unlocked(*kernel_);
+            const int status = evaluate(t);
+            if (status) return status;
+            decided = solve(t, true);
+            if (is_answer(decided)) advance();
+        }
+        if (!is_answer(decided)) return told(decided);
+        owner_->leave(t + kernel_->settings().dt, corrected, !takes_long(*kernel_));
+        if (kernel_->levels[0].exact) owner_->leave_scale(kernel_->scale());
         return told(decided);
     }
 
@@ -340,8 +350,7 @@ class Engine {
 
     // As coopqp.kernel.law says it.
     double scale_of(int how) const {
-        if (!kernel_->levels[0].exact) return 1.0;
-        return how & STANDS ? 0.0 : kernel_->scale();
+        return kernel_->levels[0].exact && how & STANDS ? 0.0 : scale();
     }
 
     // Decide what was evaluated. Where that took twice the digits it is asked whether joints that
@@ -350,7 +359,8 @@ class Engine {
         auto& bound = kernel_->bound;
         const int refined = kernel_->refined();
         doubtful_ = false;
-        std::copy_n(memory_, kept_.size(), kept_.data());
+        const bool may_refine = kernel_->levels[0].exact;  // no other answers take twice the digits
+        if (may_refine) std::copy_n(memory_, kept_.size(), kept_.data());
         const coopqp::Status status = kernel_->solve(all_corrected);
         if (!is_answer(status) || kernel_->refined() == refined) return status;
         const double* q = bound.q;
@@ -456,11 +466,14 @@ class Engine {
         return kernel.model().blocks > 8;  // of joints
     }
 
-    // One thread at a time: another is told so.
+    // One thread at a time: another is told so. Each has the GIL where it begins and ends, so that the
+    // processor need not do both at once.
     struct Use {
-        explicit Use(Engine& engine) : engine(engine), alone(!engine.busy_.test_and_set()) {}
+        explicit Use(Engine& engine) : engine(engine), alone(!engine.busy_) {
+            if (alone) engine.busy_ = true;
+        }
         ~Use() {
-            if (alone) engine.busy_.clear();
+            if (alone) engine.busy_ = false;
         }
         Engine& engine;
         bool alone;
@@ -518,7 +531,7 @@ class Engine {
     std::optional<coopqp::ResolvedRate> resolved_rate_;
     coopqp::Program program_;
     coopqp::Bounds bounds_;
-    std::atomic_flag busy_ = ATOMIC_FLAG_INIT;
+    bool busy_ = false;
     coopqp::TwistLimits twist_limits_;
     FilledLimits filled_limits_{};
     std::vector<Filled> filled_;

@@ -83,14 +83,16 @@ class KernelLaw(Law):
         whole = [Group(first, order.hard, order.scaled), *(Group(tasks) for tasks in later)]
         self.whole = Compiled(problem, order.programs, whole, *self._settings)
         self.rows_in_python = self.whole.rows_in_python
-        self._engine_step = self.whole.engine.step
         self._steps = self.whole.alone and force_control is None and limits.q_measured is None
         self._runs = self._steps and not self.whole.follows
         self._relaxes = problem.on_infeasible == "scale"
         self._stops = problem.on_infeasible == "stop"
-        self._dt = problem.dt
         self._exact = bool(order.hard or order.scaled)
-        self._takes_turns = self._exact or self.whole.follows or self.whole.engine.unlocks()
+        # To take turns is 5 % of a tick; where the engine keeps the GIL it steps this or nothing.
+        alone = self._runs and not self.whole.engine.unlocks()
+        self._stepper = self.whole.engine if alone else None
+        if KernelLaw.step is Law.step:  # which then is compiled, for what is not rare
+            self.whole.engine.give_step(KernelLaw)
         self._asked = False  # whether the kernel has been asked in this tick
         self._raised: BaseException | None = None  # by code of plug-ins meanwhile
         self._raised_in_step: BaseException | None = None  # for the tick that says it
@@ -158,7 +160,7 @@ class KernelLaw(Law):
         outcome = whole.tick(state, observer)
         if outcome in ALL_WELL:
             self._say(ALL_WELL[outcome])
-            self.command.scale = self.whole.engine.scale() if self._exact else 1.0
+            self.command.scale = self.whole.engine.scale()
             self.rows_us = self.whole.rows_us
             return True
         if outcome == INFEASIBLE and not self._relaxes and self._rests(whole.engine.rest()):
@@ -169,39 +171,30 @@ class KernelLaw(Law):
             self._asked = outcome != UNUSUAL
         return False
 
-    def step(self, state: State) -> Command:
-        """A tick and state.advance in one; by the kernel alone where possible."""
-        if not self._steps:
-            return super().step(state)
-        command, scale = self.command, 1.0
-        # To take turns is 5 % of a tick; where the engine keeps the GIL it steps this or nothing.
-        if self._takes_turns:
-            with self._turn:
-                outcome = self._engine_step(state) if self._runs else self._follow_and_step(state)
-                if self._exact:
-                    scale = self.whole.engine.scale()
-        else:
-            outcome = self._engine_step(state)
-        if outcome not in ALL_WELL:
-            return super().step(state)
-        state.t += self._dt
-        state.jacobians_due = True
-        state.corrected = 1.0
-        self.compiled = True
-        command.scale, command.drift = scale, 1.0
-        command.causes, command.told = ALL_WELL[outcome], ()
-        return self.with_why(state, command) if outcome else command
+    def _step_in_turn(self, state: State) -> Command:
+        """A step of a law whose engine does not step alone, or lets go of the GIL meanwhile."""
+        with self._turn:
+            outcome = BUSY
+            if self._steps:
+                try:
+                    self.whole.follow(state)
+                except KeyboardInterrupt:
+                    raise
+                except BaseException as error:  # noqa: BLE001 - code of plug-ins may raise anything
+                    self._raised_in_step = error
+                else:
+                    outcome = self.whole.engine.step(state)
+            return self._stepped(state, outcome)
 
-    def _follow_and_step(self, state: State) -> int:
-        """BUSY where a signal raises, which :meth:`tick` then says."""
-        try:
-            self.whole.follow(state)
-        except KeyboardInterrupt:
-            raise
-        except BaseException as error:  # noqa: BLE001 - code of plug-ins may raise anything
-            self._raised_in_step = error
-            return BUSY
-        return int(self._engine_step(state))
+    def _stepped(self, state: State, outcome: int) -> Command:
+        """The command of a step of the engine, which has said all that is so of an optimal one."""
+        if outcome not in ALL_WELL:
+            return Law.step(self, state)
+        self.compiled, command = True, self.command
+        if outcome == OPTIMAL:
+            return command
+        command.causes = ALL_WELL[outcome]
+        return self.with_why(state, command)
 
     def run_starts(
         self, starts: Array, q: Array, v: Array, said: NDArray[np.uint8]
@@ -290,7 +283,9 @@ class KernelLaw(Law):
             return False
         same = [*((own, name, own[name]) for name in BOUND_TO), *arriving]
         usual = [(own, "q_measured", None), (sent, "stale", ()), (sent, "refused", ())]
-        engine.bind_owner(state, own, same, usual)
+        optimal = {"causes": ALL_WELL[OPTIMAL], "told": (), "drift": 1.0, "scale": 1.0}
+        said = [(vars(self.command), *pair) for pair in optimal.items()]
+        engine.bind_owner(state, self.command, same, usual, said)
         self._stopped = memory["stopped"]
         self._missed, self._missing = memory["missed"], memory["missing"]
         return True

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import gc
+from weakref import ref
+
 import numpy as np
 import pytest
 from conflicts import OUTSIDE, TURN, started_outside
@@ -116,6 +119,19 @@ def test_who_is_outside_comes_back_almost_as_fast_as_can_be(joints: str, nao: Ro
     ub[out & (side > 0.0)], lb[out & (side < 0.0)] = 0.5, -0.5
     best = fastest(chain, State(chain, state.q), lb, ub)
     np.testing.assert_allclose(v[out], KEPT * best[out], rtol=1e-4)
+
+
+def test_a_law_whose_command_tells_of_it_is_no_leak(nao: RobotModel) -> None:
+    """The engine holds the command, which knows the law that says why."""
+    law = kernel(hold(started_outside(nao, "rigid", OUTSIDE["elbow"])))
+    state = law.start()
+    command = law.step(state)
+    assert (law.compiled, command.causes) == (True, (Status.RECOVERING,))
+    assert "above its range" in command.note
+    gone = ref(law), ref(state), ref(command)
+    del law, state, command
+    gc.collect()
+    assert [of() for of in gone] == [None] * 3
 
 
 @pytest.mark.parametrize("seed", [10, 22, 123, 163, 221, 647, 822])

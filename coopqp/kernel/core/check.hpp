@@ -298,7 +298,7 @@ class Check {
     void gradient(int l, double d, const double* v, const Constraints& c) {
         const Level& level = levels_[std::size_t(l)];
         const double curvature = d + level.joint_weight;
-        double tau[6] = {0, 0, 0, 0, 0, 0};
+        alignas(64) double tau[TWIST] = {};
         for (int b = 0; b < m_.blocks; b++) lanes(y_.g)[b] = lanes(v)[b] * curvature;
         if (level.joint_weight > 0.0) add(y_.g, level.wish, -1.0, m_.blocks);
         for (int s = level.exact; s < level.rows; s++) {

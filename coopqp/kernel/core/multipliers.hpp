@@ -45,7 +45,7 @@ class Multipliers {
         if (!nearest.active) return;
         const int n = m_.blocks * LANES, shares = n + padded(int(of_rows.size()));
         const int exact = shares + padded(int(of_shares.size()));
-        double tau[6] = {0, 0, 0, 0, 0, 0};
+        alignas(64) double tau[TWIST] = {};
         bool of_exact_rows = false;
         for (int i = 0; i < nearest.active; i++) {
             const int row = nearest.row(i);
@@ -150,7 +150,7 @@ class Multipliers {
                 rest -= hierarchy_.row(hierarchy_.pivot_row(j))[k] * step_[std::size_t(j)];
             step_[std::size_t(k)] = rest / hierarchy_.row(hierarchy_.pivot_row(k))[k];
         }
-        double tau[6] = {0, 0, 0, 0, 0, 0};
+        alignas(64) double tau[TWIST] = {};
         for (int k = 0; k < first; k++) {
             int at;
             const int s = own_row(hierarchy_.pivot_row(k), at);

@@ -66,13 +66,13 @@ class Rows {
         }
     }
 
-    // One row times a multiplier: into tau where the row sees the twist, else into t.
+    // One row times a multiplier: into tau (TWIST,) where the row sees the twist, else into t.
     void pull_row(const Level& level, int s, double by, double* tau, double* t) const {
         if (!level.twist[std::size_t(s)]) {
             add(t, level.J + std::size_t(s) * stride(), by, m_.blocks);
             return;
         }
-        for (int r = 0; r < 6; r++) tau[r] += by * level.T[TWIST * s + r];
+        add(tau, level.T + TWIST * s, by, 2);
     }
 
     // t += J_object' tau
@@ -85,7 +85,7 @@ class Rows {
     std::vector<double> listed(const Level& level, double* J) const {
         std::vector<double> found;
         for (int s = 0; s < level.rows; s++) {
-            double tau[6] = {0, 0, 0, 0, 0, 0};
+            alignas(64) double tau[TWIST] = {};
             clear(J, m_.blocks);
             pull_row(level, s, 1.0, tau, J);
             pull_object(tau, J);
