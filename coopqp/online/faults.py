@@ -121,6 +121,11 @@ class FaultMonitor:
         return None
 
     @property
+    def joint_fails(self) -> bool:
+        """Whether a joint does not follow, or is doubted to, so that each motion may pull."""
+        return self._misled or self.doubt is not None
+
+    @property
     def doubt(self) -> Finding | None:
         """What one look has found at joints, until the next one confirms it or not."""
         suspect = self._joints.suspect if self._joints and not self._misled else None

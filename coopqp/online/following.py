@@ -98,7 +98,6 @@ class JointFollowing:
     """Judges commanded and measured joints, of servos as stiff as stated, else as strong.
 
     Attributes:
-        suspicious: whether internal forces and lag do not explain the last samples.
         leapt: whether a reading has leapt in these, or since.
         suspect: whom the last look has found, if the next one is to confirm it.
     """
@@ -147,9 +146,14 @@ class JointFollowing:
         self._count = self._samples = self._lag = 0
         self._whitened, self._earlier = -self._renew, list[Array]()
         self._before: list[Suspect | None] = [None, None]  # of the last look, and the last long one
-        self.suspicious = self.leapt = False
+        self._explained, self.leapt = 0, False  # the sample from which on looks explain what is
         self.suspect: Suspect | None = None
         self._believed = 0  # number of readings from which on they are
+
+    @property
+    def suspicious(self) -> bool:
+        """Whether internal forces and lag do not explain the last samples of some window."""
+        return self._samples < self._explained
 
     def update(self, state: State, q_c: Array, q_m: Array) -> Suspect | None:
         """Who does not follow, once two looks in succession agree; c is commanded, m measured."""
@@ -162,7 +166,6 @@ class JointFollowing:
         spans, white = self._spans if long else self._short, self._white
         quick = self._quick if self._before[1] is None else None
         if quick and quick.quiet(self._samples, self._lag, white, SUSPICIOUS):
-            self.suspicious = False
             return self._agreed(None, 0, spans)
         if stuck := self._stuck(self._stuck_for):
             return stuck
@@ -288,7 +291,6 @@ class JointFollowing:
 
     def _look(self, state: State, spans: Sequence[int]) -> tuple[Suspect | None, int]:
         """The suspect of the shortest window that has one, and that window."""
-        self.suspicious = False
         for span in spans:
             last = self._samples - 1
             first = max(0, last - span)
@@ -332,7 +334,9 @@ class JointFollowing:
         self._enough = max(MEAN_SQUARE * self._usual, noise)
         if sizes[self._lag] - self._noise < self._enough:
             return None
-        self.suspicious = True
+        # A window that nothing explains is in doubt until it is looked at again.
+        again = LONG if last - first > self._short[-1] else 1
+        self._explained = max(self._explained, self._samples + again)
         return self._best(state, m, np.concatenate([c, self._slow(at)]), at, white)
 
     def _slow(self, at: Any) -> Array:
