@@ -52,8 +52,9 @@ from coopqp.tasks import Posture
 
 #: Acceleration limit of joints without a motor, which bounds nothing [rad/s2].
 PASSIVE = 1e4
-#: Steps of braking in one tick where a joint does not follow, if the scenario limits none.
-HASTE = 2
+#: Steps of braking in one tick where a joint fails, if the scenario limits none; no more than one
+#: where it takes no longer than servos take to follow [s], as it only shakes the arms then.
+HASTE, AT_ONCE = 2, 0.03
 
 
 def with_acceleration(
@@ -103,7 +104,11 @@ class Braking:
         self._law.force_control = _Kept(force_control) if force_control else None
         self._law.observer = own.observer
         self._memory = Memory(self._law.memory_sizes)
-        self._step = acceleration_limits(problem) * problem.dt  # of the velocity in one tick
+        most = acceleration_limits(problem)
+        self._step, self._slow = (
+            most * problem.dt,
+            most * AT_ONCE,
+        )  # velocity lost in a tick, so soon
         self._still, self._monitor, self._haste = Command(problem.chain.n), monitor, haste
 
     def can_stop(self, state: State) -> bool:
@@ -111,8 +116,9 @@ class Braking:
 
     def tick(self, state: State) -> Command:
         """The next command on the way to rest; the state's kinematics are up to date after it."""
-        before, steps = state.v.copy(), self._haste if self._monitor.joint_fails else 1
-        for _ in range(steps):
+        before = state.v.copy()
+        hastes = self._monitor.joint_fails and bool((np.abs(before) > self._slow).any())
+        for _ in range(self._haste if hastes else 1):
             command = self._slower(state)
             state.v[:] = command.v
         state.v[:] = before
