@@ -239,31 +239,26 @@ class JointFollowing:
 
     def _whitening(self, state: State) -> Array:
         """W with r W of unit variance without a fault, and zero for every internal wrench."""
-        J = state.J_loop.copy()
         if self._samples - self._whitened >= self._renew:
-            self._earlier = [*self._earlier[-self._kept :], J]
-        pulls, turned = self._pulls(J, self._earlier[-2:][0])
-        load, n = self._observer.sag(state)[self._own], len(self._own)
+            self._earlier = [*self._earlier[-self._kept :], state.J_loop.copy()]
         if not self._quick:
-            return self._white_over(self._spans[1], pulls, turned, load)
+            return self._white_over(self._spans[1], state, self._earlier[-2:][0])
+        n = len(self._own)
         W = np.empty(n * n)
-        d = self._quick.whiten(self._samples, self._lag, pulls, turned, load, W)
+        loads = self._loads(state, self._earlier[-2:][0])
+        d = self._quick.whiten(self._samples, self._lag, *loads, W)
         return W[: n * d].reshape(n, d)
 
-    def _long_whitening(self, state: State) -> Array:
-        """The same of the long window, on whose way joints may have been faster and turned more."""
-        load = self._observer.sag(state)[self._own]
-        pulls, turned = self._pulls(state.J_loop, self._earlier[0])
-        return self._white_over(self._spans[-1], pulls, turned, load)
-
-    def _pulls(self, J: Array, before: Array) -> tuple[Array, Array]:
-        """What internal wrenches pull the joints by, and by how much more than before, (n, m)."""
+    def _loads(self, state: State, before: Array) -> tuple[Array, Array, Array]:
+        """What internal wrenches pull joints by, how much more than before, and the load's sag."""
+        J = state.J_loop
         N = null_space(J[:, self._passive].T) if len(self._passive) else np.identity(len(J))
-        return (J.T @ N)[self._own], ((J - before).T @ N)[self._own]
+        sag = self._observer.sag(state)[self._own]
+        return (J.T @ N)[self._own], ((J - before).T @ N)[self._own], sag
 
-    def _white_over(self, span: int, pulls: Array, turned: Array, load: Array) -> Array:
+    def _white_over(self, span: int, state: State, before: Array) -> Array:
         """W of so many samples, of sag and speed on their way."""
-        last = self._samples - 1
+        last, (pulls, turned, load) = self._samples - 1, self._loads(state, before)
         A = self._compliance[:, None] * pulls
         U, values, _ = np.linalg.svd(A)
         rank = int(np.sum(values > SINGULAR * values.max(initial=1e-12)))
@@ -302,7 +297,9 @@ class JointFollowing:
                 continue
             if self._samples > self._whitened + self._fresh:
                 self._white, self._whitened = self._whitening(state), self._samples
-            white = self._white if span < self._spans[-1] else self._long_whitening(state)
+            white = self._white
+            if span == self._spans[-1]:  # on its way joints may have been faster and turned more
+                white = self._white_over(span, state, self._earlier[0])
             if found := self._judge(state, first, last, white):
                 return found, span
         return None, 0

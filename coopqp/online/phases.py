@@ -10,9 +10,9 @@ When braking, all joints slow down as fast as they may, and the loops stay close
     minimise |v|^2   subject to   J_c v = -kappa e,  limits,  |v - v_before| <= a dt
 
 by the QP law of the same problem without its tasks. Where one tick is enough to stop, v = 0, which
-without acceleration limits is at once. Where a joint does not follow, each tick moves the hands
-apart: acceleration limits that are only the loop's own then give way, to twice as much. Arms that are moved by torques come to rest and stay by the
-torque QP, see :class:`Holding`.
+without acceleration limits is at once. Where a joint fails, all motion pulls at the hands: a limit
+of acceleration that is only the loop's own then gives way, step by step. Arms that are moved by
+torques come to rest and stay by the torque QP, see :class:`Holding`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -52,9 +52,8 @@ from coopqp.tasks import Posture
 
 #: Acceleration limit of joints without a motor, which bounds nothing [rad/s2].
 PASSIVE = 1e4
-#: Steps of braking in one tick where a joint fails, if the scenario limits none; no more than one
-#: where it takes no longer than servos take to follow [s], as it only shakes the arms then.
-HASTE, AT_ONCE = 2, 0.03
+#: How many times a limit of acceleration that is only the loop's own gives way where a joint fails.
+HASTE = 3
 
 
 def with_acceleration(
@@ -95,7 +94,7 @@ class _Kept:
 
 
 class Braking:
-    """Brings the joints of a law's problem to rest, where a joint fails by ``haste`` steps a tick."""
+    """Brings a law's joints to rest; where one fails, by up to ``haste`` steps a tick."""
 
     def __init__(self, own: Law, monitor: FaultMonitor, haste: int) -> None:
         problem, force_control = own.problem, own.force_control
@@ -104,11 +103,7 @@ class Braking:
         self._law.force_control = _Kept(force_control) if force_control else None
         self._law.observer = own.observer
         self._memory = Memory(self._law.memory_sizes)
-        most = acceleration_limits(problem)
-        self._step, self._slow = (
-            most * problem.dt,
-            most * AT_ONCE,
-        )  # velocity lost in a tick, so soon
+        self._step = acceleration_limits(problem) * problem.dt  # of the velocity in one tick
         self._still, self._monitor, self._haste = Command(problem.chain.n), monitor, haste
 
     def can_stop(self, state: State) -> bool:
@@ -116,9 +111,10 @@ class Braking:
 
     def tick(self, state: State) -> Command:
         """The next command on the way to rest; the state's kinematics are up to date after it."""
-        before = state.v.copy()
-        hastes = self._monitor.joint_fails and bool((np.abs(before) > self._slow).any())
-        for _ in range(self._haste if hastes else 1):
+        before, steps = state.v.copy(), float((np.abs(state.v) / self._step).max())
+        # It grows by one a tick, and fades so: a jerk shakes the arms more than most faults do.
+        fading = int((2.0 * steps + 0.25) ** 0.5 - 0.5)
+        for _ in range(max(1, min(self._monitor.failing, self._haste, fading))):
             command = self._slower(state)
             state.v[:] = command.v
         state.v[:] = before
@@ -219,7 +215,7 @@ OBJECT_POSE = "object_pose"
 class Phases:
     """The phases so far of a scenario as ``given``; ``held`` is whether it is ``as_held``.
 
-    Where a joint fails, the arms brake by ``haste`` steps a tick.
+    Where a joint fails, the arms brake by up to ``haste`` steps a tick.
 
     Attributes:
         scenario: as begun.
