@@ -292,14 +292,13 @@ class JointFollowing:
             r = self._of(self._m, last) - self._of(self._m, first)
             r += self._told(first, self._lag) - self._told(last, self._lag)
             z = r.dot(self._white)
-            again = span == self._spans[-1] and self._before[1] is not None
-            if z.dot(z) < SUSPICIOUS and not again:
+            is_long = span == self._spans[-1]
+            if z.dot(z) < SUSPICIOUS and not (is_long and self._before[1]):
                 continue
             if self._samples > self._whitened + self._fresh:
                 self._white, self._whitened = self._whitening(state), self._samples
-            white = self._white
-            if span == self._spans[-1]:  # on its way joints may have been faster and turned more
-                white = self._white_over(span, state, self._earlier[0])
+            # On the long one's way joints may have been faster and turned more.
+            white = self._white_over(span, state, self._earlier[0]) if is_long else self._white
             if found := self._judge(state, first, last, white):
                 return found, span
         return None, 0
@@ -332,8 +331,8 @@ class JointFollowing:
         if sizes[self._lag] - self._noise < self._enough:
             return None
         # A window that nothing explains is in doubt until it is looked at again.
-        again = LONG if last - first > self._short[-1] else 1
-        self._explained = max(self._explained, self._samples + again)
+        lasts = LONG if last - first > self._short[-1] else 1
+        self._explained = max(self._explained, self._samples + lasts)
         return self._best(state, m, np.concatenate([c, self._slow(at)]), at, white)
 
     def _slow(self, at: Any) -> Array:

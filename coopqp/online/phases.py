@@ -215,8 +215,6 @@ OBJECT_POSE = "object_pose"
 class Phases:
     """The phases so far of a scenario as ``given``; ``held`` is whether it is ``as_held``.
 
-    Where a joint fails, the arms brake by up to ``haste`` steps a tick.
-
     Attributes:
         scenario: as begun.
         done: the phases so far, the running one last; none before the beginning.
