@@ -79,6 +79,7 @@ class FaultMonitor:
 
     Attributes:
         found: the faults since :meth:`forget`, oldest first.
+        failing: for how many ticks now a joint does not follow, or is doubted to.
     """
 
     def __init__(self, law: Law, before: FaultMonitor | None = None, *, observed: bool) -> None:
@@ -88,6 +89,7 @@ class FaultMonitor:
         self._forces = ForceMonitor(law)
         self.found: tuple[Fault, ...] = before.found if before else ()
         self._misled: bool = before._misled if before else False
+        self.failing: int = before.failing if before else 0
         law.observer.paused = self._misled
 
     def forget(self) -> None:
@@ -113,6 +115,7 @@ class FaultMonitor:
             # What a wrong encoder says is no error of the model: the loop must not follow it.
             joints = self._joints
             self._law.observer.paused = joints.suspicious or joints.leapt or self._misled
+        self.failing = self.failing + 1 if self._misled or self.doubt else 0
         for kind, where, note in filter(None, findings):
             if not any((kind, where) == fault[:2] for fault in self.found):
                 fault = Fault(kind, where, state.t, note)

@@ -98,7 +98,6 @@ class JointFollowing:
     """Judges commanded and measured joints, of servos as stiff as stated, else as strong.
 
     Attributes:
-        suspicious: whether internal forces and lag do not explain the last samples.
         leapt: whether a reading has leapt in these, or since.
         suspect: whom the last look has found, if the next one is to confirm it.
     """
@@ -147,9 +146,14 @@ class JointFollowing:
         self._count = self._samples = self._lag = 0
         self._whitened, self._earlier = -self._renew, list[Array]()
         self._before: list[Suspect | None] = [None, None]  # of the last look, and the last long one
-        self.suspicious = self.leapt = False
+        self._explained, self.leapt = 0, False  # the sample from which on looks explain what is
         self.suspect: Suspect | None = None
         self._believed = 0  # number of readings from which on they are
+
+    @property
+    def suspicious(self) -> bool:
+        """Whether internal forces and lag do not explain the last samples of some window."""
+        return self._samples < self._explained
 
     def update(self, state: State, q_c: Array, q_m: Array) -> Suspect | None:
         """Who does not follow, once two looks in succession agree; c is commanded, m measured."""
@@ -162,7 +166,6 @@ class JointFollowing:
         spans, white = self._spans if long else self._short, self._white
         quick = self._quick if self._before[1] is None else None
         if quick and quick.quiet(self._samples, self._lag, white, SUSPICIOUS):
-            self.suspicious = False
             return self._agreed(None, 0, spans)
         if stuck := self._stuck(self._stuck_for):
             return stuck
@@ -236,31 +239,26 @@ class JointFollowing:
 
     def _whitening(self, state: State) -> Array:
         """W with r W of unit variance without a fault, and zero for every internal wrench."""
-        J = state.J_loop.copy()
         if self._samples - self._whitened >= self._renew:
-            self._earlier = [*self._earlier[-self._kept :], J]
-        pulls, turned = self._pulls(J, self._earlier[-2:][0])
-        load, n = self._observer.sag(state)[self._own], len(self._own)
+            self._earlier = [*self._earlier[-self._kept :], state.J_loop.copy()]
         if not self._quick:
-            return self._white_over(self._spans[1], pulls, turned, load)
+            return self._white_over(self._spans[1], state, self._earlier[-2:][0])
+        n = len(self._own)
         W = np.empty(n * n)
-        d = self._quick.whiten(self._samples, self._lag, pulls, turned, load, W)
+        loads = self._loads(state, self._earlier[-2:][0])
+        d = self._quick.whiten(self._samples, self._lag, *loads, W)
         return W[: n * d].reshape(n, d)
 
-    def _long_whitening(self, state: State) -> Array:
-        """The same of the long window, on whose way joints may have been faster and turned more."""
-        load = self._observer.sag(state)[self._own]
-        pulls, turned = self._pulls(state.J_loop, self._earlier[0])
-        return self._white_over(self._spans[-1], pulls, turned, load)
-
-    def _pulls(self, J: Array, before: Array) -> tuple[Array, Array]:
-        """What internal wrenches pull the joints by, and by how much more than before, (n, m)."""
+    def _loads(self, state: State, before: Array) -> tuple[Array, Array, Array]:
+        """What internal wrenches pull joints by, how much more than before, and the load's sag."""
+        J = state.J_loop
         N = null_space(J[:, self._passive].T) if len(self._passive) else np.identity(len(J))
-        return (J.T @ N)[self._own], ((J - before).T @ N)[self._own]
+        sag = self._observer.sag(state)[self._own]
+        return (J.T @ N)[self._own], ((J - before).T @ N)[self._own], sag
 
-    def _white_over(self, span: int, pulls: Array, turned: Array, load: Array) -> Array:
+    def _white_over(self, span: int, state: State, before: Array) -> Array:
         """W of so many samples, of sag and speed on their way."""
-        last = self._samples - 1
+        last, (pulls, turned, load) = self._samples - 1, self._loads(state, before)
         A = self._compliance[:, None] * pulls
         U, values, _ = np.linalg.svd(A)
         rank = int(np.sum(values > SINGULAR * values.max(initial=1e-12)))
@@ -288,19 +286,19 @@ class JointFollowing:
 
     def _look(self, state: State, spans: Sequence[int]) -> tuple[Suspect | None, int]:
         """The suspect of the shortest window that has one, and that window."""
-        self.suspicious = False
         for span in spans:
             last = self._samples - 1
             first = max(0, last - span)
             r = self._of(self._m, last) - self._of(self._m, first)
             r += self._told(first, self._lag) - self._told(last, self._lag)
             z = r.dot(self._white)
-            again = span == self._spans[-1] and self._before[1] is not None
-            if z.dot(z) < SUSPICIOUS and not again:
+            is_long = span == self._spans[-1]
+            if z.dot(z) < SUSPICIOUS and not (is_long and self._before[1]):
                 continue
             if self._samples > self._whitened + self._fresh:
                 self._white, self._whitened = self._whitening(state), self._samples
-            white = self._white if span < self._spans[-1] else self._long_whitening(state)
+            # On the long one's way joints may have been faster and turned more.
+            white = self._white_over(span, state, self._earlier[0]) if is_long else self._white
             if found := self._judge(state, first, last, white):
                 return found, span
         return None, 0
@@ -332,7 +330,9 @@ class JointFollowing:
         self._enough = max(MEAN_SQUARE * self._usual, noise)
         if sizes[self._lag] - self._noise < self._enough:
             return None
-        self.suspicious = True
+        # A window that nothing explains is in doubt until it is looked at again.
+        lasts = LONG if last - first > self._short[-1] else 1
+        self._explained = max(self._explained, self._samples + lasts)
         return self._best(state, m, np.concatenate([c, self._slow(at)]), at, white)
 
     def _slow(self, at: Any) -> Array:

@@ -39,7 +39,7 @@ from coopqp.model.state import State
 from coopqp.online.arrivals import Readings
 from coopqp.online.faults import Fault, Reaction, checked_reactions
 from coopqp.online.options import HowHeld, PhasesEnd, Reference, check_options
-from coopqp.online.phases import Phases, with_acceleration
+from coopqp.online.phases import HASTE, Phases, with_acceleration
 from coopqp.online.session import Keeper, Record, scenario_text
 from coopqp.online.stops import Clock as Clock
 from coopqp.online.stops import Interrupts, LoopTime, Stops, Waiting, Watch
@@ -209,6 +209,7 @@ class OnlineLoop:
         self._new_phases = partial(
             Phases, self._given, chosen,
             observed=self._observed, by_time=phases == "by_time", held=grasp == "as_held",
+            haste=HASTE if len(limits) > len(own.limits) else 1,
         )  # fmt: skip
         self._time = LoopTime(clock or (lambda: self.ticks * own.dt), own.dt)
         self.patience, self.simulated = patience, clock is None

@@ -11,6 +11,7 @@ from typing import Any, Literal, get_args
 from coopqp.base.errors import InvalidValueError, unknown_name
 from coopqp.base.wording import raised
 from coopqp.model.loop_observer import Observer
+from coopqp.online.arrivals import as_time
 from coopqp.scenario.scenario import needs_scenario
 
 Reference = Literal["commanded", "measured"]
@@ -86,9 +87,7 @@ def _clock_fault(clock: Any) -> str:
         now = clock()
     except Exception as error:  # noqa: BLE001 - it is a user's
         return raised(error)
-    if isinstance(now, bool) or not isinstance(now, Real) or not math.isfinite(now):
-        return f"says {now!r}; needs seconds"
-    return ""
+    return "" if as_time(now) is not None else f"says {now!r}; needs seconds"
 
 
 def _folder_fault(out: Any) -> str:

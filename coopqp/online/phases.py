@@ -10,8 +10,9 @@ When braking, all joints slow down as fast as they may, and the loops stay close
     minimise |v|^2   subject to   J_c v = -kappa e,  limits,  |v - v_before| <= a dt
 
 by the QP law of the same problem without its tasks. Where one tick is enough to stop, v = 0, which
-without acceleration limits is at once. Arms that are moved by torques come to rest and stay by the
-torque QP, see :class:`Holding`.
+without acceleration limits is at once. Where a joint fails, all motion pulls at the hands: a limit
+of acceleration that is only the loop's own then gives way, step by step. Arms that are moved by
+torques come to rest and stay by the torque QP, see :class:`Holding`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -51,6 +52,8 @@ from coopqp.tasks import Posture
 
 #: Acceleration limit of joints without a motor, which bounds nothing [rad/s2].
 PASSIVE = 1e4
+#: How many times a limit of acceleration that is only the loop's own gives way where a joint fails.
+HASTE = 3
 
 
 def with_acceleration(
@@ -91,9 +94,9 @@ class _Kept:
 
 
 class Braking:
-    """Brings the joints of a law's problem to rest."""
+    """Brings a law's joints to rest; where one fails, by up to ``haste`` steps a tick."""
 
-    def __init__(self, own: Law) -> None:
+    def __init__(self, own: Law, monitor: FaultMonitor, haste: int) -> None:
         problem, force_control = own.problem, own.force_control
         still = replace(problem, tasks=(), wrenches=(), secondary=())
         self._law = QPController().unprepared(still)  # begin would take a third longer otherwise
@@ -101,13 +104,23 @@ class Braking:
         self._law.observer = own.observer
         self._memory = Memory(self._law.memory_sizes)
         self._step = acceleration_limits(problem) * problem.dt  # of the velocity in one tick
-        self._still = Command(problem.chain.n)
+        self._still, self._monitor, self._haste = Command(problem.chain.n), monitor, haste
 
     def can_stop(self, state: State) -> bool:
         return bool((np.abs(state.v) <= self._step).all())
 
     def tick(self, state: State) -> Command:
         """The next command on the way to rest; the state's kinematics are up to date after it."""
+        before, steps = state.v.copy(), float((np.abs(state.v) / self._step).max())
+        # It grows by one a tick, and fades so: a jerk shakes the arms more than most faults do.
+        fading = int((2.0 * steps + 0.25) ** 0.5 - 0.5)
+        for _ in range(max(1, min(self._monitor.failing, self._haste, fading))):
+            command = self._slower(state)
+            state.v[:] = command.v
+        state.v[:] = before
+        return command
+
+    def _slower(self, state: State) -> Command:
         if self.can_stop(state):
             return self._stand(state)
         memory, state.memory = state.memory, self._memory
@@ -213,11 +226,12 @@ class Phases:
     """
 
     def __init__(
-        self, given: Scenario, controller: Controller, *, observed: bool, by_time: bool, held: bool
-    ) -> None:
+        self, given: Scenario, controller: Controller, *, observed: bool, by_time: bool, held: bool,
+        haste: int,
+    ) -> None:  # fmt: skip
         self.scenario = self._given = given
         self._controller, self._observed, self._by_time = controller, observed, by_time
-        self._asked, self._held = False, held
+        self._asked, self._held, self._haste = False, held, haste
         self.done: tuple[PhaseRun, ...] = ()
         self.seen: Pose | None = None
         self._unseen: tuple[str, ...] = ()
@@ -253,10 +267,10 @@ class Phases:
         }
         names = {*self.scenario.inputs, HAND_WRENCH, OBJECT_POSE}
         self.arrivals = Arrivals(now.inputs, names, now.since)
-        self.holding = Holding(now.law) if self._controller.commands_torques else None
-        self.braking = self.holding or Braking(now.law)
         known = self.monitor if before else None
         self.monitor: FaultMonitor = FaultMonitor(now.law, known, observed=self._observed)
+        self.holding = Holding(now.law) if self._controller.commands_torques else None
+        self.braking = self.holding or Braking(now.law, self.monitor, self._haste)
 
     def ask(self) -> None:
         if self.now.is_last:

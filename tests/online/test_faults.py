@@ -26,6 +26,7 @@ from coopqp.online import faults as found
 from coopqp.online.faults import REACTIONS, checked_reactions
 from coopqp.online.following import JointFollowing, Suspect
 from coopqp.online.loop import OnlineLoop
+from coopqp.online.phases import acceleration_limits, with_acceleration
 from coopqp.online.simulated import SimulatedRobot
 from coopqp.plant import Disturbance, Fault, Push
 from coopqp.plants import Kinematic, QuasiStatic
@@ -227,7 +228,10 @@ def test_two_swapped_joints_are_named(nao: State) -> None:
 
 @pytest.mark.few(2)
 @needs_robots
-@pytest.mark.parametrize("seed", [6, 7, 36, 37, 40112, 40497, 40536, 40603, 40837, 40991, 41])
+@pytest.mark.parametrize(
+    "seed",
+    [6, 7, 36, 37, 40112, 40497, 40536, 40597, 40603, 40837, 40857, 40991, 220252, 41],
+)
 def test_a_session_with_a_fault_names_it_before_it_hurts(seed: int) -> None:
     """``python -m tests.sessions`` runs a thousand."""
     session = run(seed, sound=False)
@@ -236,10 +240,7 @@ def test_a_session_with_a_fault_names_it_before_it_hurts(seed: int) -> None:
     assert session.stopped
     latest = 0.8 if seed == 40497 else 0.3  # its joint moves by 2 mrad, in noise of 0.9 mrad
     assert session.named < latest + (session.effect if session.effect == session.effect else 9.0)
-    # At 40536 the fault is named 20 ms sooner than it was, at 51 N instead of 80, which grow to 129
-    # instead of 155.
-    most = 135.0 if seed == 40536 else 2.0 * max(session.force_named, EFFECT)
-    assert session.most < most
+    assert session.most < 2.0 * max(session.force_named, EFFECT)
 
 
 @pytest.mark.few(1)
@@ -273,6 +274,40 @@ def test_arms_brake_while_a_joint_is_doubted_and_go_on(
     assert not loop.faults
     assert not loop.stopped
     assert loop.state.t == pytest.approx(before + scenario.dt * (400 if says else 402))
+
+
+@pytest.mark.parametrize("limited", [False, True])
+def test_braking_for_a_joint_that_fails_grows_and_fades_unless_the_scenario_limits_it(
+    limited: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The limit that the loop adds is for comfort; one of the scenario is the robot's own."""
+    scenario = coopqp.load("point_on_point")
+    own = with_acceleration(scenario.limits, scenario.chain, 0.2) if limited else scenario.limits
+    fast = tuple(replace(task, profile=Profile(kind="step")) for task in scenario.tasks)
+    loop, robot = simulated(replace(scenario, limits=own, tasks=fast), reference="commanded")
+    go(loop, robot, 12)
+    monkeypatch.setattr(found.FaultMonitor, "doubt", ("joint_reversed", (), "LElbowYaw moves back"))
+    speeds = [loop.command.v.copy()]
+    while speeds[-1].any():
+        go(loop, robot, 1)
+        speeds.append(loop.command.v.copy())
+    lost = np.abs(np.diff(speeds, axis=0)) / (acceleration_limits(loop.problem) * scenario.dt)
+    brakes = lost.max(axis=1)
+    assert brakes.max() < (1.001 if limited else 3.001)
+    assert limited or brakes.max() > 1.5
+    assert np.diff(brakes, prepend=0.0).max() < 1.001
+
+
+def test_what_the_long_window_doubts_is_not_believed_between_its_looks(nao: State) -> None:
+    """A joint that drifts where none is told to move: too slow for short windows, and no fault."""
+    following, doubts = JointFollowing(nao.chain, DT, LoopObserver(nao.chain, DT)), []
+    j = nao.chain.joint_names.index("LElbowYaw")
+    for k in range(300):
+        off = 5e-3 * DT * k * (np.arange(nao.chain.n) == j)
+        assert following.update(nao, nao.q, nao.q + off) is None
+        doubts.append(following.suspicious)
+    assert any(doubts)
+    assert all(doubts[doubts.index(True) :])
 
 
 @pytest.mark.parametrize("size", [0.01, 0.04])
