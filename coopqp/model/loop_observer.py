@@ -29,7 +29,8 @@ Where a joint may stay behind its servo's command by a dead band, so much of q_m
 
 What is wrong with u then winds up a grip that creeps: it gives way as fast as the gap moves, and
 what is left of e(q_m - u) - e_c stays. So a loop's gap stays, too, where a second at rest has left
-what there was, and another one, until the object moves or something has happened to the hands.
+what there was, and another one, until the object moves or something has happened to the hands; its
+position and its rotation each for itself, since one may be at its bound meanwhile.
 """
 
 from __future__ import annotations
@@ -173,8 +174,9 @@ class LoopObserver:
         self._span = max(1, round(SPAN / dt))
         loops = len(chain.arms) - 1
         # What is left of the loops' errors, summed since a span began, and its mean in the one
-        # before; by loop, how many in succession it has stalled for; ticks since the span began.
-        self._left, self._stalled = np.full((2, 6 * loops), math.nan), np.zeros(loops)
+        # before; how many in succession each loop's position and its rotation have stalled for; ticks
+        # since the span began.
+        self._left, self._stalled = np.full((2, 6 * loops), math.nan), np.zeros(2 * loops)
         self._spent = np.zeros(1)
 
     @cached_property
@@ -250,7 +252,7 @@ class LoopObserver:
         left = _without(measured.loop_error - state.loop_error, along)
         self._look_back(left, rests=rests)
         share = self._share * (SOONER if self._known and state.felt[1] > AFTER else 1.0)
-        learnt = share * left * np.repeat(self._stalled < SPANS, 6)
+        learnt = share * left * np.repeat(self._stalled < SPANS, 3)
         if not began:
             learnt += load * before - opened
         about = state.felt[2:] - opened
@@ -298,7 +300,7 @@ class LoopObserver:
         return load
 
     def _look_back(self, left: Array, *, rests: bool) -> None:
-        """See which loops stall, by what was left of their errors in this span and before."""
+        """See which loops stall, in position and rotation, by what was left of their errors in this span and before."""
         total, before = self._left
         if not rests:
             self._spent[0], total[:], before[:], self._stalled[:] = 0.0, 0.0, math.nan, 0.0
@@ -307,7 +309,7 @@ class LoopObserver:
         self._spent[0] += 1.0
         if self._spent[0] < self._span:
             return
-        mean, was = (x.reshape(-1, 6) * SPEEDS for x in (total / self._span, before))
+        mean, was = ((x.reshape(-1, 6) * SPEEDS).reshape(-1, 3) for x in (total / self._span, before))
         size, change = (was**2).sum(axis=1), mean - was
         stands = (change**2).sum(axis=1) < HAPPENED**2
         stalled = np.abs((change * was).sum(axis=1)) < STALLED * size
@@ -324,7 +326,7 @@ class LoopObserver:
             if size > most:
                 part = slice(i, i + 3)
                 gap[part] = about[part] + most / size * (gap[part] - about[part])
-                self._left[1, part], self._stalled[i // 6] = math.nan, 0.0  # can come no nearer
+                self._left[1, part], self._stalled[i // 3] = math.nan, 0.0  # can come no nearer
                 self._say(i)
 
     def _say(self, row: int) -> None:

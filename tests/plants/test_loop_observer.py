@@ -141,6 +141,13 @@ def test_a_grip_that_creeps_is_not_wound_up_by_servos_of_another_stiffness() -> 
     assert np.linalg.norm(later.gap - state.gap) < 1e-5
 
 
+def test_a_position_stays_while_the_rotation_is_at_its_bound() -> None:
+    law, _, state, _ = run(scenario(weak_wrists(), Observer(most=0.003)), 8.0)
+    _, _, later, _ = run(scenario(weak_wrists(), Observer(most=0.003)), 10.0)
+    assert law.observer.at_bound == ("left",)
+    assert np.linalg.norm((later.gap - state.gap)[:3]) < 1e-5
+
+
 def test_a_gap_that_stays_moves_when_something_happens_to_the_hands() -> None:
     slips = replace(ERRORS, slip=Slip(at=6.0, by=5e-3))
     _, _, state, _ = run(scenario(weak_wrists(), Observer(), slips), 6.0)

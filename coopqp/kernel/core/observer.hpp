@@ -26,7 +26,7 @@ class LoopObserver {
     LoopObserver(const Model& model, Observed given)
         : model_(model), o_(std::move(given)), measured_(model), q_(model.joints.size()), reading_(q_.size()),
           before_(6 * model.arms.size()), opened_(before_.size()), left_(2 * before_.size()),
-          stalled_(model.arms.size()) {}
+          stalled_(2 * model.arms.size()) {}
 
     // Learn from joints measured at `reading` where q is commanded and v was. Its Jacobians are up to
     // date; the gap and what is felt are moved. False where that is Python's: nothing is moved then.
@@ -39,7 +39,7 @@ class LoopObserver {
         std::copy_n(gap, loops, before_.begin());
         std::copy_n(o_.opened, loops, opened_.begin());
         std::copy_n(o_.left, 2 * loops, left_.begin());
-        std::copy_n(o_.stalled, loops / 6, stalled_.begin());
+        std::copy_n(o_.stalled, loops / 3, stalled_.begin());
         spent_ = *o_.spent;
         const bool began = o_.told[2] == 0.0;
         const bool rests = at_rest(v);
@@ -53,7 +53,7 @@ class LoopObserver {
         const double share = o_.share * (o_.known && felt[1] > AFTER ? SOONER : 1.0);
         look_back(there, rests);
         for (std::size_t i = 0; i < closed; i++)
-            gap[i] += share * (measured_.loop_error[i] - there.loop_error[i]) * (o_.stalled[i / 6] < SPANS) +
+            gap[i] += share * (measured_.loop_error[i] - there.loop_error[i]) * (o_.stalled[i / 3] < SPANS) +
                       (began ? 0.0 : load * opened_[i] - load * o_.opened[i]);
         for (std::size_t i = 0; i < closed; i += 3) {
             double away[3];
@@ -79,7 +79,7 @@ class LoopObserver {
         std::copy_n(before_.begin(), 6 * (model_.arms.size() - 1), gap_);
         std::copy_n(opened_.begin(), 6 * (model_.arms.size() - 1), o_.opened);
         std::copy_n(left_.begin(), 12 * (model_.arms.size() - 1), o_.left);
-        std::copy_n(stalled_.begin(), model_.arms.size() - 1, o_.stalled);
+        std::copy_n(stalled_.begin(), 2 * (model_.arms.size() - 1), o_.stalled);
         *o_.spent = spent_;
     }
 
@@ -113,22 +113,22 @@ class LoopObserver {
             *o_.spent = 0.0;
             std::fill_n(total, 6 * loops, 0.0);
             std::fill_n(before, 6 * loops, std::numeric_limits<double>::quiet_NaN());
-            std::fill_n(o_.stalled, loops, 0.0);
+            std::fill_n(o_.stalled, 2 * loops, 0.0);
             return;
         }
         for (std::size_t i = 0; i < 6 * loops; i++)
             total[i] += measured_.loop_error[i] - there.loop_error[i];
         if (++*o_.spent < o_.span) return;
         *o_.spent = 0.0;
-        for (std::size_t loop = 0; loop < loops; loop++) {
+        for (std::size_t half = 0; half < 2 * loops; half++) {
             double size = 0.0, along = 0.0, change = 0.0;
-            for (std::size_t i = 6 * loop; i < 6 * loop + 6; i++) {
-                const double mean = total[i] / o_.span, counts = i % 6 < 3 ? 1.0 : TURN_COUNTS;
+            for (std::size_t i = 3 * half; i < 3 * half + 3; i++) {
+                const double mean = total[i] / o_.span, counts = half % 2 ? TURN_COUNTS : 1.0;
                 const double was = before[i] * counts, by = mean * counts - was;
                 size += was * was, along += by * was, change += by * by;
                 before[i] = mean, total[i] = 0.0;
             }
-            double& spans = o_.stalled[loop];
+            double& spans = o_.stalled[half];
             const bool stalls = spans < SPANS ? std::fabs(along) < STALLED * size
                                               : change < HAPPENED * HAPPENED;
             spans = stalls ? spans + 1.0 : 0.0;
