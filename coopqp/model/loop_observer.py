@@ -174,7 +174,7 @@ class LoopObserver:
         self._span = max(1, round(SPAN / dt))
         loops = len(chain.arms) - 1
         # What is left of the loops' errors, summed since a span began, and its mean in the one
-        # before; how many in succession each loop's position and its rotation have stalled for; ticks
+        # before; how many in succession position and rotation of each loop have stalled for; ticks
         # since the span began.
         self._left, self._stalled = np.full((2, 6 * loops), math.nan), np.zeros(2 * loops)
         self._spent = np.zeros(1)
@@ -300,7 +300,7 @@ class LoopObserver:
         return load
 
     def _look_back(self, left: Array, *, rests: bool) -> None:
-        """See which loops stall, in position and rotation, by what was left of their errors in this span and before."""
+        """See what stalls, by what was left of the loops' errors in this span and before."""
         total, before = self._left
         if not rests:
             self._spent[0], total[:], before[:], self._stalled[:] = 0.0, 0.0, math.nan, 0.0
@@ -309,7 +309,7 @@ class LoopObserver:
         self._spent[0] += 1.0
         if self._spent[0] < self._span:
             return
-        mean, was = ((x.reshape(-1, 6) * SPEEDS).reshape(-1, 3) for x in (total / self._span, before))
+        mean, was = _halves(total / self._span), _halves(before)
         size, change = (was**2).sum(axis=1), mean - was
         stands = (change**2).sum(axis=1) < HAPPENED**2
         stalled = np.abs((change * was).sum(axis=1)) < STALLED * size
@@ -354,6 +354,11 @@ def _shares(points: list[Array]) -> Array:
     moved = [pin.SE3(one, p).toDualActionMatrix() for p in points]
     each = [G @ grips @ G.T for G in moved]
     return np.asarray(np.vstack(each) @ np.linalg.inv(sum(each)), float)
+
+
+def _halves(x: Array) -> Array:
+    """Position and rotation of each loop, shape (2 L, 3); rotations count as their speeds do."""
+    return np.asarray((x.reshape(-1, 6) * SPEEDS).reshape(-1, 3), float)
 
 
 def _without(x: Array, along: Array | None) -> Array:
