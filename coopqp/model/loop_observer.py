@@ -53,6 +53,9 @@ TIME, TICKS = 0.15, 10
 #: So much faster where the object rests on servos of known stiffness: what is left then is of grips
 #: that yield more than the servos do.
 SOONER = 1.5
+#: So much faster at rest where something happens to the hands: two ticks leave more than HAPPENED,
+#: with at least this squared cosine between them, which noise rarely does.
+SOONEST, ALIKE = 3.0, 0.8
 #: Hands that begin farther apart than this do not hold the object as written [m], [rad].
 MOST_POSITION, MOST_ORIENTATION = 30e-3, 100e-3
 #: Most rotation for each metre of ``Observer.most`` [rad/m].
@@ -173,10 +176,10 @@ class LoopObserver:
         self._told = np.array([math.nan, math.inf, 0.0])  # load, doubt, number of ticks
         self._span = max(1, round(SPAN / dt))
         loops = len(chain.arms) - 1
-        # What is left of the loops' errors, summed since a span began, and its mean in the one
-        # before; how many in succession position and rotation of each loop have stalled for; ticks
-        # since the span began.
-        self._left, self._stalled = np.full((2, 6 * loops), math.nan), np.zeros(2 * loops)
+        # What is left of position and rotation of each loop, counted as speeds are: summed since a
+        # span began, its mean in the one before, and the last one; for how many spans in succession
+        # they have stalled; ticks since the span began.
+        self._left, self._stalled = np.full((3, 2 * loops, 3), math.nan), np.zeros(2 * loops)
         self._spent = np.zeros(1)
 
     @cached_property
@@ -250,9 +253,9 @@ class LoopObserver:
         opened = load * self._sag.opened
         measured.update_poses()
         left = _without(measured.loop_error - state.loop_error, along)
-        self._look_back(left, rests=rests)
-        share = self._share * (SOONER if self._known and state.felt[1] > AFTER else 1.0)
-        learnt = share * left * np.repeat(self._stalled < SPANS, 3)
+        halves = (left.reshape(-1, 6) * SPEEDS).reshape(-1, 3)
+        self._look_back(halves, rests=rests)
+        learnt = np.repeat(self._learns(halves, state.felt[1]), 3) * left
         if not began:
             learnt += load * before - opened
         about = state.felt[2:] - opened
@@ -270,7 +273,7 @@ class LoopObserver:
         state.felt[0] = g * self._chain.held.mass if self._known else 0.0
         state.felt[1], state.felt[2:] = 0.0, error
         self._told[2] = 0.0
-        self._look_back(error, rests=False)
+        self._look_back(self._left[2], rests=False)
         self._sag  # noqa: B018 - made now, not in a tick
 
     def _unload(self, state: State, along: Array | None, *, rests: bool) -> float:
@@ -299,9 +302,18 @@ class LoopObserver:
         q -= load * sag.sag
         return load
 
+    def _learns(self, left: Array, rested: float) -> Array:
+        """The shares of what is left of position and rotation of each loop that the gap takes."""
+        last = self._left[2]
+        along, sizes = (left * last).sum(axis=1), (left**2).sum(axis=1) * (last**2).sum(axis=1)
+        last[:] = left
+        happens = (along > HAPPENED**2) & (along**2 > ALIKE * sizes) & (rested > AFTER)
+        sooner = SOONER if self._known and rested > AFTER else 1.0
+        return self._share * np.where(happens, SOONEST, sooner) * (self._stalled < SPANS)
+
     def _look_back(self, left: Array, *, rests: bool) -> None:
-        """See what stalls, by what was left of the loops' errors in this span and before."""
-        total, before = self._left
+        """See what stalls, by what was left of it in this span and before."""
+        total, before, _ = self._left
         if not rests:
             self._spent[0], total[:], before[:], self._stalled[:] = 0.0, 0.0, math.nan, 0.0
             return
@@ -309,13 +321,13 @@ class LoopObserver:
         self._spent[0] += 1.0
         if self._spent[0] < self._span:
             return
-        mean, was = _halves(total / self._span), _halves(before)
-        size, change = (was**2).sum(axis=1), mean - was
+        mean = total / self._span
+        size, change = (before**2).sum(axis=1), mean - before
         stands = (change**2).sum(axis=1) < HAPPENED**2
-        stalled = np.abs((change * was).sum(axis=1)) < STALLED * size
+        stalled = np.abs((change * before).sum(axis=1)) < STALLED * size
         stalled = np.where(self._stalled < SPANS, stalled, stands)
         self._stalled[:] = np.where(stalled, self._stalled + 1.0, 0.0)
-        self._spent[0], before[:], total[:] = 0.0, total / self._span, 0.0
+        self._spent[0], before[:], total[:] = 0.0, mean, 0.0
 
     def _learn(self, gap: Array, learnt: Array, about: Array) -> None:
         """Move the gap, at most as far ``about`` a value as a model's error changes."""
@@ -326,7 +338,7 @@ class LoopObserver:
             if size > most:
                 part = slice(i, i + 3)
                 gap[part] = about[part] + most / size * (gap[part] - about[part])
-                self._left[1, part], self._stalled[i // 3] = math.nan, 0.0  # can come no nearer
+                self._left[1, i // 3], self._stalled[i // 3] = math.nan, 0.0  # can come no nearer
                 self._say(i)
 
     def _say(self, row: int) -> None:
@@ -354,11 +366,6 @@ def _shares(points: list[Array]) -> Array:
     moved = [pin.SE3(one, p).toDualActionMatrix() for p in points]
     each = [G @ grips @ G.T for G in moved]
     return np.asarray(np.vstack(each) @ np.linalg.inv(sum(each)), float)
-
-
-def _halves(x: Array) -> Array:
-    """Position and rotation of each loop, shape (2 L, 3); rotations count as their speeds do."""
-    return np.asarray((x.reshape(-1, 6) * SPEEDS).reshape(-1, 3), float)
 
 
 def _without(x: Array, along: Array | None) -> Array:
