@@ -53,9 +53,9 @@ TIME, TICKS = 0.15, 10
 #: So much faster where the object rests on servos of known stiffness: what is left then is of grips
 #: that yield more than the servos do.
 SOONER = 1.5
-#: So much faster at rest where something happens to the hands: two ticks leave more than HAPPENED,
-#: with at least this squared cosine between them, which noise rarely does.
-SOONEST, ALIKE = 3.0, 0.8
+#: So much faster at rest where something happens to the hands: the product of what two ticks leave
+#: is above HAPPENED squared, and so many times the variance between ticks.
+SOONEST, LOUDER = 3.0, 5.0
 #: Hands that begin farther apart than this do not hold the object as written [m], [rad].
 MOST_POSITION, MOST_ORIENTATION = 30e-3, 100e-3
 #: Most rotation for each metre of ``Observer.most`` [rad/m].
@@ -178,8 +178,9 @@ class LoopObserver:
         loops = len(chain.arms) - 1
         # What is left of position and rotation of each loop, counted as speeds are: summed since a
         # span began, its mean in the one before, and the last one; for how many spans in succession
-        # they have stalled; ticks since the span began.
-        self._left, self._stalled = np.full((3, 2 * loops, 3), math.nan), np.zeros(2 * loops)
+        # they have stalled, and their noise's variance; ticks since the span began.
+        self._left, self._halves = np.zeros((3, 2 * loops, 3)), np.zeros((2, 2 * loops))
+        self._stalled, self._noise = self._halves
         self._spent = np.zeros(1)
 
     @cached_property
@@ -204,7 +205,7 @@ class LoopObserver:
     def flat(self) -> dict[str, Any]:
         """Numbers, and arrays that the kernel writes where it does an :meth:`update` itself."""
         own = {"told": self._told, "dt": self._dt, "share": self._share, "every": self._every}
-        own |= {"left": self._left, "stalled": self._stalled}
+        own |= {"left": self._left, "stalled": self._halves}
         own |= {"spent": self._spent, "span": self._span, "band": self._band}
         return {**vars(self._sag), **own, "most": np.array(self._most), "known": self._known}
 
@@ -305,9 +306,10 @@ class LoopObserver:
     def _learns(self, left: Array, rested: float) -> Array:
         """The shares of what is left of position and rotation of each loop that the gap takes."""
         last = self._left[2]
-        along, sizes = (left * last).sum(axis=1), (left**2).sum(axis=1) * (last**2).sum(axis=1)
+        along, apart = (left * last).sum(axis=1), ((left - last) ** 2).sum(axis=1)
+        self._noise += self._share * (0.5 * apart - self._noise)
         last[:] = left
-        happens = (along > HAPPENED**2) & (along**2 > ALIKE * sizes) & (rested > AFTER)
+        happens = (along > np.maximum(HAPPENED**2, LOUDER * self._noise)) & (rested > AFTER)
         sooner = SOONER if self._known and rested > AFTER else 1.0
         return self._share * np.where(happens, SOONEST, sooner) * (self._stalled < SPANS)
 

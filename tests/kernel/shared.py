@@ -48,7 +48,7 @@ CONSTANTS: Mapping[object, Mapping[str, str]] = {
         **{
             name: name
             for name in (
-                "AFTER", "SOONER", "SOONEST", "ALIKE", "FEELS", "SLIGHT", "MOVES", "REST",
+                "AFTER", "SOONER", "SOONEST", "LOUDER", "FEELS", "SLIGHT", "MOVES", "REST",
                 "TURN_COUNTS", "STALLED", "SPANS", "HAPPENED",
             )
         },

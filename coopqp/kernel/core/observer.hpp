@@ -26,7 +26,7 @@ class LoopObserver {
     LoopObserver(const Model& model, Observed given)
         : model_(model), o_(std::move(given)), measured_(model), q_(model.joints.size()), reading_(q_.size()),
           before_(6 * model.arms.size()), opened_(before_.size()), left_(3 * before_.size()),
-          stalled_(2 * model.arms.size()) {}
+          stalled_(4 * model.arms.size()) {}
 
     // Learn from joints measured at `reading` where q is commanded and v was. Its Jacobians are up to
     // date; the gap and what is felt are moved. False where that is Python's: nothing is moved then.
@@ -39,7 +39,7 @@ class LoopObserver {
         std::copy_n(gap, loops, before_.begin());
         std::copy_n(o_.opened, loops, opened_.begin());
         std::copy_n(o_.left, 3 * loops, left_.begin());
-        std::copy_n(o_.stalled, loops / 3, stalled_.begin());
+        std::copy_n(o_.stalled, 2 * loops / 3, stalled_.begin());
         spent_ = *o_.spent;
         const bool began = o_.told[2] == 0.0;
         const bool rests = at_rest(v);
@@ -81,7 +81,7 @@ class LoopObserver {
         std::copy_n(before_.begin(), 6 * (model_.arms.size() - 1), gap_);
         std::copy_n(opened_.begin(), 6 * (model_.arms.size() - 1), o_.opened);
         std::copy_n(left_.begin(), 18 * (model_.arms.size() - 1), o_.left);
-        std::copy_n(stalled_.begin(), 2 * (model_.arms.size() - 1), o_.stalled);
+        std::copy_n(stalled_.begin(), 4 * (model_.arms.size() - 1), o_.stalled);
         *o_.spent = spent_;
     }
 
@@ -114,14 +114,16 @@ class LoopObserver {
 
     // As LoopObserver._learns, of three values from i on.
     double learns(const Kinematics& there, std::size_t i, double rested) {
-        double* last = o_.left + 12 * (model_.arms.size() - 1);
-        double along = 0.0, size = 0.0, before = 0.0;
+        const std::size_t loops = model_.arms.size() - 1;
+        double *last = o_.left + 12 * loops, &noise = o_.stalled[2 * loops + i / 3];
+        double along = 0.0, apart = 0.0;
         for (std::size_t r = i; r < i + 3; r++) {
-            const double now = left(there, r), was = last[r];
-            along += now * was, size += now * now, before += was * was;
+            const double now = left(there, r), by = now - last[r];
+            along += now * last[r], apart += by * by;
             last[r] = now;
         }
-        const bool happens = along > HAPPENED * HAPPENED && along * along > ALIKE * (size * before);
+        noise += o_.share * (0.5 * apart - noise);
+        const bool happens = along > std::max(HAPPENED * HAPPENED, LOUDER * noise);
         const double faster = happens ? SOONEST : o_.known ? SOONER : 1.0;
         return o_.share * (rested > AFTER ? faster : 1.0);
     }
