@@ -29,7 +29,8 @@ Where a joint may stay behind its servo's command by a dead band, so much of q_m
 
 What is wrong with u then winds up a grip that creeps: it gives way as fast as the gap moves, and
 what is left of e(q_m - u) - e_c stays. So a loop's gap stays, too, where a second at rest has left
-what there was, and another one, until the object moves or something has happened to the hands.
+what there was, and another one, until the object moves or something has happened to the hands; its
+position and its rotation each for itself, since one may be at its bound meanwhile.
 """
 
 from __future__ import annotations
@@ -52,6 +53,9 @@ TIME, TICKS = 0.15, 10
 #: So much faster where the object rests on servos of known stiffness: what is left then is of grips
 #: that yield more than the servos do.
 SOONER = 1.5
+#: So much faster at rest where something happens to the hands: the product of what two ticks leave
+#: is above HAPPENED squared, and so many times the variance between ticks.
+SOONEST, LOUDER = 3.0, 5.0
 #: Hands that begin farther apart than this do not hold the object as written [m], [rad].
 MOST_POSITION, MOST_ORIENTATION = 30e-3, 100e-3
 #: Most rotation for each metre of ``Observer.most`` [rad/m].
@@ -172,9 +176,11 @@ class LoopObserver:
         self._told = np.array([math.nan, math.inf, 0.0])  # load, doubt, number of ticks
         self._span = max(1, round(SPAN / dt))
         loops = len(chain.arms) - 1
-        # What is left of the loops' errors, summed since a span began, and its mean in the one
-        # before; by loop, how many in succession it has stalled for; ticks since the span began.
-        self._left, self._stalled = np.full((2, 6 * loops), math.nan), np.zeros(loops)
+        # What is left of position and rotation of each loop, counted as speeds are: summed since a
+        # span began, its mean in the one before, and the last one; for how many spans in succession
+        # they have stalled, and their noise's variance; ticks since the span began.
+        self._left, self._halves = np.zeros((3, 2 * loops, 3)), np.zeros((2, 2 * loops))
+        self._stalled, self._noise = self._halves
         self._spent = np.zeros(1)
 
     @cached_property
@@ -199,7 +205,7 @@ class LoopObserver:
     def flat(self) -> dict[str, Any]:
         """Numbers, and arrays that the kernel writes where it does an :meth:`update` itself."""
         own = {"told": self._told, "dt": self._dt, "share": self._share, "every": self._every}
-        own |= {"left": self._left, "stalled": self._stalled}
+        own |= {"left": self._left, "stalled": self._halves}
         own |= {"spent": self._spent, "span": self._span, "band": self._band}
         return {**vars(self._sag), **own, "most": np.array(self._most), "known": self._known}
 
@@ -248,9 +254,9 @@ class LoopObserver:
         opened = load * self._sag.opened
         measured.update_poses()
         left = _without(measured.loop_error - state.loop_error, along)
-        self._look_back(left, rests=rests)
-        share = self._share * (SOONER if self._known and state.felt[1] > AFTER else 1.0)
-        learnt = share * left * np.repeat(self._stalled < SPANS, 6)
+        halves = (left.reshape(-1, 6) * SPEEDS).reshape(-1, 3)
+        self._look_back(halves, rests=rests)
+        learnt = np.repeat(self._learns(halves, state.felt[1]), 3) * left
         if not began:
             learnt += load * before - opened
         about = state.felt[2:] - opened
@@ -268,7 +274,7 @@ class LoopObserver:
         state.felt[0] = g * self._chain.held.mass if self._known else 0.0
         state.felt[1], state.felt[2:] = 0.0, error
         self._told[2] = 0.0
-        self._look_back(error, rests=False)
+        self._look_back(self._left[2], rests=False)
         self._sag  # noqa: B018 - made now, not in a tick
 
     def _unload(self, state: State, along: Array | None, *, rests: bool) -> float:
@@ -297,9 +303,19 @@ class LoopObserver:
         q -= load * sag.sag
         return load
 
+    def _learns(self, left: Array, rested: float) -> Array:
+        """The shares of what is left of position and rotation of each loop that the gap takes."""
+        last = self._left[2]
+        along, apart = (left * last).sum(axis=1), ((left - last) ** 2).sum(axis=1)
+        self._noise += self._share * (0.5 * apart - self._noise)
+        last[:] = left
+        happens = (along > np.maximum(HAPPENED**2, LOUDER * self._noise)) & (rested > AFTER)
+        sooner = SOONER if self._known and rested > AFTER else 1.0
+        return self._share * np.where(happens, SOONEST, sooner) * (self._stalled < SPANS)
+
     def _look_back(self, left: Array, *, rests: bool) -> None:
-        """See which loops stall, by what was left of their errors in this span and before."""
-        total, before = self._left
+        """See what stalls, by what was left of it in this span and before."""
+        total, before, _ = self._left
         if not rests:
             self._spent[0], total[:], before[:], self._stalled[:] = 0.0, 0.0, math.nan, 0.0
             return
@@ -307,13 +323,13 @@ class LoopObserver:
         self._spent[0] += 1.0
         if self._spent[0] < self._span:
             return
-        mean, was = (x.reshape(-1, 6) * SPEEDS for x in (total / self._span, before))
-        size, change = (was**2).sum(axis=1), mean - was
+        mean = total / self._span
+        size, change = (before**2).sum(axis=1), mean - before
         stands = (change**2).sum(axis=1) < HAPPENED**2
-        stalled = np.abs((change * was).sum(axis=1)) < STALLED * size
+        stalled = np.abs((change * before).sum(axis=1)) < STALLED * size
         stalled = np.where(self._stalled < SPANS, stalled, stands)
         self._stalled[:] = np.where(stalled, self._stalled + 1.0, 0.0)
-        self._spent[0], before[:], total[:] = 0.0, total / self._span, 0.0
+        self._spent[0], before[:], total[:] = 0.0, mean, 0.0
 
     def _learn(self, gap: Array, learnt: Array, about: Array) -> None:
         """Move the gap, at most as far ``about`` a value as a model's error changes."""
@@ -324,7 +340,7 @@ class LoopObserver:
             if size > most:
                 part = slice(i, i + 3)
                 gap[part] = about[part] + most / size * (gap[part] - about[part])
-                self._left[1, part], self._stalled[i // 6] = math.nan, 0.0  # can come no nearer
+                self._left[1, i // 3], self._stalled[i // 3] = math.nan, 0.0  # can come no nearer
                 self._say(i)
 
     def _say(self, row: int) -> None:

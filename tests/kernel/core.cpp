@@ -264,7 +264,7 @@ int garbage(Random& random, Case& c) {
 int wrong_observer(Random& random, Case& c) {
     const std::size_t n = c.owner.q.size(), loops = c.owner.gap.size(), arms = loops / 6 + 1;
     std::vector<double> sag(n), torque(n), opened(loops), told(3), felt(2 + loops), compliance(n),
-        at_origin(18 * arms), left(2 * loops), stalled(loops / 6);
+        at_origin(18 * arms), left(3 * loops), stalled(2 * loops / 3);
     double spent = 0.0;
     for (double& x : compliance) x = uniform(random, 0.0, 0.02);
     for (double& x : at_origin) x = uniform(random, -1.0, 1.0);

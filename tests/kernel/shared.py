@@ -49,8 +49,8 @@ CONSTANTS: Mapping[object, Mapping[str, str]] = {
         **{
             name: name
             for name in (
-                "AFTER", "SOONER", "FEELS", "SLIGHT", "MOVES", "REST", "TURN_COUNTS", "STALLED",
-                "SPANS", "HAPPENED",
+                "AFTER", "SOONER", "SOONEST", "LOUDER", "FEELS", "SLIGHT", "MOVES", "REST",
+                "TURN_COUNTS", "STALLED", "SPANS", "HAPPENED",
             )
         },
         "FARTHEST": "FARTHEST", "SHAPED": "SHAPED", "DOUBT": "DOUBT", "TINY": "SAG_ROUNDING",

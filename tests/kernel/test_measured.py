@@ -44,7 +44,7 @@ def told(one: Law, state: State) -> np.ndarray:
     return np.concatenate([
         one.command.v, state.gap, state.felt, state.drift, state.loop_error, state.p_WO,
         [one.observer.load, one.observer.doubt, one.command.scale, one.command.drift],
-        one.observer.flat()["stalled"],
+        *one.observer.flat()["stalled"],
     ])  # fmt: skip
 
 

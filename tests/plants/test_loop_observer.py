@@ -17,6 +17,7 @@ from coopqp.base.errors import UnknownNameError
 from coopqp.closed_loop.hands import hands, points
 from coopqp.controller import Law
 from coopqp.controllers import QPController
+from coopqp.model import loop_observer
 from coopqp.model.loop_observer import LoopObserver, Observer, WeightSag
 from coopqp.model.state import State
 from coopqp.plant import Disturbance, PlantModel, Slip
@@ -141,12 +142,38 @@ def test_a_grip_that_creeps_is_not_wound_up_by_servos_of_another_stiffness() -> 
     assert np.linalg.norm(later.gap - state.gap) < 1e-5
 
 
+def test_a_position_stays_while_the_rotation_is_at_its_bound() -> None:
+    law, _, state, _ = run(scenario(weak_wrists(), Observer(most=0.003)), 8.0)
+    _, _, later, _ = run(scenario(weak_wrists(), Observer(most=0.003)), 10.0)
+    assert law.observer.at_bound == ("left",)
+    assert np.linalg.norm((later.gap - state.gap)[:3]) < 1e-5
+
+
 def test_a_gap_that_stays_moves_when_something_happens_to_the_hands() -> None:
     slips = replace(ERRORS, slip=Slip(at=6.0, by=5e-3))
     _, _, state, _ = run(scenario(weak_wrists(), Observer(), slips), 6.0)
     _, _, later, force = run(scenario(weak_wrists(), Observer(), slips), 9.0)
     assert np.linalg.norm((later.gap - state.gap)[:3]) > 1e-3
     assert np.mean(force[-50:]) < 0.1 * max(force[600:])
+
+
+@pytest.mark.parametrize("observer", [KNOWN, Observer()], ids=["known", "felt"])
+def test_what_happens_to_hands_at_rest_is_followed_sooner(
+    observer: Observer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    slips = replace(ERRORS, slip=Slip(at=3.0, by=5e-3))
+    *_, force = run(scenario(FIRM, observer, slips), 3.5)
+    monkeypatch.setattr(loop_observer, "SOONEST", 1.0)
+    *_, later = run(scenario(FIRM, observer, slips), 3.5, "python")
+    assert max(force[300:]) < 0.9 * max(later[300:])
+
+
+def test_noise_is_not_followed_sooner() -> None:
+    noisy = replace(ERRORS, noise_position=2e-3)
+    law, _, state, _ = run(scenario(FIRM, KNOWN, noisy), 3.0)
+    share, rng = law.observer._share, np.random.default_rng(0)
+    sooner = [law.observer._learns(rng.normal(size=(2, 3)), state.felt[1]) for _ in range(1000)]
+    assert np.mean(np.array(sooner[30:]) > 1.01 * loop_observer.SOONER * share) < 0.002
 
 
 def test_an_observer_of_the_sag_alone_pulls(monkeypatch: pytest.MonkeyPatch) -> None:

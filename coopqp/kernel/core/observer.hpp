@@ -17,7 +17,7 @@ struct Observed {
     int every;   // ticks between two looks at the sag
     bool known;  // the stiffness of the servos
     double *sag, *torque, *opened, *told;  // told: load, doubt, ticks
-    double *left, *stalled, *spent, span;  // as LoopObserver._look_back has them
+    double *left, *stalled, *spent, span;  // as LoopObserver._look_back and _learns have them
     double band;                           // by which a joint may stay on either side of its command
 };
 
@@ -25,8 +25,8 @@ class LoopObserver {
   public:
     LoopObserver(const Model& model, Observed given)
         : model_(model), o_(std::move(given)), measured_(model), q_(model.joints.size()), reading_(q_.size()),
-          before_(6 * model.arms.size()), opened_(before_.size()), left_(2 * before_.size()),
-          stalled_(model.arms.size()) {}
+          before_(6 * model.arms.size()), opened_(before_.size()), left_(3 * before_.size()),
+          stalled_(4 * model.arms.size()) {}
 
     // Learn from joints measured at `reading` where q is commanded and v was. Its Jacobians are up to
     // date; the gap and what is felt are moved. False where that is Python's: nothing is moved then.
@@ -38,8 +38,8 @@ class LoopObserver {
         std::copy_n(felt, 2, felt_);
         std::copy_n(gap, loops, before_.begin());
         std::copy_n(o_.opened, loops, opened_.begin());
-        std::copy_n(o_.left, 2 * loops, left_.begin());
-        std::copy_n(o_.stalled, loops / 6, stalled_.begin());
+        std::copy_n(o_.left, 3 * loops, left_.begin());
+        std::copy_n(o_.stalled, 2 * loops / 3, stalled_.begin());
         spent_ = *o_.spent;
         const bool began = o_.told[2] == 0.0;
         const bool rests = at_rest(v);
@@ -50,11 +50,13 @@ class LoopObserver {
         all_felt_ = felt;
         moved_ = true;
         const std::size_t closed = 6 * std::size_t(std::max(model_.loops(), 0));
-        const double share = o_.share * (o_.known && felt[1] > AFTER ? SOONER : 1.0);
         look_back(there, rests);
-        for (std::size_t i = 0; i < closed; i++)
-            gap[i] += share * (measured_.loop_error[i] - there.loop_error[i]) * (o_.stalled[i / 6] < SPANS) +
-                      (began ? 0.0 : load * opened_[i] - load * o_.opened[i]);
+        for (std::size_t i = 0; i < loops; i += 3) {
+            const double share = learns(there, i, felt[1]) * (o_.stalled[i / 3] < SPANS);
+            for (std::size_t r = i; i < closed && r < i + 3; r++)
+                gap[r] += share * (measured_.loop_error[r] - there.loop_error[r]) +
+                          (began ? 0.0 : load * opened_[r] - load * o_.opened[r]);
+        }
         for (std::size_t i = 0; i < closed; i += 3) {
             double away[3];
             for (std::size_t r = 0; r < 3; r++)
@@ -78,8 +80,8 @@ class LoopObserver {
         std::copy_n(felt_, 2, all_felt_);
         std::copy_n(before_.begin(), 6 * (model_.arms.size() - 1), gap_);
         std::copy_n(opened_.begin(), 6 * (model_.arms.size() - 1), o_.opened);
-        std::copy_n(left_.begin(), 12 * (model_.arms.size() - 1), o_.left);
-        std::copy_n(stalled_.begin(), model_.arms.size() - 1, o_.stalled);
+        std::copy_n(left_.begin(), 18 * (model_.arms.size() - 1), o_.left);
+        std::copy_n(stalled_.begin(), 4 * (model_.arms.size() - 1), o_.stalled);
         *o_.spent = spent_;
     }
 
@@ -105,6 +107,27 @@ class LoopObserver {
         return load;
     }
 
+    // What is left of a loop's error, a rotation as it counts.
+    double left(const Kinematics& there, std::size_t i) const {
+        return (measured_.loop_error[i] - there.loop_error[i]) * (i % 6 < 3 ? 1.0 : TURN_COUNTS);
+    }
+
+    // As LoopObserver._learns, of three values from i on.
+    double learns(const Kinematics& there, std::size_t i, double rested) {
+        const std::size_t loops = model_.arms.size() - 1;
+        double *last = o_.left + 12 * loops, &noise = o_.stalled[2 * loops + i / 3];
+        double along = 0.0, apart = 0.0;
+        for (std::size_t r = i; r < i + 3; r++) {
+            const double now = left(there, r), by = now - last[r];
+            along += now * last[r], apart += by * by;
+            last[r] = now;
+        }
+        noise += o_.share * (0.5 * apart - noise);
+        const bool happens = along > std::max(HAPPENED * HAPPENED, LOUDER * noise);
+        const double faster = happens ? SOONEST : o_.known ? SOONER : 1.0;
+        return o_.share * (rested > AFTER ? faster : 1.0);
+    }
+
     // As LoopObserver._look_back, of loop errors as measured and there.
     void look_back(const Kinematics& there, bool rests) {
         const std::size_t loops = model_.arms.size() - 1;
@@ -113,22 +136,20 @@ class LoopObserver {
             *o_.spent = 0.0;
             std::fill_n(total, 6 * loops, 0.0);
             std::fill_n(before, 6 * loops, std::numeric_limits<double>::quiet_NaN());
-            std::fill_n(o_.stalled, loops, 0.0);
+            std::fill_n(o_.stalled, 2 * loops, 0.0);
             return;
         }
-        for (std::size_t i = 0; i < 6 * loops; i++)
-            total[i] += measured_.loop_error[i] - there.loop_error[i];
+        for (std::size_t i = 0; i < 6 * loops; i++) total[i] += left(there, i);
         if (++*o_.spent < o_.span) return;
         *o_.spent = 0.0;
-        for (std::size_t loop = 0; loop < loops; loop++) {
+        for (std::size_t half = 0; half < 2 * loops; half++) {
             double size = 0.0, along = 0.0, change = 0.0;
-            for (std::size_t i = 6 * loop; i < 6 * loop + 6; i++) {
-                const double mean = total[i] / o_.span, counts = i % 6 < 3 ? 1.0 : TURN_COUNTS;
-                const double was = before[i] * counts, by = mean * counts - was;
+            for (std::size_t i = 3 * half; i < 3 * half + 3; i++) {
+                const double mean = total[i] / o_.span, was = before[i], by = mean - was;
                 size += was * was, along += by * was, change += by * by;
                 before[i] = mean, total[i] = 0.0;
             }
-            double& spans = o_.stalled[loop];
+            double& spans = o_.stalled[half];
             const bool stalls = spans < SPANS ? std::fabs(along) < STALLED * size
                                               : change < HAPPENED * HAPPENED;
             spans = stalls ? spans + 1.0 : 0.0;

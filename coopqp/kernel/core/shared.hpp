@@ -70,6 +70,8 @@ constexpr double CONE = 0.02;
 // coopqp.model.loop_observer
 constexpr double AFTER = 0.2;
 constexpr double SOONER = 1.5;
+constexpr double SOONEST = 3.0;
+constexpr double LOUDER = 5.0;
 constexpr double FEELS = 0.3;
 constexpr double SLIGHT = 0.0002;
 constexpr double MOVES = 0.5;
