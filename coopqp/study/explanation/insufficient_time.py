@@ -7,7 +7,7 @@ A velocity has no goal to search for. At the last tick
     limits, speed   by the multipliers of the ticks, as in :mod:`coopqp.study.explanation.tick`
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -29,8 +29,15 @@ from coopqp.study.explanation.explained_phase import (
     with_suggestion,
 )
 from coopqp.study.explanation.goal import Goal, PartOfTask, Place, Room, Share, least_relaxation
-from coopqp.study.explanation.tick import PhaseTicks, contradicting_rows, held_up, speed_share
+from coopqp.study.explanation.tick import (
+    PhaseTicks,
+    contradicting_rows,
+    held_up,
+    relaxed,
+    speed_share,
+)
 from coopqp.study.explanation.words import RunExplanation
+from coopqp.task import Task, level_of
 
 #: The loop budget is what slows where more than MANY of the LAST ticks were cut for it.
 LAST, MANY = 20, 5
@@ -38,6 +45,8 @@ LAST, MANY = 20, 5
 MOSTLY = 0.5
 #: An error that fell by less than this share in the longer run does not fall any more.
 FALLS = 0.1
+#: How many times as long profiles are tried.
+SLOWER = (2.0, 4.0)
 #: A spring that bears less than this share of the strongest is not told of.
 WORTH_TELLING = 0.02
 
@@ -50,9 +59,8 @@ def explain(
     if goal.miss <= 1.0:
         sentence = "by its model it has arrived; the rest is what the model gets wrong"
         return base.because("model", sentence)
-    if phase.causes[-1][0] is Status.INFEASIBLE:
-        sentence = f"{phase.stands_still}: not all could hold in them; --tick says what"
-        return base.because("failed", sentence)
+    if standing := stands(phase, blocked=False):
+        return base.because("failed", standing)
     cut = {Status.STEP_SHORTENED, Status.LOOP_BUDGET}
     if sum(bool(cut & set(causes)) for causes in phase.causes[-LAST:]) > MANY:
         return _budget(phase, base)
@@ -74,6 +82,46 @@ def explain(
         at = tuple(place.q.tolist())
         return base.because("rest", _rests(phase, place, held), held, tried=False, elsewhere=at)
     return _too_short(phase, goal, after, held, base, slow=slow)
+
+
+def stands(phase: ExplainedPhase, *, blocked: bool) -> str:
+    """Of a phase that ends at rest as not all can hold: why, and what would do; else empty."""
+    if phase.causes[-1][0] is not Status.INFEASIBLE:
+        return ""
+    asked = phase.problem.on_infeasible
+    if asked == "scale":
+        return f"{phase.stands_still}: not all could hold in them; --tick says what"
+    after = rerun(phase, longer=True, on_infeasible="scale")
+    lacking = [task.task for task in relaxed([after])]
+    who = words.listed([f"'{name}'" for name in lacking]) or "loops and limits"
+    text = f"{phase.stands_still}, as on_infeasible is {asked} and {who} cannot be met in full"
+    ways = [("on_infeasible: scale", after), *(() if blocked else _calmer(phase, lacking))]
+    times = [(way, arrival(done.goal(), done)) for way, done in ways if not done.missed]
+    if times:
+        would = " or ".join(f"{way} (in {time:.3g} s)" for way, time in times)
+        return f"{text}; with {would} the goal is reached (tried)"
+    return f"{text}; with on_infeasible: scale {words.stops_short(*after.missed[0])} (tried)"
+
+
+def _calmer(phase: ExplainedPhase, names: Sequence[str]) -> Iterator[tuple[str, ExplainedPhase]]:
+    """Runs in which some hard tasks ask for less speed, and how."""
+    tasks = phase.scenario.schedule[phase.index].tasks
+    scaled = [replace(task, mode="scaled") if task.name in names else task for task in tasks]
+    asked = replace(phase, level=max(phase.missed[0][0].task.level, level_of("scaled", 0)))
+    yield "mode: scaled", rerun(asked, longer=True, tasks=scaled)
+    for times in SLOWER:
+        slow = [_slower(task, times) if task.name in names else task for task in tasks]
+        after = rerun(phase, longer=True, tasks=slow)
+        yield f"profile.duration times {times:g}", after
+        if not after.missed:
+            return
+
+
+def _slower(task: Task, times: float) -> Task:
+    if task.way is None:
+        return task
+    changed: dict[str, Any] = {"profile": replace(task.way, duration=times * task.way.duration)}
+    return replace(task, **changed)
 
 
 def _too_short(
@@ -282,7 +330,7 @@ def contradicting(phase: ExplainedPhase) -> tuple[str, ...]:
     look.look(len(phase.v) - 1)
     stack, loops = look.stack, look.state.J_loop
     free = {task.name for task in stack.tasks if not task.joint_space}
-    own = [i for i, row in enumerate(stack.rows) if row.owner in free]
+    own = [i for i in look.counted if stack.rows[i].owner in free]
     wanted, owners = stack.wanted[own], [stack.rows[i].owner for i in own]
     allowed = np.full(len(own), SOLVED * np.linalg.norm(wanted))
     return contradicting_rows(

@@ -80,7 +80,8 @@ def _explained(
     found: Assessment, phases: Sequence[ExplainedPhase], phase: ExplainedPhase, report: Report
 ) -> RunExplanation:
     missed = tuple(
-        MissedPart(task=part.name, error=error, unit=part.part.unit) for part, error in phase.missed
+        MissedPart(task=part.name, error=error, unit=part.part.unit)
+        for part, error in (*phase.missed, *phase.gave_way)
     )
     last = phase.first + len(phase.v) - 1
     base = RunExplanation(controller=phase.name, phase=phase.phase_name, tick=last, missed=missed)
@@ -104,11 +105,13 @@ def _explained(
     if not phase.missed:
         return _kept(found, phases, violated, replace(base, relaxed=given_up))
     answer = _blocked(phase, replace(stops, relaxed=given_up), report)
+    standing = "" if answer.kind == "failed" else insufficient_time.stands(phase, blocked=True)
     names = found.at_limits(found.tasks.index(found.missed[0]))
     ends = f"it ends with {listed_limits(names)} at the limit"
     said = all(name in answer.sentence for name in names)
     relaxed_tasks = (task.words for task in given_up)
-    clauses = (*_gave_way(phase, answer), *relaxed_tasks, "" if said else ends, *violated)
+    gave_way = _gave_way(phase, answer)
+    clauses = (standing, *gave_way, *relaxed_tasks, "" if said else ends, *violated)
     return _sentence(answer, answer.sentence, *clauses)
 
 
@@ -118,7 +121,7 @@ def _gave_way(phase: ExplainedPhase, answer: RunExplanation) -> Iterator[str]:
     for part, error in phase.gave_way:
         if part.task.name in answer.tasks:
             continue
-        alone = [task for task in goal.tasks if task is part.task]
+        alone = placed([part.task], goal.chain)
         free = alone and Search(goal.only(alone), phase.room).best(phase.q[-1]).reached
         far = words.size(error, part.part.unit)
         because = " because of that" if free else ""
@@ -166,7 +169,7 @@ def _blocked(phase: ExplainedPhase, base: RunExplanation, report: Report) -> Run
         return base.because("way", why)
     if not places:
         return base.because("unplaced", "it asks for no place")
-    goal, found = _diagnosed(phase, goal)
+    found = diagnosis.diagnose(goal, phase.room, phase.q[-1])
     report(0.4)
     if isinstance(found, diagnosis.NotBlocked):
         if velocities:
@@ -180,19 +183,6 @@ def _blocked(phase: ExplainedPhase, base: RunExplanation, report: Report) -> Run
             base = replace(base, elsewhere=tuple(other.q.tolist()))
         return with_suggestion(base, found.shares, suggestion, *more)
     return _by_geometry(phase, found, base)
-
-
-def _diagnosed(phase: ExplainedPhase, goal: Goal) -> tuple[Goal, diagnosis.Diagnosis]:
-    """Of hard and scaled tasks alone where geometry keeps these already from their goals."""
-    modes = {part.task.mode for part, _ in phase.missed} if phase.ordered else {"soft"}
-    first_modes = {"hard"} if "hard" in modes else {"hard", "scaled"}
-    first = [task for task in goal.tasks if task.mode in first_modes]
-    if first and modes != {"soft"}:
-        before = goal.only(first)
-        found = diagnosis.diagnose(before, phase.room, phase.q[-1])
-        if not isinstance(found, diagnosis.NotBlocked):
-            return before, found
-    return goal, diagnosis.diagnose(goal, phase.room, phase.q[-1])
 
 
 def _by_geometry(
