@@ -281,7 +281,7 @@ def test_a_run_follows_the_plan_and_reaches_what_no_law_does_alone(
     compared = coopqp.compare(shelves, controllers=["qp"])
     alone = compared.traces["qp"]
     assert not assess(alone).reached
-    assert "at the limit; 'coopqp plan' looks for a way round" in compared.verdicts["qp"]
+    assert "at the limit; 'coopqp explain' says why" in compared.verdicts["qp"]
     _check_way_round(shelves, explain_run(shelves, alone))
     _, path = write_plan(way, shelves, tmp_path)
     scenario = load(path)
