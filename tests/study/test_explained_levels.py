@@ -192,7 +192,7 @@ def test_arms_that_hold_still_say_so_and_what_is_advised_reaches_the_goal() -> N
             then = changed_as(way, scenario).changed(duration=time + scenario.dt)
             assert assess(run(then, controller="qp", timed=False)).reached, (way, time)
             kinds.add(way)
-    assert {"on_infeasible: scale", "mode: scaled", "profile.duration times 2"} <= kinds
+    assert {"on_infeasible: scale", "mode: scaled", "profile.duration times 4"} <= kinds
 
 
 def test_hard_tasks_out_of_reach_are_told_what_scale_would_do() -> None:

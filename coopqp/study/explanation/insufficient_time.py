@@ -45,8 +45,8 @@ LAST, MANY = 20, 5
 MOSTLY = 0.5
 #: An error that fell by less than this share in the longer run does not fall any more.
 FALLS = 0.1
-#: How many times as long profiles are tried.
-SLOWER = (2.0, 4.0)
+#: How many times as long a profile is tried.
+SLOWER = 4.0
 #: A spring that bears less than this share of the strongest is not told of.
 WORTH_TELLING = 0.02
 
@@ -89,7 +89,7 @@ def stands(phase: ExplainedPhase, *, blocked: bool) -> str:
     if phase.causes[-1][0] is not Status.INFEASIBLE:
         return ""
     asked = phase.problem.on_infeasible
-    if asked == "scale":
+    if asked == "scale" or "on_infeasible" not in phase.controller.supports:
         return f"{phase.stands_still}: not all could hold in them; --tick says what"
     after = rerun(phase, longer=True, on_infeasible="scale")
     lacking = [task.task for task in relaxed([after])]
@@ -104,23 +104,23 @@ def stands(phase: ExplainedPhase, *, blocked: bool) -> str:
 
 
 def _calmer(phase: ExplainedPhase, names: Sequence[str]) -> Iterator[tuple[str, ExplainedPhase]]:
-    """Runs in which some hard tasks ask for less speed, and how."""
+    """Reruns in which some hard tasks ask for less speed, and how."""
     tasks = phase.scenario.schedule[phase.index].tasks
-    scaled = [replace(task, mode="scaled") if task.name in names else task for task in tasks]
     asked = replace(phase, level=max(phase.missed[0][0].task.level, level_of("scaled", 0)))
-    yield "mode: scaled", rerun(asked, longer=True, tasks=scaled)
-    for times in SLOWER:
-        slow = [_slower(task, times) if task.name in names else task for task in tasks]
-        after = rerun(phase, longer=True, tasks=slow)
-        yield f"profile.duration times {times:g}", after
-        if not after.missed:
-            return
+    for way, change in ("mode: scaled", _scaled), (f"profile.duration times {SLOWER:g}", _slower):
+        changed = [change(task) if task.name in names else task for task in tasks]
+        yield way, rerun(asked, longer=True, tasks=changed)
 
 
-def _slower(task: Task, times: float) -> Task:
-    if task.way is None:
-        return task
-    changed: dict[str, Any] = {"profile": replace(task.way, duration=times * task.way.duration)}
+def _scaled(task: Task) -> Task:
+    return replace(task, mode="scaled")
+
+
+def _slower(task: Task) -> Task:
+    way = task.way
+    changed: dict[str, Any] = (
+        {"profile": replace(way, duration=SLOWER * way.duration)} if way else {}
+    )
     return replace(task, **changed)
 
 
