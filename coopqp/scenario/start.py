@@ -113,12 +113,10 @@ def joints_outside(robot: RobotModel, start: Start, q: Array, key: str) -> Itera
     for name in like:
         yield Wrong([key, name], f"{words}; start is in radians, start_deg all in degrees")
     told = {joint for name in like for joint in given[name]}
+    of_arm = {joint: (arm, i) for arm in arms if arm in start for i, joint in enumerate(arms[arm])}
     for joint, *value in (value for value in values if value[0] not in told):
-        location: list[str | int] = [key, joint]
-        for arm, joints in arms.items():
-            if arm in start and joint in joints and joint not in start:
-                location = [key, arm, joints.index(joint)]
-        yield from _outside(location, joint, *value)
+        place = (joint,) if joint in start else of_arm.get(joint, (joint,))
+        yield from _outside((key, *place), joint, *value)
 
 
 def passive_outside(chain: ClosedChain, passive: Iterable[str], key: str) -> Iterator[Wrong]:

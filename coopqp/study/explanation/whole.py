@@ -79,10 +79,8 @@ def _rows_in_python(phase: ExplainedPhase) -> str:
 def _explained(
     found: Assessment, phases: Sequence[ExplainedPhase], phase: ExplainedPhase, report: Report
 ) -> RunExplanation:
-    missed = tuple(
-        MissedPart(task=part.name, error=error, unit=part.part.unit)
-        for part, error in (*phase.missed, *phase.gave_way)
-    )
+    every = *phase.missed, *phase.gave_way
+    missed = tuple(MissedPart(task=p.name, error=e, unit=p.part.unit) for p, e in every)
     last = phase.first + len(phase.v) - 1
     base = RunExplanation(controller=phase.name, phase=phase.phase_name, tick=last, missed=missed)
     torn = any(task.torn for task in found.tasks)
@@ -97,8 +95,7 @@ def _explained(
     stops = replace(base, sentence=words.stops_short(*phase.missed[0])) if phase.missed else base
     if (phase.missed or not found.reached) and (failed := _failed(phase)):
         return stops.because("failed", failed)
-    strange = [words.stops_short(part, error) for part, error in phase.missed if np.isnan(error)]
-    if strange:
+    if strange := [words.stops_short(part, error) for part, error in every if np.isnan(error)]:
         return _sentence(replace(base, kind="failed"), stops.sentence, *strange)
     given_up = relaxed([phase] if phase.missed else phases)
     violated = words.opened(found, phases[0].problem.kappa), words.broken(found)
