@@ -275,11 +275,11 @@ EVALUATED = 50
 
 def explain_velocity(phase: ExplainedPhase, base: RunExplanation) -> RunExplanation:
     """Why a velocity was missed, at the last tick."""
-    part = next(part for part, _ in phase.missed if part.task.asks_velocity)
-    look, k = PhaseTicks(phase), len(phase.v) - 1
     if names := contradicting(phase):
         sentence = f"{words.listed(names)} cannot hold together: they ask for different motions"
         return base.because("contradiction", sentence, tasks=names)
+    part = next(part for part, _ in phase.missed if part.task.asks_velocity)
+    look, k = PhaseTicks(phase), len(phase.v) - 1
     u = look.look(k)[part.rows]
     needed = _speed_needed(look, part.rows)
     axes = [row.name.rpartition(".")[2] for row in look.stack.rows[part.rows]]

@@ -159,7 +159,8 @@ def _blocked(phase: ExplainedPhase, base: RunExplanation, report: Report) -> Run
     goal = phase.goal()
     places = [part for part, _ in phase.missed if part.task in goal.tasks]
     velocities = [part for part, _ in phase.missed if part.task.asks_velocity]
-    if velocities and (not places or insufficient_time.contradicting(phase)):
+    moves = any(task.asks_velocity for task in phase.counted)
+    if (velocities and not places) or (moves and insufficient_time.contradicting(phase)):
         return insufficient_time.explain_velocity(phase, base)
     if not places and Status.SQUEEZE_GIVEN_UP in phase.causes[-1]:
         why = "the hands stand at admittance.most_way; raise it, unless the force sensor is dead"
