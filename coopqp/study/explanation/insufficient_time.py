@@ -316,11 +316,8 @@ def _speed_needed(look: PhaseTicks, rows: slice) -> float:
     J, loops, most = look.stack.J[rows], look.state.J_loop, look.state.chain.velocity
     shares = np.diag(1.0 / np.maximum(most, 1e-9))  # none of joints without a limit
     equal = np.vstack([loops, J]), np.concatenate([np.zeros(len(loops)), look.stack.wanted[rows]])
-    limits, owners = (
-        (np.vstack([shares, -shares]), np.zeros(2 * len(most))),
-        np.zeros(2 * len(most), int),
-    )
-    found = least_relaxation(equal, limits, owners, [1.0])
+    both, none = np.vstack([shares, -shares]), np.zeros(2 * len(most))
+    found = least_relaxation(equal, (both, none), none.astype(int), [1.0])
     return float(found[1][0]) if found else np.inf
 
 
