@@ -82,7 +82,7 @@ def walled() -> Comparison:
 
 
 def test_a_wall_that_stops_the_motion_is_named(walled: Comparison) -> None:
-    said = "with table at the limit; 'coopqp plan' looks for a way round; keeps every limit"
+    said = "with table at the limit; 'coopqp explain' says why; keeps every limit"
     assert said in walled.verdicts["qp"]
     assert walled.metrics["qp"]["limits_audit"]
 

@@ -126,7 +126,7 @@ class Acceleration:
     @property
     def exceeds(self) -> bool:
         """Whether it is more than the loop for robots allows."""
-        return not self.value <= self.allowed
+        return thresholds.matters(self.value - self.allowed, self.unit)
 
 
 @dataclass(frozen=True, eq=False)

@@ -147,10 +147,7 @@ def _where(found: Assessment, k: int) -> str:
     if found.trace.manipulability[k] < thresholds.SINGULAR:
         return ", at a pose in which the arms can hardly move it that way"
     names = found.at_limits(k)
-    planned = any(kept.kind == CLOCK for kept in found.trace.inputs.values())
-    no_place = planned or found.tasks[k].unit.startswith("N")
-    tries = "" if no_place else "; 'coopqp plan' looks for a way round"
-    return f", with {listed_limits(names)} at the limit{tries}" if names else ""
+    return f", with {listed_limits(names)} at the limit; 'coopqp explain' says why" if names else ""
 
 
 def listed_limits(names: Sequence[str]) -> str:

@@ -8,6 +8,7 @@ import typing
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
+from difflib import get_close_matches
 from typing import Annotated, Any
 
 import numpy as np
@@ -34,6 +35,7 @@ WORDS = {
         r"needs \2 in it",
     r"^String should have (at (?:least|most) \d+) characters?": r"needs \1 character(s)",
 }  # fmt: skip
+UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")  # what pydantic calls such keys
 MOST_SAID = 300  # characters of what an error says of itself
 USERS = "coopqp.scenario.user_folders."  # how names of modules begin that lie in users' folders
 
@@ -62,7 +64,12 @@ def faults(
     details = error.errors(include_url=False, include_context=False)
     found = [(detail["type"], *_fault(detail, data, model, instead or {})) for detail in details]
     places = [place for _, place, _ in found]
-    kept = [(place, words) for kind, place, words in found if not _follows(kind, place, places)]
+    meant = _meant(found)
+    kept = [
+        (place, meant.get(place, words))
+        for kind, place, words in found
+        if not _follows(kind, place, places) and meant.get(place) != ""
+    ]
     return list(_either(dict.fromkeys(kept)))
 
 
@@ -139,6 +146,17 @@ def _codes(cls: type) -> set[types.CodeType]:
     return found
 
 
+def _meant(found: Iterable[tuple[str, tuple[str | int, ...], str]]) -> dict[Location, str]:
+    """Words on unknown keys that are missing ones mistyped; on those, which these say, none."""
+    said = dict[Location, str]()
+    missing = {place for kind, place, _ in found if kind.startswith("missing")}
+    for place in (place for kind, place, _ in found if kind in UNKNOWN):
+        keys = [str(key) for *parents, key in missing if (*parents,) == place[:-1]]
+        if near := get_close_matches(str(place[-1]), keys, n=1, cutoff=0.5):
+            said |= {place: unknown_name("key", str(place[-1]), near), (*place[:-1], *near): ""}
+    return said
+
+
 def _follows(kind: str, place: Location, places: Sequence[Location]) -> bool:
     """Whether a list counts as too short, or as no number, only because a value in it is wrong."""
     return kind in ("too_short", "float_type") and any(
@@ -161,7 +179,7 @@ def _fault(
 ) -> tuple[tuple[str | int, ...], str]:
     kind, found = detail["type"], shown(detail["input"])
     location = _inside(data, detail["loc"], missing=kind.startswith("missing"))
-    if kind in ("extra_forbidden", "unexpected_keyword_argument"):
+    if kind in UNKNOWN:
         known = _keys(model, location[:-1], instead)
         return location, unknown_name("key", str(location[-1]), known)
     if kind == "unexpected_positional_argument":

@@ -98,6 +98,7 @@ class Why:
         kept = "on_infeasible: scale would relax tasks, loop correction and accelerations"
         hard = [f" and hard '{task.name}'" for task in self._problem.tasks if task.mode == "hard"]
         clash = f"loops, limits{''.join(hard[:MOST_NAMED])} leave no motion"
+        kept += ", mode: scaled may go on more slowly" if hard else ""
         return f"{clash}: {self._loops()}{self._limits(', held back by ')}; {kept}"
 
     def _tasks(self) -> str:

@@ -43,7 +43,7 @@ from coopqp.robot import axis_of
 from coopqp.scenario.scenario import Scenario, needs_scenario
 from coopqp.study.explanation import words
 from coopqp.study.explanation.diagnosis import BlockedByLimits, NotBlocked, diagnose
-from coopqp.study.explanation.goal import Goal, placed
+from coopqp.study.explanation.goal import Goal, Search, placed
 from coopqp.task import Programs
 
 #: Random starts of one look, and of all looks.
@@ -231,7 +231,7 @@ def explained(goals: Goals) -> str:
         )
     goal, space = goals.goal, goals.space
     q = space.chain.q_start
-    missed = goal.missed(q)
+    missed = goal.missed(Search(goal, space.room).from_(q).q)
     found = diagnose(goal, space.room, q)
     place = found.elsewhere if isinstance(found, BlockedByLimits) else getattr(found, "place", None)
     if place:

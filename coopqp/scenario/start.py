@@ -101,19 +101,22 @@ def from_degrees(robot: RobotModel, grasps: Grasp | Mapping[str, Grasp], start: 
 
 def joints_outside(robot: RobotModel, start: Start, q: Array, key: str) -> Iterator[Wrong]:
     """Where a start leaves the robot's position limits, and by how much."""
-    if key == "start" and _like_degrees(robot, q):
-        words = "found angles of more than a turn, which are inside the limits in degrees"
-        yield Wrong([key], f"{words}; did you mean start_deg?")
-        return
     lower, upper = robot.model.lowerPositionLimit, robot.model.upperPositionLimit
     arms = {arm.name: robot.arm_joints(arm) for arm in robot.arms}
     values = zip(robot.joint_names, robot.joint_units, q, lower, upper, strict=True)
-    for joint, *value in values:
-        location: list[str | int] = [key, joint]
-        for arm, joints in arms.items():
-            if arm in start and joint in joints and joint not in start:
-                location = [key, arm, joints.index(joint)]
-        yield from _outside(location, joint, *value)
+    given = {name: arms.get(name, (name,)) for name in start} if key == "start" else {}
+    like = [name for name, joints in given.items() if _like_degrees(robot, q, joints)]
+    words = "found angles of more than a turn, which are inside the limits in degrees"
+    if like and _like_degrees(robot, q, robot.joint_names) and arms.keys() & start <= {*like}:
+        yield Wrong([key], f"{words}; did you mean start_deg?")
+        return
+    for name in like:
+        yield Wrong([key, name], f"{words}; start is in radians, start_deg all in degrees")
+    told = {joint for name in like for joint in given[name]}
+    of_arm = {joint: (arm, i) for arm in arms if arm in start for i, joint in enumerate(arms[arm])}
+    for joint, *value in (value for value in values if value[0] not in told):
+        place = (joint,) if joint in start else of_arm.get(joint, (joint,))
+        yield from _outside((key, *place), joint, *value)
 
 
 def passive_outside(chain: ClosedChain, passive: Iterable[str], key: str) -> Iterator[Wrong]:
@@ -135,9 +138,10 @@ def _outside(
     yield Wrong(place, f"{words}; or say start_outside: true to see it recover")
 
 
-def _like_degrees(robot: RobotModel, q: Array) -> bool:
+def _like_degrees(robot: RobotModel, q: Array, joints: Sequence[str]) -> bool:
     lower, upper = robot.model.lowerPositionLimit, robot.model.upperPositionLimit
-    turns = np.array([unit == "rad" for unit in robot.joint_units])
+    asked = zip(robot.joint_units, robot.joint_names, strict=True)
+    turns = np.array([unit == "rad" and joint in joints for unit, joint in asked])
     outside = turns & ((q < lower) | (q > upper))
     inside = (lower <= np.radians(q)) & (np.radians(q) <= upper)
     return bool((np.abs(q[outside]) > 2.0 * math.pi).any() and inside[turns].all())

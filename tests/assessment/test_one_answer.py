@@ -352,6 +352,9 @@ def test_an_acceleration_hardly_above_what_is_allowed_is_no_multiple() -> None:
     v = trace.v * (1.004 * worst.allowed / worst.value)
     said = summarize(scenario, {"qp": replace(trace, v=v)}).verdicts["qp"]
     assert "0.4 % more than what the loop for robots allows" in said
+    rounded = replace(trace, v=trace.v * (worst.allowed * (1.0 + 1e-14) / worst.value))
+    assert not assess(rounded).acceleration.exceeds  # type: ignore[union-attr]
+    assert "accelerates" not in summarize(scenario, {"qp": rounded}).verdicts["qp"]
 
 
 def test_the_demo_is_told_how_hard_it_accelerates() -> None:

@@ -30,7 +30,7 @@ from coopqp.scenario.loader import load, load_text
 from coopqp.scenario.scenario import Phase, Scenario
 from coopqp.study.explanation import RunExplanation, explain_run
 from coopqp.study.explanation.goal import Goal, Room, placed
-from coopqp.tasks import PlaneOnPlane, PointOnPoint, Twist
+from coopqp.tasks import PlaneOnPlane, PointOnPlane, PointOnPoint, Twist
 
 pytestmark = [needs_kernel, needs_robots]
 
@@ -86,6 +86,14 @@ def test_what_no_search_finds_is_not_called_unreachable() -> None:
     assert not found.found
     assert "not found from 4096 starts: reach stops 29.9 mm short" in found.sentence
     assert "hold it back" in found.sentence
+
+
+def test_tasks_that_exclude_each_other_are_told_how_near_the_search_came() -> None:
+    """Two heights that are 30 mm apart: half of it each, not what both are off at the start."""
+    heights = (("low", 0.03), ("high", 0.06))
+    tasks = [PointOnPlane(name=name, normal=(0, 0, 1), through=(0, 0, z)) for name, z in heights]
+    found = reach(replace(load("point_on_point"), tasks=tuple(tasks)))
+    assert "low and high cannot hold together, on any robot; they end 15 mm off" in found.sentence
 
 
 def test_a_scenario_that_asks_for_no_place_is_refused() -> None:
@@ -281,7 +289,7 @@ def test_a_run_follows_the_plan_and_reaches_what_no_law_does_alone(
     compared = coopqp.compare(shelves, controllers=["qp"])
     alone = compared.traces["qp"]
     assert not assess(alone).reached
-    assert "at the limit; 'coopqp plan' looks for a way round" in compared.verdicts["qp"]
+    assert "at the limit; 'coopqp explain' says why" in compared.verdicts["qp"]
     _check_way_round(shelves, explain_run(shelves, alone))
     _, path = write_plan(way, shelves, tmp_path)
     scenario = load(path)

@@ -21,6 +21,7 @@ FAULTS = [
     ("goal: [0.13, 0.05, 0.03]", "goal: [0, 0]", "goal: found [0, 0]; needs 3 numbers"),
     ("goal: [0.13, 0.05, 0.03]", "goal: [0, 0, x]", 'goal[2]: found "x"; needs a number'),
     ("gain: 5.0", "gian: 5.0", "gian: unknown key 'gian'; did you mean 'gain'"),
+    ("goal: [0.13", "gaol: [0.13", "gaol: unknown key 'gaol'; did you mean 'goal'?"),
     ("gain: 5.0", "gain: 5.0\n      gain: 6", "key 'gain' is given twice"),
     ("gain: 5.0", "gain: 500.0", "overshoots; needs at most 1/dt = 100"),
     ("point_on_point:", "point_on_pont:", "did you mean 'point_on_point'"),

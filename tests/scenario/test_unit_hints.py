@@ -55,6 +55,17 @@ def test_degrees_under_start_are_one_line(tmp_path: Path) -> None:
     load(write(tmp_path, in_degrees(TEXT).replace("start:", "start_deg:")))
 
 
+@pytest.mark.parametrize("arm", ["right", "left"])
+def test_one_arm_in_degrees_is_one_line_that_names_it(tmp_path: Path, arm: str) -> None:
+    own = re.compile(rf"  {arm}: .*")
+    (degrees,) = own.findall(in_degrees(TEXT))
+    with pytest.raises(ScenarioError) as caught:
+        load(write(tmp_path, own.sub(degrees, TEXT)))
+    (fault,) = caught.value.faults
+    assert f"start.{arm}: found angles of more than a turn" in str(fault)
+    assert str(fault).endswith("in degrees; start is in radians, start_deg all in degrees")
+
+
 def test_a_start_that_is_outside_in_degrees_too_is_told_joint_by_joint(tmp_path: Path) -> None:
     with pytest.raises(ScenarioError, match=r"start\.right\[0\]: RShoulderPitch starts at 700 rad"):
         load(write(tmp_path, TEXT.replace("right: [0.7,", "right: [700,")))

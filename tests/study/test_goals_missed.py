@@ -140,9 +140,11 @@ def test_tasks_that_only_this_robot_cannot_join_are_said_to_be_so() -> None:
     assert not found.any_robot
 
 
-def test_a_twist_against_a_plane_is_a_contradiction() -> None:
+@pytest.mark.parametrize("mode", ["soft", "hard"])
+def test_a_twist_against_a_plane_is_a_contradiction(mode: Any) -> None:
+    """A hard one is met, and the plane alone is missed."""
     plane = PointOnPlane(name="stay", normal=(1, 0, 0), through=(0.18, 0, 0))
-    found = explained(nao(Twist(name="go", velocity={"x": 0.02}), plane))
+    found = explained(nao(Twist(name="go", velocity={"x": -0.02}, mode=mode), plane))
     assert found.kind == "contradiction"
     assert set(found.tasks) == {"go", "stay"}
 

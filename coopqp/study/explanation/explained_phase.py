@@ -54,6 +54,7 @@ from coopqp.study.explanation.goal import (
     thing_of,
 )
 from coopqp.study.explanation.words import Needed, RunExplanation
+from coopqp.task import Level, Task
 from coopqp.trace import InputTrace, Trace, followed
 
 
@@ -72,10 +73,11 @@ class ExplainedPhase:
     tau: Array  # shape (K, n), or empty
     causes: tuple[tuple[Status, ...], ...]
     errors: Mapping[str, float]  # at the end of each part of a task, by name [the part's unit]
-    # parts that ended outside their tolerance, with their errors, as the assessment orders them
-    missed: tuple[Missed, ...]
-    gave_way: tuple[Missed, ...]  # those of them that come after the first
     ordered: bool  # whether its law lets tasks of later levels give way
+    level: Level | None  # of the first task that is missed; later ones take nothing from it
+    # parts that ended outside their tolerance, with their errors, as the assessment orders them
+    missed: tuple[Missed, ...]  # up to that level
+    gave_way: tuple[Missed, ...]  # of later ones
     inputs: Mapping[str, InputTrace]  # values of the whole run, by name
 
     @property
@@ -101,15 +103,26 @@ class ExplainedPhase:
         """In a tick; at its end as in its last, the next is another phase's."""
         return followed(self.inputs, self.first + min(k, len(self.v) - 1))
 
+    @property
+    def counted(self) -> tuple[Task, ...]:
+        """Its tasks up to the level."""
+        last = self.level if self.ordered else None
+        return tuple(task for task in self.problem.tasks if last is None or task.level <= last)
+
     def goal(self) -> Goal:
-        """Of its tasks with a place, at its end."""
+        """Of the tasks that count and have a place, at its end."""
         chain = self.problem.chain
-        tasks = placed(self.problem.tasks, chain)
+        tasks = placed(self.counted, chain)
         return Goal(chain, tasks, self.t_end, self.followed(len(self.v)))
 
 
-def explained_phases(scenario: Scenario, trace: Trace) -> Iterator[ExplainedPhase]:
-    """The phases of a run of a scenario as the controller holds it, each with its own chain."""
+def explained_phases(
+    scenario: Scenario, trace: Trace, level: Level | None = None
+) -> Iterator[ExplainedPhase]:
+    """The phases of a run of a scenario as the controller holds it, each with its own chain.
+
+    ``level`` is the last that counts, if not that of the first task that a phase misses.
+    """
     controller = controller_of(scenario, trace.controller)
     found = assess(trace)
     errors = {task.name: task.error for task in found.tasks}
@@ -123,16 +136,17 @@ def explained_phases(scenario: Scenario, trace: Trace) -> Iterator[ExplainedPhas
         if strange := [name for name in named if name not in errors]:
             why = "the trace is of another scenario than the one beside it"
             raise InvalidValueError(f"no error of '{strange[0]}' in the trace; {why}")
-        ticks = slice(first, end)
+        own = [of for of in found.missed if of.name in named]
+        missed = tuple((named[of.name], of.error) for of in own)
+        last = level or next((of.level for of in own), None)
+        count, ticks = sum(last is None or of.level <= last for of in own), slice(first, end)
         yield ExplainedPhase(
             scenario=scenario, name=trace.controller, index=i, phase_name=phase.name, first=first,
             problem=problem if "limits" in controller.supports else replace(problem, limits=()),
             q=trace.q[first : end + 1], v=trace.v[ticks], tau=tau[ticks],
             causes=tuple(causes_of(word) for word in trace.status[ticks]),
             errors={part.name: errors[name] for name, part in named.items()}, inputs=trace.inputs,
-            missed=tuple((named[of.name], of.error) for of in found.missed if of.name in named),
-            gave_way=tuple((named[of.name], of.error) for of in found.gave_way if of.name in named),
-            ordered=trace.orders_tasks,
+            ordered=trace.orders_tasks, level=last, missed=missed[:count], gave_way=missed[count:],
         )  # fmt: skip
 
 
@@ -145,33 +159,35 @@ def rerun(
     *,
     longer: bool = False,
     wider: Mapping[Row, float] | None = None,
+    tasks: Sequence[Task] = (),
     **changed: Any,
 ) -> ExplainedPhase:
-    """A phase rerun with other fields of its scenario, perhaps for longer.
+    """A phase rerun with other tasks or fields of its scenario, perhaps for longer.
 
     ``wider`` says, by the row of a position limit's side, how much wider it is [rad, m].
     """
     end = phase.scenario.schedule[phase.index]
+    end = replace(end, tasks=tuple(tasks) or end.tasks)
     if longer:
         end = replace(end, duration=end.duration + TIMES * phase.t_end + SECONDS)
     if phase.scenario.phases:
         changed["phases"] = (*phase.scenario.phases[: phase.index], end)
     else:
-        changed["duration"] = end.duration
+        changed |= {"duration": end.duration, "tasks": end.tasks}
     other = replace(phase.scenario, grasp_of={}, **changed)
     if wider:
         widen(other, wider)
     again = run(other, controller=phase.name, timed=False)
-    return list(explained_phases(other, again))[phase.index]
+    return list(explained_phases(other, again, phase.level))[phase.index]
 
 
 def arrival(goal: Goal, phase: ExplainedPhase) -> float:
-    """When a phase that reached a goal arrived there for good [s]."""
-    dt = phase.problem.dt
+    """When a phase that reached a goal arrived there for good, its references too [s]."""
+    dt, end = phase.problem.dt, max((task.end for task in goal.tasks), default=0.0)
     for k in range(len(phase.v), 0, -1):
         goal.state.t = k * dt
         goal.look(phase.q[k])
-        if goal.miss > 1.0:
+        if goal.miss > 1.0 or k * dt < min(end, phase.t_end):
             return (k + 1) * dt
     return dt
 
@@ -424,7 +440,8 @@ def _said(suggestion: SuggestedRelaxation | None, shares: Sequence[Share]) -> st
     if suggestion.after.missed:
         return f"{text}; tried, but then {words.stops_short(*suggestion.after.missed[0])}"
     time = "" if suggestion.time is None else f" and the run {suggestion.time:.3g} s"
-    return f"{text}{time} (tried: reached)"
+    others = [f"; {words.stops_short(*late)}" for late in suggestion.after.gave_way[:1]]
+    return f"{text}{time} (tried: reached{''.join(others)})"
 
 
 def needed(needs: Sequence[Violation], *, alone: bool = True) -> str:

@@ -7,7 +7,7 @@ A velocity has no goal to search for. At the last tick
     limits, speed   by the multipliers of the ticks, as in :mod:`coopqp.study.explanation.tick`
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -29,8 +29,15 @@ from coopqp.study.explanation.explained_phase import (
     with_suggestion,
 )
 from coopqp.study.explanation.goal import Goal, PartOfTask, Place, Room, Share, least_relaxation
-from coopqp.study.explanation.tick import PhaseTicks, contradicting_rows, held_up, speed_share
+from coopqp.study.explanation.tick import (
+    PhaseTicks,
+    contradicting_rows,
+    held_up,
+    relaxed,
+    speed_share,
+)
 from coopqp.study.explanation.words import RunExplanation
+from coopqp.task import Task, level_of
 
 #: The loop budget is what slows where more than MANY of the LAST ticks were cut for it.
 LAST, MANY = 20, 5
@@ -38,6 +45,8 @@ LAST, MANY = 20, 5
 MOSTLY = 0.5
 #: An error that fell by less than this share in the longer run does not fall any more.
 FALLS = 0.1
+#: How many times as long a profile is tried.
+SLOWER = 4.0
 #: A spring that bears less than this share of the strongest is not told of.
 WORTH_TELLING = 0.02
 
@@ -50,9 +59,8 @@ def explain(
     if goal.miss <= 1.0:
         sentence = "by its model it has arrived; the rest is what the model gets wrong"
         return base.because("model", sentence)
-    if phase.causes[-1][0] is Status.INFEASIBLE:
-        sentence = f"{phase.stands_still}: not all could hold in them; --tick says what"
-        return base.because("failed", sentence)
+    if standing := stands(phase, blocked=False):
+        return base.because("failed", standing)
     cut = {Status.STEP_SHORTENED, Status.LOOP_BUDGET}
     if sum(bool(cut & set(causes)) for causes in phase.causes[-LAST:]) > MANY:
         return _budget(phase, base)
@@ -74,6 +82,46 @@ def explain(
         at = tuple(place.q.tolist())
         return base.because("rest", _rests(phase, place, held), held, tried=False, elsewhere=at)
     return _too_short(phase, goal, after, held, base, slow=slow)
+
+
+def stands(phase: ExplainedPhase, *, blocked: bool) -> str:
+    """Of a phase that ends at rest as not all can hold: why, and what would do; else empty."""
+    if phase.causes[-1][0] is not Status.INFEASIBLE:
+        return ""
+    asked = phase.problem.on_infeasible
+    if asked == "scale" or "on_infeasible" not in phase.controller.supports:
+        return f"{phase.stands_still}: not all could hold in them; --tick says what"
+    after = rerun(phase, longer=True, on_infeasible="scale")
+    lacking = [task.task for task in relaxed([after])]
+    who = words.listed([f"'{name}'" for name in lacking]) or "loops and limits"
+    text = f"{phase.stands_still}, as on_infeasible is {asked} and {who} cannot be met in full"
+    ways = [("on_infeasible: scale", after), *(() if blocked else _calmer(phase, lacking))]
+    times = [(way, arrival(done.goal(), done)) for way, done in ways if not done.missed]
+    if times:
+        would = " or ".join(f"{way} (in {time:.3g} s)" for way, time in times)
+        return f"{text}; with {would} the goal is reached (tried)"
+    return f"{text}; with on_infeasible: scale {words.stops_short(*after.missed[0])} (tried)"
+
+
+def _calmer(phase: ExplainedPhase, names: Sequence[str]) -> Iterator[tuple[str, ExplainedPhase]]:
+    """Reruns in which some hard tasks ask for less speed, and how."""
+    tasks = phase.scenario.schedule[phase.index].tasks
+    asked = replace(phase, level=max(phase.missed[0][0].task.level, level_of("scaled", 0)))
+    for way, change in ("mode: scaled", _scaled), (f"profile.duration times {SLOWER:g}", _slower):
+        changed = [change(task) if task.name in names else task for task in tasks]
+        yield way, rerun(asked, longer=True, tasks=changed)
+
+
+def _scaled(task: Task) -> Task:
+    return replace(task, mode="scaled")
+
+
+def _slower(task: Task) -> Task:
+    way = task.way
+    changed: dict[str, Any] = (
+        {"profile": replace(way, duration=SLOWER * way.duration)} if way else {}
+    )
+    return replace(task, **changed)
 
 
 def _too_short(
@@ -227,11 +275,11 @@ EVALUATED = 50
 
 def explain_velocity(phase: ExplainedPhase, base: RunExplanation) -> RunExplanation:
     """Why a velocity was missed, at the last tick."""
-    part = next(part for part, _ in phase.missed if part.task.asks_velocity)
-    look, k = PhaseTicks(phase), len(phase.v) - 1
     if names := contradicting(phase):
         sentence = f"{words.listed(names)} cannot hold together: they ask for different motions"
         return base.because("contradiction", sentence, tasks=names)
+    part = next(part for part, _ in phase.missed if part.task.asks_velocity)
+    look, k = PhaseTicks(phase), len(phase.v) - 1
     u = look.look(k)[part.rows]
     needed = _speed_needed(look, part.rows)
     axes = [row.name.rpartition(".")[2] for row in look.stack.rows[part.rows]]
@@ -268,11 +316,8 @@ def _speed_needed(look: PhaseTicks, rows: slice) -> float:
     J, loops, most = look.stack.J[rows], look.state.J_loop, look.state.chain.velocity
     shares = np.diag(1.0 / np.maximum(most, 1e-9))  # none of joints without a limit
     equal = np.vstack([loops, J]), np.concatenate([np.zeros(len(loops)), look.stack.wanted[rows]])
-    limits, owners = (
-        (np.vstack([shares, -shares]), np.zeros(2 * len(most))),
-        np.zeros(2 * len(most), int),
-    )
-    found = least_relaxation(equal, limits, owners, [1.0])
+    both, none = np.vstack([shares, -shares]), np.zeros(2 * len(most))
+    found = least_relaxation(equal, (both, none), none.astype(int), [1.0])
     return float(found[1][0]) if found else np.inf
 
 
@@ -282,7 +327,7 @@ def contradicting(phase: ExplainedPhase) -> tuple[str, ...]:
     look.look(len(phase.v) - 1)
     stack, loops = look.stack, look.state.J_loop
     free = {task.name for task in stack.tasks if not task.joint_space}
-    own = [i for i, row in enumerate(stack.rows) if row.owner in free]
+    own = [i for i in look.counted if stack.rows[i].owner in free]
     wanted, owners = stack.wanted[own], [stack.rows[i].owner for i in own]
     allowed = np.full(len(own), SOLVED * np.linalg.norm(wanted))
     return contradicting_rows(

@@ -110,13 +110,16 @@ def _rows_then(record: TickRecord) -> tuple[TickRows, Array]:
 class PhaseTicks:
     """The ticks of a phase whose law commands velocities, evaluated again one by one.
 
-    ``state`` and ``stack`` of tasks are those of the last one.
+    ``state`` and ``stack`` of tasks are those of the last one; ``counted`` are the rows of tasks
+    that count.
     """
 
     def __init__(self, phase: ExplainedPhase) -> None:
         self._phase, problem = phase, phase.problem
         self.state = State(problem.chain)
         self.stack = TaskStack(problem.tasks, State(problem.chain))
+        names = {task.name for task in phase.counted}
+        self.counted = [i for i, row in enumerate(self.stack.rows) if row.owner in names]
 
     def look(self, k: int) -> Array:
         """Evaluate tick k; what its tasks missed, wanted - J v."""
@@ -134,15 +137,16 @@ class PhaseTicks:
 
     def forces(self, k: int) -> list[tuple[Row, float]]:
         """What held tick k back, each limit with its force; their sum is what was missed."""
-        missed, limits, stack = self.look(k), self._limits, self.stack
+        own, limits, stack = self.counted, self._limits, self.stack
+        missed = self.look(k)[own]
         if np.abs(missed).max(initial=0.0) <= BEHIND:
             return []
         limits.update(self.state)
         tick = TickRows(
-            A=self.state.J_loop, J=stack.J, wanted=stack.wanted, v=self._phase.v[k],
+            A=self.state.J_loop, J=stack.J[own], wanted=stack.wanted[own], v=self._phase.v[k],
             limits=limits, limit_rows=limits.rows,
         )  # fmt: skip
-        held = tick.forces(AT_LIMIT, stack.weights)
+        held = tick.forces(AT_LIMIT, stack.weights[own])
         total, size = sum(amount for _, amount in held), float(np.linalg.norm(missed))
         return [(row, amount / total * size) for row, amount in held if total > 0.0]
 
@@ -171,7 +175,7 @@ class Unmet:
 
 def _part_of_rate(got: Array, wanted: Array) -> float:
     off, size = float(np.linalg.norm(got - wanted)), float(np.linalg.norm(wanted))
-    return 1.0 - off / max(size, off, 1e-300)
+    return 1.0 - off / max(size, off, HELD)
 
 
 def relaxed(phases: Sequence[ExplainedPhase]) -> tuple[Relaxed, ...]:

@@ -79,9 +79,8 @@ def _rows_in_python(phase: ExplainedPhase) -> str:
 def _explained(
     found: Assessment, phases: Sequence[ExplainedPhase], phase: ExplainedPhase, report: Report
 ) -> RunExplanation:
-    missed = tuple(
-        MissedPart(task=part.name, error=error, unit=part.part.unit) for part, error in phase.missed
-    )
+    every = *phase.missed, *phase.gave_way
+    missed = tuple(MissedPart(task=p.name, error=e, unit=p.part.unit) for p, e in every)
     last = phase.first + len(phase.v) - 1
     base = RunExplanation(controller=phase.name, phase=phase.phase_name, tick=last, missed=missed)
     torn = any(task.torn for task in found.tasks)
@@ -96,19 +95,20 @@ def _explained(
     stops = replace(base, sentence=words.stops_short(*phase.missed[0])) if phase.missed else base
     if (phase.missed or not found.reached) and (failed := _failed(phase)):
         return stops.because("failed", failed)
-    strange = [words.stops_short(part, error) for part, error in phase.missed if np.isnan(error)]
-    if strange:
+    if strange := [words.stops_short(part, error) for part, error in every if np.isnan(error)]:
         return _sentence(replace(base, kind="failed"), stops.sentence, *strange)
     given_up = relaxed([phase] if phase.missed else phases)
     violated = words.opened(found, phases[0].problem.kappa), words.broken(found)
     if not phase.missed:
         return _kept(found, phases, violated, replace(base, relaxed=given_up))
     answer = _blocked(phase, replace(stops, relaxed=given_up), report)
+    standing = "" if answer.kind == "failed" else insufficient_time.stands(phase, blocked=True)
     names = found.at_limits(found.tasks.index(found.missed[0]))
     ends = f"it ends with {listed_limits(names)} at the limit"
     said = all(name in answer.sentence for name in names)
     relaxed_tasks = (task.words for task in given_up)
-    clauses = (*_gave_way(phase, answer), *relaxed_tasks, "" if said else ends, *violated)
+    gave_way = _gave_way(phase, answer)
+    clauses = (standing, *gave_way, *relaxed_tasks, "" if said else ends, *violated)
     return _sentence(answer, answer.sentence, *clauses)
 
 
@@ -118,7 +118,7 @@ def _gave_way(phase: ExplainedPhase, answer: RunExplanation) -> Iterator[str]:
     for part, error in phase.gave_way:
         if part.task.name in answer.tasks:
             continue
-        alone = [task for task in goal.tasks if task is part.task]
+        alone = placed([part.task], goal.chain)
         free = alone and Search(goal.only(alone), phase.room).best(phase.q[-1]).reached
         far = words.size(error, part.part.unit)
         because = " because of that" if free else ""
@@ -159,14 +159,15 @@ def _blocked(phase: ExplainedPhase, base: RunExplanation, report: Report) -> Run
     goal = phase.goal()
     places = [part for part, _ in phase.missed if part.task in goal.tasks]
     velocities = [part for part, _ in phase.missed if part.task.asks_velocity]
-    if velocities and (not places or insufficient_time.contradicting(phase)):
+    moves = any(task.asks_velocity for task in phase.counted)
+    if (velocities and not places) or (moves and insufficient_time.contradicting(phase)):
         return insufficient_time.explain_velocity(phase, base)
     if not places and Status.SQUEEZE_GIVEN_UP in phase.causes[-1]:
         why = "the hands stand at admittance.most_way; raise it, unless the force sensor is dead"
         return base.because("way", why)
     if not places:
         return base.because("unplaced", "it asks for no place")
-    goal, found = _diagnosed(phase, goal)
+    found = diagnosis.diagnose(goal, phase.room, phase.q[-1])
     report(0.4)
     if isinstance(found, diagnosis.NotBlocked):
         if velocities:
@@ -180,19 +181,6 @@ def _blocked(phase: ExplainedPhase, base: RunExplanation, report: Report) -> Run
             base = replace(base, elsewhere=tuple(other.q.tolist()))
         return with_suggestion(base, found.shares, suggestion, *more)
     return _by_geometry(phase, found, base)
-
-
-def _diagnosed(phase: ExplainedPhase, goal: Goal) -> tuple[Goal, diagnosis.Diagnosis]:
-    """Of hard and scaled tasks alone where geometry keeps these already from their goals."""
-    modes = {part.task.mode for part, _ in phase.missed} if phase.ordered else {"soft"}
-    first_modes = {"hard"} if "hard" in modes else {"hard", "scaled"}
-    first = [task for task in goal.tasks if task.mode in first_modes]
-    if first and modes != {"soft"}:
-        before = goal.only(first)
-        found = diagnosis.diagnose(before, phase.room, phase.q[-1])
-        if not isinstance(found, diagnosis.NotBlocked):
-            return before, found
-    return goal, diagnosis.diagnose(goal, phase.room, phase.q[-1])
 
 
 def _by_geometry(
