@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -98,7 +99,13 @@ def test_what_is_unreachable_is_told_apart_from_what_time_would_bring() -> None:
     assert found.kind == "reach"
     assert found.distance == pytest.approx(0.00515, abs=1e-4)
     up, fore = lacks(hurried()[1])
-    assert f"up ends {up}, still moving, 5.44 mm of it for lack of time" in found.sentence
+    behind = r"up ends ([\d.]+) mm off, still moving, ([\d.]+) mm of it for lack of time"
+    words = re.search(behind + r": after ([\d.]+) s ([\d.]+) mm are left", found.sentence)
+    assert words
+    off, lost, seconds, left = map(float, words.groups())
+    later, _ = lacks(run(lifted(seconds), controller="qp"))
+    assert [f"{off:.1f} mm off", f"{left:.1f} mm off"] == [up, later]
+    assert lost == pytest.approx(off - left, abs=0.1)
     assert f"fore, which comes after up, ends {fore} because of that" in found.sentence
 
 
