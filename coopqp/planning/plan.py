@@ -14,6 +14,7 @@ from coopqp.base.errors import CoopqpError, InvalidValueError, UnknownNameError,
 from coopqp.base.spec import Array
 from coopqp.base.wording import counted
 from coopqp.controller import ControlProblem
+from coopqp.planning.closed_path import lengths
 from coopqp.planning.closed_space import Budget, ClosedSpace
 from coopqp.planning.reach import (
     MOST,
@@ -27,7 +28,7 @@ from coopqp.planning.reach import (
     too_far,
 )
 from coopqp.planning.timing import Clock, timed
-from coopqp.planning.verification import Verification, Verifier, lengths
+from coopqp.planning.verification import Verification, Verifier
 from coopqp.scenario.planned import PHASE
 from coopqp.scenario.scenario import Scenario, needs_scenario
 from coopqp.signal import TURN_COLUMNS, quaternion_of
