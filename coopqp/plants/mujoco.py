@@ -437,7 +437,7 @@ class MujocoModel(DynamicModel):
             R_WT = self._data.xmat[self._model.body(joint).id].reshape(3, 3) @ X_JT
             R = R_WT.T @ R_WO @ R_EO.T
             before = true.q[index].copy()
-            true.q[index] = angles_xyz(R)
+            true.q[index] = -pin.rpy.matrixToRpy(R.T)  # successive turns about x, y and z
             true.v[index] = (true.q[index] - before) / self._dt
 
     def _wrenches(self) -> tuple[Array, Array]:
@@ -479,9 +479,3 @@ def _balls(chain: ClosedChain) -> Iterator[tuple[Any, Array, Array, str]]:
             tip = model.frames[model.getFrameId(arm.tip)]
             X_EO = chain.hold.X_EO[arm.name]
             yield index, tip.placement.rotation, X_EO.rotation, model.names[tip.parentJoint]
-
-
-def angles_xyz(R: Array) -> Array:
-    """The angles of successive turns about x, y and z, R = Rx Ry Rz, shape (3,) [rad]."""
-    middle = np.arcsin(np.clip(R[0, 2], -1.0, 1.0))
-    return np.array([np.arctan2(-R[1, 2], R[2, 2]), middle, np.arctan2(-R[0, 1], R[0, 0])])
