@@ -68,7 +68,9 @@ def robot_bodies(robot: RobotModel) -> tuple[tuple[Body, ...], tuple[str, ...]]:
         for capsule in capsules:
             joint = robot.model.getJointId(capsule.joint) if capsule.joint else 0
             if joint in bare:
-                surfaces.setdefault(joint, []).append(_of_capsule(capsule))
+                middle, length = capsule.placed
+                surface = moved(_turned(_round_ends(capsule.radius, length)), middle)
+                surfaces.setdefault(joint, []).append(surface)
     arm_of = {joint: _arm_of(robot, joint) for joint in sorted(surfaces)}
     bodies = []
     for arms in ([None], range(len(robot.arms))):
@@ -206,15 +208,6 @@ def _surface(shape: Shape | SolidMarker) -> tuple[Triangles, str]:
         return _turned(_round_ends(size[0], size[1])), ""
     ball = _turned(_round_ends(1.0, 0.0))  # an ellipsoid has three radii, a sphere one
     return Triangles(ball.vertices * np.array(size), ball.corners), ""
-
-
-def _of_capsule(capsule: Capsule) -> Triangles:
-    """The surface of a capsule, in its joint's frame."""
-    start, end = np.array(capsule.start), np.array(capsule.end)
-    along = end - start
-    turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), along).toRotationMatrix()
-    surface = _turned(_round_ends(capsule.radius, float(np.linalg.norm(along))))
-    return moved(surface, pin.SE3(turn if along.any() else np.eye(3), 0.5 * (start + end)))
 
 
 def _box(edges: Sequence[float]) -> Triangles:
