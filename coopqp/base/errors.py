@@ -39,7 +39,7 @@ class CoopqpError(Exception):
 
     def __reduce__(self) -> tuple[object, ...]:
         """Past ``__init__``, which takes other things than the message, from process to process."""
-        return copyreg.__newobj__, (type(self), *self.args), vars(self)
+        return copyreg.__newobj__, (type(self), *self.args), vars(self)  # type: ignore[attr-defined]
 
 
 @contextmanager
