@@ -268,15 +268,13 @@ def _distinct(corners: Ints) -> Ints:
     ordered = np.sort(corners, axis=1)
     ordered = ordered[np.diff(ordered, axis=1).all(axis=1)]
     _, first = np.unique(_number(ordered), return_index=True)
-    distinct: Ints = ordered[first]
-    return distinct
+    return ordered[first]
 
 
 def _number(rows: Ints) -> Ints:
     """One number for each row of three that are not negative, the same for the same ones."""
     base = rows.max(initial=0) + 1
-    number: Ints = (rows[:, 0] * base + rows[:, 1]) * base + rows[:, 2]
-    return number
+    return np.asarray((rows[:, 0] * base + rows[:, 1]) * base + rows[:, 2])
 
 
 def _nearest_to_planes(surface: Triangles, of_vertex: Ints, corners: Ints, count: int) -> Array:
@@ -298,8 +296,7 @@ def _nearest_to_planes(surface: Triangles, of_vertex: Ints, corners: Ints, count
     sizes, axes = np.linalg.eigh(A)
     firm = sizes > FLAT * np.maximum(sizes[:, -1:], np.finfo(float).tiny)
     inverse = np.divide(1.0, sizes, out=np.zeros_like(sizes), where=firm)
-    best: Array = mean + np.einsum("cij,cj,ckj,ck->ci", axes, inverse, axes, off)
-    return best
+    return np.asarray(mean + np.einsum("cij,cj,ckj,ck->ci", axes, inverse, axes, off))
 
 
 def _sums(of_row: Ints, rows: Array, count: int) -> Array:
