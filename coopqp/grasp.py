@@ -64,11 +64,6 @@ class Contact(ABC):
     def edge_use(self, wrench: ArrayLike) -> float:
         """Where the normal force is, over the half-lengths: 1 at an edge, NaN without one."""
 
-    def needed(self, wrench: ArrayLike) -> float:
-        """The friction coefficient that a wrench (contact frame) needs; inf where none bears it."""
-        tips = self.edge_use(wrench) > 1.0 + BEYOND
-        return math.inf if tips else self.friction_needed(wrench)
-
     def force_rows(self, safety: float) -> ForceRows:
         """All that a wrench has to keep: the cone for friction / safety, and the normal force."""
         cone = self.counted_on.rows(self.friction / safety)
@@ -90,20 +85,6 @@ class Contact(ABC):
         """The contact with the pad that is counted on, about the same middle."""
         X, Y = self.half_lengths
         return replace(self, half_lengths=(self.reach * X, self.reach * Y), reach=1.0)
-
-    def use(self, wrench: ArrayLike, friction: float) -> float:
-        """Share of the inner cone that a wrench uses: 0 normal force alone, 1 its edge, or inf."""
-        w = np.asarray(wrench, float)
-        if not w[2] > NO_CONTACT:
-            return np.inf
-        return used(self.rows(friction), w)
-
-
-def used(rows: Array, w: Array) -> float:
-    """The largest share of a row's normal part that the rest of a pressing wrench takes."""
-    normal = -rows[:, 2] * w[2]
-    bound = normal > 0.0
-    return float(np.max((rows[bound] @ w + normal[bound]) / normal[bound], initial=0.0))
 
 
 @dataclass(frozen=True, kw_only=True)

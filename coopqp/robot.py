@@ -89,6 +89,15 @@ class Capsule:
     end: tuple[float, float, float]
     radius: float
 
+    @property
+    def placed(self) -> tuple[pin.SE3, float]:
+        """Where its middle is in the joint's frame, with z along it, and its length [m]."""
+        start, end = np.array(self.start), np.array(self.end)
+        along = end - start
+        turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), along).toRotationMatrix()
+        R = turn if along.any() else np.eye(3)
+        return pin.SE3(R, 0.5 * (start + end)), float(np.linalg.norm(along))
+
 
 @dataclass(frozen=True, kw_only=True)
 class RobotModel:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import ArrayLike
 
 import coopqp
 from coopqp.base.spec import Array
 from coopqp.closed_loop.hands import hands, points
+from coopqp.grasp import BEYOND, Contact
 from coopqp.grasps import SurfaceContact
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
@@ -64,3 +67,9 @@ def squeezed(chain: ClosedChain, newtons: float) -> Array:
 def _in(R: Array, direction: Array) -> tuple[float, float, float]:
     x, y, z = R.T @ direction
     return float(x), float(y), float(z)
+
+
+def friction_for(contact: Contact, wrench: ArrayLike) -> float:
+    """The friction coefficient that a wrench (contact frame) needs; inf where none bears it."""
+    tips = contact.edge_use(wrench) > 1.0 + BEYOND
+    return math.inf if tips else contact.friction_needed(wrench)

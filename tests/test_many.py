@@ -93,7 +93,7 @@ def test_nothing_is_run_from_nowhere_or_for_no_time() -> None:
         ({"starts": "here"}, "starts: found 'here', needs numbers"),
         ({"starts": np.zeros((2, 10), complex)}, "starts: found array"),
         ({"ticks": 10**7, "starts": np.zeros((1000, 10))}, "they do not fit into memory"),
-        ({"scenario": "point_on_point"}, "scenario: found str, needs one from coopqp.load"),
+        ({"scenario": "point_on_point"}, "scenario: found 'point_on_point'; use coopqp.load"),
         ({"threads": 0}, "threads: found 0, needs a whole number"),
         ({"ticks": -1}, "ticks: found -1, needs a whole number"),
         ({"ticks": 1.5}, "ticks: found 1.5, needs a whole number"),

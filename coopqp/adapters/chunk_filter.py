@@ -212,12 +212,7 @@ class ChunkFilter:
         first = x[np.argmax(whole)] if whole.any() else self._chain.q_start
         found, _ = self._follow(given, first, holding, None, recorded=True)
         inside = np.abs(grips - 0.5 * OPEN) <= (0.5 + RECORDED) * OPEN  # of NaN it is False
-        off = np.asarray(~inside.all(axis=1))
-        for k in np.flatnonzero(found.changed | off).tolist():
-            if off[k]:
-                yield from self._grippers(k, grips[k])
-            if found.changed[k]:
-                yield from self._arms(k, given[k], found)
+        return self._why(given, None, np.asarray(~inside.all(axis=1)), found)
 
     def _holding(self, first: Array, grips: Array) -> NDArray[np.bool_]:
         """In which frames both grippers are closed that were so before."""
@@ -321,15 +316,17 @@ class ChunkFilter:
         return FilteredChunk(_like(chunk, actions), found.q, changed, holding, why)
 
     def _why(
-        self, given: Array, grips: Array, moved: NDArray[np.bool_], found: _Followed
+        self, given: Array, before: Array | None, moved: NDArray[np.bool_], found: _Followed
     ) -> Iterator[Change]:
+        """What arms and grippers break, of speeds of these where the frames before are given."""
         for k in np.flatnonzero(found.changed | moved).tolist():
             if moved[k]:
-                yield from self._grippers(k, given[k, GRIPPERS], grips[k])
+                last = None if before is None else before[k]
+                yield from self._grippers(k, given[k, GRIPPERS], last)
             if found.changed[k]:
                 yield from self._arms(k, given[k], found)
 
-    def _grippers(self, k: int, wish: Array, last: Array | None = None) -> Iterator[Change]:
+    def _grippers(self, k: int, wish: Array, last: Array | None) -> Iterator[Change]:
         """What the grippers' part breaks, of speeds where the frame before is given."""
         for i, (key, x) in enumerate(zip(np.array(KEYS)[GRIPPERS].tolist(), wish, strict=True)):
             if not np.isfinite(x):

@@ -13,7 +13,7 @@ import numpy as np
 
 from coopqp.adapters.chunk_filter import Change, ChunkFilter
 from coopqp.adapters.motors import ARMS, KEYS, MotorUnits
-from coopqp.base.errors import InvalidValueError, MissingDependencyError, UnreadableFileError
+from coopqp.base.errors import InvalidValueError, UnreadableFileError, needs
 from coopqp.base.spec import Array
 from coopqp.base.wording import counted, said
 from coopqp.scenario.scenario import Scenario
@@ -92,10 +92,8 @@ def _described(folder: Path, column: str) -> tuple[float, list[int], int]:
 
 def _episodes(folder: Path, column: str, count: int) -> Iterator[tuple[int, list[int], Array]]:
     """Of each episode its number, those of its frames, and its rows, (frames, count)."""
-    try:
+    with needs("datasets", "studies"):
         import pyarrow.parquet as parquet
-    except ImportError:
-        raise MissingDependencyError("datasets", "studies") from None
     wanted = ["episode_index", "frame_index", column]
     kept: dict[int, list[tuple[int, Array]]] = {}
     for file in sorted((folder / "data").glob("*/*.parquet")):

@@ -3,7 +3,7 @@
     env = robosuite.make("TwoArmLift", robots=["Panda", "Panda"],
                          controller_configs=[controllers("Panda"), controllers("Panda")], ...)
     world = RobosuiteWorld(env, held="pot_root")
-    world.reset()                                  # again after each reset of the environment
+    world.find()                                   # again after each reset of the environment
     robot = world.robot(folder)                    # for a Scenario, with the motors' limits
     loop = coopqp.OnlineLoop(scenario, clock=None)
     loop.tick(world.read()); world.write(loop.setpoint, loop.command.v)

@@ -15,6 +15,7 @@ what goes wrong there is a :class:`coopqp.solver.Status`.
 
 from __future__ import annotations
 
+import copyreg
 import difflib
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -38,13 +39,7 @@ class CoopqpError(Exception):
 
     def __reduce__(self) -> tuple[object, ...]:
         """Past ``__init__``, which takes other things than the message, from process to process."""
-        return _as_it_was, (type(self), self.args, vars(self))
-
-
-def _as_it_was(cls: type[CoopqpError], args: tuple[object, ...], own: dict[str, object]) -> object:
-    error = cls.__new__(cls, *args)
-    vars(error).update(own)
-    return error
+        return copyreg.__newobj__, (type(self), *self.args), vars(self)  # type: ignore[attr-defined]
 
 
 @contextmanager

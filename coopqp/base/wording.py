@@ -75,12 +75,9 @@ def faults(
 
 def said(error: BaseException) -> str:
     """What an error says of itself, in one line; empty where it cannot even do that."""
-    try:
+    words = ""
+    with suppressed():  # an error may be of a user's class
         words = " ".join(str(error).split())
-    except KeyboardInterrupt:
-        raise
-    except BaseException:  # noqa: BLE001 - an error may be of a user's class
-        return ""
     return one_line(words if len(words) <= MOST_SAID else f"{words[:MOST_SAID]}...")
 
 

@@ -13,7 +13,7 @@ how hard. The active rows of a program's optimum name what limits it.
 """
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -157,16 +157,8 @@ class StaticHold:
         return ""
 
     def _load(self, without: tuple[str, ...] = ()) -> Bound | None:
-        size = self._G.shape[1]
-        G = np.hstack([self._G, -self.weight[:, None]])
-        passive = np.hstack([self._passive[0], np.zeros((len(self._passive[1]), 1))])
-        return self._solve(
-            np.append(np.zeros(size), -1.0),
-            np.vstack([G, passive]),
-            np.concatenate([np.zeros(6), self._passive[1]]),
-            [(0.0, MAX_LOAD)],
-            without,
-        )
+        cost = np.append(np.zeros(self._G.shape[1]), -1.0)
+        return self._solve(cost, (0.0, MAX_LOAD), without=without)
 
     def extreme(
         self, row: Array, sign: float, equal: tuple[Array, Array] | None = None
@@ -177,35 +169,30 @@ class StaticHold:
         are further rows, shape (r, 6 N), and their values, shape (r,). None where the object cannot
         be carried so.
         """
-        rows, values = equal or (np.zeros((0, len(row))), np.zeros(0))
-        found = self._solve(
-            -sign * row,
-            np.vstack([self._G, self._passive[0], rows]),
-            np.concatenate([self.weight, self._passive[1], values]),
-            [],
-        )
-        return Bound(sign * found.value, found.by, found.h) if found else None
+        found = self._solve(np.append(-sign * row, 0.0), (1.0, 1.0), equal)
+        return replace(found, value=sign * found.value) if found else None
 
     def _solve(
         self,
         cost: Array,
-        A: Array,
-        b: Array,
-        more: Sequence[tuple[float, float]],
+        share: tuple[float, float],
+        equal: tuple[Array, Array] | None = None,
         without: tuple[str, ...] = (),
     ) -> Bound | None:
+        """The least cost of h and s, the share of the weight that is carried, within its ends."""
         from scipy.optimize import linprog  # which takes a quarter of a second to come
 
-        size = self._G.shape[1]
-        extra = len(cost) - size
-        scale = np.append(self._scale, np.ones(extra))
+        size, scale = self._G.shape[1], np.append(self._scale, 1.0)
+        more, values = equal or (np.zeros((0, size)), np.zeros(0))
+        A = np.pad(np.vstack([self._G, self._passive[0], more]), ((0, 0), (0, 1)))
+        A[:6, -1] = -self.weight
+        b = np.concatenate([np.zeros(6), self._passive[1], values])
         kept = [i for i, n in enumerate(self._names) if not n.startswith(without)]
         names, most = [self._names[i] for i in kept], [self._most[i] for i in kept]
-        rows = np.array([self._rows[i] for i in kept]).reshape(-1, size)
-        G = np.hstack([rows, np.zeros((len(rows), extra))])
+        G = np.pad(np.reshape([self._rows[i] for i in kept], (-1, size)), ((0, 0), (0, 1)))
         found = linprog(
             cost * scale, A_ub=G * scale, b_ub=most, A_eq=A * scale, b_eq=b,
-            bounds=[(None, None)] * size + list(more), method="highs",
+            bounds=[(None, None)] * size + [share], method="highs",
         )  # fmt: skip
         if found.status == 3:  # unbounded: nothing holds it back
             return Bound(np.inf, (), np.full((len(self.hands), 6), np.nan))

@@ -56,14 +56,6 @@ class Split:
     G: Array  # grasp matrix, shape (6, 6 N)
     X: Array  # hands' wrenches for a wrench on the object, G X = 1, shape (6 N, 6)
 
-    def moving(self, h: Array) -> Array:
-        """The part X w of wrenches h, shape (N, 6) or (6 N,) [N, N m], that moves the object."""
-        return np.asarray((self.X @ (self.G @ np.ravel(h))).reshape(np.shape(h)), float)
-
-    def internal(self, h: Array) -> Array:
-        """The part that cancels, h - X w, of the shape of h."""
-        return np.asarray(h, float) - self.moving(h)
-
     @property
     def projector(self) -> Array:
         """1 - X G, from h to its internal part, shape (6 N, 6 N)."""

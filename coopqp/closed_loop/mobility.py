@@ -276,8 +276,7 @@ def _conditions(pose: _Pose, others: NDArray[np.intp]) -> Array:
     blocks = np.moveaxis(pose.J_c[:, others], 1, 0)
     values = np.linalg.svd(blocks, compute_uv=False)[:, : others.shape[1]]
     with np.errstate(divide="ignore", invalid="ignore"):
-        conditions: Array = np.where(values[:, -1] > 0.0, values[:, 0] / values[:, -1], np.inf)
-    return conditions
+        return np.where(values[:, -1] > 0.0, values[:, 0] / values[:, -1], np.inf)
 
 
 def _sentences(m: Mobility) -> list[str]:

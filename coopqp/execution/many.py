@@ -15,7 +15,7 @@ from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array, array, finite
 from coopqp.controller import MAX_TICKS, Law
 from coopqp.execution.controller_run import controller_of
-from coopqp.scenario.scenario import Scenario
+from coopqp.scenario.scenario import Scenario, needs_scenario
 from coopqp.solver import Status
 from coopqp.trace import TickBatch
 
@@ -64,9 +64,7 @@ def run_many(
         InvalidValueError: an argument is none of these, or the controller commands torques.
         CoopqpError: the controller cannot be built for this scenario.
     """
-    if not isinstance(scenario, Scenario):
-        found = type(scenario).__name__
-        raise InvalidValueError(f"scenario: found {found}, needs one from coopqp.load")
+    needs_scenario(scenario)
     chosen, n = controller_of(scenario, controller), scenario.chain.n
     if scenario.phases or chosen.commands_torques:
         what = "phases" if scenario.phases else "torques"

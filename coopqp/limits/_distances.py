@@ -74,13 +74,7 @@ def outermost(shape: Shape) -> Array:
 
 def of_capsule(capsule: Capsule) -> Convex:
     """A capsule, in its joint's frame; coal's lie along z about their middle."""
-    start, end = np.array(capsule.start), np.array(capsule.end)
-    along = end - start
-    length = float(np.linalg.norm(along))
-    middle = pin.SE3(np.eye(3), 0.5 * (start + end))
-    if length:
-        turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), along)
-        middle.rotation = turn.toRotationMatrix()
+    middle, length = capsule.placed
     return _primitive("capsule", (capsule.radius, length), middle)
 
 

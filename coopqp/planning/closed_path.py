@@ -23,7 +23,6 @@ from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array, array
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.grasp_configuration import CLOSED_ORIENTATION, CLOSED_POSITION
-from coopqp.planning.verification import lengths, on_lines
 
 #: Largest gap of the loops between knots [m, rad].
 CLOSED = 1e-5
@@ -155,6 +154,17 @@ def _errors(moved: Moved) -> Array:
     w *= np.where(sine > 1e-9, angle / np.maximum(sine, 1e-9), 1.0)[..., None]
     e = np.concatenate([moved.p[:, 1:] - moved.p[:, :1], w], axis=-1)
     return np.asarray(e.reshape(len(e), -1), float)
+
+
+def on_lines(at: Array, s: Array, q: Array) -> Array:
+    """Points of the straight lines between rows of q, which are at s, at other places."""
+    return np.array([np.interp(at, s, column) for column in q.T]).T
+
+
+def lengths(q: Array) -> Array:
+    """Length of a path up to each of its rows [rad, m]."""
+    steps = np.linalg.norm(np.diff(q, axis=0), axis=1)
+    return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 class Along(NamedTuple):

@@ -14,6 +14,7 @@ from coopqp.base.errors import CoopqpError, InvalidValueError, UnknownNameError,
 from coopqp.base.spec import Array
 from coopqp.base.wording import counted
 from coopqp.controller import ControlProblem
+from coopqp.planning.closed_path import lengths
 from coopqp.planning.closed_space import Budget, ClosedSpace
 from coopqp.planning.reach import (
     MOST,
@@ -27,7 +28,7 @@ from coopqp.planning.reach import (
     too_far,
 )
 from coopqp.planning.timing import Clock, timed
-from coopqp.planning.verification import Verification, Verifier, lengths
+from coopqp.planning.verification import Verification, Verifier
 from coopqp.scenario.planned import PHASE
 from coopqp.scenario.scenario import Scenario, needs_scenario
 from coopqp.signal import TURN_COLUMNS, quaternion_of
@@ -394,13 +395,10 @@ class Planner:
         t, ticks = timed(self.problem, found.q, self._allowed, clock)
         if len(t) < 2:  # the start is a goal: a file of it is read back as others
             t, ticks = np.array([0.0, self.problem.dt]), np.repeat(ticks, 2, axis=0)
-        at = np.concatenate([self._poses(rows) for rows in clock.parts(ticks)])
+        poses = (self.chain.object_pose(q) for rows in clock.parts(ticks) for q in rows)
+        at = np.array([[*X.translation, *quaternion_of(X.rotation)] for X in poses])
         lasts = f"{found.sentence}; it lasts {t[-1]:.3g} s"
         return replace(found, sentence=lasts, t=t, timed=ticks, object=at)
-
-    def _poses(self, q: Array) -> Array:
-        poses = map(self.chain.object_pose, q)
-        return np.array([[*X.translation, *quaternion_of(X.rotation)] for X in poses])
 
     def _allowed(self, q: Array) -> Array | None:
         """Rows near the path on the manifold; None where one is not, or something is in the way."""

@@ -438,8 +438,7 @@ def _raised(maker: RowMaker, name: str) -> Bounds:
         kind, at = "twist", [f"the object ({axis})" for axis in AXES].index(who)
     found = getattr(bounds, kind).copy()
     found[at] *= MORE
-    raised: Bounds = replace(bounds, **{kind: found})
-    return raised
+    return replace(bounds, **{kind: found})
 
 
 def _check(**given: Any) -> None:

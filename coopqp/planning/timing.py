@@ -19,11 +19,10 @@ from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.profile import FASTEST, Profile
-from coopqp.planning.closed_path import ClosedPath, Loops, closed_path
+from coopqp.planning.closed_path import ClosedPath, Loops, closed_path, lengths, on_lines
 from coopqp.planning.given_path import LAW, SLOW, calm_run
 from coopqp.planning.path_constraints import RowMaker, motion_bounds, motion_limits
 from coopqp.planning.time_along import TimedPath, fastest
-from coopqp.planning.verification import lengths, on_lines
 from coopqp.scenario.scenario import MOST_KEPT, Scenario
 from coopqp.task import Task
 

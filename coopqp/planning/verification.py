@@ -14,6 +14,7 @@ from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.limit import DistanceBounds, Program
 from coopqp.model.state import State
+from coopqp.planning.closed_path import Loops, lengths, on_lines
 
 #: What a loop may be open by between the points of a path [m, rad], and a joint beyond its limit.
 OPEN, BEYOND = 1e-5, 1e-9
@@ -64,6 +65,7 @@ class Verifier:
         programs: Sequence[Program | None] = (),
     ) -> None:  # fmt: skip
         chain = self._chain = problem.chain
+        self._loops = Loops(chain)
         self._lower, self._upper = lower, upper
         self._data, margins = chain.model.createData(), list[float]()
         self._geometry = geometry = pin.GeometryModel()
@@ -89,16 +91,9 @@ class Verifier:
 
     def look(self, q: Array, every: float) -> Verification:
         """Look at a path q, shape (K, n), each so many radians or metres."""
-        points, hits, carried = along(q, every), 0, list[list[Array]]()
-        model, frames = self._chain.model, self._chain.frames[: self._chain.holding]
-        for row in points:
-            hits += not self.free(row)
-            placed = (pin.updateFramePlacement(model, self._data, frame) for frame in frames)
-            carried.append([X.homogeneous for X in placed])
-        X = np.array(carried)
-        turned = np.linalg.norm(X[:, 1:, :3, :3] - X[:, :1, :3, :3], axis=(2, 3)) / np.sqrt(8.0)
-        apart = np.linalg.norm(X[:, 1:, :3, 3] - X[:, :1, :3, 3], axis=2).max(initial=0.0)
-        opened = max(apart, 2.0 * np.arcsin(np.minimum(turned, 1.0)).max(initial=0.0))
+        points = along(q, every)
+        hits = sum(not self.free(row) for row in points)
+        opened = self._loops.gaps(points).max(initial=0.0)
         beyond = np.maximum(points - self._upper, self._lower - points).max(initial=0.0)
         return Verification(len(points), float(opened), float(beyond), hits)
 
@@ -136,14 +131,3 @@ def along(q: Array, every: float) -> Array:
         return q[:1].copy()
     at = np.linspace(0.0, s[-1], int(np.ceil(s[-1] / every)) + 1)
     return on_lines(at, s, q)
-
-
-def on_lines(at: Array, s: Array, q: Array) -> Array:
-    """Points of the straight lines between rows of q, which are at s, at other places."""
-    return np.array([np.interp(at, s, column) for column in q.T]).T
-
-
-def lengths(q: Array) -> Array:
-    """Length of a path up to each of its rows [rad, m]."""
-    steps = np.linalg.norm(np.diff(q, axis=0), axis=1)
-    return np.concatenate([[0.0], np.cumsum(steps)])

@@ -173,8 +173,9 @@ class HandSignals:
 
     Attributes:
         hands: those that hold, in the chain's order. at: their indices in the robot's.
-        signals: ``hand_wrench`` (6 N,), of each hand on the object at its point, world axes [N,
-            N m]; ``hand_point`` (3 N,), where that is [m]; and where any hand presses
+        signals: ``internal_wrench`` (6 N,), the part of the hands' wrenches that cancels, world
+            axes [N, N m]; ``hand_wrench`` (6 N,), of each hand on the object at its point, world
+            axes; ``hand_point`` (3 N,), where that is [m]; and where any hand presses
             ``normal_force`` (N,) and ``tangential_force`` (N,) [N], ``friction_use`` (N,), required
             over available friction, at most ``MAX_USE``, ``edge_use`` (N,), how far out on the pad
             the pressure is, 1 at its edge, ``slip`` (N,), how far the object has moved along the
@@ -185,7 +186,8 @@ class HandSignals:
 
     def __init__(self, chain: ClosedChain, friction: float) -> None:
         arms = len(chain.robot.arms)
-        self.signals = {"hand_wrench": np.zeros(6 * arms), "hand_point": np.zeros(3 * arms)}
+        sizes = {"internal_wrench": 6, "hand_wrench": 6, "hand_point": 3}
+        self.signals = {name: np.zeros(size * arms) for name, size in sizes.items()}
         self.lost, self._friction, self._apart = "", friction, np.zeros(arms)
         if any(grasp.contact for grasp in chain.grasps.values()):
             for name in ("normal_force", "tangential_force", "friction_use", "edge_use", "slip"):
@@ -225,6 +227,11 @@ class HandSignals:
             if w[2] > NO_CONTACT:
                 needed = contact.friction_needed(w) if borne is None else borne[k] / w[2]
                 told["friction_use"][i] = min(needed / (self._friction * contact.friction), MAX_USE)
+
+    def split(self, wrenches: Array, alpha: Array) -> None:
+        """Write what cancels of wrenches at the object's origin; after :meth:`write`."""
+        internal = self.signals["internal_wrench"].reshape(-1, 6)
+        internal[self.at] = wrenches - np.outer(alpha[: len(wrenches)], wrenches.sum(axis=0))
 
     def touch(self, dt: float) -> None:
         """Count how long hands have not pressed, by dt [s]; the object is lost after some time."""

@@ -273,8 +273,7 @@ class MujocoModel(DynamicModel):
 
     Attributes:
         signals: also ``gap`` (1,), the largest distance between the object and where a hand holds
-            it [m], ``internal_wrench`` (6 N,), the part of the hands' wrenches that cancels, arm
-            by arm [N, N m], world axes, and those of :class:`HandSignals`.
+            it [m], and those of :class:`HandSignals`.
     """
 
     _data: Any
@@ -295,7 +294,6 @@ class MujocoModel(DynamicModel):
         self._data.qpos[self._q] = self.true.q[self._moved]
         mujoco.mj_forward(self._model, self._data)
         self.signals["gap"] = np.zeros(1)
-        self.signals["internal_wrench"] = np.zeros(6 * len(problem.chain.robot.arms))
         self.signals |= self.hand_signals.signals
 
     def _require_faces(self) -> None:
@@ -384,13 +382,10 @@ class MujocoModel(DynamicModel):
         wrenches, borne = self._wrenches()
         signals = self.hand_signals
         self.signals["gap"][0] = self._gap(place)
-        internal = self.signals["internal_wrench"].reshape(-1, 6)
-        internal[:] = 0.0
-        alpha = self.true.chain.alpha[: len(wrenches)]
-        internal[signals.at] = wrenches - np.outer(alpha, wrenches.sum(axis=0))
         points = contact_points(signals.hands, place, R_WO)
         at_hands = [moved(h, place, p) for h, p in zip(wrenches, points, strict=True)]
         signals.write(np.array(at_hands), points, self._in_contacts(at_hands, points, R_WO), borne)
+        signals.split(wrenches, self.true.chain.alpha)
         if signals.pressing:
             self._write_slip(points)
             signals.touch(self._dt)
@@ -442,7 +437,7 @@ class MujocoModel(DynamicModel):
             R_WT = self._data.xmat[self._model.body(joint).id].reshape(3, 3) @ X_JT
             R = R_WT.T @ R_WO @ R_EO.T
             before = true.q[index].copy()
-            true.q[index] = angles_xyz(R)
+            true.q[index] = -pin.rpy.matrixToRpy(R.T)  # successive turns about x, y and z
             true.v[index] = (true.q[index] - before) / self._dt
 
     def _wrenches(self) -> tuple[Array, Array]:
@@ -484,9 +479,3 @@ def _balls(chain: ClosedChain) -> Iterator[tuple[Any, Array, Array, str]]:
             tip = model.frames[model.getFrameId(arm.tip)]
             X_EO = chain.hold.X_EO[arm.name]
             yield index, tip.placement.rotation, X_EO.rotation, model.names[tip.parentJoint]
-
-
-def angles_xyz(R: Array) -> Array:
-    """The angles of successive turns about x, y and z, R = Rx Ry Rz, shape (3,) [rad]."""
-    middle = np.arcsin(np.clip(R[0, 2], -1.0, 1.0))
-    return np.array([np.arctan2(-R[1, 2], R[2, 2]), middle, np.arctan2(-R[0, 1], R[0, 0])])

@@ -88,8 +88,7 @@ class QuasiStaticModel(DynamicModel):
 
     Attributes:
         signals: ``tau``, the motors' torques with what holds the arms' own weight, without a limit;
-            ``internal_wrench`` (6 N,), the part of the hands' wrenches that cancels, arm by arm [N,
-            N m], world axes; ``slip`` (N,), how far each grip has crept or slipped [m]; those of
+            ``slip`` (N,), how far each grip has crept or slipped [m]; those of
             :class:`DynamicModel` and of :class:`HandSignals`.
     """
 
@@ -103,7 +102,6 @@ class QuasiStaticModel(DynamicModel):
         self._crept = np.zeros((len(self._order), 6))
         self._integral = np.zeros(problem.chain.n)
         self._X_WO = self.true.chain.object_pose(self.true.q)
-        self.signals["internal_wrench"] = np.zeros(6 * len(self._order))
         self.signals["slip"] = np.zeros(len(self._order))
         self.grip()
         self.signals |= {k: v for k, v in self.hand_signals.signals.items() if k != "slip"}
@@ -202,13 +200,10 @@ class QuasiStaticModel(DynamicModel):
         X, chain = self._X_WO, self.true.chain
         at_hands = zip(self._wrench, self._at, strict=True)
         by_arm = np.reshape([moved(w, p, X.translation) for w, p in at_hands], (-1, 6))
-        internal = self.signals["internal_wrench"].reshape(-1, 6)
-        internal[:] = 0.0
-        share = chain.alpha[: len(by_arm)]
-        internal[self.hand_signals.at] = by_arm - np.outer(share, by_arm.sum(axis=0))
         turned = into_contacts(self._hands, X.rotation)
         in_contacts = np.array(list(map(in_axes, self._wrench, turned)))
         self.hand_signals.write(self._wrench, self._at, in_contacts)
+        self.hand_signals.split(by_arm, chain.alpha)
         slip = self.signals["slip"]
         slip[:] = np.linalg.norm(self._crept[:, :3], axis=1)
         for i in self.hand_signals.at:

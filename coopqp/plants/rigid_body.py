@@ -44,9 +44,8 @@ class RigidBodyModel(_dynamic.DynamicModel):
     """The rigid bodies.
 
     Attributes:
-        signals: also ``cut_wrench`` (6 L,), lambda where all arms but the first are cut off,
-            ``internal_wrench`` (6 N,), the part of the hands' wrenches that cancels, arm by arm
-            [N, N m], world axes, and those of :class:`HandSignals`.
+        signals: also ``cut_wrench`` (6 L,), lambda where all arms but the first are cut off, and
+            those of :class:`HandSignals`.
 
     Hands that press hold the object as if they were fastened, until friction cannot bear it: then
     it is lost, and the run ends.
@@ -59,11 +58,9 @@ class RigidBodyModel(_dynamic.DynamicModel):
         super().__init__(problem, servo, settings.time_step, seed, disturbance)
         chain, self._settings = problem.chain, settings
         self._open()
-        arms = len(chain.robot.arms)
         # The trace tells of the arms in the robot's order, whoever holds the object.
         self._order = [chain.arms.index(arm) for arm in chain.robot.arms]
-        self.signals["cut_wrench"] = np.zeros(6 * (arms - 1))
-        self.signals["internal_wrench"] = np.zeros(6 * arms)
+        self.signals["cut_wrench"] = np.zeros(6 * (len(self._order) - 1))
         self.signals |= self.hand_signals.signals
 
     def attach(self, before: PlantModel) -> None:
@@ -124,8 +121,8 @@ class RigidBodyModel(_dynamic.DynamicModel):
         wrenches = dynamics.object_wrenches(a, self._wrench, self.disturbance.wrench(true.t))
         cut = self.signals["cut_wrench"]
         cut[:] = -wrenches.by_arm[1:].ravel()[: len(cut)]
-        self.signals["internal_wrench"][:] = wrenches.internal[self._order].ravel()
         self._write_hand_signals(wrenches.by_arm)
+        self.signals["internal_wrench"][:] = wrenches.internal[self._order].ravel()
         return dynamics.kinetic_energy(true.q, true.v), dynamics.potential_energy(true.q)
 
     def _write_hand_signals(self, by_arm: Array) -> None:

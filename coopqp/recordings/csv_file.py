@@ -9,10 +9,9 @@ feeds its inputs again; both what the page and what a loop for a robot write is 
 import csv
 import io
 import re
-from array import array
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from itertools import islice
+from itertools import islice, takewhile
 from pathlib import Path
 from typing import Any
 
@@ -129,38 +128,28 @@ class Sent:
     """What arrived at one input, row by row."""
 
     def __init__(self, kind: Kind) -> None:
-        self._columns = ("t", "sent", *kind.columns)
-        self._rows = array("d")
-
-    @property
-    def header(self) -> str:
-        """The names of the columns, as a line."""
-        return ",".join(self._columns) + "\n"
+        self.header = ",".join(("t", "sent", *kind.columns)) + "\n"
+        self._rows: list[tuple[float, ...]] = []
 
     def add(self, t: float, sent: float, value: Iterable[float]) -> None:
         """Keep what arrived for the tick at t and when it was sent [s]; for one tick the last."""
-        width = len(self._columns)
-        if self._rows and self._rows[-width] == t:
-            del self._rows[-width:]
-        self._rows.extend((t, sent, *value))
+        if self._rows and self._rows[-1][0] == t:
+            self._rows.pop()
+        self._rows.append(tuple(map(float, (t, sent, *value))))
 
     def lines(self) -> str:
         """All rows that are kept, as lines."""
-        return self._text(0, len(self._rows))
+        return _as_lines(self._rows)
 
     def take(self, before: float) -> str:
         """The rows before a time [s], as lines; they are kept no longer."""
-        width, end = len(self._columns), 0
-        while end < len(self._rows) and self._rows[end] < before:
-            end += width
-        text = self._text(0, end)
-        del self._rows[:end]
-        return text
+        taken = list(takewhile(lambda row: row[0] < before, self._rows))
+        del self._rows[: len(taken)]
+        return _as_lines(taken)
 
-    def _text(self, start: int, stop: int) -> str:
-        width = len(self._columns)
-        rows = (self._rows[i : i + width] for i in range(start, stop, width))
-        return "".join(",".join(map(repr, row)) + "\n" for row in rows)
+
+def _as_lines(rows: Iterable[tuple[float, ...]]) -> str:
+    return "".join(",".join(map(repr, row)) + "\n" for row in rows)
 
 
 def file_name(name: str, taken: Collection[str]) -> str:

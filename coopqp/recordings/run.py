@@ -106,13 +106,10 @@ def read_rows(path: Path, at: str, rows: Iterable[Mapping[str, Any]]) -> Run:
     """A run from rows, as messages have them."""
     lists, count = dict[str, list[Any]](), 0
     for row in rows:
-        for name, value in row.items():
-            values = lists.setdefault(name, [])
-            values += [None] * (count - len(values))
-            values.append(value)
+        lists |= {name: [None] * count for name in row if name not in lists}
+        for name, values in lists.items():
+            values.append(row.get(name))
         count += 1
-    for values in lists.values():
-        values += [None] * (count - len(values))
     return run_of(path, at, lists, np.arange(count), f"{at}0")
 
 

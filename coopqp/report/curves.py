@@ -160,12 +160,6 @@ def markers(name: str, style: Style, points: Sequence[tuple[float, float]], symb
     return MARKERS | {"legendgroup": name, "x": x, "y": y, "marker": marker}
 
 
-def forbidden(span: tuple[float, float], low: float, high: float) -> Json:
-    """Hatch the region between two heights."""
-    a, b = span
-    return HATCHED | {"x": [a, b, b, a, a], "y": [low, low, high, high, low]}
-
-
 def level(y: float, text: str = "", *, above: bool = True, log: bool = False) -> Json:
     """A horizontal line across the figure, with its name at the right."""
     line = {"color": INK, "width": 1.2}
@@ -310,7 +304,8 @@ class Chart:
         """Lines at some rows of the trace; hatched beyond the two heights that are allowed."""
         t = self.any.t[rows]
         hatched = [(shown.bottom, allowed[0]), (allowed[1], shown.top)]
-        data = [forbidden((0.0, self.end), a, b) for a, b in hatched if a < b]
+        x = [0.0, self.end, self.end, 0.0, 0.0]
+        data = [HATCHED | {"x": x, "y": [a, a, b, b, a]} for a, b in hatched if a < b]
         for name, y in lines.items():
             data.append(curve(name, self.styles[name], t[: len(y)], y, steps=steps))
         axis = logarithmic(shown) if log else linear(shown)

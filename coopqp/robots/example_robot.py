@@ -8,7 +8,7 @@ from functools import lru_cache
 from importlib import metadata
 from pathlib import Path
 
-from coopqp.base.errors import MissingDependencyError, UnknownNameError
+from coopqp.base.errors import UnknownNameError, needs
 from coopqp.base.spec import spec
 from coopqp.robot_files.selection import DescribedRobot, Description
 from coopqp.robot_files.urdf import read_urdf
@@ -39,10 +39,8 @@ def _described(file: Path) -> Description:
 
 def robots() -> dict[str, Path]:
     """The package's URDF files by name, or by folder and name; or MissingDependencyError."""
-    try:
+    with needs("robot 'example_robot'", "robots"):
         folder = Path(str(metadata.distribution(PACKAGE).locate_file(FOLDER)))
-    except metadata.PackageNotFoundError:
-        raise MissingDependencyError("robot 'example_robot'", "robots") from None
     return _listed(folder)
 
 

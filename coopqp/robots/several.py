@@ -34,11 +34,6 @@ class Placed(Pose):
     robot: Annotated[Robot, PlainValidator(_read), WithJsonSchema(SPELLING)]
     """Which robot, as under the scenario's key robot."""
 
-    @property
-    def X_WB(self) -> pin.SE3:
-        """Pose of the base in the world."""
-        return pose_matrix(self)
-
 
 @spec
 class Several(Robot):
@@ -54,7 +49,7 @@ class Several(Robot):
         parts = [_part(name, placed) for name, placed in self.robots.items()]
         model = pin.Model()
         for (_, placed), part in zip(self.robots.items(), parts, strict=True):
-            model = pin.appendModel(model, part.model, 0, placed.X_WB)
+            model = pin.appendModel(model, part.model, 0, pose_matrix(placed))
         for part in parts:  # appendModel forgets the armatures
             copy_per_velocity(part.model, model)
         model.name = "several"
@@ -73,7 +68,7 @@ def _part(name: str, placed: Placed) -> RobotModel:
         inside = InvalidValueError(f"robot {name}: {error}").at(*error.keys)
         kind = type_name(type(placed.robot))
         raise inside.at("robots", name, "robot", kind) from error
-    return _renamed(f"{name}/", robot, placed.X_WB)
+    return _renamed(f"{name}/", robot, pose_matrix(placed))
 
 
 def _renamed(prefix: str, robot: RobotModel, X_WB: pin.SE3) -> RobotModel:

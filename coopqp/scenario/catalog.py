@@ -35,7 +35,7 @@ from pydantic import BaseModel, PydanticUserError
 from pydantic.dataclasses import is_pydantic_dataclass
 
 from coopqp.base.errors import CoopqpError, Fault, unknown_name
-from coopqp.base.reading import absolute
+from coopqp.base.reading import absolute, version
 from coopqp.base.wording import said
 from coopqp.controller import Controller, Law
 from coopqp.grasp import Grasp
@@ -177,7 +177,7 @@ class Shelf:
 
 def installed() -> Iterator[Shelf | Fault]:
     """What installed packages bring along."""
-    for point in _points(tuple((place, _changed(place)) for place in sys.path)):
+    for point in _points(tuple(version(Path(place)) for place in sys.path)):
         place = f"entry point {point.name} = {point.value} of {GROUP}"
         try:
             package = importlib.import_module(point.value)
@@ -195,17 +195,9 @@ def installed() -> Iterator[Shelf | Fault]:
 
 
 @lru_cache(maxsize=4)
-def _points(_places: tuple[tuple[str, int], ...]) -> tuple[metadata.EntryPoint, ...]:
+def _points(_places: tuple[tuple[Path, int, int], ...]) -> tuple[metadata.EntryPoint, ...]:
     """The entry points, which take long to read, of the places that Python imports from."""
     return tuple(sorted(metadata.entry_points(group=GROUP)))
-
-
-def _changed(place: str) -> int:
-    """When a package was last put somewhere or taken away; 0 where nothing is [ns]."""
-    try:
-        return Path(place).stat().st_mtime_ns
-    except OSError:
-        return 0
 
 
 def _in_subfolders(folder: Path, package: str | None) -> Iterator[Shelf | Fault]:

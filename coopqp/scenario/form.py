@@ -210,8 +210,7 @@ def check(file: YamlFile, catalog: Catalog) -> BaseModel:
     def read_signal(value: dict[str, Any], needed: bool) -> Signal | None:
         """A signal where a task may have one."""
         named = len(value) == 1 and set(value) <= set(catalog.entries("signals"))
-        found: Signal | None = inner("signals", value) if needed or named else None
-        return found
+        return inner("signals", value) if needed or named else None
 
     robot = functools.partial(inner, "robots")
     context = {"folder": file.folder, "robot": robot, "signal": read_signal}

@@ -305,5 +305,4 @@ def same_side(quaternions: Array) -> Array:
     """Signs so that each quaternion is on the side of the one before, shape (m, 4)."""
     turned = np.sum(quaternions[1:] * quaternions[:-1], axis=1) < 0.0
     signs = np.cumprod(np.concatenate([[1.0], np.where(turned, -1.0, 1.0)]))
-    found: Array = quaternions * signs[:, None]
-    return found
+    return quaternions * signs[:, None]

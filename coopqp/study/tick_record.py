@@ -70,12 +70,9 @@ class TickRecord:
         """As JSON; infinite bounds as 1e30."""
         return json.dumps(asdict(self), indent=1) + "\n"
 
-    def save(self, path: Path) -> None:
-        path.write_text(self.text(), encoding="utf-8")
-
     @staticmethod
     def read(path: Path) -> TickRecord:
-        """Read what :meth:`save` wrote; CoopqpError where it is no saved tick."""
+        """Read what :meth:`text` gave; CoopqpError where it is no saved tick."""
         text = read_text(path, MOST_BYTES)
         try:
             record = _RECORD.validate_json(text)

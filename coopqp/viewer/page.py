@@ -1,6 +1,7 @@
 """The process of the page: viser's server with a scene and a panel. It loads nothing from outside.
 
-viser is imported here alone, so that the control loop's process has none of it.
+viser is imported here alone, so that the control loop's process has none of it. Colours with a
+meaning are Okabe and Ito's, safe for the colour-blind.
 """
 
 import threading
@@ -9,9 +10,11 @@ from collections.abc import Callable, Sequence
 from html import escape
 from typing import Any
 
+import numpy as np
+
+from coopqp.base.spec import Array
 from coopqp.viewer.gate import guard
-from coopqp.viewer.messages import Action, Dial, Frame, PageSetup
-from coopqp.viewer.scene import AT, BEYOND, FORCE, GOAL, LINK, NEAR, TONES, WEIGHT, Scene, css
+from coopqp.viewer.messages import Action, ControllerFrame, Dial, Frame, PageSetup, Tone
 from coopqp.viewer.worker import Peer
 
 OVERLAID, APART = "all, one over the other", "all, side by side"
@@ -21,6 +24,35 @@ STILL = "Nothing can be dragged here: what the tasks ask for moves by itself, or
 STEERED = "Nothing can be dragged here; move the sliders below Inputs, and the arms follow."
 MAX_LIMITS = 4  # that are listed by name
 FAREWELL = 0.2  # for the last messages to go out [s]
+
+Rgb = tuple[int, int, int]
+
+LINK: Rgb = (214, 218, 222)
+NEAR: Rgb = (240, 228, 66)  # on the way to a limit
+AT: Rgb = (213, 94, 0)
+BEYOND: Rgb = (150, 20, 110)
+GOAL: Rgb = (0, 158, 115)
+FORCE: Rgb = (194, 24, 127)  # as in reports
+WEIGHT: Rgb = (70, 70, 70)
+TONES: dict[Tone, str] = {
+    "reached": "#009E73",
+    "moving": "#0072B2",
+    "blocked": "#D55E00",
+    "broken": "#96146E",
+    "waiting": "#6B7280",
+}
+WARNS = 0.25  # distance to a limit, over half the range, where a joint begins to change its colour
+STEPS = 6  # between two colours, so that links do not change with every frame
+
+GHOST = 0.35  # opacity of a controller that is drawn over another one
+LET_GO = 0.7  # a gizmo that has not been dragged for so long is free [s]
+LEAST = 1e-6  # a smaller motion is not drawn [m]
+GIZMO, THIN, SPACED = 0.9, 0.02, 1.15  # in longest edges of the object, and of the visible space
+
+#: Where the camera is at first, in diagonals of the visible space, and its field of view [rad].
+BEFORE, BESIDE, FOV = (1.35, -0.65, 0.55), (0.55, -1.4, 0.55), 0.8
+#: In windows narrower than this [px] the camera is farther away and looks lower.
+NARROW, FARTHER, LOWER = 600, 1.5, 0.35
 
 
 def serve(peer: Peer, setup: PageSetup, host: str, port: int, allowed: Sequence[str]) -> None:
@@ -236,3 +268,224 @@ def _recorded(frame: Frame, setup: PageSetup) -> str:
     )
     note = f'<div style="margin-top:0.3em">{escape(frame.note)}</div>' if frame.note else ""
     return _box(text + note)
+
+
+def of_joint(left: float, base: Rgb) -> Rgb:
+    """Colour of a link by its joint's distance to the nearer limit, over half the range."""
+    if left < 0.0:
+        return BEYOND
+    if left == 0.0:
+        return AT
+    if left >= WARNS:
+        return base
+    near = 2.0 * np.ceil(STEPS * (1.0 - left / WARNS)) / STEPS
+    return mixed(base, NEAR, near) if near < 1.0 else mixed(NEAR, AT, near - 1.0)
+
+
+def mixed(first: Rgb, last: Rgb, share: float) -> Rgb:
+    """A colour between two."""
+    between = (1.0 - share) * np.array(first) + share * np.array(last)
+    r, g, b = np.round(between).astype(int).tolist()
+    return r, g, b
+
+
+def rgb(color: str) -> Rgb:
+    """The numbers of a colour such as "#0072B2"."""
+    r, g, b = bytes.fromhex(color[1:])
+    return r, g, b
+
+
+def css(color: Rgb) -> str:
+    """The inverse of :func:`rgb`."""
+    return f"#{bytes(color).hex().upper()}"
+
+
+def view(setup: PageSetup) -> tuple[Array, Array]:
+    """Target and position of the camera at first, beside the longer horizontal edge, (3,) [m]."""
+    aside = BESIDE if _longer_along_x(setup) else BEFORE
+    middle = 0.5 * (setup.low + setup.high)
+    return middle, middle + float(np.linalg.norm(setup.high - setup.low)) * np.array(aside)
+
+
+def _longer_along_x(setup: PageSetup) -> bool:
+    x, y, _ = setup.high - setup.low
+    return bool(x > y)
+
+
+class Scene:
+    """The scene of a page."""
+
+    def __init__(self, server: Any, setup: PageSetup, send: Callable[[Action], None]) -> None:
+        self._setup, self._send, self._server, self._scene = setup, send, server, server.scene
+        self._size = max(setup.size)
+        low, (middle, eye) = setup.low, view(setup)
+        wide = float(np.linalg.norm(setup.high - low))
+        self._middle, self._diagonal, self._aside = middle, wide, eye - middle
+        self._scene.set_up_direction("+z")
+        camera = server.initial_camera
+        camera.look_at, camera.position = tuple(middle), tuple(eye)
+        camera.fov, camera.near = FOV, 0.01 * wide
+        self._scene.configure_default_lights(cast_shadow=False)
+        self._scene.world_axes.visible = False
+        cell, edge = 10.0 ** np.floor(np.log10(wide / 2.0)), 4.0 * wide
+        self._scene.add_grid(
+            "/floor", edge, edge, cell_size=cell, section_size=5.0 * cell,
+            cell_color=(232, 234, 237), section_color=(214, 217, 221), fade_distance=6.0 * wide,
+            shadow_opacity=0.0, position=(middle[0], middle[1], low[2]),
+        )  # fmt: skip
+        self._drawn = [
+            _Controller(server, setup, (f"/law{i}", rgb(color)), send)
+            for i, color in enumerate(setup.laws.values())
+        ]
+        self._ghost = _Controller(server, setup, ("/ghost", GOAL), send)
+        self._gizmos = [self._gizmo(i) for i in range(len(setup.gizmos))]
+        self._dragged = [0.0] * len(setup.gizmos)
+        look: Any = {"thickness": THIN * self._size, "visible": False}
+        self._outlines = self._scene.add_line_segments("/goals", np.zeros((1, 2, 3)), GOAL, **look)
+        self.arrange("one", 0)
+
+    def arrange(self, how: str, main: int) -> None:
+        """Choose what is visible: one, overlaid or apart; the main controller alone with "one"."""
+        across = np.array([1.0, 0.0, 0.0] if _longer_along_x(self._setup) else [0.0, -1.0, 0.0])
+        width = SPACED * float(np.abs(across) @ (self._setup.high - self._setup.low))
+        for i, drawn in enumerate(self._drawn):
+            drawn.place(
+                shown=how != "one" or i == main,
+                ghost=how == "overlaid" and i != main,
+                shift=width * (i - main) * across if how == "apart" else np.zeros(3),
+                draggable=i == main,
+            )
+        if how == "apart":  # the camera steps back
+            middle = self._middle + width * (0.5 * (len(self._drawn) - 1) - main) * across
+            for client in self._server.get_clients().values():
+                client.camera.position = middle + (0.8 + 0.5 * len(self._drawn)) * self._aside
+                client.camera.look_at = middle
+
+    def draw(self, frame: Frame) -> None:
+        for drawn, each in zip(self._drawn, frame.laws, strict=True):
+            drawn.draw(each)
+        self._ghost.show(frame.ghost)
+        now = time.monotonic()
+        for handle, pose, touched in zip(self._gizmos, frame.gizmos, self._dragged, strict=True):
+            if handle.visible != (pose is not None):
+                handle.visible = pose is not None
+            if pose is not None and now - touched > LET_GO:
+                _move(handle, pose)
+        _set_points(self._outlines, frame.outlines, visible=len(frame.outlines) > 0)
+
+    def fit(self, client: Any) -> None:
+        """Move the camera so that a narrow window shows the scene above the panel."""
+        camera = client.camera
+        if camera.image_width >= NARROW:
+            return
+        below = np.array([0.0, 0.0, LOWER * self._diagonal])
+        camera.position = self._middle - below + FARTHER * self._aside
+        camera.look_at = self._middle - below  # after the position, which takes it along
+
+    def _gizmo(self, i: int) -> Any:
+        gizmo = self._setup.gizmos[i]
+        handle = self._scene.add_transform_controls(
+            f"/gizmo/{i}", scale=GIZMO * self._size, line_width=3.5, disable_axes=not gizmo.moves,
+            disable_sliders=not gizmo.moves, disable_rotations=not gizmo.turns, depth_test=False,
+            visible=False,
+        )  # fmt: skip
+        place = (0.0, 0.0, -0.35 * self._size)
+        self._scene.add_label(f"/gizmo/{i}/name", f"goal: {gizmo.label}", position=place)
+
+        async def drag(event: Any) -> None:
+            self._dragged[i] = time.monotonic()
+            w, *turn = _numbers(handle.wxyz)
+            self._send(Action("drag", i, (*_numbers(handle.position), *turn, w)))
+
+        handle.on_update(drag)
+        return handle
+
+
+class _Controller:
+    """What is drawn of one controller."""
+
+    def __init__(
+        self, server: Any, setup: PageSetup, drawn: tuple[str, Rgb], send: Callable[[Action], None]
+    ) -> None:
+        scene, (name, self._color) = server.scene, drawn
+        self._bodies = setup.bodies
+        self._send, self._root = send, scene.add_frame(name, show_axes=False)
+        look: Any = {"color": LINK, "side": "double", "flat_shading": True}
+        self._links = [
+            scene.add_mesh_simple(f"{name}/link{k}", body.vertices, body.corners, **look)
+            for k, body in enumerate(setup.bodies)
+        ]
+        self._held = scene.add_box(f"{name}/object", color=self._color, dimensions=setup.size)
+        size = max(setup.size)
+        self._arrows, self._weight = (
+            scene.add_arrows(
+                f"{name}/{what}", np.zeros((1, 2, 3)), color,
+                shaft_radius=0.03 * size, head_radius=0.07 * size, head_length=0.14 * size,
+                visible=False,
+            )
+            for what, color in (("forces", FORCE), ("weight", WEIGHT))
+        )  # fmt: skip
+        self._colors = [LINK] * len(self._links)
+        self._base, self._shown, self._draggable = LINK, True, False
+        self._held.on_drag(self._pull)
+
+    async def _pull(self, event: Any) -> None:
+        """Send where the object's origin is pulled."""
+        if event.phase != "end" and self._draggable:
+            pull = np.subtract(event.end_position, event.start_position)
+            self._send(Action("carry", 0, _numbers(np.asarray(self._held.position) + pull)))
+
+    def place(self, *, shown: bool, ghost: bool, shift: Array, draggable: bool) -> None:
+        self._shown, self._draggable = shown, draggable
+        self._root.visible = shown
+        self._root.position = shift
+        self._base = mixed(LINK, self._color, 0.45) if ghost else LINK
+        for node in (*self._links, self._held):
+            node.opacity = GHOST if ghost else None
+
+    def show(self, drawn: ControllerFrame | None) -> None:
+        """Draw it as a ghost, or not at all."""
+        if self._shown != (drawn is not None):
+            nothing = np.zeros(3)
+            self.place(shown=drawn is not None, ghost=True, shift=nothing, draggable=False)
+            for body, node in zip(self._bodies, self._links, strict=True):
+                node.visible = body.joint is not None
+        if drawn is not None:
+            self.draw(drawn)
+
+    def draw(self, drawn: ControllerFrame) -> None:
+        if not self._shown:
+            return
+        _move(self._held, drawn.held)
+        for k, (body, node) in enumerate(zip(self._bodies, self._links, strict=True)):
+            left = 1.0
+            if body.joint is not None:
+                _move(node, drawn.bodies[k])
+                left = float(drawn.left[body.joint])
+            color = of_joint(left, self._base)
+            if color != self._colors[k]:
+                self._colors[k] = node.color = color
+        for node, arrows in ((self._arrows, drawn.arrows), (self._weight, drawn.weight)):
+            lengths = np.abs(arrows[:, 1] - arrows[:, 0])
+            _set_points(node, arrows, visible=bool(lengths.max(initial=0.0) > LEAST))
+
+
+def _set_points(node: Any, points: Array, *, visible: bool) -> None:
+    """Show segments or arrows, shape (., 2, 3) [m], or hide them."""
+    if visible:
+        node.points = points.astype(np.float32)
+    if node.visible != visible:
+        node.visible = visible
+
+
+def _move(node: Any, pose: Array) -> None:
+    """Put a node to a pose x, y, z, qx, qy, qz, qw, unless it is there."""
+    place, turn = pose[:3], pose[[6, 3, 4, 5]]
+    if np.abs(np.asarray(node.position) - place).max() > LEAST:
+        node.position = place
+    if np.abs(np.asarray(node.wxyz) - turn).max() > LEAST:
+        node.wxyz = turn
+
+
+def _numbers(values: Any) -> tuple[float, ...]:
+    return tuple(float(x) for x in values)

@@ -67,9 +67,7 @@ class Player:
         self.controllers = [SimulatedController(scenario, n, self._hands) for n in self._names]
         self.recording = Recording(self._read, self._steered, self._names, self._values)
         self.explanation, self._changed, self.note = messages.Explanation(), False, ""
-        self.way_round: messages.WayRound | None = (
-            None  # what the arms are stuck at, if it is known
-        )
+        self.way_round: messages.WayRound | None = None  # where the arms are stuck, if known
         self._asked: object = None
         self._ghost = 0
         self.tick()

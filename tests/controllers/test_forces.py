@@ -82,7 +82,7 @@ def test_all_six_at_once_are_had_hard(box_of_nao: ClosedChain) -> None:
 
 def test_without_a_task_hands_hardly_squeeze(box_of_nao: ClosedChain) -> None:
     law, h = decided(box_of_nao)
-    assert np.abs(law.hands.split.internal(h)).max() < 0.05
+    assert np.abs(law.hands.split.projector @ np.ravel(h)).max() < 0.05
 
 
 def test_a_later_priority_gets_what_earlier_ones_leave(box_of_nao: ClosedChain) -> None:

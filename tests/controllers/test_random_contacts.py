@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from chains import closed_states
 from laws import problem
-from pads import pressing
+from pads import friction_for, pressing
 
 from coopqp.base.errors import GraspError
 from coopqp.base.spec import Array
@@ -47,7 +47,7 @@ def coulomb_keeps(law: TorqueQpLaw, h: Array, R_WO: Array, safety: float) -> boo
     for hand, did in zip(law.hands.hands, h.reshape(-1, 6), strict=True):
         assert hand.contact
         R = (R_WO @ hand.X_OC.rotation).T
-        needed = hand.contact.needed(np.concatenate([R @ did[:3], R @ did[3:]]))
+        needed = friction_for(hand.contact, np.concatenate([R @ did[:3], R @ did[3:]]))
         if needed > hand.contact.friction / safety * (1.0 + 1.2 * NEAR):
             return False
     return True

@@ -17,8 +17,9 @@ from coopqp.kernel import native
 from coopqp.limits import SelfCollision
 from coopqp.limits._keep_apart import distances_along
 from coopqp.model.closed_chain import ClosedChain
+from coopqp.planning.closed_path import lengths
 from coopqp.planning.closed_space import Budget, ClosedSpace
-from coopqp.planning.verification import along, lengths
+from coopqp.planning.verification import along
 from coopqp.scenario.loader import load
 from coopqp.study.explanation.goal import Goal
 

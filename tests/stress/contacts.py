@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pinocchio as pin
+from pads import friction_for
 from walks import vector, walk
 
 from coopqp.base.errors import CoopqpError
@@ -286,7 +287,7 @@ def _tipped(law: TorqueQpLaw, told: Array, true: State) -> bool:
         did = by_arm[robot.index(hand.arm)]
         w = np.concatenate([R @ did[:3], R @ did[3:]])
         assert hand.contact
-        if w[2] > NO_CONTACT and np.isinf(hand.contact.needed(w)):
+        if w[2] > NO_CONTACT and np.isinf(friction_for(hand.contact, w)):
             return True
     return False
 
@@ -313,7 +314,7 @@ def _borne(law: TorqueQpLaw, h: Array, state: State) -> bool:
     turned = into_contacts(law.hands.hands, state.R_WO)
     for hand, did, R in zip(law.hands.hands, h.reshape(-1, 6), turned, strict=True):
         assert hand.contact
-        needed = hand.contact.needed(np.concatenate([R @ did[:3], R @ did[3:]]))
+        needed = friction_for(hand.contact, np.concatenate([R @ did[:3], R @ did[3:]]))
         if needed > ROUND * hand.contact.friction / law.settings.safety:
             return False
     return True

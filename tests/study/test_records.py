@@ -69,7 +69,7 @@ def test_record_comes_back_from_its_file_bit_for_bit(
 ) -> None:
     kept = records[kind]
     path = tmp_path / "tick.json"
-    kept.save(path)
+    path.write_text(kept.text(), encoding="utf-8")
     again = TickRecord.read(path)
     assert again == kept
     for name in ("P", "q", "C", "lower", "upper"):
@@ -229,7 +229,8 @@ def test_binary_missing_and_unreadable_files_are_refused(tmp_path: Path) -> None
 @pytest.fixture
 def saved(chain: ClosedChain, tmp_path: Path) -> Path:
     path = tmp_path / "tick.json"
-    first_tick(chain, PointOnPoint(name="reach", goal=NEAR, profile=STEP)).save(path)
+    record = first_tick(chain, PointOnPoint(name="reach", goal=NEAR, profile=STEP))
+    path.write_text(record.text(), encoding="utf-8")
     return path
 
 

@@ -17,9 +17,9 @@ import pytest
 from coopqp.base.spec import Array
 from coopqp.scenario.loader import load
 from coopqp.viewer.messages import PageSetup
+from coopqp.viewer.page import FOV, GIZMO, view
 from coopqp.viewer.play import play
 from coopqp.viewer.player import Player
-from coopqp.viewer.scene import FOV, GIZMO, view
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 WIDTH, HEIGHT = 1000, 360  # small, because software draws it

@@ -188,8 +188,7 @@ def joint_units(traces: Iterable[Trace]) -> tuple[str, ...]:
 def margin(trace: Trace, unit: str) -> Array:
     """Smallest margin of the joints with a unit, shape (T + 1,) [unit]."""
     counts = np.array(trace.units) == unit
-    smallest: Array = 0.0 - beyond(trace)[:, counts].max(axis=1)
-    return smallest
+    return np.asarray(0.0 - beyond(trace)[:, counts].max(axis=1))
 
 
 def _margin(chart: Chart, unit: str) -> Figure:
@@ -317,8 +316,7 @@ def _largest(trace: Trace, signal: str, part: slice) -> Array | None:
     if signal not in trace.signals:
         return None
     wrenches = trace.signals[signal].reshape(trace.ticks, -1, 6)[:, :, part]
-    norms: Array = np.linalg.norm(wrenches, axis=2).max(axis=1)
-    return norms
+    return np.asarray(np.linalg.norm(wrenches, axis=2).max(axis=1))
 
 
 def _squeeze(trace: Trace, arms: int) -> Array | None:

@@ -67,8 +67,7 @@ class Coordinate:
 
     def of(self, position: Array, rotation: Array) -> Array:
         """Its value along a motion of the object, shape (T,) [m]."""
-        moved: Array = position[:, self.axis] + rotation[:, self.axis] @ np.array(self.point)
-        return moved
+        return np.asarray(position[:, self.axis] + rotation[:, self.axis] @ np.array(self.point))
 
     def goal(self, marks: Sequence[Marker]) -> float:
         """The goal of a task with these markers [m]; NaN if it is free or of another point."""
@@ -80,8 +79,7 @@ class Coordinate:
         """Straight to the goal, by the share of the way, shape (i,) [m]."""
         goal = np.array([self.goal(then) for then in marks])
         begin = self.of(start.translation[None], start.rotation[None])[0]
-        way: Array = goal + (1.0 - share) * (begin - goal[0])
-        return way
+        return np.asarray(goal + (1.0 - share) * (begin - goal[0]))
 
     def _fixed(self, mark: Marker) -> float:
         """The coordinate that all points of a marker have in common, or NaN."""
@@ -113,8 +111,7 @@ class Tilt:
     def of(self, position: Array, rotation: Array) -> Array:
         """Its value, by sine and cosine to be exact near 0 [degrees]."""
         sine = np.hypot(rotation[:, 0, 2], rotation[:, 1, 2])
-        angle: Array = np.degrees(np.arctan2(sine, rotation[:, 2, 2]))
-        return angle
+        return np.degrees(np.arctan2(sine, rotation[:, 2, 2]))
 
     def goal(self, marks: Sequence[Marker]) -> float:
         """The goal of a task with an orientation [degrees], or NaN."""
@@ -283,21 +280,18 @@ def singular_values(problem: ControlProblem, t: Array, q: Array) -> Array:
 def left(sigma: Array) -> Array:
     """The singular values but those that are zero all along, shape (i, .)."""
     largest = np.nanmax(sigma, axis=0, initial=0.0)
-    kept: Array = sigma[:, largest > RANK_TOLERANCE * max(float(largest.max(initial=0.0)), 1e-300)]
-    return kept
+    return sigma[:, largest > RANK_TOLERANCE * max(float(largest.max(initial=0.0)), 1e-300)]
 
 
 def condition(sigma: Array) -> Array:
     """Largest over smallest singular value, at most ``WORST``, shape (i,)."""
     kept = left(sigma)
-    ratio: Array = kept[:, 0] / np.maximum(kept[:, -1], kept[:, 0] / WORST)
-    return ratio
+    return np.asarray(kept[:, 0] / np.maximum(kept[:, -1], kept[:, 0] / WORST))
 
 
 def manipulability(sigma: Array) -> Array:
     """Product of the singular values, sqrt(det(M M')), shape (i,)."""
-    product: Array = left(sigma).prod(axis=1)
-    return product
+    return np.asarray(left(sigma).prod(axis=1))
 
 
 def _phases(chart: Chart, name: str) -> Phases:

@@ -68,7 +68,9 @@ def robot_bodies(robot: RobotModel) -> tuple[tuple[Body, ...], tuple[str, ...]]:
         for capsule in capsules:
             joint = robot.model.getJointId(capsule.joint) if capsule.joint else 0
             if joint in bare:
-                surfaces.setdefault(joint, []).append(_of_capsule(capsule))
+                middle, length = capsule.placed
+                surface = moved(_turned(_round_ends(capsule.radius, length)), middle)
+                surfaces.setdefault(joint, []).append(surface)
     arm_of = {joint: _arm_of(robot, joint) for joint in sorted(surfaces)}
     bodies = []
     for arms in ([None], range(len(robot.arms))):
@@ -208,15 +210,6 @@ def _surface(shape: Shape | SolidMarker) -> tuple[Triangles, str]:
     return Triangles(ball.vertices * np.array(size), ball.corners), ""
 
 
-def _of_capsule(capsule: Capsule) -> Triangles:
-    """The surface of a capsule, in its joint's frame."""
-    start, end = np.array(capsule.start), np.array(capsule.end)
-    along = end - start
-    turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), along).toRotationMatrix()
-    surface = _turned(_round_ends(capsule.radius, float(np.linalg.norm(along))))
-    return moved(surface, pin.SE3(turn if along.any() else np.eye(3), 0.5 * (start + end)))
-
-
 def _box(edges: Sequence[float]) -> Triangles:
     vertices = np.array(np.meshgrid([-0.5, 0.5], [-0.5, 0.5], [-0.5, 0.5], indexing="ij"))
     sides = [(0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5)]
@@ -275,15 +268,13 @@ def _distinct(corners: Ints) -> Ints:
     ordered = np.sort(corners, axis=1)
     ordered = ordered[np.diff(ordered, axis=1).all(axis=1)]
     _, first = np.unique(_number(ordered), return_index=True)
-    distinct: Ints = ordered[first]
-    return distinct
+    return ordered[first]
 
 
 def _number(rows: Ints) -> Ints:
     """One number for each row of three that are not negative, the same for the same ones."""
     base = rows.max(initial=0) + 1
-    number: Ints = (rows[:, 0] * base + rows[:, 1]) * base + rows[:, 2]
-    return number
+    return np.asarray((rows[:, 0] * base + rows[:, 1]) * base + rows[:, 2])
 
 
 def _nearest_to_planes(surface: Triangles, of_vertex: Ints, corners: Ints, count: int) -> Array:
@@ -305,8 +296,7 @@ def _nearest_to_planes(surface: Triangles, of_vertex: Ints, corners: Ints, count
     sizes, axes = np.linalg.eigh(A)
     firm = sizes > FLAT * np.maximum(sizes[:, -1:], np.finfo(float).tiny)
     inverse = np.divide(1.0, sizes, out=np.zeros_like(sizes), where=firm)
-    best: Array = mean + np.einsum("cij,cj,ckj,ck->ci", axes, inverse, axes, off)
-    return best
+    return np.asarray(mean + np.einsum("cij,cj,ckj,ck->ci", axes, inverse, axes, off))
 
 
 def _sums(of_row: Ints, rows: Array, count: int) -> Array:

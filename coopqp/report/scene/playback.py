@@ -100,8 +100,7 @@ class Place:
         return "lines", {"ends": [middle - way, middle + way]}
 
     def _axes(self, rotation: Array) -> Array:
-        axes: Array = AXES_SHARE * self._size * rotation.T
-        return axes
+        return AXES_SHARE * self._size * rotation.T
 
     def _patch(self, plane: marker.PlaneMarker) -> Array:
         """Corners of a patch of a plane, shape (4, 3) [m]."""
@@ -112,8 +111,7 @@ class Place:
         other = np.cross(n, side)
         signs = ((1, 1), (-1, 1), (-1, -1), (1, -1))
         half = PLANE_SHARE * self._size
-        corners: Array = middle + half * np.array([a * side + b * other for a, b in signs])
-        return corners
+        return middle + half * np.array([a * side + b * other for a, b in signs])
 
 
 def scene(comparison: Comparison) -> Json:
@@ -205,15 +203,13 @@ def label_places(robot: RobotModel, points: Mapping[str, Array]) -> dict[str, in
 
 def _middle(points: Mapping[str, Array]) -> Array:
     """Of all arms at the start, shape (3,) [m]."""
-    mean: Array = np.concatenate([of[0] for of in points.values()]).mean(axis=0)
-    return mean
+    return np.asarray(np.concatenate([of[0] for of in points.values()]).mean(axis=0))
 
 
 def joint_state(trace: Trace) -> NDArray[np.int64]:
     """Whether each joint is inside, at or beyond its limits, shape (T + 1, n)."""
     out = beyond(trace)
-    state: NDArray[np.int64] = np.select([out > AT_LIMIT, out >= -AT_LIMIT], [BEYOND, AT], INSIDE)
-    return state
+    return np.select([out > AT_LIMIT, out >= -AT_LIMIT], [BEYOND, AT], INSIDE)
 
 
 def _readout(trace: Trace, frames: NDArray[np.int64]) -> list[list[str]]:

@@ -246,14 +246,8 @@ def axes(study: Study, columns: Columns) -> list[Axis]:
         for name, side in zip(one.columns, one.over.sides, strict=False)
         if isinstance(side, Interval)
     }
-    logs = {name for name, side in sides.items() if side.grows}
-    # As the study has them; of logarithms, those.
-    ends = {name: (side.low, side.high) for name, side in sides.items()}
     count = bins_for(study.points.count)
-    every = (
-        _axis(columns, name, log=name in logs, count=count, ends=ends.get(name))
-        for name in study.columns
-    )
+    every = (_axis(columns, name, sides.get(name), count) for name in study.columns)
     return [axis for axis in every if axis is not None and axis.count > 1][:MAX_AXES]
 
 
@@ -263,14 +257,8 @@ def bins_for(variants: int) -> int:
     return min(BINS, max(MIN_BINS, fitting))
 
 
-def _axis(
-    columns: Columns,
-    name: str,
-    *,
-    log: bool,
-    count: int = BINS,
-    ends: tuple[float, float] | None = None,
-) -> Axis | None:
+def _axis(columns: Columns, name: str, side: Interval | None, count: int) -> Axis | None:
+    """Bins of a column, between the ends of what it is varied over where that is an interval."""
     kind = columns.kinds[name]
     if kind == "string":
         return _texts(columns, name)
@@ -278,13 +266,13 @@ def _axis(
     there = np.isfinite(values)
     if not there.any():
         return None
-    known = np.unique(values[there])
+    known, log = np.unique(values[there]), side is not None and side.grows
     if kind == "bool" or len(known) <= LEVELS:
         labels = tuple(("false", "true")[int(v)] if kind == "bool" else f"{v:.4g}" for v in known)
         return _with_null(Axis(name, labels, (), log, np.searchsorted(known, values)), there)
     shown = np.log10(values, where=there, out=np.zeros_like(values)) if log else values
-    low, high = ends or (float(shown[there].min()), float(shown[there].max()))
-    edges = np.linspace(low, high, count + 1)
+    low, high = (side.low, side.high) if side else (shown[there].min(), shown[there].max())
+    edges = np.linspace(low, high, count + 1)  # of logarithms, as the study has them
     code = np.clip(np.searchsorted(edges, shown, side="right") - 1, 0, count - 1)
     even = tuple((10.0**edges if log else edges).tolist())
     return _with_null(Axis(name, (), even, log, code), there)

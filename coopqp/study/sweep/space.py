@@ -156,11 +156,8 @@ class Points:
         if not self.levels:
             point: Array = self.drawn[index]
             return point
-        found = np.empty(len(self.levels))
-        for k in reversed(range(len(self.levels))):
-            index, level = divmod(index, self.levels[k])
-            found[k] = (level + 0.5) / self.levels[k]
-        return found
+        level = np.array(np.unravel_index(index, self.levels))
+        return np.asarray((level + 0.5) / self.levels, float)
 
     @property
     def digest(self) -> str:

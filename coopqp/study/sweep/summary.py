@@ -108,9 +108,7 @@ def median(one: Array, reference: Array) -> Difference:
         outside = math.floor(bdtrik(TAIL, n, 0.5))  # so many at each end are no part of it
         low, high = float(found[outside]), float(found[n - 1 - outside])
     p = heads(int((found > 0.0).sum()), int((found < 0.0).sum()))
-    middle = found[(n - 1) // 2], found[n // 2]
-    value = middle[0] if middle[0] == middle[1] else 0.5 * (middle[0] + middle[1])
-    return Difference(float(value), low, high, p, n)
+    return Difference(float(np.median(found)), low, high, p, n)
 
 
 def heads(b: int, c: int) -> float:
