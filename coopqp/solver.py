@@ -88,6 +88,8 @@ HALTS = frozenset({
 })  # fmt: skip
 """What the loop for robots says of a tick in which it brakes and asks its law for nothing; it does
 so for ``NOT_MEASURED``, too, with which others go on."""
+STANDS = HALTS | {Status.NOT_MEASURED, Status.NOT_BEGUN, Status.RAISED}
+"""After what a loop for robots comes to rest, or its joints are not known."""
 
 
 def written(causes: Sequence[Status]) -> str:

@@ -26,7 +26,7 @@ from coopqp.base.spec import Array
 from coopqp.recordings import column
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.scenario import Scenario
-from coopqp.solver import HALTS, Status
+from coopqp.solver import STANDS, Status
 
 #: A joint beyond it, or faster, is damage, and so is an error [rad, m; rad/s, m/s; N, N m].
 FARTHEST = 1e12
@@ -35,7 +35,7 @@ ROUNDING = 1e-9
 #: More ticks than any run has.
 MOST = 2**53
 #: After what a live loop's time stands still.
-_STANDS = {status.name for status in (*HALTS, Status.NOT_MEASURED, Status.NOT_BEGUN, Status.RAISED)}
+_STANDS = {status.name for status in STANDS}
 OTHER = "the trace is damaged, or it is of another scenario than the one beside it: run it again"
 
 

@@ -28,7 +28,7 @@ from coopqp.recordings.messages import AT, BROKEN, Remark, level_of
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import POSE as KIND_OF_POSE
 from coopqp.signal import Kind
-from coopqp.solver import Status, written
+from coopqp.solver import STANDS, Status, written
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 POSE = "geometry_msgs/msg/PoseStamped"
@@ -38,11 +38,6 @@ Commanded = Literal["velocity", "position", "trajectory"]
 QUEUE_SIZE = 1000
 #: Nanoseconds in a second.
 NS = 1_000_000_000
-#: Statuses of ticks in which the robot comes to rest, or its joints are not known.
-HALTS = frozenset({
-    Status.ROBOT_SILENT, Status.NOT_MEASURED, Status.MEASURED_JUMPED, Status.STOPPED,
-    Status.NOT_BEGUN, Status.RAISED, Status.CLOCK_WRONG,
-})  # fmt: skip
 
 
 @spec
@@ -347,7 +342,7 @@ class Bridge:
         loop, causes = self._loop, list(self._causes)
         if len(causes) > 1:
             causes = [cause for cause in causes if cause is not Status.OPTIMAL]
-        levels = [2 if cause in HALTS else level_of(cause) for cause in causes]
+        levels = [2 if cause in STANDS else level_of(cause) for cause in causes]
         stopped = why or loop.stopped
         texts = [*(cause.value for cause in causes), note_of(self._told), stopped]
         texts = [x for i, x in enumerate(texts) if not any(x in other for other in texts[i + 1 :])]
@@ -366,7 +361,7 @@ class Bridge:
     def _with_position_gain(self, v: Array) -> Array:
         """With ``position_gain`` times the distance to the commanded positions, unless at rest."""
         loop = self._loop
-        if not v.any() or HALTS.intersection(loop.command.causes):
+        if not v.any() or STANDS.intersection(loop.command.causes):
             return v
         if self._is_new:
             np.subtract(loop.state.q, loop.measured, self._distance)
