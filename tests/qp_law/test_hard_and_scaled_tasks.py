@@ -16,6 +16,7 @@ from scipy.optimize import linprog
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array
 from coopqp.base.spec import Pose as PoseValue
+from coopqp.controllers import QPController
 from coopqp.grasps import Rigid
 from coopqp.limits import JointPosition, JointVelocity
 from coopqp.model.closed_chain import ClosedChain
@@ -24,7 +25,9 @@ from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.robots import PlanarPair
 from coopqp.scenario.loader import load
+from coopqp.signals import Waypoints
 from coopqp.solver import Status
+from coopqp.task import TaskStack
 from coopqp.tasks import JointCentering, PointOnPoint, Pose, Posture
 
 Point = tuple[float, float, float]
@@ -45,6 +48,29 @@ def test_hard_task_is_met_exactly(chain: ClosedChain, closed_loop_walk: Walk) ->
         np.testing.assert_allclose(
             J @ answer(PLAIN, problem(chain, hard, pull), q), wanted, atol=1e-9
         )
+
+
+@pytest.mark.parametrize("engine", ["auto", "python"])
+@pytest.mark.parametrize("mode", ["hard", "scaled"])
+def test_task_whose_goal_leaves_the_reach_and_comes_back_follows_it_again(
+    mode: Literal["hard", "scaled"], engine: Literal["auto", "python"]
+) -> None:
+    """Exact rows drove NAO's stretched arms through the singularity, where they stayed."""
+    near, far = (0.18, 0.0, 0.0857), (0.225, 0.0, 0.0857)
+    goal = Waypoints(values=(near, far, near), times=(0.0, 3.0, 6.0))
+    task = PointOnPoint(name="follow", mode=mode, gain=5.0, goal=goal)
+    asked = replace(load("point_on_point").problem(), tasks=(task,), secondary=())
+    law = QPController(engine=engine).build(asked)
+    state, commands, relaxed = law.start(), [], 0
+    for _ in range(1000):
+        command = law.step(state)
+        commands.append(command.v.copy())
+        relaxed += command.status is Status.TASKS_RELAXED
+    stack = TaskStack([task], state)
+    stack.update(state)
+    assert np.linalg.norm(stack.e) < 1e-6
+    assert relaxed > 200
+    assert np.abs(np.diff(commands, axis=0)).max() < 2.0  # was 7.9 rad/s
 
 
 def test_hard_task_is_the_limit_of_a_growing_weight(chain: ClosedChain) -> None:
