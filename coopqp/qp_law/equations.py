@@ -99,8 +99,9 @@ def note_chatter(state: State, v: Array, dt: float) -> None:
     chatter, speeds = state.memory["chatter"], np.abs(v)
     ways, times, moves = chatter[1:], np.abs(chatter[1:]), speeds > SWINGS_AT
     back, at_once = moves & (v * ways < 0.0), times == np.round(times)  # has not faded
-    more = np.where(at_once, REVERSALS, np.minimum(1.0 + times, REVERSALS))
-    again = max(float(more[back].max(initial=0.0)) - REVERSALS + 1.0, 0.0)
+    more = np.minimum(1.0 + times, REVERSALS)
+    most = np.where(at_once, REVERSALS, more)[back].max(initial=0.0)
+    again = max(float(most) - REVERSALS + 1.0, 0.0)
     faded = max((1.0 + chatter[0]) / (1.0 + dt * speeds.max(initial=0.0) / FADES_IN), 1.0)
     chatter[0] = (min(GROWS**again * (1.0 + chatter[0]), MOST_GROWN) if again else faded) - 1.0
     times = np.where(back, more, np.maximum(FORGETS * times, NO_REVERSAL))

@@ -81,8 +81,8 @@ class StepDamping {
             double times = std::max(FORGETS * old, NO_REVERSAL);
             if (moves && x * way < 0.0) {
                 const bool at_once = old == std::round(old);
-                times = at_once ? REVERSALS : std::min(1.0 + old, REVERSALS);
-                most = std::max(most, times);
+                times = std::min(1.0 + old, REVERSALS);
+                most = std::max(most, at_once ? REVERSALS : times);
             }
             if (moves || way != 0.0) way = std::copysign(times, moves ? x : way);
             fastest = std::max(fastest, speed);
