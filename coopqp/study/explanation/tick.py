@@ -187,14 +187,18 @@ def relaxed(phases: Sequence[ExplainedPhase]) -> tuple[Relaxed, ...]:
         every = zip(phase.problem.tasks, look.stack.slices, strict=True)
         firm = [(task, rows) for task, rows in every if task.mode != "soft"]
         modes |= {task.name: task.mode for task, _ in firm}
-        for k in (k for k, causes in enumerate(phase.causes) if Status.TASKS_RELAXED in causes):
+        for k, causes in enumerate(phase.causes):
+            is_last, is_relaxed = k == len(phase.v) - 1, Status.TASKS_RELAXED in causes
+            if not is_last and not is_relaxed:
+                continue
             off, wanted = look.look(k), look.stack.wanted
             got = wanted - off
             lacks = {task.name: 1.0 - _part_of_rate(got[own], wanted[own]) for task, own in firm}
-            least = min(max(lacks.values(), default=0.0), WORTH_COUNTING)
+            most = max(lacks.values(), default=0.0) if is_relaxed else WORTH_COUNTING
+            least = min(most, WORTH_COUNTING)
             lacks = {name: lack for name, lack in lacks.items() if lack >= least > 0.0}
-            ticks.update(lacks.keys())
-            missing = lacks if k == len(phase.v) - 1 else {}
+            ticks.update(lacks.keys() if is_relaxed else ())
+            missing = lacks if is_last else {}
     return tuple(
         Relaxed(task=name, mode=modes[name], ticks=count, missing=missing.get(name, 0.0))
         for name, count in ticks.most_common()
