@@ -23,7 +23,7 @@ from coopqp.base.wording import Location, culprit, dotted
 from coopqp.limit import Limit, LimitRows
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.loop_observer import LoopObserver, Observer
-from coopqp.model.notes import Why, note_of
+from coopqp.model.notes import TELL_THEMSELVES, Why, note_of
 from coopqp.model.profile import FASTEST
 from coopqp.model.state import Memory, State
 from coopqp.signal import Signal
@@ -347,7 +347,7 @@ class Law(ABC):
             wrong.append(Status.INPUT_STALE)
         if state.inputs.refused:
             wrong.append(Status.INPUT_REFUSED)
-        if command.status in (Status.NOT_FINITE, Status.SOLVER_ERROR) and not command.note:
+        if command.status.name in TELL_THEMSELVES and not command.note:
             with np.errstate(all="ignore"):
                 command.note = not_finite(self.problem, state)
         if wrong:

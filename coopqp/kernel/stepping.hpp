@@ -25,7 +25,14 @@ inline Engine* stepper(const nb::dict& law, bool& says) {
 }
 
 // As coopqp.kernel.law says it, which goes on where the answer is not optimal.
-inline PyObject* step(PyObject* self, PyObject* state) {
+inline PyObject* step(PyObject* self, PyObject* const* given, Py_ssize_t count, PyObject* named) {
+    const bool is_named = named && count == 0 && PyTuple_Size(named) == 1 &&
+                          PyUnicode_CompareWithASCIIString(PyTuple_GetItem(named, 0), "state") == 0;
+    if (!is_named && (named || count != 1)) {
+        PyErr_SetString(PyExc_TypeError, "step() takes one argument, the state");
+        return nullptr;
+    }
+    PyObject* state = given[0];
     try {
         const nb::handle law = self;
         bool says;
@@ -43,7 +50,8 @@ inline PyObject* step(PyObject* self, PyObject* state) {
 
 // Give a class of laws this method.
 inline void give_step(nb::handle type) {
-    static PyMethodDef method = {"step", step, METH_O,
+    static PyMethodDef method = {"step", reinterpret_cast<PyCFunction>(reinterpret_cast<void*>(step)),
+                                 METH_FASTCALL | METH_KEYWORDS,
                                  "A tick and state.advance in one; by the kernel alone where possible."};
     nb::setattr(type, "step",
                 nb::steal(PyDescr_NewMethod(reinterpret_cast<PyTypeObject*>(type.ptr()), &method)));

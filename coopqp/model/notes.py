@@ -190,7 +190,7 @@ _TOLD: dict[str, Callable[[Why], str]] = {
     "NOT_MEASURED": Why._unmeasured, "INPUT_STALE": Why._silent,
 }  # fmt: skip
 #: Of these the tick itself may have said more.
-TELL_THEMSELVES = {"NOT_FINITE", "SOLVER_ERROR"}
+TELL_THEMSELVES = {"NOT_FINITE", "SOLVER_ERROR", "INACCURATE"}
 
 
 def note_of(told: tuple[str | Why, ...]) -> str:

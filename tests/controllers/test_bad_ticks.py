@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 import pytest
@@ -189,6 +189,25 @@ def test_a_limit_that_is_not_a_number_is_named(
     assert answer.status is Status.NOT_FINITE
     name = type_name(SickLimit)
     assert answer.note == f"limit '{name}' gives NaN or infinite values in {what}"
+
+
+@pytest.mark.parametrize("engine", ["auto", "python"])
+def test_a_later_level_that_is_not_a_number_is_named_and_those_before_go_on(
+    engine: Literal["auto", "python"], chain: ClosedChain
+) -> None:
+    reach = PointOnPoint(name="reach", goal=NEAR)
+    given = problem(chain, reach, Own(name="fever", write=not_a_number, priority=1))
+    law = QPController(engine=engine).build(given)
+    state = law.start()
+    for _ in range(50):
+        answer = law.step(state)
+    assert answer.status is Status.INACCURATE
+    assert answer.note == "task 'fever' gives NaN or infinite values in e"
+    alone = QPController().build(problem(chain, reach))
+    other = alone.start()
+    for _ in range(50):
+        alone.step(other)
+    np.testing.assert_allclose(state.q, other.q, atol=1e-9)
 
 
 @pytest.mark.parametrize("solver", [Daqp(), Proxqp()], ids=["daqp", "proxqp"])

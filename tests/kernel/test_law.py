@@ -111,6 +111,17 @@ def test_arrays_that_are_replaced_are_seen(chain: ClosedChain) -> None:
     assert np.isfinite(law.tick(state).v).all()
 
 
+def test_a_step_takes_the_state_by_name_and_nothing_else(chain: ClosedChain) -> None:
+    law = kernel(chain, REACH)
+    state = law.start()
+    law.step(state=state)
+    assert law.compiled
+    assert state.t == law.problem.dt
+    for wrong in ({}, {"x": state}):
+        with pytest.raises(TypeError, match="step\\(\\) takes one argument, the state"):
+            law.step(**wrong)  # type: ignore[arg-type]
+
+
 def test_jacobians_are_those_of_the_tick(chain: ClosedChain) -> None:
     """Asked for after a tick and after q went on, they belong to the q of the tick."""
     law = kernel(chain, REACH)
