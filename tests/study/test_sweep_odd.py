@@ -93,7 +93,7 @@ def test_many_numbers_and_null_are_in_bins_with_labels() -> None:
             return values
 
     values = np.append(np.linspace(0.0, 32.0, 33), np.nan)
-    axis = _axis(Found(), "kappa", log=False)  # type: ignore[arg-type]
+    axis = _axis(Found(), "kappa", None, BINS)  # type: ignore[arg-type]
     assert axis is not None
     assert axis.count == BINS + 1
     assert axis.labels[0] == "0 to 2"
