@@ -1,6 +1,8 @@
 // law.step(state) as a method that is compiled whole: a frame of Python's, and what that reads of a law
 // and a command, took a tenth of a tick on NAO.
 #pragma once
+#include <exception>
+
 #include "deciding.hpp"
 
 namespace KERNEL_MODULE {
@@ -44,8 +46,10 @@ inline PyObject* step(PyObject* self, PyObject* const* given, Py_ssize_t count, 
         return nb::object(engine->command()).release().ptr();
     } catch (nb::python_error& error) {
         error.restore();
-        return nullptr;
+    } catch (const std::exception& error) {
+        PyErr_SetString(PyExc_RuntimeError, error.what());
     }
+    return nullptr;
 }
 
 // Give a class of laws this method.

@@ -363,6 +363,7 @@ class Kernel {
     // How far exact rows from one on are softened since a tick of the motion v, in lanes, bends them
     // by more than it moves them.
     double overreaches(const double* v, int from, int to) {
+        if (from == to) return 0.0;
         double levers2 = 0.0, moved2 = 0.0;
         rows_.object_twist(v, V_);
         for (int s = from; s < to; s++) {
