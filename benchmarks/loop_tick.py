@@ -5,8 +5,8 @@ python benchmarks/loop_tick.py
 
 Joints follow with a lag and are measured with noise; the reading is made outside of the time. A
 round is a motion of 300 ticks of each, its numbers are the median and the mean of its ticks:
-``law.step``, ``OnlineLoop.tick``, that with a recording on disk, and PlaCo's bare tick in the job
-of ``peers.py`` (for two Pandas that of two such arms). Cold: each tick after 1 ms of sleep.
+``law.step``, ``OnlineLoop.tick``, that without the monitor of faults, that with a recording on
+disk, and PlaCo's bare tick in the job of ``peers.py`` (for two Pandas that of two such arms). Cold: each tick after 1 ms of sleep.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from functools import partial
 from pathlib import Path
 from statistics import mean, median
 from time import perf_counter_ns
+from unittest.mock import patch
 
 import numpy as np
 import peers
@@ -30,6 +31,7 @@ from coopqp import OnlineLoop
 from coopqp.base.spec import spec
 from coopqp.controller import Law
 from coopqp.controllers import QPController
+from coopqp.online.faults import FaultMonitor
 from coopqp.online.recording import LiveRecording
 from coopqp.robot import Robot, RobotModel
 from coopqp.scenario.scenario import Scenario
@@ -105,7 +107,7 @@ def loop_ticks(scenario: Scenario, ticks: int, sleep: float, folder: str = "") -
 def table(given: list[tuple[str, Scenario]], rounds: int, ticks: int, sleep: float) -> None:
     """Medians of the rounds and the best, and ratios to ``law.step`` of both."""
     wanted = [each for each in jobs() if each.name in PLACO.values()]
-    columns = ("law.step", "loop.tick", "recorded", "PlaCo")
+    columns = ("law.step", "loop.tick", "no monitor", "recorded", "PlaCo")
     print(
         f"{'':12}" + "".join(f"{c:>16}" for c in columns) + "   loop/step       mean of loop.tick"
     )
@@ -119,6 +121,8 @@ def table(given: list[tuple[str, Scenario]], rounds: int, ticks: int, sleep: flo
                 means.append(mean(looped))
                 found["law.step"].append(median(steps(law, ticks, sleep)))
                 found["loop.tick"].append(median(looped))
+                with patch.object(FaultMonitor, "update", lambda *_: None):
+                    found["no monitor"].append(median(loop_ticks(scenario, ticks, sleep)))
                 found["recorded"].append(median(loop_ticks(scenario, ticks, sleep, out)))
                 if placo:
                     found["PlaCo"].append(peers.answered(placo, PLACO[name], sleep)[0])

@@ -86,10 +86,15 @@ NB_MODULE(KERNEL_MODULE, m) {
     nb::class_<Ring>(m, "Ring").def(nb::init<const nb::dict&>()).def("add", &Ring::add);
     nb::class_<Samples>(m, "Samples")
         .def(nb::init<const Written&, const Written&, const Joints&, const std::vector<Joints>&, int,
-                      const std::vector<int>&, int, const std::vector<double>&, double, int, double,
-                      double>())
+                      int, const std::vector<int>&, int, const std::vector<double>&, double, int,
+                      double, double>())
         .def("add", &Samples::add)
+        .def("forget", &Samples::forget)
+        .def("trust", &Samples::trust)
+        .def_prop_ro("readings", &Samples::readings)
+        .def_prop_ro("leapt", &Samples::leapt)
         .def("quiet", &Samples::quiet)
+        .def("stands", &Samples::stands)
         .def("whiten", &Samples::whiten);
     nb::class_<Planner>(m, "Planner")
         .def(nb::init<const nb::dict&>())

@@ -93,52 +93,68 @@ class Ring {
 class Samples {
   public:
     // c, m: rings of commanded and measured joints `own`, shape (kept, n); arms: of these which
-    // belong to an arm; stuck, spans: samples between which they are compared; compliance: of their
-    // servos; h: time between two samples; late, moved: the latest that a joint may follow, in
-    // samples, and what it must be commanded to move by for a reading to be asked to change; band:
-    // in which it may stay behind.
+    // belong to an arm; every: readings in a sample; stuck, spans: samples between which they are
+    // compared; compliance: of their servos; h: time between two samples; late, moved: the latest
+    // that a joint may follow, in samples, and what it must be commanded to move by for a reading to
+    // be asked to change; band: in which it may stay behind.
     Samples(const Written& c, const Written& m, const std::vector<std::size_t>& own,
-            const std::vector<std::vector<std::size_t>>& arms, int stuck,
+            const std::vector<std::vector<std::size_t>>& arms, int every, int stuck,
             const std::vector<int>& spans, int long_one, const std::vector<double>& compliance,
             double h, int late, double moved, double band)
         : c_(c), m_(m), own_(own), arms_(arms), spans_(spans), compliance_(compliance), h_(h),
-          moved_(moved), band_(band), late_(late), stuck_(stuck), long_(long_one), kept_(int(c.shape(0))), n_(c.shape(1)), r_(n_), read_(2 * n_) {
+          moved_(moved), band_(band), late_(late), every_(every), stuck_(stuck), long_(long_one),
+          kept_(int(c.shape(0))), n_(c.shape(1)), r_(n_), read_(2 * n_) {
         for (std::size_t j : own_) last_ = std::max(last_, j);
     }
 
-    // A share of sample number k, the first one or a further one. Whether a joint is farther than `leap`
-    // from where it would have gone from the last two readings.
-    bool add(int k, bool first, double share, const Numbers& commanded, const Numbers& measured,
-             double leap) {
-        if (k < 0 || std::min(commanded.size(), measured.size()) <= last_)
+    void forget() { readings_ = trusted_until_ = 0; }
+    int readings() const { return readings_; }
+    bool leapt() const { return leapt_; }
+
+    // Until there are so many samples, all is well whose parity vector by `white` is small.
+    void trust(int samples, int lag, const Numbers& white) {
+        trusted_until_ = samples, lag_ = lag, white_ = white;
+    }
+
+    // Add a reading; whether Python has nothing to look at in it.
+    bool add(const Numbers& commanded, const Numbers& measured) {
+        if (std::min(commanded.size(), measured.size()) <= last_)
             throw std::invalid_argument("joints of another robot");
+        const int k = readings_ / every_;
+        const bool first = readings_ % every_ == 0;
+        const double share = 1.0 / every_;
         double *c = c_.data() + std::size_t(k % kept_) * n_, *m = m_.data() + std::size_t(k % kept_) * n_;
-        bool leapt = false;
+        leapt_ = false;
         for (std::size_t i = 0; i < n_; i++) {
             const double q = measured.data()[own_[i]];
-            if (k == 0 && first) read_[i] = read_[n_ + i] = q;
-            leapt |= std::fabs(q - 2.0 * read_[i] + read_[n_ + i]) > leap;
+            if (readings_ == 0) read_[i] = read_[n_ + i] = q;
+            leapt_ |= std::fabs(q - 2.0 * read_[i] + read_[n_ + i]) > coopqp::LEAP;
             read_[n_ + i] = read_[i], read_[i] = q;
             c[i] = (first ? 0.0 : c[i]) + share * commanded.data()[own_[i]];
             m[i] = (first ? 0.0 : m[i]) + share * q;
         }
-        return leapt;
+        readings_++;
+        const int samples = readings_ / every_;
+        return !leapt_ && samples < trusted_until_ && (samples == k || (!stands() && quiet(lag_, white_)));
     }
 
-    // Whether nothing is to be said of the last of so many samples: the readings of every arm have
-    // changed, and of every joint that was commanded to move; the parity vector is below `suspicious`
-    // by squares.
-    bool quiet(int count, int lag, const Numbers& white, double suspicious) {
-        const int last = count - 1;
-        count_ = count;
+    // Whether the readings of an arm, or of a joint that was commanded to move, do not change.
+    bool stands() {
+        const int last = (count_ = readings_ / every_) - 1;
         if (last >= stuck_)
             for (const auto& arm : arms_)
                 if (arm.size() > 1 && std::all_of(arm.begin(), arm.end(), [&](std::size_t j) {
                         return of(m_, last)[j] == of(m_, last - stuck_)[j];
                     }))
-                    return false;
+                    return true;
         for (std::size_t j = 0; j < n_; j++)
-            if (still(j, last)) return false;
+            if (still(j, last)) return true;
+        return false;
+    }
+
+    // Whether the parity vector is small at the last sample.
+    bool quiet(int lag, const Numbers& white) {
+        const int count = count_ = readings_ / every_, last = count - 1;
         if (white.ndim() != 2 || white.shape(0) != n_) return false;
         const std::size_t d = white.shape(1);
         for (std::size_t s = 0; s < spans_.size() - (count % long_ ? 1 : 0); s++) {
@@ -154,26 +170,26 @@ class Samples {
                 for (std::size_t i = 0; i < n_; i++) z += r_[i] * white.data()[i * d + k];
                 size += z * z;
             }
-            if (!(size < suspicious)) return false;
+            if (!(size < coopqp::SUSPICIOUS)) return false;
         }
         return true;
     }
 
-    // Write W (n, d), as JointFollowing._whitening, after so many samples; returns d. B, D (n, m): what
-    // internal wrenches pull the joints by, and by how much more than earlier; load: its sag (n,).
-    int whiten(int count, int lag, const Numbers& B, const Numbers& D, const Numbers& load,
-               const Written& W) {
-        const std::size_t n = n_, m = B.ndim() == 2 ? B.shape(1) : 0;
-        if (!m || B.shape(0) != n || D.size() != B.size() || load.size() != n || W.size() != n * n)
+    // Write W (n, d), as JointFollowing._whitening; returns d. J, before (m, all joints): by whose
+    // columns internal wrenches pull the joints, now and earlier; load: its sag, of all joints.
+    int whiten(int span, int lag, const Numbers& J, const Numbers& before, const Numbers& load, const Written& W) {
+        const std::size_t n = n_, m = J.ndim() == 2 ? J.shape(0) : 0, all = load.size();
+        if (!m || J.shape(1) != all || before.size() != J.size() || all <= last_ || W.size() != n * n)
             throw std::invalid_argument("matrices of another robot");
-        count_ = count;
-        const int last = count - 1, first = std::max(0, last - spans_[1]), T = last - first + 1;
+        count_ = readings_ / every_;
+        const int last = count_ - 1, first = std::max(0, last - span), T = last - first + 1;
         const auto told = [&](int t, std::size_t i) {
             return 0.5 * (of(c_, t - lag / 2)[i] + of(c_, t - (lag + 1) / 2)[i]);
         };
         std::vector<double> A(n * m), U(n * n), values(m), variance(n), sag(n), bends;
         for (std::size_t i = 0; i < n; i++)
-            for (std::size_t k = 0; k < m; k++) A[i * m + k] = compliance_[i] * B.data()[i * m + k];
+            for (std::size_t k = 0; k < m; k++)
+                A[i * m + k] = compliance_[i] * J.data()[k * all + own_[i]];
         coopqp::left_singular(A.data(), int(n), int(m), coopqp::SINGULAR, values.data(), U.data());
         const double nothing = coopqp::SINGULAR * std::max(values[0], 1e-12);
         std::size_t rank = 0;
@@ -194,17 +210,30 @@ class Samples {
             }
         }
         const double noise = std::max(coopqp::READING_NOISE, coopqp::OF_BENDS * median(bends));
-        const auto x = pull(A, m, nothing, [&](std::size_t i) { return of(m_, last)[i] - told(last, i); });
+        std::vector<double> turns(n), turn(n * m), M = squared(A, m, nothing);
+        for (std::size_t i = 0; i < n; i++)
+            for (std::size_t k = 0; k < m; k++) {
+                const std::size_t at = k * all + own_[i];
+                turn[i * m + k] = J.data()[at] - before.data()[at];
+            }
+        const int from = span > spans_[1] ? first : last;
+        for (int t = from; t <= last; t++) {
+            const auto x = pull(M, A, m, [&](std::size_t i) { return of(m_, t)[i] - told(t, i); });
+            for (std::size_t i = 0; i < n; i++) {
+                double otherwise = 0.0;
+                for (std::size_t k = 0; k < m; k++) otherwise += turn[i * m + k] * x[k];
+                turns[i] += otherwise * otherwise / (last - from + 1);
+            }
+        }
         const int half = (T - 1) / 2;
         for (std::size_t i = 0; i < n; i++) {
-            double speed = 0.0, otherwise = 0.0;
+            double speed = 0.0;
             for (int t = first + 1; t <= last; t++) speed += std::fabs(told(t, i) - told(t - 1, i));
-            for (std::size_t k = 0; k < m; k++) otherwise += D.data()[i * m + k] * x[k];
             const double bend = told(first + 2 * half, i) - 2.0 * told(first + half, i) + told(first, i);
             const double terms[] = {noise, band_, coopqp::LAG_NOISE * speed / (h_ * std::max(1, T - 1)),
-                                    coopqp::STIFFNESS_NOISE * std::sqrt(sag[i]), load.data()[i],
+                                    coopqp::STIFFNESS_NOISE * std::sqrt(sag[i]), load.data()[own_[i]],
                                     coopqp::INERTIA_NOISE * bend / (h_ * h_ * std::max(half * half, 1)),
-                                    compliance_[i] * otherwise / std::sqrt(3.0)};
+                                    compliance_[i] * std::sqrt(turns[i] / 3.0)};
             for (double term : terms) variance[i] += term * term;
         }
         const std::size_t d = n - rank;
@@ -233,19 +262,27 @@ class Samples {
         return way > moved_;
     }
 
-    // x with (A'A + least^2) x = A'r, A (n, m).
-    template <class Residual>
-    std::vector<double> pull(const std::vector<double>& A, std::size_t m, double least,
-                             const Residual& r) const {
-        std::vector<double> M(m * m), x(m);
+    // The Cholesky factor of A'A + least^2, A (n, m).
+    std::vector<double> squared(const std::vector<double>& A, std::size_t m, double least) const {
+        std::vector<double> M(m * m);
         for (std::size_t k = 0; k < m; k++) {
-            for (std::size_t i = 0; i < n_; i++) {
-                x[k] += A[i * m + k] * r(i);
+            for (std::size_t i = 0; i < n_; i++)
                 for (std::size_t l = 0; l <= k; l++) M[k * m + l] += A[i * m + k] * A[i * m + l];
-            }
             M[k * m + k] += least * least;
         }
         factor(M, m);
+        return M;
+    }
+
+    // x with M M' x = A'r.
+    template <class Residual>
+    std::vector<double> pull(const std::vector<double>& M, const std::vector<double>& A,
+                             std::size_t m, const Residual& r) const {
+        std::vector<double> x(m);
+        for (std::size_t i = 0; i < n_; i++) {
+            const double off = r(i);
+            for (std::size_t k = 0; k < m; k++) x[k] += A[i * m + k] * off;
+        }
         forward(M, m, x.data());
         for (std::size_t k = m; k-- > 0; x[k] /= M[k * m + k])
             for (std::size_t l = k + 1; l < m; l++) x[k] -= M[l * m + k] * x[l];
@@ -284,7 +321,10 @@ class Samples {
     std::vector<int> spans_;
     std::vector<double> compliance_;
     double h_, moved_, band_;
-    int late_, stuck_, long_, kept_, count_ = 0;
+    int late_, every_, stuck_, long_, kept_, count_ = 0;
+    int readings_ = 0, trusted_until_ = 0, lag_ = 0;
+    bool leapt_ = false;
+    Numbers white_;
     std::size_t n_, last_ = 0;
     std::vector<double> r_, read_;  // read_: the last two readings of `own`
 };

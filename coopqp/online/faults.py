@@ -113,8 +113,7 @@ class FaultMonitor:
                 findings.append(self._named(suspect))
                 self._misled = True
             # What a wrong encoder says is no error of the model: the loop must not follow it.
-            joints = self._joints
-            self._law.observer.paused = joints.suspicious or joints.leapt or self._misled
+            self._law.observer.paused = self._joints.doubtful or self._misled
         self.failing = self.failing + 1 if self._misled or self.doubt else 0
         for kind, where, note in filter(None, findings):
             if not any((kind, where) == fault[:2] for fault in self.found):

@@ -98,7 +98,8 @@ class JointFollowing:
     """Judges commanded and measured joints, of servos as stiff as stated, else as strong.
 
     Attributes:
-        leapt: whether a reading has leapt in these, or since.
+        leapt: whether a reading has leapt, and no sample was looked at since.
+        doubtful: whether it has, or internal forces and lag do not explain the last samples.
         suspect: whom the last look has found, if the next one is to confirm it.
     """
 
@@ -136,9 +137,10 @@ class JointFollowing:
         self._kernels = kernels / kernels.sum(axis=0)
         self._stuck_for = round(STUCK / h) - 1  # of which the first lasts as long, too
         rings, members = (self._c, self._m), [arm.tolist() for arm in self._arms]
-        made, found = (*rings, own.tolist(), members, self._stuck_for, self._spans), native.module()
+        made = (*rings, own.tolist(), members, self._every, self._stuck_for, self._spans, LONG)
         stands = len(self._lags) // 2, MOVED + self._band, self._band
-        self._quick = found and found.Samples(*made, LONG, self._compliance.tolist(), h, *stands)
+        found = native.module()
+        self._quick = found and found.Samples(*made, self._compliance.tolist(), h, *stands)
         self.forget()
 
     def forget(self) -> None:
@@ -146,32 +148,43 @@ class JointFollowing:
         self._count = self._samples = self._lag = 0
         self._whitened, self._earlier = -self._renew, list[Array]()
         self._before: list[Suspect | None] = [None, None]  # of the last look, and the last long one
-        self._explained, self.leapt = 0, False  # the sample from which on looks explain what is
+        self._explained = 0  # the sample from which on looks explain what is
         self.suspect: Suspect | None = None
+        self.leapt = self.doubtful = False
         self._believed = 0  # number of readings from which on they are
-
-    @property
-    def suspicious(self) -> bool:
-        """Whether internal forces and lag do not explain the last samples of some window."""
-        return self._samples < self._explained
+        if self._quick:
+            self._quick.forget()
 
     def update(self, state: State, q_c: Array, q_m: Array) -> Suspect | None:
         """Who does not follow, once two looks in succession agree; c is commanded, m measured."""
-        if not self._add(q_c, q_m) or self._samples < FEWEST:
+        quick = self._quick
+        if quick and quick.add(q_c, q_m):
+            return None
+        found = self._looked(state) if self._add(q_c, q_m) else None
+        self.leapt = self._count < self._believed
+        self.doubtful = self.leapt or self._samples < self._explained
+        if quick:
+            calm = not (self.doubtful or any(self._before))
+            quick.trust(self._whitened + self._renew if calm else 0, self._lag, self._white)
+        return found
+
+    def _looked(self, state: State) -> Suspect | None:
+        if self._samples < FEWEST:
             return None
         if self._samples - self._whitened >= self._renew:
             self._white, self._whitened = self._whitening(state), self._samples
         # What the long window has found is looked at again at once, as in the short ones.
         long = self._before[1] is not None or self._samples % LONG == 0
-        spans, white = self._spans if long else self._short, self._white
-        quick = self._quick if self._before[1] is None else None
-        if quick and quick.quiet(self._samples, self._lag, white, SUSPICIOUS):
+        spans = self._spans if long else self._short
+        quick = self._quick
+        stands = not quick or quick.stands()
+        if not (stands or self._before[1]) and quick.quiet(self._lag, self._white):
             return self._agreed(None, 0, spans)
-        if stuck := self._stuck(self._stuck_for):
+        if stands and (stuck := self._stuck(self._stuck_for)):
             return stuck
         if self._stuck(AWAITED):
             return None
-        if still := self._still():
+        if stands and (still := self._still()):
             return still
         return self._agreed(*self._look(state, spans), spans)
 
@@ -188,11 +201,11 @@ class JointFollowing:
         return None
 
     def _add(self, q_c: Array, q_m: Array) -> bool:
-        """Add to the sample that is being taken; whether it is whole."""
-        at, part = divmod(self._count, self._every)
+        """Add to the sample that is being taken, as C++ has where it is; whether it is whole."""
         if self._quick:
-            leapt = self._quick.add(at, part == 0, 1.0 / self._every, q_c, q_m, LEAP)
-        else:
+            self._count, leapt = self._quick.readings - 1, self._quick.leapt
+        at, part = divmod(self._count, self._every)
+        if not self._quick:
             q = q_m[self._own]
             if not self._count:
                 self._read[:] = q
@@ -204,7 +217,6 @@ class JointFollowing:
         self._count += 1
         if leapt:
             self._believed = self._count + 2 * self._every
-        self.leapt = self._count < self._believed
         self._samples = self._count // self._every
         return self._samples > at
 
@@ -241,25 +253,26 @@ class JointFollowing:
         """W with r W of unit variance without a fault, and zero for every internal wrench."""
         if self._samples - self._whitened >= self._renew:
             self._earlier = [*self._earlier[-self._kept :], state.J_loop.copy()]
-        if not self._quick:
-            return self._white_over(self._spans[1], state, self._earlier[-2:][0])
-        n = len(self._own)
-        W = np.empty(n * n)
-        loads = self._loads(state, self._earlier[-2:][0])
-        d = self._quick.whiten(self._samples, self._lag, *loads, W)
-        return W[: n * d].reshape(n, d)
+        return self._white_over(self._spans[1], state, self._earlier[-2:][0])
 
     def _loads(self, state: State, before: Array) -> tuple[Array, Array, Array]:
-        """What internal wrenches pull joints by, how much more than before, and the load's sag."""
+        """By whose rows internal wrenches pull all joints, now and before, and the load's sag."""
         J = state.J_loop
-        N = null_space(J[:, self._passive].T) if len(self._passive) else np.identity(len(J))
-        sag = self._observer.sag(state)[self._own]
-        return (J.T @ N)[self._own], ((J - before).T @ N)[self._own], sag
+        if len(self._passive):
+            N = null_space(J[:, self._passive].T)
+            J, before = N.T @ J, N.T @ before
+        return J, before, self._observer.sag(state)
 
     def _white_over(self, span: int, state: State, before: Array) -> Array:
         """W of so many samples, of sag and speed on their way."""
-        last, (pulls, turned, load) = self._samples - 1, self._loads(state, before)
-        A = self._compliance[:, None] * pulls
+        last, loads = self._samples - 1, self._loads(state, before)
+        if self._quick:
+            n = len(self._own)
+            W = np.empty(n * n)
+            d = self._quick.whiten(span, self._lag, *loads, W)
+            return W[: n * d].reshape(n, d)
+        J, before, load = (each[..., self._own].T for each in loads)
+        A = self._compliance[:, None] * J
         U, values, _ = np.linalg.svd(A)
         rank = int(np.sum(values > SINGULAR * values.max(initial=1e-12)))
         U, parity = U[:, :rank], U[:, rank:]
@@ -277,7 +290,7 @@ class JointFollowing:
         least = (SINGULAR * values.max(initial=1e-12)) ** 2 * np.identity(A.shape[1])
         lags = (m - c)[-1:] if span <= self._spans[1] else m - c
         pull = np.linalg.solve(A.T @ A + least, A.T @ lags.T)
-        turns = self._compliance[:, None] * (turned @ pull)
+        turns = self._compliance[:, None] * ((J - before) @ pull)
         variance += np.mean(turns**2, axis=1) / 3.0  # on the way
         # The object's weight is no internal wrench, changes with the pose, and may be told wrong.
         variance += load**2

@@ -58,6 +58,7 @@ CONSTANTS: Mapping[object, Mapping[str, str]] = {
     following: {
         "NOISE": "READING_NOISE", "LAG_NOISE": "LAG_NOISE", "INERTIA_NOISE": "INERTIA_NOISE",
         "STIFFNESS_NOISE": "STIFFNESS_NOISE", "OF_BENDS": "OF_BENDS", "SINGULAR": "SINGULAR",
+        "SUSPICIOUS": "SUSPICIOUS", "LEAP": "LEAP",
     },
     signal: {"ENDLESS": "ENDLESS"},
     solver: {"LAST_DIGITS": "LAST_DIGITS"},

@@ -184,12 +184,14 @@ def test_what_internal_wrenches_leave_is_that_of_lapack(n: int, m: int) -> None:
     rng, found = np.random.default_rng(n), native.module()
     assert found
     still, own = (np.zeros((5, n)), np.zeros((5, n))), list(range(n))
-    samples = found.Samples(*still, own, [], 1, [1, 2], 4, [1.0] * n, 0.02, 7, 0.01, 0.0)
+    samples = found.Samples(*still, own, [], 1, 1, [1, 2], 4, [1.0] * n, 0.02, 7, 0.01, 0.0)
+    for _ in range(4):
+        samples.add(np.zeros(n), np.zeros(n))
     for case in range(20):
         A = rng.standard_normal((n, m)) * 10.0 ** rng.uniform(-0.1 * case, 0.1 * case, (n, 1))
         A[:, m // 2] = A[:, 0]
         W = np.empty(n * n)
-        d = samples.whiten(4, 0, A, np.zeros((n, m)), np.zeros(n), W)
+        d = samples.whiten(2, 0, A.T.copy(), np.zeros((m, n)), np.zeros(n), W)
         V, wanted, _ = np.linalg.svd(A)
         rank = int(np.sum(wanted > SINGULAR * wanted[0]))
         assert d == n - rank

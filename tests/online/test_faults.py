@@ -305,7 +305,7 @@ def test_what_the_long_window_doubts_is_not_believed_between_its_looks(nao: Stat
     for k in range(300):
         off = 5e-3 * DT * k * (np.arange(nao.chain.n) == j)
         assert following.update(nao, nao.q, nao.q + off) is None
-        doubts.append(following.suspicious)
+        doubts.append(following.doubtful)
     assert any(doubts)
     assert all(doubts[doubts.index(True) :])
 

@@ -92,6 +92,8 @@ constexpr double INERTIA_NOISE = 0.002;
 constexpr double STIFFNESS_NOISE = 0.1;
 constexpr double OF_BENDS = 0.73;
 constexpr double SINGULAR = 0.001;
+constexpr double SUSPICIOUS = 12.0;
+constexpr double LEAP = 0.015;
 
 // coopqp.signal
 constexpr double ENDLESS = 1e+100;
