@@ -6,7 +6,8 @@ python benchmarks/loop_tick.py
 Joints follow with a lag and are measured with noise; the reading is made outside of the time. A
 round is a motion of 300 ticks of each, its numbers are the median and the mean of its ticks:
 ``law.step``, ``OnlineLoop.tick``, that without the monitor of faults, that with a recording on
-disk, and PlaCo's bare tick in the job of ``peers.py`` (for two Pandas that of two such arms). Cold: each tick after 1 ms of sleep.
+disk, and PlaCo's bare tick in the job of ``peers.py`` (for two Pandas that of two such arms).
+Cold: each tick after 1 ms of sleep.
 """
 
 from __future__ import annotations

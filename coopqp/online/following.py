@@ -98,7 +98,7 @@ class JointFollowing:
     """Judges commanded and measured joints, of servos as stiff as stated, else as strong.
 
     Attributes:
-        leapt: whether a reading has leapt, and no sample was looked at since.
+        leapt: whether a reading has leapt of late.
         doubtful: whether it has, or internal forces and lag do not explain the last samples.
         suspect: whom the last look has found, if the next one is to confirm it.
     """
@@ -148,10 +148,10 @@ class JointFollowing:
         self._count = self._samples = self._lag = 0
         self._whitened, self._earlier = -self._renew, list[Array]()
         self._before: list[Suspect | None] = [None, None]  # of the last look, and the last long one
-        self._explained = 0  # the sample from which on looks explain what is
         self.suspect: Suspect | None = None
         self.leapt = self.doubtful = False
-        self._believed = 0  # number of readings from which on they are
+        # Sample from which on looks explain what is; reading from which on they are believed.
+        self._explained = self._believed = 0
         if self._quick:
             self._quick.forget()
 
@@ -178,7 +178,7 @@ class JointFollowing:
         spans = self._spans if long else self._short
         quick = self._quick
         stands = not quick or quick.stands()
-        if not (stands or self._before[1]) and quick.quiet(self._lag, self._white):
+        if quick and not (stands or self._before[1]) and quick.quiet(self._lag, self._white):
             return self._agreed(None, 0, spans)
         if stands and (stuck := self._stuck(self._stuck_for)):
             return stuck
@@ -255,23 +255,22 @@ class JointFollowing:
             self._earlier = [*self._earlier[-self._kept :], state.J_loop.copy()]
         return self._white_over(self._spans[1], state, self._earlier[-2:][0])
 
-    def _loads(self, state: State, before: Array) -> tuple[Array, Array, Array]:
-        """By whose rows internal wrenches pull all joints, now and before, and the load's sag."""
-        J = state.J_loop
+    def _white_over(self, span: int, state: State, before: Array) -> Array:
+        """W of so many samples, of sag and speed on their way."""
+        J, load, last, n = (
+            state.J_loop,
+            self._observer.sag(state),
+            self._samples - 1,
+            len(self._own),
+        )
         if len(self._passive):
             N = null_space(J[:, self._passive].T)
             J, before = N.T @ J, N.T @ before
-        return J, before, self._observer.sag(state)
-
-    def _white_over(self, span: int, state: State, before: Array) -> Array:
-        """W of so many samples, of sag and speed on their way."""
-        last, loads = self._samples - 1, self._loads(state, before)
         if self._quick:
-            n = len(self._own)
             W = np.empty(n * n)
-            d = self._quick.whiten(span, self._lag, *loads, W)
+            d = self._quick.whiten(span, self._lag, J, before, load, W)
             return W[: n * d].reshape(n, d)
-        J, before, load = (each[..., self._own].T for each in loads)
+        J, before, load = (each[..., self._own].T for each in (J, before, load))
         A = self._compliance[:, None] * J
         U, values, _ = np.linalg.svd(A)
         rank = int(np.sum(values > SINGULAR * values.max(initial=1e-12)))
