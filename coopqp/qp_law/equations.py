@@ -21,8 +21,9 @@ LEAST_SPEED = 1e-4
 MOST_DAMPING = 1e4
 #: While a joint reverses again and again damping grows so many times a reversal, up to the most,
 GROWS, MOST_GROWN = 1.5, 16.0
-#: and fades as the joints travel, to 1/e in this much [rad, m]: arms at rest keep it.
-FADES_IN = 0.2
+#: and fades as the joints travel, to 1/e in this much [rad, m], or while they move, none of which
+#: has reversed of late, to 1/e in this time [s]: arms at rest keep it.
+FADES_IN, FADES_AFTER = 0.2, 0.3
 #: A joint moves from this speed on, and reverses where it moves the other way than it did last
 #: [rad/s, m/s], however fast others are: chatter grows from little, and is damped while small.
 SWINGS_AT = 2e-4
@@ -102,7 +103,10 @@ def note_chatter(state: State, v: Array, dt: float) -> None:
     more = np.minimum(1.0 + times, REVERSALS)
     most = np.where(at_once, REVERSALS, more)[back].max(initial=0.0)
     again = max(float(most) - REVERSALS + 1.0, 0.0)
-    faded = max((1.0 + chatter[0]) / (1.0 + dt * speeds.max(initial=0.0) / FADES_IN), 1.0)
+    fastest = float(speeds.max(initial=0.0))
+    goes_on = fastest > SWINGS_AT and times.max(initial=0.0) < 1.0
+    rate = fastest / FADES_IN + goes_on / FADES_AFTER
+    faded = max((1.0 + chatter[0]) / (1.0 + dt * rate), 1.0)
     chatter[0] = (min(GROWS**again * (1.0 + chatter[0]), MOST_GROWN) if again else faded) - 1.0
     times = np.where(back, more, np.maximum(FORGETS * times, NO_REVERSAL))
     ways[:] = times * np.where(moves, np.sign(v), np.sign(ways))

@@ -26,7 +26,7 @@ CONSTANTS: Mapping[object, Mapping[str, str]] = {
         name: name
         for name in (
             "SCALE_WEIGHT", "ALL_OF_IT", "LEAST_SPEED", "MOST_DAMPING", "GROWS", "MOST_GROWN",
-            "FADES_IN", "SWINGS_AT", "REVERSALS", "FORGETS", "NO_REVERSAL", "BENDS", "LETS_GO",
+            "FADES_IN", "FADES_AFTER", "SWINGS_AT", "REVERSALS", "FORGETS", "NO_REVERSAL", "BENDS", "LETS_GO",
             "FIRM",
         )
     },

@@ -18,7 +18,15 @@ from coopqp.grasps import Rigid
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.grasp_configuration import HeldObject
 from coopqp.model.state import Memory, State
-from coopqp.qp_law.equations import FADES_IN, FIRM, LETS_GO, MOST_DAMPING, held_pull, note_chatter
+from coopqp.qp_law.equations import (
+    FADES_AFTER,
+    FADES_IN,
+    FIRM,
+    LETS_GO,
+    MOST_DAMPING,
+    held_pull,
+    note_chatter,
+)
 from coopqp.robots import PlanarPair
 from coopqp.tasks import JointCentering, Orientation, PointOnPlane, PointOnPoint
 
@@ -77,8 +85,20 @@ def test_what_is_no_chatter_lets_it_fade(
     velocities: list[tuple[float, float]], chain: ClosedChain
 ) -> None:
     assert after(0.0, velocities, chain) == 0.0
-    faded = np.prod([1.0 + DT * max(map(abs, pair)) / FADES_IN for pair in velocities])
-    assert after(1.0, velocities, chain) == pytest.approx(max(2.0 / faded, 1.0) - 1.0)
+    rates = np.array([max(map(abs, pair)) / FADES_IN for pair in velocities])
+    by_travel, in_time = (np.prod(1.0 + DT * more) for more in (rates, rates + 1.0 / FADES_AFTER))
+    grown = 1.0 + after(1.0, velocities, chain)
+    assert max(2.0 / in_time, 1.0) - 1e-12 < grown < max(2.0 / by_travel, 1.0) + 1e-12
+
+
+@pytest.mark.parametrize("swings", [0, 2])
+def test_damping_fades_in_time_while_no_joint_has_reversed_of_late(
+    swings: int, chain: ClosedChain
+) -> None:
+    swing = [(0.1, 0.0), (-0.1, 0.0)] * swings
+    grown, later = (1.0 + after(9.0, swing + [(-0.1, 0.0)] * k, chain) for k in (1, 21))
+    rate = 0.1 / FADES_IN + (0.0 if swings else 1.0 / FADES_AFTER)
+    assert later == pytest.approx(grown / (1.0 + DT * rate) ** 20)
 
 
 def test_arms_at_rest_keep_their_damping(chain: ClosedChain) -> None:

@@ -73,11 +73,12 @@ class StepDamping {
 
     // Note how joints chatter in a tick with the velocity v, in lanes, as coopqp.qp_law.equations.
     void note_chatter(const Model& m, const double* v, double* chatter) const {
-        double most = 0.0, fastest = 0.0;
+        double most = 0.0, fastest = 0.0, latest = 0.0;
         for (int j = 0; j < m.n(); j++) {
             double& way = chatter[1 + j];
             const double x = v[m.joints[std::size_t(j)].lane], speed = std::fabs(x), old = std::fabs(way);
             const bool moves = speed > SWINGS_AT;
+            latest = std::max(latest, old);
             double times = std::max(FORGETS * old, NO_REVERSAL);
             if (moves && x * way < 0.0) {
                 const bool at_once = old == std::round(old);
@@ -88,7 +89,9 @@ class StepDamping {
             fastest = std::max(fastest, speed);
         }
         const double again = most - REVERSALS + 1.0, grown = 1.0 + chatter[0];
-        const double faded = std::max(grown / (1.0 + dt_ * fastest / FADES_IN), 1.0);
+        const bool goes_on = fastest > SWINGS_AT && latest < 1.0;
+        const double rate = fastest / FADES_IN + (goes_on ? 1.0 / FADES_AFTER : 0.0);
+        const double faded = std::max(grown / (1.0 + dt_ * rate), 1.0);
         chatter[0] = (again > 0.0 ? std::min(std::pow(GROWS, again) * grown, MOST_GROWN) : faded) - 1.0;
     }
 

@@ -11,6 +11,7 @@ constexpr double MOST_DAMPING = 10000.0;
 constexpr double GROWS = 1.5;
 constexpr double MOST_GROWN = 16.0;
 constexpr double FADES_IN = 0.2;
+constexpr double FADES_AFTER = 0.3;
 constexpr double SWINGS_AT = 0.0002;
 constexpr double REVERSALS = 4.0;
 constexpr double FORGETS = 0.985;
