@@ -26,8 +26,8 @@ CONSTANTS: Mapping[object, Mapping[str, str]] = {
         name: name
         for name in (
             "SCALE_WEIGHT", "ALL_OF_IT", "LEAST_SPEED", "MOST_DAMPING", "GROWS", "MOST_GROWN",
-            "FADES_IN", "FADES_AFTER", "SWINGS_AT", "REVERSALS", "FORGETS", "NO_REVERSAL", "BENDS", "LETS_GO",
-            "FIRM",
+            "FADES_IN", "FADES_AFTER", "SWINGS_AT", "REVERSALS", "FORGETS", "NO_REVERSAL", "BENDS",
+            "LETS_GO", "FIRM",
         )
     },
     nearest: {
