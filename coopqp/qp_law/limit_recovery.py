@@ -53,7 +53,7 @@ class LimitRecovery:
         self.bounds = Bounds(problem.chain, problem.limits, start, problem.dt)
         self.problem, self._nothing = problem, TaskStack((), start)
         self._damping = Damping(LEAST_MOTION, error_damping, problem.dt)
-        self._low, self._high = np.zeros((2, problem.chain.n), bool)
+        self._back = np.zeros(problem.chain.n)  # from each joint to its limits, zero inside
         self.active, self.share = False, 1.0
         self.v: Array | None = None
 
@@ -70,19 +70,20 @@ class LimitRecovery:
     def limit(self, state: State) -> float:
         """Evaluate limits and the recovery of joints outside; the drift gain it leaves."""
         chain = self.problem.chain
-        below, above = chain.lower - state.q, state.q - chain.upper
-        self._low, self._high = below > ROUNDING, above > ROUNDING
-        self.active, self.share, self.v = bool((self._low | self._high).any()), 1.0, None
+        self._back = np.clip(state.q, chain.lower, chain.upper) - state.q
+        self._back *= np.abs(self._back) > ROUNDING
+        self.active, self.share, self.v = bool(self._back.any()), 1.0, None
         self.bounds.update(state)
         if self.active:
-            self._find(state, np.maximum(below, 0.0) - np.maximum(above, 0.0))
+            self._find(state)
             self._tighten()
         return drift_gain(self.problem, state, self.share)
 
-    def _find(self, state: State, back: Array) -> None:
-        """The fastest recovery of the joints that are outside, by ``back``."""
+    def _find(self, state: State) -> None:
+        """The fastest recovery of the joints that are outside."""
+        back, outside = self._back, self._back != 0.0
         wish = np.sign(back) * np.maximum(np.abs(back) / self.problem.dt, LEAST_RECOVERY)
-        wish, outside = np.clip(wish, self.bounds.lb, self.bounds.ub), self._low | self._high
+        wish = np.clip(wish, self.bounds.lb, self.bounds.ub)
         kappa, pull, n = drift_gain(self.problem, state), state.memory["recovery"], len(wish)
         # Where loops leave hardly a way back they turn quickly along it: the more it pulls at them,
         # the shorter its steps.
@@ -115,8 +116,8 @@ class LimitRecovery:
         if self.v is None:
             return
         keep, lb, ub = KEPT * self.v, self.bounds.lb, self.bounds.ub
-        np.maximum(lb, np.maximum(keep, 0.0), out=lb, where=self._low)
-        np.minimum(ub, np.minimum(keep, 0.0), out=ub, where=self._high)
+        np.maximum(lb, np.maximum(keep, 0.0), out=lb, where=self._back > 0.0)
+        np.minimum(ub, np.minimum(keep, 0.0), out=ub, where=self._back < 0.0)
 
     def rescue(self, v: Array, causes: tuple[Status, ...]) -> tuple[Array, tuple[Status, ...]]:
         """The tick's answer, or the recovery itself where there is none."""
