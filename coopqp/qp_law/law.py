@@ -37,7 +37,7 @@ from coopqp.limit import ROUNDING
 from coopqp.model.state import State
 from coopqp.qp_law.equations import LEAST_SPEED, MOST_DAMPING, SCALE_WEIGHT, Damping, note_chatter
 from coopqp.qp_law.level import Given, Level
-from coopqp.qp_law.limit_recovery import DriftShare, LimitRecovery
+from coopqp.qp_law.limit_recovery import LimitRecovery
 from coopqp.qp_law.nearest import ASIDE, FAST, LESS, MET, SLOW, WHOLE, Nearest, blocked, counting
 from coopqp.qp_law.priorities import LaterLevel, Order
 from coopqp.qp_law.safety import StepVerification, drift_gain
@@ -66,7 +66,7 @@ class QPLaw(Law):
         super().__init__(problem, force_control=force_control)
         self.order = order = order or Order(problem)
         self._damping = Damping(damping, error_damping, problem.dt)
-        self.limit_recovery = LimitRecovery(problem, order.start, error_damping)
+        self.limit_recovery = LimitRecovery(problem, order.start, self._damping)
         self._given = given = Given(problem, self.limit_recovery.bounds, self._damping)
         self.probe = StepVerification(problem)
         self.exact = exact = order.exact
@@ -89,14 +89,9 @@ class QPLaw(Law):
         """Built when hard or scaled tasks cannot hold."""
         return Nearest(self._given, self.order)
 
-    @cached_property
-    def drift(self) -> DriftShare:
-        """Built when not all of the Baumgarte correction can be done."""
-        return DriftShare(self.limit_recovery, self._damping)
-
     def prepare(self) -> QPLaw:
         """Build now what only rare ticks need, so that none waits for it; returns itself."""
-        self.nearest, self.drift, self.limit_recovery.levels  # noqa: B018 - are built by being asked for
+        self.nearest, self.limit_recovery.levels  # noqa: B018 - are built by being asked for
         return self
 
     def decide(self, state: State) -> Command:
@@ -288,17 +283,17 @@ class QPLaw(Law):
         if self.problem.on_infeasible != "scale":
             state.memory["stopped"][0] = self.problem.on_infeasible == "stop"
             return self.first.v, (failed,)
-        relaxed, drift = self.drift.find(state), self.drift
-        self.command.drift = drift.share if relaxed[0].usable else 0.0
-        if not relaxed[0].usable:
-            return drift.v, (failed,)
-        kappa = drift.share * drift_gain(self.problem, state)
+        share, slowed, relaxed = self.limit_recovery.reduce(state)
+        self.command.drift = share
+        if not relaxed:
+            return slowed, (failed,)
+        kappa = share * drift_gain(self.problem, state)
         self._assemble_exact(self.first, state, kappa, self.exact.wanted)
         v, causes = self._decide_levels(state, kappa)
         if not causes[0].usable:
             if relaxed[0] is Status.SOLVER_FAILED:  # nothing was in the way but the solver
                 return v, (failed,)
-            v, causes = drift.v, ()
+            v, causes = slowed, ()
         if failed is not Status.INFEASIBLE:
             relaxed = (Status.SOLVER_FAILED,)
         return v, (*relaxed, *causes)

@@ -10,12 +10,13 @@ W (1 - s)^2/2 (at s = 1 less of it would save y'kappa e, with the loops' multipl
 to 1 and the largest that is worth it. The answer bounds the tasks, hard ones included: each joint
 outside recovers at least almost as fast.
 
-Where limits leave no motion for all of the Baumgarte correction, :class:`DriftShare` finds the
-largest share s, with W (1 - s)^2 + d |v|^2 as the cost: first with all limits; where that is
-infeasible, without acceleration limits, and with limits in space that ask for no motion. The share
-replaces 1 in all levels of the tick.
+Where limits leave no motion for all of the Baumgarte correction, the largest share s is found, with
+W (1 - s)^2 + d |v|^2 as the cost: first with all limits; where that is infeasible, without
+acceleration limits, and with limits in space that ask for no motion. The share replaces 1 in all
+levels of the tick.
 """
 
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -42,34 +43,32 @@ INSIDE = 1.0 - 1e-4
 
 
 class LimitRecovery:
-    """The limits of a tick, and how joints outside of them recover.
+    """The limits of a tick, and how joints outside of them recover; the reduced correction.
 
     Attributes:
         bounds: the limits of the last tick, recovery included. active: whether a joint was outside.
         share: of the Baumgarte correction beside the recovery. v: of the recovery, if any.
     """
 
-    def __init__(self, problem: ControlProblem, start: State, error_damping: float) -> None:
+    def __init__(self, problem: ControlProblem, start: State, damping: Damping) -> None:
         self.bounds = Bounds(problem.chain, problem.limits, start, problem.dt)
-        self.problem, self._nothing = problem, TaskStack((), start)
-        self._damping = Damping(LEAST_MOTION, error_damping, problem.dt)
+        self._problem, self._start, self._damping = problem, start, damping
         self._back = np.zeros(problem.chain.n)  # from each joint to its limits, zero inside
         self.active, self.share = False, 1.0
         self.v: Array | None = None
 
     @cached_property
-    def levels(self) -> tuple[Level, Level]:
-        """With all of the Baumgarte correction, and with a share; built when asked for."""
-        return self.level(self._damping), self.level(self._damping, slows=True)
-
-    def level(self, damping: Damping, *, slows: bool = False) -> Level:
-        """One without tasks."""
-        rows = self.problem.chain.loops.solver_rows
-        return Level(Given(self.problem, self.bounds, damping), self._nothing, rows, slows=slows)
+    def levels(self) -> tuple[Level, Level, Level]:
+        """Of the recovery, with all of the Baumgarte correction and a share; of a share alone."""
+        given = Given(self._problem, self.bounds, self._damping)
+        back = replace(given, damping=replace(self._damping, least=LEAST_MOTION))
+        nothing, loops = TaskStack((), self._start), self._problem.chain.loops.solver_rows
+        slowed = (Level(of, nothing, loops, slows=True) for of in (back, given))
+        return Level(back, nothing, loops), *slowed
 
     def limit(self, state: State) -> float:
         """Evaluate limits and the recovery of joints outside; the drift gain it leaves."""
-        chain = self.problem.chain
+        chain = self._problem.chain
         self._back = np.clip(state.q, chain.lower, chain.upper) - state.q
         self._back *= np.abs(self._back) > ROUNDING
         self.active, self.share, self.v = bool(self._back.any()), 1.0, None
@@ -77,20 +76,20 @@ class LimitRecovery:
         if self.active:
             self._find(state)
             self._tighten()
-        return drift_gain(self.problem, state, self.share)
+        return drift_gain(self._problem, state, self.share)
 
     def _find(self, state: State) -> None:
         """The fastest recovery of the joints that are outside."""
         back, outside = self._back, self._back != 0.0
-        wish = np.sign(back) * np.maximum(np.abs(back) / self.problem.dt, LEAST_RECOVERY)
+        wish = np.sign(back) * np.maximum(np.abs(back) / self._problem.dt, LEAST_RECOVERY)
         wish = np.clip(wish, self.bounds.lb, self.bounds.ub)
-        kappa, pull, n = drift_gain(self.problem, state), state.memory["recovery"], len(wish)
+        kappa, pull, n = drift_gain(self._problem, state), state.memory["recovery"], len(wish)
         # Where loops leave hardly a way back they turn quickly along it: the more it pulls at them,
         # the shorter its steps.
         extra = self._damping.of(state.chain.reach * pull[0], state)
         extra += self._damping.of_drift(state, kappa)
         pull[0] = 0.0
-        whole, slowed = self.levels
+        whole, slowed, _ = self.levels
         # What was done in part stays so, or it would go to and fro between all and a part.
         for level in (whole, slowed) if state.corrected >= ALL_OF_IT else (slowed,):
             level.assemble(state, kappa, extra)
@@ -104,12 +103,6 @@ class LimitRecovery:
                 self.v, self.share = level.v.copy(), float(level.shares.min(initial=1.0))
                 pull[0] = np.abs(y).sum()
                 return
-
-    def release(self, state: State) -> bool:
-        """Leave out acceleration limits, :meth:`Bounds.release`, but keep the recovery."""
-        released = self.bounds.release(state)
-        self._tighten()
-        return released
 
     def _tighten(self) -> None:
         """Bound v so that the recovery is kept."""
@@ -127,32 +120,21 @@ class LimitRecovery:
             return self.v, (Status.RECOVERING, *causes)
         return v, (*causes, Status.RECOVERING)
 
+    def reduce(self, state: State) -> tuple[float, Array, tuple[Status, ...]]:
+        """The largest share of the Baumgarte correction, v that does it, and what is relaxed.
 
-class DriftShare:
-    """The largest feasible share of the Baumgarte correction, and a motion v that does it."""
-
-    def __init__(self, limit_recovery: LimitRecovery, damping: Damping) -> None:
-        self._limit_recovery, self._damping = limit_recovery, damping
-        self._level = limit_recovery.level(damping, slows=True)
-        self.share, self.v = 1.0, self._level.v
-
-    def find(self, state: State) -> tuple[Status, ...]:
-        """What is relaxed so that there is a share, or why there is none, which is not usable.
-
-        The limits are then as they were when it was found.
+        The limits are then as they were when it was found. Nothing is relaxed if there is none.
         """
-        causes = list[Status]()
-        if not self._solve(state).usable:
-            causes += [Status.ACCELERATION_GIVEN_UP] * self._limit_recovery.release(state)
-            if not (status := self._solve(state)).usable:
-                return (status,)
-        self.share = float(self._level.shares[0])
-        if self.share < ALL_OF_IT:
-            self.share *= INSIDE
+        level, causes, kappa = self.levels[2], list[Status](), drift_gain(self._problem, state)
+        level.assemble(state, kappa, self._damping.of_drift(state, kappa))
+        if not level.solve().usable:
+            causes += [Status.ACCELERATION_GIVEN_UP] * self.bounds.release(state)
+            self._tighten()
+            level.assemble(state, kappa, self._damping.of_drift(state, kappa))
+            if not level.solve().usable:
+                return 0.0, level.v, ()
+        share = float(level.shares[0])
+        if share < ALL_OF_IT:
+            share *= INSIDE
             causes.append(Status.DRIFT_SLOWED)
-        return tuple(causes) or (Status.SOLVER_FAILED,)
-
-    def _solve(self, state: State) -> Status:
-        kappa = drift_gain(self._limit_recovery.problem, state)
-        self._level.assemble(state, kappa, self._damping.of_drift(state, kappa))
-        return self._level.solve()
+        return share, level.v, tuple(causes) or (Status.SOLVER_FAILED,)
