@@ -42,6 +42,7 @@ from coopqp.qp_law.nearest import ASIDE, FAST, LESS, MET, SLOW, WHOLE, Nearest, 
 from coopqp.qp_law.priorities import LaterLevel, Order
 from coopqp.qp_law.safety import StepVerification, drift_gain
 from coopqp.solver import Status, norm
+from coopqp.task import TaskStack
 
 ERROR_DAMPING = 0.5  # default share of the damping that rules out any overshoot
 
@@ -69,13 +70,11 @@ class QPLaw(Law):
         self.limit_recovery = LimitRecovery(problem, order.start, self._damping)
         self._given = given = Given(problem, self.limit_recovery.bounds, self._damping)
         self.probe = StepVerification(problem)
-        self.exact = exact = order.exact
+        self.exact = exact = TaskStack([*order.hard, *order.scaled], order.start)
         self._hard, self._scaled = exact.slices[: len(order.hard)], exact.slices[len(order.hard) :]
         self._relaxes = problem.on_infeasible == "scale"
-        self.stacks = stacks = order.stacks
-        self._asked = [stack for stack in (*stacks, exact) if stack.tasks]
-        rows = [*problem.chain.loops.solver_rows, *exact.rows]
-        self.first = Level(given, stacks[0], rows, [task.name for task in order.scaled])
+        self.stacks = stacks = [TaskStack(tasks, order.start) for tasks in order.groups]
+        self.first = Level(given, stacks[0], exact.rows, [task.name for task in order.scaled])
         self.qp, self.solution = self.first.qp, self.first.solution
         self._later = [
             LaterLevel(given, stacks[i], [*stacks[:i], exact]) for i in range(1, len(stacks))
@@ -118,7 +117,7 @@ class QPLaw(Law):
     def assemble(self, state: State) -> float:
         """Evaluate limits and tasks, and fill the first level's QP; returns the drift gain."""
         kappa = self.limit_recovery.limit(state)
-        for stack in self._asked:
+        for stack in (*self.stacks, self.exact):
             stack.update(state)
         self._assemble_exact(self.first, state, kappa, self.exact.wanted)
         return kappa

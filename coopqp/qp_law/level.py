@@ -53,13 +53,13 @@ class Level(Program):
         minimise    sum_i w_i |J_i v - wanted_i|^2 + d |v|^2 + W |1 - s|^2
         subject to  J_c v = -kappa e,   more rows,   lb <= v <= ub,   G v <= h,   0 <= s <= 1
 
-    The owner of the stack of soft ``tasks`` updates it. The loops, eq. (14), are the first of the
-    ``equalities``; ``shares`` names what has a share. With ``slows`` the Baumgarte correction has
-    the only one, J_c v = -s kappa e.
+    The owner of the stack of soft ``tasks`` updates it. ``more`` rows come after the loops, eq.
+    (14); ``shares`` names what has a share. With ``slows`` the Baumgarte correction has the only
+    one, J_c v = -s kappa e.
     """
 
     def __init__(
-        self, given: Given, tasks: TaskStack, equalities: Sequence[Row],
+        self, given: Given, tasks: TaskStack, more: Sequence[Row] = (),
         shares: Sequence[str] = (), *, slows: bool = False,
     ) -> None:  # fmt: skip
         problem, bounds, damping = given.problem, given.bounds, given.damping
@@ -67,7 +67,8 @@ class Level(Program):
         shares = ["drift correction"] if slows else shares
         scales = (Row(name=f"scale[{name}]", kind="share", owner=name, unit="1") for name in shares)
         variables = (*joint_rows(chain.joint_names, chain.joint_units), *scales)
-        super().__init__(problem, Rows(variables, bounds.rows, tuple(equalities)), damping.least)
+        equalities = (*chain.loops.solver_rows, *more)
+        super().__init__(problem, Rows(variables, bounds.rows, equalities), damping.least)
         self.tasks, self._bounds, self._least, self._slows = tasks, bounds, damping.least, slows
         self.v, self.shares, self._eye = self.solution.v[:n], self.solution.v[n:], np.eye(n)
         self.qp.lb[n:], self.qp.ub[n:] = 0.0, 1.0

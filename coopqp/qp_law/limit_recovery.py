@@ -62,9 +62,9 @@ class LimitRecovery:
         """Of the recovery, with all of the Baumgarte correction and a share; of a share alone."""
         given = Given(self._problem, self.bounds, self._damping)
         back = replace(given, damping=replace(self._damping, least=LEAST_MOTION))
-        nothing, loops = TaskStack((), self._start), self._problem.chain.loops.solver_rows
-        slowed = (Level(of, nothing, loops, slows=True) for of in (back, given))
-        return Level(back, nothing, loops), *slowed
+        nothing = TaskStack((), self._start)
+        slowed = (Level(of, nothing, slows=True) for of in (back, given))
+        return Level(back, nothing), *slowed
 
     def limit(self, state: State) -> float:
         """Evaluate limits and the recovery of joints outside; the drift gain it leaves."""

@@ -59,16 +59,16 @@ class Nearest:
     """Levels of hard and scaled tasks; that of v_s is ``beside``, its last share t; v is v_h."""
 
     def __init__(self, given: Given, order: Order) -> None:
-        loops, self._damping, self._bounds = given.problem.chain.loops, given.damping, given.bounds
-        hard, scaled = (TaskStack(tasks, order.start) for tasks in (order.hard, order.scaled))
+        self._damping, self._bounds = given.damping, given.bounds
+        start = order.start
+        hard, scaled, none = (TaskStack(tasks, start) for tasks in (order.hard, order.scaled, ()))
         least = given.damping.least * (LESS * float(hard.weights.max()) if order.hard else 1.0)
         firm = replace(given, damping=replace(given.damping, least=least))
-        self.hard, self._refined = Level(firm, hard, loops.solver_rows), Step(firm, hard)
-        rows = [*loops.solver_rows, *order.exact.rows[: len(hard.wanted)]]
-        self.held = Level(given, TaskStack((), order.start), rows)
+        self.hard, self._refined = Level(firm, hard), Step(firm, hard)
+        self.held = Level(given, none, hard.rows)
         self.scaled = LaterLevel(given, scaled, [hard])
-        rows, names = [*loops.solver_rows, *order.exact.rows], [task.name for task in order.scaled]
-        self.beside = Level(given, TaskStack((), order.start), rows, [*names, "hard tasks"])
+        names = [*(task.name for task in order.scaled), "hard tasks"]
+        self.beside = Level(given, none, [*hard.rows, *scaled.rows], names)
         self.beside.qp.q[-1] = ASIDE * SCALE_WEIGHT
         self.v = self.hard.v
 

@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from functools import cached_property
 
 import numpy as np
 
@@ -60,16 +59,6 @@ class Order:
         self.groups = [*first, *_by_priority(soft), *_by_priority(problem.secondary)]
         later = range(1, len(self.groups))
         del self.groups[next(filter(self._nothing_left, later), len(self.groups)) :]
-
-    @cached_property
-    def exact(self) -> TaskStack:
-        """The hard tasks, then the scaled ones."""
-        return TaskStack([*self.hard, *self.scaled], self.start)
-
-    @cached_property
-    def stacks(self) -> list[TaskStack]:
-        """The groups' tasks."""
-        return [TaskStack(tasks, self.start) for tasks in self.groups]
 
     def _nothing_left(self, level: int) -> bool:
         """Whether the loops and the tasks before a level decide all joints, generically."""
