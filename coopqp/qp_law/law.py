@@ -166,7 +166,7 @@ class QPLaw(Law):
         v, set_out, leaves, self._shares = first.v, first.v, 0.0, first.shares
         firm = whole.usable and not self._overreaches(self._hard_rows, v)
         if self._relaxes and not (firm and self._holds_firmly(met=False)):
-            status, v, set_out, leaves = self._come_near(state, kappa, whole)
+            status, v, set_out, leaves = self._come_near(state, kappa)
         if not status.usable:
             return v, (status,)
         if self._relaxes and self._scaled:
@@ -185,15 +185,13 @@ class QPLaw(Law):
             return v, (Status.TASKS_RELAXED, status)
         return v, (status,)
 
-    def _come_near(
-        self, state: State, kappa: float, whole: Status
-    ) -> tuple[Status, Array, Array, float]:
-        """Decide between the exact program, with the outcome ``whole``, and the nearest motion.
+    def _come_near(self, state: State, kappa: float) -> tuple[Status, Array, Array, float]:
+        """Decide between the exact program, which is solved, and the nearest motion.
 
         Returned are the outcome, v, what scaled tasks set out from, and how far they leave.
         """
         first, nearest, wanted = self.first, self.nearest, self.exact.wanted[self._hard_rows]
-        status, near = nearest.of_hard(state, kappa), nearest.v
+        whole, status, near = first.solution.status, nearest.of_hard(state, kappa), nearest.v
         lacks, held, v = self._missed(near), whole, first.v
         if self._scaled:
             alone = self._hard and norm(lacks) < SLOW
@@ -210,9 +208,7 @@ class QPLaw(Law):
             pulls = counts * np.abs(lacks) + softens * np.abs(wanted)
             status = nearest.damp(state, kappa, pulls)
             v = (1.0 - softens) * v + softens * near
-        if not status.usable:
-            return status, near, near, 0.0
-        if not self._scaled:
+        if not (status.usable and self._scaled):
             return status, v, v, 0.0
         leaves = min(norm(self._missed(v)) / SLOW, 1.0)
         beside, most = self._scale_beside(state, kappa, v, leaves)
