@@ -7,7 +7,6 @@ import numpy as np
 
 from coopqp.base.qp import Row
 from coopqp.limit import Limit, LimitRows, Tighten
-from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.task import evaluate_all
 
@@ -21,13 +20,9 @@ class Bounds:
     """
 
     def __init__(
-        self,
-        chain: ClosedChain,
-        limits: Sequence[Limit],
-        start: State,
-        dt: float,
-        position_time: float | None = None,
+        self, limits: Sequence[Limit], start: State, dt: float, position_time: float | None = None
     ) -> None:
+        chain = start.chain
         by_limit = [limit.rows(chain) for limit in limits]
         self.rows: tuple[Row, ...] = tuple(itertools.chain.from_iterable(by_limit))
         n, p = chain.n, len(self.rows)

@@ -51,7 +51,7 @@ class LimitRecovery:
     """
 
     def __init__(self, problem: ControlProblem, start: State, damping: Damping) -> None:
-        self.bounds = Bounds(problem.chain, problem.limits, start, problem.dt)
+        self.bounds = Bounds(problem.limits, start, problem.dt)
         self._problem, self._start, self._damping = problem, start, damping
         self._back = np.zeros(problem.chain.n)  # from each joint to its limits, zero inside
         self.active, self.share = False, 1.0
