@@ -266,9 +266,8 @@ class QPLaw(Law):
         missed[:] = self._missed(v)
         missing[:] = 1.0 if leaves == 1.0 else 1.0 - (1.0 - leaves) * self._shares
         sizes = [(norm(missed[p]), norm(wanted[p])) for p in self._hard]
-        if leaves > 0.0:
-            J, parts = self.exact.J, self._scaled
-            sizes += [(norm(J[p] @ v - wanted[p]), norm(wanted[p])) for p in parts]
+        for p in self._scaled if leaves > 0.0 else ():
+            sizes.append((norm(self.exact.J[p] @ v - wanted[p]), norm(wanted[p])))
         lacks = [lack / max(whole, lack, MET) for lack, whole in sizes]
         shares = missing.tolist() if leaves == 0.0 else ()
         self.command.scale = 1.0 - max([0.0, *lacks, *shares])
@@ -278,11 +277,10 @@ class QPLaw(Law):
         if self.problem.on_infeasible != "scale":
             state.memory["stopped"][0] = self.problem.on_infeasible == "stop"
             return self.first.v, (failed,)
-        share, slowed, relaxed = self.limit_recovery.reduce(state)
-        self.command.drift = share
+        self.command.drift, slowed, relaxed = self.limit_recovery.reduce(state)
         if not relaxed:
             return slowed, (failed,)
-        kappa = share * drift_gain(self.problem, state)
+        kappa = self.command.drift * drift_gain(self.problem, state)
         self._assemble_exact(self.first, state, kappa, self.exact.wanted)
         v, causes = self._decide_levels(state, kappa)
         if not causes[0].usable:

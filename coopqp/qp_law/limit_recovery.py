@@ -63,8 +63,8 @@ class LimitRecovery:
         given = Given(self._problem, self.bounds, self._damping)
         back = replace(given, damping=replace(self._damping, least=LEAST_MOTION))
         nothing = TaskStack((), self._start)
-        slowed = (Level(of, nothing, slows=True) for of in (back, given))
-        return Level(back, nothing), *slowed
+        whole, slowed = Level(back, nothing), Level(back, nothing, slows=True)
+        return whole, slowed, Level(given, nothing, slows=True)
 
     def limit(self, state: State) -> float:
         """Evaluate limits and the recovery of joints outside; the drift gain it leaves."""
@@ -106,11 +106,10 @@ class LimitRecovery:
 
     def _tighten(self) -> None:
         """Bound v so that the recovery is kept."""
-        if self.v is None:
-            return
-        keep, lb, ub = KEPT * self.v, self.bounds.lb, self.bounds.ub
-        np.maximum(lb, np.maximum(keep, 0.0), out=lb, where=self._back > 0.0)
-        np.minimum(ub, np.minimum(keep, 0.0), out=ub, where=self._back < 0.0)
+        if self.v is not None:
+            keep, lb, ub = KEPT * self.v, self.bounds.lb, self.bounds.ub
+            np.maximum(lb, np.maximum(keep, 0.0), out=lb, where=self._back > 0.0)
+            np.minimum(ub, np.minimum(keep, 0.0), out=ub, where=self._back < 0.0)
 
     def rescue(self, v: Array, causes: tuple[Status, ...]) -> tuple[Array, tuple[Status, ...]]:
         """The tick's answer, or the recovery itself where there is none."""
