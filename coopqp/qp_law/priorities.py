@@ -16,8 +16,6 @@ them call for short steps: y L / sigma adds to the level's damping, like second 
 (:class:`coopqp.qp_law.equations.Damping`), up to MOST_DAMPING; beyond it the step is shortened.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 
@@ -55,14 +53,16 @@ class Order:
             [task for task in problem.tasks if task.mode == mode]
             for mode in ("soft", "hard", "scaled")
         )
-        first = [] if soft and len(soft) == len(problem.tasks) else [list[Task]()]
-        self.groups = [*first, *_by_priority(soft), *_by_priority(problem.secondary)]
-        later = range(1, len(self.groups))
-        del self.groups[next(filter(self._nothing_left, later), len(self.groups)) :]
+        self.groups = [] if soft and len(soft) == len(problem.tasks) else [list[Task]()]
+        for tasks in (soft, problem.secondary):
+            for priority in sorted({task.priority for task in tasks}):
+                if self.groups and self._nothing_left():
+                    return
+                self.groups.append([task for task in tasks if task.priority == priority])
 
-    def _nothing_left(self, level: int) -> bool:
-        """Whether the loops and the tasks before a level decide all joints, generically."""
-        tasks = [*self.hard, *self.scaled, *itertools.chain(*self.groups[:level])]
+    def _nothing_left(self) -> bool:
+        """Whether the loops and the tasks so far decide all joints, generically."""
+        tasks = [*self.hard, *self.scaled, *itertools.chain(*self.groups)]
         if any(task.joint_space and task.all_joints for task in tasks):
             return True
         chain = self.start.chain
@@ -77,11 +77,6 @@ class Order:
             if matrix_rank(np.vstack([state.J_loop, stack.J])) == chain.n:
                 return True
         return False
-
-
-def _by_priority(tasks: Sequence[Task]) -> list[list[Task]]:
-    numbers = sorted({task.priority for task in tasks})
-    return [[task for task in tasks if task.priority == number] for number in numbers]
 
 
 class LaterLevel(Step):
