@@ -26,11 +26,10 @@ from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.limit import states_along
 from coopqp.model.state import State
-from coopqp.program import sees_twist
 from coopqp.qp_law.equations import MOST_DAMPING, held_pull
 from coopqp.qp_law.level import Given, Step
 from coopqp.solver import Status
-from coopqp.task import Programs, Task, TaskStack
+from coopqp.task import Task, TaskStack
 
 SAMPLES = 6  # configurations at which ranks are taken, beside the start
 #: Singular values of task rows up to the first ask for nothing, from there to the second in part
@@ -41,14 +40,13 @@ IDLE, NOISE, WALL = 1e-8, 1e-6, 1e-5
 class Order:
     """Which tasks of a problem decide when: exact ones, then soft ones level by level.
 
-    All references and ``programs`` set out from the state ``start``. ``groups`` are soft tasks by
-    priority, then secondary objectives by theirs, as long as anything is left to decide; the first
-    is empty where there are hard or scaled tasks.
+    All references set out from the state ``start``. ``groups`` are soft tasks by priority, then
+    secondary objectives by theirs, as long as anything is left to decide; the first is empty where
+    there are hard or scaled tasks.
     """
 
     def __init__(self, problem: ControlProblem) -> None:
         self.start = State(problem.chain)
-        self.programs = Programs(self.start)
         soft, self.hard, self.scaled = (
             [task for task in problem.tasks if task.mode == mode]
             for mode in ("soft", "hard", "scaled")
@@ -66,9 +64,7 @@ class Order:
         if any(task.joint_space and task.all_joints for task in tasks):
             return True
         chain = self.start.chain
-        rows = [(len(task.rows(chain)), sees_twist(self.programs.of(task))) for task in tasks]
-        twist = min(6, sum(k for k, sees in rows if sees))  # the object's has six numbers
-        if len(chain.loops.solver_rows) + twist + sum(k for k, sees in rows if not sees) < chain.n:
+        if len(chain.loops.solver_rows) + sum(len(task.rows(chain)) for task in tasks) < chain.n:
             return False
         stack = TaskStack(tasks, self.start)
         anywhere = states_along(chain, chain.sample(np.random.default_rng(0), SAMPLES))
