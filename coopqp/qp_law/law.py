@@ -211,8 +211,8 @@ class QPLaw(Law):
         if not (status.usable and self._scaled):
             return status, v, v, 0.0
         leaves = min(norm(self._missed(v)) / SLOW, 1.0)
-        beside, most = self._scale_beside(state, kappa, v, leaves)
-        return status, beside, beside + leaves * (v - beside), most
+        beside, least = self._scale_beside(state, kappa, v) if leaves < 1.0 else (v, 1.0)
+        return status, beside, beside + leaves * (v - beside), max(leaves, least)
 
     def _overreaches(self, rows: slice, v: Array) -> float:
         """How far these rows are softened."""
@@ -225,35 +225,31 @@ class QPLaw(Law):
         tasks, unless these are ``met``, nor so large that the penalty of t would not be exact. Rows
         beside shares that hold by the solver's tolerance alone do not.
         """
-        solution = self.first.solution
+        solution, weights = self.first.solution, self.exact.weights[self._hard_rows]
         y = solution.y[-len(self.exact.wanted) :]
         lacking = solution.primal_residual > ROUNDING or norm(y) * FAST > ASIDE * SCALE_WEIGHT
         if self._scaled and lacking:
             return False
-        weights, hard = self.exact.weights[self._hard_rows], y[self._hard_rows]
         if met or not self._hard:
             return True
         share = LESS * float(weights.max()) * self._damping.least / self.first.curvature
-        lacks = share * norm(hard / np.sqrt(weights))
+        lacks = share * norm(y[self._hard_rows] / np.sqrt(weights))
         return lacks <= MET * float(np.sqrt(weights.min()))
 
-    def _scale_beside(
-        self, state: State, kappa: float, v: Array, leaves: float
-    ) -> tuple[Array, float]:
+    def _scale_beside(self, state: State, kappa: float, v: Array) -> tuple[Array, float]:
         """The largest shares beside the motion v of hard tasks; how far these may be left."""
         level, wanted, got = self.nearest.beside, self.exact.wanted.copy(), self.exact.J @ v
         hard, self._shares = self._hard_rows, level.shares[:-1]
         wanted[hard] = got[hard]
         aside = got * (SLOW / min(max(norm(got[hard.stop :]), MET), SLOW))
         aside[hard] = 0.0
-        if leaves == 1.0 or not np.isfinite(got).all():
+        if not np.isfinite(got).all():
             return v, 1.0
         level.qp.A[:] = 0.0
         self._assemble_exact(level, state, kappa, wanted)
         level.qp.A[len(state.e_loop) :, -1] = -aside
         level.qp.orthogonalize()
-        found = level.solve().usable
-        return (level.v, max(leaves, level.shares[-1])) if found else (v, 1.0)
+        return (level.v, level.shares[-1]) if level.solve().usable else (v, 1.0)
 
     def _missed(self, v: Array) -> Array:
         """What rows of hard tasks lack, zero where that is rounding."""
