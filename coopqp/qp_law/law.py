@@ -44,8 +44,6 @@ from coopqp.qp_law.safety import StepVerification, drift_gain
 from coopqp.solver import Status, norm
 from coopqp.task import TaskStack
 
-ERROR_DAMPING = 0.5  # default share of the damping that rules out any overshoot
-
 
 class QPLaw(Law):
     """The QPs of one problem, with their arrays; c is error_damping.
@@ -60,7 +58,7 @@ class QPLaw(Law):
         self,
         problem: ControlProblem,
         damping: float,
-        error_damping: float = ERROR_DAMPING,
+        error_damping: float,
         force_control: InternalForceControl | None = None,
         order: Order | None = None,
     ) -> None:

@@ -1,18 +1,14 @@
 """Hard and scaled tasks that limits and loops make infeasible.
 
-They are levels of least squares (:mod:`coopqp.qp_law.law`) above all soft ones: first hard tasks,
-
-    minimise    sum_i w_i |J_i v - wanted_i|^2 + d |v|^2
-    subject to  J_c v = -kappa e,   lb <= v <= ub,   G v <= h
-
-with the answer v_h. Its damping d is next to nothing first, and then grows with what the rows lack,
-m_i: d = c dt sum_i w_i |m_i| L_i. So v_h lacks something near a singularity where hard tasks can
-hold, too, exactly, by v_e. Their motion is (1 - c) v_e + c v_h: c is 1 where they cannot hold, else
-0 up to MET of each row, or where v_e is not within NEAR of a limit and v_h lacks less than half of
-SLOW. v_e and v_h meet where v_e ceases to exist. As far as a tick of it overreaches
-(:meth:`coopqp.qp_law.equations.Damping.overreaches`) v_h with the damping of a soft task replaces
-it. With J_i v of it fixed scaled tasks have the largest shares s_k in v_s, beside the least part t
-of that motion, by an exact penalty; v_n is the nearest to all they want:
+They are levels of least squares (:class:`coopqp.qp_law.level.Level`) above all soft ones, first of
+hard tasks, with the answer v_h. Its damping d is next to nothing first, and then grows with what
+the rows lack, m_i: d = c dt sum_i w_i |m_i| L_i. So v_h lacks something near a singularity where
+hard tasks can hold, too, exactly, by v_e. Their motion is (1 - c) v_e + c v_h: c is 1 where they
+cannot hold, else 0 up to MET of each row, or where v_e is not within NEAR of a limit and v_h lacks
+less than half of SLOW. v_e and v_h meet where v_e ceases to exist. As far as a tick of it
+overreaches (:meth:`coopqp.qp_law.equations.Damping.overreaches`) v_h with the damping of a soft
+task replaces it. With J_i v of it fixed scaled tasks have the largest shares s_k in v_s, beside the
+least part t of that motion, by an exact penalty; v_n is the nearest to all they want:
 
     J_k v_s = s_k wanted_k + t a_k,   at the cost W (t^2 / 2 + ASIDE t) more
     v = (1 - r) v_s + r v_n,   r = max_k (1 - s_k |wanted_k| / (LITTLE p_k))+ (1 - s_k / WHOLE)+
