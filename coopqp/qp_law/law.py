@@ -30,7 +30,6 @@ from functools import cached_property
 
 import numpy as np
 
-from coopqp.base.rank import null_space
 from coopqp.base.spec import Array
 from coopqp.controller import Command, ControlProblem, InternalForceControl, Law
 from coopqp.limit import ROUNDING
@@ -150,10 +149,10 @@ class QPLaw(Law):
             v, causes = self._decide_exact(state, kappa)
         else:
             v, causes = self.first.v, (self.first.solve(),)
-        if self._later and causes[0].usable:
-            loops, pulls = null_space(state.J_loop).T, state.memory["later pulls"].reshape(-1, 1)
+        if causes[0].usable:
+            pulls = state.memory["later pulls"].reshape(-1, 1)
             for later, pull in zip(self._later, pulls, strict=True):
-                v, status = later.improve(state, loops, v, pull)
+                v, status = later.improve(state, v, pull)
                 causes = (*causes, status)
         return v, causes
 

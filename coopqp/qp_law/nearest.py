@@ -103,8 +103,7 @@ class Nearest:
         """What the level of the scaled tasks makes of v, in what hard tasks leave free."""
         for stack in (self.hard.tasks, self.scaled.tasks):
             stack.update(state)
-        loops, pull = null_space(state.J_loop).T, state.memory["scaled pull"]
-        return self.scaled.improve(state, loops, v, pull)
+        return self.scaled.improve(state, v, state.memory["scaled pull"])
 
 
 def counting(missed: Array) -> float:
