@@ -34,8 +34,7 @@ class Bounds:
         ends = itertools.accumulate(map(len, by_limit), initial=0)
         for limit, (first, last) in zip(limits, itertools.pairwise(ends), strict=True):
             block = LimitRows(self.lb, self.ub, self.G[first:last], self.h[first:last])
-            reached_in = position_time if limit.bounds_position and position_time else dt
-            tighten = limit.bind(chain, reached_in)
+            tighten = limit.bind(chain, (position_time or dt) if limit.bounds_position else dt)
             if limit.constant:
                 tighten(start, block)
             else:

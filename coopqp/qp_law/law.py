@@ -135,8 +135,6 @@ class QPLaw(Law):
         They are SCALE_WEIGHT (1 - s) / |wanted|, with s of the last tick; fewer towards rest, where
         wanted is rounding.
         """
-        if not self._scaled:
-            return 0.0
         curvatures, wanted = self.exact.curvatures(state.v), self.exact.wanted
         rates = [(norm(curvatures[p]), norm(wanted[p]) / LEAST_SPEED) for p in self._scaled]
         sizes = [curvature * min(rate, 1.0) / (rate * rate + 1.0) for curvature, rate in rates]
@@ -145,10 +143,8 @@ class QPLaw(Law):
 
     def _decide_levels(self, state: State, kappa: float) -> tuple[Array, tuple[Status, ...]]:
         """One after the other, each in the null space of those before it."""
-        if self.exact.tasks:
-            v, causes = self._decide_exact(state, kappa)
-        else:
-            v, causes = self.first.v, (self.first.solve(),)
+        status, v = self.first.solve(), self.first.v
+        v, causes = self._decide_exact(state, kappa) if self.exact.tasks else (v, (status,))
         if causes[0].usable:
             pulls = state.memory["later pulls"].reshape(-1, 1)
             for later, pull in zip(self._later, pulls, strict=True):
@@ -157,10 +153,9 @@ class QPLaw(Law):
         return v, causes
 
     def _decide_exact(self, state: State, kappa: float) -> tuple[Array, tuple[Status, ...]]:
-        """Hard and scaled tasks."""
-        first = self.first
-        status = whole = first.solve()
-        v, set_out, leaves, self._shares = first.v, first.v, 0.0, first.shares
+        """Hard and scaled tasks, after the exact program."""
+        status = whole = self.first.solution.status
+        v, set_out, leaves, self._shares = self.first.v, self.first.v, 0.0, self.first.shares
         firm = whole.usable and not self._overreaches(self._hard_rows, v)
         if self._relaxes and not (firm and self._holds_firmly(met=False)):
             status, v, set_out, leaves = self._come_near(state, kappa)
@@ -188,7 +183,7 @@ class QPLaw(Law):
         Returned are the outcome, v, what scaled tasks set out from, and how far they leave.
         """
         first, nearest, wanted = self.first, self.nearest, self.exact.wanted[self._hard_rows]
-        whole, status, near = first.solution.status, nearest.of_hard(state, kappa), nearest.v
+        whole, status, near = first.solution.status, nearest.of_hard(state, kappa), nearest.hard.v
         lacks, held, v = self._missed(near), whole, first.v
         if self._scaled:
             alone = self._hard and norm(lacks) < SLOW
@@ -267,7 +262,7 @@ class QPLaw(Law):
 
     def _with_less_drift(self, state: State, failed: Status) -> tuple[Array, tuple[Status, ...]]:
         """The levels with as much of the drift correction as can be done."""
-        if self.problem.on_infeasible != "scale":
+        if not self._relaxes:
             state.memory["stopped"][0] = self.problem.on_infeasible == "stop"
             return self.first.v, (failed,)
         self.command.drift, slowed, relaxed = self.limit_recovery.reduce(state)

@@ -62,14 +62,13 @@ class Level(Program):
         self, given: Given, tasks: TaskStack, more: Sequence[Row] = (),
         shares: Sequence[str] = (), *, slows: bool = False,
     ) -> None:  # fmt: skip
-        problem, bounds, damping = given.problem, given.bounds, given.damping
-        chain, n = problem.chain, problem.chain.n
+        chain, n, least = given.problem.chain, given.problem.chain.n, given.damping.least
         shares = ["drift correction"] if slows else shares
         scales = (Row(name=f"scale[{name}]", kind="share", owner=name, unit="1") for name in shares)
         variables = (*joint_rows(chain.joint_names, chain.joint_units), *scales)
-        equalities = (*chain.loops.solver_rows, *more)
-        super().__init__(problem, Rows(variables, bounds.rows, equalities), damping.least)
-        self.tasks, self._bounds, self._least, self._slows = tasks, bounds, damping.least, slows
+        rows = Rows(variables, given.bounds.rows, (*chain.loops.solver_rows, *more))
+        super().__init__(given.problem, rows, least)
+        self.tasks, self._bounds, self._least, self._slows = tasks, given.bounds, least, slows
         self.v, self.shares, self._eye = self.solution.v[:n], self.solution.v[n:], np.eye(n)
         self.qp.lb[n:], self.qp.ub[n:] = 0.0, 1.0
         np.fill_diagonal(self.qp.P[n:, n:], SCALE_WEIGHT)
@@ -137,9 +136,8 @@ class Step:
     def _program(self, size: int) -> Program:
         """For so many directions; at singular poses there are more."""
         if size not in self._programs:
+            sides = len(self._given.bounds.C)
             free = tuple(Row(name=f"free[{i}]", kind="free") for i in range(size))
-            limits = tuple(
-                Row(name=f"limit[{i}]", kind="limit") for i in range(len(self._given.bounds.C))
-            )
+            limits = tuple(Row(name=f"limit[{i}]", kind="limit") for i in range(sides))
             self._programs[size] = Program(self._given.problem, Rows(free, limits), self.curvature)
         return self._programs[size]

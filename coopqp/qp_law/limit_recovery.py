@@ -52,7 +52,7 @@ class LimitRecovery:
 
     def __init__(self, problem: ControlProblem, start: State, damping: Damping) -> None:
         self.bounds = Bounds(problem.limits, start, problem.dt)
-        self._problem, self._start, self._damping = problem, start, damping
+        self._problem, self._nothing, self._damping = problem, TaskStack((), start), damping
         self._back = np.zeros(problem.chain.n)  # from each joint to its limits, zero inside
         self.active, self.share = False, 1.0
         self.v: Array | None = None
@@ -62,9 +62,8 @@ class LimitRecovery:
         """Of the recovery, with all of the Baumgarte correction and a share; of a share alone."""
         given = Given(self._problem, self.bounds, self._damping)
         back = replace(given, damping=replace(self._damping, least=LEAST_MOTION))
-        nothing = TaskStack((), self._start)
-        whole, slowed = Level(back, nothing), Level(back, nothing, slows=True)
-        return whole, slowed, Level(given, nothing, slows=True)
+        whole, slowed = Level(back, self._nothing), Level(back, self._nothing, slows=True)
+        return whole, slowed, Level(given, self._nothing, slows=True)
 
     def limit(self, state: State) -> float:
         """Evaluate limits and the recovery of joints outside; the drift gain it leaves."""

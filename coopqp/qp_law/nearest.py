@@ -52,7 +52,7 @@ ASIDE = 1e3
 
 
 class Nearest:
-    """Levels of hard and scaled tasks; that of v_s is ``beside``, its last share t; v is v_h."""
+    """Levels of hard and scaled tasks; that of v_s is ``beside``, its last share t."""
 
     def __init__(self, given: Given, order: Order) -> None:
         self._damping, self._bounds = given.damping, given.bounds
@@ -66,7 +66,6 @@ class Nearest:
         names = [*(task.name for task in order.scaled), "hard tasks"]
         self.beside = Level(given, none, [*hard.rows, *scaled.rows], names)
         self.beside.qp.q[-1] = ASIDE * SCALE_WEIGHT
-        self.v = self.hard.v
 
     def of_hard(self, state: State, kappa: float) -> Status:
         """Solve it, by a step from the answer with more damping, which has all its digits."""
@@ -93,7 +92,7 @@ class Nearest:
 
     def counts(self, v: Array) -> float:
         """How much v_h counts beside the exact motion v of the hard tasks alone."""
-        missed, bounds = self.hard.tasks.J @ self.v - self.hard.tasks.wanted, self._bounds
+        missed, bounds = self.hard.tasks.J @ self.hard.v - self.hard.tasks.wanted, self._bounds
         slack = np.concatenate([bounds.ub, bounds.h, -bounds.lb]) - bounds.C.dot(v)
         sizes = np.maximum(np.linalg.norm(bounds.C, axis=1), IDLE)
         limited = 1.0 - float((slack / sizes).min(initial=NEAR)) / NEAR
