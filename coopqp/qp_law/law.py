@@ -48,7 +48,7 @@ class QPLaw(Law):
     """The QPs of one problem, with their arrays; c is error_damping.
 
     ``exact`` are the hard tasks, then the scaled ones, ``stacks`` the soft ones of each level. The
-    ``first`` level has the loops, the exact and the first soft tasks; qp and solution are its own.
+    ``first`` level has the loops, the exact and the first soft tasks, ``later`` ones the others.
     """
 
     engine = "python"
@@ -72,11 +72,9 @@ class QPLaw(Law):
         self._relaxes = problem.on_infeasible == "scale"
         self.stacks = stacks = [TaskStack(tasks, order.start) for tasks in order.groups]
         self.first = Level(given, stacks[0], exact.rows, [task.name for task in order.scaled])
-        self.qp, self.solution = self.first.qp, self.first.solution
-        self._later = [
+        self.later = [
             LaterLevel(given, stacks[i], [*stacks[:i], exact]) for i in range(1, len(stacks))
         ]
-        self.levels = (self.first, *self._later)
         self.memory_sizes = memory_sizes(problem, len(self.stacks), force_control)
         self._hard_rows, self._shares = slice(self.memory_sizes["missed"]), self.first.shares
 
@@ -147,7 +145,7 @@ class QPLaw(Law):
         v, causes = self._decide_exact(state, kappa) if self.exact.tasks else (v, (status,))
         if causes[0].usable:
             pulls = state.memory["later pulls"].reshape(-1, 1)
-            for later, pull in zip(self._later, pulls, strict=True):
+            for later, pull in zip(self.later, pulls, strict=True):
                 v, status = later.improve(state, v, pull)
                 causes = (*causes, status)
         return v, causes
