@@ -18,10 +18,11 @@ Hard and scaled tasks are one program where they are feasible, else a least-squa
 (:class:`coopqp.qp_law.equations.Damping`); it fades as the tasks are met. Later levels move in the
 null space of what is decided (:mod:`coopqp.qp_law.priorities`).
 
-A tick, from top to bottom: assemble, decide level by level, shorten. Joints outside their limits
-recover before all tasks; where limits leave no motion for the whole Baumgarte correction it is
-reduced, then acceleration limits are relaxed (``limit_recovery``); loop rows, position and velocity
-limits never are. v = 0 is feasible from any state inside the limits: there is always an answer.
+A tick, from top to bottom: assemble (``bounds``, ``level``), decide level by level, shorten
+(``safety``). Joints outside their limits recover before all tasks; where limits leave no motion for
+the whole Baumgarte correction it is reduced, then acceleration limits are relaxed
+(``limit_recovery``); loop rows, position and velocity limits never are. v = 0 is feasible from any
+state inside the limits: there is always an answer.
 """
 
 from __future__ import annotations

@@ -56,8 +56,7 @@ class Nearest:
 
     def __init__(self, given: Given, order: Order) -> None:
         self._damping, self._bounds = given.damping, given.bounds
-        start = order.start
-        hard, scaled, none = (TaskStack(tasks, start) for tasks in (order.hard, order.scaled, ()))
+        hard, scaled, none = (TaskStack(t, order.start) for t in (order.hard, order.scaled, ()))
         least = given.damping.least * (LESS * float(hard.weights.max()) if order.hard else 1.0)
         firm = replace(given, damping=replace(given.damping, least=least))
         self.hard, self._refined = Level(firm, hard), Step(firm, hard)
