@@ -10,10 +10,9 @@ W (1 - s)^2/2 (at s = 1 less of it would save y'kappa e, with the loops' multipl
 to 1 and the largest that is worth it. The answer bounds the tasks, hard ones included: each joint
 outside recovers at least almost as fast.
 
-Where limits leave no motion for all of the Baumgarte correction, the largest share s is found, with
-W (1 - s)^2 + d |v|^2 as the cost: first with all limits; where that is infeasible, without
-acceleration limits, and with limits in space that ask for no motion. The share replaces 1 in all
-levels of the tick.
+Where limits leave no motion for all of the correction, the largest share s is found, with W (1 -
+s)^2 + d |v|^2 as the cost: with all limits, else without acceleration limits and with limits in
+space that ask for no motion. The share replaces 1 in all levels of the tick.
 """
 
 from dataclasses import replace
@@ -94,11 +93,9 @@ class LimitRecovery:
             level.assemble(state, kappa, extra)
             level.qp.P[:n, :n] += np.diag(outside)
             level.qp.q[:n] = -wish * outside
-            if not level.solve().usable:
-                continue  # multipliers are then no numbers
-            y = level.solution.y
-            saving = kappa * y.dot(state.e_loop)
-            if level is slowed or saving <= (1.0 - ALL_OF_IT) * SCALE_WEIGHT:
+            usable, y = level.solve().usable, level.solution.y
+            worth_it = kappa * y.dot(state.e_loop) <= (1.0 - ALL_OF_IT) * SCALE_WEIGHT
+            if usable and (worth_it or level is slowed):
                 self.v, self.share = level.v.copy(), float(level.shares.min(initial=1.0))
                 pull[0] = np.abs(y).sum()
                 return
@@ -113,7 +110,7 @@ class LimitRecovery:
     def rescue(self, v: Array, causes: tuple[Status, ...]) -> tuple[Array, tuple[Status, ...]]:
         """The tick's answer, or the recovery itself where there is none."""
         if causes[0] in (Status.OPTIMAL, Status.INACCURATE):
-            return v, (Status.RECOVERING, *(c for c in causes if c is not Status.OPTIMAL))
+            return v, (Status.RECOVERING, *causes)
         if not causes[0].usable and self.v is not None:
             return self.v, (Status.RECOVERING, *causes)
         return v, (*causes, Status.RECOVERING)
