@@ -196,8 +196,7 @@ class QPLaw(Law):
         if whole.usable and (firm or not status.usable):
             return whole, first.v, first.v, 0.0
         if softens > 0.0 and status.usable:
-            pulls = counts * np.abs(lacks) + softens * np.abs(wanted)
-            status = nearest.damp(state, kappa, pulls)
+            status = nearest.damp(state, kappa, counts * np.abs(lacks) + softens * np.abs(wanted))
             v = (1.0 - softens) * v + softens * near
         if not (status.usable and self._scaled):
             return status, v, v, 0.0
