@@ -15,6 +15,7 @@ from laws import ticks
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from coopqp.controller import ControlProblem
+from coopqp.controllers import QPController
 from coopqp.qp_law.law import QPLaw
 from coopqp.scenario.loader import load
 from coopqp.scenario.scenario import Scenario
@@ -40,7 +41,7 @@ def motion(law: QPLaw) -> Callable[[], None]:
 @pytest.mark.benchmark(group="verification")
 def test_tick_verified(benchmark: BenchmarkFixture, scenario: Scenario) -> None:
     """As it is."""
-    benchmark(motion(QPLaw(scenario.problem(), 1e-6)))
+    benchmark(motion(QPController().plain(scenario.problem())))
 
 
 @pytest.mark.benchmark(group="verification")
@@ -56,7 +57,7 @@ def test_share(benchmark: BenchmarkFixture, scenario: Scenario, levels: int) -> 
     problem = scenario.problem()
     if levels == 1:
         problem = replace(problem, secondary=())
-    verified = motion(QPLaw(problem, 1e-6))
+    verified = motion(QPController().plain(problem))
     unverified = motion(trusting(problem))
     times: list[tuple[float, float]] = []
 
@@ -72,8 +73,8 @@ def test_share(benchmark: BenchmarkFixture, scenario: Scenario, levels: int) -> 
 
 def trusting(problem: ControlProblem) -> QPLaw:
     """The law without any verification."""
-    law = QPLaw(problem, 1e-6)
-    for level in law.levels:
+    law = QPController().plain(problem)
+    for level in (law.first, *law.later):
         level._verifier.check = lambda: Status.OPTIMAL  # type: ignore[method-assign]
     law.probe.within = lambda state, v: True  # type: ignore[method-assign]
     return law
@@ -90,7 +91,7 @@ def seconds(motion: Callable[[], None]) -> float:
 def test_explanation(benchmark: BenchmarkFixture) -> None:
     """Record a blocked tick and explain it; at most 50 ms."""
     scenario = load("joint_limit_stress")
-    law = QPLaw(scenario.problem(), 1e-6)
+    law = QPController().plain(scenario.problem())
     state = law.start()
     for _ in ticks(law, state, 150):
         pass

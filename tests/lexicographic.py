@@ -82,7 +82,7 @@ class Cascade:
         self._problem, self._state, self._damping = problem, state, damping
         self._rng, self._jitter = np.random.default_rng(seed), jitter
         self._start, self._n = State(problem.chain), problem.chain.n
-        bounds = Bounds(problem.chain, problem.limits, self._start, problem.dt)
+        bounds = Bounds(problem.limits, self._start, problem.dt)
         bounds.update(state)
         unit = np.eye(self._n)
         G = np.vstack([unit, -unit, self._moved(bounds.G)])

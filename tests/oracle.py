@@ -60,7 +60,7 @@ def optimum(law: QPLaw, state: State, relaxed: bool) -> Array:
     n = len(state.q)
     if relaxed and law.order.scaled:
         raise UndeterminedError
-    levels = [law.nearest.hard if relaxed else law.first, *law.levels[1:]]
+    levels = [law.nearest.hard if relaxed else law.first, *law.later]
     decided, v = np.zeros((0, n)), np.zeros(n, LONG)
     for level in levels:
         if isinstance(level, Level):

@@ -8,7 +8,7 @@ from coopqp.closed_loop.admittance import Admittance, internal_force_control
 from coopqp.controller import ALL_FEATURES, Controller, ControlProblem, Features, Law
 from coopqp.kernel.flat import why_not
 from coopqp.kernel.law import KernelLaw
-from coopqp.qp_law.law import ERROR_DAMPING, QPLaw
+from coopqp.qp_law.law import QPLaw
 
 
 @spec
@@ -20,7 +20,7 @@ class QPController(Controller):
 
     damping: Positive = 1e-6
     """Cost of |v|^2 [s2/rad2]; makes the answer unique. Below 1e-9 solvers begin to disagree."""
-    error_damping: NonNegative = ERROR_DAMPING
+    error_damping: NonNegative = 0.5
     """Share of the damping with which no step overshoots where arms are stretched; 0 for none."""
 
     engine: Literal["auto", "python", "kernel"] = "auto"

@@ -106,7 +106,7 @@ class SaturationNullSpaceLaw(Law):
         tries = {Status.OPTIMAL: problem.limits}
         if len(kept) < len(problem.limits):
             tries[Status.ACCELERATION_GIVEN_UP] = kept
-        self._tries = [(Bounds(chain, own, start, problem.dt), s) for s, own in tries.items()]
+        self._tries = [(Bounds(own, start, problem.dt), s) for s, own in tries.items()]
         if rows := self._tries[0][0].rows:
             raise InvalidValueError(
                 f"saturation_null_space keeps limits of single joints alone, found "

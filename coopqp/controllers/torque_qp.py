@@ -160,9 +160,7 @@ class TorqueQpLaw(Law):
         self._level = level = task_dynamics.TaskDynamics(problem)
         chain, dynamics = problem.chain, level.dynamics
         start = State(chain)
-        self._bounds = Bounds(
-            chain, problem.limits, start, problem.dt, position_time=settings.brake_time
-        )
+        self._bounds = Bounds(problem.limits, start, problem.dt, settings.brake_time)
         self.hands = hand_wrenches.HandWrenches(
             chain, safety=settings.safety, split=settings.split, shares=settings.shares
         )

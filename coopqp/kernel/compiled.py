@@ -70,7 +70,7 @@ class Limits:
         if any(program is None for _, program in known):
             # With constant bounds on v, which say how far limits in space must look ahead.
             filled = [limit for limit, program in known if program is None or limit.constant]
-            self.filled = Bounds(chain, filled, start, dt)
+            self.filled = Bounds(filled, start, dt)
             self.rows += len(self.filled.rows)
 
     @property

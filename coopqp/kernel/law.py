@@ -23,6 +23,7 @@ from coopqp.qp_law.equations import ALL_OF_IT
 from coopqp.qp_law.law import QPLaw, memory_sizes
 from coopqp.qp_law.priorities import Order
 from coopqp.solver import Status
+from coopqp.task import Programs
 from coopqp.trace import TickBatch
 
 #: Numbers, not members: a tick compares them.
@@ -81,7 +82,7 @@ class KernelLaw(Law):
         first, *later = order.groups
         self.memory_sizes = memory_sizes(problem, 1 + len(later), force_control)
         whole = [Group(first, order.hard, order.scaled), *(Group(tasks) for tasks in later)]
-        self.whole = Compiled(problem, order.programs, whole, *self._settings)
+        self.whole = Compiled(problem, Programs(order.start), whole, *self._settings)
         self.rows_in_python = self.whole.rows_in_python
         self._steps = self.whole.alone and force_control is None and limits.q_measured is None
         self._runs = self._steps and not self.whole.follows

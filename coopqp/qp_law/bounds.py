@@ -7,7 +7,6 @@ import numpy as np
 
 from coopqp.base.qp import Row
 from coopqp.limit import Limit, LimitRows, Tighten
-from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.task import evaluate_all
 
@@ -21,13 +20,9 @@ class Bounds:
     """
 
     def __init__(
-        self,
-        chain: ClosedChain,
-        limits: Sequence[Limit],
-        start: State,
-        dt: float,
-        position_time: float | None = None,
+        self, limits: Sequence[Limit], start: State, dt: float, position_time: float | None = None
     ) -> None:
+        chain = start.chain
         by_limit = [limit.rows(chain) for limit in limits]
         self.rows: tuple[Row, ...] = tuple(itertools.chain.from_iterable(by_limit))
         n, p = chain.n, len(self.rows)
@@ -39,8 +34,7 @@ class Bounds:
         ends = itertools.accumulate(map(len, by_limit), initial=0)
         for limit, (first, last) in zip(limits, itertools.pairwise(ends), strict=True):
             block = LimitRows(self.lb, self.ub, self.G[first:last], self.h[first:last])
-            reached_in = position_time if limit.bounds_position and position_time else dt
-            tighten = limit.bind(chain, reached_in)
+            tighten = limit.bind(chain, (position_time or dt) if limit.bounds_position else dt)
             if limit.constant:
                 tighten(start, block)
             else:

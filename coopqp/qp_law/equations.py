@@ -1,7 +1,5 @@
 """The damping of a level, and the numbers that several levels share."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

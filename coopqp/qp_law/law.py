@@ -18,10 +18,11 @@ Hard and scaled tasks are one program where they are feasible, else a least-squa
 (:class:`coopqp.qp_law.equations.Damping`); it fades as the tasks are met. Later levels move in the
 null space of what is decided (:mod:`coopqp.qp_law.priorities`).
 
-A tick, from top to bottom: assemble, decide level by level, shorten. Joints outside their limits
-recover before all tasks; where limits leave no motion for the whole Baumgarte correction it is
-reduced, then acceleration limits are relaxed (``limit_recovery``); loop rows, position and velocity
-limits never are. v = 0 is feasible from any state inside the limits: there is always an answer.
+A tick, from top to bottom: assemble (``bounds``, ``level``), decide level by level, shorten
+(``safety``). Joints outside their limits recover before all tasks; where limits leave no motion for
+the whole Baumgarte correction it is reduced, then acceleration limits are relaxed
+(``limit_recovery``); loop rows, position and velocity limits never are. v = 0 is feasible from any
+state inside the limits: there is always an answer.
 """
 
 from __future__ import annotations
@@ -30,27 +31,25 @@ from functools import cached_property
 
 import numpy as np
 
-from coopqp.base.rank import null_space
 from coopqp.base.spec import Array
 from coopqp.controller import Command, ControlProblem, InternalForceControl, Law
 from coopqp.limit import ROUNDING
 from coopqp.model.state import State
 from coopqp.qp_law.equations import LEAST_SPEED, MOST_DAMPING, SCALE_WEIGHT, Damping, note_chatter
 from coopqp.qp_law.level import Given, Level
-from coopqp.qp_law.limit_recovery import DriftShare, LimitRecovery
+from coopqp.qp_law.limit_recovery import LimitRecovery
 from coopqp.qp_law.nearest import ASIDE, FAST, LESS, MET, SLOW, WHOLE, Nearest, blocked, counting
 from coopqp.qp_law.priorities import LaterLevel, Order
 from coopqp.qp_law.safety import StepVerification, drift_gain
 from coopqp.solver import Status, norm
-
-ERROR_DAMPING = 0.5  # default share of the damping that rules out any overshoot
+from coopqp.task import TaskStack
 
 
 class QPLaw(Law):
     """The QPs of one problem, with their arrays; c is error_damping.
 
     ``exact`` are the hard tasks, then the scaled ones, ``stacks`` the soft ones of each level. The
-    ``first`` level has the loops, the exact and the first soft tasks; qp and solution are its own.
+    ``first`` level has the loops, the exact and the first soft tasks, ``later`` ones the others.
     """
 
     engine = "python"
@@ -59,28 +58,24 @@ class QPLaw(Law):
         self,
         problem: ControlProblem,
         damping: float,
-        error_damping: float = ERROR_DAMPING,
+        error_damping: float,
         force_control: InternalForceControl | None = None,
         order: Order | None = None,
     ) -> None:
         super().__init__(problem, force_control=force_control)
         self.order = order = order or Order(problem)
         self._damping = Damping(damping, error_damping, problem.dt)
-        self.limit_recovery = LimitRecovery(problem, order.start, error_damping)
+        self.limit_recovery = LimitRecovery(problem, order.start, self._damping)
         self._given = given = Given(problem, self.limit_recovery.bounds, self._damping)
         self.probe = StepVerification(problem)
-        self.exact = exact = order.exact
+        self.exact = exact = TaskStack([*order.hard, *order.scaled], order.start)
         self._hard, self._scaled = exact.slices[: len(order.hard)], exact.slices[len(order.hard) :]
         self._relaxes = problem.on_infeasible == "scale"
-        self.stacks = stacks = order.stacks
-        self._asked = [stack for stack in (*stacks, exact) if stack.tasks]
-        rows = [*problem.chain.loops.solver_rows, *exact.rows]
-        self.first = Level(given, stacks[0], rows, [task.name for task in order.scaled])
-        self.qp, self.solution = self.first.qp, self.first.solution
-        self._later = [
+        self.stacks = stacks = [TaskStack(tasks, order.start) for tasks in order.groups]
+        self.first = Level(given, stacks[0], exact.rows, [task.name for task in order.scaled])
+        self.later = [
             LaterLevel(given, stacks[i], [*stacks[:i], exact]) for i in range(1, len(stacks))
         ]
-        self.levels = (self.first, *self._later)
         self.memory_sizes = memory_sizes(problem, len(self.stacks), force_control)
         self._hard_rows, self._shares = slice(self.memory_sizes["missed"]), self.first.shares
 
@@ -89,14 +84,9 @@ class QPLaw(Law):
         """Built when hard or scaled tasks cannot hold."""
         return Nearest(self._given, self.order)
 
-    @cached_property
-    def drift(self) -> DriftShare:
-        """Built when not all of the Baumgarte correction can be done."""
-        return DriftShare(self.limit_recovery, self._damping)
-
     def prepare(self) -> QPLaw:
         """Build now what only rare ticks need, so that none waits for it; returns itself."""
-        self.nearest, self.drift, self.limit_recovery.levels  # noqa: B018 - are built by being asked for
+        self.nearest, self.limit_recovery.levels  # noqa: B018 - are built by being asked for
         return self
 
     def decide(self, state: State) -> Command:
@@ -123,7 +113,7 @@ class QPLaw(Law):
     def assemble(self, state: State) -> float:
         """Evaluate limits and tasks, and fill the first level's QP; returns the drift gain."""
         kappa = self.limit_recovery.limit(state)
-        for stack in self._asked:
+        for stack in (*self.stacks, self.exact):
             stack.update(state)
         self._assemble_exact(self.first, state, kappa, self.exact.wanted)
         return kappa
@@ -144,8 +134,6 @@ class QPLaw(Law):
         They are SCALE_WEIGHT (1 - s) / |wanted|, with s of the last tick; fewer towards rest, where
         wanted is rounding.
         """
-        if not self._scaled:
-            return 0.0
         curvatures, wanted = self.exact.curvatures(state.v), self.exact.wanted
         rates = [(norm(curvatures[p]), norm(wanted[p]) / LEAST_SPEED) for p in self._scaled]
         sizes = [curvature * min(rate, 1.0) / (rate * rate + 1.0) for curvature, rate in rates]
@@ -154,25 +142,22 @@ class QPLaw(Law):
 
     def _decide_levels(self, state: State, kappa: float) -> tuple[Array, tuple[Status, ...]]:
         """One after the other, each in the null space of those before it."""
-        if self.exact.tasks:
-            v, causes = self._decide_exact(state, kappa)
-        else:
-            v, causes = self.first.v, (self.first.solve(),)
-        if self._later and causes[0].usable:
-            loops, pulls = null_space(state.J_loop).T, state.memory["later pulls"].reshape(-1, 1)
-            for later, pull in zip(self._later, pulls, strict=True):
-                v, status = later.improve(state, loops, v, pull)
+        status, v = self.first.solve(), self.first.v
+        v, causes = self._decide_exact(state, kappa) if self.exact.tasks else (v, (status,))
+        if causes[0].usable:
+            pulls = state.memory["later pulls"].reshape(-1, 1)
+            for later, pull in zip(self.later, pulls, strict=True):
+                v, status = later.improve(state, v, pull)
                 causes = (*causes, status)
         return v, causes
 
     def _decide_exact(self, state: State, kappa: float) -> tuple[Array, tuple[Status, ...]]:
-        """Hard and scaled tasks."""
-        first = self.first
-        status = whole = first.solve()
-        v, set_out, leaves, self._shares = first.v, first.v, 0.0, first.shares
+        """Hard and scaled tasks, after the exact program."""
+        status = whole = self.first.solution.status
+        v, set_out, leaves, self._shares = self.first.v, self.first.v, 0.0, self.first.shares
         firm = whole.usable and not self._overreaches(self._hard_rows, v)
         if self._relaxes and not (firm and self._holds_firmly(met=False)):
-            status, v, set_out, leaves = self._come_near(state, kappa, whole)
+            status, v, set_out, leaves = self._come_near(state, kappa)
         if not status.usable:
             return v, (status,)
         if self._relaxes and self._scaled:
@@ -191,15 +176,13 @@ class QPLaw(Law):
             return v, (Status.TASKS_RELAXED, status)
         return v, (status,)
 
-    def _come_near(
-        self, state: State, kappa: float, whole: Status
-    ) -> tuple[Status, Array, Array, float]:
-        """Decide between the exact program, with the outcome ``whole``, and the nearest motion.
+    def _come_near(self, state: State, kappa: float) -> tuple[Status, Array, Array, float]:
+        """Decide between the exact program, which is solved, and the nearest motion.
 
         Returned are the outcome, v, what scaled tasks set out from, and how far they leave.
         """
         first, nearest, wanted = self.first, self.nearest, self.exact.wanted[self._hard_rows]
-        status, near = nearest.of_hard(state, kappa), nearest.v
+        whole, status, near = first.solution.status, nearest.of_hard(state, kappa), nearest.hard.v
         lacks, held, v = self._missed(near), whole, first.v
         if self._scaled:
             alone = self._hard and norm(lacks) < SLOW
@@ -213,16 +196,13 @@ class QPLaw(Law):
         if whole.usable and (firm or not status.usable):
             return whole, first.v, first.v, 0.0
         if softens > 0.0 and status.usable:
-            pulls = counts * np.abs(lacks) + softens * np.abs(wanted)
-            status = nearest.damp(state, kappa, pulls)
+            status = nearest.damp(state, kappa, counts * np.abs(lacks) + softens * np.abs(wanted))
             v = (1.0 - softens) * v + softens * near
-        if not status.usable:
-            return status, near, near, 0.0
-        if not self._scaled:
+        if not (status.usable and self._scaled):
             return status, v, v, 0.0
         leaves = min(norm(self._missed(v)) / SLOW, 1.0)
-        beside, most = self._scale_beside(state, kappa, v, leaves)
-        return status, beside, beside + leaves * (v - beside), most
+        beside, least = self._scale_beside(state, kappa, v) if leaves < 1.0 else (v, 1.0)
+        return status, beside, beside + leaves * (v - beside), max(leaves, least)
 
     def _overreaches(self, rows: slice, v: Array) -> float:
         """How far these rows are softened."""
@@ -235,35 +215,31 @@ class QPLaw(Law):
         tasks, unless these are ``met``, nor so large that the penalty of t would not be exact. Rows
         beside shares that hold by the solver's tolerance alone do not.
         """
-        solution = self.first.solution
+        solution, weights = self.first.solution, self.exact.weights[self._hard_rows]
         y = solution.y[-len(self.exact.wanted) :]
         lacking = solution.primal_residual > ROUNDING or norm(y) * FAST > ASIDE * SCALE_WEIGHT
         if self._scaled and lacking:
             return False
-        weights, hard = self.exact.weights[self._hard_rows], y[self._hard_rows]
         if met or not self._hard:
             return True
         share = LESS * float(weights.max()) * self._damping.least / self.first.curvature
-        lacks = share * norm(hard / np.sqrt(weights))
+        lacks = share * norm(y[self._hard_rows] / np.sqrt(weights))
         return lacks <= MET * float(np.sqrt(weights.min()))
 
-    def _scale_beside(
-        self, state: State, kappa: float, v: Array, leaves: float
-    ) -> tuple[Array, float]:
+    def _scale_beside(self, state: State, kappa: float, v: Array) -> tuple[Array, float]:
         """The largest shares beside the motion v of hard tasks; how far these may be left."""
         level, wanted, got = self.nearest.beside, self.exact.wanted.copy(), self.exact.J @ v
         hard, self._shares = self._hard_rows, level.shares[:-1]
         wanted[hard] = got[hard]
         aside = got * (SLOW / min(max(norm(got[hard.stop :]), MET), SLOW))
         aside[hard] = 0.0
-        if leaves == 1.0 or not np.isfinite(got).all():
+        if not np.isfinite(got).all():
             return v, 1.0
         level.qp.A[:] = 0.0
         self._assemble_exact(level, state, kappa, wanted)
         level.qp.A[len(state.e_loop) :, -1] = -aside
         level.qp.orthogonalize()
-        found = level.solve().usable
-        return (level.v, max(leaves, level.shares[-1])) if found else (v, 1.0)
+        return (level.v, level.shares[-1]) if level.solve().usable else (v, 1.0)
 
     def _missed(self, v: Array) -> Array:
         """What rows of hard tasks lack, zero where that is rounding."""
@@ -276,29 +252,27 @@ class QPLaw(Law):
         missed[:] = self._missed(v)
         missing[:] = 1.0 if leaves == 1.0 else 1.0 - (1.0 - leaves) * self._shares
         sizes = [(norm(missed[p]), norm(wanted[p])) for p in self._hard]
-        if leaves > 0.0:
-            J, parts = self.exact.J, self._scaled
-            sizes += [(norm(J[p] @ v - wanted[p]), norm(wanted[p])) for p in parts]
+        for p in self._scaled if leaves > 0.0 else ():
+            sizes.append((norm(self.exact.J[p] @ v - wanted[p]), norm(wanted[p])))
         lacks = [lack / max(whole, lack, MET) for lack, whole in sizes]
         shares = missing.tolist() if leaves == 0.0 else ()
         self.command.scale = 1.0 - max([0.0, *lacks, *shares])
 
     def _with_less_drift(self, state: State, failed: Status) -> tuple[Array, tuple[Status, ...]]:
         """The levels with as much of the drift correction as can be done."""
-        if self.problem.on_infeasible != "scale":
+        if not self._relaxes:
             state.memory["stopped"][0] = self.problem.on_infeasible == "stop"
             return self.first.v, (failed,)
-        relaxed, drift = self.drift.find(state), self.drift
-        self.command.drift = drift.share if relaxed[0].usable else 0.0
-        if not relaxed[0].usable:
-            return drift.v, (failed,)
-        kappa = drift.share * drift_gain(self.problem, state)
+        self.command.drift, slowed, relaxed = self.limit_recovery.reduce(state)
+        if not relaxed:
+            return slowed, (failed,)
+        kappa = self.command.drift * drift_gain(self.problem, state)
         self._assemble_exact(self.first, state, kappa, self.exact.wanted)
         v, causes = self._decide_levels(state, kappa)
         if not causes[0].usable:
             if relaxed[0] is Status.SOLVER_FAILED:  # nothing was in the way but the solver
                 return v, (failed,)
-            v, causes = drift.v, ()
+            v, causes = slowed, ()
         if failed is not Status.INFEASIBLE:
             relaxed = (Status.SOLVER_FAILED,)
         return v, (*relaxed, *causes)

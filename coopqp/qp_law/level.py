@@ -53,22 +53,22 @@ class Level(Program):
         minimise    sum_i w_i |J_i v - wanted_i|^2 + d |v|^2 + W |1 - s|^2
         subject to  J_c v = -kappa e,   more rows,   lb <= v <= ub,   G v <= h,   0 <= s <= 1
 
-    The owner of the stack of soft ``tasks`` updates it. The loops, eq. (14), are the first of the
-    ``equalities``; ``shares`` names what has a share. With ``slows`` the Baumgarte correction has
-    the only one, J_c v = -s kappa e.
+    The owner of the stack of soft ``tasks`` updates it. ``more`` rows come after the loops, eq.
+    (14); ``shares`` names what has a share. With ``slows`` the Baumgarte correction has the only
+    one, J_c v = -s kappa e.
     """
 
     def __init__(
-        self, given: Given, tasks: TaskStack, equalities: Sequence[Row],
+        self, given: Given, tasks: TaskStack, more: Sequence[Row] = (),
         shares: Sequence[str] = (), *, slows: bool = False,
     ) -> None:  # fmt: skip
-        problem, bounds, damping = given.problem, given.bounds, given.damping
-        chain, n = problem.chain, problem.chain.n
+        chain, n, least = given.problem.chain, given.problem.chain.n, given.damping.least
         shares = ["drift correction"] if slows else shares
         scales = (Row(name=f"scale[{name}]", kind="share", owner=name, unit="1") for name in shares)
         variables = (*joint_rows(chain.joint_names, chain.joint_units), *scales)
-        super().__init__(problem, Rows(variables, bounds.rows, tuple(equalities)), damping.least)
-        self.tasks, self._bounds, self._least, self._slows = tasks, bounds, damping.least, slows
+        rows = Rows(variables, given.bounds.rows, (*chain.loops.solver_rows, *more))
+        super().__init__(given.problem, rows, least)
+        self.tasks, self._bounds, self._least, self._slows = tasks, given.bounds, least, slows
         self.v, self.shares, self._eye = self.solution.v[:n], self.solution.v[n:], np.eye(n)
         self.qp.lb[n:], self.qp.ub[n:] = 0.0, 1.0
         np.fill_diagonal(self.qp.P[n:, n:], SCALE_WEIGHT)
@@ -136,9 +136,8 @@ class Step:
     def _program(self, size: int) -> Program:
         """For so many directions; at singular poses there are more."""
         if size not in self._programs:
+            sides = len(self._given.bounds.C)
             free = tuple(Row(name=f"free[{i}]", kind="free") for i in range(size))
-            limits = tuple(
-                Row(name=f"limit[{i}]", kind="limit") for i in range(len(self._given.bounds.C))
-            )
+            limits = tuple(Row(name=f"limit[{i}]", kind="limit") for i in range(sides))
             self._programs[size] = Program(self._given.problem, Rows(free, limits), self.curvature)
         return self._programs[size]

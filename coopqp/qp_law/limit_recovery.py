@@ -10,12 +10,12 @@ W (1 - s)^2/2 (at s = 1 less of it would save y'kappa e, with the loops' multipl
 to 1 and the largest that is worth it. The answer bounds the tasks, hard ones included: each joint
 outside recovers at least almost as fast.
 
-Where limits leave no motion for all of the Baumgarte correction, :class:`DriftShare` finds the
-largest share s, with W (1 - s)^2 + d |v|^2 as the cost: first with all limits; where that is
-infeasible, without acceleration limits, and with limits in space that ask for no motion. The share
-replaces 1 in all levels of the tick.
+Where limits leave no motion for all of the correction, the largest share s is found, with W (1 -
+s)^2 + d |v|^2 as the cost: with all limits, else without acceleration limits and with limits in
+space that ask for no motion. The share replaces 1 in all levels of the tick.
 """
 
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -42,116 +42,94 @@ INSIDE = 1.0 - 1e-4
 
 
 class LimitRecovery:
-    """The limits of a tick, and how joints outside of them recover.
+    """The limits of a tick, and how joints outside of them recover; the reduced correction.
 
     Attributes:
         bounds: the limits of the last tick, recovery included. active: whether a joint was outside.
         share: of the Baumgarte correction beside the recovery. v: of the recovery, if any.
     """
 
-    def __init__(self, problem: ControlProblem, start: State, error_damping: float) -> None:
-        self.bounds = Bounds(problem.chain, problem.limits, start, problem.dt)
-        self.problem, self._nothing = problem, TaskStack((), start)
-        self._damping = Damping(LEAST_MOTION, error_damping, problem.dt)
-        self._low, self._high = np.zeros((2, problem.chain.n), bool)
+    def __init__(self, problem: ControlProblem, start: State, damping: Damping) -> None:
+        self.bounds = Bounds(problem.limits, start, problem.dt)
+        self._problem, self._nothing, self._damping = problem, TaskStack((), start), damping
+        self._back = np.zeros(problem.chain.n)  # from each joint to its limits, zero inside
         self.active, self.share = False, 1.0
         self.v: Array | None = None
 
     @cached_property
-    def levels(self) -> tuple[Level, Level]:
-        """With all of the Baumgarte correction, and with a share; built when asked for."""
-        return self.level(self._damping), self.level(self._damping, slows=True)
-
-    def level(self, damping: Damping, *, slows: bool = False) -> Level:
-        """One without tasks."""
-        rows = self.problem.chain.loops.solver_rows
-        return Level(Given(self.problem, self.bounds, damping), self._nothing, rows, slows=slows)
+    def levels(self) -> tuple[Level, Level, Level]:
+        """Of the recovery, with all of the Baumgarte correction and a share; of a share alone."""
+        given = Given(self._problem, self.bounds, self._damping)
+        back = replace(given, damping=replace(self._damping, least=LEAST_MOTION))
+        whole, slowed = Level(back, self._nothing), Level(back, self._nothing, slows=True)
+        return whole, slowed, Level(given, self._nothing, slows=True)
 
     def limit(self, state: State) -> float:
         """Evaluate limits and the recovery of joints outside; the drift gain it leaves."""
-        chain = self.problem.chain
-        below, above = chain.lower - state.q, state.q - chain.upper
-        self._low, self._high = below > ROUNDING, above > ROUNDING
-        self.active, self.share, self.v = bool((self._low | self._high).any()), 1.0, None
+        chain = self._problem.chain
+        self._back = np.clip(state.q, chain.lower, chain.upper) - state.q
+        self._back *= np.abs(self._back) > ROUNDING
+        self.active, self.share, self.v = bool(self._back.any()), 1.0, None
         self.bounds.update(state)
         if self.active:
-            self._find(state, np.maximum(below, 0.0) - np.maximum(above, 0.0))
+            self._find(state)
             self._tighten()
-        return drift_gain(self.problem, state, self.share)
+        return drift_gain(self._problem, state, self.share)
 
-    def _find(self, state: State, back: Array) -> None:
-        """The fastest recovery of the joints that are outside, by ``back``."""
-        wish = np.sign(back) * np.maximum(np.abs(back) / self.problem.dt, LEAST_RECOVERY)
-        wish, outside = np.clip(wish, self.bounds.lb, self.bounds.ub), self._low | self._high
-        kappa, pull, n = drift_gain(self.problem, state), state.memory["recovery"], len(wish)
+    def _find(self, state: State) -> None:
+        """The fastest recovery of the joints that are outside."""
+        back, outside = self._back, self._back != 0.0
+        wish = np.sign(back) * np.maximum(np.abs(back) / self._problem.dt, LEAST_RECOVERY)
+        wish = np.clip(wish, self.bounds.lb, self.bounds.ub)
+        kappa, pull, n = drift_gain(self._problem, state), state.memory["recovery"], len(wish)
         # Where loops leave hardly a way back they turn quickly along it: the more it pulls at them,
         # the shorter its steps.
         extra = self._damping.of(state.chain.reach * pull[0], state)
         extra += self._damping.of_drift(state, kappa)
         pull[0] = 0.0
-        whole, slowed = self.levels
+        whole, slowed, _ = self.levels
         # What was done in part stays so, or it would go to and fro between all and a part.
         for level in (whole, slowed) if state.corrected >= ALL_OF_IT else (slowed,):
             level.assemble(state, kappa, extra)
             level.qp.P[:n, :n] += np.diag(outside)
             level.qp.q[:n] = -wish * outside
-            if not level.solve().usable:
-                continue  # multipliers are then no numbers
-            y = level.solution.y
-            saving = kappa * y.dot(state.e_loop)
-            if level is slowed or saving <= (1.0 - ALL_OF_IT) * SCALE_WEIGHT:
+            usable, y = level.solve().usable, level.solution.y
+            worth_it = kappa * y.dot(state.e_loop) <= (1.0 - ALL_OF_IT) * SCALE_WEIGHT
+            if usable and (worth_it or level is slowed):
                 self.v, self.share = level.v.copy(), float(level.shares.min(initial=1.0))
                 pull[0] = np.abs(y).sum()
                 return
 
-    def release(self, state: State) -> bool:
-        """Leave out acceleration limits, :meth:`Bounds.release`, but keep the recovery."""
-        released = self.bounds.release(state)
-        self._tighten()
-        return released
-
     def _tighten(self) -> None:
         """Bound v so that the recovery is kept."""
-        if self.v is None:
-            return
-        keep, lb, ub = KEPT * self.v, self.bounds.lb, self.bounds.ub
-        np.maximum(lb, np.maximum(keep, 0.0), out=lb, where=self._low)
-        np.minimum(ub, np.minimum(keep, 0.0), out=ub, where=self._high)
+        if self.v is not None:
+            keep, lb, ub = KEPT * self.v, self.bounds.lb, self.bounds.ub
+            np.maximum(lb, np.maximum(keep, 0.0), out=lb, where=self._back > 0.0)
+            np.minimum(ub, np.minimum(keep, 0.0), out=ub, where=self._back < 0.0)
 
     def rescue(self, v: Array, causes: tuple[Status, ...]) -> tuple[Array, tuple[Status, ...]]:
         """The tick's answer, or the recovery itself where there is none."""
         if causes[0] in (Status.OPTIMAL, Status.INACCURATE):
-            return v, (Status.RECOVERING, *(c for c in causes if c is not Status.OPTIMAL))
+            return v, (Status.RECOVERING, *causes)
         if not causes[0].usable and self.v is not None:
             return self.v, (Status.RECOVERING, *causes)
         return v, (*causes, Status.RECOVERING)
 
+    def reduce(self, state: State) -> tuple[float, Array, tuple[Status, ...]]:
+        """The largest share of the Baumgarte correction, v that does it, and what is relaxed.
 
-class DriftShare:
-    """The largest feasible share of the Baumgarte correction, and a motion v that does it."""
-
-    def __init__(self, limit_recovery: LimitRecovery, damping: Damping) -> None:
-        self._limit_recovery, self._damping = limit_recovery, damping
-        self._level = limit_recovery.level(damping, slows=True)
-        self.share, self.v = 1.0, self._level.v
-
-    def find(self, state: State) -> tuple[Status, ...]:
-        """What is relaxed so that there is a share, or why there is none, which is not usable.
-
-        The limits are then as they were when it was found.
+        The limits are then as they were when it was found. Nothing is relaxed if there is none.
         """
-        causes = list[Status]()
-        if not self._solve(state).usable:
-            causes += [Status.ACCELERATION_GIVEN_UP] * self._limit_recovery.release(state)
-            if not (status := self._solve(state)).usable:
-                return (status,)
-        self.share = float(self._level.shares[0])
-        if self.share < ALL_OF_IT:
-            self.share *= INSIDE
+        level, causes, kappa = self.levels[2], list[Status](), drift_gain(self._problem, state)
+        level.assemble(state, kappa, self._damping.of_drift(state, kappa))
+        if not level.solve().usable:
+            causes += [Status.ACCELERATION_GIVEN_UP] * self.bounds.release(state)
+            self._tighten()
+            level.assemble(state, kappa, self._damping.of_drift(state, kappa))
+            if not level.solve().usable:
+                return 0.0, level.v, ()
+        share = float(level.shares[0])
+        if share < ALL_OF_IT:
+            share *= INSIDE
             causes.append(Status.DRIFT_SLOWED)
-        return tuple(causes) or (Status.SOLVER_FAILED,)
-
-    def _solve(self, state: State) -> Status:
-        kappa = drift_gain(self._limit_recovery.problem, state)
-        self._level.assemble(state, kappa, self._damping.of_drift(state, kappa))
-        return self._level.solve()
+        return share, level.v, tuple(causes) or (Status.SOLVER_FAILED,)

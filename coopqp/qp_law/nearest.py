@@ -1,18 +1,14 @@
 """Hard and scaled tasks that limits and loops make infeasible.
 
-They are levels of least squares (:mod:`coopqp.qp_law.law`) above all soft ones: first hard tasks,
-
-    minimise    sum_i w_i |J_i v - wanted_i|^2 + d |v|^2
-    subject to  J_c v = -kappa e,   lb <= v <= ub,   G v <= h
-
-with the answer v_h. Its damping d is next to nothing first, and then grows with what the rows lack,
-m_i: d = c dt sum_i w_i |m_i| L_i. So v_h lacks something near a singularity where hard tasks can
-hold, too, exactly, by v_e. Their motion is (1 - c) v_e + c v_h: c is 1 where they cannot hold, else
-0 up to MET of each row, or where v_e is not within NEAR of a limit and v_h lacks less than half of
-SLOW. v_e and v_h meet where v_e ceases to exist. As far as a tick of it overreaches
-(:meth:`coopqp.qp_law.equations.Damping.overreaches`) v_h with the damping of a soft task replaces
-it. With J_i v of it fixed scaled tasks have the largest shares s_k in v_s, beside the least part t
-of that motion, by an exact penalty; v_n is the nearest to all they want:
+They are levels of least squares (:class:`coopqp.qp_law.level.Level`) above all soft ones, first of
+hard tasks, with the answer v_h. Its damping d is next to nothing first, and then grows with what
+the rows lack, m_i: d = c dt sum_i w_i |m_i| L_i. So v_h lacks something near a singularity where
+hard tasks can hold, too, exactly, by v_e. Their motion is (1 - c) v_e + c v_h: c is 1 where they
+cannot hold, else 0 up to MET of each row, or where v_e is not within NEAR of a limit and v_h lacks
+less than half of SLOW. v_e and v_h meet where v_e ceases to exist. As far as a tick of it
+overreaches (:meth:`coopqp.qp_law.equations.Damping.overreaches`) v_h with the damping of a soft
+task replaces it. With J_i v of it fixed scaled tasks have the largest shares s_k in v_s, beside the
+least part t of that motion, by an exact penalty; v_n is the nearest to all they want:
 
     J_k v_s = s_k wanted_k + t a_k,   at the cost W (t^2 / 2 + ASIDE t) more
     v = (1 - r) v_s + r v_n,   r = max_k (1 - s_k |wanted_k| / (LITTLE p_k))+ (1 - s_k / WHOLE)+
@@ -56,21 +52,19 @@ ASIDE = 1e3
 
 
 class Nearest:
-    """Levels of hard and scaled tasks; that of v_s is ``beside``, its last share t; v is v_h."""
+    """Levels of hard and scaled tasks; that of v_s is ``beside``, its last share t."""
 
     def __init__(self, given: Given, order: Order) -> None:
-        loops, self._damping, self._bounds = given.problem.chain.loops, given.damping, given.bounds
-        hard, scaled = (TaskStack(tasks, order.start) for tasks in (order.hard, order.scaled))
+        self._damping, self._bounds = given.damping, given.bounds
+        hard, scaled, none = (TaskStack(t, order.start) for t in (order.hard, order.scaled, ()))
         least = given.damping.least * (LESS * float(hard.weights.max()) if order.hard else 1.0)
         firm = replace(given, damping=replace(given.damping, least=least))
-        self.hard, self._refined = Level(firm, hard, loops.solver_rows), Step(firm, hard)
-        rows = [*loops.solver_rows, *order.exact.rows[: len(hard.wanted)]]
-        self.held = Level(given, TaskStack((), order.start), rows)
+        self.hard, self._refined = Level(firm, hard), Step(firm, hard)
+        self.held = Level(given, none, hard.rows)
         self.scaled = LaterLevel(given, scaled, [hard])
-        rows, names = [*loops.solver_rows, *order.exact.rows], [task.name for task in order.scaled]
-        self.beside = Level(given, TaskStack((), order.start), rows, [*names, "hard tasks"])
+        names = [*(task.name for task in order.scaled), "hard tasks"]
+        self.beside = Level(given, none, [*hard.rows, *scaled.rows], names)
         self.beside.qp.q[-1] = ASIDE * SCALE_WEIGHT
-        self.v = self.hard.v
 
     def of_hard(self, state: State, kappa: float) -> Status:
         """Solve it, by a step from the answer with more damping, which has all its digits."""
@@ -97,7 +91,7 @@ class Nearest:
 
     def counts(self, v: Array) -> float:
         """How much v_h counts beside the exact motion v of the hard tasks alone."""
-        missed, bounds = self.hard.tasks.J @ self.v - self.hard.tasks.wanted, self._bounds
+        missed, bounds = self.hard.tasks.J @ self.hard.v - self.hard.tasks.wanted, self._bounds
         slack = np.concatenate([bounds.ub, bounds.h, -bounds.lb]) - bounds.C.dot(v)
         sizes = np.maximum(np.linalg.norm(bounds.C, axis=1), IDLE)
         limited = 1.0 - float((slack / sizes).min(initial=NEAR)) / NEAR
@@ -107,8 +101,7 @@ class Nearest:
         """What the level of the scaled tasks makes of v, in what hard tasks leave free."""
         for stack in (self.hard.tasks, self.scaled.tasks):
             stack.update(state)
-        loops, pull = null_space(state.J_loop).T, state.memory["scaled pull"]
-        return self.scaled.improve(state, loops, v, pull)
+        return self.scaled.improve(state, v, state.memory["scaled pull"])
 
 
 def counting(missed: Array) -> float:

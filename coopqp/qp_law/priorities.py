@@ -16,24 +16,20 @@ them call for short steps: y L / sigma adds to the level's damping, like second 
 (:class:`coopqp.qp_law.equations.Damping`), up to MOST_DAMPING; beyond it the step is shortened.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
-from functools import cached_property
 
 import numpy as np
 
-from coopqp.base.rank import directions, matrix_rank
+from coopqp.base.rank import directions, matrix_rank, null_space
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.limit import states_along
 from coopqp.model.state import State
-from coopqp.program import sees_twist
 from coopqp.qp_law.equations import MOST_DAMPING, held_pull
 from coopqp.qp_law.level import Given, Step
 from coopqp.solver import Status
-from coopqp.task import Programs, Task, TaskStack
+from coopqp.task import Task, TaskStack
 
 SAMPLES = 6  # configurations at which ranks are taken, beside the start
 #: Singular values of task rows up to the first ask for nothing, from there to the second in part
@@ -44,42 +40,31 @@ IDLE, NOISE, WALL = 1e-8, 1e-6, 1e-5
 class Order:
     """Which tasks of a problem decide when: exact ones, then soft ones level by level.
 
-    All references and ``programs`` set out from the state ``start``. ``groups`` are soft tasks by
-    priority, then secondary objectives by theirs, as long as anything is left to decide; the first
-    is empty where there are hard or scaled tasks.
+    All references set out from the state ``start``. ``groups`` are soft tasks by priority, then
+    secondary objectives by theirs, as long as anything is left to decide; the first is empty where
+    there are hard or scaled tasks.
     """
 
     def __init__(self, problem: ControlProblem) -> None:
         self.start = State(problem.chain)
-        self.programs = Programs(self.start)
         soft, self.hard, self.scaled = (
             [task for task in problem.tasks if task.mode == mode]
             for mode in ("soft", "hard", "scaled")
         )
-        first = [] if soft and len(soft) == len(problem.tasks) else [list[Task]()]
-        self.groups = [*first, *_by_priority(soft), *_by_priority(problem.secondary)]
-        later = range(1, len(self.groups))
-        del self.groups[next(filter(self._nothing_left, later), len(self.groups)) :]
+        self.groups = [] if soft and len(soft) == len(problem.tasks) else [list[Task]()]
+        for tasks in (soft, problem.secondary):
+            for priority in sorted({task.priority for task in tasks}):
+                if self.groups and self._nothing_left():
+                    return
+                self.groups.append([task for task in tasks if task.priority == priority])
 
-    @cached_property
-    def exact(self) -> TaskStack:
-        """The hard tasks, then the scaled ones."""
-        return TaskStack([*self.hard, *self.scaled], self.start)
-
-    @cached_property
-    def stacks(self) -> list[TaskStack]:
-        """The groups' tasks."""
-        return [TaskStack(tasks, self.start) for tasks in self.groups]
-
-    def _nothing_left(self, level: int) -> bool:
-        """Whether the loops and the tasks before a level decide all joints, generically."""
-        tasks = [*self.hard, *self.scaled, *itertools.chain(*self.groups[:level])]
+    def _nothing_left(self) -> bool:
+        """Whether the loops and the tasks so far decide all joints, generically."""
+        tasks = [*self.hard, *self.scaled, *itertools.chain(*self.groups)]
         if any(task.joint_space and task.all_joints for task in tasks):
             return True
         chain = self.start.chain
-        rows = [(len(task.rows(chain)), sees_twist(self.programs.of(task))) for task in tasks]
-        twist = min(6, sum(k for k, sees in rows if sees))  # the object's has six numbers
-        if len(chain.loops.solver_rows) + twist + sum(k for k, sees in rows if not sees) < chain.n:
+        if len(chain.loops.solver_rows) + sum(len(task.rows(chain)) for task in tasks) < chain.n:
             return False
         stack = TaskStack(tasks, self.start)
         anywhere = states_along(chain, chain.sample(np.random.default_rng(0), SAMPLES))
@@ -90,11 +75,6 @@ class Order:
         return False
 
 
-def _by_priority(tasks: Sequence[Task]) -> list[list[Task]]:
-    numbers = sorted({task.priority for task in tasks})
-    return [[task for task in tasks if task.priority == number] for number in numbers]
-
-
 class LaterLevel(Step):
     """A step in the null space of the tasks ``before``; ``share`` of it is made."""
 
@@ -103,11 +83,10 @@ class LaterLevel(Step):
         self._before, self.share = before, 1.0
         self._lever = max(float(stack.levers.max(initial=0.0)) for stack in before)
 
-    def improve(self, state: State, loops: Array, v: Array, pull: Array) -> tuple[Array, Status]:
+    def improve(self, state: State, v: Array, pull: Array) -> tuple[Array, Status]:
         """Improve v in the null space, at an up-to-date state.
 
-        ``loops`` is an orthonormal basis of the joint motions along the loops, one a row; ``pull``
-        (1,) the sum of |y| L / sigma over the decided rows, without damping, updated.
+        ``pull`` (1,) is the sum of |y| L / sigma over the decided rows, without damping, updated.
         """
         damping = self._given.damping
         needed, own = damping.of(pull[0], state), damping.of_tasks(self.tasks, state)
@@ -116,6 +95,7 @@ class LaterLevel(Step):
         decided = np.concatenate([stack.J for stack in self._before])
         if not np.isfinite(decided).all():
             return v, Status.INACCURATE
+        loops = null_space(state.J_loop).T
         sizes, ways = directions(decided.dot(loops.T))
         rank, ways = int(np.count_nonzero(sizes > NOISE)), ways.dot(loops)
         free, part = ways[rank:], (np.maximum(sizes[rank:] - IDLE, 0.0) / (NOISE - IDLE)) ** 6

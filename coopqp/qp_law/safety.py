@@ -17,15 +17,14 @@ class StepVerification:
 
     To first order, by the equality rows, an error e becomes 2 |e| at most. The second order is
     bounded: for an arm of k revolute joints with reach rho, |p''| <= rho (sum |v_j|)^2 <= rho k
-    sum v_j^2, and likewise for the angle with rho = 1, so that a step opens the loop of arms i and
-    0 by rho dt^2 / 2 (k_i sum_i v_j^2 + k_0 sum_0 v_j^2) at most. Only beyond the budget are the
-    kinematics after the step computed.
+    sum v_j^2, and likewise for the angle with rho = 1: :func:`coopqp.limit.opening` has the sum of
+    a loop's two arms. Only beyond the budget are the kinematics after the step computed.
     """
 
     def __init__(self, problem: ControlProblem) -> None:
         self._dt, self._second_order = problem.dt, opening(problem.chain, problem.dt)
         self._most = np.array([problem.budget.loop_position, problem.budget.loop_orientation])
-        self._chain, self._reach = problem.chain, problem.chain.reach
+        self._chain, self._levers = problem.chain, np.array([problem.chain.reach, 1.0])
 
     def shorten(self, state: State, command: Command) -> None:
         """Make the largest share of the step that leaves the loops within the budget after it."""
@@ -41,11 +40,10 @@ class StepVerification:
 
     def within(self, state: State, v: Array) -> bool:
         """Whether the loops are within budget after a step v dt, or no worse than before it."""
-        error, (gap, turn) = 2.0 * norm(state.closed_error), self._most
-        opened = float(self._second_order.dot(v * v).max(initial=0.0))
-        if error + self._reach * opened <= gap and error + opened <= turn:
-            return True
         now = state.closed_error
+        opened = self._levers * self._second_order.dot(v * v).max(initial=0.0)
+        if (2.0 * norm(now) + opened <= self._most).all():
+            return True
         then = self._chain.loop_error(state.q + self._dt * v) - state.gap[: len(now)]
         # A loop that is open already may be closed by steps that leave it open for now.
         return bool((_sizes(then) <= np.maximum(_sizes(now), self._most)).all())
@@ -54,8 +52,6 @@ class StepVerification:
 def drift_gain(problem: ControlProblem, state: State, share: float = 1.0) -> float:
     """Baumgarte gain: a share of the problem's, or more as the budget is used up (if kappa = 0)."""
     slow, most, budget = share * problem.kappa, 1.0 / problem.dt, problem.budget
-    if slow >= most:
-        return slow
     sizes = _sizes(state.closed_error) / (budget.loop_position, budget.loop_orientation)
     return max(slow, min(max(2.0 * float(sizes.max(initial=0.0)) - 1.0, 0.0), 1.0) * most)
 

@@ -209,7 +209,7 @@ class NamedBounds:
             ]
             for side in SIDES
         ]
-        alone = [Bounds(chain, [limit], state, problem.dt) for limit in problem.limits]
+        alone = [Bounds([limit], state, problem.dt) for limit in problem.limits]
         rows = [[bound_rows(limit, chain, side) for side in SIDES] for limit in problem.limits]
         self._each = list(zip(alone, rows, strict=True))
         self.update(state)

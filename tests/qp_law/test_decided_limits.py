@@ -15,7 +15,7 @@ def test_a_limit_gives_way_continuously_as_its_share_vanishes(chain: ClosedChain
     """Joint 0 slows down along a direction that moves joint 1, at its bound, by a small share."""
     problem = laws.problem(chain)
     start = Order(problem).start
-    bounds = Bounds(chain, (), start, laws.DT)
+    bounds = Bounds((), start, laws.DT)
     bounds.lb[1] = 0.0
     damping = Damping(least=1.0, share=0.0, dt=laws.DT)
     step = Step(Given(problem, bounds, damping), TaskStack((), start))

@@ -30,7 +30,7 @@ def test_qp_minimises_what_its_docstring_says(
     for q in closed_loop_walk(chain, 3):
         state = State(chain, q)
         law.tick(state)
-        qp, zero = law.qp, task_cost(state, np.zeros(chain.n))
+        qp, zero = law.first.qp, task_cost(state, np.zeros(chain.n))
         for v in rng.normal(size=(5, chain.n)):
             stated = 0.5 * v @ qp.P @ v + qp.q @ v
             assert 2 * stated == pytest.approx(task_cost(state, v) - zero)
@@ -39,6 +39,6 @@ def test_qp_minimises_what_its_docstring_says(
 
 def test_qp_names_its_variables_and_rows(reach_too_far: ControlProblem, chain: ClosedChain) -> None:
     law = QPController().plain(reach_too_far)
-    assert names_of(law.qp.rows.variables) == chain.joint_names
-    assert law.qp.rows.equalities == chain.loops.rows
-    assert law.qp.rows.inequalities == ()
+    assert names_of(law.first.qp.rows.variables) == chain.joint_names
+    assert law.first.qp.rows.equalities == chain.loops.rows
+    assert law.first.qp.rows.inequalities == ()

@@ -152,7 +152,7 @@ def limit_recovery(problem: ControlProblem, state: State) -> float:
 
     chain = problem.chain
     kept = [limit for limit in problem.limits if not limit.sacrificed_first]
-    bounds = Bounds(chain, kept, State(chain), problem.dt)
+    bounds = Bounds(kept, State(chain), problem.dt)
     bounds.update(state)
     inward = (state.q < chain.lower).astype(float) - (state.q > chain.upper)
     found = linprog(

@@ -83,7 +83,7 @@ def test_record_is_the_program_that_the_law_solved(compared: Comparison, law: QP
     kept = record(law, state, 250)
     law.assemble(state)
     for name in ("P", "q", "C", "lower", "upper"):
-        np.testing.assert_array_equal(getattr(kept.qp(), name), getattr(law.qp, name))
+        np.testing.assert_array_equal(getattr(kept.qp(), name), getattr(law.first.qp, name))
     assert names_of(kept.variables) == state.chain.joint_names
     assert names_of(kept.task_rows) == ("task[reach].x", "task[reach].y", "task[reach].z")
     lower, upper = np.array(kept.lower[:10]), np.array(kept.upper[:10])
