@@ -156,8 +156,11 @@ class QPLaw(Law):
         status = whole = self.first.solution.status
         v, set_out, leaves, self._shares = self.first.v, self.first.v, 0.0, self.first.shares
         firm = whole.usable and not self._overreaches(self._hard_rows, v)
-        if self._relaxes and not (firm and self._holds_firmly(met=False)):
+        holds = firm and self._holds_firmly(met=False) if self._relaxes else whole.usable
+        if not holds and (self._relaxes or self._scaled):
             status, v, set_out, leaves = self._come_near(state, kappa)
+            if not self._relaxes and (leaves > 0.0 or self._missed(v).any()):
+                return self.first.v, (whole,)  # else shares of nothing are all there is
         if not status.usable:
             return v, (status,)
         if self._relaxes and self._scaled:

@@ -19,7 +19,7 @@ from coopqp.limits import JointAcceleration
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.scenario.loader import load
 from coopqp.solver import Solution, Solve, Solver, Status
-from coopqp.tasks import PointOnPoint
+from coopqp.tasks import Pointing, PointOnPoint, Twist
 
 problem = partial(laws.problem, limits=LIMITS)
 
@@ -68,6 +68,24 @@ def test_scaled_task_of_which_nothing_can_be_done_is_not_optimal(
     assert np.linalg.norm(state.p_WO - goal) > 1e-3
     assert command.causes == (Status.TASKS_RELAXED,)
     assert command.scale < 1e-6
+
+
+@pytest.mark.parametrize("on_infeasible", ["hold", "stop"])
+@pytest.mark.parametrize("engine", ["python", "auto"])
+def test_scaled_tasks_of_which_nothing_can_be_done_are_feasible(
+    engine: Literal["python", "auto"], on_infeasible: Literal["hold", "stop"]
+) -> None:
+    """Standing still does them, though the solver finds no motion for their rows."""
+    axis = Pointing(name="axis", axis=(0.603, 0.744, -0.31), direction=(0.367, 1.71, 1.061))
+    velocity = {"y": -0.1, "rot_y": -0.131, "rot_x": -0.519}
+    turn = Twist(name="turn", mode="scaled", velocity=velocity)
+    given = load("point_on_point").problem()
+    asked = replace(given, tasks=(replace(axis, mode="scaled"), turn), on_infeasible=on_infeasible)
+    law = QPController(engine=engine, error_damping=1.0).build(asked)
+    state = law.start()
+    said = {law.step(state).causes for _ in range(5)}
+    assert said <= {(Status.OPTIMAL,), (Status.TASKS_RELAXED,)}
+    assert (Status.TASKS_RELAXED,) in said
 
 
 @pytest.mark.parametrize("on_infeasible", ["scale", "hold", "stop"])
