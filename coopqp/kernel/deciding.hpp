@@ -366,6 +366,8 @@ class Engine {
         const double* q = bound.q;
         const std::size_t n = kernel_->model().joints.size();
         answer_.assign(bound.v, bound.v + n);
+        after_.assign(memory_, memory_ + kept_.size());
+        const auto told = kernel_->told();
         for (double by : {NEIGHBOUR, -NEIGHBOUR}) {
             beside_.assign(q, q + n);
             for (std::size_t j = 0; j < n; j++) beside_[j] *= 1.0 + (j % 2 ? by : -by);
@@ -376,9 +378,11 @@ class Engine {
                 doubtful_ |= !(std::fabs(bound.v[j] - answer_[j]) <= kernel_->settings().budget.accuracy);
         }
         bound.q = q;
-        std::copy_n(kept_.data(), kept_.size(), memory_);
+        std::copy(after_.begin(), after_.end(), memory_);
+        std::copy(answer_.begin(), answer_.end(), bound.v);
         evaluate(t);
-        return kernel_->solve(all_corrected);
+        kernel_->tell(told);
+        return status;
     }
 
     static bool is_answer(coopqp::Status status) {
@@ -526,7 +530,7 @@ class Engine {
     static constexpr double NEIGHBOUR = 4.4e-16;  // of joints, as a share of themselves
 
     std::unique_ptr<coopqp::Kernel> kernel_;
-    std::vector<double> kept_, answer_, beside_;
+    std::vector<double> kept_, answer_, after_, beside_;
     bool doubtful_ = false;  // whether neighbours have another answer
     std::optional<coopqp::ResolvedRate> resolved_rate_;
     coopqp::Program program_;

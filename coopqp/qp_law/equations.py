@@ -19,8 +19,8 @@ LEAST_SPEED = 1e-4
 MOST_DAMPING = 1e4
 #: While a joint reverses again and again damping grows so many times a reversal, up to the most,
 GROWS, MOST_GROWN = 1.5, 16.0
-#: and fades as the joints travel, to 1/e in this much [rad, m], or while they move and no reversal
-#: would count, to 1/e in this time [s]: arms at rest keep it.
+#: and fades as the joints travel, to 1/e in this much [rad, m], or while they move and none has
+#: reversed of late, to 1/e in this time [s]: arms at rest keep it.
 FADES_IN, FADES_AFTER = 0.2, 0.3
 #: A joint moves from this speed on, and reverses where it moves the other way than it did last
 #: [rad/s, m/s], however fast others are: chatter grows from little, and is damped while small.
@@ -102,7 +102,7 @@ def note_chatter(state: State, v: Array, dt: float) -> None:
     most = np.where(at_once, REVERSALS, more)[back].max(initial=0.0)
     again = max(float(most) - REVERSALS + 1.0, 0.0)
     fastest = float(speeds.max(initial=0.0))
-    goes_on = fastest > SWINGS_AT and times.max(initial=0.0) <= REVERSALS - 2.0
+    goes_on = fastest > SWINGS_AT and times.max(initial=0.0) < 1.0
     rate = fastest / FADES_IN + goes_on / FADES_AFTER
     faded = max((1.0 + chatter[0]) / (1.0 + dt * rate), 1.0)
     chatter[0] = (min(GROWS**again * (1.0 + chatter[0]), MOST_GROWN) if again else faded) - 1.0

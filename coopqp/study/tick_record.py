@@ -162,8 +162,9 @@ def record_tick(
     relaxed = state.memory["missed"].any()
     state.memory.numbers[:] = memory  # as the tick had it
     problem, level = law.problem, law.first
-    law.assemble(state)
-    holds = level.solve().usable and not relaxed
+    if holds := not (by and relaxed):
+        law.assemble(state)
+        holds = level.solve().usable and not relaxed
     if by and not holds:  # then the levels of the plain law say more
         return record_tick(law, state, scenario=scenario, controller=controller, tick=tick)
     if not holds and problem.on_infeasible == "scale" and law.nearest.hard.solution.status.usable:

@@ -108,7 +108,7 @@ def turns(q: Array, units: Sequence[str]) -> bool:
     wide = size > least_size(units)
     if not wide.any():
         return False
-    path = np.abs(np.diff(late, axis=0)).sum(axis=0)
+    path = np.abs(late[1:] - late[:-1]).sum(axis=0)
     return bool((path[wide] > TURNS * size[wide]).any())
 
 

@@ -80,6 +80,7 @@ def judged(
     end = ending(law, state, record, errors)
     resting, units = record.q[record.rest :], record.units
     oscillates = oscillation(resting, units, record.dt, longest=record.longest, noise=noise)
+    excess = signs.position_excess(record), signs.velocity_excess(record)
     return Rollout(
         seed=seed,
         robot=drawn.robot,
@@ -90,13 +91,16 @@ def judged(
         tasks=drawn.tasks,
         outcome=end.outcome,
         reason=end.reason,
-        broken=(*signs.overruns(record, drawn.problem.budget), *_seen(end, drawn, oscillates)),
+        broken=(
+            *signs.overruns(record, drawn.problem.budget, excess),
+            *_seen(end, drawn, oscillates),
+        ),
         frozen=end.frozen,
         oscillating=oscillates is not None,
         never_back=end.never_back,
         ticks=len(record.v),
-        position_excess=signs.position_excess(record),
-        velocity_excess=signs.velocity_excess(record),
+        position_excess=excess[0],
+        velocity_excess=excess[1],
         loop_position=record.loop_position,
         loop_orientation=record.loop_orientation,
         relaxations=record.given_up,

@@ -89,7 +89,7 @@ class StepDamping {
             fastest = std::max(fastest, speed);
         }
         const double again = most - REVERSALS + 1.0, grown = 1.0 + chatter[0];
-        const bool goes_on = fastest > SWINGS_AT && latest <= REVERSALS - 2.0;
+        const bool goes_on = fastest > SWINGS_AT && latest < 1.0;
         const double rate = fastest / FADES_IN + (goes_on ? 1.0 / FADES_AFTER : 0.0);
         const double faded = std::max(grown / (1.0 + dt_ * rate), 1.0);
         chatter[0] = (again > 0.0 ? std::min(std::pow(GROWS, again) * grown, MOST_GROWN) : faded) - 1.0;

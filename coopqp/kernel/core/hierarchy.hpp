@@ -129,24 +129,9 @@ class Hierarchy {
     // Singular values of all rows so far, as many as coordinates are decided, largest nowhere in
     // particular; false where one of them is noise. Afterwards sigma(i) and direction(i) are theirs.
     bool singular_values() {
-        const int b = blocks_of(std::max(decided, 1));
-        for (int s = 0; s < rows; s++) copy(S_ + s * width_, row(s), blocks_);
-        for (int s = rows; s < rows + LANES; s++) clear(S_ + s * width_, blocks_);
-        if (rows > decided) triangulate(b);
-        bool turned = true;
-        for (int sweep = 0; sweep < MOST_SWEEPS && turned; sweep++) {
-            turned = false;
-            for (int i = 0; i < decided; i++)
-                sizes2_[std::size_t(i)] = dot(S_ + i * width_, S_ + i * width_, b);
-            for (int i = 0; i < decided; i++)
-                for (int j = i + 1; j < decided; j++) turned |= make_orthogonal(i, j, b);
-        }
-        int found = 0;
-        for (int s = 0; s < decided; s++) {
-            sigma_[std::size_t(s)] = std::sqrt(dot(S_ + s * width_, S_ + s * width_, b));
-            found += sigma_[std::size_t(s)] > NOISE;
-        }
-        return found == decided;
+        bool found = false;
+        with(blocks_of(std::max(decided, 1)), [&](auto b) { found = find_singular_values(b); });
+        return found;
     }
     double sigma(int s) const { return sigma_[std::size_t(s)]; }
     // Row of length sigma along a right singular vector, in coordinates of y.
@@ -204,8 +189,34 @@ class Hierarchy {
         }
     }
 
+    // The same, where rows have numbers in the first b blocks alone.
+    template <class N>
+    bool find_singular_values(N b) {
+        for (int s = 0; s < rows; s++) copy(S_ + s * width_, row(s), blocks_);
+        for (int s = rows; s < rows + LANES; s++) clear(S_ + s * width_, blocks_);
+        if (rows > decided) triangulate(b);
+        bool turned = true;
+        for (int sweep = 0; sweep < MOST_SWEEPS && turned; sweep++) {
+            turned = false;
+            for (int i = 0; i < decided; i++)
+                sizes2_[std::size_t(i)] = dot(S_ + i * width_, S_ + i * width_, b);
+            // Each pair after those before it that have a row in common, as row by row; but neighbours
+            // have none, so that none waits for the other.
+            for (int ij = 1; ij < 2 * decided - 2; ij++)
+                for (int i = std::max(0, ij - decided + 1); 2 * i < ij; i++)
+                    turned |= make_orthogonal(i, ij - i, b);
+        }
+        int found = 0;
+        for (int s = 0; s < decided; s++) {
+            sigma_[std::size_t(s)] = std::sqrt(dot(S_ + s * width_, S_ + s * width_, b));
+            found += sigma_[std::size_t(s)] > NOISE;
+        }
+        return found == decided;
+    }
+
     // One-sided Jacobi. Returns whether it had more than HARDLY anything to do.
-    bool make_orthogonal(int i, int j, int b) {
+    template <class N>
+    bool make_orthogonal(int i, int j, N b) {
         double *x = S_ + i * width_, *y = S_ + j * width_;
         double &xx = sizes2_[std::size_t(i)], &yy = sizes2_[std::size_t(j)];
         const double xy = dot(x, y, b), xy2 = xy * xy, most2 = xx * yy;

@@ -142,6 +142,22 @@ class Kernel {
         s_.reach = reach_ + far;  // at most
     }
 
+    // What the next three tell of the tick that was decided last; to be told again at its rows.
+    struct Told {
+        std::vector<double> missed, missing;
+        double leaves, off_direction;
+        bool comes_back;
+    };
+    Told told() const { return {missed_, missing_, leaves_, off_direction_, comes_back_}; }
+    void tell(const Told& told) {
+        missed_ = told.missed;
+        missing_ = told.missing;
+        leaves_ = told.leaves;
+        off_direction_ = told.off_direction;
+        comes_back_ = told.comes_back;
+        levels[0].want();
+    }
+
     // Whether joints were outside their limits when it was decided last.
     bool comes_back() const { return comes_back_; }
 

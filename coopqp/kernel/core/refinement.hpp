@@ -139,27 +139,27 @@ class Refinement {
         }
     }
 
-    // x and y with the rows as they are; false where they depend on each other.
+    // x and y with the rows as they are, in sums whose next terms come one after the other, so that none
+    // waits for the one before it; false where they depend on each other.
     bool solve() {
         L_.assign(height_ * height_, {});
         for (std::size_t i = 0; i < height_; i++) {
             scaled_.resize(width_);
             for (std::size_t j = 0; j < width_; j++)
                 scaled_[j] = C(i, j).hi != 0.0 ? C(i, j) / D_[j] : Twofold();
-            for (std::size_t k = i; k < height_; k++)
-                for (std::size_t j = 0; j < width_; j++)
-                    if (scaled_[j].hi != 0.0 && C(k, j).hi != 0.0) L(k, i) += C(k, j) * scaled_[j];
+            for (std::size_t j = 0; j < width_; j++)
+                for (std::size_t k = i; k < height_ && scaled_[j].hi != 0.0; k++)
+                    if (C(k, j).hi != 0.0) L(k, i) += C(k, j) * scaled_[j];
         }
         if (!factor()) return false;
         y_.assign(height_, {});
         x_ = best_;
         for (int pass = 0; pass < 2; pass++) {
-            side_.assign(height_, {});
-            for (std::size_t i = 0; i < height_; i++) {
-                side_[i] = -b_[i];
-                for (std::size_t j = 0; j < width_; j++)
+            side_.resize(height_);
+            for (std::size_t i = 0; i < height_; i++) side_[i] = -b_[i];
+            for (std::size_t j = 0; j < width_; j++)
+                for (std::size_t i = 0; i < height_; i++)
                     if (C(i, j).hi != 0.0) side_[i] += C(i, j) * x_[j];
-            }
             back(side_);
             pulls_.assign(width_, {});
             for (std::size_t i = 0; i < height_; i++) {
@@ -189,8 +189,8 @@ class Refinement {
     }
 
     void back(std::vector<Twofold>& r) {
-        for (std::size_t i = 0; i < height_; i++)
-            for (std::size_t k = 0; k < i; k++) r[i] -= L(i, k) * r[k];
+        for (std::size_t k = 0; k < height_; k++)
+            for (std::size_t i = k + 1; i < height_; i++) r[i] -= L(i, k) * r[k];
         for (std::size_t i = 0; i < height_; i++) r[i] = r[i] / L(i, i);
         for (std::size_t i = height_; i-- > 0;)
             for (std::size_t k = i + 1; k < height_; k++) r[i] -= L(k, i) * r[k];
