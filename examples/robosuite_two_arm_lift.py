@@ -125,6 +125,7 @@ def main() -> None:
     )  # fmt: skip
     env.reset()
     world = RobosuiteWorld(env)
+    world.free_first_joints()
     robot = world.robot("out")
     take_hold(world, robot.build())
     begun, mass = world.object, float(world.model.body("pot_root").mass[0])

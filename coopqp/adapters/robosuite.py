@@ -113,6 +113,19 @@ class RobosuiteWorld:
         self._bodies = [self._below(self.model.body(name).id) for name in roots]
         self.grip = dict.fromkeys(self.arms, -1.0)
 
+    def free_first_joints(self) -> None:
+        """Let no arm's first link touch what it turns on; again after each reset.
+
+        MuJoCo leaves out contacts of a link with its parent, but not with one that is fixed to the
+        world. Sawyer's first link stands on its base without a gap: where rounding has them touch,
+        they press with 1800 N, and 100 N m of friction hold the joint.
+        """
+        model = self.model
+        firsts = [model.joint(self.joints[half[0]]).id for half in self._halves]
+        links = model.jnt_bodyid[firsts]
+        pairs = np.isin(model.geom_bodyid, [*links, *model.body_parentid[links]])
+        model.geom_conaffinity[pairs] = 0  # they still touch all else, which has its own
+
     def _below(self, root: int) -> frozenset[int]:
         """A body and all that hang on it."""
         found, parents = {root}, self.model.body_parentid
