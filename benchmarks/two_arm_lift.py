@@ -360,7 +360,9 @@ def follower(
     """A function that does one step of a law at a time, and the loop, if it is one of ours."""
     q = np.atleast_2d(world.read())[0].copy()
     if law in ("qp", NO_OBSERVER, "pseudoinverse", "torque_qp"):
-        observer = Observer(enabled=law != NO_OBSERVER)
+        observer = Observer(
+            enabled=law != NO_OBSERVER, inertial_stiffness=world.kp, object_compensated=1.0
+        )
         law = law.removesuffix(", no observer")
         loop = coopqp.OnlineLoop(scenario, law, clock=None, observer=observer, speed_up=SPEED_UP)
 

@@ -79,12 +79,13 @@ class RobosuiteWorld:
     Attributes:
         arms: their names. sites: of their hands, likewise. joints: of all arms, shape (n,).
         grip: of each arm, -1 open to 1 closed. obs, reward: of the last step.
+        kp: as given; ``Observer(inertial_stiffness=world.kp)`` knows how these servos sag.
     """
 
     def __init__(
         self, env: Any, held: str = "pot_root", *, kp: float = KP, by_torques: bool = False
     ) -> None:
-        self.env, self._held, self._kp, self._by_torques = env, held, kp, by_torques
+        self.env, self._held, self.kp, self._by_torques = env, held, kp, by_torques
         self.grip: dict[str, float] = {}
         self.find()
 
@@ -154,11 +155,11 @@ class RobosuiteWorld:
         Where robosuite takes torques they are those of its servos.
         """
         M, n = self.inertia(), len(q)
-        ahead = np.zeros(n) if load is None else np.linalg.solve(M, load) / self._kp
+        ahead = np.zeros(n) if load is None else np.linalg.solve(M, load) / self.kp
         if not self._by_torques:
             return self.step(q + ahead)
         now, rate = self.read()
-        a = self._kp * (q + ahead - now) - 2.0 * np.sqrt(self._kp) * rate
+        a = self.kp * (q + ahead - now) - 2.0 * np.sqrt(self.kp) * rate
         return self.step(M @ a + self.data.qfrc_bias[self._v])
 
     def give_way(self, steps: int) -> None:

@@ -61,7 +61,7 @@ def test_the_sag_is_that_of_springs_under_half_the_weight_each() -> None:
     chain = scenario(FIRM, KNOWN).chain
     state, data = State(chain), chain.model.createData()
     state.update()
-    sag = WeightSag(chain, np.full(chain.n, 1.0 / K))
+    sag = WeightSag(chain, np.identity(chain.n) / K)
     sag.update(state)
     pin.computeJointJacobians(chain.model, data, state.q)
     pin.updateFramePlacements(chain.model, data)
@@ -78,7 +78,7 @@ def test_the_sag_is_that_of_springs_under_half_the_weight_each() -> None:
 
 def test_what_a_squeeze_bends_is_no_sag() -> None:
     chain = scenario(FIRM, KNOWN).chain
-    state, sag = State(chain), WeightSag(chain, np.full(chain.n, 1.0 / K))
+    state, sag = State(chain), WeightSag(chain, np.identity(chain.n) / K)
     state.update()
     along = np.array([0.0, 1.0, 0.0, 0.0, 0.0, 0.0])
     sag.update(state, along)
@@ -91,7 +91,7 @@ def test_what_a_squeeze_bends_is_no_sag() -> None:
 def test_joints_that_sag_far_feel_a_load_only_in_its_shape() -> None:
     """A wall that holds one joint back is no weight; 0.9 by squares leave cos(15 degrees)."""
     chain = scenario(FIRM, KNOWN).chain
-    state, sag = State(chain), WeightSag(chain, np.full(chain.n, 1.0 / K))
+    state, sag = State(chain), WeightSag(chain, np.identity(chain.n) / K)
     state.update()
     sag.update(state)
     j = int(np.abs(sag.sag).argmax())
