@@ -321,14 +321,18 @@ class LoopObserver:
         samples, found = self._samples, state.reading
         samples[1:] = samples[:-1].copy()
         samples[0] = state.q, math.nan if found is None else found
-        if not np.isfinite(samples).all() or math.isnan(state.felt[0]) or _rests(state):
+        if not np.isfinite(samples).all() or math.isnan(state.felt[0]):
             return
-        h, (c, m) = self._every * self._dt, samples.swapaxes(0, 1)
+        h, (c, m), then = self._every * self._dt, samples.swapaxes(0, 1), self._measured
+        then.q[:], then.v[:] = c[1], state.v  # as the sag is of then
+        then.update()
+        if _rests(then):
+            return
         v, a, lag = (m[0] - m[2]) / (2.0 * h), (m[0] - 2.0 * m[1] + m[2]) / h**2, m[1] - c[1]
         lag = lag - np.clip(lag, -self._band, self._band) - state.felt[0] * self._sag.sag
         yields = np.diag(self._compliance) > 0.0
         root = np.linalg.cholesky(self._compliance[np.ix_(yields, yields)])
-        squeezed = np.linalg.qr(root.T @ state.J_rel.T[yields])[0]
+        squeezed = np.linalg.qr(root.T @ then.J_rel.T[yields])[0]
         causes = np.column_stack([v, a, self._sag.sag, lag])[yields]
         causes = np.linalg.solve(root, causes)
         causes -= squeezed @ (squeezed.T @ causes)
