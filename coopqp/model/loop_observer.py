@@ -240,7 +240,7 @@ class LoopObserver:
         elif self._known and self._told[2] % self._every == 0 and self._told[2] != self._sampled:
             self._sampled = self._told[2]
             self._follow_inertia(state.q)
-            if self._weight > 0.0:
+            if self._weight > 0.0 and self._compliance.any():
                 self._feel_in_motion(state)
         return learns
 
