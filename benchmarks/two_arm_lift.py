@@ -14,9 +14,8 @@ run), of the slip of the pads on the bar, of the shift of a hand, which is mostl
 fingers, and of the tilt, at worst; share of steps with a motor at its limit, or a joint outside its
 range.
 
-    qp, pseudoinverse  the loop on joint servos (JOINT_POSITION, kp 300)
-    qp, no observer    without the observer of the loop-closure offset, which takes what soft servos
-                       yield for a model's error
+    qp, pseudoinverse  the loop on joint servos (JOINT_POSITION, kp 300), which knows kp
+    qp, no observer    without the observer of the loop-closure offset
     torque_qp          the loop on motors (JOINT_TORQUE), 200 times a second
     IK                 each arm by damped least squares, on the same servos
     OSC                robosuite's own, kp 150, each hand's path given
