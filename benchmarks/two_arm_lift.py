@@ -14,9 +14,8 @@ run), of the slip of the pads on the bar, of the shift of a hand, which is mostl
 fingers, and of the tilt, at worst; share of steps with a motor at its limit, or a joint outside its
 range.
 
-    qp, pseudoinverse  the loop on joint servos (JOINT_POSITION, kp 300)
-    qp, no observer    without the observer of the loop-closure offset, which takes what soft servos
-                       yield for a model's error
+    qp, pseudoinverse  the loop on joint servos (JOINT_POSITION, kp 300), which knows kp
+    qp, no observer    without the observer of the loop-closure offset
     torque_qp          the loop on motors (JOINT_TORQUE), 200 times a second
     IK                 each arm by damped least squares, on the same servos
     OSC                robosuite's own, kp 150, each hand's path given
@@ -70,8 +69,7 @@ OSC_KP = 150.0
 ELBOWS_OUT, MIRROR = np.array([0.1, -0.75, 1.2, 1.6, -1.2, 1.2, -0.5]), np.array([-1.0, 1.0])
 #: What of a variant counts before the lift: in others hands reach and take hold alike.
 BEFORE = "heavy", "friction", "off"
-CHANGED = ("body_mass", "body_inertia", "geom_friction", "geom_contype", "geom_conaffinity",
-           "body_pos", "body_quat")  # fmt: skip
+CHANGED = "body_mass", "body_inertia", "geom_friction", "body_pos", "body_quat"
 
 
 def main() -> None:
@@ -154,6 +152,7 @@ def made(robots: tuple[str, ...], law: str, kp: float) -> Made:
     env._observables.clear()
     env.reward = lambda action: 0.0
     world = RobosuiteWorld(env)
+    world.free_first_joints()
     robot = world.robot(Path("out") / "_".join((*robots, law)))  # for runs side by side
     was = {name: getattr(world.model, name).copy() for name in CHANGED}
     return Made(env, dt, was, robot, robot.build(), {})
@@ -265,11 +264,6 @@ def change(world: RobosuiteWorld, what: dict[str, Any]) -> None:
             pin.rpy.rpyToMatrix(0, 0, 0.015)
         )
         model.body_quat[base] = [turned.w, turned.x, turned.y, turned.z]
-        # Sawyer's first link stands on its base without a gap; turned, it touches it by rounding,
-        # and MuJoCo then holds its first joint fast.
-        fixed = np.isin(model.geom_bodyid, np.flatnonzero(model.body_weldid == 0))
-        own = np.isin(model.geom_bodyid, sorted(world._below(base)))
-        model.geom_contype[fixed & own] = model.geom_conaffinity[fixed & own] = 0
     mujoco.mj_setConst(model, mujoco.MjData(model))  # which leaves no data as they were
     mujoco.mj_forward(model, world.data)
 
@@ -365,7 +359,9 @@ def follower(
     """A function that does one step of a law at a time, and the loop, if it is one of ours."""
     q = np.atleast_2d(world.read())[0].copy()
     if law in ("qp", NO_OBSERVER, "pseudoinverse", "torque_qp"):
-        observer = Observer(enabled=law != NO_OBSERVER)
+        observer = Observer(
+            enabled=law != NO_OBSERVER, inertial_stiffness=world.kp, object_compensated=1.0
+        )
         law = law.removesuffix(", no observer")
         loop = coopqp.OnlineLoop(scenario, law, clock=None, observer=observer, speed_up=SPEED_UP)
 

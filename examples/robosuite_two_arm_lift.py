@@ -125,6 +125,7 @@ def main() -> None:
     )  # fmt: skip
     env.reset()
     world = RobosuiteWorld(env)
+    world.free_first_joints()
     robot = world.robot("out")
     take_hold(world, robot.build())
     begun, mass = world.object, float(world.model.body("pot_root").mass[0])
@@ -134,7 +135,8 @@ def main() -> None:
         return pin.SE3(begun.rotation, begun.translation + np.array([0.0, 0.0, 0.15 * up]))
 
     scenario = scenario_of(world, robot, way, 4.0, mass=mass)
-    loop, lifted = coopqp.OnlineLoop(scenario, "qp", clock=None), False
+    servos, lifted = coopqp.Observer(inertial_stiffness=world.kp), False
+    loop = coopqp.OnlineLoop(scenario, "qp", clock=None, observer=servos)
     for _ in range(scenario.ticks):
         command = loop.tick(world.read())
         world.write(loop.setpoint, command.v)

@@ -79,12 +79,13 @@ class RobosuiteWorld:
     Attributes:
         arms: their names. sites: of their hands, likewise. joints: of all arms, shape (n,).
         grip: of each arm, -1 open to 1 closed. obs, reward: of the last step.
+        kp: as given; ``Observer(inertial_stiffness=world.kp)`` knows how these servos sag.
     """
 
     def __init__(
         self, env: Any, held: str = "pot_root", *, kp: float = KP, by_torques: bool = False
     ) -> None:
-        self.env, self._held, self._kp, self._by_torques = env, held, kp, by_torques
+        self.env, self._held, self.kp, self._by_torques = env, held, kp, by_torques
         self.grip: dict[str, float] = {}
         self.find()
 
@@ -112,6 +113,19 @@ class RobosuiteWorld:
         roots = (*(gripper.root_body for gripper in grippers), self._held)
         self._bodies = [self._below(self.model.body(name).id) for name in roots]
         self.grip = dict.fromkeys(self.arms, -1.0)
+
+    def free_first_joints(self) -> None:
+        """Let no arm's first link touch what it turns on; again after each reset.
+
+        MuJoCo leaves out contacts of a link with its parent, but not with one that is fixed to the
+        world. Sawyer's first link stands on its base without a gap: where rounding has them touch,
+        they press with 1800 N, and 100 N m of friction hold the joint.
+        """
+        model = self.model
+        firsts = [model.joint(self.joints[half[0]]).id for half in self._halves]
+        links = model.jnt_bodyid[firsts]
+        pairs = np.isin(model.geom_bodyid, [*links, *model.body_parentid[links]])
+        model.geom_conaffinity[pairs] = 0  # they still touch all else, which has its own
 
     def _below(self, root: int) -> frozenset[int]:
         """A body and all that hang on it."""
@@ -141,11 +155,11 @@ class RobosuiteWorld:
         Where robosuite takes torques they are those of its servos.
         """
         M, n = self.inertia(), len(q)
-        ahead = np.zeros(n) if load is None else np.linalg.solve(M, load) / self._kp
+        ahead = np.zeros(n) if load is None else np.linalg.solve(M, load) / self.kp
         if not self._by_torques:
             return self.step(q + ahead)
         now, rate = self.read()
-        a = self._kp * (q + ahead - now) - 2.0 * np.sqrt(self._kp) * rate
+        a = self.kp * (q + ahead - now) - 2.0 * np.sqrt(self.kp) * rate
         return self.step(M @ a + self.data.qfrc_bias[self._v])
 
     def give_way(self, steps: int) -> None:

@@ -218,9 +218,9 @@ coopqp::Separation separation_of(const nb::dict& d, const coopqp::Model& model, 
 coopqp::Observed observed_of(const nb::dict& d) {
     const auto most = numbers(d, "most");
     const auto at = [&](const char* name) { return nb::cast<Written>(d[name]).data(); };
-    return {numbers(d, "compliance"), numbers(d, "up"), numbers(d, "at_origin"), number(d, "dt"),
-            number(d, "share"), {most[0], most[1]}, int(number(d, "every")),
-            number(d, "known") != 0.0, at("sag"), at("torque"), at("opened"), at("told"),
+    return {numbers(d, "up"), numbers(d, "at_origin"), number(d, "dt"), number(d, "share"),
+            {most[0], most[1]}, int(number(d, "every")), number(d, "known") != 0.0,
+            at("compliance"), at("sag"), at("torque"), at("opened"), at("told"),
             at("left"), at("stalled"), at("spent"), number(d, "span"), number(d, "band")};
 }
 

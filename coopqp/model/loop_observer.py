@@ -22,8 +22,13 @@ h = W G' (G W G')^-1 w, W = diag(1, (0.03 m)^2). Grips that yield transmit no mo
 loop by d without any squeeze: an observer of e_m alone would rest only where the hands pull by d
 over the servos' compliance, and never on grips that creep. What d changes by as the arms move is
 known, and so taken off the gap at once, gap' = ... - d'; the rest would lag behind by ``time``. The
-load is the object's weight where the stiffness is known, else nothing, until it is felt: at rest,
-by least squares of q_m - q_c.
+load is the object's weight, less what is fed forward, where the stiffness is known, else nothing,
+until it is felt: at rest, by least squares of q_m - q_c. Servos of known stiffness tell of it while
+they move, too, with lags T and frequencies omega that are alike in all joints, by
+
+    q_m - q_c = -T v - a / omega^2 + u + K^-1 J_c' lambda
+
+from three samples, weighted with K; so a load that nobody has told of is known soon after lift-off.
 
 Where a joint may stay behind its servo's command by a dead band, so much of q_m - q_c is none.
 
@@ -64,6 +69,10 @@ ROTATION = 10.0
 RENEWED, DOUBT = 0.05, 5e-4
 #: After so long at rest the load is felt, with this time constant [s].
 AFTER, FEELS = 0.2, 0.3
+#: In motion with this one [s], where it differs by more than this share of the object's weight, as
+#: air, friction and acceleration make it; a servo's lag [s], and 1/omega^2 [s^2]; by how much more
+#: one lags than others [s].
+FEELS_MOVING, OF_WEIGHT, LATE, LAG_DOUBT = 0.05, 0.3, (0.1, 3e-3), 2e-3
 #: Smaller sags of unknown servos may as well be errors of their feed-forward [rad].
 SLIGHT = 2e-4
 #: Share of what is left of a loop's error by which it must change in a span at rest [s], else its
@@ -93,6 +102,11 @@ class Observer:
     stiffness: Positive | Mapping[str, Positive] | None = None
     """Of the joint servos that the object's weight makes sag, one for all or by joint, others do
     not yield [N m/rad]; believed to be alike and felt at rest if omitted."""
+    inertial_stiffness: Positive | None = None
+    """Instead, of servos that turn an error into an acceleration, by computed torque: their
+    stiffness over the arms' inertia M(q) [1/s^2]."""
+    object_compensated: NonNegative = 0.0
+    """Share of the object's weight in the servos' feed-forward, which makes nothing sag."""
     most: Positive = 0.01
     """How far the model's error may be from its first value [m]; in rotation 10 rad/m of that."""
     dead_band: NonNegative = 0.0
@@ -103,7 +117,7 @@ class WeightSag:
     """The sag for one newton of weight.
 
     Attributes:
-        compliance: 1/K by joint, shape (n,) [rad/(N m)].
+        compliance: K^-1, shape (n, n) [rad/(N m)].
         torque: of the springs, shape (n,) [N m/N]. sag: u, shape (n,) [rad/N].
         up: against gravity, (3,). at_origin: each hand's wrench for a load along x, y, z, (6 N, 3).
         opened: by which the loops open for one newton, shape (6 L,) [m/N, rad/N].
@@ -127,11 +141,11 @@ class WeightSag:
         R = state.R_WO
         rows = self._to_rows.dot(self.up.dot(R)).reshape(-1, 3).dot(R.T)
         rows.ravel().dot(state.J_ext, self.torque)
-        np.multiply(self.compliance, self.torque, self.sag)
+        self.compliance.dot(self.torque, self.sag)
         np.negative(self.sag, self.sag)
         if along is not None:
             self._squeeze = along.dot(state.J_rel)
-            self._bent = self.compliance * self._squeeze
+            self._bent = self.compliance.dot(self._squeeze)
             self._bent /= max(float(self._bent.dot(self._squeeze)), TINY)
             self.straighten(self.sag)
         state.J_rel.dot(self.sag, self.opened)
@@ -166,10 +180,17 @@ class LoopObserver:
     def __init__(self, chain: ClosedChain, dt: float, settings: Observer | None = None) -> None:
         self._chain, self._dt, self._share = chain, dt, dt / max(TIME, TICKS * dt)
         self.settings = settings or Observer()
-        self._compliance = _compliance(chain, self.settings.stiffness)
-        self._known = self.settings.stiffness is not None
+        self._compliance = np.diag(_compliance(chain, self.settings.stiffness))
+        self._inertial = self.settings.inertial_stiffness
+        self._known = self.settings.stiffness is not None or self._inertial is not None
+        self._data = chain.model.createData()
+        self._follow_inertia(chain.q_start)
+        self._samples = np.full((3, 2, chain.n), math.nan)  # commanded and measured, newest first
+        self._sampled = -1.0
         self._most = self.settings.most, ROTATION * self.settings.most
         self._band = 0.5 * self.settings.dead_band
+        self._weight = float(np.linalg.norm(chain.model.gravity.linear)) * chain.held.mass
+        self._fed_forward = self.settings.object_compensated * self._weight
         self.at_bound: tuple[str, ...] = ()
         self.note, self.paused = "", False
         self._every = max(1, round(RENEWED / dt))
@@ -194,8 +215,8 @@ class LoopObserver:
 
     @property
     def load(self) -> float:
-        """The weight that the servos feel [N]; NaN while it is not known."""
-        return float(self._told[0])
+        """The weight that the arms carry [N]; NaN while it is not known."""
+        return float(self._told[0]) + self._fed_forward
 
     @property
     def doubt(self) -> float:
@@ -207,18 +228,27 @@ class LoopObserver:
         own = {"told": self._told, "dt": self._dt, "share": self._share, "every": self._every}
         own |= {"left": self._left, "stalled": self._halves}
         own |= {"spent": self._spent, "span": self._span, "band": self._band}
+        own["compliance"] = self._compliance.ravel()  # a view, which follows the inertia
         return {**vars(self._sag), **own, "most": np.array(self._most), "known": self._known}
 
     def begins(self, state: State) -> bool:
         """A tick begins; whether the offset follows what is measured in it."""
         self.at_bound, self.note = (), ""
-        return not (self.paused or state.corrected < 1.0 or not self.settings.enabled)
+        learns = not (self.paused or state.corrected < 1.0 or not self.settings.enabled)
+        if not learns:
+            self._samples[:] = math.nan
+        elif self._known and self._told[2] % self._every == 0 and self._told[2] != self._sampled:
+            self._sampled = self._told[2]
+            self._follow_inertia(state.q)
+            if self._weight > 0.0 and self._compliance.any():
+                self._feel_in_motion(state)
+        return learns
 
     @property
     def stated_stiffness(self) -> Array | None:
         """Of the servos, shape (n,) [N m/rad]; infinite where none is stated, None without any."""
         with np.errstate(divide="ignore"):
-            return 1.0 / self._compliance if self._known else None
+            return 1.0 / np.diag(self._compliance) if self._known else None
 
     def sag(self, state: State) -> Array:
         """What the load that is felt makes each joint sag by, shape (n,) [rad]."""
@@ -270,12 +300,49 @@ class LoopObserver:
 
     def _first(self, state: State, error: Array) -> None:
         """Believe in the object's weight where the servos' stiffness says what it does."""
-        g = float(np.linalg.norm(self._chain.model.gravity.linear))
-        state.felt[0] = g * self._chain.held.mass if self._known else 0.0
+        state.felt[0] = self._weight - self._fed_forward if self._known else 0.0
         state.felt[1], state.felt[2:] = 0.0, error
-        self._told[2] = 0.0
+        self._told[2], self._sampled = 0.0, -1.0
+        self._samples[:] = math.nan
         self._look_back(self._left[2], rests=False)
         self._sag  # noqa: B018 - made now, not in a tick
+
+    def _follow_inertia(self, q: Array) -> None:
+        """Have the compliance of servos that act by the arms' inertia at q."""
+        if self._inertial is not None:
+            M = pin.crba(self._chain.model, self._data, q)
+            own = np.setdiff1d(np.arange(self._chain.n), self._chain.passive)
+            M = np.triu(M) + np.triu(M, 1).T
+            at = np.ix_(own, own)
+            self._compliance[at] = np.linalg.inv(M[at]) / self._inertial
+
+    def _feel_in_motion(self, state: State) -> None:
+        """Follow the load by three samples of a motion, in which the servos lag behind as well."""
+        samples, found = self._samples, state.reading
+        samples[1:] = samples[:-1].copy()
+        samples[0] = state.q, math.nan if found is None else found
+        if not np.isfinite(samples).all() or math.isnan(state.felt[0]):
+            return
+        h, (c, m), then = self._every * self._dt, samples.swapaxes(0, 1), self._measured
+        then.q[:], then.v[:] = c[1], state.v  # as the sag is of then
+        then.update()
+        if _rests(then):
+            return
+        v, a, lag = (m[0] - m[2]) / (2.0 * h), (m[0] - 2.0 * m[1] + m[2]) / h**2, m[1] - c[1]
+        lag = lag - np.clip(lag, -self._band, self._band) - state.felt[0] * self._sag.sag
+        yields = np.diag(self._compliance) > 0.0
+        root = np.linalg.cholesky(self._compliance[np.ix_(yields, yields)])
+        squeezed = np.linalg.qr(root.T @ then.J_rel.T[yields])[0]
+        causes = np.column_stack([v, a, self._sag.sag, lag])[yields]
+        causes = np.linalg.solve(root, causes)
+        causes -= squeezed @ (squeezed.T @ causes)
+        doubts = np.hypot(DOUBT, LAG_DOUBT * v[yields])
+        doubt = float(np.linalg.norm(np.linalg.solve(root, doubts))) / len(doubts) ** 0.5
+        A, prior = causes[:, :3], doubt / np.array([*LATE, self._weight])
+        more = float(np.linalg.solve(A.T @ A + np.diag(prior**2), A.T @ causes[:, 3])[2])
+        more = max(more, -self._fed_forward - float(state.felt[0]))
+        usual = OF_WEIGHT * self._weight
+        state.felt[0] += min(1.0, h / FEELS_MOVING) * (more - min(max(more, -usual), usual))
 
     def _unload(self, state: State, along: Array | None, *, rests: bool) -> float:
         """Take sag and squeeze out of the measured joints; the load that makes them sag."""

@@ -17,6 +17,7 @@ from coopqp.base.errors import InvalidValueError, unknown_name
 from coopqp.base.spec import Array
 from coopqp.closed_loop.hands import WrenchReadings, friction_needed, hands
 from coopqp.controller import Law
+from coopqp.model.loop_observer import AFTER, FEELS
 from coopqp.model.state import State
 from coopqp.online.following import JointFollowing, Suspect
 
@@ -105,7 +106,7 @@ class FaultMonitor:
         Joints that are ``misread`` do not move at their measured velocities.
         """
         silent = state.hand_wrench is None or state.chain.standing
-        findings = [None if silent else self._forces.update(state), self._observed()]
+        findings = [None if silent else self._forces.update(state), self._observed(state)]
         for j in misread:
             findings.append(self._named(Suspect("velocities_wrong", (j,), 0.0)))
         if self._joints and q_m is not None and not self._misled:
@@ -128,13 +129,15 @@ class FaultMonitor:
         suspect = self._joints.suspect if self._joints and not self._misled else None
         return self._named(suspect) if suspect else None
 
-    def _observed(self) -> Finding | None:
+    def _observed(self, state: State) -> Finding | None:
         """What the observer of the loop-closure offset has found."""
         observer, forces = self._law.observer, self._forces
         self._at_bound = self._at_bound + self._dt if observer.at_bound else 0.0
         if self._at_bound > LASTING:
             return "loop_offset_at_bound", observer.at_bound, observer.note
         load, weight = observer.load, forces.weight  # NaN while it is not known
+        if state.felt[1] < AFTER + 3.0 * FEELS:
+            return None  # in motion air and friction pull, too
         if load > weight + SMALL and load > weight + max(OF_WEIGHT * weight, observer.doubt):
             return forces.heavier(load, "the servos sag as under {} or more; weigh the object")
         return None

@@ -235,8 +235,10 @@ def _closed(data: Mapping[str, Any], scenario: Scenario, key: str) -> ClosedChai
 
 
 def _unknown_springs(scenario: Scenario) -> Iterator[Wrong]:
-    """Joints of the observer's stiffness that there are not."""
+    """Joints of the observer's stiffness that there are not, or two kinds of stiffness."""
     given, names = scenario.observer.stiffness, scenario.chain.joint_names
+    if given is not None and scenario.observer.inertial_stiffness is not None:
+        yield Wrong(["observer"], "found stiffness and inertial_stiffness; needs one of them")
     for name in given if isinstance(given, Mapping) else ():
         if name not in names:
             yield Wrong(["observer", "stiffness", name], unknown_name("joint", name, names))

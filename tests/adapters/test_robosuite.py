@@ -35,12 +35,12 @@ SCENE = f"""
 class _Env:
     """What the adapter uses of an environment with two one-armed robots, by torques."""
 
-    def __init__(self) -> None:
+    def __init__(self, scene: str = SCENE) -> None:
         self.mujoco: Any = pytest.importorskip("mujoco")
-        model = self.mujoco.MjModel.from_xml_string(SCENE)
+        model = self.mujoco.MjModel.from_xml_string(scene)
         data = self.mujoco.MjData(model)
         self.sim = SimpleNamespace(
-            model=SimpleNamespace(_model=model, get_xml=lambda: SCENE),
+            model=SimpleNamespace(_model=model, get_xml=lambda: scene),
             data=SimpleNamespace(_data=data),
             forward=lambda: self.mujoco.mj_forward(model, data),
         )
@@ -91,6 +91,29 @@ def test_hands_that_give_way_go_on_where_they_are_pushed_to(world: RobosuiteWorl
     gone = world.read()[0] - stays
     assert (gone < 0.5 * stays).all()  # they hold the object's weight no longer
     assert (gone > -0.04).all()  # not faster than 0.2 m/s, as their damping has it
+
+
+def test_a_first_link_that_is_freed_touches_all_but_its_base() -> None:
+    scene, block = SCENE, '<geom type="box" size=".05 .05 .05" pos="0 0 0"/>'
+    for i in range(2):
+        link = f'<body name="robot{i}_link">'
+        hand = f'<body name="gripper{i}">'
+        scene = scene.replace(link, block + link).replace(hand, block + hand)
+    world = RobosuiteWorld(_Env(scene))
+
+    def touching() -> set[frozenset[str]]:
+        model, data = world.model, world.data
+        world.env.mujoco.mj_forward(model, data)
+        bodies = model.geom_bodyid[data.contact.geom].tolist()
+        return {frozenset(model.body(body).name for body in pair) for pair in bodies}
+
+    held = {frozenset({f"robot{i}_link", "pot_root"}) for i in range(2)}
+    stuck = {frozenset({f"robot{i}_base", f"robot{i}_link"}) for i in range(2)}
+    world.data.qpos[-5] = 0.09
+    assert held | stuck <= touching()
+    world.free_first_joints()
+    assert held <= touching()
+    assert not stuck & touching()
 
 
 def test_the_robot_has_the_motors_limits_and_robosuites_names(

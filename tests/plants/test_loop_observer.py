@@ -61,7 +61,7 @@ def test_the_sag_is_that_of_springs_under_half_the_weight_each() -> None:
     chain = scenario(FIRM, KNOWN).chain
     state, data = State(chain), chain.model.createData()
     state.update()
-    sag = WeightSag(chain, np.full(chain.n, 1.0 / K))
+    sag = WeightSag(chain, np.identity(chain.n) / K)
     sag.update(state)
     pin.computeJointJacobians(chain.model, data, state.q)
     pin.updateFramePlacements(chain.model, data)
@@ -78,7 +78,7 @@ def test_the_sag_is_that_of_springs_under_half_the_weight_each() -> None:
 
 def test_what_a_squeeze_bends_is_no_sag() -> None:
     chain = scenario(FIRM, KNOWN).chain
-    state, sag = State(chain), WeightSag(chain, np.full(chain.n, 1.0 / K))
+    state, sag = State(chain), WeightSag(chain, np.identity(chain.n) / K)
     state.update()
     along = np.array([0.0, 1.0, 0.0, 0.0, 0.0, 0.0])
     sag.update(state, along)
@@ -91,7 +91,7 @@ def test_what_a_squeeze_bends_is_no_sag() -> None:
 def test_joints_that_sag_far_feel_a_load_only_in_its_shape() -> None:
     """A wall that holds one joint back is no weight; 0.9 by squares leave cos(15 degrees)."""
     chain = scenario(FIRM, KNOWN).chain
-    state, sag = State(chain), WeightSag(chain, np.full(chain.n, 1.0 / K))
+    state, sag = State(chain), WeightSag(chain, np.identity(chain.n) / K)
     state.update()
     sag.update(state)
     j = int(np.abs(sag.sag).argmax())
@@ -100,6 +100,39 @@ def test_joints_that_sag_far_feel_a_load_only_in_its_shape() -> None:
     held = load * sag.sag * (np.arange(chain.n) == j)
     assert math.isnan(sag.load(held))
     assert math.isfinite(sag.load(0.4 * held))
+
+
+def test_servos_that_act_by_inertia_sag_by_its_inverse() -> None:
+    chain = scenario(FIRM, KNOWN).chain
+    observer = LoopObserver(chain, 0.01, Observer(inertial_stiffness=250.0))
+    state = State(chain)
+    state.update()
+    observer.begin(state)
+    state.q[:] += 0.1
+    state.update()
+    state.q_measured = state.q.copy()
+    observer.update(state)
+    M = pin.crba(chain.model, chain.model.createData(), state.q)
+    M = np.triu(M) + np.triu(M, 1).T
+    of = observer.flat()
+    driven = np.setdiff1d(np.arange(chain.n), chain.passive)
+    at = np.ix_(driven, driven)
+    np.testing.assert_allclose(250.0 * M[at] @ of["sag"][driven], -of["torque"][driven])
+
+
+@pytest.mark.parametrize("times", [1.0, 3.0])
+def test_a_load_is_felt_while_it_moves(times: float) -> None:
+    """Within a third of the weight that is told, half a second before the motion ends."""
+    law, *_ = run(scenario(FIRM, KNOWN, replace(ERRORS, object_mass=times)), 0.5)
+    assert law.observer.load == pytest.approx(times * MASS * G, abs=0.4 * MASS * G)
+
+
+def test_weight_that_is_fed_forward_makes_nothing_sag() -> None:
+    """And what makes it sag is the rest; the load is all of it."""
+    fed, off = replace(FIRM, object_compensated=0.8), replace(ERRORS, object_mass=1.5)
+    law, _, state, _ = run(scenario(fed, Observer(stiffness=K, object_compensated=0.8), off), 5.0)
+    assert law.observer.load == pytest.approx(1.5 * MASS * G, rel=0.05)
+    assert state.felt[0] == pytest.approx(0.7 * MASS * G, rel=0.1)
 
 
 @pytest.mark.parametrize("times", [1.0, 1.5])

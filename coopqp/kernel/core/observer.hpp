@@ -12,10 +12,11 @@ namespace coopqp {
 
 // What does not change, and arrays that Python owns, as LoopObserver and State have them.
 struct Observed {
-    std::vector<double> compliance, up, at_origin;  // (n,), (3,), (6 N, 3)
+    std::vector<double> up, at_origin;  // (3,), (6 N, 3)
     double dt, share, most[2];
     int every;   // ticks between two looks at the sag
     bool known;  // the stiffness of the servos
+    const double* compliance;  // (n, n)
     double *sag, *torque, *opened, *told;  // told: load, doubt, ticks
     double *left, *stalled, *spent, span;  // as LoopObserver._look_back and _learns have them
     double band;                           // by which a joint may stay on either side of its command
@@ -178,7 +179,11 @@ class LoopObserver {
                 for (int r = 0; r < 6; r++) o_.torque[j] += column[r] * h[r];
             });
         }
-        for (std::size_t j = 0; j < q_.size(); j++) o_.sag[j] = -(o_.compliance[j] * o_.torque[j]);
+        for (std::size_t j = 0; j < q_.size(); j++) {
+            const double* row = o_.compliance + j * q_.size();
+            o_.sag[j] = 0.0;
+            for (std::size_t k = 0; k < q_.size(); k++) o_.sag[j] -= row[k] * o_.torque[k];
+        }
         double first[6], other[6];
         twist(0, o_.sag, first);
         for (std::size_t i = 1; i < model_.arms.size(); i++) {
