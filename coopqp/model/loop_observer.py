@@ -71,8 +71,8 @@ RENEWED, DOUBT = 0.05, 5e-4
 AFTER, FEELS = 0.2, 0.3
 #: In motion with this one [s], where it differs by more than this share of the object's weight, as
 #: air, friction and acceleration make it; a servo's lag [s], and 1/omega^2 [s^2]; by how much more
-#: one lags than others [s].
-FEELS_MOVING, OF_WEIGHT, LATE, LAG_DOUBT = 0.05, 0.3, (0.1, 3e-3), 2e-3
+#: one lags than others [s]. Every so many looks at the sag, unless the last one found a change.
+FEELS_MOVING, OF_WEIGHT, LATE, LAG_DOUBT, SELDOM = 0.05, 0.3, (0.1, 3e-3), 2e-3, 5
 #: Smaller sags of unknown servos may as well be errors of their feed-forward [rad].
 SLIGHT = 2e-4
 #: Share of what is left of a loop's error by which it must change in a span at rest [s], else its
@@ -186,7 +186,7 @@ class LoopObserver:
         self._data = chain.model.createData()
         self._follow_inertia(chain.q_start)
         self._samples = np.full((3, 2, chain.n), math.nan)  # commanded and measured, newest first
-        self._sampled = -1.0
+        self._sampled, self._changes = -1.0, False
         self._most = self.settings.most, ROTATION * self.settings.most
         self._band = 0.5 * self.settings.dead_band
         self._weight = float(np.linalg.norm(chain.model.gravity.linear)) * chain.held.mass
@@ -321,7 +321,8 @@ class LoopObserver:
         samples, found = self._samples, state.reading
         samples[1:] = samples[:-1].copy()
         samples[0] = state.q, math.nan if found is None else found
-        if not np.isfinite(samples).all() or math.isnan(state.felt[0]):
+        seldom = not self._changes and self._told[2] % (SELDOM * self._every)
+        if seldom or not np.isfinite(samples).all() or math.isnan(state.felt[0]):
             return
         h, (c, m), then = self._every * self._dt, samples.swapaxes(0, 1), self._measured
         then.q[:], then.v[:] = c[1], state.v  # as the sag is of then
@@ -342,6 +343,7 @@ class LoopObserver:
         more = float(np.linalg.solve(A.T @ A + np.diag(prior**2), A.T @ causes[:, 3])[2])
         more = max(more, -self._fed_forward - float(state.felt[0]))
         usual = OF_WEIGHT * self._weight
+        self._changes = abs(more) > usual
         state.felt[0] += min(1.0, h / FEELS_MOVING) * (more - min(max(more, -usual), usual))
 
     def _unload(self, state: State, along: Array | None, *, rests: bool) -> float:
