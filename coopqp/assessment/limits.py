@@ -129,16 +129,12 @@ def slowed_by(trace: Trace, k: int) -> tuple[str, ...]:
     ticks = slice(instants[0], instants[-1])
     if not trace.keeps_limits or rests(trace.v[ticks][-1:]):
         return ()
-    met = (
-        row
-        for row, margin in trace.margins.items()
-        if row.unit.endswith(tuple(RATES)) and np.mean(margin[ticks] < AT_LIMIT) > HELD_UP
-    )
-    rates = {
-        row: next(word for end, word in RATES.items() if row.unit.endswith(end)) for row in met
-    }
-    named = (f"{rate} of {row.joint}" if row.joint else row.owner for row, rate in rates.items())
-    return tuple(dict.fromkeys(named))
+    named: dict[str, None] = {}
+    for row, margin in trace.margins.items():
+        for end, rate in RATES.items():
+            if row.unit.endswith(end) and np.mean(margin[ticks] < AT_LIMIT) > HELD_UP:
+                named[f"{rate} of {row.joint}" if row.joint else row.owner] = None
+    return tuple(named)
 
 
 @dataclass(frozen=True)

@@ -42,8 +42,7 @@ class Measured(NamedTuple):
 
     def start(self, law: Law) -> State:
         """The state of a law's first tick there."""
-        q = self.q
-        return law.start(q_measured=q) if self.observed and q is not None else law.start(q)
+        return law.start(q_measured=self.q) if self.observed else law.start(self.q)
 
 
 @dataclass
@@ -174,11 +173,36 @@ def run(
     chosen = controller_of(scenario, controller)
     check_plant(scenario, chosen, controller)
     scenario.check_size()
-    solver = scenario.solver_name if chosen.uses_solver else None
+    parts: list[tuple[PhaseInfo, Trace]] = []
+    begun: PhaseRun | None = None
+
+    def told(k: int) -> None:
+        if progress and begun:
+            progress(controller, begun.first + k)
+
     with _one_line_errors(controller):
         held = scenario.held_by(controller)
-        phases = list(_run_phases(held, chosen, controller, solver, progress, timed=timed))
-        return join(phases) if scenario.phases else phases[0][1]
+        for phase in held.schedule:
+            begun = begin_phase(held, chosen, begun, timed=timed)
+            assert begun.plant is not None  # no robot takes its place
+            begun.ticks = phase.ticks(held.dt)
+            trace = rollout(
+                begun.law,
+                begun.plant,
+                begun.ticks,
+                controller=controller,
+                solver=scenario.solver_name if chosen.uses_solver else None,
+                supports=chosen.supports,
+                progress=told,
+                state=begun.state,
+                feed=begun.feed(),
+                timed=timed,
+            )
+            parts.append((PhaseInfo(phase.name, begun.first, phase.released), trace))
+            if not begun.is_last and trace.failures and trace.failures[-1].cause in ENDED:
+                words = f"phase '{phase.name}' does not end: {trace.failures[-1].note}"
+                raise InvalidValueError(f"{controller}: {words}")
+    return join(parts) if scenario.phases else parts[0][1]
 
 
 def built(scenario: Scenario, controller: str) -> PhaseRun:
@@ -220,41 +244,3 @@ def controller_of(scenario: Scenario, name: str) -> Controller:
     chosen = known[name].cls()
     assert isinstance(chosen, Controller)  # what the catalogue holds there
     return chosen
-
-
-def _run_phases(
-    scenario: Scenario,
-    chosen: Controller,
-    name: str,
-    solver: str | None,
-    progress: Progress | None,
-    *,
-    timed: bool,
-) -> Iterator[tuple[PhaseInfo, Trace]]:
-    """Run the phases one after the other, each from where the one before has ended."""
-    begun: PhaseRun | None = None
-    for phase in scenario.schedule:
-        begun = begin_phase(scenario, chosen, begun, timed=timed)
-        assert begun.plant is not None  # no robot takes its place
-        begun.ticks = phase.ticks(scenario.dt)
-        trace = rollout(
-            begun.law,
-            begun.plant,
-            begun.ticks,
-            controller=name,
-            solver=solver,
-            supports=chosen.supports,
-            progress=_shifted(progress, name, begun.first),
-            state=begun.state,
-            feed=begun.feed(),
-            timed=timed,
-        )
-        yield PhaseInfo(phase.name, begun.first, phase.released), trace
-        if not begun.is_last and trace.failures and trace.failures[-1].cause in ENDED:
-            words = f"phase '{phase.name}' does not end: {trace.failures[-1].note}"
-            raise InvalidValueError(f"{name}: {words}")
-
-
-def _shifted(progress: Progress | None, name: str, first: int) -> Callable[[int], None] | None:
-    """Progress of a phase as progress of the whole run."""
-    return (lambda k: progress(name, first + k)) if progress else None

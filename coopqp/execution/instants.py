@@ -76,8 +76,10 @@ class Instants:
         """Record the instant before tick k, which is the result of tick k - 1."""
         if self.at_end:
             return
-        if k:
-            self._close(k - 1, true.v)
+        for i in self._velocities if k else ():  # of the step of tick k - 1
+            part = self.parts[i][1]
+            for stack, error in self._stacks:
+                error[k, i] = np.linalg.norm(stack.J[part].dot(true.v) - stack.rate[part])
         self.position[k], self.rotation[k] = true.p_WO, true.R_WO
         self.loop[k] = true.loop_position_error, true.loop_orientation_error
         for stack, error in self._stacks:
@@ -104,13 +106,6 @@ class Instants:
         for i, (_, part) in enumerate(self.parts):
             if part.start >= motion:
                 self.task_error[k, i] = self.goal_error[k, i] = np.linalg.norm(self.e[k, part])
-
-    def _close(self, k: int, v: Array) -> None:
-        """Record the velocity errors of the step of tick k."""
-        for i in self._velocities:
-            part = self.parts[i][1]
-            for stack, error in self._stacks:
-                error[k + 1, i] = np.linalg.norm(stack.J[part].dot(v) - stack.rate[part])
 
     def follow(self, t: Array, q: Array, v: Array, gap: Array) -> None:
         """Compute all of it after the run, from t (T + 1,), q (T + 1, n) and v (T, n).

@@ -221,17 +221,13 @@ class _Recorder:
         true = self._plant.truth(state)
         true.inputs = state.inputs
         if k:
-            self._close(k - 1, true.v)
+            if self._law.command.tau is not None:
+                self.v[k - 1] = true.v
+            for name, signal in self._plant.signals.items():
+                self.signals[name][k - 1] = signal
         self._inputs_at_end = state.inputs
         self.t[k], self.q[k] = state.t, true.q
         self.instants.keep(k, true)
-
-    def _close(self, k: int, v: Array) -> None:
-        """Record the results of the step of tick k."""
-        if self._law.command.tau is not None:
-            self.v[k] = v
-        for name, signal in self._plant.signals.items():
-            self.signals[name][k] = signal
 
     def tick(self, k: int, command: Command, us: float, state: State) -> None:
         """Record what the law decided in tick k, and from what."""
@@ -266,7 +262,6 @@ class _Recorder:
         problem, instants = self._law.problem, self.instants
         chain = problem.chain
         instants.follow(self.t, self.q, self.v, self._gap)
-        kept = audit(problem.limits, chain, self.q, self.v, problem.dt, self._v_before)
         return Trace(
             controller=controller,
             solver=solver,
@@ -287,12 +282,10 @@ class _Recorder:
             loop_orientation=instants.loop[:, 1],
             task_rows=rows_of((*problem.tasks, *problem.wrenches), chain),
             status=tuple(self.status),
-            margins=kept.margins,
-            starts=kept.starts,
-            unaudited=kept.unaudited,
             rows_in_python=self._law.rows_in_python,
             supports=supports,
             failures=tuple(self.failures),
+            **vars(audit(problem.limits, chain, self.q, self.v, problem.dt, self._v_before)),
             **{name: getattr(self, name) for name in TICKS},
             **{name: getattr(instants, name) for name in INSTANTS},
         )
