@@ -35,6 +35,7 @@ from coopqp.assessment.thresholds import within
 from coopqp.base.qp import Row
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
+from coopqp.execution import instants
 from coopqp.limit import Clearance, DistanceBounds, Limit, LimitRows, Program
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
@@ -333,13 +334,9 @@ class Goal:
 
 def parts_of(tasks: Sequence[Task], chain: ClosedChain) -> list[PartOfTask]:
     """Every part of every task, with its rows in their stack."""
-    parts, at = [], 0
-    for task in tasks:
-        for part in task.parts(chain):
-            name = f"{task.name}.{part.name}" if part.name else task.name
-            parts.append(PartOfTask(task, part, slice(at, at + part.rows), name))
-            at += part.rows
-    return parts
+    asked = [(task, part) for task in tasks for part in task.parts(chain)]
+    named = zip(asked, instants.parts_of(tasks, chain), strict=True)
+    return [PartOfTask(task, part, rows, info.name) for (task, part), (info, rows) in named]
 
 
 def placed(tasks: Sequence[Task], chain: ClosedChain) -> tuple[Task, ...]:
