@@ -258,7 +258,6 @@ class _Recorder:
             self.failures.append(Failure(k, status.value, note))
 
     def trace(self, controller: str, solver: str | None, supports: Features) -> Trace:
-        """Everything recorded, frozen."""
         problem, instants = self._law.problem, self.instants
         chain = problem.chain
         instants.follow(self.t, self.q, self.v, self._gap)

@@ -217,15 +217,13 @@ def least_relaxation(
 
 def shares(found: Iterable[tuple[Row, float]]) -> tuple[Share, ...]:
     """The limits' shares, largest first; forces on corners or sides of one limit are summed."""
-    by_thing: dict[str, float] = {}
-    leader: dict[str, tuple[float, Row]] = {}
+    by_thing: dict[str, list[tuple[Row, float]]] = {}
     for row, amount in found:
-        thing = thing_of(row)
-        by_thing[thing] = by_thing.get(thing, 0.0) + amount
-        if amount > leader.get(thing, (-1.0, row))[0]:
-            leader[thing] = amount, row
-    total = max(sum(by_thing.values()), 1e-300)
-    named = [Share(leader[thing][1], amount / total) for thing, amount in by_thing.items()]
+        by_thing.setdefault(thing_of(row), []).append((row, amount))
+    sums = [sum(amount for _, amount in own) for own in by_thing.values()]
+    total = max(sum(sums), 1e-300)
+    leaders = [max(own, key=lambda one: one[1])[0] for own in by_thing.values()]
+    named = [Share(row, amount / total) for row, amount in zip(leaders, sums, strict=True)]
     large = [share for share in named if share.share >= IDLE]
     return tuple(sorted(large, key=lambda share: -share.share))
 
