@@ -152,15 +152,14 @@ class Instants:
         """
         ratios = np.ones(len(self.parts))
         parts = zip(self.task_error[-1], self.parts, strict=True)
-        if all(within(error, info.tolerance) for error, (info, _) in parts):
+        good = all(within(error, info.tolerance) for error, (info, _) in parts)
+        if good or not np.isfinite(q).all():
             return ratios
         start, end = (State(self._problem.chain, each, t) for each in q)
         start.inputs = end.inputs = inputs
         end.v[:] = v
-        if not np.isfinite(q).all():
-            return ratios
-        tasks = None if self.at_end else self._stacks[0][0]
-        tasks = tasks or TaskStack(self._problem.tasks, self._begin)
+        own = self._problem.tasks, self._begin
+        tasks = TaskStack(*own) if self.at_end else self._stacks[0][0]
         with suppressed():  # a tick that met the same error names it
             tasks.update(start)
             J_before = tasks.J @ null_space(start.J_loop)
