@@ -112,8 +112,8 @@ def begin_phase(
         chain = before.problem.chain.handed_over(where, phase.released, seen)
     problem = scenario.problem(phase, chain)
     law = controller.build(problem) if timed else controller.unprepared(problem)
+    plant = None
     if robot:
-        plant = None
         if law.force_control and not robot.observed:
             raise InvalidValueError(
                 'reference: found "measured"; hands that squeeze by admittance need "commanded", '
@@ -121,7 +121,14 @@ def begin_phase(
             )
         state = robot.start(law)
     else:
-        plant = _plant(scenario, controller, law, before)
+        plant = scenario.simulated(law.problem)
+        if law.force_control and plant.hand_wrench is None:
+            raise InvalidValueError(
+                f"controller '{controller.name}' squeezes by measured forces, and this plant "
+                "tells none (signal hand_wrench); use plant: mujoco or plant: rigid_body"
+            )
+        if before and before.plant:  # the new plant begins where that one has ended
+            plant.resume(before.plant)
         state = law.start(q_measured=plant.measured, hand_wrench=plant.hand_wrench)
     if before:
         state.v[:], state.felt[0] = before.state.v, before.state.felt[0]
@@ -136,21 +143,6 @@ def begin_phase(
         inputs=Inputs(scenario.inputs, problem.all_tasks, state, problem.dt),
         state=state,
     )
-
-
-def _plant(
-    scenario: Scenario, controller: Controller, law: Law, before: PhaseRun | None
-) -> PlantModel:
-    """The scenario's plant, where the one before has ended."""
-    plant = scenario.simulated(law.problem)
-    if law.force_control and plant.hand_wrench is None:
-        raise InvalidValueError(
-            f"controller '{controller.name}' squeezes by measured forces, and this plant "
-            "tells none (signal hand_wrench); use plant: mujoco or plant: rigid_body"
-        )
-    if before and before.plant:
-        plant.resume(before.plant)
-    return plant
 
 
 def run(

@@ -193,13 +193,15 @@ def parts_of(tasks: Sequence[Task], chain: ClosedChain) -> list[tuple[TaskInfo, 
     """Trace info of each part of each task, and its rows in the stack."""
     found, at = [], 0
     for task in tasks:
-        first = at
+        first, asked = at, task.impedance
+        pairs = zip(asked.axes, asked.stiffness.tolist(), strict=True) if asked else ()
+        springs = tuple((row, *pair) for row, pair in enumerate(pairs))
         for part in task.parts(chain):
             name = f"{task.name}.{part.name}" if part.name else task.name
-            springs = _springs(task)[at - first : at - first + part.rows]
             info = TaskInfo(
                 name, part.unit, part.tolerance, task.end,
-                springs=springs, mode=task.mode, priority=task.priority,
+                springs=springs[at - first : at - first + part.rows],
+                mode=task.mode, priority=task.priority,
             )  # fmt: skip
             found.append((info, slice(at, at + part.rows)))
             at += part.rows
@@ -209,13 +211,6 @@ def parts_of(tasks: Sequence[Task], chain: ClosedChain) -> list[tuple[TaskInfo, 
 def rows_of(tasks: Sequence[Task], chain: ClosedChain) -> tuple[str, ...]:
     """What the rows of all tasks are called."""
     return tuple(f"{task.name}.{row}" for task in tasks for row in task.rows(chain))
-
-
-def _springs(task: Task) -> tuple[tuple[int, int, float], ...]:
-    """Row, axis and stiffness of each of an impedance's rows; none of other tasks."""
-    asked = task.impedance
-    pairs = zip(asked.axes, asked.stiffness.tolist(), strict=True) if asked else ()
-    return tuple((row, axis, stiffness) for row, (axis, stiffness) in enumerate(pairs))
 
 
 def arm_points(chain: ClosedChain, q: Array) -> dict[str, Array]:

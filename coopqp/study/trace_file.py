@@ -106,7 +106,7 @@ def _phase(run: Run, problem: ControlProblem, begin: str, v_before: Array | None
     )
     e, rate = (run.numbers(of_field(name, layout), empty=True) for name in ("e", "rate"))
     causes = [causes_of(word)[0] for word in told.columns["status"]]
-    failed = [(k, cause.value) for k, cause in enumerate(causes) if not cause.usable]
+    failed = (Failure(k, cause.value) for k, cause in enumerate(causes) if not cause.usable)
     return Trace(
         controller=run.controllers[0], solver=None, engine=None, dt=dt, kappa=problem.kappa,
         joints=joints, units=chain.joint_units, lower=chain.lower, upper=chain.upper,
@@ -120,7 +120,7 @@ def _phase(run: Run, problem: ControlProblem, begin: str, v_before: Array | None
         usable=np.array([cause.usable for cause in causes]), inaccurate=np.zeros(ticks, bool),
         status=tuple(told.columns["status"].tolist()), scale=np.ones(ticks),
         compiled=np.zeros(ticks, bool), tick_us=np.zeros(ticks), points={}, supports=frozenset(),
-        failures=tuple(Failure(*each) for each in failed),
+        failures=tuple(failed),
         **vars(audit(problem.limits, chain, q, v, dt, v_before)),
     )  # fmt: skip
 
