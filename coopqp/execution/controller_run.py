@@ -194,7 +194,7 @@ def run(
             if not begun.is_last and trace.failures and trace.failures[-1].cause in ENDED:
                 words = f"phase '{phase.name}' does not end: {trace.failures[-1].note}"
                 raise InvalidValueError(f"{controller}: {words}")
-    return join(parts) if scenario.phases else parts[0][1]
+        return join(parts) if scenario.phases else parts[0][1]
 
 
 def built(scenario: Scenario, controller: str) -> PhaseRun:

@@ -158,8 +158,7 @@ class Instants:
         start, end = (State(self._problem.chain, each, t) for each in q)
         start.inputs = end.inputs = inputs
         end.v[:] = v
-        own = self._problem.tasks, self._begin
-        tasks = TaskStack(*own) if self.at_end else self._stacks[0][0]
+        tasks = TaskStack(self._problem.tasks, self._begin) if self.at_end else self._stacks[0][0]
         with suppressed():  # a tick that met the same error names it
             tasks.update(start)
             J_before = tasks.J @ null_space(start.J_loop)

@@ -332,8 +332,9 @@ def _possible(tick: TickRows, task_rows: Sequence[Row]) -> tuple[list[int], list
 
 def _adds(tick: TickRows, known: Sequence[int], i: int) -> bool:
     """Whether task row i is no combination of the loops' rows and of known ones."""
-    rows, row = np.vstack([tick.A, tick.J[known]]).T, tick.J[i]
-    left = row - rows @ np.linalg.lstsq(rows, row, rcond=IMPOSSIBLE)[0]
+    rows, row = np.vstack([tick.A, tick.J[known]]), tick.J[i]
+    alike = (rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-300)).T
+    left = row - alike @ np.linalg.lstsq(alike, row, rcond=IMPOSSIBLE)[0]
     return norm(left) > IMPOSSIBLE * max(norm(row), 1e-12)
 
 
