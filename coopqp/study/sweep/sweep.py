@@ -86,11 +86,8 @@ def sweep(
     results.needs_arrow()
     head = _head_for(study)
     _check_folder(folder, head)
-    path, text = study.scenario_text
-    job = Job(
-        path, text, json.dumps(study.scenario.data), study.locations, study.controllers,
-        study.metrics, study.catalog.folders,
-    )  # fmt: skip
+    data, folders = json.dumps(study.scenario.data), study.catalog.folders
+    job = Job(study.scenario_text, data, study.locations, study.controllers, study.metrics, folders)
     with results.Journal.opened(results.path_of(folder, engine.share), head) as journal:
         mine = engine.share.taken(range(study.points.count))
         index = results.Index(folder, study)
@@ -127,8 +124,7 @@ def sweep(
 class Job:
     """What a worker must know: the scenario's file, for faults, its data as JSON, and so on."""
 
-    path: Path
-    text: str
+    file: tuple[Path, str]
     data: str
     places: tuple[tuple[Any, ...], ...]
     controllers: tuple[str, ...]
@@ -138,7 +134,7 @@ class Job:
 
 @lru_cache(maxsize=2)
 def _prepared(job: Job) -> tuple[YamlFile, Mapping[str, Any], Catalog, Known]:
-    return parsed(job.path, job.text), json.loads(job.data), Catalog(*job.folders), Known()
+    return parsed(*job.file), json.loads(job.data), Catalog(*job.folders), Known()
 
 
 def run_variant(variant: Variant, *, job: Job) -> list[Row]:
