@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from coopqp.assessment import limits, thresholds
 from coopqp.assessment.limits import LimitViolation
 from coopqp.assessment.oscillation import Oscillation, oscillation
+from coopqp.base.qp import Row
 from coopqp.base.spec import Array
 from coopqp.solver import Status, causes_of
 from coopqp.task import Level, Mode, level_of
@@ -199,17 +200,49 @@ class Assessment:
     @cached_property
     def joints(self) -> tuple[LimitViolation, ...]:
         """Joints beyond their places' limits, the farthest first."""
-        return limits.joint_violations(self.trace)
+        trace, found = self.trace, []
+        out = np.maximum(limits.beyond(trace), 0.0)
+        for i in np.flatnonzero(~(out.max(axis=0) <= 0.0)).tolist():
+            joint, unit, k = trace.joints[i], trace.units[i], int(out[:, i].argmax())
+            side = "upper" if trace.q[k, i] > trace.upper[i] else "lower"
+            row = Row(
+                name=joint, kind="limit", owner=joint, unit=unit, joint=joint, of_place=True,
+                label=f"{joint} ({side})",
+            )  # fmt: skip
+            violation = limits.worst_of_joint(row, trace, out[:, i], float(out[0, i]))
+            if thresholds.matters(violation.by, unit):
+                found.append(violation)
+        return tuple(sorted(found, key=lambda violation: -np.nan_to_num(violation.by, nan=np.inf)))
 
     @cached_property
     def speeds(self) -> tuple[LimitViolation, ...]:
         """Joints faster than they can be, by the share of their limit."""
-        return limits.speed_violations(self.trace)
+        trace, found, speed = self.trace, [], np.abs(self.trace.v)
+        most = speed.max(axis=0, initial=0.0)
+        fast = np.flatnonzero(~(most <= (1.0 + thresholds.TOO_FAST) * trace.velocity))
+        for i in sorted(fast.tolist(), key=lambda i: -most[i] / trace.velocity[i]):
+            joint, unit = trace.joints[i], f"{trace.units[i]}/s"
+            row = Row(name=f"speed of {joint}", kind="limit", owner=joint, unit=unit, joint=joint)
+            over = np.maximum(speed[:, i] - trace.velocity[i], 0.0)
+            found.append(limits.worst_of_joint(row, trace, over, 0.0))
+        return tuple(found)
 
     @cached_property
     def limits(self) -> tuple[LimitViolation, ...]:
         """All other limits that it was beyond, one each."""
-        return limits.other_violations(self.trace)
+        trace, worst = self.trace, dict[str, LimitViolation]()
+        for row, margin in trace.margins.items():
+            if (row.joint and row.owner in limits.JUDGED_OTHERWISE) or not margin.size:
+                continue
+            begun, k = -trace.starts.get(row, float(margin[0])), int(margin.argmin())
+            by, at = max((-float(margin[k]), float(trace.t[k + 1])), (begun, float(trace.t[0])))
+            at_start, at_end = max(0.0, begun), max(0.0, float(-margin[-1]))
+            found = LimitViolation(row.owner, row, by, at, at_start, at_end)
+            known = worst.get(row.owner)
+            more = not known or (found.farther, found.by) > (known.farther, known.by)
+            if more and thresholds.matters(by, row.unit):
+                worst[row.owner] = found
+        return tuple(worst.values())
 
     @property
     def blocked_by(self) -> tuple[str, ...]:

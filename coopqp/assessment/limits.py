@@ -1,4 +1,4 @@
-"""What limits had left in a run, as they say; which it was beyond, and at which it was.
+"""What limits had left in a run, as they say, and at which it was.
 
 Places and speeds of joints are judged by the robot's own limits, whatever the scenario keeps free
 of them; all others by what :meth:`coopqp.limit.Limit.margins` says. What was beyond a limit from
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from coopqp.assessment.thresholds import AT_LIMIT, HELD_UP, OUTSIDE, TOO_FAST, matters, rests
+from coopqp.assessment.thresholds import AT_LIMIT, HELD_UP, OUTSIDE, matters, rests
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.qp import Row
 from coopqp.base.spec import Array, type_name
@@ -47,59 +47,11 @@ def beyond(trace: Trace) -> Array:
     return np.maximum(trace.lower - trace.q, trace.q - trace.upper)
 
 
-def joint_violations(trace: Trace) -> tuple[LimitViolation, ...]:
-    """Of the places of joints, the farthest first."""
-    out, found = np.maximum(beyond(trace), 0.0), []
-    for i in np.flatnonzero(~(out.max(axis=0) <= 0.0)).tolist():
-        joint, unit, k = trace.joints[i], trace.units[i], int(out[:, i].argmax())
-        side = "upper" if trace.q[k, i] > trace.upper[i] else "lower"
-        row = Row(
-            name=joint, kind="limit", owner=joint, unit=unit, joint=joint, of_place=True,
-            label=f"{joint} ({side})",
-        )  # fmt: skip
-        violation = _violation(row, trace, out[:, i], float(out[0, i]))
-        if matters(violation.by, unit):
-            found.append(violation)
-    return tuple(sorted(found, key=lambda violation: -np.nan_to_num(violation.by, nan=np.inf)))
-
-
-def speed_violations(trace: Trace) -> tuple[LimitViolation, ...]:
-    """Speeds of joints beyond their limits, the largest share of it first."""
-    speed = np.abs(trace.v)
-    most = speed.max(axis=0, initial=0.0)
-    fast = np.flatnonzero(~(most <= (1.0 + TOO_FAST) * trace.velocity))
-    found = []
-    for i in sorted(fast.tolist(), key=lambda i: -most[i] / trace.velocity[i]):
-        joint, unit = trace.joints[i], f"{trace.units[i]}/s"
-        row = Row(name=f"speed of {joint}", kind="limit", owner=joint, unit=unit, joint=joint)
-        over = np.maximum(speed[:, i] - trace.velocity[i], 0.0)
-        found.append(_violation(row, trace, over, 0.0))
-    return tuple(found)
-
-
-def _violation(row: Row, trace: Trace, over: Array, at_start: float) -> LimitViolation:
+def worst_of_joint(row: Row, trace: Trace, over: Array, at_start: float) -> LimitViolation:
     """The worst of what a joint was over its limit."""
     k = int(over.argmax())
     by, at = float(over[k]), float(trace.t[k])
     return LimitViolation(row.name, row, by, at, at_start, float(over[-1]))
-
-
-def other_violations(trace: Trace) -> tuple[LimitViolation, ...]:
-    """Of all other limits that say so, one each."""
-    worst: dict[str, LimitViolation] = {}
-    for row, margin in trace.margins.items():
-        if (row.joint and row.owner in JUDGED_OTHERWISE) or not margin.size:
-            continue
-        begun, k = -trace.starts.get(row, float(margin[0])), int(margin.argmin())
-        by, at = max((-float(margin[k]), float(trace.t[k + 1])), (begun, float(trace.t[0])))
-        at_start, at_end = max(0.0, begun), max(0.0, float(-margin[-1]))
-        found = LimitViolation(row.owner, row, by, at, at_start, at_end)
-        known = worst.get(row.owner)
-        if matters(by, row.unit) and (
-            not known or (found.farther, found.by) > (known.farther, known.by)
-        ):
-            worst[row.owner] = found
-    return tuple(worst.values())
 
 
 def at_limits(trace: Trace, instant: int) -> tuple[str, ...]:
@@ -129,16 +81,12 @@ def slowed_by(trace: Trace, k: int) -> tuple[str, ...]:
     ticks = slice(instants[0], instants[-1])
     if not trace.keeps_limits or rests(trace.v[ticks][-1:]):
         return ()
-    met = (
-        row
-        for row, margin in trace.margins.items()
-        if row.unit.endswith(tuple(RATES)) and np.mean(margin[ticks] < AT_LIMIT) > HELD_UP
-    )
-    rates = {
-        row: next(word for end, word in RATES.items() if row.unit.endswith(end)) for row in met
-    }
-    named = (f"{rate} of {row.joint}" if row.joint else row.owner for row, rate in rates.items())
-    return tuple(dict.fromkeys(named))
+    named: dict[str, None] = {}
+    for row, margin in trace.margins.items():
+        for end, rate in RATES.items():
+            if row.unit.endswith(end) and np.mean(margin[ticks] < AT_LIMIT) > HELD_UP:
+                named[f"{rate} of {row.joint}" if row.joint else row.owner] = None
+    return tuple(named)
 
 
 @dataclass(frozen=True)

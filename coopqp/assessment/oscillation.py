@@ -78,7 +78,9 @@ def _blocks(q: Array, ticks: int) -> tuple[Array, Array]:
     count = (len(q) - 1) // ticks
     first = len(q) - 1 - count * ticks
     inside = first + ticks * np.arange(count)[:, None] + np.arange(ticks + 1)
-    size, ratio = extent(q[inside].swapaxes(0, 1))
+    blocks = q[inside].swapaxes(0, 1)
+    size, path = reach(blocks), np.abs(np.diff(blocks, axis=0)).sum(axis=0)
+    ratio = np.divide(path, size, out=np.zeros_like(size), where=size > 0.0)
     return _median(size), _median(ratio)
 
 
@@ -92,10 +94,3 @@ def reach(q: Array) -> Array:
     """Range along the first axis; numpy takes a fifth of the time where that is contiguous."""
     q = np.asfortranarray(q)
     return np.asarray(q.max(axis=0) - q.min(axis=0))
-
-
-def extent(q: Array) -> tuple[Array, Array]:
-    """Range along the first axis, and path over range; 0 where nothing moves."""
-    size = reach(q)
-    path = np.abs(np.diff(q, axis=0)).sum(axis=0)
-    return size, np.divide(path, size, out=np.zeros_like(size), where=size > 0.0)

@@ -42,8 +42,7 @@ class Measured(NamedTuple):
 
     def start(self, law: Law) -> State:
         """The state of a law's first tick there."""
-        q = self.q
-        return law.start(q_measured=q) if self.observed and q is not None else law.start(q)
+        return law.start(q_measured=self.q) if self.observed else law.start(self.q)
 
 
 @dataclass
@@ -113,8 +112,8 @@ def begin_phase(
         chain = before.problem.chain.handed_over(where, phase.released, seen)
     problem = scenario.problem(phase, chain)
     law = controller.build(problem) if timed else controller.unprepared(problem)
+    plant = None
     if robot:
-        plant = None
         if law.force_control and not robot.observed:
             raise InvalidValueError(
                 'reference: found "measured"; hands that squeeze by admittance need "commanded", '
@@ -122,7 +121,14 @@ def begin_phase(
             )
         state = robot.start(law)
     else:
-        plant = _plant(scenario, controller, law, before)
+        plant = scenario.simulated(law.problem)
+        if law.force_control and plant.hand_wrench is None:
+            raise InvalidValueError(
+                f"controller '{controller.name}' squeezes by measured forces, and this plant "
+                "tells none (signal hand_wrench); use plant: mujoco or plant: rigid_body"
+            )
+        if before and before.plant:  # the new plant begins where that one has ended
+            plant.resume(before.plant)
         state = law.start(q_measured=plant.measured, hand_wrench=plant.hand_wrench)
     if before:
         state.v[:], state.felt[0] = before.state.v, before.state.felt[0]
@@ -137,21 +143,6 @@ def begin_phase(
         inputs=Inputs(scenario.inputs, problem.all_tasks, state, problem.dt),
         state=state,
     )
-
-
-def _plant(
-    scenario: Scenario, controller: Controller, law: Law, before: PhaseRun | None
-) -> PlantModel:
-    """The scenario's plant, where the one before has ended."""
-    plant = scenario.simulated(law.problem)
-    if law.force_control and plant.hand_wrench is None:
-        raise InvalidValueError(
-            f"controller '{controller.name}' squeezes by measured forces, and this plant "
-            "tells none (signal hand_wrench); use plant: mujoco or plant: rigid_body"
-        )
-    if before and before.plant:
-        plant.resume(before.plant)
-    return plant
 
 
 def run(
@@ -174,11 +165,36 @@ def run(
     chosen = controller_of(scenario, controller)
     check_plant(scenario, chosen, controller)
     scenario.check_size()
-    solver = scenario.solver_name if chosen.uses_solver else None
+    parts: list[tuple[PhaseInfo, Trace]] = []
+    begun: PhaseRun | None = None
+
+    def told(k: int) -> None:
+        if progress and begun:
+            progress(controller, begun.first + k)
+
     with _one_line_errors(controller):
         held = scenario.held_by(controller)
-        phases = list(_run_phases(held, chosen, controller, solver, progress, timed=timed))
-        return join(phases) if scenario.phases else phases[0][1]
+        for phase in held.schedule:
+            begun = begin_phase(held, chosen, begun, timed=timed)
+            assert begun.plant is not None  # no robot takes its place
+            begun.ticks = phase.ticks(held.dt)
+            trace = rollout(
+                begun.law,
+                begun.plant,
+                begun.ticks,
+                controller=controller,
+                solver=scenario.solver_name if chosen.uses_solver else None,
+                supports=chosen.supports,
+                progress=told,
+                state=begun.state,
+                feed=begun.feed(),
+                timed=timed,
+            )
+            parts.append((PhaseInfo(phase.name, begun.first, phase.released), trace))
+            if not begun.is_last and trace.failures and trace.failures[-1].cause in ENDED:
+                words = f"phase '{phase.name}' does not end: {trace.failures[-1].note}"
+                raise InvalidValueError(f"{controller}: {words}")
+        return join(parts) if scenario.phases else parts[0][1]
 
 
 def built(scenario: Scenario, controller: str) -> PhaseRun:
@@ -220,41 +236,3 @@ def controller_of(scenario: Scenario, name: str) -> Controller:
     chosen = known[name].cls()
     assert isinstance(chosen, Controller)  # what the catalogue holds there
     return chosen
-
-
-def _run_phases(
-    scenario: Scenario,
-    chosen: Controller,
-    name: str,
-    solver: str | None,
-    progress: Progress | None,
-    *,
-    timed: bool,
-) -> Iterator[tuple[PhaseInfo, Trace]]:
-    """Run the phases one after the other, each from where the one before has ended."""
-    begun: PhaseRun | None = None
-    for phase in scenario.schedule:
-        begun = begin_phase(scenario, chosen, begun, timed=timed)
-        assert begun.plant is not None  # no robot takes its place
-        begun.ticks = phase.ticks(scenario.dt)
-        trace = rollout(
-            begun.law,
-            begun.plant,
-            begun.ticks,
-            controller=name,
-            solver=solver,
-            supports=chosen.supports,
-            progress=_shifted(progress, name, begun.first),
-            state=begun.state,
-            feed=begun.feed(),
-            timed=timed,
-        )
-        yield PhaseInfo(phase.name, begun.first, phase.released), trace
-        if not begun.is_last and trace.failures and trace.failures[-1].cause in ENDED:
-            words = f"phase '{phase.name}' does not end: {trace.failures[-1].note}"
-            raise InvalidValueError(f"{name}: {words}")
-
-
-def _shifted(progress: Progress | None, name: str, first: int) -> Callable[[int], None] | None:
-    """Progress of a phase as progress of the whole run."""
-    return (lambda k: progress(name, first + k)) if progress else None

@@ -76,8 +76,10 @@ class Instants:
         """Record the instant before tick k, which is the result of tick k - 1."""
         if self.at_end:
             return
-        if k:
-            self._close(k - 1, true.v)
+        for i in self._velocities if k else ():  # of the step of tick k - 1
+            part = self.parts[i][1]
+            for stack, error in self._stacks:
+                error[k, i] = np.linalg.norm(stack.J[part].dot(true.v) - stack.rate[part])
         self.position[k], self.rotation[k] = true.p_WO, true.R_WO
         self.loop[k] = true.loop_position_error, true.loop_orientation_error
         for stack, error in self._stacks:
@@ -104,13 +106,6 @@ class Instants:
         for i, (_, part) in enumerate(self.parts):
             if part.start >= motion:
                 self.task_error[k, i] = self.goal_error[k, i] = np.linalg.norm(self.e[k, part])
-
-    def _close(self, k: int, v: Array) -> None:
-        """Record the velocity errors of the step of tick k."""
-        for i in self._velocities:
-            part = self.parts[i][1]
-            for stack, error in self._stacks:
-                error[k + 1, i] = np.linalg.norm(stack.J[part].dot(v) - stack.rate[part])
 
     def follow(self, t: Array, q: Array, v: Array, gap: Array) -> None:
         """Compute all of it after the run, from t (T + 1,), q (T + 1, n) and v (T, n).
@@ -157,15 +152,13 @@ class Instants:
         """
         ratios = np.ones(len(self.parts))
         parts = zip(self.task_error[-1], self.parts, strict=True)
-        if all(within(error, info.tolerance) for error, (info, _) in parts):
+        good = all(within(error, info.tolerance) for error, (info, _) in parts)
+        if good or not np.isfinite(q).all():
             return ratios
         start, end = (State(self._problem.chain, each, t) for each in q)
         start.inputs = end.inputs = inputs
         end.v[:] = v
-        if not np.isfinite(q).all():
-            return ratios
-        tasks = None if self.at_end else self._stacks[0][0]
-        tasks = tasks or TaskStack(self._problem.tasks, self._begin)
+        tasks = TaskStack(self._problem.tasks, self._begin) if self.at_end else self._stacks[0][0]
         with suppressed():  # a tick that met the same error names it
             tasks.update(start)
             J_before = tasks.J @ null_space(start.J_loop)
@@ -199,13 +192,15 @@ def parts_of(tasks: Sequence[Task], chain: ClosedChain) -> list[tuple[TaskInfo, 
     """Trace info of each part of each task, and its rows in the stack."""
     found, at = [], 0
     for task in tasks:
-        first = at
+        first, asked = at, task.impedance
+        pairs = zip(asked.axes, asked.stiffness.tolist(), strict=True) if asked else ()
+        springs = tuple((row, *pair) for row, pair in enumerate(pairs))
         for part in task.parts(chain):
             name = f"{task.name}.{part.name}" if part.name else task.name
-            springs = _springs(task)[at - first : at - first + part.rows]
             info = TaskInfo(
                 name, part.unit, part.tolerance, task.end,
-                springs=springs, mode=task.mode, priority=task.priority,
+                springs=springs[at - first : at - first + part.rows],
+                mode=task.mode, priority=task.priority,
             )  # fmt: skip
             found.append((info, slice(at, at + part.rows)))
             at += part.rows
@@ -215,13 +210,6 @@ def parts_of(tasks: Sequence[Task], chain: ClosedChain) -> list[tuple[TaskInfo, 
 def rows_of(tasks: Sequence[Task], chain: ClosedChain) -> tuple[str, ...]:
     """What the rows of all tasks are called."""
     return tuple(f"{task.name}.{row}" for task in tasks for row in task.rows(chain))
-
-
-def _springs(task: Task) -> tuple[tuple[int, int, float], ...]:
-    """Row, axis and stiffness of each of an impedance's rows; none of other tasks."""
-    asked = task.impedance
-    pairs = zip(asked.axes, asked.stiffness.tolist(), strict=True) if asked else ()
-    return tuple((row, axis, stiffness) for row, (axis, stiffness) in enumerate(pairs))
 
 
 def arm_points(chain: ClosedChain, q: Array) -> dict[str, Array]:

@@ -115,7 +115,6 @@ def _run_all(laws: Sequence[Law], starts: Array, ticks: int) -> Motions:
 
 
 def _whole(name: str, value: int | None, omitted: int, least: int) -> int:
-    """A whole number of a sensible size."""
     found = omitted if value is None else value
     if type(found) is not int or not least <= found <= MAX_TICKS:
         words = f"found {value!r}, needs a whole number, {least} to {MAX_TICKS}"

@@ -14,7 +14,7 @@ from coopqp.model.state import State
 from coopqp.plant import PlantModel
 from coopqp.scenario.input import Sender
 from coopqp.solver import Status, written
-from coopqp.trace import Failure, Trace, no_input
+from coopqp.trace import Failure, TickBatch, Trace, no_input
 
 #: Joints that are beyond these are nowhere [rad or m], [rad/s or m/s].
 FARTHEST, FASTEST = 1e8, 1e12
@@ -91,11 +91,9 @@ Progress = Callable[[int], None]
 
 PROGRESS_EVERY = 50  # ticks
 OPTIMAL = (Status.OPTIMAL,)
-#: What of a trace a recorder has under the same name, and what its instants have.
-TICKS = (
-    "t", "q", "v", "commanded", "measured", "gap", "memory", "usable", "inaccurate", "scale",
-    "compiled", "rows_us", "tick_us", "signals", "inputs",
-)  # fmt: skip
+#: What of a trace a recorder has under the same name, what its ticks have, and its instants.
+RECORDED = "t", "commanded", "measured", "gap", "rows_us", "tick_us", "signals", "inputs"
+TICKS = "q", "v", "memory", "scale", "compiled"
 INSTANTS = "position", "rotation", "task_error", "goal_error", "e", "rate", "points"
 
 
@@ -171,24 +169,17 @@ class _Recorder:
         self, law: Law, plant: PlantModel, start: State, ticks: int, *, alone: bool
     ) -> None:
         problem = law.problem
-        n, rows = problem.chain.n, ticks + 1
-        self._law, self._plant, self._ticks = law, plant, ticks
+        n = problem.chain.n
+        self._law, self._plant = law, plant
         alone &= law.force_control is None and not start.inputs
         self.instants = Instants(problem, plant, start, ticks, alone=alone)
         self._gap, self._inputs_at_end = start.gap[: len(start.closed_error)].copy(), start.inputs
-        self.t, self.q, self.v = np.zeros(rows), np.zeros((rows, n)), np.zeros((ticks, n))
-        self.commanded, self.gap = np.zeros((ticks, n)), np.zeros((ticks, len(start.gap)))
-        self.measured = np.full((ticks, n), np.nan)
-        self.memory = np.zeros((ticks, sum(law.memory_sizes.values())))
+        self.batch = TickBatch.empty(ticks, n, sum(law.memory_sizes.values()))
+        self.t, self.gap = np.zeros(ticks + 1), np.zeros((ticks, len(start.gap)))
+        self.commanded, self.measured = np.zeros((ticks, n)), np.full((ticks, n), np.nan)
         self._remembered, self._v_before = start.memory.numbers.copy(), start.v.copy()
-        self.tick_us, self.compiled = np.full(ticks, np.nan), np.zeros(ticks, bool)
-        self.rows_us = np.full(ticks, np.nan)
-        self.usable = np.ones(ticks, bool)
-        self.inaccurate = np.zeros(ticks, bool)
-        self.status = [Status.OPTIMAL.name] * ticks
-        self.scale = np.ones(ticks)
+        self.tick_us, self.rows_us = np.full((2, ticks), np.nan)
         self.inputs = {n: no_input(c.kind, ticks) for n, c in start.inputs.items()}
-        self.failures: list[Failure] = []
         self.signals = {
             name: np.zeros((ticks, *signal.shape)) for name, signal in plant.signals.items()
         }
@@ -200,7 +191,7 @@ class _Recorder:
         law, t, corrected = self._law, state.t, state.corrected
         q, v, remembered = state.q.copy(), state.v.copy(), state.memory.numbers.copy()
         with np.errstate(all="ignore"):  # what overflows is found below
-            found = law.run(state, self._ticks)
+            found = law.run(state, len(self.batch.v))
             if not settled(found.q[1:], found.v):
                 state.t, state.q[:], state.v[:] = t, q, v
                 state.memory.numbers[:], state.corrected = remembered, corrected
@@ -208,12 +199,8 @@ class _Recorder:
                 return False
         self.t[0], self.t[1:] = t, law.problem.dt
         np.add.accumulate(self.t, out=self.t)  # as tick by tick, to the last digit
-        self.q, self.v, self.commanded = found.q, found.v, found.q[:-1]
+        self.batch, self.commanded = found, found.q[:-1]
         self.gap[:, : len(self._gap)] = self._gap
-        self.memory, self.scale, self.compiled = found.memory, found.scale, found.compiled
-        for k, causes in enumerate(found.causes):
-            if causes != OPTIMAL:
-                self._note(k, causes, found.notes.get(k, ""))
         return True
 
     def instant(self, k: int, state: State) -> None:
@@ -221,52 +208,45 @@ class _Recorder:
         true = self._plant.truth(state)
         true.inputs = state.inputs
         if k:
-            self._close(k - 1, true.v)
+            if self._law.command.tau is not None:
+                self.batch.v[k - 1] = true.v
+            for name, signal in self._plant.signals.items():
+                self.signals[name][k - 1] = signal
         self._inputs_at_end = state.inputs
-        self.t[k], self.q[k] = state.t, true.q
+        self.t[k], self.batch.q[k] = state.t, true.q
         self.instants.keep(k, true)
-
-    def _close(self, k: int, v: Array) -> None:
-        """Record the results of the step of tick k."""
-        if self._law.command.tau is not None:
-            self.v[k] = v
-        for name, signal in self._plant.signals.items():
-            self.signals[name][k] = signal
 
     def tick(self, k: int, command: Command, us: float, state: State) -> None:
         """Record what the law decided in tick k, and from what."""
-        closed = len(state.closed_error)
+        closed, batch = len(state.closed_error), self.batch
         self.commanded[k], self.gap[k, :closed] = state.q, state.gap[:closed]
         measured = state.q if command.tau is not None else state.q_measured
         if measured is not None:
             self.measured[k] = measured
-        self.memory[k], self._remembered = self._remembered, state.memory.numbers.copy()
-        self.v[k], self.tick_us[k], self.scale[k] = command.v, us, command.scale
-        self.compiled[k], self.rows_us[k] = self._law.compiled, self._law.rows_us
+        batch.memory[k], self._remembered = self._remembered, state.memory.numbers.copy()
+        batch.v[k], self.tick_us[k], batch.scale[k] = command.v, us, command.scale
+        batch.compiled[k], self.rows_us[k] = self._law.compiled, self._law.rows_us
         for name, kept in self.inputs.items():
             followed = state.inputs[name]
             kept.value[k], kept.rate[k] = followed.value, followed.rate
             if name in state.inputs.arrived:
                 kept.sent[k], kept.arrived[k] = state.inputs.arrived[name]
         if command.causes != OPTIMAL:
-            self._note(k, command.causes, command.remark)
-
-    def _note(self, k: int, causes: tuple[Status, ...], note: str) -> None:
-        """Record why tick k is not optimal."""
-        status = causes[0]
-        self.status[k] = written(causes)
-        if status is Status.INACCURATE:
-            self.inaccurate[k] = True
-        elif not status.usable:
-            self.usable[k] = False
-            self.failures.append(Failure(k, status.value, note))
+            batch.causes[k], batch.notes[k] = command.causes, command.remark
 
     def trace(self, controller: str, solver: str | None, supports: Features) -> Trace:
-        """Everything recorded, frozen."""
-        problem, instants = self._law.problem, self.instants
-        chain = problem.chain
-        instants.follow(self.t, self.q, self.v, self._gap)
-        kept = audit(problem.limits, chain, self.q, self.v, problem.dt, self._v_before)
+        problem, instants, batch = self._law.problem, self.instants, self.batch
+        chain, q, v = problem.chain, batch.q, batch.v
+        instants.follow(self.t, q, v, self._gap)
+        usable, inaccurate = np.ones(len(v), bool), np.zeros(len(v), bool)
+        status, failures = [Status.OPTIMAL.name] * len(v), list[Failure]()
+        for k, causes in enumerate(batch.causes):
+            if causes == OPTIMAL:
+                continue
+            first, status[k] = causes[0], written(causes)
+            usable[k], inaccurate[k] = first.usable, first is Status.INACCURATE
+            if not first.usable:
+                failures.append(Failure(k, first.value, batch.notes.get(k, "")))
         return Trace(
             controller=controller,
             solver=solver,
@@ -281,18 +261,19 @@ class _Recorder:
             effort=chain.model.effortLimit.copy(),
             tasks=tuple(info for info, _ in instants.parts),
             manipulability=instants.directional_manipulability(
-                self.t[-1], self.q[[0, -1]], self.v[-1:].sum(axis=0), self._inputs_at_end
+                self.t[-1], q[[0, -1]], v[-1:].sum(axis=0), self._inputs_at_end
             ),
             loop_position=instants.loop[:, 0],
             loop_orientation=instants.loop[:, 1],
             task_rows=rows_of((*problem.tasks, *problem.wrenches), chain),
-            status=tuple(self.status),
-            margins=kept.margins,
-            starts=kept.starts,
-            unaudited=kept.unaudited,
+            usable=usable,
+            inaccurate=inaccurate,
+            status=tuple(status),
             rows_in_python=self._law.rows_in_python,
             supports=supports,
-            failures=tuple(self.failures),
-            **{name: getattr(self, name) for name in TICKS},
+            failures=tuple(failures),
+            **vars(audit(problem.limits, chain, q, v, problem.dt, self._v_before)),
+            **{name: getattr(self, name) for name in RECORDED},
+            **{name: getattr(batch, name) for name in TICKS},
             **{name: getattr(instants, name) for name in INSTANTS},
         )

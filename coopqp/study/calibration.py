@@ -137,8 +137,6 @@ class _Solution(NamedTuple):
 
 
 class _Fit:
-    """The least-squares problem."""
-
     def __init__(self, chain: ClosedChain, *, encoders: bool) -> None:
         self.chain, self._loops = chain, chain.holding - 1
         motors = [i for i in range(chain.n) if i not in chain.passive] if encoders else []
@@ -172,7 +170,6 @@ class _Fit:
         return self._linearised(q, x)[0]
 
     def solve(self, q: Array) -> _Solution:
-        """The least-squares parameters."""
         x, sigma = np.zeros(len(self.names)), FIRST
         solution = _Solution(x, x, np.zeros((len(x), 0)))
         for _ in range(STEPS):
@@ -184,7 +181,6 @@ class _Fit:
         return solution
 
     def offsets(self, solution: _Solution) -> tuple[Offset, ...]:
-        """The parameters by name."""
         share = np.linalg.norm(solution.hidden, axis=1)
         deviations = np.where(share > SHARE, np.inf, solution.deviations)
         of = zip(self.names, self.units, solution.x.tolist(), deviations.tolist(), strict=True)

@@ -43,6 +43,12 @@ Work = Callable[[Any], Any]
 Numbered = Iterator[tuple[int, Any]]
 """Items by number, or what came of them."""
 
+Workers = Callable[[Work, Numbered], Numbered]
+"""Who does items: gives what came of them, in the order in which they are done.
+
+Where a worker dies, WorkersLostError; whoever asks again gets new ones.
+"""
+
 
 class WorkersLostError(CoopqpError):
     """A worker died, and with it all that was under way; its words say how."""
@@ -99,11 +105,12 @@ class Engine:
         What the work raises comes out here, and ends all; so does that no scheduler answers.
         """
         if self.scheduler:
-            with Cluster.at(self.scheduler) as cluster:
+            with _connected(self.scheduler) as client:
+                cluster = partial(_by_cluster, self.scheduler, client)
                 yield from _results(cluster, work, items)
             return
         jobs = min(self.jobs or cores(), length_hint(items) if count is None else count)
-        yield from _results(Processes(jobs) if jobs > 1 else Here(), work, items)
+        yield from _results(partial(_by_processes, jobs) if jobs > 1 else _here, work, items)
 
 
 def _results(workers: Workers, work: Work, items: Iterable[Item]) -> Iterator[tuple[Item, Any]]:
@@ -116,7 +123,7 @@ def _results(workers: Workers, work: Work, items: Iterable[Item]) -> Iterator[tu
 
     while True:
         try:
-            for number, result in workers.outcomes(work, handed_out()):
+            for number, result in workers(work, handed_out()):
                 yield under_way.pop(number), result
             if not under_way:
                 return
@@ -136,7 +143,7 @@ def _alone(workers: Workers, work: Work, item: Any) -> Any:
     why = ""
     for _ in range(TRIES):
         try:
-            ((_, result),) = workers.outcomes(work, iter([(0, item)]))
+            ((_, result),) = workers(work, iter([(0, item)]))
         except WorkersLostError as error:
             why = str(error)
         else:
@@ -144,13 +151,9 @@ def _alone(workers: Workers, work: Work, item: Any) -> Any:
     return Lost(why)
 
 
-@dataclass(frozen=True)
-class Here:
+def _here(work: Work, items: Numbered) -> Numbered:
     """No worker but this process, as a debugger wants it; an item that ends it ends all."""
-
-    def outcomes(self, work: Work, items: Numbered) -> Numbered:
-        """One after the other."""
-        return ((number, work(item)) for number, item in items)
+    return ((number, work(item)) for number, item in items)
 
 
 def _by_joblib(work: Work, items: Numbered, **settings: Any) -> Any:
@@ -179,29 +182,25 @@ def _for_good(item: Any, *, work: Work) -> Any:
 _freeze = cache(gc.freeze)  # once
 
 
-@dataclass(frozen=True)
-class Processes:
-    """So many, at least 2, because joblib does the work of one in this process."""
+def _by_processes(count: int, work: Work, items: Numbered) -> Numbered:
+    """Processes that are started, or go on from the last call.
 
-    count: int
+    There are at least 2, because joblib does the work of one in this process.
+    """
+    from joblib import parallel_config
+    from joblib.externals.loky.process_executor import BrokenProcessPool
 
-    def outcomes(self, work: Work, items: Numbered) -> Numbered:
-        """Those of processes that are started, or go on from the last call."""
-        from joblib import parallel_config
-        from joblib.externals.loky.process_executor import BrokenProcessPool
-
-        settings = {"initializer": _leave_with, "initargs": (os.getpid(),)}
-        try:
-            with _quiet(), ExitStack() as opened:
-                with _unsignalled(), parallel_config("loky", inner_max_num_threads=1, **settings):
-                    own = partial(_for_good, work=work)
-                    started = _by_joblib(own, items, n_jobs=self.count)
-                    outcomes = opened.enter_context(closing(started))
-                yield from outcomes
-        except BrokenProcessPool as error:
-            codes = re.search(r"exit codes? of the workers? (?:are|is) \{(.*)\}", str(error))
-            how = f": {codes.group(1)}" if codes else ""  # such as SIGKILL(-9)
-            raise WorkersLostError(f"its process ended{how}") from None
+    settings = {"initializer": _leave_with, "initargs": (os.getpid(),)}
+    try:
+        with _quiet(), ExitStack() as opened:
+            with _unsignalled(), parallel_config("loky", inner_max_num_threads=1, **settings):
+                started = _by_joblib(partial(_for_good, work=work), items, n_jobs=count)
+                outcomes = opened.enter_context(closing(started))
+            yield from outcomes
+    except BrokenProcessPool as error:
+        codes = re.search(r"exit codes? of the workers? (?:are|is) \{(.*)\}", str(error))
+        how = f": {codes.group(1)}" if codes else ""  # such as SIGKILL(-9)
+        raise WorkersLostError(f"its process ended{how}") from None
 
 
 def cores() -> int:
@@ -259,70 +258,51 @@ def _leave_with(parent: int) -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-@dataclass(frozen=True)
-class Cluster:
-    """The workers of the scheduler at an address, to which the client is connected."""
-
-    address: str
-    client: Any
-
-    @classmethod
-    @contextmanager
-    def at(cls, address: str) -> Iterator[Cluster]:
-        """Those of a scheduler that has to answer, and to have workers, within some seconds."""
-        with needs("--scheduler", "dask"):
-            from distributed import Client
-        # Dask's own lines about what comes and goes are not to stand between ours.
-        for name in list(logging.root.manager.loggerDict):
-            if name.partition(".")[0] in ("distributed", "tornado", "asyncio"):
-                logging.getLogger(name).setLevel(logging.CRITICAL + 1)
-        client = Client.__new__(Client)
+@contextmanager
+def _connected(address: str) -> Iterator[Any]:
+    """A client of a scheduler that has to answer, and to have workers, within some seconds."""
+    with needs("--scheduler", "dask"):
+        from distributed import Client
+    # Dask's own lines about what comes and goes are not to stand between ours.
+    for name in list(logging.root.manager.loggerDict):
+        if name.partition(".")[0] in ("distributed", "tornado", "asyncio"):
+            logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+    client = Client.__new__(Client)
+    try:
+        client.__init__(address, timeout=PATIENCE, set_as_default=False)
+    except (OSError, ValueError) as error:
+        client.status = "closed"  # else its __del__ waits for the scheduler to take its leave
+        words = f"no Dask scheduler answers at '{address}' within {PATIENCE:g} s"
+        raise CoopqpError(f"{words}; start one: dask scheduler") from error
+    try:
         try:
-            client.__init__(address, timeout=PATIENCE, set_as_default=False)
-        except (OSError, ValueError) as error:
-            client.status = "closed"  # else its __del__ waits for the scheduler to take its leave
-            words = f"no Dask scheduler answers at '{address}' within {PATIENCE:g} s"
-            raise CoopqpError(f"{words}; start one: dask scheduler") from error
-        try:
-            try:
-                client.wait_for_workers(1, timeout=PATIENCE)
-            except TimeoutError:
-                words = f"the Dask scheduler at '{address}' has no workers"
-                raise CoopqpError(f"{words}; start some: dask worker {address}") from None
-            yield cls(address, client)
-        finally:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                client.close(timeout=PATIENCE)
-
-    def outcomes(self, work: Work, items: Numbered) -> Numbered:
-        """Dask itself does again what a worker had under way that went, up to three times."""
-        from distributed import KilledWorker
-
-        try:
-            backend = _answering()(client=self.client, wait_for_workers_timeout=PATIENCE)
-            with warnings.catch_warnings():
-                warnings.filterwarnings("ignore", module=r"(joblib|distributed)\.")
-                started = _by_joblib(work, items, n_jobs=-1, backend=backend)
-                with closing(started) as outcomes:
-                    yield from outcomes
-        except KilledWorker as error:
-            raise WorkersLostError(f"ended {error.allowed_failures + 1} Dask workers") from None
+            client.wait_for_workers(1, timeout=PATIENCE)
         except TimeoutError:
-            raise self._gone("has had no worker") from None
-        except (OSError, asyncio.CancelledError, concurrent.futures.CancelledError):
-            raise self._gone("is gone") from None
+            words = f"the Dask scheduler at '{address}' has no workers"
+            raise CoopqpError(f"{words}; start some: dask worker {address}") from None
+        yield client
+    finally:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            client.close(timeout=PATIENCE)
 
-    def _gone(self, what: str) -> CoopqpError:
+
+def _by_cluster(address: str, client: Any, work: Work, items: Numbered) -> Numbered:
+    """Dask itself does again what a worker had under way that went, up to three times."""
+    from distributed import KilledWorker
+
+    try:
+        backend = _answering()(client=client, wait_for_workers_timeout=PATIENCE)
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", module=r"(joblib|distributed)\.")
+            with closing(_by_joblib(work, items, n_jobs=-1, backend=backend)) as outcomes:
+                yield from outcomes
+    except KilledWorker as error:
+        raise WorkersLostError(f"ended {error.allowed_failures + 1} Dask workers") from None
+    except (OSError, asyncio.CancelledError, concurrent.futures.CancelledError) as error:
+        what = "has had no worker" if isinstance(error, TimeoutError) else "is gone"
         words = "what was done is kept, and the same command goes on from there"
-        return CoopqpError(f"the Dask scheduler at '{self.address}' {what}; {words}")
-
-
-Workers = Here | Processes | Cluster
-"""Who does items: ``outcomes`` gives what came of them, in the order in which they are done.
-
-Where a worker dies, WorkersLostError; whoever asks again gets new ones.
-"""
+        raise CoopqpError(f"the Dask scheduler at '{address}' {what}; {words}") from None
 
 
 def _answering() -> Any:

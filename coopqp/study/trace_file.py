@@ -32,10 +32,10 @@ from coopqp.recordings.csv_file import CsvFile
 from coopqp.recordings.run import OTHER, Run
 from coopqp.scenario.input import wanted
 from coopqp.scenario.scenario import Scenario
-from coopqp.signal import InputValues, Kind, Trajectory
+from coopqp.signal import InputValues, Kind
 from coopqp.solver import HALTS, Status, causes_of
 from coopqp.study.tick_record import TickRecord, record_tick
-from coopqp.trace import Failure, InputTrace, PhaseInfo, TaskInfo, Trace, join, no_input
+from coopqp.trace import Failure, InputTrace, PhaseInfo, TaskInfo, Trace, followed, join, no_input
 
 #: What times may be off by, as a share of a tick, and joints that do as told [rad, m].
 OF_A_TICK, ROUNDING = 0.01, 1e-9
@@ -106,8 +106,7 @@ def _phase(run: Run, problem: ControlProblem, begin: str, v_before: Array | None
     )
     e, rate = (run.numbers(of_field(name, layout), empty=True) for name in ("e", "rate"))
     causes = [causes_of(word)[0] for word in told.columns["status"]]
-    failed = [(k, cause.value) for k, cause in enumerate(causes) if not cause.usable]
-    kept = audit(problem.limits, chain, q, v, dt, v_before)
+    failed = (Failure(k, cause.value) for k, cause in enumerate(causes) if not cause.usable)
     return Trace(
         controller=run.controllers[0], solver=None, engine=None, dt=dt, kappa=problem.kappa,
         joints=joints, units=chain.joint_units, lower=chain.lower, upper=chain.upper,
@@ -120,9 +119,9 @@ def _phase(run: Run, problem: ControlProblem, begin: str, v_before: Array | None
         task_rows=rows, e=e, rate=rate,
         usable=np.array([cause.usable for cause in causes]), inaccurate=np.zeros(ticks, bool),
         status=tuple(told.columns["status"].tolist()), scale=np.ones(ticks),
-        margins=kept.margins, starts=kept.starts, unaudited=kept.unaudited,
         compiled=np.zeros(ticks, bool), tick_us=np.zeros(ticks), points={}, supports=frozenset(),
-        failures=tuple(Failure(*each) for each in failed),
+        failures=tuple(failed),
+        **vars(audit(problem.limits, chain, q, v, dt, v_before)),
     )  # fmt: skip
 
 
@@ -265,12 +264,8 @@ def state_from_trace(run: Run, controller: str, tick: int, law: Law, t_start: fl
 
 def _followed(row: Run, law: Law, causes: Collection[Status]) -> InputValues:
     """What was made of the inputs in a tick."""
-    found = InputValues()
-    for name, (kind, _) in wanted(law.problem.all_tasks, law.start()).items():
-        kept = _input(row, name, kind)
-        if np.isfinite(kept.value).any():
-            found[name] = Trajectory(kind, kept.value[0])
-            found[name].rate[:] = kept.rate[0]
+    asked = wanted(law.problem.all_tasks, law.start()).items()
+    found = followed({name: _input(row, name, kind) for name, (kind, _) in asked}, 0)
     found.stale = tuple(found) if Status.INPUT_STALE in causes else ()
     found.refused = tuple(found) if Status.INPUT_REFUSED in causes else ()
     return found

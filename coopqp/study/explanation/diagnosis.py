@@ -80,7 +80,6 @@ def _contradiction(goal: Goal, q: Array) -> Contradiction:
 
 
 def _of_object(goal: Goal) -> bool:
-    """Whether a task sees the object alone."""
     chain = goal.chain
     goal.look(chain.q_start + 0.1 * np.sin(1.0 + np.arange(chain.n)))
     J, J_task = goal.stack.J, goal.state.J_task

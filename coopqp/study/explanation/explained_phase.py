@@ -237,7 +237,7 @@ class Violation:
 
     row: Row  # its most violated one
     amount: float
-    space: int | None = None  # its index in ``Room.limits``, None for a joint's
+    limit: Limit | None = None  # in space; None for a joint's
 
 
 def violations_along(room: Room, qs: Array) -> list[Violation]:
@@ -246,8 +246,8 @@ def violations_along(room: Room, qs: Array) -> list[Violation]:
     for owner in np.unique(room.owners).tolist():
         own = np.flatnonzero(room.owners == owner)
         row = room.all_rows[own[slack[-1, own].argmin()]]
-        space = owner - len(room.sides) if owner >= len(room.sides) else None
-        found.append(Violation(row, float(-slack[:, own].min()), space))
+        limit = room.limits[owner - len(room.sides)] if owner >= len(room.sides) else None
+        found.append(Violation(row, float(-slack[:, own].min()), limit))
     return [violation for violation in found if violation.amount > NOTHING]
 
 
@@ -378,14 +378,13 @@ def _tried(
         return None
     limits = phase.scenario.limits
     for need in needs:
-        if need.space is not None:
-            limit = phase.room.limits[need.space]
-            relaxed = limit.relaxed(need.amount)
+        if need.limit is not None:
+            relaxed = need.limit.relaxed(need.amount)
             if relaxed is None:
-                own = type(limit).relaxed is not Limit.relaxed
+                own = type(need.limit).relaxed is not Limit.relaxed
                 return SuggestedRelaxation(needs, None, untried="" if own else need.row.owner)
-            limits = tuple(relaxed if other is limit else other for other in limits)
-    wider = {need.row: need.amount for need in needs if need.space is None}
+            limits = tuple(relaxed if other is need.limit else other for other in limits)
+    wider = {need.row: need.amount for need in needs if need.limit is None}
     after = rerun(phase, wider=wider, limits=limits)
     if after.missed and goal:
         late = rerun(phase, longer=True, wider=wider, limits=limits)
@@ -448,8 +447,8 @@ def needed(needs: Sequence[Violation], *, alone: bool = True) -> str:
     """Limits with their relaxations; the verb with the first."""
     clauses: list[str] = []
     for need in needs:
-        name = need.row.words if need.space is None else need.row.owner.replace("_", " ")
+        name = need.row.words if need.limit is None else need.row.owner.replace("_", " ")
         amount = words.size(need.amount, need.row.unit)
         verb = "would need " if alone and not clauses else ""
-        clauses.append(f"{name} {verb}{amount} more{'' if need.space is None else ' room'}")
+        clauses.append(f"{name} {verb}{amount} more{'' if need.limit is None else ' room'}")
     return words.listed(clauses)

@@ -35,6 +35,7 @@ from coopqp.assessment.thresholds import within
 from coopqp.base.qp import Row
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
+from coopqp.execution import instants
 from coopqp.limit import Clearance, DistanceBounds, Limit, LimitRows, Program
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
@@ -216,15 +217,13 @@ def least_relaxation(
 
 def shares(found: Iterable[tuple[Row, float]]) -> tuple[Share, ...]:
     """The limits' shares, largest first; forces on corners or sides of one limit are summed."""
-    by_thing: dict[str, float] = {}
-    leader: dict[str, tuple[float, Row]] = {}
+    by_thing: dict[str, list[tuple[Row, float]]] = {}
     for row, amount in found:
-        thing = thing_of(row)
-        by_thing[thing] = by_thing.get(thing, 0.0) + amount
-        if amount > leader.get(thing, (-1.0, row))[0]:
-            leader[thing] = amount, row
-    total = max(sum(by_thing.values()), 1e-300)
-    named = [Share(leader[thing][1], amount / total) for thing, amount in by_thing.items()]
+        by_thing.setdefault(thing_of(row), []).append((row, amount))
+    sums = [sum(amount for _, amount in own) for own in by_thing.values()]
+    total = max(sum(sums), 1e-300)
+    leaders = [max(own, key=lambda one: one[1])[0] for own in by_thing.values()]
+    named = [Share(row, amount / total) for row, amount in zip(leaders, sums, strict=True)]
     large = [share for share in named if share.share >= IDLE]
     return tuple(sorted(large, key=lambda share: -share.share))
 
@@ -333,13 +332,9 @@ class Goal:
 
 def parts_of(tasks: Sequence[Task], chain: ClosedChain) -> list[PartOfTask]:
     """Every part of every task, with its rows in their stack."""
-    parts, at = [], 0
-    for task in tasks:
-        for part in task.parts(chain):
-            name = f"{task.name}.{part.name}" if part.name else task.name
-            parts.append(PartOfTask(task, part, slice(at, at + part.rows), name))
-            at += part.rows
-    return parts
+    asked = [(task, part) for task in tasks for part in task.parts(chain)]
+    named = zip(asked, instants.parts_of(tasks, chain), strict=True)
+    return [PartOfTask(task, part, rows, info.name) for (task, part), (info, rows) in named]
 
 
 def placed(tasks: Sequence[Task], chain: ClosedChain) -> tuple[Task, ...]:

@@ -107,20 +107,16 @@ def _calmer(phase: ExplainedPhase, names: Sequence[str]) -> Iterator[tuple[str, 
     """Reruns in which some hard tasks ask for less speed, and how."""
     tasks = phase.scenario.schedule[phase.index].tasks
     asked = replace(phase, level=max(phase.missed[0][0].task.level, level_of("scaled", 0)))
-    for way, change in ("mode: scaled", _scaled), (f"profile.duration times {SLOWER:g}", _slower):
-        changed = [change(task) if task.name in names else task for task in tasks]
+    for way, slower in ("mode: scaled", False), (f"profile.duration times {SLOWER:g}", True):
+        changed = [_calm(task, slower=slower) if task.name in names else task for task in tasks]
         yield way, rerun(asked, longer=True, tasks=changed)
 
 
-def _scaled(task: Task) -> Task:
-    return replace(task, mode="scaled")
-
-
-def _slower(task: Task) -> Task:
-    way = task.way
-    changed: dict[str, Any] = (
-        {"profile": replace(way, duration=SLOWER * way.duration)} if way else {}
-    )
+def _calm(task: Task, *, slower: bool) -> Task:
+    changed: dict[str, Any] = {"mode": "scaled"}
+    if slower:
+        way = task.way
+        changed = {"profile": replace(way, duration=SLOWER * way.duration)} if way else {}
     return replace(task, **changed)
 
 

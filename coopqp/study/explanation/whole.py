@@ -234,29 +234,26 @@ def _culprits(phase: ExplainedPhase, trace: Trace, tick: int) -> str:
     found = _used_up(phase, trace, k)
     while k > 0 and (before := _used_up(phase, trace, k - 1)):
         k, found = k - 1, before
-    by_why: dict[str, list[str]] = {}
-    for arm, why in found:
-        by_why.setdefault(why, []).append(arm)
-    return listed([f"{why} at {listed(arms)}" for why, arms in by_why.items()])
+    return listed([f"{why} at {listed(arms)}" for why, arms in found.items()])
 
 
-def _used_up(phase: ExplainedPhase, trace: Trace, k: int) -> list[tuple[str, str]]:
-    """Hands with a contact at its limit in a tick, and why."""
-    robot, found = [arm.name for arm in phase.scenario.robot_model.arms], []
+def _used_up(phase: ExplainedPhase, trace: Trace, k: int) -> dict[str, list[str]]:
+    """Arms whose contact is at its limit in a tick, by why."""
+    robot, found = [arm.name for arm in phase.scenario.robot_model.arms], dict[str, list[str]]()
     friction, edge = (trace.signals[name][k] for name in ("friction_use", "edge_use"))
     for hand in hands(phase.problem.chain):
         if hand.contact is None:
             continue
         i = robot.index(hand.arm)
         if edge[i] >= TIPS:
-            found.append((hand.arm, "the pressure reaches the pad's edge"))
+            found.setdefault("the pressure reaches the pad's edge", []).append(hand.arm)
         elif not friction[i] < TIPS:  # NaN: nothing presses there
             modelled, factor = hand.contact.friction, phase.scenario.disturbance.friction
             there = f"friction of {modelled:g}"
             if factor != 1.0:
                 believed = f"where the controller is told {modelled:g}"
                 there = f"friction of {modelled * factor:.2g}, {believed},"
-            found.append((hand.arm, f"{there} does not do"))
+            found.setdefault(f"{there} does not do", []).append(hand.arm)
     return found
 
 

@@ -77,27 +77,25 @@ def _metric(name: str, info: ValidationInfo) -> str:
 _MANY = f"needs a whole number of 1 to {MOST:,}"
 _COUNTS = needs(lambda x: type(x) is int and 1 <= x <= MOST, _MANY)
 Count = Annotated[int, Field(ge=1, le=MOST), _COUNTS]
+
+
+def _one_of(name: str, about: str, most: int, fields: dict[str, Any]) -> Any:
+    """A model with at least one of its fields and at most so many."""
+    counts = ConfigDict(**STRICT, json_schema_extra={"minProperties": 1, "maxProperties": most})
+    return create_model(name, __config__=counts, __doc__=about, **fields)
+
+
 _KINDS: dict[str, Any] = {
     kind: (Annotated[form, AfterValidator(build)], Field(default=None, description=about))
     for kind, (form, build, about) in space.KINDS.items()
 }
-Over: Any = create_model(
-    "Over",
-    __config__=ConfigDict(**STRICT, json_schema_extra={"minProperties": 1, "maxProperties": 1}),
-    __doc__="What a key is varied over.",
-    **_KINDS,
-)
+Over: Any = _one_of("Over", "What a key is varied over.", 1, _KINDS)
 _WAYS: dict[str, Any] = {
     way: (Count | None if way == GRID else Count, Field(default=None, description=about))
     for way, about in SAMPLES.items()
 }
 _WAYS[SEED] = (Annotated[int, Field(ge=0)], Field(default=0, description="Of all that is random."))
-Samples: Any = create_model(
-    "Samples",
-    __config__=ConfigDict(**STRICT, json_schema_extra={"minProperties": 1, "maxProperties": 2}),
-    __doc__="How many variants, and how they are chosen.",
-    **_WAYS,
-)
+Samples: Any = _one_of("Samples", "How many variants, and how they are chosen.", 2, _WAYS)
 
 
 class StudyFile(BaseModel):

@@ -55,12 +55,13 @@ def path_of(folder: Path, share: Share) -> Path:
     return folder / f"{name}.sqlite3"
 
 
-def journals(folder: Path) -> list[Path]:
-    """All journals of a study that have a head; what is no journal is refused."""
+def journals(folder: Path) -> dict[Path, dict[str, Any]]:
+    """The heads of all journals of a study that have one; what is no journal is refused."""
     for path in folder.glob(OLDER):
         words = "was written by an older coopqp (one that kept JSON lines)"
         raise CoopqpError(f"'{path}' {words}; use that one, or give another --out")
-    return [path for path in sorted(folder.glob(PATTERN)) if head_of(path) is not None]
+    heads = {path: head_of(path) for path in sorted(folder.glob(PATTERN))}
+    return {path: head for path, head in heads.items() if head is not None}
 
 
 def head_of(path: Path) -> dict[str, Any] | None:
@@ -203,7 +204,7 @@ class Index:
     """
 
     def __init__(self, folder: Path, study: Study) -> None:
-        self._paths, self._controllers = journals(folder), len(study.controllers)
+        self._paths, self._controllers = list(journals(folder)), len(study.controllers)
         self._there = np.zeros(study.points.count, bool)
         self.damaged = 0
         kinds: dict[str, str] = {}

@@ -200,7 +200,6 @@ def needs(test: Callable[[Any], bool], words: str) -> BeforeValidator:
 
 
 def _list(item: Any, least: int, most: int | None, words: str) -> Any:
-    """A list of so many."""
     of_item = types.GenericAlias(list, (item,))
     many = needs(lambda x: isinstance(x, list) and least <= len(x) <= (most or len(x)), words)
     return Annotated[of_item, Field(min_length=least, max_length=most), many]

@@ -86,7 +86,8 @@ def sweep(
     results.needs_arrow()
     head = _head_for(study)
     _check_folder(folder, head)
-    job = job_of(study)
+    data, folders = json.dumps(study.scenario.data), study.catalog.folders
+    job = Job(study.scenario_text, data, study.locations, study.controllers, study.metrics, folders)
     with results.Journal.opened(results.path_of(folder, engine.share), head) as journal:
         mine = engine.share.taken(range(study.points.count))
         index = results.Index(folder, study)
@@ -123,8 +124,7 @@ def sweep(
 class Job:
     """What a worker must know: the scenario's file, for faults, its data as JSON, and so on."""
 
-    path: Path
-    text: str
+    file: tuple[Path, str]
     data: str
     places: tuple[tuple[Any, ...], ...]
     controllers: tuple[str, ...]
@@ -132,16 +132,9 @@ class Job:
     folders: tuple[tuple[Path, ...], ...]
 
 
-def job_of(study: Study) -> Job:
-    """What the workers must know."""
-    path, text = study.scenario_text
-    data, folders = json.dumps(study.scenario.data), study.catalog.folders
-    return Job(path, text, data, study.locations, study.controllers, study.metrics, folders)
-
-
 @lru_cache(maxsize=2)
 def _prepared(job: Job) -> tuple[YamlFile, Mapping[str, Any], Catalog, Known]:
-    return parsed(job.path, job.text), json.loads(job.data), Catalog(*job.folders), Known()
+    return parsed(*job.file), json.loads(job.data), Catalog(*job.folders), Known()
 
 
 def run_variant(variant: Variant, *, job: Job) -> list[Row]:
@@ -275,8 +268,7 @@ def _check_folder(folder: Path, own: dict[str, Any]) -> None:
         torn = any(folder.glob(results.PATTERN))
         why = "the head of its journal is damaged" if torn else "its journal is not there"
         raise CoopqpError(f"'{folder}' has {results.NAME}, but {why}; {AWAY}")
-    for path in found:
-        head = results.head_of(path) or {}
+    for head in found.values():
         if different := list(_different(head, own)):
             words = f"'{folder}' belongs to another study ('{head.get('name')}'), or an older one"
             differ = "differ" if len(different) > 1 else "differs"
@@ -349,7 +341,7 @@ def _head(folder: Path) -> dict[str, Any]:
     if not found:
         words = "holds no study: needs a journal, as 'coopqp sweep' writes it"
         raise CoopqpError(f"'{folder}' {words}")
-    return results.head_of(found[0]) or {}
+    return next(iter(found.values()))
 
 
 def scenario_of_row(study: Study, row: int) -> tuple[str, str]:
