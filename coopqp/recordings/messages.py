@@ -230,7 +230,6 @@ class Mcap(ExportFormat):
     """One file a controller."""
 
     name: ClassVar[str] = "mcap"
-    suffix: ClassVar[str] = ".mcap"
 
     def write(self, run: Run, scenario: Scenario, path: Path) -> None:
         # foxglove's own writer prints what goes wrong, and goes on; this one raises.
@@ -338,10 +337,9 @@ class Rosbag2(ExportFormat):
     """One folder a controller."""
 
     name: ClassVar[str] = "rosbag2"
-    suffix: ClassVar[str] = ".rosbag2"
 
     def holds(self, path: Path) -> bool:
-        return path.suffix == self.suffix or (path / "metadata.yaml").is_file()
+        return super().holds(path) or (path / "metadata.yaml").is_file()
 
     def write(self, run: Run, scenario: Scenario, path: Path) -> None:
         with needs("rosbag2", "recordings"):

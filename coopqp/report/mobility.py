@@ -180,10 +180,8 @@ def rows(result: Study) -> list[tuple[str, str, str]]:
     lines += [("impossible motion", "", screw.words()) for screw in m.impossible]
     lines += [("motion no motor decides", "", screw.words()) for screw in m.uncontrolled]
     lines += _force_rows(result.forces) if result.forces else []
-    if len(result.manipulability):
-        low, high = result.manipulability.min(), result.manipulability.max()
-        lines.append(("manipulability on the way", "", f"{low:.3g} to {high:.3g}"))
-    return lines
+    low, high = result.manipulability.min(), result.manipulability.max()
+    return [*lines, ("manipulability on the way", "", f"{low:.3g} to {high:.3g}")]
 
 
 def _force_rows(internal: Forces) -> list[tuple[str, str, str]]:

@@ -184,7 +184,7 @@ def check_start(data: Mapping[str, Any], scenario: Scenario, known: Known) -> No
         chain = chain if scenario.held == before.held else chain.carrying(scenario.held)
         vars(scenario)["chain"] = chain
     chain = _closed(data, scenario, key)
-    refuse([*_too_large(chain), *_unknown_springs(scenario)])
+    refuse(_of_chain(scenario, chain))
     if not allowed:
         refuse(passive_outside(chain, passive, key))
     problems = list(scenario.problems(lambda _: chain.q_start))
@@ -234,9 +234,13 @@ def _closed(data: Mapping[str, Any], scenario: Scenario, key: str) -> ClosedChai
         raise MisplacedError([Wrong(where, str(error))]) from None
 
 
-def _unknown_springs(scenario: Scenario) -> Iterator[Wrong]:
-    """Joints of the observer's stiffness that there are not."""
-    given, names = scenario.observer.stiffness, scenario.chain.joint_names
+def _of_chain(scenario: Scenario, chain: ClosedChain) -> Iterator[Wrong]:
+    """An object that is too large, and joints of the observer's stiffness that there are not."""
+    longest = max(chain.held.size)
+    if longest > LARGE * chain.reach:
+        words = f"found an edge of {longest:g} m, but the arms reach {chain.reach:.2g} m"
+        yield Wrong(["object", "size"], f"{words}; lengths are metres")
+    given, names = scenario.observer.stiffness, chain.joint_names
     for name in given if isinstance(given, Mapping) else ():
         if name not in names:
             yield Wrong(["observer", "stiffness", name], unknown_name("joint", name, names))
@@ -387,10 +391,3 @@ def _broken_limits(scenario: Scenario, places: Places) -> Iterator[Wrong]:
         if isinstance(limit, JointAcceleration) and limit.margin < margin:
             words = f"needs at least joint_position's {margin:g}, so that joints brake in time"
             yield Wrong(["limits", i], f"margin: found {limit.margin:g}, {words}")
-
-
-def _too_large(chain: ClosedChain) -> Iterator[Wrong]:
-    longest = max(chain.held.size)
-    if longest > LARGE * chain.reach:
-        words = f"found an edge of {longest:g} m, but the arms reach {chain.reach:.2g} m"
-        yield Wrong(["object", "size"], f"{words}; lengths are metres")

@@ -263,11 +263,9 @@ def _legend(setup: PageSetup) -> str:
 
 def _recorded(frame: Frame, setup: PageSetup) -> str:
     how = " since the beginning; coopqp compare replays it"
-    text = (
-        f"{frame.recorded:.1f} s{how if setup.folder else '; begin with --record OUT to save it'}."
-    )
+    how = how if setup.folder else "; begin with --record OUT to save it"
     note = f'<div style="margin-top:0.3em">{escape(frame.note)}</div>' if frame.note else ""
-    return _box(text + note)
+    return _box(f"{frame.recorded:.1f} s{how}.{note}")
 
 
 def of_joint(left: float, base: Rgb) -> Rgb:

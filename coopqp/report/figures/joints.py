@@ -151,8 +151,8 @@ def _marks(
     for low, high, heights, symbols in bounds:
         for k in np.flatnonzero((y < low) | (y > high))[:1]:
             up = bool(y[k] > high)
-            place = [(float(chart.any.t[k]), heights[up])]
-            marks.append(curves.markers(name, chart.styles[name], place, symbols[up]))
+            t, style = float(chart.any.t[k]), chart.styles[name]
+            marks.append(curves.mark(name, style, t, heights[up], symbols[up]))
     return marks
 
 
