@@ -410,7 +410,9 @@ class _Controller:
         self._send, self._root = send, scene.add_frame(name, show_axes=False)
         look: Any = {"color": LINK, "side": "double", "flat_shading": True}
         self._links = [
-            scene.add_mesh_simple(f"{name}/link{k}", body.vertices, body.corners, **look)
+            scene.add_mesh_simple(
+                f"{name}/link{k}", body.surface.vertices, body.surface.corners, **look
+            )
             for k, body in enumerate(setup.bodies)
         ]
         self._held = scene.add_box(f"{name}/object", color=self._color, dimensions=setup.size)
@@ -447,7 +449,7 @@ class _Controller:
             nothing = np.zeros(3)
             self.place(shown=drawn is not None, ghost=True, shift=nothing, draggable=False)
             for body, node in zip(self._bodies, self._links, strict=True):
-                node.visible = body.joint is not None
+                node.visible = body.joint > 0
         if drawn is not None:
             self.draw(drawn)
 
@@ -457,9 +459,9 @@ class _Controller:
         _move(self._held, drawn.held)
         for k, (body, node) in enumerate(zip(self._bodies, self._links, strict=True)):
             left = 1.0
-            if body.joint is not None:
+            if body.joint:
                 _move(node, drawn.bodies[k])
-                left = float(drawn.left[body.joint])
+                left = float(drawn.left[body.joint - 1])
             color = of_joint(left, self._base)
             if color != self._colors[k]:
                 self._colors[k] = node.color = color

@@ -54,7 +54,7 @@ class Player:
         self.has_explainer = self.has_planner = True  # whether their processes are alive
         self.refused: dict[str, str] = {}  # controllers that are left out, and why
         self._names = self._playable(tuple(names))
-        self._bodies, self.faults = picture.surfaces(self.scenario)
+        self._bodies, self.faults = picture.all_bodies(self.scenario)
         self._place = Place(self.scenario)
         self.reset()
         self._knobs = tuple(self._own_knobs())

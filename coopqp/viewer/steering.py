@@ -275,7 +275,7 @@ def _dials_of(task: Task, place: Key, group: str, dt: float) -> Iterator[Dial]:
     if isinstance(force, float | int) and force > 0.0:
         high = 2.0 * force
         yield Dial((*place, SQUEEZE), group, "squeeze [N]", 0.0, high, high / STEPS, force)
-    if not (task.asks_velocity or task.of_forces):
+    if not (task.asks_velocity or task.of_forces or task.impedance):
         high = max(min(max(MAX_GAIN, 2.0 * task.gain), 1.0 / dt), task.gain)
         low = min(MIN_GAIN, task.gain)
         step = (high - low) / STEPS
