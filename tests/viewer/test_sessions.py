@@ -228,6 +228,14 @@ def test_a_session_that_has_written_nothing_says_why(tmp_path: Path) -> None:
     assert "cannot write the recording" in player.note
 
 
+def test_every_dial_of_an_impedance_can_be_turned() -> None:
+    player = playing("impedance")
+    for dial in player.show().dials:
+        player.do(Action("dial", dial.key, (0.5 * (dial.low + dial.high),)))
+        player.tick()
+    assert not player.note
+
+
 @pytest.mark.parametrize("name", ["point_on_point", "rigid_vs_passive"])
 def test_links_are_drawn_where_the_joints_are(name: str) -> None:
     player = playing(name)
