@@ -184,7 +184,6 @@ class _Remarks:
                 self._limits.setdefault(column.split(name)[1], []).append(name)
 
     def of(self, k: int) -> Iterator[Remark]:
-        """Of a row, as far as it has them."""
         causes = causes_of(self._status[k]) if self._status[k] else ()
         level = max((level_of(cause) for cause in causes), default=0)
         said = "; ".join(cause.value for cause in causes) or "the end"
@@ -320,7 +319,6 @@ class _Messages:
 
 
 def _schema(row: Mapping[str, Any]) -> dict[str, Any]:
-    """JSON Schema of a row: whose columns there are; each may be null."""
     inside = {
         key: _schema(value) if isinstance(value, dict) else {"type": ["number", "string", "null"]}
         for key, value in row.items()

@@ -129,7 +129,6 @@ def as_json(result: Study) -> dict[str, Any]:
 
 
 def _forces_json(internal: Forces | None) -> dict[str, Any] | None:
-    """Ranks by arm and pair, and the range of the squeeze."""
     if internal is None:
         return None
     ranks = internal.transmission
@@ -185,7 +184,6 @@ def rows(result: Study) -> list[tuple[str, str, str]]:
 
 
 def _force_rows(internal: Forces) -> list[tuple[str, str, str]]:
-    """What decides the internal wrenches, and the range of the squeeze."""
     ranks = internal.transmission
     lines = [(f"internal wrenches, {ranks.dimensions}", "", ranks.all.words)]
     for arm in ranks.arms:

@@ -145,7 +145,6 @@ class FaultyPlant(PlantModel):
         return self._ticks * self._dt
 
     def _carried_out(self, command: Command) -> Command:
-        """What the motors make of a command."""
         done = command.copy()
         for fault in self._faults:
             if fault.of == "motor":

@@ -430,7 +430,6 @@ class _Controller:
         self._held.on_drag(self._pull)
 
     async def _pull(self, event: Any) -> None:
-        """Send where the object's origin is pulled."""
         if event.phase != "end" and self._draggable:
             pull = np.subtract(event.end_position, event.start_position)
             self._send(Action("carry", 0, _numbers(np.asarray(self._held.position) + pull)))

@@ -128,7 +128,6 @@ class SimulatedController:
         self._start_driving()
 
     def _leave_way(self) -> None:
-        """Go on with the phase's own tasks."""
         if self.follows is not None:
             self.follows = None
             del self.run.inputs.clocks[CLOCK], self.run.state.inputs[CLOCK]

@@ -419,7 +419,6 @@ class Recording:
 
 
 def _spelled(slot: Any) -> dict[str, Any]:
-    """A plug-in's entry as one name with its fields."""
     if isinstance(slot, str):
         return {slot: {}}
     ((name, fields),) = slot.items()

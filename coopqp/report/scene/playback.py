@@ -212,7 +212,6 @@ def joint_state(trace: Trace) -> NDArray[np.int64]:
 
 
 def _readout(trace: Trace, frames: NDArray[np.int64]) -> list[list[str]]:
-    """Texts below each frame."""
     texts = []
     margins = {unit: margin(trace, unit) for unit in joint_units([trace])}
     for k in frames:
