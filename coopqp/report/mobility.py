@@ -124,8 +124,7 @@ def as_json(result: Study) -> dict[str, Any]:
         "lost_at_start": [s.joints for s in m.lost_at_start],
         "manipulability": {"t": result.t, "value": result.manipulability},
     }
-    written: dict[str, Any] = finite(data)
-    return written
+    return dict(finite(data))
 
 
 def _forces_json(internal: Forces | None) -> dict[str, Any] | None:

@@ -152,10 +152,8 @@ class Shelf:
         files = sorted(p for p in self.folder.glob("*.py") if not p.name.startswith("_"))
         if not files:
             word = self.kind.removesuffix("s")
-            yield Fault(
-                str(self.folder),
-                f"no {word} files (*.py) here; each {word} needs a file of its own",
-            )
+            words = f"no {word} files (*.py) here; each {word} needs a file of its own"
+            yield Fault(str(self.folder), words)
         for file in files:
             yield self._entry(file)
 

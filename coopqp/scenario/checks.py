@@ -194,16 +194,13 @@ def check_start(data: Mapping[str, Any], scenario: Scenario, known: Known) -> No
         for phase, problem in zip(scenario.schedule, problems, strict=True)
     }
     refuse(_badly_held(data, places))
-    of_tasks = {} if scenario.follows else {
+    placed = list(placed_tasks(scenario))
+    of_tasks = {
         tuple(place): (of_chain, data.get("inputs"), phase.duration, _at(data, place))
-        for place, task, phase in placed_tasks(scenario)
+        for place, task, phase in (() if scenario.follows else placed)
         if not task.of_forces
-    }  # fmt: skip
-    tasks = [
-        (place, task, phase)
-        for place, task, phase in placed_tasks(scenario)
-        if not known.get(tuple(place), of_tasks.get(tuple(place)))
-    ]
+    }
+    tasks = [one for one in placed if not known.get(tuple(one[0]), of_tasks.get(tuple(one[0])))]
     of_limits = of_chain, [data.get(key) for key in ("limits", "dt", "start_outside")]
     wrong_plugins = [*_broken_tasks(tasks, places)]
     if new_limits := not known.get("limits", of_limits):

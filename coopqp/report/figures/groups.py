@@ -231,12 +231,10 @@ def _log(
     *levels: Json,
     rows: slice = ALWAYS,
 ) -> Figure:
-    """On a log scale, with the bound below which errors are good.
-
-    All is shown but the rare dips towards zero; at least two decades.
-    """
+    """On a log scale, with the bound below which errors are good."""
     lines = {name: np.maximum(y, scale * FLOOR) for name, y in lines.items()}
     known = np.concatenate([y[np.isfinite(y)] for y in lines.values()])
+    # All but the rare dips towards zero; at least two decades.
     bottom, top = min(float(np.percentile(known, 3)), good), max(float(known.max()), good)
     shown = Window(bottom / 3.0, max(3.0 * top, 100.0 * bottom))
     bound = curves.level(good, f"counts as {word}: {good:.3g}", log=True)
