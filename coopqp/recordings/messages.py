@@ -81,8 +81,7 @@ class Instant(NamedTuple):
 
     ns: int  # its time [ns]
     joints: Mapping[str, Joints]  # by topic
-    frames: tuple[Placed, ...]  # of the robot
-    held: Placed  # the object
+    frames: tuple[Placed, ...]  # of the robot, and then of the object
     remarks: tuple[Remark, ...]
     row: Mapping[str, Any]  # all of it, as objects inside each other, :func:`nested`
 
@@ -98,13 +97,11 @@ def instants(run: Run, scenario: Scenario) -> Iterator[Instant]:
     joints, remarks = _joints(run, chain.joint_names), _Remarks(run, scenario)
     for k, row in enumerate(nested(run.columns)):
         pin.framesForwardKinematics(chain.model, data, q[k])
+        links = (_placed(name, data.oMf[i].rotation, data.oMf[i].translation) for name, i in frames)
         yield Instant(
             ns=round(1e9 * t[k]),
             joints={topic: of for topic, own in joints.items() if (of := own[k]).position},
-            frames=tuple(
-                _placed(name, data.oMf[i].rotation, data.oMf[i].translation) for name, i in frames
-            ),
-            held=_placed(OBJECT, R[k], p[k]),
+            frames=(*links, _placed(OBJECT, R[k], p[k])),
             remarks=tuple(remarks.of(k)),
             row=row,
         )
@@ -287,7 +284,7 @@ class _Messages:
             ]
             self._write(topic, ns, of.JointStates(timestamp=stamp, joints=states))
         frames = []
-        for placed in (*instant.frames, instant.held):
+        for placed in instant.frames:
             p = of.Vector3(**dict(zip("xyz", placed.p, strict=True)))
             R = of.Quaternion(**dict(zip("xyzw", placed.q, strict=True)))
             between = {"parent_frame_id": WORLD, "child_frame_id": placed.name}
@@ -404,7 +401,7 @@ class _Bag:
             kind = "sensor_msgs/msg/JointState"
             self.write(topic, kind, ns, header=nameless, name=list(names), **dict(fields))
         frames = []
-        for placed in (*instant.frames, instant.held):
+        for placed in instant.frames:
             p = Message(**dict(zip("xyz", placed.p, strict=True)))
             R = Message(**dict(zip("xyzw", placed.q, strict=True)))
             way = Message(translation=p, rotation=R)
