@@ -1,7 +1,7 @@
 """The process of the page: viser's server with a scene and a panel. It loads nothing from outside.
 
-viser is imported here alone, so that the control loop's process has none of it. Colours with a
-meaning are Okabe and Ito's, safe for the colour-blind.
+viser is imported here alone, so that the control loop's process has none of it. It sends what has
+changed alone. Colours with a meaning are Okabe and Ito's, safe for the colour-blind.
 """
 
 import threading
@@ -111,7 +111,6 @@ class _Panel:
         arrange: Callable[[str, int], None],
     ) -> None:
         self._gui, self._setup, self._send, self._arrange = gui, setup, send, arrange
-        self._texts: dict[int, str] = {}
         gui.add_html(_head(setup))
         self._round = gui.add_button("Go round", visible=False, hint="along the ghost's way")
         self._on(self._round.on_click, lambda: Action("follow"))
@@ -141,20 +140,15 @@ class _Panel:
                 self._on(save.on_click, lambda: Action("save"))
 
     def draw(self, frame: Frame) -> None:
-        self._set(self._verdict, _verdict(frame))
-        self._set(self._status, _status(frame, self._setup))
-        if self._round.visible != (frame.ghost is not None):
-            self._round.visible = frame.ghost is not None
-        self._set(self._table, _table(frame, self._setup))
-        self._set(self._recorded, _recorded(frame, self._setup))
+        self._verdict.content = _verdict(frame)
+        self._status.content = _status(frame, self._setup)
+        self._round.visible = frame.ghost is not None
+        self._table.content = _table(frame, self._setup)
+        self._recorded.content = _recorded(frame, self._setup)
 
     def end(self) -> None:
-        self._set(self._verdict, _box('<div data-tone="ended">coopqp play has ended.</div>'))
-        self._set(self._status, _box("ended"))
-
-    def _set(self, handle: Any, text: str) -> None:
-        if self._texts.get(id(handle)) != text:
-            self._texts[id(handle)] = handle.content = text
+        self._verdict.content = _box('<div data-tone="ended">coopqp play has ended.</div>')
+        self._status.content = _box("ended")
 
     def _on(self, register: Callable[[Any], Any], action: Callable[[], Action]) -> None:
         """Send an action whenever somebody uses a control."""
@@ -365,8 +359,7 @@ class Scene:
         self._ghost.show(frame.ghost)
         now = time.monotonic()
         for handle, pose, touched in zip(self._gizmos, frame.gizmos, self._dragged, strict=True):
-            if handle.visible != (pose is not None):
-                handle.visible = pose is not None
+            handle.visible = pose is not None
             if pose is not None and now - touched > LET_GO:
                 _move(handle, pose)
         _set_points(self._outlines, frame.outlines, visible=len(frame.outlines) > 0)
@@ -425,7 +418,6 @@ class _Controller:
             )
             for what, color in (("forces", FORCE), ("weight", WEIGHT))
         )  # fmt: skip
-        self._colors = [LINK] * len(self._links)
         self._base, self._shown, self._draggable = LINK, True, False
         self._held.on_drag(self._pull)
 
@@ -461,9 +453,7 @@ class _Controller:
             if body.joint:
                 _move(node, drawn.bodies[k])
                 left = float(drawn.left[body.joint - 1])
-            color = of_joint(left, self._base)
-            if color != self._colors[k]:
-                self._colors[k] = node.color = color
+            node.color = of_joint(left, self._base)
         for node, arrows in ((self._arrows, drawn.arrows), (self._weight, drawn.weight)):
             lengths = np.abs(arrows[:, 1] - arrows[:, 0])
             _set_points(node, arrows, visible=bool(lengths.max(initial=0.0) > LEAST))
@@ -473,8 +463,7 @@ def _set_points(node: Any, points: Array, *, visible: bool) -> None:
     """Show segments or arrows, shape (., 2, 3) [m], or hide them."""
     if visible:
         node.points = points.astype(np.float32)
-    if node.visible != visible:
-        node.visible = visible
+    node.visible = visible
 
 
 def _move(node: Any, pose: Array) -> None:
