@@ -167,7 +167,6 @@ def export(run: Path, to: str, controller: str | None, out: Path | None, catalog
     RUN is a trace.csv, or its folder, written by 'coopqp compare --out', or what a live loop
     recorded; explain and replay work on the files as on RUN.
     """
-    from coopqp.recordings import EXPORTS
     from coopqp.recordings import export as write
     from coopqp.study.trace_file import check_trace
 
@@ -178,11 +177,10 @@ def export(run: Path, to: str, controller: str | None, out: Path | None, catalog
     if out and len(names) > 1:
         words = f"'{kept.path}' has {', '.join(names)}; add --controller NAME"
         raise CoopqpError(f"--out is one file, but {words}")
-    suffix = {known.name: known.suffix for known in EXPORTS}[to]
     for name in names:
         if not out and Path(name).name != name:
             raise CoopqpError(f"'{name}' is no file's name; give --controller and --out")
-        file = out or kept.path.parent / f"{name}{suffix}"
+        file = out or kept.path.parent / f"{name}.{to}"
         write(kept, scenario, to, name, file)
         say_wrote(file)
 

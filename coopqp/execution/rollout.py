@@ -12,7 +12,7 @@ from coopqp.controller import NO_FEATURES, Command, Features, Law
 from coopqp.execution.instants import Instants, rows_of
 from coopqp.model.state import State
 from coopqp.plant import PlantModel
-from coopqp.scenario.input import Sender
+from coopqp.scenario.input import Feed
 from coopqp.solver import Status, written
 from coopqp.trace import Failure, TickBatch, Trace, no_input
 
@@ -107,7 +107,7 @@ def rollout(
     supports: Features = NO_FEATURES,
     progress: Progress | None = None,
     state: State | None = None,
-    feed: Sender | None = None,
+    feed: Feed | None = None,
     timed: bool = True,
 ) -> Trace:
     """Run a law on a plant at its start, for so many ticks; name, solver and supports are noted.
@@ -138,7 +138,7 @@ def drive(
     plant: PlantModel,
     state: State,
     ticks: int | Iterable[object],
-    feed: Sender | None = None,
+    feed: Feed | None = None,
 ) -> Iterator[tuple[Command, float]]:
     """The control loop: take inputs, decide, send the command, step the plant.
 

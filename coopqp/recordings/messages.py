@@ -81,8 +81,7 @@ class Instant(NamedTuple):
 
     ns: int  # its time [ns]
     joints: Mapping[str, Joints]  # by topic
-    frames: tuple[Placed, ...]  # of the robot
-    held: Placed  # the object
+    frames: tuple[Placed, ...]  # of the robot, and then of the object
     remarks: tuple[Remark, ...]
     row: Mapping[str, Any]  # all of it, as objects inside each other, :func:`nested`
 
@@ -98,13 +97,11 @@ def instants(run: Run, scenario: Scenario) -> Iterator[Instant]:
     joints, remarks = _joints(run, chain.joint_names), _Remarks(run, scenario)
     for k, row in enumerate(nested(run.columns)):
         pin.framesForwardKinematics(chain.model, data, q[k])
+        links = (_placed(name, data.oMf[i].rotation, data.oMf[i].translation) for name, i in frames)
         yield Instant(
             ns=round(1e9 * t[k]),
             joints={topic: of for topic, own in joints.items() if (of := own[k]).position},
-            frames=tuple(
-                _placed(name, data.oMf[i].rotation, data.oMf[i].translation) for name, i in frames
-            ),
-            held=_placed(OBJECT, R[k], p[k]),
+            frames=(*links, _placed(OBJECT, R[k], p[k])),
             remarks=tuple(remarks.of(k)),
             row=row,
         )
@@ -184,7 +181,6 @@ class _Remarks:
                 self._limits.setdefault(column.split(name)[1], []).append(name)
 
     def of(self, k: int) -> Iterator[Remark]:
-        """Of a row, as far as it has them."""
         causes = causes_of(self._status[k]) if self._status[k] else ()
         level = max((level_of(cause) for cause in causes), default=0)
         said = "; ".join(cause.value for cause in causes) or "the end"
@@ -230,7 +226,6 @@ class Mcap(ExportFormat):
     """One file a controller."""
 
     name: ClassVar[str] = "mcap"
-    suffix: ClassVar[str] = ".mcap"
 
     def write(self, run: Run, scenario: Scenario, path: Path) -> None:
         # foxglove's own writer prints what goes wrong, and goes on; this one raises.
@@ -289,7 +284,7 @@ class _Messages:
             ]
             self._write(topic, ns, of.JointStates(timestamp=stamp, joints=states))
         frames = []
-        for placed in (*instant.frames, instant.held):
+        for placed in instant.frames:
             p = of.Vector3(**dict(zip("xyz", placed.p, strict=True)))
             R = of.Quaternion(**dict(zip("xyzw", placed.q, strict=True)))
             between = {"parent_frame_id": WORLD, "child_frame_id": placed.name}
@@ -321,7 +316,6 @@ class _Messages:
 
 
 def _schema(row: Mapping[str, Any]) -> dict[str, Any]:
-    """JSON Schema of a row: whose columns there are; each may be null."""
     inside = {
         key: _schema(value) if isinstance(value, dict) else {"type": ["number", "string", "null"]}
         for key, value in row.items()
@@ -338,10 +332,9 @@ class Rosbag2(ExportFormat):
     """One folder a controller."""
 
     name: ClassVar[str] = "rosbag2"
-    suffix: ClassVar[str] = ".rosbag2"
 
     def holds(self, path: Path) -> bool:
-        return path.suffix == self.suffix or (path / "metadata.yaml").is_file()
+        return super().holds(path) or (path / "metadata.yaml").is_file()
 
     def write(self, run: Run, scenario: Scenario, path: Path) -> None:
         with needs("rosbag2", "recordings"):
@@ -408,7 +401,7 @@ class _Bag:
             kind = "sensor_msgs/msg/JointState"
             self.write(topic, kind, ns, header=nameless, name=list(names), **dict(fields))
         frames = []
-        for placed in (*instant.frames, instant.held):
+        for placed in instant.frames:
             p = Message(**dict(zip("xyz", placed.p, strict=True)))
             R = Message(**dict(zip("xyzw", placed.q, strict=True)))
             way = Message(translation=p, rotation=R)

@@ -43,7 +43,6 @@ class Parquet(ExportFormat):
     """One file a controller."""
 
     name: ClassVar[str] = "parquet"
-    suffix: ClassVar[str] = ".parquet"
 
     def write(self, run: Run, scenario: Scenario, path: Path) -> None:
         with needs("Parquet", "recordings"):
@@ -174,10 +173,9 @@ class Lerobot(ExportFormat):
     """One folder a controller."""
 
     name: ClassVar[str] = "lerobot"
-    suffix: ClassVar[str] = ".lerobot"
 
     def holds(self, path: Path) -> bool:
-        return path.suffix == self.suffix or (path / RUN).is_file()
+        return super().holds(path) or (path / RUN).is_file()
 
     def write(self, run: Run, scenario: Scenario, path: Path) -> None:
         with needs("LeRobot's datasets", "recordings"):

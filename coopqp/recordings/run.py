@@ -159,24 +159,19 @@ def _is_number(value: Any) -> bool:
 
 
 def check(run: Run) -> None:
-    """Refuse a status that there is not, and time that goes back."""
+    """Refuse a status that there is not, and time that goes back, or stands still for no reason."""
     said = run.columns["status"]
     for word in dict.fromkeys(said.tolist()):
         for name in word.split("+") if word else ():
             if name not in Status.__members__:
                 words = f"status: no status '{one_line(name[:40])}'"
                 raise run.fault(int(np.argmax(said == word)), words)
-    for name in run.controllers:
-        _check_time(run.of(name))
-
-
-def _check_time(run: Run) -> None:
-    """Refuse time that goes back, or stands still without a reason."""
-    t, said = run.numbers(["t"])[:, 0], run.columns["status"]
-    for k in np.flatnonzero(np.diff(t) <= 0.0).tolist():
-        rested = t[k + 1] >= t[k] - ROUNDING and _STANDS.intersection(said[k].split("+"))
-        if not rested:
-            raise run.fault(k + 1, f"t: found {t[k + 1]:g} after {t[k]:g}")
+    for own in map(run.of, run.controllers):
+        t, said = own.numbers(["t"])[:, 0], own.columns["status"]
+        for k in np.flatnonzero(np.diff(t) <= 0.0).tolist():
+            rested = t[k + 1] >= t[k] - ROUNDING and _STANDS.intersection(said[k].split("+"))
+            if not rested:
+                raise own.fault(k + 1, f"t: found {t[k + 1]:g} after {t[k]:g}")
 
 
 class Format(ABC):
@@ -206,13 +201,10 @@ class ExportFormat(Format):
     """A format that can be written too."""
 
     name: ClassVar[str]
-    """As ``--to`` has it."""
-
-    suffix: ClassVar[str]
-    """Of its files' names."""
+    """As ``--to`` has it; its files' names end with it."""
 
     def holds(self, path: Path) -> bool:
-        return path.suffix == self.suffix
+        return path.suffix == f".{self.name}"
 
     @abstractmethod
     def write(self, run: Run, scenario: Scenario, path: Path) -> None:

@@ -153,11 +153,10 @@ def aside(name: str, t: Array, y: Array, line: Json) -> Json:
     }
 
 
-def markers(name: str, style: Style, points: Sequence[tuple[float, float]], symbol: str) -> Json:
-    """Marks on a controller's line."""
+def mark(name: str, style: Style, x: float, y: float | str, symbol: str) -> Json:
+    """A mark on a controller's line."""
     marker = MARKER | {"symbol": symbol, "color": style.color}
-    x, y = ([point[i] for point in points] for i in (0, 1))
-    return MARKERS | {"legendgroup": name, "x": x, "y": y, "marker": marker}
+    return MARKERS | {"legendgroup": name, "x": [x], "y": [y], "marker": marker}
 
 
 def level(y: float, text: str = "", *, above: bool = True, log: bool = False) -> Json:
@@ -220,13 +219,6 @@ def window(low: float, high: float, lines: Sequence[Array], reach: float) -> Win
     top = min(max(high, float(finite.max(initial=high))), high + reach)
     pad = MARGIN * (top - bottom)
     return Window(bottom - pad, top + pad)
-
-
-def log_window(lines: Sequence[Array], floor: float, level: float) -> Window:
-    """Show all but the rare dips towards zero; at least two decades."""
-    values = np.maximum(np.concatenate([y[np.isfinite(y)] for y in lines]), floor)
-    bottom, top = min(float(np.percentile(values, 3)), level), max(float(values.max()), level, 0.0)
-    return Window(bottom / 3.0, max(3.0 * top, 100.0 * bottom))
 
 
 def off_chart(shown: Window, lines: Mapping[str, Array], unit: str = "") -> tuple[str, ...]:

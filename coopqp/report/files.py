@@ -91,10 +91,9 @@ def check_folder(folder: Path) -> None:
             os.symlink(trial.name, trial / "link")
             shutil.rmtree(trial)
         for name in NAMES:
-            if os.path.lexists(folder / name) and (folder / name).is_dir():
-                raise CoopqpError(
-                    f"'{folder / name}' is a folder, but a file is to be written there"
-                )
+            if (folder / name).is_dir():
+                words = "is a folder, but a file is to be written there"
+                raise CoopqpError(f"'{folder / name}' {words}")
         if os.path.lexists(folder / POINTER) and not (folder / POINTER).is_symlink():
             raise CoopqpError(f"'{folder / POINTER}' is in the way; remove it")
     except FileExistsError:

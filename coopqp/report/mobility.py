@@ -124,12 +124,10 @@ def as_json(result: Study) -> dict[str, Any]:
         "lost_at_start": [s.joints for s in m.lost_at_start],
         "manipulability": {"t": result.t, "value": result.manipulability},
     }
-    written: dict[str, Any] = finite(data)
-    return written
+    return dict(finite(data))
 
 
 def _forces_json(internal: Forces | None) -> dict[str, Any] | None:
-    """Ranks by arm and pair, and the range of the squeeze."""
     if internal is None:
         return None
     ranks = internal.transmission
@@ -180,14 +178,11 @@ def rows(result: Study) -> list[tuple[str, str, str]]:
     lines += [("impossible motion", "", screw.words()) for screw in m.impossible]
     lines += [("motion no motor decides", "", screw.words()) for screw in m.uncontrolled]
     lines += _force_rows(result.forces) if result.forces else []
-    if len(result.manipulability):
-        low, high = result.manipulability.min(), result.manipulability.max()
-        lines.append(("manipulability on the way", "", f"{low:.3g} to {high:.3g}"))
-    return lines
+    low, high = result.manipulability.min(), result.manipulability.max()
+    return [*lines, ("manipulability on the way", "", f"{low:.3g} to {high:.3g}")]
 
 
 def _force_rows(internal: Forces) -> list[tuple[str, str, str]]:
-    """What decides the internal wrenches, and the range of the squeeze."""
     ranks = internal.transmission
     lines = [(f"internal wrenches, {ranks.dimensions}", "", ranks.all.words)]
     for arm in ranks.arms:

@@ -28,9 +28,9 @@ from coopqp.report.scene.playback import scene
 HERE = Path(__file__).parent
 KINDS = {None: "", True: "bad", False: "good"}  # of cells, by whether they are bad
 PANES_A_ROW = {1: 1, 2: 2, 4: 2}  # by the number of controllers; three for the others
-#: Columns that may get narrow, so that the verdict does not.
 FEW = 4  # columns that narrow pages have room for
 WORDS = ("blocked_<wbr>by", "broken")  # columns of names, in studies
+#: Columns that may get narrow, so that the verdict does not.
 WRAPPING = ("task_error", "limit", "speed", "acceleration", "margin", "loop", "motors", "tick")
 
 

@@ -147,7 +147,6 @@ def _active(found: TimedPath, tried: dict[str, float]) -> Iterator[tuple[str, st
 
 
 def _page(parts: Sequence[TimedPath], tried: Sequence[dict[str, float]], scenario: Scenario) -> str:
-    """What limits where, for how long, and what more of it would bring, of each phase."""
     page = Template(asset("timed.html"))
     sections = ""
     for title, found, more in zip(phase_titles(parts, scenario), parts, tried, strict=True):

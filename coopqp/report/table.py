@@ -8,7 +8,7 @@ from rich import box
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 from coopqp.base.errors import one_line
@@ -56,9 +56,8 @@ def help_lines(kind: str, catalog: Catalog) -> dict[str, str]:
 
 def names_table(collections: Mapping[str, Mapping[str, str]]) -> Table:
     """All names by collection."""
-    out = Table(box=None, show_header=False, pad_edge=False)
-    out.add_column(style="bold", no_wrap=True)
-    out.add_column()
+    names = Column(style="bold", no_wrap=True)
+    out = Table(names, Column(), box=None, show_header=False, pad_edge=False)
     for kind, lines in collections.items():
         out.add_row(f"{kind}:", "")
         for name, text in lines.items():
@@ -102,9 +101,8 @@ def _entry(cell: Cell) -> Text:
 
 def replay(record: TickRecord, answers: Mapping[str, Replay]) -> Table:
     """One row a solver."""
-    table = Table(title=f"{record.scenario}, {record.controller}, tick {record.tick}")
-    for heading in ("solver", "status", "primal residual", "dual residual", "off the saved answer"):
-        table.add_column(heading)
+    heads = ("solver", "status", "primal residual", "dual residual", "off the saved answer")
+    table = Table(*heads, title=f"{record.scenario}, {record.controller}, tick {record.tick}")
     for name, answer in answers.items():
         numbers = (answer.primal_residual, answer.dual_residual, answer.difference)
         table.add_row(name, answer.status.value, *(f"{number:.2g}" for number in numbers))

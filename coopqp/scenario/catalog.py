@@ -25,7 +25,7 @@ import traceback
 import typing
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from importlib import metadata
 from itertools import chain
 from pathlib import Path
@@ -152,10 +152,8 @@ class Shelf:
         files = sorted(p for p in self.folder.glob("*.py") if not p.name.startswith("_"))
         if not files:
             word = self.kind.removesuffix("s")
-            yield Fault(
-                str(self.folder),
-                f"no {word} files (*.py) here; each {word} needs a file of its own",
-            )
+            words = f"no {word} files (*.py) here; each {word} needs a file of its own"
+            yield Fault(str(self.folder), words)
         for file in files:
             yield self._entry(file)
 
@@ -271,6 +269,8 @@ class Catalog:
                 faults += self._add(shelf)
         if faults:
             raise CoopqpError("\n".join(str(fault) for fault in faults))
+        known = self._collections.values()
+        self._hash = hash(tuple(frozenset(entries.values()) for entries in known))
 
     def _add(self, shelf: Shelf) -> Iterator[Fault]:
         """Take in a shelf; what cannot be taken in comes back."""
@@ -291,10 +291,6 @@ class Catalog:
 
     def __hash__(self) -> int:
         return self._hash
-
-    @cached_property
-    def _hash(self) -> int:
-        return hash(tuple(frozenset(known.values()) for known in self._collections.values()))
 
     def entries(self, kind: str) -> dict[str, Entry]:
         """The plug-ins of one collection by name."""

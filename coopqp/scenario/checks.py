@@ -184,7 +184,7 @@ def check_start(data: Mapping[str, Any], scenario: Scenario, known: Known) -> No
         chain = chain if scenario.held == before.held else chain.carrying(scenario.held)
         vars(scenario)["chain"] = chain
     chain = _closed(data, scenario, key)
-    refuse([*_too_large(chain), *_unknown_springs(scenario)])
+    refuse(_of_chain(scenario, chain))
     if not allowed:
         refuse(passive_outside(chain, passive, key))
     problems = list(scenario.problems(lambda _: chain.q_start))
@@ -194,16 +194,13 @@ def check_start(data: Mapping[str, Any], scenario: Scenario, known: Known) -> No
         for phase, problem in zip(scenario.schedule, problems, strict=True)
     }
     refuse(_badly_held(data, places))
-    of_tasks = {} if scenario.follows else {
+    placed = list(placed_tasks(scenario))
+    of_tasks = {
         tuple(place): (of_chain, data.get("inputs"), phase.duration, _at(data, place))
-        for place, task, phase in placed_tasks(scenario)
+        for place, task, phase in (() if scenario.follows else placed)
         if not task.of_forces
-    }  # fmt: skip
-    tasks = [
-        (place, task, phase)
-        for place, task, phase in placed_tasks(scenario)
-        if not known.get(tuple(place), of_tasks.get(tuple(place)))
-    ]
+    }
+    tasks = [one for one in placed if not known.get(tuple(one[0]), of_tasks.get(tuple(one[0])))]
     of_limits = of_chain, [data.get(key) for key in ("limits", "dt", "start_outside")]
     wrong_plugins = [*_broken_tasks(tasks, places)]
     if new_limits := not known.get("limits", of_limits):
@@ -234,9 +231,13 @@ def _closed(data: Mapping[str, Any], scenario: Scenario, key: str) -> ClosedChai
         raise MisplacedError([Wrong(where, str(error))]) from None
 
 
-def _unknown_springs(scenario: Scenario) -> Iterator[Wrong]:
-    """Joints of the observer's stiffness that there are not, or two kinds of stiffness."""
-    given, names = scenario.observer.stiffness, scenario.chain.joint_names
+def _of_chain(scenario: Scenario, chain: ClosedChain) -> Iterator[Wrong]:
+    """An object that is too large, and joints of the observer's stiffness that there are not."""
+    longest = max(chain.held.size)
+    if longest > LARGE * chain.reach:
+        words = f"found an edge of {longest:g} m, but the arms reach {chain.reach:.2g} m"
+        yield Wrong(["object", "size"], f"{words}; lengths are metres")
+    given, names = scenario.observer.stiffness, chain.joint_names
     if given is not None and scenario.observer.inertial_stiffness is not None:
         yield Wrong(["observer"], "found stiffness and inertial_stiffness; needs one of them")
     for name in given if isinstance(given, Mapping) else ():
@@ -389,10 +390,3 @@ def _broken_limits(scenario: Scenario, places: Places) -> Iterator[Wrong]:
         if isinstance(limit, JointAcceleration) and limit.margin < margin:
             words = f"needs at least joint_position's {margin:g}, so that joints brake in time"
             yield Wrong(["limits", i], f"margin: found {limit.margin:g}, {words}")
-
-
-def _too_large(chain: ClosedChain) -> Iterator[Wrong]:
-    longest = max(chain.held.size)
-    if longest > LARGE * chain.reach:
-        words = f"found an edge of {longest:g} m, but the arms reach {chain.reach:.2g} m"
-        yield Wrong(["object", "size"], f"{words}; lengths are metres")

@@ -94,13 +94,10 @@ class FaultyPlant(PlantModel):
         self._dt, self._chain, self._ticks = problem.dt, problem.chain, 0
         self._own = State(problem.chain, plant.measured)
         self._felt, self._lost = plant.hand_wrench, False
-        if self._felt is None:
-            for fault in faults:
-                if fault.of == "force":
-                    words = "this plant has no force sensors; use plant: rigid_body, quasi_static"
-                    raise InvalidValueError(f"{fault.fault.kind}: {words} or mujoco").at(
-                        *fault.place
-                    )
+        for fault in faults:
+            if fault.of == "force" and self._felt is None:
+                words = "this plant has no force sensors; use plant: rigid_body, quasi_static"
+                raise InvalidValueError(f"{fault.fault.kind}: {words} or mujoco").at(*fault.place)
         self.measured: Array = self._own.q.copy()
         self._read(self._own.q)
 
@@ -148,7 +145,6 @@ class FaultyPlant(PlantModel):
         return self._ticks * self._dt
 
     def _carried_out(self, command: Command) -> Command:
-        """What the motors make of a command."""
         done = command.copy()
         for fault in self._faults:
             if fault.of == "motor":

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Annotated, Any, Literal, Protocol
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
@@ -218,20 +218,13 @@ def open_channel(kind: Kind, here: Array | None, settings: InputSettings, dt: fl
     return Channel(kind, settings, dt, here)
 
 
-class Sender(Protocol):
-    """Who sends while the arms move."""
-
-    def step(self, state: State) -> None:
-        """Let what has been sent arrive, for the tick of a state."""
-
-
 class Feed:
     """Who sends, in a comparison, from ``since`` [s] on; CoopqpError: not of the input's kind."""
 
     def __init__(
         self, settings: Mapping[str, InputSettings], inputs: Inputs, since: float = 0.0
     ) -> None:
-        self._inputs, self._since = inputs, since
+        self.inputs, self._since = inputs, since
         self._signals: dict[str, Trajectory] = {}
         self._rows: dict[str, tuple[Array, Array, Array]] = {}
         self._next = dict[str, int]()
@@ -251,7 +244,7 @@ class Feed:
 
     def step(self, state: State) -> None:
         """Let what has been sent arrive, for the tick of a state."""
-        self._inputs.step(state, self.arrivals(state.t))
+        self.inputs.step(state, self.arrivals(state.t))
 
     def arrivals(self, t: float) -> Iterator[Arrival]:
         """What has been sent since the last call, at t since the phase began [s]."""

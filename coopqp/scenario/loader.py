@@ -124,16 +124,14 @@ def _solved(
         grasp_of_each(robot, scenario.grasps)
     with at(["start"]):
         grasps, held = scenario.grasps, scenario.held
-        begin: Start = near or ({} if file.data.get("start") == SOLVE else scenario.start)
+        begin: Start = near or scenario.start
         if not near and file.data.get("start_deg") is not None:
             begin = from_degrees(robot, grasps, scenario.start)
         if held.pose is None and begin:
-            solution = close_start(robot, grasps, held, begin)
-        else:
-            solution = solve_start(
-                robot, grasps, held, near=near, seed=seed, progress=progress, fits=scenario.fits
-            )
-    return solution
+            return close_start(robot, grasps, held, begin)
+        return solve_start(
+            robot, grasps, held, near=near, seed=seed, progress=progress, fits=scenario.fits
+        )
 
 
 #: Folders of files that come with coopqp, and what one of them is.

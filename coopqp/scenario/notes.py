@@ -82,7 +82,6 @@ def notes(
 
 
 def _unsupported(scenario: Scenario, chosen: Mapping[str, Controller]) -> Iterator[str]:
-    """A sentence for all parts that the same controllers do not support."""
     parts: dict[tuple[str, ...], list[str]] = {}
     for part, what in _stated(scenario):
         names = tuple(name for name, c in chosen.items() if part not in c.supports)
@@ -93,7 +92,6 @@ def _unsupported(scenario: Scenario, chosen: Mapping[str, Controller]) -> Iterat
 
 
 def _idle_priorities(scenario: Scenario) -> Iterator[str]:
-    """Priorities of tasks that come before all that have one."""
     for phase in scenario.schedule:
         for task in phase.tasks:
             if task.mode != "soft" and task.priority:
@@ -104,13 +102,11 @@ def _idle_priorities(scenario: Scenario) -> Iterator[str]:
 
 
 def _without_kernel(controllers: Mapping[str, Controller]) -> list[str]:
-    """One line where ticks could be compiled, but are not."""
     asked = any(isinstance(c, QPController) and c.engine == "auto" for c in controllers.values())
     return [native.MISSING] if asked and native.module() is None else []
 
 
 def _of_inputs(scenario: Scenario, *, steered: bool) -> Iterator[str]:
-    """Inputs to which nobody sends, or which nobody follows, and clocks that never wait."""
     start = State(scenario.chain)
     wanted(scenario.problem().all_tasks, start)
     waiting = {clock for clock, joints in start.inputs.ways if joints}
@@ -171,7 +167,6 @@ def _unit(axis: str) -> str:
 
 
 def _of_sag(scenario: Scenario) -> Iterator[str]:
-    """Servos whose stiffness nobody has said, where that of others is known."""
     given, chain = scenario.observer.stiffness, scenario.chain
     if isinstance(given, Mapping):
         names = np.delete(np.array(chain.joint_names), chain.passive).tolist()
@@ -182,7 +177,6 @@ def _of_sag(scenario: Scenario) -> Iterator[str]:
 
 
 def _of_friction(scenario: Scenario) -> Iterator[str]:
-    """Friction that is none, because all hands are fastened."""
     grasps = scenario.chain.grasps.values()
     if scenario.disturbance.friction != 1.0 and not any(grasp.contact for grasp in grasps):
         yield "disturbance.friction has no effect: no hand holds by pressing"
@@ -228,7 +222,6 @@ def _stated(scenario: Scenario) -> Iterator[tuple[str, str]]:
 
 
 def _far_hands(chain: ClosedChain) -> Iterator[str]:
-    """A sentence on each hand that is fastened to an object which it does not touch."""
     model, X_WO = chain.model, chain.object_pose(chain.q_start)
     data, half = model.createData(), 0.5 * np.array(chain.held.size)
     pin.framesForwardKinematics(model, data, chain.q_start)
@@ -245,7 +238,6 @@ def _far_hands(chain: ClosedChain) -> Iterator[str]:
 
 
 def _far(scenario: Scenario) -> Iterator[str]:
-    """A sentence on each goal, and each place that an input is sent, which is nowhere near."""
     chain, distances = scenario.chain, list[tuple[str, float]]()
     for phase in scenario.schedule:
         for task in phase.tasks:

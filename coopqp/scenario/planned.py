@@ -151,7 +151,6 @@ def way_tasks(way: Way, dt: float, stands: bool, law: Controller | None = None) 
 
 
 def _ways(scenario: Scenario, table: Table) -> Iterator[Way]:
-    """The way to each phase's goals."""
     t, q = table.times(), table.take(scenario.chain.joint_names)
     X, phases = table.take(POSE.columns), len(scenario.schedule)
     if wrong := off_plan(scenario.chain, table):

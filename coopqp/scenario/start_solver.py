@@ -223,10 +223,8 @@ def solve_start(
     if failed:
         rounded = max(search.gap for search in searches if not search.kept) < LOOP_CLOSED
         raise GraspError("; ".join([*failed, ROUNDED if rounded else MOVE]))
-    for solution in _ranked(problem, searches):
-        if fits(solution.start):
-            return solution
-    return next(_ranked(problem, searches))
+    ranked = list(_ranked(problem, searches))
+    return next((one for one in ranked if fits(one.start)), ranked[0])
 
 
 def _ranked(problem: StartProblem, searches: Sequence[_Search]) -> Iterator[StartSolution]:

@@ -15,6 +15,7 @@ from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -47,11 +48,15 @@ MERGE = "<<"
 
 @dataclass(frozen=True)
 class _Node:
-    """A value, how many are in it, and by key or index the line and node of what is inside."""
+    """A value, and by key or index the line and node of what is inside."""
 
     value: Any
-    size: int = 1
     inside: dict[str | int, tuple[int, _Node]] = field(default_factory=dict)
+
+    @cached_property
+    def size(self) -> int:
+        """How many values it is."""
+        return 1 + sum(node.size for _, node in self.inside.values())
 
 
 class Wrong(NamedTuple):
@@ -249,9 +254,12 @@ class _Builder:
         if isinstance(event, events.ScalarEvent):
             node = _Node(self._scalar(event))
         else:
-            self._check_tag(event)
-            inside = self._mapping if isinstance(event, events.MappingStartEvent) else self._list
-            node = inside(deeper - 1)
+            is_map = isinstance(event, events.MappingStartEvent)
+            # What has another tag is not to be read as the mapping or list that it looks like.
+            if event.tag not in (None, "!", _STANDARD + ("map" if is_map else "seq")):
+                words = f"tag '{_short(event.tag)}' is not read here; leave it out"
+                raise self._fault(event, words)
+            node = (self._mapping if is_map else self._list)(deeper - 1)
         if event.anchor is not None:
             self._anchors[event.anchor] = node
         return node
@@ -268,7 +276,7 @@ class _Builder:
             if isinstance(event, events.SequenceEndEvent):
                 break
             inside[len(inside)] = (self.line_at(event.start_mark.index), self._node(event, deeper))
-        return _node_of([node.value for _, node in inside.values()], inside)
+        return _Node([node.value for _, node in inside.values()], inside)
 
     def _mapping(self, deeper: int) -> _Node:
         inside: dict[str | int, tuple[int, _Node]] = {}
@@ -287,8 +295,8 @@ class _Builder:
                 merged = {**self._merged(after, node), **merged}
             else:
                 inside[key] = (line, node)
-        inside = {**inside, **{key: found for key, found in merged.items() if key not in inside}}
-        return _node_of({key: node.value for key, (_, node) in inside.items()}, inside)
+        inside |= {key: found for key, found in merged.items() if key not in inside}
+        return _Node({key: node.value for key, (_, node) in inside.items()}, inside)
 
     def _merged(self, event: Any, node: _Node) -> dict[str | int, tuple[int, _Node]]:
         """What ``<<: *alias`` brings in: of several mappings the first counts."""
@@ -307,12 +315,6 @@ class _Builder:
         if any("\ud800" <= letter <= "\udfff" for letter in text):
             raise self._fault(event, "the text has half a character (a lone surrogate)")
         return text
-
-    def _check_tag(self, event: Any) -> None:
-        """Refuse what is not to be read as the mapping or list that it looks like."""
-        kind = "map" if isinstance(event, events.MappingStartEvent) else "seq"
-        if event.tag not in (None, "!", _STANDARD + kind):
-            raise self._fault(event, f"tag '{_short(event.tag)}' is not read here; leave it out")
 
     def _scalar(self, event: Any) -> Any:
         text, tag = self._text(event), event.tag
@@ -350,10 +352,6 @@ def _number(text: str) -> int | float:
     if not _INT.fullmatch(text):
         return float(digits.replace(".inf", "inf").replace(".nan", "nan"))
     return int(digits, 0 if digits.lstrip("+-")[:2] in ("0b", "0o", "0x") else 10)
-
-
-def _node_of(value: Any, inside: dict[str | int, tuple[int, _Node]]) -> _Node:
-    return _Node(value, 1 + sum(node.size for _, node in inside.values()), inside)
 
 
 def _short(tag: str) -> str:

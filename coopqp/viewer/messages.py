@@ -8,23 +8,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
 from coopqp.base.spec import Array
 from coopqp.model.state import Kept
+from coopqp.report.scene.bodies import Body
 from coopqp.scenario.planned import Way
 
 Tone = Literal["reached", "moving", "blocked", "broken", "waiting"]
-
-
-@dataclass(frozen=True)
-class Surface:
-    """A body: index of its joint, None if it is fixed; vertices (v, 3) [m], corners (t, 3)."""
-
-    joint: int | None
-    vertices: Array
-    corners: NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -61,7 +50,7 @@ class PageSetup:
     title: str
     description: str
     laws: Mapping[str, str]  # colour such as "#0072B2" by controller
-    bodies: tuple[Surface, ...]  # of the robot and its surroundings
+    bodies: tuple[Body, ...]  # of the robot and its surroundings
     size: tuple[float, float, float]  # edges of the object [m]
     low: Array  # low, high: corners of the visible space [m]
     high: Array
@@ -79,7 +68,8 @@ class ControllerFrame:
 
     bodies: Array  # poses of their joints, shape (b, 7)
     held: Array  # pose of the object, shape (7,)
-    left: Array  # distance of each joint to its nearer limit over half its range, shape (n,)
+    # distance of each of the robot's joints to its nearer limit over half its range, shape (n,)
+    left: Array
     arrows: Array  # start and end of the hands' forces, shape (., 2, 3) [m]
     weight: Array  # of the object's
     reached: bool

@@ -1,7 +1,7 @@
 """The process of the page: viser's server with a scene and a panel. It loads nothing from outside.
 
-viser is imported here alone, so that the control loop's process has none of it. Colours with a
-meaning are Okabe and Ito's, safe for the colour-blind.
+viser is imported here alone, so that the control loop's process has none of it. It sends what has
+changed alone. Colours with a meaning are Okabe and Ito's, safe for the colour-blind.
 """
 
 import threading
@@ -111,7 +111,6 @@ class _Panel:
         arrange: Callable[[str, int], None],
     ) -> None:
         self._gui, self._setup, self._send, self._arrange = gui, setup, send, arrange
-        self._texts: dict[int, str] = {}
         gui.add_html(_head(setup))
         self._round = gui.add_button("Go round", visible=False, hint="along the ghost's way")
         self._on(self._round.on_click, lambda: Action("follow"))
@@ -141,20 +140,15 @@ class _Panel:
                 self._on(save.on_click, lambda: Action("save"))
 
     def draw(self, frame: Frame) -> None:
-        self._set(self._verdict, _verdict(frame))
-        self._set(self._status, _status(frame, self._setup))
-        if self._round.visible != (frame.ghost is not None):
-            self._round.visible = frame.ghost is not None
-        self._set(self._table, _table(frame, self._setup))
-        self._set(self._recorded, _recorded(frame, self._setup))
+        self._verdict.content = _verdict(frame)
+        self._status.content = _status(frame, self._setup)
+        self._round.visible = frame.ghost is not None
+        self._table.content = _table(frame, self._setup)
+        self._recorded.content = _recorded(frame, self._setup)
 
     def end(self) -> None:
-        self._set(self._verdict, _box('<div data-tone="ended">coopqp play has ended.</div>'))
-        self._set(self._status, _box("ended"))
-
-    def _set(self, handle: Any, text: str) -> None:
-        if self._texts.get(id(handle)) != text:
-            self._texts[id(handle)] = handle.content = text
+        self._verdict.content = _box('<div data-tone="ended">coopqp play has ended.</div>')
+        self._status.content = _box("ended")
 
     def _on(self, register: Callable[[Any], Any], action: Callable[[], Action]) -> None:
         """Send an action whenever somebody uses a control."""
@@ -263,11 +257,9 @@ def _legend(setup: PageSetup) -> str:
 
 def _recorded(frame: Frame, setup: PageSetup) -> str:
     how = " since the beginning; coopqp compare replays it"
-    text = (
-        f"{frame.recorded:.1f} s{how if setup.folder else '; begin with --record OUT to save it'}."
-    )
+    how = how if setup.folder else "; begin with --record OUT to save it"
     note = f'<div style="margin-top:0.3em">{escape(frame.note)}</div>' if frame.note else ""
-    return _box(text + note)
+    return _box(f"{frame.recorded:.1f} s{how}.{note}")
 
 
 def of_joint(left: float, base: Rgb) -> Rgb:
@@ -367,8 +359,7 @@ class Scene:
         self._ghost.show(frame.ghost)
         now = time.monotonic()
         for handle, pose, touched in zip(self._gizmos, frame.gizmos, self._dragged, strict=True):
-            if handle.visible != (pose is not None):
-                handle.visible = pose is not None
+            handle.visible = pose is not None
             if pose is not None and now - touched > LET_GO:
                 _move(handle, pose)
         _set_points(self._outlines, frame.outlines, visible=len(frame.outlines) > 0)
@@ -412,7 +403,9 @@ class _Controller:
         self._send, self._root = send, scene.add_frame(name, show_axes=False)
         look: Any = {"color": LINK, "side": "double", "flat_shading": True}
         self._links = [
-            scene.add_mesh_simple(f"{name}/link{k}", body.vertices, body.corners, **look)
+            scene.add_mesh_simple(
+                f"{name}/link{k}", body.surface.vertices, body.surface.corners, **look
+            )
             for k, body in enumerate(setup.bodies)
         ]
         self._held = scene.add_box(f"{name}/object", color=self._color, dimensions=setup.size)
@@ -425,12 +418,10 @@ class _Controller:
             )
             for what, color in (("forces", FORCE), ("weight", WEIGHT))
         )  # fmt: skip
-        self._colors = [LINK] * len(self._links)
         self._base, self._shown, self._draggable = LINK, True, False
         self._held.on_drag(self._pull)
 
     async def _pull(self, event: Any) -> None:
-        """Send where the object's origin is pulled."""
         if event.phase != "end" and self._draggable:
             pull = np.subtract(event.end_position, event.start_position)
             self._send(Action("carry", 0, _numbers(np.asarray(self._held.position) + pull)))
@@ -449,7 +440,7 @@ class _Controller:
             nothing = np.zeros(3)
             self.place(shown=drawn is not None, ghost=True, shift=nothing, draggable=False)
             for body, node in zip(self._bodies, self._links, strict=True):
-                node.visible = body.joint is not None
+                node.visible = body.joint > 0
         if drawn is not None:
             self.draw(drawn)
 
@@ -459,12 +450,10 @@ class _Controller:
         _move(self._held, drawn.held)
         for k, (body, node) in enumerate(zip(self._bodies, self._links, strict=True)):
             left = 1.0
-            if body.joint is not None:
+            if body.joint:
                 _move(node, drawn.bodies[k])
-                left = float(drawn.left[body.joint])
-            color = of_joint(left, self._base)
-            if color != self._colors[k]:
-                self._colors[k] = node.color = color
+                left = float(drawn.left[body.joint - 1])
+            node.color = of_joint(left, self._base)
         for node, arrows in ((self._arrows, drawn.arrows), (self._weight, drawn.weight)):
             lengths = np.abs(arrows[:, 1] - arrows[:, 0])
             _set_points(node, arrows, visible=bool(lengths.max(initial=0.0) > LEAST))
@@ -474,8 +463,7 @@ def _set_points(node: Any, points: Array, *, visible: bool) -> None:
     """Show segments or arrows, shape (., 2, 3) [m], or hide them."""
     if visible:
         node.points = points.astype(np.float32)
-    if node.visible != visible:
-        node.visible = visible
+    node.visible = visible
 
 
 def _move(node: Any, pose: Array) -> None:

@@ -12,12 +12,12 @@ from coopqp.assessment.thresholds import AT_LIMIT, TOO_FAST, closed, matters, wi
 from coopqp.base.spec import Array
 from coopqp.model.marker import SolidMarker, asked
 from coopqp.model.state import State
-from coopqp.report.scene.bodies import robot_bodies, solid_body
+from coopqp.report.scene.bodies import Body, moved, robot_bodies, solid_body
 from coopqp.report.scene.playback import MIN_FORCE, Place, squeeze_words, weight
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import axes_along, quaternion_of
 from coopqp.study.explanation.words import listed, size
-from coopqp.viewer.messages import ControllerFrame, Surface
+from coopqp.viewer.messages import ControllerFrame
 from coopqp.viewer.simulated_controller import SimulatedController
 
 FORCES = "hand_wrench"
@@ -31,32 +31,24 @@ DIGITS = 6  # of errors that are shown [m, rad]
 NOTHING = np.zeros((0, 2, 3))
 
 
-def surfaces(scenario: Scenario) -> tuple[tuple[Surface, ...], tuple[str, ...]]:
-    """The robot and its surroundings, and meshes that could not be read."""
-    robot = scenario.chain.robot
-    bodies, faults = robot_bodies(robot)
+def all_bodies(scenario: Scenario) -> tuple[tuple[Body, ...], tuple[str, ...]]:
+    """Those of the robot and its surroundings, and meshes that could not be read."""
+    bodies, faults = robot_bodies(scenario.chain.robot)
     marks = (mark for limit in scenario.limits for mark in limit.marks(0.0))
-    solids = [solid_body(mark) for mark in marks if isinstance(mark, SolidMarker)]
-    surfaces = []
-    for body in (*bodies, *solids):
-        name = robot.model.names[body.joint]
-        joint = scenario.chain.joint_names.index(name) if body.joint else None
-        surfaces.append(Surface(joint, body.surface.vertices, body.surface.corners))
-    return tuple(surfaces), faults
+    solids = (solid_body(mark) for mark in marks if isinstance(mark, SolidMarker))
+    return (*bodies, *solids), faults
 
 
-def space(scenario: Scenario, bodies: Sequence[Surface]) -> tuple[Array, Array]:
+def space(scenario: Scenario, bodies: Sequence[Body]) -> tuple[Array, Array]:
     """Lowest and highest corner of the robot at its start and of the object, shape (3,) each."""
     state, size = State(scenario.chain), max(scenario.held.size)
     points = [state.p_WO[None] - 0.5 * size, state.p_WO[None] + 0.5 * size]
-    for body in bodies:
-        X = _joint_pose(state, body.joint)
-        points.append(body.vertices @ X.rotation.T + X.translation)
+    points += [moved(body.surface, _joint_pose(state, body)).vertices for body in bodies]
     joined = np.concatenate(points)
     return joined.min(axis=0), joined.max(axis=0)
 
 
-def drawn(controller: SimulatedController, bodies: Sequence[Surface]) -> ControllerFrame:
+def drawn(controller: SimulatedController, bodies: Sequence[Body]) -> ControllerFrame:
     """A controller at its last tick."""
     state = controller.plant.truth(controller.state)
     reached, words = _goal_errors(controller, state)
@@ -71,9 +63,9 @@ def drawn(controller: SimulatedController, bodies: Sequence[Surface]) -> Control
     )
 
 
-def still(state: State, bodies: Sequence[Surface]) -> ControllerFrame:
+def still(state: State, bodies: Sequence[Body]) -> ControllerFrame:
     """Arms and object at a state, without a controller."""
-    places = [pin.SE3ToXYZQUAT(_joint_pose(state, body.joint)) for body in bodies]
+    places = [pin.SE3ToXYZQUAT(_joint_pose(state, body)) for body in bodies]
     held = np.concatenate([state.p_WO, quaternion_of(state.R_WO)])
     bodies_at = np.array(places).reshape(-1, 7)
     return ControllerFrame(bodies_at, held, _left(state), NOTHING, NOTHING, False, "", "")
@@ -99,20 +91,21 @@ def outlines(controller: SimulatedController, place: Place) -> Array:
     return np.concatenate(segments)
 
 
-def _joint_pose(state: State, joint: int | None) -> pin.SE3:
-    if joint is None:
-        return pin.SE3.Identity()
-    return state.joint_pose(state.chain.model.getJointId(state.chain.joint_names[joint]))
+def _joint_pose(state: State, body: Body) -> pin.SE3:
+    """By name: the grasps' joints stand between those of the robot."""
+    chain = state.chain
+    return state.joint_pose(chain.model.getJointId(chain.robot.model.names[body.joint]))
 
 
 def _left(state: State) -> Array:
-    """Distance to the nearer limit over half the range, 0 at it; 1 for joints without limits."""
+    """Of each of the robot's joints, 0 at its limit; 1 for joints without limits."""
     chain, q = state.chain, state.q
+    own = [chain.joint_names.index(name) for name in chain.robot.joint_names]
     with np.errstate(invalid="ignore"):
         margin = np.minimum(q - chain.lower, chain.upper - q)
         left = margin / (0.5 * (chain.upper - chain.lower))
     left[np.abs(margin) <= AT_LIMIT] = 0.0
-    return np.asarray(np.nan_to_num(left, nan=1.0, posinf=1.0, neginf=-1.0), float)
+    return np.asarray(np.nan_to_num(left[own], nan=1.0, posinf=1.0, neginf=-1.0), float)
 
 
 def _broken(controller: SimulatedController, state: State) -> str:

@@ -48,13 +48,12 @@ class Player:
         self._handles = handles(self.scenario, self._steered)
         self._dials = {dial.key: dial for dial in dials_of(self.scenario)}
         self._values: dict[messages.Key, float] = {}
-        self._hands: dict[str, list[float]] = {}
         self.playing, self.speed = False, 1.0
         self._main = 0
         self.has_explainer = self.has_planner = True  # whether their processes are alive
         self.refused: dict[str, str] = {}  # controllers that are left out, and why
         self._names = self._playable(tuple(names))
-        self._bodies, self.faults = picture.surfaces(self.scenario)
+        self._bodies, self.faults = picture.all_bodies(self.scenario)
         self._place = Place(self.scenario)
         self.reset()
         self._knobs = tuple(self._own_knobs())
@@ -62,8 +61,7 @@ class Player:
     def reset(self) -> None:
         """Begin anew; dials keep their values."""
         scenario = with_dials(self.scenario, self._values)
-        self._hands.clear()
-        self._hands |= {field.name: list(field.start) for field in self._steered if field.start}
+        self._hands = {field.name: list(field.start) for field in self._steered if field.start}
         self.controllers = [SimulatedController(scenario, n, self._hands) for n in self._names]
         self.recording = Recording(self._read, self._steered, self._names, self._values)
         self.explanation, self._changed, self.note = messages.Explanation(), False, ""

@@ -25,22 +25,21 @@ Hands = Mapping[str, list[float]]
 """What people send, by the input's name; it replaces the input's own feed."""
 
 
-class HandFeed:
+class HandFeed(Feed):
     """The inputs of a phase: from people, or from the scenario's feeds until people send."""
 
     def __init__(
         self, settings: Mapping[str, InputSettings], inputs: Inputs, since: float, hands: Hands
     ) -> None:
-        self.inputs, self._hands = inputs, hands
-        self._feed = Feed(settings, inputs, since)
+        super().__init__(settings, inputs, since)
+        self._hands = hands
         self.arrived: list[Arrival] = []
 
     def step(self, state: State) -> None:
-        """Let what has been sent arrive, for the tick of a state."""
         known = self.inputs.channels
         fed = [
             (name, np.array(in_columns(known[name].kind, value)).tolist(), when)
-            for name, value, when in self._feed.arrivals(state.t)
+            for name, value, when in self.arrivals(state.t)
             if name not in self._hands
         ]
         sent = [(name, list(x), state.t) for name, x in self._hands.items() if name in known]
@@ -129,7 +128,6 @@ class SimulatedController:
         self._start_driving()
 
     def _leave_way(self) -> None:
-        """Go on with the phase's own tasks."""
         if self.follows is not None:
             self.follows = None
             del self.run.inputs.clocks[CLOCK], self.run.state.inputs[CLOCK]

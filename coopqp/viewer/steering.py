@@ -192,21 +192,15 @@ def _with_inputs(
 def _constant(task: Task, field: str, kind: Kind) -> tuple[float, ...] | None:
     """The constant in a field, as a file would have it; None where there is none."""
     value = getattr(task, field)
-    if isinstance(value, Signal):
-        return None
-    if kind is ROTATION:
-        angles: dict[str, Any] = {key: getattr(task, key, None) for key in ("rpy", "rpy_deg")}
-        if value is not None or not any(given is not None for given in angles.values()):
-            return None
+    angles: dict[str, Any] = {key: getattr(task, key, None) for key in ("rpy", "rpy_deg")}
+    if kind is ROTATION and value is None and any(angles.values()):
         R = pose_matrix(Pose(**angles)).rotation
         return tuple(np.asarray(quaternion_of(R)).tolist())
-    if value is None:
+    if kind is ROTATION or value is None or isinstance(value, Signal):
         return None
     if kind is DIRECTION:
         return tuple(value)
-    now = Moment()
-    constant = trajectory_of(value, kind, now)
-    return tuple(constant.value.tolist())
+    return tuple(trajectory_of(value, kind, Moment()).value.tolist())
 
 
 @dataclass(frozen=True)
@@ -281,7 +275,7 @@ def _dials_of(task: Task, place: Key, group: str, dt: float) -> Iterator[Dial]:
     if isinstance(force, float | int) and force > 0.0:
         high = 2.0 * force
         yield Dial((*place, SQUEEZE), group, "squeeze [N]", 0.0, high, high / STEPS, force)
-    if not (task.asks_velocity or task.of_forces):
+    if not (task.asks_velocity or task.of_forces or task.impedance):
         high = max(min(max(MAX_GAIN, 2.0 * task.gain), 1.0 / dt), task.gain)
         low = min(MIN_GAIN, task.gain)
         step = (high - low) / STEPS
@@ -425,7 +419,6 @@ class Recording:
 
 
 def _spelled(slot: Any) -> dict[str, Any]:
-    """A plug-in's entry as one name with its fields."""
     if isinstance(slot, str):
         return {slot: {}}
     ((name, fields),) = slot.items()

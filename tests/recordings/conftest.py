@@ -41,7 +41,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
     files.write(comparison, folder)
     trace = folder / "trace.csv"
     scenario = load(folder / "scenario.yaml", Catalog())
-    exported = {known.name: folder / f"qp{known.suffix}" for known in EXPORTS}
+    exported = {known.name: folder / f"qp.{known.name}" for known in EXPORTS}
     for name, path in exported.items():
         export(read(trace), scenario, name, "qp", path)
     return Written(trace, exported, comparison)

@@ -30,21 +30,23 @@ def comparison() -> Comparison:
 def test_equal_arms_stand_side_by_side() -> None:
     chain = load("point_on_point").chain
     rows = joint_rows(chain)
-    names = [[chain.joint_names[j] for j in row.joints] for row in rows]
+    names = [[chain.joint_names[j] for j in row] for row in rows]
     assert all(right == f"R{left[1:]}" for right, left in names)
-    assert [row.about[0] for row in rows] == [f"q{k} of the right arm" for k in range(1, 6)]
+    captions = [next(iter(row.values())) for row in rows]
+    assert captions == [f"q{k} of the right arm" for k in range(1, 6)]
 
 
 @needs_robots
 def test_a_shared_torso_stands_alone_and_shifts_no_arm() -> None:
     chain = load("tiago_torso").chain
     torso, *rows = joint_rows(chain)
-    assert [chain.joint_names[j] for j in torso.joints] == ["torso_lift_joint"]
-    assert torso.about == ("carries right and left",)
+    assert {chain.joint_names[j]: caption for j, caption in torso.items()} == {
+        "torso_lift_joint": "carries right and left"
+    }
     for k, row in enumerate(rows, start=1):
-        names = [chain.joint_names[j] for j in row.joints]
+        names = [chain.joint_names[j] for j in row]
         assert names == [f"arm_right_{k}_joint", f"arm_left_{k}_joint"]
-        assert row.about == (f"q{k} of the right arm", f"q{k} of the left arm")
+        assert [*row.values()] == [f"q{k} of the right arm", f"q{k} of the left arm"]
 
 
 @needs_robots

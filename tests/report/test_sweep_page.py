@@ -62,7 +62,7 @@ def columns(study: Study, tmp_path_factory: pytest.TempPathFactory) -> Columns:
 
 
 def test_maps_count_every_row_once_and_where_it_is(study: Study, columns: Columns) -> None:
-    binned = Binned.of(study, columns)
+    binned = Binned(study, columns)
     assert [axis.name for axis in binned.axes] == list(study.columns)
     gain, mass = (columns.numbers(name) for name in study.columns[:2])
     own = (np.array(columns.codes("controller")[0]) == 0) & (gain >= 2.0)
@@ -83,7 +83,7 @@ def test_a_cell_has_rows_enough_for_a_share(variants: int) -> None:
 
 
 def test_bands_are_quantiles_of_what_is_in_the_bin(study: Study, columns: Columns) -> None:
-    binned = Binned.of(study, columns)
+    binned = Binned(study, columns)
     error = columns.numbers("task_error.slide")
     bands = binned.bands(error)
     axis = binned.axes[2]
@@ -97,7 +97,7 @@ def test_bands_are_quantiles_of_what_is_in_the_bin(study: Study, columns: Column
 
 
 def test_ribbons_have_all_rows_that_are_done(study: Study, columns: Columns) -> None:
-    binned = Binned.of(study, columns)
+    binned = Binned(study, columns)
     done = int(binned.done.sum())
     good = int((binned.success > 0.0).sum())
     for flow in binned.flows():
@@ -128,7 +128,7 @@ def test_controllers_are_compared_on_the_same_variants(columns: Columns, study: 
 
 
 def test_the_worst_rows_end_farthest(study: Study, columns: Columns) -> None:
-    binned, error = Binned.of(study, columns), worst_error(columns)
+    binned, error = Binned(study, columns), worst_error(columns)
     mass = columns.numbers("object.mass")
     own = np.flatnonzero(binned.done & (binned.controller == 0))
     expected = own[np.argsort(-mass[own])][:10]

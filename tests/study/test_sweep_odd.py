@@ -70,7 +70,7 @@ def test_null_has_a_bin_of_its_own(
     path = study_in(plate, (MASS, f"{key}: {{choice: [{', '.join(values)}]}}"))
     study = read_study(path)
     sweep(study, plate / "out", engine=HERE)
-    binned = Binned.of(study, Columns.of(plate / "out"))
+    binned = Binned(study, Columns.of(plate / "out"))
     (axis,) = (axis for axis in binned.axes if axis.name == key)
     assert sorted(axis.labels) == sorted(labels)
     for row, code in zip(table_of(plate / "out"), axis.code, strict=True):

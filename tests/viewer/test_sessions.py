@@ -228,22 +228,31 @@ def test_a_session_that_has_written_nothing_says_why(tmp_path: Path) -> None:
     assert "cannot write the recording" in player.note
 
 
-def test_links_are_drawn_where_the_joints_are() -> None:
-    player = playing("point_on_point", "qp")
+def test_every_dial_of_an_impedance_can_be_turned() -> None:
+    player = playing("impedance")
+    for dial in player.show().dials:
+        player.do(Action("dial", dial.key, (0.5 * (dial.low + dial.high),)))
+        player.tick()
+    assert not player.note
+
+
+@pytest.mark.parametrize("name", ["point_on_point", "rigid_vs_passive"])
+def test_links_are_drawn_where_the_joints_are(name: str) -> None:
+    player = playing(name)
     played(player, 30)
     frame, show = player.frame(), player.show()
-    state = State(player.controllers[0].run.problem.chain, player.controllers[0].state.q)
-    model = state.chain.model
-    for body, pose in zip(show.bodies, frame.laws[0].bodies, strict=True):
-        if body.joint is not None:
-            X = state.joint_pose(model.getJointId(state.chain.joint_names[body.joint]))
+    for controller, drawn in zip(player.controllers, frame.laws, strict=True):
+        chain = controller.run.problem.chain
+        state = State(chain, controller.state.q)
+        model, names = chain.model, chain.robot.model.names
+        for body, pose in zip(show.bodies, drawn.bodies, strict=True):
+            X = state.joint_pose(model.getJointId(names[body.joint]))
             np.testing.assert_allclose(pose[:3], X.translation, atol=1e-12)
-    np.testing.assert_allclose(frame.laws[0].held[:3], state.p_WO, atol=1e-12)
-    chain = state.chain
-    lower_share = (state.q - chain.lower) / (chain.upper - chain.lower)
-    np.testing.assert_allclose(
-        frame.laws[0].left, 2.0 * np.minimum(lower_share, 1.0 - lower_share), atol=1e-12
-    )
+        np.testing.assert_allclose(drawn.held[:3], state.p_WO, atol=1e-12)
+        own = [chain.joint_names.index(name) for name in chain.robot.joint_names]
+        q, lower, upper = (values[own] for values in (state.q, chain.lower, chain.upper))
+        left = 2.0 * np.minimum(q - lower, upper - q) / (upper - lower)
+        np.testing.assert_allclose(drawn.left, left, atol=1e-12)
 
 
 def test_a_law_that_breaks_a_limit_is_said_to() -> None:

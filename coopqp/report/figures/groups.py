@@ -16,7 +16,7 @@ from coopqp.closed_loop.screw import LENGTH
 from coopqp.execution.comparison import Comparison
 from coopqp.report import audit, curves
 from coopqp.report.cells import LANGUAGES, length, tick_times_in
-from coopqp.report.curves import ALWAYS, Chart, Figure, Json, Lines
+from coopqp.report.curves import ALWAYS, Chart, Figure, Json, Lines, Window
 from coopqp.report.figures import joints
 from coopqp.report.figures.object import freedom_figures, object_figures
 from coopqp.trace import TaskInfo
@@ -232,9 +232,11 @@ def _log(
     rows: slice = ALWAYS,
 ) -> Figure:
     """On a log scale, with the bound below which errors are good."""
-    floor = scale * FLOOR
-    lines = {name: np.maximum(y, floor) for name, y in lines.items()}
-    shown = curves.log_window(list(lines.values()), floor, good)
+    lines = {name: np.maximum(y, scale * FLOOR) for name, y in lines.items()}
+    known = np.concatenate([y[np.isfinite(y)] for y in lines.values()])
+    # All but the rare dips towards zero; at least two decades.
+    bottom, top = min(float(np.percentile(known, 3)), good), max(float(known.max()), good)
+    shown = Window(bottom / 3.0, max(3.0 * top, 100.0 * bottom))
     bound = curves.level(good, f"counts as {word}: {good:.3g}", log=True)
     return chart.figure(title, unit, lines, shown, bound, *levels, log=True, rows=rows)
 
@@ -271,10 +273,9 @@ def _times(chart: Chart, language: str, times: Lines) -> Figure:
 
 
 def _box(chart: Chart, name: str, us: Array) -> list[Json]:
-    style, y = chart.styles[name], [html.escape(name)]
+    style, y = chart.styles[name], html.escape(name)
     p1, q1, median, q3, p99 = np.percentile(us, [1, 25, 50, 75, 99]).tolist()
-    box: Json = {"type": "box", "orientation": "h", "legendgroup": name, "y": y, "lowerfence": [p1]}
-    box |= {"q1": [q1], "median": [median], "q3": [q3], "upperfence": [p99]}
+    box: Json = {"type": "box", "orientation": "h", "legendgroup": name, "y": [y]}
+    box |= {"lowerfence": [p1], "q1": [q1], "median": [median], "q3": [q3], "upperfence": [p99]}
     box |= {"line": {"color": style.color, "width": 1.6}, "hoverinfo": "x"}
-    slowest = curves.markers(name, style, [(float(us.max()), 0.0)], "x")
-    return [box, slowest | {"y": y}]
+    return [box, curves.mark(name, style, float(us.max()), y, "x")]

@@ -1,7 +1,7 @@
 """Joints over time between their limits, as in the paper's figures 4-8; limits; forces."""
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from itertools import chain as joined
 
@@ -35,12 +35,8 @@ WRENCHES = (
 )
 
 
-@dataclass(frozen=True)
-class JointRow:
-    """Joints side by side: one that arms share, or the same one of two; a caption for each."""
-
-    joints: tuple[int, ...]
-    about: tuple[str, ...]
+Row = dict[int, str]
+"""Joints side by side, one that arms share or the same one of two, each with its caption."""
 
 
 def joint_figures(chart: Chart) -> tuple[list[Figure], list[Figure], list[Figure]]:
@@ -50,7 +46,7 @@ def joint_figures(chart: Chart) -> tuple[list[Figure], list[Figure], list[Figure
     list is empty and the second has the nearest.
     """
     rows = joint_rows(chart.chain)
-    margins = [[_min_margin(chart, i) for i in row.joints] for row in rows]
+    margins = [[_min_margin(chart, i) for i in row] for row in rows]
     margin_of_row = [min(own) for own in margins]
     nearest = np.argsort(margin_of_row, kind="stable")[:MAX_FIRST].tolist()
     near = [n for n in nearest if margin_of_row[n] < NEAR]
@@ -63,7 +59,7 @@ def joint_figures(chart: Chart) -> tuple[list[Figure], list[Figure], list[Figure
     return first, second, third
 
 
-def joint_rows(chain: ClosedChain) -> list[JointRow]:
+def joint_rows(chain: ClosedChain) -> list[Row]:
     """The joints as they are shown: those that arms share first, two equal arms side by side."""
     model, arms = chain.model, []
     for frame in chain.frames[chain.standing :]:
@@ -85,8 +81,7 @@ def joint_rows(chain: ClosedChain) -> list[JointRow]:
     shared = [(j,) for j, count in counts.items() if count > 1]
     rows = zip(*own, strict=True) if alike else ((j,) for j in joined(*own))
     idle = [(j,) for j in range(chain.n) if j not in counts]
-    every = joined(shared, rows, idle)
-    return [JointRow(row, tuple(captions.get(j, "") for j in row)) for row in every]
+    return [{j: captions.get(j, "") for j in row} for row in joined(shared, rows, idle)]
 
 
 def _min_margin(chart: Chart, i: int) -> float:
@@ -98,16 +93,16 @@ def _min_margin(chart: Chart, i: int) -> float:
     return smallest / span if np.isfinite(span) and span > 0.0 else smallest
 
 
-def _figures(chart: Chart, rows: list[JointRow]) -> list[Figure]:
+def _figures(chart: Chart, rows: list[Row]) -> list[Figure]:
     known = PAPER_FIGURES if chart.comparison.scenario.robot_model.name == PAPER_ROBOT else {}
     return [
         replace(
             _joint(chart, i),
             about=f"{about}, {known[about]}" if about in known else about,
-            alone=len(row.joints) == 1,
+            alone=len(row) == 1,
         )
         for row in rows
-        for i, about in zip(row.joints, row.about, strict=True)
+        for i, about in row.items()
     ]
 
 
@@ -151,8 +146,8 @@ def _marks(
     for low, high, heights, symbols in bounds:
         for k in np.flatnonzero((y < low) | (y > high))[:1]:
             up = bool(y[k] > high)
-            place = [(float(chart.any.t[k]), heights[up])]
-            marks.append(curves.markers(name, chart.styles[name], place, symbols[up]))
+            t, style = float(chart.any.t[k]), chart.styles[name]
+            marks.append(curves.mark(name, style, t, heights[up], symbols[up]))
     return marks
 
 
@@ -279,7 +274,7 @@ def torques(chart: Chart) -> list[Figure]:
     """One a motor, those of two equal arms side by side."""
     if not any("tau" in trace.signals for trace in chart.traces.values()):
         return []
-    order = (i for row in joint_rows(chart.chain) for i in row.joints)
+    order = joined(*joint_rows(chart.chain))
     return [_torque(chart, i) for i in order if chart.any.effort[i] > 0.0]
 
 

@@ -47,9 +47,6 @@ class Triangles:
     corners: Ints
 
 
-NOTHING = Triangles(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
-
-
 @dataclass(frozen=True)
 class Body:
     """What a joint carries, in its frame."""
@@ -82,8 +79,7 @@ def robot_bodies(robot: RobotModel) -> tuple[tuple[Body, ...], tuple[str, ...]]:
 
 def solid_body(solid: SolidMarker) -> Body:
     """What stands in the world, as a body of the base."""
-    surface, _ = _surface(solid)
-    placed = moved(surface, pin.SE3(solid.rotation, solid.position))
+    placed = moved(_surface(solid), pin.SE3(solid.rotation, solid.position))
     return Body(0, None, _within([placed], MAX_TRIANGLES)[0])
 
 
@@ -106,9 +102,10 @@ def _surfaces_of_shapes(robot: RobotModel) -> tuple[dict[int, list[Triangles]], 
     surfaces: dict[int, list[Triangles]] = {}
     faults = set()
     for shape in robot.shapes:
-        surface, wrong = _surface(shape)
-        if wrong:
-            faults.add(f"{wrong}; not drawn")
+        try:
+            surface = _surface(shape)
+        except InvalidValueError as error:
+            faults.add(f"{error}; not drawn")
             continue
         frame = robot.model.frames[robot.model.getFrameId(shape.frame)]
         placed = moved(surface, frame.placement * shape.placement)
@@ -117,16 +114,11 @@ def _surfaces_of_shapes(robot: RobotModel) -> tuple[dict[int, list[Triangles]], 
 
 
 @lru_cache(maxsize=256)
-def _read_mesh(
-    path: Path, changed: int, size: int, scale: tuple[float, ...]
-) -> tuple[Triangles, str]:
-    """The mesh in a version of a file, thinned so as not to slow what follows; or what is wrong."""
-    try:
-        mesh = read_mesh(path, scale)
-    except InvalidValueError as error:
-        return NOTHING, str(error)
+def _read_mesh(path: Path, changed: int, size: int, scale: tuple[float, ...]) -> Triangles:
+    """The mesh in a version of a file, thinned so as not to slow what follows."""
+    mesh = read_mesh(path, scale)
     surface = Triangles(mesh.vertices, mesh.corners)
-    return thinned(surface, READ * _size([surface])), ""
+    return thinned(surface, READ * _size([surface]))
 
 
 def _size(surfaces: Sequence[Triangles]) -> float:
@@ -180,12 +172,8 @@ def _within(surfaces: Sequence[Triangles], max_triangles: int) -> list[Triangles
 def joined(parts: Sequence[Triangles]) -> Triangles:
     """Several surfaces as one."""
     first = np.cumsum([0, *(len(part.vertices) for part in parts)])
-    return Triangles(
-        np.concatenate([NOTHING.vertices, *(part.vertices for part in parts)]),
-        np.concatenate(
-            [NOTHING.corners, *(p.corners + k for p, k in zip(parts, first[:-1], strict=True))]
-        ),
-    )
+    corners = [part.corners + k for part, k in zip(parts, first[:-1], strict=True)]
+    return Triangles(np.concatenate([part.vertices for part in parts]), np.concatenate(corners))
 
 
 def moved(surface: Triangles, X: pin.SE3) -> Triangles:
@@ -193,21 +181,21 @@ def moved(surface: Triangles, X: pin.SE3) -> Triangles:
     return Triangles(surface.vertices @ X.rotation.T + X.translation, surface.corners)
 
 
-def _surface(shape: Shape | SolidMarker) -> tuple[Triangles, str]:
-    """The surface of a shape, about its own origin, and why its mesh cannot be read."""
+def _surface(shape: Shape | SolidMarker) -> Triangles:
+    """The surface of a shape, about its own origin; InvalidValueError: its mesh cannot be read."""
     size = shape.size
     if shape.kind == "mesh":
         assert shape.mesh is not None
         return _read_mesh(*version(shape.mesh), size)
     if shape.kind == "box":
-        return _box(size), ""
+        return _box(size)
     if shape.kind == "cylinder":
         radius, half = size[0], 0.5 * size[1]
-        return _turned(np.array([[0, -half], [radius, -half], [radius, half], [0, half]])), ""
+        return _turned(np.array([[0, -half], [radius, -half], [radius, half], [0, half]]))
     if shape.kind == "capsule":
-        return _turned(_round_ends(size[0], size[1])), ""
+        return _turned(_round_ends(size[0], size[1]))
     ball = _turned(_round_ends(1.0, 0.0))  # an ellipsoid has three radii, a sphere one
-    return Triangles(ball.vertices * np.array(size), ball.corners), ""
+    return Triangles(ball.vertices * np.array(size), ball.corners)
 
 
 def _box(edges: Sequence[float]) -> Triangles:

@@ -27,7 +27,7 @@ from coopqp.model.marker import Marker, asked
 from coopqp.report.cells import length
 from coopqp.report.curves import styles
 from coopqp.report.figures.joints import joint_units, margin
-from coopqp.report.scene.bodies import Body, body_places, joined, moved, robot_bodies, solid_body
+from coopqp.report.scene.bodies import Body, body_places, moved, robot_bodies, solid_body
 from coopqp.robot import RobotModel
 from coopqp.scenario.scenario import Scenario
 from coopqp.tasks.posture import posture
@@ -43,7 +43,6 @@ MAX_FRAMES = 80
 INSIDE, AT, BEYOND = 0, 1, 2
 WIDEST = 0.5  # times the size at the start; further out the view does not follow
 SLICES = 8  # of what is shown, to find the largest scale at which it fits
-DECIMALS = 4  # tenths of a millimetre
 
 #: Half edge of the patch drawn for a plane, half length of the piece of a line, and length of the
 #: axes of a pose, in longest edges of the object.
@@ -213,7 +212,6 @@ def joint_state(trace: Trace) -> NDArray[np.int64]:
 
 
 def _readout(trace: Trace, frames: NDArray[np.int64]) -> list[list[str]]:
-    """Texts below each frame."""
     texts = []
     margins = {unit: margin(trace, unit) for unit in joint_units([trace])}
     for k in frames:
@@ -243,14 +241,20 @@ def view(comparison: Comparison, bodies: Sequence[Body], goals: Array) -> dict[s
         moving += [trace.position[:, None] - half, trace.position[:, None] + half]
     starts = np.concatenate([points[0] for points in moving])
     reach = WIDEST * np.ptp(starts, axis=0).max()
-    surfaces = [_vertices(comparison.scenario.chain.robot, bodies, trace) for trace in traces]
+    robot = comparison.scenario.chain.robot
+    surfaces = [
+        moved(body.surface, X).vertices
+        for trace in traces
+        for places in body_places(robot, bodies, trace, np.array([0, len(trace.t) - 1]))
+        for body, X in zip(bodies, places, strict=True)
+    ]
     everything = np.concatenate([*(points.reshape(-1, 3) for points in moving), *surfaces])
     everything = everything[np.isfinite(everything).all(axis=1)]
     near = np.clip(everything, starts.min(axis=0) - reach, starts.max(axis=0) + reach)
     shown = np.concatenate([near, goals])
     low, high = shown.min(axis=0), shown.max(axis=0)
     corners = {"low": low, "high": high, "rims": _rims(shown, 0.5 * (low + high))}
-    return {name: values.round(DECIMALS).tolist() for name, values in corners.items()}
+    return {name: short(values) for name, values in corners.items()}
 
 
 def _rims(points: Array, middle: Array) -> Array:
@@ -263,17 +267,6 @@ def _rims(points: Array, middle: Array) -> Array:
         if near.any():
             rims += [(end, radius[near].max()) for end in (z[near].min(), z[near].max())]
     return np.array(rims)
-
-
-def _vertices(robot: RobotModel, bodies: Sequence[Body], trace: Trace) -> Array:
-    """Of all bodies at the start and at the end, shape (m, 3) [m]."""
-    ends = np.array([0, len(trace.t) - 1])
-    surfaces = [
-        moved(body.surface, X)
-        for places in body_places(robot, bodies, trace, ends)
-        for body, X in zip(bodies, places, strict=True)
-    ]
-    return joined(surfaces).vertices
 
 
 def weight(scenario: Scenario) -> float:

@@ -49,7 +49,7 @@ WORST = 10
 
 def write(study: Study, columns: Columns, summary: Summary, folder: Path) -> Path:
     """Write ``report.html``, and the scenarios that it links to."""
-    binned, error = Binned.of(study, columns), worst_error(columns)
+    binned, error = Binned(study, columns), worst_error(columns)
     worst = [worst_rows(binned, error, k) for k in range(len(binned.controllers))]
     numbers = columns.numbers("row")
     for row in (row for rows in worst for row in rows):
@@ -300,21 +300,13 @@ def _texts(columns: Columns, name: str) -> Axis:
     return _with_null(Axis(name, labels, (), False, new[codes]), there)
 
 
-@dataclass(frozen=True)
 class Binned:
     """Of each row, shape (rows,): controller, whether it is done, success (1, 0 or NaN)."""
 
-    axes: Sequence[Axis]
-    controllers: Sequence[str]
-    controller: Codes
-    done: NDArray[np.bool_]
-    success: Array
-
-    @classmethod
-    def of(cls, study: Study, columns: Columns) -> Binned:
-        controller, names = columns.codes("controller")
-        success = columns.numbers("success")
-        return cls(axes(study, columns), names, controller, columns.done, success)
+    def __init__(self, study: Study, columns: Columns) -> None:
+        self.axes, self.done = axes(study, columns), columns.done
+        self.controller, self.controllers = columns.codes("controller")
+        self.success = columns.numbers("success")
 
     def maps(self) -> Iterator[dict[str, Any]]:
         """For each pair of axes and each controller how many rows, and how many succeed."""
