@@ -179,14 +179,14 @@ class Samples {
     // columns internal wrenches pull the joints, now and earlier; load: its sag, of all joints.
     int whiten(int span, int lag, const Numbers& J, const Numbers& before, const Numbers& load, const Written& W) {
         const std::size_t n = n_, m = J.ndim() == 2 ? J.shape(0) : 0, all = load.size();
-        if (!m || J.shape(1) != all || before.size() != J.size() || all <= last_ || W.size() != n * n)
+        if (J.ndim() != 2 || J.shape(1) != all || before.size() != J.size() || all <= last_ || W.size() != n * n)
             throw std::invalid_argument("matrices of another robot");
         count_ = readings_ / every_;
         const int last = count_ - 1, first = std::max(0, last - span), T = last - first + 1;
         const auto told = [&](int t, std::size_t i) {
             return 0.5 * (of(c_, t - lag / 2)[i] + of(c_, t - (lag + 1) / 2)[i]);
         };
-        std::vector<double> A(n * m), U(n * n), values(m), variance(n), sag(n), bends;
+        std::vector<double> A(n * m), U(n * n), values(m + 1), variance(n), sag(n), bends;
         for (std::size_t i = 0; i < n; i++)
             for (std::size_t k = 0; k < m; k++)
                 A[i * m + k] = compliance_[i] * J.data()[k * all + own_[i]];

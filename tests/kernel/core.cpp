@@ -263,14 +263,14 @@ int garbage(Random& random, Case& c) {
 // Python's, keeps what was to be forgotten, or learns no number.
 int wrong_observer(Random& random, Case& c) {
     const std::size_t n = c.owner.q.size(), loops = c.owner.gap.size(), arms = loops / 6 + 1;
-    std::vector<double> sag(n), torque(n), opened(loops), told(3), felt(2 + loops), compliance(n),
+    std::vector<double> sag(n), torque(n), opened(loops), told(3), felt(2 + loops), compliance(n * n),
         at_origin(18 * arms), left(3 * loops), stalled(2 * loops / 3);
     double spent = 0.0;
-    for (double& x : compliance) x = uniform(random, 0.0, 0.02);
+    for (std::size_t j = 0; j < n; j++) compliance[j * n + j] = uniform(random, 0.0, 0.02);
     for (double& x : at_origin) x = uniform(random, -1.0, 1.0);
     LoopObserver observer(c.kernel->model(),
-                          {compliance, {0, 0, 1}, at_origin, 0.01, 0.05, {0.02, 0.2},
-                           whole(random, 1, 3), whole(random, 0, 1) == 1, sag.data(), torque.data(),
+                          {{0, 0, 1}, at_origin, 0.01, 0.05, {0.02, 0.2}, whole(random, 1, 3),
+                           whole(random, 0, 1) == 1, compliance.data(), sag.data(), torque.data(),
                            opened.data(), told.data(), left.data(), stalled.data(), &spent, 2.0,
                            whole(random, 0, 1) * 5e-4});
     if (c.kernel->update(0.0) != Status::Optimal) return 0;

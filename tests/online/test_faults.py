@@ -323,6 +323,18 @@ def test_a_reading_that_leaps_is_not_believed_until_it_was_looked_at(
     assert leapt == [size > 0.015 and 20 <= k < 25 for k in range(40)]
 
 
+@pytest.mark.parametrize("name", ["pick_and_place", "regrasp"])
+def test_one_arm_that_holds_has_no_internal_wrench_to_be_told_from_faults(name: str) -> None:
+    loop, robot = simulated(coopqp.load(name))
+    alone = 0
+    for _ in range(300):
+        go(loop, robot, 1)
+        assert Status.RAISED not in loop.command.causes, loop.note
+        alone += len(loop.state.J_loop) == 0
+    assert alone > 50
+    assert not loop.faults
+
+
 def pressed(fault: Fault | None, mass: float = 1.0) -> Scenario:
     """The two UR5 squeeze by 60 N, with a fault of the left one's force sensor."""
     disturbance = Disturbance(faults=(fault,) if fault else (), object_mass=mass)
