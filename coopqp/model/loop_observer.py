@@ -185,7 +185,6 @@ class LoopObserver:
         self._compliance = np.diag(_compliance(chain, self.settings.stiffness))
         self._inertial = self.settings.inertial_stiffness
         self._known = self.settings.stiffness is not None or self._inertial is not None
-        self._data = chain.model.createData()
         self._follow_inertia(chain.q_start)
         self._samples = np.full((3, 2, chain.n), math.nan)  # commanded and measured, newest first
         self._sampled = -1.0
@@ -206,6 +205,10 @@ class LoopObserver:
         self._left, self._halves = np.zeros((3, 2 * loops, 3)), np.zeros((2, 2 * loops))
         self._stalled, self._noise = self._halves
         self._spent = np.zeros(1)
+
+    @cached_property
+    def _data(self) -> pin.Data:
+        return self._chain.model.createData()
 
     @cached_property
     def _measured(self) -> State:
@@ -331,8 +334,8 @@ class LoopObserver:
         then.update()
         if _rests(then):
             return
-        v, a, lag = (m[0] - m[2]) / (2.0 * h), (m[0] - 2.0 * m[1] + m[2]) / h**2, m[1] - c[1]
-        lag = lag - np.clip(lag, -self._band, self._band) - state.felt[0] * self._sag.sag
+        v, a = (m[0] - m[2]) / (2.0 * h), (m[0] - 2.0 * m[1] + m[2]) / h**2
+        lag = m[1] - c[1] - state.felt[0] * self._sag.sag
         yields = np.diag(self._compliance) > 0.0
         root = np.linalg.cholesky(self._compliance[np.ix_(yields, yields)])
         squeezed = np.linalg.qr(root.T @ then.J_rel.T[yields])[0]

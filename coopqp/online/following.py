@@ -201,7 +201,7 @@ class JointFollowing:
         return None
 
     def _add(self, q_c: Array, q_m: Array) -> bool:
-        """Add to the sample that is being taken, as C++ has where it is; whether it is whole."""
+        """Add to the sample that is being taken, unless C++ has; whether it is whole."""
         if self._quick:
             self._count, leapt = self._quick.readings - 1, self._quick.leapt
         at, part = divmod(self._count, self._every)
@@ -257,12 +257,8 @@ class JointFollowing:
 
     def _white_over(self, span: int, state: State, before: Array) -> Array:
         """W of so many samples, of sag and speed on their way."""
-        J, load, last, n = (
-            state.J_loop,
-            self._observer.sag(state),
-            self._samples - 1,
-            len(self._own),
-        )
+        J, load = state.J_loop, self._observer.sag(state)
+        last, n = self._samples - 1, len(self._own)
         if len(self._passive):
             N = null_space(J[:, self._passive].T)
             J, before = N.T @ J, N.T @ before

@@ -101,9 +101,8 @@ def note_chatter(state: State, v: Array, dt: float) -> None:
     more = np.minimum(1.0 + times, REVERSALS)
     most = np.where(at_once, REVERSALS, more)[back].max(initial=0.0)
     again = max(float(most) - REVERSALS + 1.0, 0.0)
-    fastest = float(speeds.max(initial=0.0))
-    goes_on = fastest > SWINGS_AT and times.max(initial=0.0) < 1.0
-    rate = fastest / FADES_IN + goes_on / FADES_AFTER
+    goes_on = moves.any() and times.max() < 1.0
+    rate = float(speeds.max(initial=0.0)) / FADES_IN + goes_on / FADES_AFTER
     faded = max((1.0 + chatter[0]) / (1.0 + dt * rate), 1.0)
     chatter[0] = (min(GROWS**again * (1.0 + chatter[0]), MOST_GROWN) if again else faded) - 1.0
     times = np.where(back, more, np.maximum(FORGETS * times, NO_REVERSAL))

@@ -31,6 +31,7 @@ from functools import cached_property
 
 import numpy as np
 
+from coopqp.base.rank import null_space
 from coopqp.base.spec import Array
 from coopqp.controller import Command, ControlProblem, InternalForceControl, Law
 from coopqp.limit import ROUNDING
@@ -144,10 +145,10 @@ class QPLaw(Law):
         """One after the other, each in the null space of those before it."""
         status, v = self.first.solve(), self.first.v
         v, causes = self._decide_exact(state, kappa) if self.exact.tasks else (v, (status,))
-        if causes[0].usable:
-            pulls = state.memory["later pulls"].reshape(-1, 1)
+        if self.later and causes[0].usable:
+            loops, pulls = null_space(state.J_loop).T, state.memory["later pulls"].reshape(-1, 1)
             for later, pull in zip(self.later, pulls, strict=True):
-                v, status = later.improve(state, v, pull)
+                v, status = later.improve(state, loops, v, pull)
                 causes = (*causes, status)
         return v, causes
 
@@ -208,7 +209,6 @@ class QPLaw(Law):
         return status, beside, beside + leaves * (v - beside), max(leaves, least)
 
     def _overreaches(self, rows: slice, v: Array) -> float:
-        """How far these rows are softened."""
         return self._damping.overreaches(self.exact.levers[rows], self.exact.J[rows] @ v, v)
 
     def _holds_firmly(self, *, met: bool) -> bool:

@@ -101,7 +101,8 @@ class Nearest:
         """What the level of the scaled tasks makes of v, in what hard tasks leave free."""
         for stack in (self.hard.tasks, self.scaled.tasks):
             stack.update(state)
-        return self.scaled.improve(state, v, state.memory["scaled pull"])
+        loops = null_space(state.J_loop).T
+        return self.scaled.improve(state, loops, v, state.memory["scaled pull"])
 
 
 def counting(missed: Array) -> float:

@@ -21,7 +21,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from coopqp.base.rank import directions, matrix_rank, null_space
+from coopqp.base.rank import directions, matrix_rank
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
 from coopqp.limit import states_along
@@ -83,10 +83,11 @@ class LaterLevel(Step):
         self._before, self.share = before, 1.0
         self._lever = max(float(stack.levers.max(initial=0.0)) for stack in before)
 
-    def improve(self, state: State, v: Array, pull: Array) -> tuple[Array, Status]:
+    def improve(self, state: State, loops: Array, v: Array, pull: Array) -> tuple[Array, Status]:
         """Improve v in the null space, at an up-to-date state.
 
-        ``pull`` (1,) is the sum of |y| L / sigma over the decided rows, without damping, updated.
+        ``loops`` are motions along the loops, orthonormal rows; ``pull`` (1,) is the sum of
+        |y| L / sigma over the decided rows, without damping, updated.
         """
         damping = self._given.damping
         needed, own = damping.of(pull[0], state), damping.of_tasks(self.tasks, state)
@@ -95,7 +96,6 @@ class LaterLevel(Step):
         decided = np.concatenate([stack.J for stack in self._before])
         if not np.isfinite(decided).all():
             return v, Status.INACCURATE
-        loops = null_space(state.J_loop).T
         sizes, ways = directions(decided.dot(loops.T))
         rank, ways = int(np.count_nonzero(sizes > NOISE)), ways.dot(loops)
         free, part = ways[rank:], (np.maximum(sizes[rank:] - IDLE, 0.0) / (NOISE - IDLE)) ** 6
