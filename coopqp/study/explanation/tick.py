@@ -318,24 +318,29 @@ def _until_missed(record: TickRecord, missed: NDArray[np.bool_]) -> TickRecord:
 
 def _possible(tick: TickRows, task_rows: Sequence[Row]) -> tuple[list[int], list[int]]:
     """Task rows that loops and other rows leave open, and impossible ones."""
-    kept, impossible, own = list[int](), list[int](), list[int]()
-    for i, row in enumerate(task_rows):
-        own = own if i and row.owner == task_rows[i - 1].owner else []
-        if not _adds(tick, own, i):
+    kept, impossible = list[int](), list[int]()
+    own = known = loops = np.linalg.qr(tick.A.T)[0].T
+    for i, row in enumerate(tick.J):
+        if i and task_rows[i].owner != task_rows[i - 1].owner:
+            own = loops
+        more = _spanned(own, row)
+        if more is None:
             impossible.append(i)
             continue
-        own.append(i)
-        if _adds(tick, kept, i):
+        own, more = more, _spanned(known, row)
+        if more is not None:
             kept.append(i)
+            known = more
     return kept, impossible
 
 
-def _adds(tick: TickRows, known: Sequence[int], i: int) -> bool:
-    """Whether task row i is no combination of the loops' rows and of known ones."""
-    rows, row = np.vstack([tick.A, tick.J[known]]), tick.J[i]
-    alike = (rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-300)).T
-    left = row - alike @ np.linalg.lstsq(alike, row, rcond=IMPOSSIBLE)[0]
-    return norm(left) > IMPOSSIBLE * max(norm(row), 1e-12)
+def _spanned(basis: Array, row: Array) -> Array | None:
+    """Orthonormal rows that span one more; None where that is spanned already."""
+    left = row - basis.T @ (basis @ row)
+    left -= basis.T @ (basis @ left)  # what rounding has left
+    size = norm(left)
+    adds = size > IMPOSSIBLE * max(norm(row), 1e-12)
+    return np.concatenate([basis, left[None] / size]) if adds else None
 
 
 def _contradiction(
