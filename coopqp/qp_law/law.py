@@ -114,7 +114,7 @@ class QPLaw(Law):
     def assemble(self, state: State) -> float:
         """Evaluate limits and tasks, and fill the first level's QP; returns the drift gain."""
         kappa = self.limit_recovery.limit(state)
-        for stack in (*self.stacks, self.exact):
+        for stack in (*self.stacks, self.exact) if self.exact.tasks else self.stacks:
             stack.update(state)
         self._assemble_exact(self.first, state, kappa, self.exact.wanted)
         return kappa
@@ -122,8 +122,8 @@ class QPLaw(Law):
     def _assemble_exact(self, level: Level, state: State, kappa: float, wanted: Array) -> None:
         """J_j v = wanted_j of hard tasks, J_k v - s_k wanted_k = 0 of scaled ones."""
         n, m = self.problem.chain.n, len(state.e_loop)
-        damping = self._damping.of_tasks(level.tasks, state)
-        level.assemble(state, kappa, damping + self._scaled_damping(state))
+        scaled = self._scaled_damping(state) if self._scaled else 0.0
+        level.assemble(state, kappa, self._damping.of_tasks(level.tasks, state) + scaled)
         A, b = level.qp.A[m:], level.qp.b[m:]
         A[:, :n], b[:] = self.exact.J, wanted
         for share, part in enumerate(self._scaled):

@@ -52,7 +52,6 @@ class LimitRecovery:
     def __init__(self, problem: ControlProblem, start: State, damping: Damping) -> None:
         self.bounds = Bounds(problem.limits, start, problem.dt)
         self._problem, self._nothing, self._damping = problem, TaskStack((), start), damping
-        self._back = np.zeros(problem.chain.n)  # from each joint to its limits, zero inside
         self.active, self.share = False, 1.0
         self.v: Array | None = None
 
@@ -66,8 +65,8 @@ class LimitRecovery:
 
     def limit(self, state: State) -> float:
         """Evaluate limits and the recovery of joints outside; the drift gain it leaves."""
-        chain = self._problem.chain
-        self._back = np.clip(state.q, chain.lower, chain.upper) - state.q
+        chain = self._problem.chain  # back is from each joint to its limits, zero inside
+        self._back = np.minimum(np.maximum(state.q, chain.lower), chain.upper) - state.q
         self._back *= np.abs(self._back) > ROUNDING
         self.active, self.share, self.v = bool(self._back.any()), 1.0, None
         self.bounds.update(state)

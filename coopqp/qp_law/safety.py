@@ -52,10 +52,12 @@ class StepVerification:
 def drift_gain(problem: ControlProblem, state: State, share: float = 1.0) -> float:
     """Baumgarte gain: a share of the problem's, or more as the budget is used up (if kappa = 0)."""
     slow, most, budget = share * problem.kappa, 1.0 / problem.dt, problem.budget
+    if slow >= most:
+        return slow
     sizes = _sizes(state.closed_error) / (budget.loop_position, budget.loop_orientation)
     return max(slow, min(max(2.0 * float(sizes.max(initial=0.0)) - 1.0, 0.0), 1.0) * most)
 
 
 def _sizes(error: Array) -> Array:
     """How far each loop is open, in position and in angle, shape (L, 2)."""
-    return np.asarray(np.linalg.norm(error.reshape(-1, 2, 3), axis=2))
+    return np.asarray(np.sqrt(np.square(error.reshape(-1, 2, 3)).sum(axis=2)))
