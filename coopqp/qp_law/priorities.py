@@ -86,7 +86,7 @@ class LaterLevel(Step):
     def improve(self, state: State, loops: Array, v: Array, pull: Array) -> tuple[Array, Status]:
         """Improve v in the null space, at an up-to-date state.
 
-        ``loops`` are orthonormal rows along the loops; ``pull`` (1,), updated, is sum |y| L / sigma.
+        ``loops`` are orthonormal rows along the loops; ``pull`` (1,) is sum |y| L / sigma, updated.
         """
         damping = self._given.damping
         needed, own = damping.of(pull[0], state), damping.of_tasks(self.tasks, state)
