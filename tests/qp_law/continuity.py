@@ -8,7 +8,9 @@ times, and of the largest change that the task sees, J v.
 The optimum of a strict hierarchy jumps by itself where limits begin to depend on the rows decided
 before, and that of one scaled task may be as steep. Such a jump is the optimum's own where an
 independent cascade in extended precision (tests/lexicographic.py) is with the command on both
-sides, and moves as well, by half as far at least, within a small part of the tick's step.
+sides, and moves as well, by half as far at least, within a small part of the tick's step. Nearer
+to it than 1e-8 of the step the last digits of a double decide which of its values a command takes,
+so that all of the optimum's values within it count.
 
 Exit code 1 where a task alone, or a hard one beside others, sees a jump of more than 1e-4 rad/s or
 m/s, or where one is not the optimum's own.
@@ -45,6 +47,7 @@ from coopqp.qp_law.priorities import Order
 DAMPING, ERROR_DAMPING = 1e-6, 0.5
 SAME = 1e-6  # as near to the optimum as that a command is it [rad/s, m/s]
 BESIDE = 10.0 ** np.arange(-11.0, -2.0, 0.5)  # how far from a jump that is seen to, of the step
+LAST_DIGITS = 1e-8  # of the step: what a state's last digits may decide
 #: What the cascade takes for dependent rows, as near to none as 64 bits of mantissa allow.
 SHARP = {
     lexicographic: {"RELEASED": 0.0, "NOISE": 1e-12, "CLEAR": 1e-9, "FAILS": 2e-9, "PROBE": 1e-18},
@@ -92,7 +95,7 @@ def optimum_moves(law: Law, left: Left) -> float:
         law: whose command jumps.
         left: the jump.
     """
-    asked, found = Asked(law), list[Array]()
+    asked, found = Asked(law), (list[Array](), list[Array]())
     groups = [task for group in Order(law.problem).groups for task in group]
     kept = tuple(task for task in law.problem.secondary if task in groups)
     decided = replace(law.problem, secondary=kept)
@@ -100,8 +103,10 @@ def optimum_moves(law: Law, left: Left) -> float:
         stack.enter_context(np.errstate(invalid="ignore"))  # beside the first tick dampings are < 0
         for module, digits in SHARP.items():
             stack.enter_context(patch.multiple(module, **digits))
-        for side, way in zip(left.sides, (-left.step, left.step), strict=True):
+        for side, way, beside in zip(left.sides, (-left.step, left.step), found, strict=True):
             for far in BESIDE:
+                if beside and far > LAST_DIGITS:
+                    break
                 there = side + far * way
                 try:
                     damping = Damping(DAMPING, ERROR_DAMPING, DT)
@@ -109,9 +114,8 @@ def optimum_moves(law: Law, left: Left) -> float:
                 except oracle.UndeterminedError:
                     continue
                 if np.abs(asked.at(there) - best).max() <= SAME:
-                    found.append(best)
-                    break
-    return float(np.abs(found[1] - found[0]).max()) if len(found) == 2 else 0.0
+                    beside.append(best)
+    return float(np.ptp([*found[0], *found[1]], axis=0).max()) if all(found) else 0.0
 
 
 def tell_of(seed: int, left: Left, moves: float) -> None:
