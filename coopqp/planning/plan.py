@@ -15,7 +15,7 @@ from coopqp.base.spec import Array
 from coopqp.base.wording import counted
 from coopqp.controller import ControlProblem
 from coopqp.planning.closed_path import lengths
-from coopqp.planning.closed_space import Budget, ClosedSpace
+from coopqp.planning.closed_space import Budget, ClosedSpace, Verification, Verifier
 from coopqp.planning.reach import (
     MOST,
     PROVEN,
@@ -28,7 +28,6 @@ from coopqp.planning.reach import (
     too_far,
 )
 from coopqp.planning.timing import Clock, timed
-from coopqp.planning.verification import Verification, Verifier
 from coopqp.scenario.planned import PHASE
 from coopqp.scenario.scenario import Scenario, needs_scenario
 from coopqp.signal import TURN_COLUMNS, quaternion_of
@@ -221,9 +220,8 @@ class Planner:
         self.problem, self.chain, self._t = problem, problem.chain, t
         kept = _kept(problem, keep)
         self.space = ClosedSpace(problem, kept, t)
-        room, programs = self.space.room, self.space.programs
+        self.verifier = Verifier(self.space)
         self._looked: Goals | None = None
-        self.verifier = Verifier(problem, room.lower, room.upper, programs)
         self._check_start(kept)
 
     def _check_start(self, kept: Sequence[Task]) -> None:
