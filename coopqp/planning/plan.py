@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from coopqp.base.errors import CoopqpError, InvalidValueError, UnknownNameError, under
+from coopqp.base.errors import CoopqpError, InvalidValueError, require_known, under
 from coopqp.base.spec import Array
 from coopqp.base.wording import counted
 from coopqp.controller import ControlProblem
@@ -415,7 +415,5 @@ class Planner:
 def _kept(problem: ControlProblem, names: Sequence[str]) -> tuple[Task, ...]:
     """The tasks of these names; errors where one does not exist, or is no place."""
     tasks = {task.name: task for task in placed(problem.tasks, problem.chain)} if names else {}
-    for name in names:
-        if name not in tasks:
-            raise UnknownNameError("task with a place", name, list(tasks), "keep: ")
+    require_known("task with a place", names, tasks, "keep: ")
     return tuple(tasks[name] for name in names)
