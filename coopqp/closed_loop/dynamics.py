@@ -166,10 +166,7 @@ class ClosedLoopDynamics:
             self.H += f.viscous * v + f.coulomb * np.tanh(v / f.smoothing)
         pin.forwardKinematics(model, data, q, v, self._zero)
         pin.computeJointJacobians(model, data)
-        self._update_loops()
-
-    def _update_loops(self) -> None:
-        model, data, world = self.model, self._data, pin.LOCAL_WORLD_ALIGNED
+        world = pin.LOCAL_WORLD_ALIGNED
         for frame, J, drift in self._of_arms:
             pin.updateFramePlacement(model, data, frame)
             J[:] = pin.getFrameJacobian(model, data, frame, world)
