@@ -293,20 +293,15 @@ class Verifier:
             return 0.0
         if not math.isfinite(norm(qp.C.ravel()) + norm(qp.P.ravel())):
             return math.inf
-        root, rows = np.linalg.cholesky(qp.P), np.concatenate([np.eye(qp.n), qp.C])
+        held = np.flatnonzero(np.concatenate([pushes, np.ones(qp.m, bool)]))
+        root, rows, most = np.linalg.cholesky(qp.P), np.concatenate([np.eye(qp.n), qp.C]), 0.0
         rows = np.linalg.solve(root, rows.T).T  # over steps in which the cost bends by one
         sizes = np.maximum(np.linalg.norm(rows, axis=1), EPSILON)
-        rows, most = rows / sizes[:, None], 0.0
-        held = np.concatenate([pushes, np.ones(qp.m, bool)])
-        together = held.copy()
-        together[reached] = True
-        values = np.linalg.svd(rows[together], compute_uv=False)
-        if not ((DEPENDENT < values) & (values < NEARLY)).any():
-            return 0.0
-        for i in reached.tolist():
-            others = held.copy()
-            others[i] = False
-            free = null_space(rows[others])
+        rows /= sizes[:, None]
+        values = np.linalg.svd(rows[np.union1d(held, reached)], compute_uv=False)
+        some = ((values > DEPENDENT) & (values < NEARLY)).any()
+        for i in reached.tolist() if some else ():
+            free = null_space(rows[held[held != i]])
             seen = rows[i] @ free
             left = norm(seen)
             if DEPENDENT < left < NEARLY:

@@ -48,7 +48,7 @@ def test_no_command_jumps_while_a_task_passes_the_border_of_reach(
 
 
 @pytest.mark.parametrize("engine", ["python", "kernel"])
-def test_an_optimal_command_is_the_optimum_beside_a_jump(engine: Literal["python", "kernel"]) -> None:
+def test_optimal_commands_are_optima_beside_a_jump(engine: Literal["python", "kernel"]) -> None:
     """Two wrists at their limits, which nearly say the same, and two answers 5e-4 rad/s apart."""
     problem = law_of("two_so101", "scaled", alone=True, signs=(1, -1)).problem
     found = driven("two_so101", "scaled", alone=True, signs=(1, -1))
