@@ -11,6 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from coopqp.base.qp import QP
+from coopqp.base.rank import null_space
 from coopqp.base.spec import Array, Positive, spec
 
 
@@ -168,8 +169,11 @@ EPSILON = float(np.finfo(float).eps)
 #: By which rows may not hold from rounding alone, and the least singular value of rows, over the
 #: largest, that is not rounding itself.
 LAST_DIGITS, DEPENDENT = 1e-14, 1e-12
-#: Length up to which such a step is not worth making [rad/s].
+#: Length up to which such a step is not worth making, and by which solvers take a limit for kept
+#: that is exceeded [rad/s].
 IDLE = 1e-12
+#: Share of a limit's row that others leave of it where its last digits may matter.
+NEARLY = 1e-4
 #: An answer beyond this is as good as infinite: its products could overflow [rad/s].
 BEYOND = 1e150
 
@@ -210,7 +214,7 @@ class Verifier:
         above = norm(np.minimum(slack, 0.0))
         gap = norm(qp.A.dot(solution.v) - qp.b)
         off = self._distance() + self._idle(slack)
-        astray = self._astray(slack, gap)
+        astray = max(self._astray(slack, gap), self._unsure(slack))
         solution.primal_residual = max(violation, gap, above)
         solution.dual_residual = off * self.curvature
         if not gap + off < math.inf:
@@ -275,6 +279,35 @@ class Verifier:
         step = np.linalg.solve(root.T, bent)
         self._correction = np.concatenate([step, pulls]) if norm(step) > IDLE else None
         return norm(step)
+
+    def _unsure(self, slack: Array) -> float:
+        """How far v may be off because limits are reached to the last digits.
+
+        Whether one is may matter much where its row nearly depends on others that hold.
+        """
+        qp, solution = self.qp, self.solution
+        room = np.concatenate([np.minimum(solution.v - qp.lb, qp.ub - solution.v), slack])
+        pushes = np.abs(np.concatenate([solution.z_box, solution.z])) > IDLE * self.curvature
+        reached = np.flatnonzero(room <= IDLE)
+        if not pushes[reached].any():
+            return 0.0
+        if not math.isfinite(norm(qp.C.ravel()) + norm(qp.P.ravel())):
+            return math.inf
+        held = np.flatnonzero(np.concatenate([pushes, np.ones(qp.m, bool)]))
+        root, rows, most = np.linalg.cholesky(qp.P), np.concatenate([np.eye(qp.n), qp.C]), 0.0
+        rows = np.linalg.solve(root, rows.T).T  # over steps in which the cost bends by one
+        sizes = np.maximum(np.linalg.norm(rows, axis=1), EPSILON)
+        rows /= sizes[:, None]
+        values = np.linalg.svd(rows[np.union1d(held, reached)], compute_uv=False)
+        some = ((values > DEPENDENT) & (values < NEARLY)).any()
+        for i in reached.tolist() if some else ():
+            free = null_space(rows[held[held != i]])
+            seen = rows[i] @ free
+            left = norm(seen)
+            if DEPENDENT < left < NEARLY:
+                step = np.linalg.solve(root.T, free @ seen)
+                most = max(most, IDLE / sizes[i] * norm(step) / left**2)
+        return most
 
     def _distance(self) -> float:
         """Norm of a projected gradient step, an estimate of |v - v*|."""
