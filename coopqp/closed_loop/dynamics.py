@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import lapack
 
 from coopqp.base.errors import GraspError, InvalidValueError
@@ -129,7 +129,15 @@ class ClosedLoopDynamics:
                 self.model.appendBodyToJoint(
                     chain.model.frames[frame].parentJoint, part, chain.model.frames[frame].placement
                 )
-        self.actuated = actuated_joints(chain, actuated)
+        self.actuated = np.setdiff1d(np.arange(chain.n), chain.passive)
+        if actuated is not None:
+            motors, freedom = motor_indices(chain, actuated), chain.n - chain.loops.rank
+            if len(motors) < freedom:
+                raise InvalidValueError(
+                    f"actuated: {len(motors)} joints cannot drive {freedom} degrees of freedom; "
+                    f"name at least {freedom}"
+                )
+            self.actuated = np.array(motors, np.intp)
         self._data = self.model.createData()
         self._friction = friction if friction and (friction.viscous or friction.coulomb) else None
         self._allocate()
@@ -288,23 +296,6 @@ class ClosedLoopDynamics:
     def potential_energy(self, q: Array) -> float:
         """Potential energy [J]."""
         return float(pin.computePotentialEnergy(self.model, self._data, q))
-
-
-def actuated_joints(chain: ClosedChain, names: Sequence[str] | None) -> NDArray[np.intp]:
-    """Indices of actuated joints by name; all but the passive ones if omitted.
-
-    UnknownNameError: an unknown joint. InvalidValueError: a passive or repeated joint, or fewer
-    than the degrees of freedom.
-    """
-    if names is None:
-        return np.setdiff1d(np.arange(chain.n), chain.passive)
-    motors, freedom = motor_indices(chain, names), chain.n - chain.loops.rank
-    if len(motors) < freedom:
-        raise InvalidValueError(
-            f"actuated: {len(motors)} joints cannot drive {freedom} degrees of freedom; "
-            f"name at least {freedom}"
-        )
-    return np.array(motors, np.intp)
 
 
 #: Reciprocal condition number below which a system counts as singular.
