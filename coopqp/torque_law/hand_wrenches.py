@@ -218,9 +218,6 @@ def _shares(chain: ClosedChain, shares: Shares) -> Array:
         return np.asarray(found / found.sum(), float)
     every = [arm.name for arm in chain.arms]
     require_known("arm", shares, every, "shares: ")
-    for name, share in shares.items():
-        if not 0.0 <= share < np.inf:
-            raise InvalidValueError(f"shares: arm {name} has {share:g}; needs at least 0")
     values = np.array([shares.get(name, 0.0) for name in held])
     if len(held) == len(every) and abs(values.sum() - 1.0) > SHARE_SUM:
         raise InvalidValueError(f"shares: found {dict(shares)}, needs shares that sum to 1")
