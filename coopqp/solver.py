@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from coopqp.base.qp import QP
-from coopqp.base.rank import null_space
+from coopqp.base.rank import null_space, singular_values
 from coopqp.base.spec import Array, Positive, spec
 
 
@@ -214,7 +214,7 @@ class Verifier:
         above = norm(np.minimum(slack, 0.0))
         gap = norm(qp.A.dot(solution.v) - qp.b)
         off = self._distance() + self._idle(slack)
-        astray = max(self._astray(slack, gap), self._unsure(slack))
+        astray = self._astray(slack, gap)
         solution.primal_residual = max(violation, gap, above)
         solution.dual_residual = off * self.curvature
         if not gap + off < math.inf:
@@ -224,9 +224,8 @@ class Verifier:
         if gap > budget.equality:
             return Status.EQUALITY_RESIDUAL
         most = budget.accuracy
-        if astray <= most and (off <= most or off <= most + self._rounding()):
-            return Status.OPTIMAL
-        return Status.INACCURATE
+        sure = astray <= most and (off <= most or off <= most + self._rounding())
+        return Status.OPTIMAL if sure and self._unsure(slack) <= most else Status.INACCURATE
 
     def polish(self, found: Status) -> Status:
         """After a check let equalities and active limits hold, where the answer is as good then."""
@@ -283,25 +282,28 @@ class Verifier:
     def _unsure(self, slack: Array) -> float:
         """How far v may be off because limits are reached to the last digits.
 
-        Whether one is may matter much where its row nearly depends on others that hold.
+        Whether one is may matter much where its row nearly depends on others that hold. Without
+        equalities limits that do give way (:class:`coopqp.qp_law.level.Step`).
         """
-        qp, solution = self.qp, self.solution
+        qp, solution, n, most = self.qp, self.solution, self.qp.n, 0.0
+        pushes = np.abs(solution.multipliers[: n + qp.p]) > IDLE * self.curvature
+        if not qp.m or not pushes.any():
+            return most
         room = np.concatenate([np.minimum(solution.v - qp.lb, qp.ub - solution.v), slack])
-        pushes = np.abs(np.concatenate([solution.z_box, solution.z])) > IDLE * self.curvature
-        reached = np.flatnonzero(room <= IDLE)
-        if not pushes[reached].any():
-            return 0.0
-        if not math.isfinite(norm(qp.C.ravel()) + norm(qp.P.ravel())):
-            return math.inf
-        held = np.flatnonzero(np.concatenate([pushes, np.ones(qp.m, bool)]))
-        root, rows, most = np.linalg.cholesky(qp.P), np.concatenate([np.eye(qp.n), qp.C]), 0.0
-        rows = np.linalg.solve(root, rows.T).T  # over steps in which the cost bends by one
-        sizes = np.maximum(np.linalg.norm(rows, axis=1), EPSILON)
+        reached = room <= IDLE
+        on, held = pushes | reached, np.concatenate([pushes, np.ones(qp.m, bool)])
+        C = qp.C[np.concatenate([on[n:], held[n + qp.p :]])]
+        values = singular_values(C[:, ~on[:n]]) / max(
+            np.abs(C).max(), EPSILON
+        )  # of rows but bounds
+        if not ((values > DEPENDENT) & (values < NEARLY)).any():
+            return most
+        root = np.linalg.cholesky(qp.P)
+        rows = np.linalg.solve(root, np.concatenate([np.eye(n), qp.C]).T).T  # as :meth:`_astray`
+        sizes, holds = np.maximum(np.linalg.norm(rows, axis=1), EPSILON), np.flatnonzero(held)
         rows /= sizes[:, None]
-        values = np.linalg.svd(rows[np.union1d(held, reached)], compute_uv=False)
-        some = ((values > DEPENDENT) & (values < NEARLY)).any()
-        for i in reached.tolist() if some else ():
-            free = null_space(rows[held[held != i]])
+        for i in np.flatnonzero(reached).tolist():
+            free = null_space(rows[holds[holds != i]])
             seen = rows[i] @ free
             left = norm(seen)
             if DEPENDENT < left < NEARLY:

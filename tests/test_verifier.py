@@ -382,11 +382,11 @@ def test_a_limit_that_is_exceeded_by_next_to_nothing_counts_without_a_multiplier
 def test_a_limit_that_is_reached_to_the_last_digits_may_hold_or_not(
     apart: float, status: Status
 ) -> None:
-    """v1 <= 0 and apart v2 <= v1 leave v2 <= 0; 5e-15 / apart exceeds the second by 5e-15 only."""
-    qp = empty_qp(n=2, p=2, m=0)
+    """v1 <= 0 and apart v2 = v1 leave v2 <= 0; at 5e-15 / apart both hold but for 5e-15."""
+    qp = empty_qp(n=3, p=0, m=1)
     far = 5e-15 / apart
-    qp.P[:], qp.q[:] = np.eye(2), [-1.0, -far]
-    qp.G[:], qp.h[:] = [[1.0, 0.0], [-1.0, apart]], 0.0
+    qp.P[:], qp.q[:], qp.A[:], qp.b[:] = np.eye(3), [-1.0, -far, 0.0], [-1.0, apart, 0.0], 0.0
+    qp.lb[:], qp.ub[:] = -1.0, [0.0, 1.0, 1.0]
     solution = Solution(qp)
-    solution.v[:], solution.z[:], solution.status = [0.0, far], [1.0, 0.0], Status.OPTIMAL
+    solution.v[1], solution.z_box[0], solution.status = far, 1.0, Status.OPTIMAL
     assert Verifier(qp, solution, Budget(), 1.0).check() is status
