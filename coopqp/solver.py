@@ -11,6 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from coopqp.base.qp import QP
+from coopqp.base.rank import null_space, singular_values
 from coopqp.base.spec import Array, Positive, spec
 
 
@@ -168,8 +169,11 @@ EPSILON = float(np.finfo(float).eps)
 #: By which rows may not hold from rounding alone, and the least singular value of rows, over the
 #: largest, that is not rounding itself.
 LAST_DIGITS, DEPENDENT = 1e-14, 1e-12
-#: Length up to which such a step is not worth making [rad/s].
+#: Length up to which such a step is not worth making, and by which solvers take a limit for kept
+#: that is exceeded [rad/s].
 IDLE = 1e-12
+#: Share of a limit's row that others leave of it where its last digits may matter.
+NEARLY = 1e-4
 #: An answer beyond this is as good as infinite: its products could overflow [rad/s].
 BEYOND = 1e150
 
@@ -220,9 +224,8 @@ class Verifier:
         if gap > budget.equality:
             return Status.EQUALITY_RESIDUAL
         most = budget.accuracy
-        if astray <= most and (off <= most or off <= most + self._rounding()):
-            return Status.OPTIMAL
-        return Status.INACCURATE
+        sure = astray <= most and (off <= most or off <= most + self._rounding())
+        return Status.OPTIMAL if sure and self._unsure(slack) <= most else Status.INACCURATE
 
     def polish(self, found: Status) -> Status:
         """After a check let equalities and active limits hold, where the answer is as good then."""
@@ -275,6 +278,38 @@ class Verifier:
         step = np.linalg.solve(root.T, bent)
         self._correction = np.concatenate([step, pulls]) if norm(step) > IDLE else None
         return norm(step)
+
+    def _unsure(self, slack: Array) -> float:
+        """How far v may be off because limits are reached to the last digits.
+
+        Whether one is may matter much where its row nearly depends on others that hold. Without
+        equalities limits that do give way (:class:`coopqp.qp_law.level.Step`).
+        """
+        qp, solution, n, most = self.qp, self.solution, self.qp.n, 0.0
+        pushes = np.abs(solution.multipliers[: n + qp.p]) > IDLE * self.curvature
+        if not qp.m or not pushes.any():
+            return most
+        room = np.concatenate([np.minimum(solution.v - qp.lb, qp.ub - solution.v), slack])
+        reached = room <= IDLE
+        on, held = pushes | reached, np.concatenate([pushes, np.ones(qp.m, bool)])
+        C = qp.C[np.concatenate([on[n:], held[n + qp.p :]])]
+        values = singular_values(C[:, ~on[:n]]) / max(
+            np.abs(C).max(), EPSILON
+        )  # of rows but bounds
+        if not ((values > DEPENDENT) & (values < NEARLY)).any():
+            return most
+        root = np.linalg.cholesky(qp.P)
+        rows = np.linalg.solve(root, np.concatenate([np.eye(n), qp.C]).T).T  # as :meth:`_astray`
+        sizes, holds = np.maximum(np.linalg.norm(rows, axis=1), EPSILON), np.flatnonzero(held)
+        rows /= sizes[:, None]
+        for i in np.flatnonzero(reached).tolist():
+            free = null_space(rows[holds[holds != i]])
+            seen = rows[i] @ free
+            left = norm(seen)
+            if DEPENDENT < left < NEARLY:
+                step = np.linalg.solve(root.T, free @ seen)
+                most = max(most, IDLE / sizes[i] * norm(step) / left**2)
+        return most
 
     def _distance(self) -> float:
         """Norm of a projected gradient step, an estimate of |v - v*|."""

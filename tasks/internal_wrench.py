@@ -17,7 +17,7 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 
-from coopqp.base.errors import GraspError, UnknownNameError
+from coopqp.base.errors import GraspError, require_known, under
 from coopqp.base.spec import Array, Positive, spec
 from coopqp.closed_loop.forces import squeeze_rows
 from coopqp.closed_loop.grasp_matrix import COMPONENTS, UNITS, section
@@ -121,9 +121,8 @@ class InternalWrench(Task):
                     f"[{', '.join(names[:2])}]"
                 )
             return 0, 1
-        for name in self.arms:
-            if name not in names:
-                raise UnknownNameError("arm", name, names, "arms: ").at("arms")
+        with under("arms"):
+            require_known("arm", self.arms, names, "arms: ")
         return names.index(self.arms[0]), names.index(self.arms[1])
 
     def _check(self, at: Array) -> None:

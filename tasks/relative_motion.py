@@ -18,7 +18,7 @@ Chiaverini and Siciliano 1996.
 
 import numpy as np
 
-from coopqp.base.errors import UnknownNameError
+from coopqp.base.errors import require_known, under
 from coopqp.base.spec import Pose, Positive, spec
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.geometry import PlaceOf, Reference
@@ -73,6 +73,6 @@ class RelativeMotion(Task):
         others = [arm.name for arm in chain.arms[1:]]
         if self.arm is None:
             return 0
-        if self.arm not in others:
-            raise UnknownNameError("arm", self.arm, others, "relative_motion.arm: ").at("arm")
+        with under("arm"):
+            require_known("arm", [self.arm], others, "relative_motion.arm: ")
         return others.index(self.arm)

@@ -12,7 +12,7 @@ from coopqp.closed_loop.dynamics import ClosedLoopDynamics
 from coopqp.model.closed_chain import ClosedChain
 
 #: Of the object's mass, by arm.
-SHARES = ({"right": 1.0}, {"left": 1.0}, {"right": 0.5, "left": 0.5})
+SHARES = ((1.0, 0.0), (0.0, 1.0), (0.5, 0.5))  # of the right and the left arm
 
 
 class Oracle:

@@ -16,7 +16,7 @@ from coopqp.kernel.free_space import FreeSpace, Told
 from coopqp.kernel.law import KernelLaw
 from coopqp.limit import LimitRows, Tighten
 from coopqp.limits import _keep_apart
-from coopqp.limits._distances import Distances
+from coopqp.limits._bodies import Distances
 from coopqp.limits._keep_apart import KeepApart
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import Memory, State

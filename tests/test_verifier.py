@@ -376,3 +376,17 @@ def test_a_limit_that_is_exceeded_by_next_to_nothing_counts_without_a_multiplier
     verifier = Verifier(qp, solution, Budget(), 1.0)
     status = verifier.polish(verifier.check())
     assert status is not Status.OPTIMAL or np.abs(solution.v).max() < 1e-9
+
+
+@pytest.mark.parametrize(("apart", "status"), [(1e-2, Status.OPTIMAL), (1e-9, Status.INACCURATE)])
+def test_a_limit_that_is_reached_to_the_last_digits_may_hold_or_not(
+    apart: float, status: Status
+) -> None:
+    """v1 <= 0 and apart v2 = v1 leave v2 <= 0; at 5e-15 / apart both hold but for 5e-15."""
+    qp = empty_qp(n=3, p=0, m=1)
+    far = 5e-15 / apart
+    qp.P[:], qp.q[:], qp.A[:], qp.b[:] = np.eye(3), [-1.0, -far, 0.0], [-1.0, apart, 0.0], 0.0
+    qp.lb[:], qp.ub[:] = -1.0, [0.0, 1.0, 1.0]
+    solution = Solution(qp)
+    solution.v[1], solution.z_box[0], solution.status = far, 1.0, Status.OPTIMAL
+    assert Verifier(qp, solution, Budget(), 1.0).check() is status

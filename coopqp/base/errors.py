@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import copyreg
 import difflib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -62,6 +62,21 @@ class UnknownNameError(CoopqpError):
     def __init__(self, kind: str, name: str, known: Iterable[str], where: str = "") -> None:
         self.kind, self.name = kind, name
         super().__init__(f"{where}{unknown_name(kind, name, known)}")
+
+
+def require_known(
+    kind: str, names: Iterable[str], known: Collection[str], where: str = "",
+    at: tuple[str | int, ...] | None = None,
+) -> None:  # fmt: skip
+    """UnknownNameError for the first of the names that is none of the known ones.
+
+    With the keys that lead to the names, ``at``, and its own: the name, or in a list its index.
+    """
+    keyed = enumerate(names) if isinstance(names, Sequence) else ((name, name) for name in names)
+    for key, name in keyed:
+        if name not in known:
+            error = UnknownNameError(kind, name, known, where)
+            raise error if at is None else error.at(*at, key)
 
 
 class GraspError(CoopqpError):

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from coopqp.base.errors import InvalidValueError, UnknownNameError
+from coopqp.base.errors import InvalidValueError, require_known
 from coopqp.base.rank import independent_rows
 from coopqp.base.spec import Array
 from coopqp.model.closed_chain import ClosedChain
@@ -107,9 +107,8 @@ def motor_indices(chain: ClosedChain, actuated: Sequence[str]) -> tuple[int, ...
     UnknownNameError: an unknown joint. InvalidValueError: a passive joint, or a joint given twice.
     """
     joints = chain.joint_names
+    require_known("joint", actuated, joints, "actuated: ")
     for name in actuated:
-        if name not in joints:
-            raise UnknownNameError("joint", name, joints, "actuated: ")
         if joints.index(name) in chain.passive:
             raise InvalidValueError(f"actuated: '{name}' is a passive joint and has no motor")
     repeated = sorted({name for name in actuated if list(actuated).count(name) > 1})
@@ -126,12 +125,10 @@ def _cut_joints(chain: ClosedChain, cut: Sequence[str], actuated: Sequence[str])
         raise InvalidValueError(
             f"cut: found {len(names)} joints, needs {len(chain.arms) - 1}, one for each loop"
         )
-    for name in names:
-        if name not in joints:
-            raise UnknownNameError("joint", name, joints, "cut: ")
+    require_known("joint", names, joints, "cut: ")
+    for name, frame in zip(names, chain.frames[1:], strict=True):
         if name in actuated:
             raise InvalidValueError(f"cut: '{name}' is actuated; cut the loop elsewhere")
-    for name, frame in zip(names, chain.frames[1:], strict=True):
         if name not in _carriers(chain, frame):
             raise InvalidValueError(f"cut: '{name}' is not on the arm of its loop")
     return tuple(joints.index(name) for name in names)

@@ -15,16 +15,16 @@ and a singular actuation scheme is noticed by its condition.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import lapack
 
-from coopqp.base.errors import GraspError, InvalidValueError, UnknownNameError
+from coopqp.base.errors import GraspError, InvalidValueError
 from coopqp.base.rank import independent_rows, least_squares, null_space
 from coopqp.base.spec import Array, NonNegative, Positive, spec
 from coopqp.closed_loop.constraint_equations import motor_indices
@@ -80,8 +80,8 @@ class ClosedLoopDynamics:
 
     Args:
         chain: arms and object.
-        shares: share of the object's mass on each arm's last body, by arm; all on the first arm if
-            omitted. It changes the wrench at the cut, nothing else.
+        shares: share of the object's mass on each arm's last body, shape (N,), with sum 1; all on
+            the first arm if omitted. It changes the wrench at the cut, nothing else.
         friction: of every joint.
         actuated: names of the actuated joints; all but the passive ones if omitted.
         mass_scale: of the object's mass and inertia over the chain's.
@@ -95,16 +95,16 @@ class ClosedLoopDynamics:
         kept: which of the 6 L loop rows J has, shape (m,).
         actuated: indices of the actuated joints, shape (k,).
 
-    InvalidValueError: shares that do not sum to one, too few or repeated actuated joints, or a
-    passive joint among them. UnknownNameError: an unknown joint or arm. GraspError: a released arm
-    has passive joints, which nothing would hold.
+    InvalidValueError: too few or repeated actuated joints, or a passive joint among them.
+    UnknownNameError: an unknown joint. GraspError: a released arm has passive joints, which nothing
+    would hold.
     """
 
     def __init__(
         self,
         chain: ClosedChain,
         *,
-        shares: Mapping[str, float] | None = None,
+        shares: ArrayLike | None = None,
         friction: Friction | None = None,
         actuated: Sequence[str] | None = None,
         mass_scale: float = 1.0,
@@ -121,7 +121,7 @@ class ClosedLoopDynamics:
         self._mass, self._lever = mass_scale * body.mass, body.lever.copy()
         self._inertia = mass_scale * body.inertia
         self._each_way, self._falls = self._mass * np.eye(3), chain.model.gravity.linear.copy()
-        self.shares = _shares(chain, shares)
+        self.shares = np.eye(len(chain.arms))[0] if shares is None else np.array(shares, float)
         self.model = chain.model.copy()
         for frame, share in zip(chain.frames, self.shares, strict=True):
             if share > 0.0:
@@ -308,19 +308,6 @@ def actuated_joints(chain: ClosedChain, names: Sequence[str] | None) -> NDArray[
             f"name at least {freedom}"
         )
     return np.array(motors, np.intp)
-
-
-def _shares(chain: ClosedChain, shares: Mapping[str, float] | None) -> Array:
-    names = [arm.name for arm in chain.arms]
-    if shares is None:
-        return np.array([1.0] + [0.0] * (len(names) - 1))
-    for name in shares:
-        if name not in names:
-            raise UnknownNameError("arm", name, names, "shares: ")
-    values = np.array([shares.get(name, 0.0) for name in names])
-    if not values.min() >= 0.0 or abs(values.sum() - 1.0) > 1e-9:
-        raise InvalidValueError(f"shares: found {dict(shares)}, needs shares that sum to 1")
-    return values
 
 
 #: Reciprocal condition number below which a system counts as singular.

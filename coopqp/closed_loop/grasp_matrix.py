@@ -29,11 +29,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from coopqp.base.errors import GraspError, InvalidValueError
+from coopqp.base.errors import GraspError
 from coopqp.base.spec import Array
-
-#: Shares sum to one within this.
-SHARE_SUM = 1e-9
 
 
 def grasp_matrix(points: ArrayLike, origin: ArrayLike) -> Array:
@@ -67,13 +64,8 @@ def walker(points: ArrayLike, origin: ArrayLike, shares: ArrayLike) -> Split:
 
     It is invariant to the object's origin, the hands' points and the units. ``shares`` a_i, shape
     (N,), are at least 0 and sum to 1.
-
-    InvalidValueError: shares that are negative or do not sum to 1, or not one a hand.
     """
-    p, o = np.asarray(points, float), np.asarray(origin, float)
-    a = _each("shares", shares, len(p))
-    if not a.min() >= 0.0 or abs(a.sum() - 1.0) > SHARE_SUM:
-        raise InvalidValueError(f"shares: found {a.tolist()}, needs shares that sum to 1")
+    p, o, a = (np.asarray(given, float) for given in (points, origin, shares))
     X = np.vstack([share * grasp_matrix([o], place) for share, place in zip(a, p, strict=True)])
     return Split(grasp_matrix(p, o), X)
 
@@ -83,26 +75,12 @@ def virtual_inertia(
 ) -> Split:
     """Erhart and Hirche's split: hands as free bodies of virtual mass [kg] and inertia [kg m2].
 
-    Of masses and inertias, each of shape (N,), only ratios count; inertias are about hands' points.
-
-    InvalidValueError: masses or inertias that are not positive, or not one a hand.
+    Of masses and inertias, more than 0 and each of shape (N,), only ratios count; inertias are
+    about hands' points.
     """
-    p = np.asarray(points, float)
-    m, j = _each("masses", masses, len(p)), _each("inertias", inertias, len(p))
-    if not min(m.min(), j.min()) > 0.0:
-        raise InvalidValueError(
-            f"masses and inertias: found {m.tolist()} and {j.tolist()}, need more than 0"
-        )
-    G = grasp_matrix(p, origin)
-    WGt = np.repeat(np.array([m, j]).T.ravel(), 3)[:, None] * G.T
+    G = grasp_matrix(points, origin)
+    WGt = np.repeat(np.array([masses, inertias], float).T.ravel(), 3)[:, None] * G.T
     return Split(G, np.asarray(np.linalg.solve(G @ WGt, WGt.T).T, float))
-
-
-def _each(name: str, values: ArrayLike, hands: int) -> Array:
-    found = np.asarray(values, float)
-    if found.shape != (hands,) or not np.isfinite(found).all():
-        raise InvalidValueError(f"{name}: found {np.array2string(found)}, needs {hands} numbers")
-    return found
 
 
 #: The rows of a section wrench, and their units.

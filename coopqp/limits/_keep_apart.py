@@ -29,7 +29,7 @@ from coopqp.limit import (
     place_row,
     states_along,
 )
-from coopqp.limits._distances import Body, Distances, Pair
+from coopqp.limits._bodies import Body, Distances, Pair, bodies_of
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 
@@ -171,6 +171,9 @@ class KeepApart(Limit):
     def relaxed(self, by: float) -> Limit | None:
         """A smaller distance; None where bodies would have to sink into each other."""
         return replace(self, distance=self.distance - by) if by <= self.distance else None
+
+    def unseen(self, chain: ClosedChain) -> tuple[str, ...]:
+        return tuple(f"{self.name} does not see {fault}" for fault in bodies_of(chain)[1])
 
     def at_start(self, chain: ClosedChain) -> list[tuple[Body, Body, float]]:
         """Pairs with their distances where the chain starts [m], the nearest first."""

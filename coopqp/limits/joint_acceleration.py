@@ -19,7 +19,7 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
-from coopqp.base.errors import UnknownNameError
+from coopqp.base.errors import require_known
 from coopqp.base.qp import Row
 from coopqp.base.spec import Array, NonNegative, Positive, spec
 from coopqp.limit import Bounded, JointBounds, Limit, LimitRows, Tighten, joint_margins
@@ -75,12 +75,9 @@ class JointAcceleration(Limit):
         }
 
     def _limits(self, chain: ClosedChain) -> Array:
-        for name in self.joints:
-            if name not in chain.joint_names:
-                where = "joint_acceleration.joints: "
-                unknown = UnknownNameError("joint", name, chain.joint_names, where)
-                raise unknown.at("joints", name)
-        return np.array([self.joints.get(name, self.max) for name in chain.joint_names])
+        names, where = chain.joint_names, "joint_acceleration.joints: "
+        require_known("joint", self.joints, names, where, ("joints",))
+        return np.array([self.joints.get(name, self.max) for name in names])
 
     def _ends(self, chain: ClosedChain) -> Array:
         return np.vstack([chain.lower + self.margin, chain.upper - self.margin])

@@ -18,8 +18,7 @@ from coopqp.base.errors import InvalidValueError, under
 from coopqp.base.reading import FilePath
 from coopqp.base.spec import Lengths3, Name, Pose, Positive, spec
 from coopqp.grasp import pose_matrix
-from coopqp.limits._bodies import bodies_of, named_bodies, unseen
-from coopqp.limits._distances import Body, Pair, of_shape
+from coopqp.limits._bodies import Body, Pair, bodies_of, named_bodies, of_shape
 from coopqp.limits._keep_apart import SHOWN, KeepApart, check_count
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.marker import Marker, SolidMarker
@@ -101,9 +100,6 @@ class Obstacles(KeepApart):
             f"{METRES if found[0][1] > chain.reach else ''}"
             for thing, found in by_thing.items()
         )
-
-    def unseen(self, chain: ClosedChain) -> tuple[str, ...]:
-        return unseen(self.name, chain)
 
     def notes(self, chain: ClosedChain) -> tuple[str, ...]:
         """Parts of the robot that are no bodies, and bodies that start too near."""

@@ -6,9 +6,9 @@ at their nearest points and d their signed distance,
 
     n' (J_first - J_second) v <= gain (d - distance)
 
-(:mod:`coopqp.limits._distances`; which pairs are watched: :mod:`coopqp.limits._bodies`). A pair
-that is too close by more than a millimetre may not come closer, but is not pushed back
-(:func:`coopqp.limit.damp`), so that one that cannot part does not stop the robot.
+(:mod:`coopqp.limits._bodies`, which also says which pairs are watched). A pair that is too close by
+more than a millimetre may not come closer, but is not pushed back (:func:`coopqp.limit.damp`), so
+that one that cannot part does not stop the robot.
 """
 
 import itertools
@@ -17,8 +17,14 @@ from collections.abc import Collection, Iterator, Sequence
 from coopqp.base.errors import InvalidValueError, under
 from coopqp.base.spec import Name, spec
 from coopqp.base.wording import counted
-from coopqp.limits import _bodies
-from coopqp.limits._distances import Body, Pair
+from coopqp.limits._bodies import (
+    Body,
+    Pair,
+    bodies_of,
+    by_construction,
+    named_bodies,
+    pairs_that_can_meet,
+)
 from coopqp.limits._keep_apart import KeepApart, check_count
 from coopqp.model.closed_chain import ClosedChain
 
@@ -59,16 +65,13 @@ class SelfCollision(KeepApart):
             f"always are, add 'ignore: [{pairs}]'",
         )
 
-    def unseen(self, chain: ClosedChain) -> tuple[str, ...]:
-        return _bodies.unseen("self_collision", chain)
-
     def notes(self, chain: ClosedChain) -> tuple[str, ...]:
         """What is not watched: parts that are no bodies, and pairs that touch by construction."""
         at_start, found = self.at_start(chain), [*self.unseen(chain)]
         if not at_start:
             found.append(f"{self.name} watches nothing: no two bodies can meet")
         found += self.nearer(at_start)
-        joined = sorted(" and ".join(sorted(pair)) for pair in _bodies.by_construction(chain.robot))
+        joined = sorted(" and ".join(sorted(pair)) for pair in by_construction(chain.robot))
         if joined and self.pairs is None:
             shown = ", ".join(joined[:SHOWN]) + (", ..." if len(joined) > SHOWN else "")
             found.append(
@@ -79,9 +82,9 @@ class SelfCollision(KeepApart):
 
     def watched(self, chain: ClosedChain) -> list[Pair]:
         """Those given, or those that can meet, without those to be ignored."""
-        bodies, faults = _bodies.bodies_of(chain)
+        bodies, faults = bodies_of(chain)
         if self.pairs is None:
-            found = _bodies.pairs_that_can_meet(chain)
+            found = pairs_that_can_meet(chain)
         else:
             found = list(_named(self.name, "pairs", self.pairs, bodies, faults))
             if not found:
@@ -112,9 +115,7 @@ def _named(
     where = f"{owner}.{key}: "
     for i, pair_of_names in enumerate(names):
         with under(key, i):
-            ones, others = (
-                _bodies.named_bodies(where, name, bodies, faults) for name in pair_of_names
-            )
+            ones, others = (named_bodies(where, name, bodies, faults) for name in pair_of_names)
         for pair in itertools.product(ones, others):
             if pair[0].joint != pair[1].joint and frozenset(pair) not in seen:
                 seen.add(frozenset(pair))

@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
-from coopqp.base.errors import InvalidValueError, UnknownNameError
+from coopqp.base.errors import InvalidValueError, require_known
 from coopqp.base.qp import Row
 from coopqp.base.spec import Array, Direction, Name, Positive, Vector3, overshoot, spec, unit
 from coopqp.limit import Clearance, Limit, LimitRows, Tighten, TwistBounds, damp, movers, place_row
@@ -47,9 +47,7 @@ class Workspace(Limit):
 
     def rows(self, chain: ClosedChain) -> tuple[Row, ...]:
         known = [frame.name for frame in chain.model.frames]
-        for i, frame in enumerate(self.frames):
-            if frame not in known:
-                raise UnknownNameError("frame", frame, known, f"{self.name}: ").at("frames", i)
+        require_known("frame", self.frames, known, f"{self.name}: ", ("frames",))
         points = {
             f"object[{i}]": f"{self._words(point)} of the object"
             for i, point in enumerate(self._points(chain))

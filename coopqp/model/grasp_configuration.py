@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 
-from coopqp.base.errors import GraspError, InvalidValueError, UnknownNameError
+from coopqp.base.errors import GraspError, InvalidValueError, require_known
 from coopqp.base.spec import (
     FARTHEST,
     Array,
@@ -219,10 +219,7 @@ def attach(
 
 def check_released(robot: RobotModel, released: Collection[str]) -> None:
     """UnknownNameError for arms that do not exist."""
-    names = [arm.name for arm in robot.arms]
-    for name in released:
-        if name not in names:
-            raise UnknownNameError("arm", name, names)
+    require_known("arm", released, [arm.name for arm in robot.arms])
 
 
 def _with_passive_start(
@@ -234,10 +231,7 @@ def _with_passive_start(
     """Configuration of the model with its passive joints."""
     model, _ = with_passive_joints(robot, passive)
     strangers = [name for name in model.names[1:] if name not in robot.joint_names]
-    for name in passive_start:
-        if name not in strangers:
-            unknown = UnknownNameError("passive joint", name, strangers)
-            raise unknown.at("passive_start", name)
+    require_known("passive joint", passive_start, strangers, at=("passive_start",))
     extended = np.zeros(model.nq)
     values = {**dict(zip(robot.joint_names, q, strict=True)), **passive_start}
     for name, value in values.items():
@@ -344,9 +338,8 @@ def arm_weights(robot: RobotModel, alpha: Mapping[str, float] | None) -> Array:
     names = [arm.name for arm in robot.arms]
     if alpha is None:
         return np.full(len(names), 1.0 / len(names))
+    require_known("arm", alpha, names, at=())
     for name, weight in alpha.items():
-        if name not in names:
-            raise UnknownNameError("arm", name, names).at(name)
         if not 0.0 <= weight < np.inf:
             words = f"weight of arm {name}: found {weight:g}, needs at least 0"
             raise InvalidValueError(words).at(name)
@@ -361,9 +354,7 @@ def grasp_of_each(robot: RobotModel, grasps: Grasp | Mapping[str, Grasp]) -> dic
     names = [arm.name for arm in robot.arms]
     if isinstance(grasps, Grasp):
         return dict.fromkeys(names, grasps)
-    for name in grasps:
-        if name not in names:
-            raise UnknownNameError("arm", name, names, "grasp: ").at(name)
+    require_known("arm", grasps, names, "grasp: ", ())
     missing = [name for name in names if name not in grasps]
     if missing:
         raise GraspError(f"grasp: no grasp for arm {', '.join(missing)}")

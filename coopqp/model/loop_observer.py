@@ -49,7 +49,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from coopqp.base.errors import UnknownNameError
+from coopqp.base.errors import require_known
 from coopqp.base.spec import Array, NonNegative, Positive, spec
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
@@ -454,9 +454,7 @@ def stiffness_by_joint(
     names = chain.joint_names
     if not isinstance(given, Mapping):
         return default.copy() if given is None else np.full(chain.n, float(given))
-    for name in given:
-        if name not in names:
-            raise UnknownNameError("joint", name, names).at(*place, "stiffness", name)
+    require_known("joint", given, names, at=(*place, "stiffness"))
     return np.array([given.get(name, K) for name, K in zip(names, default, strict=True)], float)
 
 

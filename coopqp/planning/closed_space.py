@@ -9,10 +9,12 @@ good as the mean logarithm of the smallest singular value of its followers' colu
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated, Any
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 from pydantic import Field
 
@@ -22,11 +24,11 @@ from coopqp.base.spec import Array, NonNegative, Positive, spec
 from coopqp.controller import ControlProblem
 from coopqp.kernel import native
 from coopqp.kernel.flat import Group, Levels, flat_distances, flat_model, kept_rows
-from coopqp.limit import DistanceBounds
+from coopqp.limit import DistanceBounds, Program
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
+from coopqp.planning.closed_path import Loops, lengths, on_lines
 from coopqp.planning.linking import ClosedLine, closed_line
-from coopqp.planning.verification import others
 from coopqp.study.explanation.goal import Room
 from coopqp.task import Programs, Task, TaskStack
 
@@ -43,6 +45,9 @@ POSES, EACH, MOST_SETS = 30, 2, 200
 #: Followers are dependent below this singular value [m/rad, 1]; where a chart has this share of
 #: such poses, the chart in which no joint leads is used too.
 DEPENDENT, MOST = 0.02, 0.4
+
+#: What a loop may be open by between the points of a path [m, rad], and a joint beyond its limit.
+OPEN, BEYOND = 1e-5, 1e-9
 
 Wait = Callable[[], None]
 
@@ -78,7 +83,8 @@ class ClosedSpace:
     Attributes:
         room: the position limits.
         lower, upper: of the joints, shape (n,) [rad, m].
-        programs: of the limits, as the kernel has them.
+        programs: of the limits, as the kernel has them, and ``distances``, those of bodies.
+        others: whether limits in space that are no distances are kept at q; None without any.
 
     Raises:
         CoopqpError: the kernel is not built, or cannot do such joints or tasks.
@@ -99,8 +105,8 @@ class ClosedSpace:
         room.lower = np.maximum(room.lower, chain.lower)  # verdicts look at ranges in any case
         room.upper = np.minimum(room.upper, chain.upper)
         self.lower, self.upper = np.maximum(room.lower, -LARGE), np.minimum(room.upper, LARGE)
-        distances = [program for program in programs if isinstance(program, DistanceBounds)]
-        self._others = others(problem, programs)
+        self.distances = [program for program in programs if isinstance(program, DistanceBounds)]
+        self.others = _others(problem, programs)
         levels = Levels([Group((), hard=tasks)], Programs(State(chain)))
         if not levels.compiled or levels.arriving or levels.followed:
             raise CoopqpError("\n".join(filter(None, (_unfit(chain, task) for task in tasks))))
@@ -108,7 +114,7 @@ class ClosedSpace:
             "model": model,
             "kept": kept_rows(chain),
             "rank": float(chain.loops.rank),
-            "distances": [flat_distances(chain, bounds) for bounds in distances],
+            "distances": [flat_distances(chain, bounds) for bounds in self.distances],
             "levels": levels.flat,
             "primitives": levels.primitives,
             "t": float(t),
@@ -138,8 +144,8 @@ class ClosedSpace:
         told = np.zeros(len(q), np.uint8)
         self._engines[0].is_free(np.ascontiguousarray(q, float), told)
         free = told.view(np.bool_)
-        if self._others:
-            free &= np.array([self._others(row) for row in q], bool)
+        if self.others:
+            free &= np.array([self.others(row) for row in q], bool)
         return free
 
     def way(self, starts: Array, goals: Array, budget: Budget, wait: Wait = lambda: None) -> Array:
@@ -160,7 +166,7 @@ class ClosedSpace:
                 "starts": np.ascontiguousarray(starts, float).ravel(),
                 "goals": np.ascontiguousarray(goals, float).ravel(),
             },
-            self._others,
+            self.others,
             wait,
         )
         return np.frombuffer(made["path"]).reshape(-1, self.chain.n).copy()
@@ -242,3 +248,107 @@ def _best(J: Array, sets: Iterable[tuple[int, ...]]) -> list[tuple[int, ...]]:
 def _least(J: Array, follow: Sequence[int]) -> Array:
     """The smallest singular value of the followers' columns at each pose, shape (N,)."""
     return np.asarray(np.linalg.svd(J[:, :, list(follow)], compute_uv=False)[:, -1], float)
+
+
+@dataclass(frozen=True)
+class Verification:
+    """What was seen along a path.
+
+    Attributes:
+        points: that were looked at.
+        open: largest loop error [m, rad].
+        beyond: how far a joint is outside its limits, at most [rad, m].
+        hits: points at which a limit in space is not kept.
+    """
+
+    points: int
+    open: float
+    beyond: float
+    hits: int
+
+    @property
+    def good(self) -> bool:
+        return self.open <= OPEN and self.beyond <= BEYOND and not self.hits
+
+    @property
+    def words(self) -> str:
+        """What is wrong; empty where nothing is."""
+        wrong = [f"{self.hits} of {self.points} points break a limit in space"] * bool(self.hits)
+        if self.open > OPEN:
+            wrong.append(f"a loop is open by {1e3 * self.open:.3g} mm or mrad")
+        if self.beyond > BEYOND:
+            wrong.append(f"a joint is {self.beyond:.3g} outside its limits")
+        return ", ".join(wrong)
+
+
+class Verifier:
+    """A second look at paths in a space, by pinocchio and coal: nothing of the kernel is used.
+
+    Between its points a path is the straight line in joint space.
+    """
+
+    def __init__(self, space: ClosedSpace) -> None:
+        chain = self._chain = space.chain
+        self._loops, self._room, self._others = Loops(chain), space.room, space.others
+        self._data, margins = chain.model.createData(), list[float]()
+        geometry = pin.GeometryModel()
+        for bounds in space.distances:
+            first = geometry.ngeoms
+            for joint, convex in bounds.bodies:
+                convex.geometry.computeLocalAABB()
+                at = f"{geometry.ngeoms}", joint, convex.placement, convex.geometry
+                geometry.addGeometryObject(pin.GeometryObject(*at))
+            for a, b in (first + bounds.pairs).tolist():
+                geometry.addCollisionPair(pin.CollisionPair(a, b))
+            margins += [bounds.distance] * len(bounds.pairs)
+        placed = pin.GeometryData(geometry)
+        for i, margin in enumerate(margins):
+            request = placed.collisionRequests[i]
+            request.security_margin, request.num_max_contacts = margin, 1
+            placed.collisionRequests[i] = request
+        # It asks all boxes, which for a robot's few bodies is less than keeping a tree of them.
+        kind = pin.BroadPhaseManager_NaiveCollisionManager
+        self._manager = kind(chain.model, geometry, placed)
+        self._referred_to = geometry, placed
+
+    def look(self, q: Array, every: float) -> Verification:
+        """Look at a path q, shape (K, n), each so many radians or metres."""
+        points, room = along(q, every), self._room
+        hits = sum(not self.free(row) for row in points)
+        opened = self._loops.gaps(points).max(initial=0.0)
+        beyond = np.maximum(points - room.upper, room.lower - points).max(initial=0.0)
+        return Verification(len(points), float(opened), float(beyond), hits)
+
+    def free(self, q: Array) -> bool:
+        """Whether the limits in space are kept at q."""
+        if pin.computeCollisions(self._chain.model, self._data, self._manager, q, True):
+            return False
+        return self._others is None or self._others(q)
+
+
+def _others(
+    problem: ControlProblem, programs: Sequence[Program | None]
+) -> Callable[[Array], bool] | None:
+    """Whether limits in space that are no distances are kept; None where there are none."""
+    chain, state = problem.chain, State(problem.chain)
+    left = [
+        clearance
+        for limit, program in zip(problem.limits, programs, strict=True)
+        if not isinstance(program, DistanceBounds) and (clearance := limit.clearance(chain))
+    ]
+
+    def kept(q: Array) -> bool:
+        state.q[:] = q
+        state.update()
+        return all(bool((clearance(state) >= 0.0).all()) for clearance in left)
+
+    return kept if left else None
+
+
+def along(q: Array, every: float) -> Array:
+    """Points on the straight lines between rows of q at equal distances, both ends included."""
+    s = lengths(q)
+    if len(q) < 2 or s[-1] == 0.0:
+        return q[:1].copy()
+    at = np.linspace(0.0, s[-1], int(np.ceil(s[-1] / every)) + 1)
+    return on_lines(at, s, q)

@@ -72,22 +72,22 @@ class Held:
 
 @dataclass(frozen=True, eq=False)
 class _Solid:
-    """A watched body; n'p + d <= 0 on its faces, in the frame of its joint."""
+    """A watched body, which is not flat."""
 
     joint: int
     convex: Convex
-    normals: Array
-    offsets: Array
 
     def at(self, X: pin.SE3) -> _Placed:
         """The body, with its joint at X."""
-        normals = self.normals @ X.rotation.T
-        return _Placed(self, X, normals, self.offsets - normals @ X.translation)
+        faces, placed = _faces(self.convex.points.tobytes()), X * self.convex.placement
+        assert faces is not None
+        normals = faces[:, :3] @ placed.rotation.T
+        return _Placed(self, X, normals, faces[:, 3] - normals @ placed.translation)
 
 
 @dataclass(frozen=True, eq=False)
 class _Placed:
-    """A body with its joint at X, and its faces there."""
+    """A body with its joint at X, and its faces there, n'p + d <= 0."""
 
     solid: _Solid
     X: pin.SE3
@@ -268,14 +268,9 @@ class _Bodies:
                 continue
             solids = list[_Solid | None]()
             for joint, convex in program.bodies:
-                faces, X = _faces(convex.points.tobytes()), convex.placement
-                if faces is None:
-                    solids.append(None)
-                    continue
-                key = (joint, convex.points.tobytes(), X.homogeneous.tobytes())
-                normals = faces[:, :3] @ X.rotation.T
-                one = _Solid(joint, convex, normals, faces[:, 3] - normals @ X.translation)
-                solids.append(found.setdefault(key, one))
+                points, placement = convex.points.tobytes(), convex.placement.homogeneous.tobytes()
+                one = found.setdefault((joint, points, placement), _Solid(joint, convex))
+                solids.append(None if _faces(points) is None else one)
             for a, b in program.pairs.tolist():
                 one, other = solids[a], solids[b]
                 if one is not None and other is not None:
@@ -606,10 +601,7 @@ def _apart(a: Array, b: Array, c: Array, d: Array) -> Array:
 
 def _away(corners: Array, p: Array) -> float:
     """Least distance of a point from a line of straight sides [m]."""
-    start, along = corners[:-1], np.diff(corners, axis=0)
-    share = _dot(p - start, along) / np.maximum(_dot(along, along), NOTHING**2)
-    nearest = start + np.clip(share, 0.0, 1.0)[:, None] * along
-    return float(np.linalg.norm(nearest - p, axis=1).min())
+    return float(_apart(corners[:-1], corners[1:], p[None], p[None]).min())
 
 
 def _pairs(corners: Array, closed: bool = True) -> list[Array]:

@@ -156,7 +156,7 @@ class RowMaker:
         self.path, self.bounds, self.chain = path, bounds, chain
         holders = [arm.name for arm in chain.arms[: chain.holding]]
         self.arms = len(holders)
-        shares = dict.fromkeys(holders, 1.0 / self.arms)
+        shares = (np.arange(len(chain.arms)) < self.arms) / self.arms
         self.dynamics = ClosedLoopDynamics(chain, shares=shares, mass_scale=bounds.load)
         self.kept = np.array(chain.loops.kept, int)
         if not bounds.wrench.any():

@@ -10,12 +10,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from coopqp.base.errors import CoopqpError, InvalidValueError, UnknownNameError, under
+from coopqp.base.errors import CoopqpError, InvalidValueError, require_known, under
 from coopqp.base.spec import Array
 from coopqp.base.wording import counted
 from coopqp.controller import ControlProblem
 from coopqp.planning.closed_path import lengths
-from coopqp.planning.closed_space import Budget, ClosedSpace
+from coopqp.planning.closed_space import Budget, ClosedSpace, Verification, Verifier
 from coopqp.planning.reach import (
     MOST,
     PROVEN,
@@ -28,7 +28,6 @@ from coopqp.planning.reach import (
     too_far,
 )
 from coopqp.planning.timing import Clock, timed
-from coopqp.planning.verification import Verification, Verifier
 from coopqp.scenario.planned import PHASE
 from coopqp.scenario.scenario import Scenario, needs_scenario
 from coopqp.signal import TURN_COLUMNS, quaternion_of
@@ -221,9 +220,8 @@ class Planner:
         self.problem, self.chain, self._t = problem, problem.chain, t
         kept = _kept(problem, keep)
         self.space = ClosedSpace(problem, kept, t)
-        room, programs = self.space.room, self.space.programs
+        self.verifier = Verifier(self.space)
         self._looked: Goals | None = None
-        self.verifier = Verifier(problem, room.lower, room.upper, programs)
         self._check_start(kept)
 
     def _check_start(self, kept: Sequence[Task]) -> None:
@@ -417,7 +415,5 @@ class Planner:
 def _kept(problem: ControlProblem, names: Sequence[str]) -> tuple[Task, ...]:
     """The tasks of these names; errors where one does not exist, or is no place."""
     tasks = {task.name: task for task in placed(problem.tasks, problem.chain)} if names else {}
-    for name in names:
-        if name not in tasks:
-            raise UnknownNameError("task with a place", name, list(tasks), "keep: ")
+    require_known("task with a place", names, tasks, "keep: ")
     return tuple(tasks[name] for name in names)

@@ -66,7 +66,7 @@ class ServoLaw:
     """
 
     def __init__(self, chain: ClosedChain, servo: Servo) -> None:
-        self._model = ClosedLoopDynamics(chain, shares=fair_shares(chain))
+        self._model = ClosedLoopDynamics(chain, shares=chain.alpha)
         motors = np.zeros(chain.n, bool)
         motors[self._model.actuated] = True
         self.effort = np.where(motors, chain.model.effortLimit, 0.0)
@@ -137,11 +137,6 @@ class ServoLaw:
 
 #: Taken for the stiffness of a joint whose motor has no limit [N m].
 UNLIMITED_EFFORT = 100.0
-
-
-def fair_shares(chain: ClosedChain) -> dict[str, float]:
-    """Share of the object's weight that each arm carries: its weight alpha in the pose."""
-    return {arm.name: a for arm, a in zip(chain.arms, chain.alpha.tolist(), strict=True)}
 
 
 def full_effort(chain: ClosedChain) -> Array:

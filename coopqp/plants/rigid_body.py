@@ -70,8 +70,9 @@ class RigidBodyModel(_dynamic.DynamicModel):
         self._open()
         # The object comes with the speed of an arm that has held it.
         carrier = next(iter(before.true.chain.hold.holders), true.chain.arms[0].name)
+        shares = [float(arm.name == carrier) for arm in true.chain.arms]
         impact = ClosedLoopDynamics(
-            true.chain, shares={carrier: 1.0}, mass_scale=self.disturbance.object_mass
+            true.chain, shares=shares, mass_scale=self.disturbance.object_mass
         )
         impact.update(true.q, true.v)
         true.v[:] = impact.impact(true.v)
@@ -86,7 +87,7 @@ class RigidBodyModel(_dynamic.DynamicModel):
         # Where planar arms leave it open who carries the weight, each carries its share.
         self._dynamics = ClosedLoopDynamics(
             chain,
-            shares=_dynamic.fair_shares(chain),
+            shares=chain.alpha,
             friction=self._settings.friction,
             mass_scale=mass_scale,
         )

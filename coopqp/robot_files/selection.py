@@ -20,7 +20,7 @@ import numpy as np
 import pinocchio as pin
 from pydantic import BeforeValidator, Field
 
-from coopqp.base.errors import InvalidValueError, UnknownNameError, under
+from coopqp.base.errors import InvalidValueError, UnknownNameError, require_known, under
 from coopqp.base.spec import Array, NonNegative, Positive, spec
 from coopqp.grasp import range_fault
 from coopqp.robot import Arm, Robot, RobotModel, Shape, copy_per_velocity
@@ -284,12 +284,9 @@ class _Selection:
     def __init__(self, description: Description, robot: DescribedRobot) -> None:
         self._description, self._locked = description, robot.locked
         known = description.joint_names
-        for name in robot.locked:
-            if name not in known and name != FIXED_BASE:
-                raise UnknownNameError("joint", name, known, "locked: ").at("locked", name)
-        for i, name in enumerate(robot.free):
-            if name not in known:
-                raise UnknownNameError("joint", name, known, "free: ").at("free", i)
+        own = {name: None for name in robot.locked if name != FIXED_BASE}
+        require_known("joint", own, known, "locked: ", ("locked",))
+        require_known("joint", robot.free, known, "free: ", ("free",))
         wanted, moving = dict.fromkeys(robot.free, "free"), set(robot.free)
         for name, arm in robot.arms.items():
             with under("arms", name):
@@ -317,10 +314,8 @@ class _Selection:
         # Of namesakes the link counts.
         tip = min(found, key=lambda frame: frame.type != pin.FrameType.BODY)
         way = [model.names[j] for j in model.supports[tip.parentJoint] if j > 0]
+        require_known("joint", arm.joints or (), self._description.joint_names, f"arm {name}: ")
         for joint in arm.joints or ():
-            if joint not in self._description.joint_names:
-                known = self._description.joint_names
-                raise UnknownNameError("joint", joint, known, f"arm {name}: ")
             if joint not in way:
                 raise InvalidValueError(
                     f"arm {name}: joint {joint} does not move the tip {arm.tip}; "

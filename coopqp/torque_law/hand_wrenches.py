@@ -38,7 +38,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from coopqp.base.errors import GraspError, InvalidValueError, UnknownNameError
+from coopqp.base.errors import GraspError, InvalidValueError, require_known
 from coopqp.base.qp import Row
 from coopqp.base.rank import least_squares
 from coopqp.base.spec import Array
@@ -217,9 +217,8 @@ def _shares(chain: ClosedChain, shares: Shares) -> Array:
         found = chain.alpha[: len(held)].copy()
         return np.asarray(found / found.sum(), float)
     every = [arm.name for arm in chain.arms]
+    require_known("arm", shares, every, "shares: ")
     for name, share in shares.items():
-        if name not in every:
-            raise UnknownNameError("arm", name, every, "shares: ")
         if not 0.0 <= share < np.inf:
             raise InvalidValueError(f"shares: arm {name} has {share:g}; needs at least 0")
     values = np.array([shares.get(name, 0.0) for name in held])

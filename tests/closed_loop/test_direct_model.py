@@ -138,7 +138,7 @@ def test_regular_state_of_varying_loop_rows_is_not_called_singular() -> None:
 def test_three_and_four_arms(build: Callable[[], ClosedChain]) -> None:
     chain = build()
     chain = ClosedChain.attach(chain.robot, chain.q_start, chain.grasps, BOX)
-    shares = {arm.name: 1 / len(chain.arms) for arm in chain.arms}
+    shares = np.full(len(chain.arms), 1 / len(chain.arms))
     first, even = ClosedLoopDynamics(chain), ClosedLoopDynamics(chain, shares=shares)
     oracle, some = Oracle(chain, arm=2), closed_states(chain, 8)
     for (q, v), (tau, a) in zip(some, accelerations(first, some), strict=True):

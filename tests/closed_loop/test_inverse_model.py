@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 import scipy.linalg
@@ -147,7 +145,7 @@ def test_regular_answer_leaves_no_residual(box_chain: ClosedChain, states: list[
 
 @pytest.mark.parametrize("shares", SHARES)
 def test_inverse_model_with_hinges_leaves_them_without_torque(
-    hinged_box: ClosedChain, hinged_states: list[Closed], shares: dict[str, float]
+    hinged_box: ClosedChain, hinged_states: list[Closed], shares: tuple[float, float]
 ) -> None:
     dynamics = ClosedLoopDynamics(hinged_box, shares=shares)
     found = accelerations(dynamics, hinged_states)
@@ -198,28 +196,6 @@ def test_torques_for_a_motion_are_those_of_mujoco(
         tau = dynamics.inverse(a).tau
         work = twin.work(q, v, a)
         np.testing.assert_allclose(work.motions.T @ tau, work.done, rtol=1e-4, atol=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("shares", "message"),
-    [
-        ({"right": 0.5}, "needs shares that sum to 1"),
-        ({"right": 1.5, "left": -0.5}, "needs shares that sum to 1"),
-        ({}, "needs shares that sum to 1"),
-        pytest.param(
-            {"right": math.nan, "left": 1.0},
-            "needs shares that sum to 1",
-        ),
-    ],
-)
-def test_shares_that_are_none(chain: ClosedChain, shares: dict[str, float], message: str) -> None:
-    with pytest.raises(InvalidValueError, match=message):
-        ClosedLoopDynamics(chain, shares=shares)
-
-
-def test_share_of_an_unknown_arm(chain: ClosedChain) -> None:
-    with pytest.raises(UnknownNameError, match="did you mean 'right'"):
-        ClosedLoopDynamics(chain, shares={"rigth": 1.0})
 
 
 @pytest.mark.parametrize(

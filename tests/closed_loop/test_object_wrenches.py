@@ -68,7 +68,7 @@ def hand_torques(chain: ClosedChain, q: Array, v: Array, a: Array, by_arm: Array
 
 @pytest.mark.parametrize("shares", SHARES)
 def test_wrench_on_the_object_is_what_its_motion_needs(
-    box_chain: ClosedChain, states: list[Closed], shares: dict[str, float]
+    box_chain: ClosedChain, states: list[Closed], shares: tuple[float, float]
 ) -> None:
     dynamics = ClosedLoopDynamics(box_chain, shares=shares)
     some = states[:20]
@@ -86,7 +86,7 @@ def test_wrench_on_the_object_is_what_its_motion_needs(
 
 @pytest.mark.parametrize("shares", SHARES)
 def test_each_arm_feels_the_wrench_of_its_hand(
-    box_chain: ClosedChain, states: list[Closed], shares: dict[str, float]
+    box_chain: ClosedChain, states: list[Closed], shares: tuple[float, float]
 ) -> None:
     """The arms without the object obey A a + H = tau - sum J_i' wrench_i."""
     dynamics, some = ClosedLoopDynamics(box_chain, shares=shares), states[:20]
@@ -103,7 +103,7 @@ def test_each_arm_feels_the_wrench_of_its_hand(
 
 @pytest.mark.parametrize("shares", SHARES)
 def test_hands_need_not_bring_what_pushes_from_outside(
-    box_chain: ClosedChain, states: list[Closed], shares: dict[str, float]
+    box_chain: ClosedChain, states: list[Closed], shares: tuple[float, float]
 ) -> None:
     """With a push on the object each arm still feels the wrench of its hand and no more."""
     dynamics = ClosedLoopDynamics(box_chain, shares=shares)
@@ -135,7 +135,7 @@ def test_hand_wrenches_do_not_depend_on_where_the_mass_is_counted(
 
 def test_wrenches_of_three_arms_sum_to_what_the_object_needs() -> None:
     chain = ring(3, 6)
-    shares = {"a": 0.2, "b": 0.5, "c": 0.3}
+    shares = (0.2, 0.5, 0.3)
     dynamics, some = ClosedLoopDynamics(chain, shares=shares), closed_states(chain, 5)
     for (q, v), (tau, a) in zip(some, accelerations(dynamics, some), strict=True):
         dynamics.update(q, v)

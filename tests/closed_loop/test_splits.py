@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from coopqp.base.errors import GraspError, InvalidValueError
+from coopqp.base.errors import GraspError
 from coopqp.base.spec import Array
 from coopqp.closed_loop.grasp_matrix import (
     COMPONENTS,
@@ -210,9 +210,3 @@ def test_what_cannot_be_split_is_refused() -> None:
         virtual_linkage(TWO)
     with pytest.raises(GraspError, match="no direction between them"):
         section(MIDDLE, MIDDLE)
-    with pytest.raises(InvalidValueError, match="sum to 1"):
-        walker(TWO, MIDDLE, (0.7, 0.7))
-    with pytest.raises(InvalidValueError, match="needs 2 numbers"):
-        walker(TWO, MIDDLE, (1.0,))
-    with pytest.raises(InvalidValueError, match="need more than 0"):
-        virtual_inertia(TWO, MIDDLE, HALVES, (0.0, 0.0))

@@ -38,7 +38,7 @@ from coopqp.kernel import native
 from coopqp.kernel.free_space import FreeSpace, Told
 from coopqp.limit import DistanceBounds
 from coopqp.limits import SelfCollision
-from coopqp.limits._distances import _hull_of, of_capsule, of_shape
+from coopqp.limits._bodies import _hull_of, of_capsule, of_shape
 from coopqp.limits._keep_apart import distances_along
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.robot import Capsule, Convex, Form, Shape

@@ -61,7 +61,7 @@ CONSTANTS: Mapping[object, Mapping[str, str]] = {
         "SUSPICIOUS": "SUSPICIOUS", "LEAP": "LEAP",
     },
     signal: {"ENDLESS": "ENDLESS"},
-    solver: {"LAST_DIGITS": "LAST_DIGITS"},
+    solver: {"LAST_DIGITS": "LAST_DIGITS", "DEPENDENT": "SAME_ROW"},
     manipulability: {"LARGE": "LARGE_PHI", "REGULAR": "REGULAR"},
 }  # fmt: skip
 

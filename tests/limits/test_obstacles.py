@@ -216,7 +216,7 @@ def test_a_corner_with_more_edges_than_coal_counts_is_told(
             cone.rows(held_box)
     else:
         assert cone.rows(held_box)
-    monkeypatch.setattr("coopqp.limits._distances.MAX_CORNERS", sides)
+    monkeypatch.setattr("coopqp.limits._bodies.MAX_CORNERS", sides)
     mesh.write_text("\n".join(["v 0 0 0.06", *rim, *faces, ""]))  # another file, read anew
     with pytest.raises(InvalidValueError, match=f"hull has {sides + 1} corners, at most {sides} "):
         cone.rows(held_box)

@@ -10,7 +10,7 @@ from side_by_side import laws, needs_kernel
 
 from coopqp.controller import ControlProblem
 from coopqp.limits import SelfCollision
-from coopqp.limits._distances import Distances
+from coopqp.limits._bodies import Distances
 from coopqp.scenario.loader import load
 
 pytestmark = [needs_kernel, needs_robots]

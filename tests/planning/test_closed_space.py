@@ -18,8 +18,7 @@ from coopqp.limits import SelfCollision
 from coopqp.limits._keep_apart import distances_along
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.planning.closed_path import lengths
-from coopqp.planning.closed_space import Budget, ClosedSpace
-from coopqp.planning.verification import along
+from coopqp.planning.closed_space import Budget, ClosedSpace, along
 from coopqp.scenario.loader import load
 from coopqp.study.explanation.goal import Goal
 
@@ -156,7 +155,7 @@ def test_a_search_ends_where_the_caller_raises() -> None:
     def stop() -> None:
         raise KeyboardInterrupt
 
-    space._others = lambda q: bool(np.abs(q - space.chain.q_start).max() < 0.3)
+    space.others = lambda q: bool(np.abs(q - space.chain.q_start).max() < 0.3)
     with pytest.raises(KeyboardInterrupt):
         space.way(space.chain.q_start[None], goals, Budget(seconds=60.0, most=10**9), stop)
 

@@ -16,10 +16,9 @@ from stress import arrangements
 
 from coopqp.base.errors import CoopqpError
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.planning.closed_space import Budget
+from coopqp.planning.closed_space import Budget, along
 from coopqp.planning.plan import Plan, Planner, plan
 from coopqp.planning.reach import cut_off, reach
-from coopqp.planning.verification import along
 from coopqp.report.planning import write_plan
 from coopqp.scenario.loader import load, load_text
 from coopqp.scenario.scenario import Scenario

@@ -20,11 +20,10 @@ from coopqp.assessment import assess
 from coopqp.base.errors import CoopqpError
 from coopqp.base.spec import Array
 from coopqp.limits import Obstacles
-from coopqp.planning.closed_space import Budget
+from coopqp.planning.closed_space import Budget, ClosedSpace, Verifier
 from coopqp.planning.plan import CLOSE, OFF, Plan, Planner, plan, way_round
 from coopqp.planning.reach import reach
 from coopqp.planning.timing import TO_SPEED, finite_limits
-from coopqp.planning.verification import Verifier
 from coopqp.report.planning import write_plan
 from coopqp.scenario.loader import load, load_text
 from coopqp.scenario.scenario import Phase, Scenario
@@ -128,8 +127,7 @@ def test_a_plan_in_time_keeps_speeds_and_accelerations(shelves: Scenario, way: P
 
 def test_the_second_look_sees_what_is_wrong(shelves: Scenario, way: Plan) -> None:
     problem = shelves.problem()
-    room = Room(problem)
-    verifier = Verifier(problem, room.lower, room.upper)
+    room, verifier = Room(problem), Verifier(ClosedSpace(problem))
     assert verifier.look(way.q, 0.01).good
     straight = np.linspace(way.q[0], way.q[-1], 500)
     found = verifier.look(straight, 0.01)
@@ -148,9 +146,7 @@ def test_the_second_look_sees_bodies_in_each_other(shelves: Scenario, way: Plan)
     ball = f"        ball: {{sphere: 0.05, position: {middle}}}\n{board}"
     text = shelves.source.replace(board, ball)
     other = load_text(Path("shelves_with_ball.yaml"), text, shelves.catalog)
-    problem = other.problem()
-    room = Room(problem)
-    seen = Verifier(problem, room.lower, room.upper).look(way.q, 0.01)
+    seen = Verifier(ClosedSpace(other.problem())).look(way.q, 0.01)
     assert seen.hits > 0
     assert "break a limit in space" in seen.words
 

@@ -290,7 +290,7 @@ def pressed(found: TimedPath, safety: float) -> float:
     from coopqp.closed_loop.hands import hands, in_axes
 
     chain = found.path.chain
-    dynamics = ClosedLoopDynamics(chain, shares={arm.name: 0.5 for arm in chain.arms})
+    dynamics = ClosedLoopDynamics(chain, shares=[0.5, 0.5])
     worst = -np.inf
     for t in np.linspace(0.0, found.duration, 60):
         now = found.at(float(t))

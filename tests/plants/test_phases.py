@@ -108,7 +108,8 @@ def test_the_object_brings_its_own_momentum_into_the_impact(
     energy = [ClosedLoopDynamics(alone).kinetic_energy(q, speed) for speed in (v, after)]
     assert energy[1] < energy[0], "no bounce gives energy"
     # The object moves with the arm that has held it.
-    held = ClosedLoopDynamics(alone.handed_over(q), shares={alone.arms[0].name: 1.0})
+    shares = [float(arm.name == alone.arms[0].name) for arm in both.arms]
+    held = ClosedLoopDynamics(alone.handed_over(q), shares=shares)
     held.update(q, v)
     np.testing.assert_allclose(after, held.impact(v), atol=1e-9)
 

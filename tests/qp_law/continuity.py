@@ -43,6 +43,7 @@ from coopqp.controller import Law
 from coopqp.controllers import QPController
 from coopqp.qp_law.equations import Damping
 from coopqp.qp_law.priorities import Order
+from coopqp.solver import Status
 
 DAMPING, ERROR_DAMPING = 1e-6, 0.5
 SAME = 1e-6  # as near to the optimum as that a command is it [rad/s, m/s]
@@ -95,27 +96,33 @@ def optimum_moves(law: Law, left: Left) -> float:
         law: whose command jumps.
         left: the jump.
     """
-    asked, found = Asked(law), (list[Array](), list[Array]())
+    found = list[Array](), list[Array]()
+    for side, way, beside in zip(left.sides, (-left.step, left.step), found, strict=True):
+        for far in BESIDE:
+            if beside and far > LAST_DIGITS:
+                break
+            _, v, best = compared(law, side + far * way)
+            if best is not None and np.abs(v - best).max() <= SAME:
+                beside.append(best)
+    return float(np.ptp([*found[0], *found[1]], axis=0).max()) if all(found) else 0.0
+
+
+def compared(law: Law, packed: Array) -> tuple[Status, Array, Array | None]:
+    """What a law says and commands at a state, and the optimum there; None if undetermined."""
+    asked = Asked(law)
     groups = [task for group in Order(law.problem).groups for task in group]
     kept = tuple(task for task in law.problem.secondary if task in groups)
-    decided = replace(law.problem, secondary=kept)
+    decided, damping = replace(law.problem, secondary=kept), Damping(DAMPING, ERROR_DAMPING, DT)
     with ExitStack() as stack:
         stack.enter_context(np.errstate(invalid="ignore"))  # beside the first tick dampings are < 0
         for module, digits in SHARP.items():
             stack.enter_context(patch.multiple(module, **digits))
-        for side, way, beside in zip(left.sides, (-left.step, left.step), found, strict=True):
-            for far in BESIDE:
-                if beside and far > LAST_DIGITS:
-                    break
-                there = side + far * way
-                try:
-                    damping = Damping(DAMPING, ERROR_DAMPING, DT)
-                    best = lexicographic.Cascade(decided, asked.state(there), damping).optimum().v
-                except oracle.UndeterminedError:
-                    continue
-                if np.abs(asked.at(there) - best).max() <= SAME:
-                    beside.append(best)
-    return float(np.ptp([*found[0], *found[1]], axis=0).max()) if all(found) else 0.0
+        try:
+            best = lexicographic.Cascade(decided, asked.state(packed), damping).optimum().v
+        except oracle.UndeterminedError:
+            best = None
+    v = asked.at(packed)
+    return law.command.status, v, best
 
 
 def tell_of(seed: int, left: Left, moves: float) -> None:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import itertools
 from functools import cache
+from typing import Literal
 
+import numpy as np
 import pytest
 from crossing import LEFT, Jump, Mode, jump, problem
 from stress import arrangements
@@ -12,8 +14,9 @@ from unreachable_goals import chain_of, robots
 
 from coopqp.controller import Law
 from coopqp.controllers import QPController
+from coopqp.solver import Status
 
-from .continuity import optimum_moves
+from .continuity import BESIDE, SAME, compared, optimum_moves
 
 SIGNS = tuple(itertools.product((1, -1), repeat=2))  # of the circle's two directions
 
@@ -42,6 +45,19 @@ def test_no_command_jumps_while_a_task_passes_the_border_of_reach(
     assert found.seen <= LEFT, found
     law = law_of(robot, mode, alone=True, signs=signs)
     assert all(optimum_moves(law, left) >= 0.5 * left.size for left in found.jumps), found
+
+
+@pytest.mark.parametrize("engine", ["python", "kernel"])
+def test_optimal_commands_are_optima_beside_a_jump(engine: Literal["python", "kernel"]) -> None:
+    """Two wrists at their limits, which nearly say the same, and two answers 5e-4 rad/s apart."""
+    problem = law_of("two_so101", "scaled", alone=True, signs=(1, -1)).problem
+    found = driven("two_so101", "scaled", alone=True, signs=(1, -1))
+    law = QPController(engine=engine).build(problem)
+    for left in found.jumps:
+        sides = zip(left.sides, (-left.step, left.step), strict=True)
+        for at in (side + far * way for side, way in sides for far in (0.0, *BESIDE)):
+            said, v, best = compared(law, at)
+            assert said is not Status.OPTIMAL or best is None or np.abs(v - best).max() <= SAME
 
 
 @pytest.mark.few(4)

@@ -32,7 +32,7 @@ from coopqp.model.loop_observer import TICKS, TIME
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.plant import Disturbance, Plant, PlantModel, Push, Slip
-from coopqp.plants._dynamic import DynamicModel, fair_shares
+from coopqp.plants._dynamic import DynamicModel
 from coopqp.solver import Solver
 from coopqp.task import Task
 from coopqp.tasks import JointCentering
@@ -176,9 +176,7 @@ def squeeze(plant: DynamicModel, dt: float) -> Squeeze:
     """What the statics say where a plant is that rests."""
     true, disturbance = plant.true, plant.disturbance
     chain, servo = true.chain, plant.servo
-    dynamics = ClosedLoopDynamics(
-        chain, shares=fair_shares(chain), mass_scale=disturbance.object_mass
-    )
+    dynamics = ClosedLoopDynamics(chain, shares=chain.alpha, mass_scale=disturbance.object_mass)
     rest, n = np.zeros(chain.n), chain.n
     dynamics.update(true.q, rest)
     true.update()

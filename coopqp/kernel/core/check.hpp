@@ -87,7 +87,8 @@ class Check {
             if (off <= s_.budget.accuracy) break;
         }
         off += idle(mu);
-        const double astray = r_.distance(first, outcome.gap, v, c);
+        const double held = r_.distance(first, outcome.gap, v, c);
+        const double astray = l == 0 ? std::max(held, unsure(v, c)) : held;
         worst_primal = std::max(worst_primal, std::max(gap, std::max(overrun, above)));
         worst_dual = std::max(worst_dual, off);
         if (!(gap + off + astray + above + overrun < std::numeric_limits<double>::infinity()))
@@ -205,6 +206,21 @@ class Check {
         }
         if (asked - off > CLEARLY * all) return Status::Infeasible;
         return asked - off > given + CLOSELY * all ? Status::Clashing : Status::Unproven;
+    }
+
+    // How far v may be off because limits are reached to the last digits: whether one is may matter
+    // much where loops, exact rows and other limits see its motion as well.
+    double unsure(const double* v, Constraints& c) {
+        double most = 0.0;
+        if (!c.nearest.active) return most;
+        for (const Joint& joint : m_.joints) {
+            const double slack = std::min(v[joint.lane] - c.limits.lb[joint.lane], c.limits.ub[joint.lane] - v[joint.lane]);
+            if (slack <= OVERRUN) most = std::max(most, c.nearest.unsure(joint.lane, m_.blocks));
+        }
+        for (std::size_t at = 0; at < slack_.size(); at++)
+            if (slack_[at] <= OVERRUN)
+                most = std::max(most, c.nearest.unsure(m_.blocks * LANES + int(at), m_.blocks));
+        return most;
     }
 
     // Put the shares between 0 and 1; by how much they were not, squared.

@@ -79,6 +79,26 @@ class LeastDistance {
         return values_;
     }
 
+    // How far the first lanes may be off because a row at its limit, active or not, may be exceeded or
+    // pushed by as much as `overrun`: much, where those that are active leave next to nothing of it.
+    double unsure(int row, int blocks) {
+        int held = active;
+        for (int i = 0; i < active; i++)
+            if (row_[std::size_t(i)] == row) held = i;
+        clear(normal_, blocks_);
+        for (int a = 0; a < K_; a++) normal_[a] = column(a)[row];
+        if (turned_) multiply(d_, Q_, width_, K_, normal_, blocks_);
+        else copy(d_, normal_, blocks_);
+        copy_from(h_, d_, held, blocks_);
+        const double left2 = dot(h_, h_, blocks_);
+        if (!(left2 > SAME_ROW * SAME_ROW * dot(normal_, normal_, blocks_))) return 0.0;
+        clear(u, blocks_);
+        clear(values_, blocks);
+        add_rows(u, Q_, width_, K_, h_, blocks_);
+        add_rows(values_, M, stride(), K_, u, blocks);
+        return overrun / left2 * std::sqrt(dot(values_, values_, blocks));
+    }
+
     // For tests of the check.
     void spoil() {
         if (active) multiplier_[0] = 1.5 * multiplier_[0] + 1e-6;

@@ -101,6 +101,7 @@ constexpr double ENDLESS = 1e+100;
 
 // coopqp.solver
 constexpr double LAST_DIGITS = 1e-14;
+constexpr double SAME_ROW = 1e-12;
 
 // coopqp.tasks.manipulability
 constexpr double LARGE_PHI = 3.0;
