@@ -20,6 +20,8 @@ range.
     IK                 each arm by damped least squares, on the same servos
     OSC                robosuite's own, kp 150, each hand's path given
 
+Steps of 20 mm arrive at the loop as an input, whose own bounds hold; IK and OSC go there at once.
+
 All but torque_qp are told the object's mass as half of its weight on each hand, which their
 servos bear; OSC by as much as its springs need. Hands of IK and OSC follow the pot's way as rigidly
 held by it.
