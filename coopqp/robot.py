@@ -16,7 +16,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from coopqp.base.errors import InvalidValueError, UnknownNameError
+from coopqp.base.errors import InvalidValueError, UnknownNameError, require_known
 from coopqp.base.spec import Array, array, near
 from coopqp.base.wording import counted
 
@@ -158,10 +158,8 @@ class RobotModel:
         q = np.array(pin.neutral(self.model))
         by_arm: dict[str, tuple[str, float]] = {}
         arms = {arm.name: self.arm_joints(arm) for arm in self.arms}
+        require_known("arm or joint", map(str, values), [*arms, *self.joint_names], at=())
         for key, value in values.items():
-            if key not in arms and key not in self.joint_names:
-                known = [*arms, *self.joint_names]
-                raise UnknownNameError("arm or joint", str(key), known).at(str(key))
             joints = arms.get(key, (key,))
             numbers = np.atleast_1d(near(key, array(key, value)))
             if numbers.shape != (len(joints),):

@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
-from coopqp.base.errors import InvalidValueError, UnknownNameError, UnreadableFileError
+from coopqp.base.errors import InvalidValueError, UnreadableFileError, require_known
 from coopqp.base.reading import read_text
 from coopqp.base.spec import Array, spec
 from coopqp.model.closed_chain import ClosedChain
@@ -49,10 +49,7 @@ class MotorUnits:
 
     def __post_init__(self) -> None:
         for key, names in (("signs", self.signs), ("offsets_deg", self.offsets_deg)):
-            for motor in names:
-                known = [MOTORS[i] for i in ARMS]
-                if motor not in known:
-                    raise UnknownNameError("motor", motor, known, f"{key}: ")
+            require_known("motor", names, [MOTORS[i] for i in ARMS], f"{key}: ")
         if not self.use_degrees and set(self.calibration) != set(SIDES):
             words = "needs both arms' calibration, as -100 to 100 are shares of a motor's range"
             raise InvalidValueError(f"use_degrees: {words}")

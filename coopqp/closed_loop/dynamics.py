@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import lapack
 
 from coopqp.base.errors import GraspError, InvalidValueError
@@ -129,7 +129,15 @@ class ClosedLoopDynamics:
                 self.model.appendBodyToJoint(
                     chain.model.frames[frame].parentJoint, part, chain.model.frames[frame].placement
                 )
-        self.actuated = actuated_joints(chain, actuated)
+        self.actuated = np.setdiff1d(np.arange(chain.n), chain.passive)
+        if actuated is not None:
+            motors, freedom = motor_indices(chain, actuated), chain.n - chain.loops.rank
+            if len(motors) < freedom:
+                raise InvalidValueError(
+                    f"actuated: {len(motors)} joints cannot drive {freedom} degrees of freedom; "
+                    f"name at least {freedom}"
+                )
+            self.actuated = np.array(motors, np.intp)
         self._data = self.model.createData()
         self._friction = friction if friction and (friction.viscous or friction.coulomb) else None
         self._allocate()
@@ -166,10 +174,7 @@ class ClosedLoopDynamics:
             self.H += f.viscous * v + f.coulomb * np.tanh(v / f.smoothing)
         pin.forwardKinematics(model, data, q, v, self._zero)
         pin.computeJointJacobians(model, data)
-        self._update_loops()
-
-    def _update_loops(self) -> None:
-        model, data, world = self.model, self._data, pin.LOCAL_WORLD_ALIGNED
+        world = pin.LOCAL_WORLD_ALIGNED
         for frame, J, drift in self._of_arms:
             pin.updateFramePlacement(model, data, frame)
             J[:] = pin.getFrameJacobian(model, data, frame, world)
@@ -291,23 +296,6 @@ class ClosedLoopDynamics:
     def potential_energy(self, q: Array) -> float:
         """Potential energy [J]."""
         return float(pin.computePotentialEnergy(self.model, self._data, q))
-
-
-def actuated_joints(chain: ClosedChain, names: Sequence[str] | None) -> NDArray[np.intp]:
-    """Indices of actuated joints by name; all but the passive ones if omitted.
-
-    UnknownNameError: an unknown joint. InvalidValueError: a passive or repeated joint, or fewer
-    than the degrees of freedom.
-    """
-    if names is None:
-        return np.setdiff1d(np.arange(chain.n), chain.passive)
-    motors, freedom = motor_indices(chain, names), chain.n - chain.loops.rank
-    if len(motors) < freedom:
-        raise InvalidValueError(
-            f"actuated: {len(motors)} joints cannot drive {freedom} degrees of freedom; "
-            f"name at least {freedom}"
-        )
-    return np.array(motors, np.intp)
 
 
 #: Reciprocal condition number below which a system counts as singular.

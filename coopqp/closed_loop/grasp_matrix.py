@@ -170,18 +170,8 @@ def virtual_linkage(points: Array) -> Array:
 
     Returns:
         E^+, from (f_1; f_2; f_3) to the pushes t [N], shape (3, 9).
-
-    GraspError: the hands are on one line, or not three.
     """
     p = np.asarray(points, float)
-    if p.shape != (3, 3):
-        raise GraspError(f"the virtual linkage is of 3 hands; found {len(p)}")
-    if (flat := flatness(p)) < FLAT:
-        raise GraspError(
-            f"three hands are on one line (height {flat:.1g} of the length between them): pushes "
-            "along their edges are not independent; move one hand off the line, or ask for the "
-            "internal wrench of a pair of two arms"
-        )
     E = np.zeros((9, 3))
     for k, (i, j) in enumerate(EDGES):
         e = (p[j] - p[i]) / np.linalg.norm(p[j] - p[i])

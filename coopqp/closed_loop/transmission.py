@@ -18,7 +18,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from coopqp.base.rank import null_space
 from coopqp.base.spec import Array
 from coopqp.closed_loop.grasp_matrix import COMPONENTS, grasp_matrix, section
 from coopqp.closed_loop.hands import hands
@@ -97,7 +96,8 @@ def transmission(chain: ClosedChain, q: Array) -> Transmission:
     J_c = scaled((J[1:] - J[0]).reshape(-1, chain.n))
     arms = []
     for name, J_i in zip(names, J, strict=True):
-        borne = scaled(null_space_of(scaled(J_i).T))
+        _, values, Vt = np.linalg.svd(scaled(J_i).T)
+        borne = scaled(Vt[int(np.sum(values > MOTION_TOLERANCE)) :].T)
         # A force along a line is dual to a turn about it: (m; f) is a twist about the same axis.
         turned = (np.concatenate([column[3:], column[:3]]) for column in borne.T)
         screws = tuple(screw_of(twist, origin) for twist in turned)
@@ -136,14 +136,6 @@ def _components(rows: Array, units: Array, passive: NDArray[np.int_]) -> dict[st
         else:
             found[name] = MIXED if rank_of(rows[:, passive]) < len(rows) else LET_GO
     return found
-
-
-def null_space_of(rows: Array) -> Array:
-    """Basis of the null space of rows, by the same tolerance."""
-    if not rows.size:
-        return null_space(rows)
-    _, values, Vt = np.linalg.svd(rows)
-    return np.ascontiguousarray(Vt[int(np.sum(values > MOTION_TOLERANCE)) :].T)
 
 
 def force_words(screw: Screw) -> str:

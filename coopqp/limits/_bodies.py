@@ -308,7 +308,8 @@ class _Tree:
     def neighbours(self, a: Body, b: Body) -> bool:
         if a.joint == b.joint:
             return True
-        if not (a.link or b.link) and self._one_arm(a, b):
+        arms = {self._arm_of.get(self._model.names[body.joint]) for body in (a, b)}
+        if not (a.link or b.link) and len(arms) == 1 and None not in arms:
             return True  # capsules are too coarse for an arm against itself
         one, other = (a, b) if a.joint < b.joint else (b, a)
         return self.before(other.joint) == one.joint and (
@@ -345,10 +346,6 @@ class _Tree:
             hand = tip if tip in self._occupied else self.before(tip)
             found |= {hand, self.before(hand)} - {0}
         return found
-
-    def _one_arm(self, a: Body, b: Body) -> bool:
-        arms = {self._arm_of.get(self._model.names[body.joint]) for body in (a, b)}
-        return len(arms) == 1 and None not in arms
 
 
 def robot_bodies(robot: RobotModel, model: pin.Model) -> tuple[list[Body], list[str]]:

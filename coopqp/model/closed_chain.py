@@ -111,7 +111,7 @@ class ClosedChain:
         velocity: velocity limits, shape (n,) [rad/s, m/s].
         passive: indices of the passive joints in q.
         alpha: weights of the arms in the absolute variables, shape (N,).
-        mixing: M with [J_tsk; J_rel] = M [J_0; J_1; ...], shape (6 N, 6 N).
+        mixing: M with [J_tsk; J_rel] = M [J_0; J_1; ...], eq. (30)-(31), shape (6 N, 6 N).
     """
 
     def __init__(self, hold: GraspConfiguration) -> None:
@@ -119,7 +119,9 @@ class ClosedChain:
         self.robot, self.grasps, self.held = hold.robot, hold.grasps, hold.held
         self.arms, self.alpha = hold.arms, hold.alpha
         self.holding, self.standing = max(1, len(hold.holders)), not hold.holders
-        self.mixing = _mixing_matrix(self.alpha)
+        blocks = np.eye(len(self.alpha))
+        blocks[0], blocks[1:, 0] = self.alpha, -1.0
+        self.mixing = np.asarray(np.kron(blocks, np.eye(6)))
         self.model, self.frames = hold.model()
         self.n: int = self.model.nv
         self.joint_units = joint_units(self.model)
@@ -319,14 +321,12 @@ class ClosedChain:
     def _independent_rows(self) -> LoopRows:
         """Which loop rows are independent, here and in general."""
         found = self.once(_generic_rows)
-        if found.closed and matrix_rank(self.loop_jacobian(self.q_start)) < found.rank:
-            return replace(found, rank=self._rank_where_closed() or found.rank)
-        return found
-
-    def _rank_where_closed(self) -> int:
-        """On a walk with closed loops, lower in paradoxical linkages (Bennett's); 0 if none."""
-        jacobians = map(self.loop_jacobian, self.closed_walk(WALK))
-        return max((matrix_rank(J, WALK_TOLERANCE) for J in jacobians), default=0)
+        if not found.closed or matrix_rank(self.loop_jacobian(self.q_start)) >= found.rank:
+            return found
+        # On a walk with closed loops the rank is lower in paradoxical linkages (Bennett's).
+        walked = map(self.loop_jacobian, self.closed_walk(WALK))
+        ranks = (matrix_rank(J, WALK_TOLERANCE) for J in walked)
+        return replace(found, rank=max(ranks, default=found.rank))
 
     def closed_walk(self, steps: int) -> Iterator[Array]:
         """At most so many closed configurations, on a random walk from the start."""
@@ -389,10 +389,3 @@ def _generic_rows(chain: ClosedChain) -> LoopRows:
     kept = independent_rows(np.hstack(jacobians))
     rank = max(matrix_rank(J) for J in jacobians)
     return LoopRows(rows=rows, closed=closed, kept=tuple(kept), rank=rank)
-
-
-def _mixing_matrix(alpha: Array) -> Array:
-    """M with [J_tsk; J_rel] = M [J_0; J_1; ...], eq. (30)-(31), shape (6 N, 6 N)."""
-    blocks = np.eye(len(alpha))
-    blocks[0], blocks[1:, 0] = alpha, -1.0
-    return np.asarray(np.kron(blocks, np.eye(6)))

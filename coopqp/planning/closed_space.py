@@ -309,7 +309,7 @@ class Verifier:
         # It asks all boxes, which for a robot's few bodies is less than keeping a tree of them.
         kind = pin.BroadPhaseManager_NaiveCollisionManager
         self._manager = kind(chain.model, geometry, placed)
-        self._referred_to = geometry, placed
+        self._referred_to = geometry, placed  # kept, since the manager does not
 
     def look(self, q: Array, every: float) -> Verification:
         """Look at a path q, shape (K, n), each so many radians or metres."""

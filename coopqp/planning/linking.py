@@ -468,7 +468,11 @@ class ClosedLine:
         if not len(corners):
             return {}
         ends = {bend: self._fixed.get((one.fixed, bend)) for bend in other.bends}
-        return {bend: _away(corners, p) for bend, p in ends.items() if p is not None}
+        return {
+            bend: float(_apart(corners[:-1], corners[1:], p[None], p[None]).min())
+            for bend, p in ends.items()
+            if p is not None
+        }
 
 
 def closed_line(chain: ClosedChain, programs: Sequence[Program | None]) -> ClosedLine | None:
@@ -597,11 +601,6 @@ def _apart(a: Array, b: Array, c: Array, d: Array) -> Array:
     t = np.clip((uv * np.clip((uv * vw - vv * uw) / rest, 0.0, 1.0) + vw) / vv, 0.0, 1.0)
     s = np.clip((uv * t - uw) / uu, 0.0, 1.0)
     return np.asarray(np.linalg.norm(w + s[:, None] * u - t[:, None] * v, axis=1))
-
-
-def _away(corners: Array, p: Array) -> float:
-    """Least distance of a point from a line of straight sides [m]."""
-    return float(_apart(corners[:-1], corners[1:], p[None], p[None]).min())
 
 
 def _pairs(corners: Array, closed: bool = True) -> list[Array]:

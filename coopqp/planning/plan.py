@@ -218,7 +218,9 @@ class Planner:
 
     def __init__(self, problem: ControlProblem, t: float, keep: Sequence[str] = ()) -> None:
         self.problem, self.chain, self._t = problem, problem.chain, t
-        kept = _kept(problem, keep)
+        tasks = {task.name: task for task in placed(problem.tasks, problem.chain)} if keep else {}
+        require_known("task with a place", keep, tasks, "keep: ")
+        kept = tuple(tasks[name] for name in keep)
         self.space = ClosedSpace(problem, kept, t)
         self.verifier = Verifier(self.space)
         self._looked: Goals | None = None
@@ -410,10 +412,3 @@ class Planner:
             t=np.zeros(0), timed=np.zeros((0, n)), object=np.zeros((0, 7)), seconds=took,
             proven=why.startswith(PROVEN),
         )  # fmt: skip
-
-
-def _kept(problem: ControlProblem, names: Sequence[str]) -> tuple[Task, ...]:
-    """The tasks of these names; errors where one does not exist, or is no place."""
-    tasks = {task.name: task for task in placed(problem.tasks, problem.chain)} if names else {}
-    require_known("task with a place", names, tasks, "keep: ")
-    return tuple(tasks[name] for name in names)

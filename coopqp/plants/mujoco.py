@@ -211,7 +211,10 @@ def _body(
 ) -> str:
     below = children.get(joint, [])
     inside = "".join(_body(model, child, children, ends, stops) for child in below)
-    (kind, axis), name = _axis(model, joint), model.names[joint]
+    name, axis = model.names[joint], axis_of(model.joints[joint])
+    assert axis is not None  # robots have no others
+    turns = np.linalg.norm(axis[3:]) > 0.5
+    kind, axis = ("hinge", axis[3:]) if turns else ("slide", axis[:3])
     return (
         f'<body name="{name}" {_pose(model.jointPlacements[joint])}>'
         f'<joint name="{name}" type="{kind}" axis="{_numbers(axis)}"{stops.get(name, "")}/>'
@@ -229,14 +232,6 @@ def _stops(chain: ClosedChain, weld: str) -> dict[str, str]:
         for name, low, high in zip(chain.joint_names, lower, upper, strict=True)
         if np.isfinite(low) or np.isfinite(high)
     }
-
-
-def _axis(model: pin.Model, joint: int) -> tuple[str, Array]:
-    """MuJoCo's joint type and axis of a joint with one coordinate."""
-    axis = axis_of(model.joints[joint])
-    assert axis is not None  # robots have no others
-    turning = np.linalg.norm(axis[3:]) > 0.5
-    return ("hinge", axis[3:]) if turning else ("slide", axis[:3])
 
 
 def _inertial(body: pin.Inertia) -> str:

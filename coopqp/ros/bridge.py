@@ -16,7 +16,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from pydantic import Field
 
-from coopqp.base.errors import InvalidValueError, UnknownNameError, short
+from coopqp.base.errors import InvalidValueError, require_known, short
 from coopqp.base.qp import Row
 from coopqp.base.spec import Array, NonNegative, Positive, spec
 from coopqp.base.wording import raised
@@ -102,9 +102,8 @@ def joints_of(
         if not given:
             words = "several controllers need each their joints, in their order"
             raise InvalidValueError(f"{name}.joints: {words}")
+        require_known("joint", given, index, f"{name}.joints: ")
         for joint in given:
-            if joint not in index:
-                raise UnknownNameError("joint", joint, index, f"{name}.joints: ")
             if joint in moved:
                 raise InvalidValueError(f"{name}.joints: '{joint}' is there twice")
             moved.append(joint)

@@ -15,7 +15,7 @@ import numpy as np
 
 import coopqp
 from coopqp.assessment.limits import audit
-from coopqp.base.errors import InvalidValueError, UnknownNameError, under
+from coopqp.base.errors import InvalidValueError, require_known, under
 from coopqp.base.reading import FilePath
 from coopqp.base.spec import Array, Name, NonNegative, Positive, spec
 from coopqp.base.table import Table, read_table
@@ -92,9 +92,7 @@ def following(scenario: Scenario, followed: Followed) -> Scenario:
                 raise InvalidValueError(f"{way.sentence}; it had 'seconds: {followed.seconds:g}'")
             table = Table(Path("plan"), way.columns, 0)
         ways = list(_ways(scenario, table))
-    for name in followed.by:
-        if name not in scenario.controllers:
-            raise UnknownNameError("controller", name, scenario.controllers, "by: ")
+    require_known("controller", followed.by, scenario.controllers, "by: ")
     each = {
         name: _phases(scenario, ways, followed, law)
         for name, law in scenario.controllers.items()

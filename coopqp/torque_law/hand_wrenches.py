@@ -218,9 +218,6 @@ def _shares(chain: ClosedChain, shares: Shares) -> Array:
         return np.asarray(found / found.sum(), float)
     every = [arm.name for arm in chain.arms]
     require_known("arm", shares, every, "shares: ")
-    for name, share in shares.items():
-        if not 0.0 <= share < np.inf:
-            raise InvalidValueError(f"shares: arm {name} has {share:g}; needs at least 0")
     values = np.array([shares.get(name, 0.0) for name in held])
     if len(held) == len(every) and abs(values.sum() - 1.0) > SHARE_SUM:
         raise InvalidValueError(f"shares: found {dict(shares)}, needs shares that sum to 1")
@@ -315,7 +312,9 @@ class MomentumObserver:
     def update(self, state: State) -> Array:
         """The wrench at the end of a period with joint torques "observer.tau"; zero at first."""
         dt, dynamics, memory = self._dt, self._dynamics, state.memory
-        now, momentum = self._forces(state.q, state.v), dynamics.A.dot(state.v)
+        C = pin.computeCoriolisMatrix(self._model, self._data, state.q, state.v)
+        g = pin.computeGeneralizedGravity(self._model, self._data, state.q)
+        now, momentum = C.T @ state.v - g, dynamics.A.dot(state.v)
         integral, known = memory["observer.integral"], memory["observer.known"]
         r = memory["observer.residual"]
         if memory["observer.begun"][0]:
@@ -330,12 +329,6 @@ class MomentumObserver:
         self.wrench[:] = least_squares(N.T @ dynamics.J_object.T, N.T @ r)
         memory["observer.wrench"][:] = self.wrench
         return self.wrench
-
-    def _forces(self, q: Array, v: Array) -> Array:
-        """C' v - g."""
-        C = pin.computeCoriolisMatrix(self._model, self._data, q, v)
-        g = pin.computeGeneralizedGravity(self._model, self._data, q)
-        return np.asarray(C.T @ v - g, float)
 
 
 class HandSensors:
