@@ -20,6 +20,8 @@ range.
     IK                 each arm by damped least squares, on the same servos
     OSC                robosuite's own, kp 150, each hand's path given
 
+Steps of 20 mm arrive at the loop as an input, whose own bounds hold; IK and OSC go there at once.
+
 All but torque_qp are told the object's mass as half of its weight on each hand, which their
 servos bear; OSC by as much as its springs need. Hands of IK and OSC follow the pot's way as rigidly
 held by it.
@@ -50,6 +52,8 @@ from coopqp.adapters.robosuite import KP, RobosuiteWorld, controllers
 from coopqp.base.spec import Array
 from coopqp.model.loop_observer import Observer
 from coopqp.robots import Mjcf
+from coopqp.signals import Input
+from coopqp.tasks import Pose as PoseTask
 
 NO_OBSERVER = "qp, no observer"
 LAWS = ("qp", NO_OBSERVER, "torque_qp", "pseudoinverse", "IK", "OSC")
@@ -60,10 +64,9 @@ VARIANTS = {
     "base 10 mm, 15 mrad off": {"off": True}, "circle with yaw": {"circle": True},
     "push of 20 N": {"push": 20.0},
 }  # fmt: skip
-#: Of the loop, from rest to full speed: a reference that jumps does not jolt the grips [s].
-SPEED_UP = 0.8
 HEIGHT, LIFT, HOLD = 0.15, 1.5, 1.0  # m, s, s
 OSC_KP = 150.0
+POT = "pot"  #: The input.
 #: From where robosuite has Baxter begin, reaching ends with the elbows at the torso: out with them
 #: first. Joints of the right arm, those of the left are its mirror image [rad].
 ELBOWS_OUT, MIRROR = np.array([0.1, -0.75, 1.2, 1.6, -1.2, 1.2, -0.5]), np.array([-1.0, 1.0])
@@ -226,6 +229,9 @@ def run(robots: list[str], law: str, variant: str, seed: int) -> dict[str, Any]:
     watch, start = Watch(world), world.object
     way, duration = way_of(what, start)
     scenario = scenario_of(world, robot, way, duration, mass=mass, dt=dt)
+    if what.get("fast"):  # steps arrive one by one, as a policy's
+        goes = PoseTask(goal=Input(name=POT))
+        scenario = scenario.changed(tasks=(goes,), inputs={POT: coopqp.InputSettings()})
     step, loop = follower(law, world, hands, scenario, way, mass)
     pot, ticks = world.model.body("pot_root").id, round(duration / dt)
     error = ""
@@ -332,7 +338,7 @@ class Hands:
             for k in range(round((lasts + 3.0) / dt)):
                 hands = zip(world.arms, goals, strict=True)
                 off = [np.linalg.norm(world.hand(a).translation - X.translation) for a, X in hands]
-                if k * dt >= lasts and max(off) < 2e-3:
+                if k * dt >= lasts and max(off) < 1e-3:
                     break  # until then they lag behind
                 s = minimum_jerk((k + 1) * dt / lasts)
                 self.osc([pin.SE3.Interpolate(a, b, s) for a, b in zip(begun, goals, strict=True)])
@@ -363,10 +369,10 @@ def follower(
             enabled=law != NO_OBSERVER, inertial_stiffness=world.kp, object_compensated=1.0
         )
         law = law.removesuffix(", no observer")
-        loop = coopqp.OnlineLoop(scenario, law, clock=None, observer=observer, speed_up=SPEED_UP)
+        loop = coopqp.OnlineLoop(scenario, law, clock=None, observer=observer)
 
         def ours(t: float) -> None:
-            command = loop.tick(world.read())
+            command = loop.tick(world.read(), {POT: way(t)} if scenario.inputs else None)
             if loop.stopped:
                 raise RuntimeError(loop.stopped)
             if command.tau is not None:
@@ -396,10 +402,6 @@ class Watch:
     def __init__(self, world: RobosuiteWorld) -> None:
         self.world, self.begun = world, world.object
         self.held = [world.object.actInv(world.hand(arm)) for arm in world.arms]
-        grippers = [world.env.robots[i].gripper[arm] for i, arm in world._of.values()]
-        sides = "left_fingerpad", "right_fingerpad"
-        named = [[n for side in sides for n in g.important_geoms[side]] for g in grippers]
-        self.pads = [[world.model.geom(name).id for name in names] for names in named]
         self.touched = self.touching()
         self.force, self.slip, self.shift, self.tilt, self.over = [], 0.0, 0.0, 0.0, []
         motors = range(world.model.nu)
@@ -412,9 +414,8 @@ class Watch:
     def touching(self) -> Array:
         """Where each hand's pads are at the pot, in its axes, shape (N, 3)."""
         places, pot = self.world.data.geom_xpos, self.world.object
-        return np.array([places[pads].mean(axis=0) for pads in self.pads] - pot.translation) @ (
-            pot.rotation
-        )
+        middles = [places[pads].mean(axis=0) for pads in self.world.pads]
+        return np.asarray((middles - pot.translation) @ pot.rotation)
 
     def look(self) -> None:
         world, pot = self.world, self.world.object

@@ -179,6 +179,13 @@ class Trajectory:
         """The rotation, shape (3, 3)."""
         return matrix(self.value[self.kind.numbers :])
 
+    def after(self, time: float) -> Array:
+        """The value that much later at this rate [s], shape (values,)."""
+        k, way = self.kind.numbers, time * self.rate
+        if not self.kind.turns:
+            return np.asarray(self.value + way)
+        return np.concatenate([self.value[:k] + way[:k], quaternion_of(pin.exp3(way[k:]) @ self.R)])
+
 
 class InputValues(dict[str, Trajectory]):
     """Filtered values of the inputs at an instant, by name.

@@ -25,6 +25,7 @@ from coopqp.signals import Waypoints
 from coopqp.tasks import Pose as PoseTask
 
 DT, ABOVE, YIELD = 0.01, 0.08, 1.0  # s; m, from where hands go down; s, while closed ones give way
+THERE = 1e-3  # rad: hands that stop short hold less of the bar
 LAWS = QPController(name="qp"), TorqueQp(name="torque_qp"), Pseudoinverse(name="pseudoinverse")
 Way = Callable[[float], pin.SE3]
 
@@ -35,12 +36,13 @@ def minimum_jerk(s: float) -> float:
 
 
 def grasp_poses(world: RobosuiteWorld) -> list[pin.SE3]:
-    """Of the hands at the handles: z down, fingers closing along the pot's y, across the bar."""
+    """Of the hands with the bars amid their pads: z down, fingers closing across, the pot's y."""
     found, z = [], np.array([0.0, 0.0, -1.0])
     across = world.object.rotation[:, 1] * [1.0, 1.0, 0.0]
     for i, arm in enumerate(world.arms):
         x = across * np.sign(across @ world.hand(arm).rotation[:, 0]) / np.linalg.norm(across)
-        place = world.data.site(f"pot_handle{i}").xpos.copy()
+        pads = world.data.geom_xpos[world.pads[i]].mean(axis=0)
+        place = world.data.site(f"pot_handle{i}").xpos - world.hand(arm).actInv(pads)[2] * z
         found.append(pin.SE3(np.column_stack([x, np.cross(z, x), z]), place))
     return found
 
@@ -66,7 +68,7 @@ def go(world: RobosuiteWorld, q: Array, time: float, dt: float = DT) -> Array:
     """Move all joints there, from where they are, and wait for them a second at most; returns q."""
     began, ticks = np.atleast_2d(world.read())[0], round(time / dt)
     for k in range(ticks + round(1.0 / dt)):
-        if k >= ticks and np.abs(q - np.atleast_2d(world.read())[0]).max() < 0.01:
+        if k >= ticks and np.abs(q - np.atleast_2d(world.read())[0]).max() < THERE:
             break
         world.write(began + minimum_jerk((k + 1) / ticks) * (q - began), np.zeros_like(q))
     return q

@@ -204,6 +204,13 @@ class RobosuiteWorld:
         )
 
     @property
+    def pads(self) -> list[list[int]]:
+        """Geoms of each hand's finger pads, by their ids."""
+        geoms = [self.env.robots[i].gripper[arm].important_geoms for i, arm in self._of.values()]
+        sides = "left_fingerpad", "right_fingerpad"
+        return [[self.model.geom(name).id for side in sides for name in own[side]] for own in geoms]
+
+    @property
     def object(self) -> pin.SE3:
         """Pose of the held body."""
         body = self.model.body(self._held).id

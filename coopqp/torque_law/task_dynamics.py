@@ -34,7 +34,7 @@ from coopqp.closed_loop.screw import LENGTH
 from coopqp.controller import ControlProblem
 from coopqp.model.closed_chain import AXES, ClosedChain
 from coopqp.model.state import State
-from coopqp.signal import CLOCK, Trajectory
+from coopqp.signal import Trajectory
 from coopqp.task import Impedance, TaskStack
 from coopqp.torque_law.margins import DELAY, MIN_DAMPING, spring_damping
 
@@ -64,10 +64,9 @@ class TaskDynamics:
     def update(self, state: State) -> None:
         ahead, tasks, v = self._ahead, self.tasks, state.v
         ahead.q[:], ahead.t = state.q + STEP * v, state.t + STEP
-        for name, clock in state.inputs.items():
-            if clock.kind == CLOCK:
-                later = ahead.inputs.setdefault(name, Trajectory(CLOCK, clock.value))
-                later.value[:], later.rate[:] = clock.value + STEP * clock.rate, clock.rate
+        for name, now in state.inputs.items():
+            later = ahead.inputs.setdefault(name, Trajectory(now.kind, now.value))
+            later.value[:], later.rate[:] = now.after(STEP), now.rate
         ahead.update()
         tasks.update(ahead)
         e_dot_ahead = tasks.J.dot(v) - tasks.rate

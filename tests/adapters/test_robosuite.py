@@ -17,7 +17,7 @@ MASS = 2.0
 HAND = """
 <body name="robot{i}_base" pos="0 {y} 0">
   <body name="robot{i}_link"><joint name="robot{i}_joint1" type="slide" axis="0 0 1" range="-1 1"/>
-    <body name="gripper{i}"><geom type="box" size=".1 .1 .01" mass="1"/>
+    <body name="gripper{i}"><geom name="pad{i}" type="box" size=".1 .1 .01" mass="1"/>
       <site name="gripper{i}_grip_site"/></body></body></body>
 """
 SCENE = f"""
@@ -49,7 +49,10 @@ class _Env:
 
     def _robot(self, i: int) -> Any:
         sites = {"grip_site": f"gripper{i}_grip_site"}
-        gripper = SimpleNamespace(root_body=f"gripper{i}", important_sites=sites, dof=1)
+        geoms = {"left_fingerpad": [f"pad{i}"], "right_fingerpad": []}
+        gripper = SimpleNamespace(
+            root_body=f"gripper{i}", important_sites=sites, important_geoms=geoms, dof=1
+        )
         return SimpleNamespace(
             arms=["right"],
             gripper={"right": gripper},
@@ -130,6 +133,10 @@ def test_each_gripper_is_told_its_own(world: RobosuiteWorld) -> None:
     world.grip["robot1"] = 1.0
     world.apply(np.zeros(2))
     assert world.env.grips == [-1.0, 1.0]
+
+
+def test_pads_are_those_of_each_hand(world: RobosuiteWorld) -> None:
+    assert world.pads == [[world.model.geom(f"pad{i}").id] for i in range(2)]
 
 
 def test_robosuite_is_not_imported() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from following import NAMES, following, moving_fields, one_of_each, place, way
+from laws import problem
 from scipy.spatial.transform import Rotation
 
 from coopqp.base.spec import Array
@@ -23,6 +25,7 @@ from coopqp.signal import POSE, InputValues, Kind, Signal, Trajectory
 from coopqp.signals import Circle, Input, Line, Waypoints
 from coopqp.task import Task, TaskStack
 from coopqp.tasks import Twist
+from coopqp.torque_law.task_dynamics import TaskDynamics
 
 H = 1e-5  # step of the central differences [s]
 BETWEEN = ["linear", "minimum_jerk", "cubic"]
@@ -66,13 +69,10 @@ def test_every_task_follows_way_points_with_their_exact_rate(
     check_rates(task, chain, closed_loop_walk(chain, 4))
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_every_task_follows_an_input_with_its_exact_rate(
-    name: str, chain: ClosedChain, closed_loop_walk: Any
-) -> None:
-    task = one_of_each(chain)[name]
+def arrived(task: Task, chain: ClosedChain, between: str) -> Callable[[float], InputValues]:
+    """What inputs by the names of a task's fields are at a time [s]."""
     moves = {
-        key: way(chain, "cubic", "round")(key, kind).bind(kind, State(chain), None)
+        key: way(chain, between, "round")(key, kind).bind(kind, State(chain), None)
         for key, kind in moving_fields(task, chain).items()
     }
 
@@ -84,8 +84,40 @@ def test_every_task_follows_an_input_with_its_exact_rate(
             found[key].rate[:] = course.rate
         return found
 
+    return inputs
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_task_follows_an_input_with_its_exact_rate(
+    name: str, chain: ClosedChain, closed_loop_walk: Any
+) -> None:
+    task = one_of_each(chain)[name]
     followed = following(task, chain, lambda key, kind: Input(name=key))
-    check_rates(followed, chain, closed_loop_walk(chain, 4), inputs)
+    check_rates(followed, chain, closed_loop_walk(chain, 4), arrived(task, chain, "cubic"))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_accelerations_are_those_of_the_way_that_an_input_goes(
+    name: str, chain: ClosedChain, closed_loop_walk: Any
+) -> None:
+    """Where a tick before it went elsewhere, too: what it does next is not what it did last."""
+    task = one_of_each(chain)[name]
+    inputs, v = arrived(task, chain, "linear"), np.random.default_rng(1).standard_normal(chain.n)
+    goes = way(chain, "linear", "round")
+
+    def arriving(key: str, kind: Kind) -> Signal:
+        return Input(name=key, start=goes(key, kind).values[0])
+
+    asked = following(task, chain, goes), following(task, chain, arriving)
+    exact, found = (TaskDynamics(problem(chain, one)) for one in asked)
+    for q, t in zip(closed_loop_walk(chain, 4), (0.55, 1.3, 2.3, 4.9), strict=True):
+        state = State(chain, q, t)
+        state.v[:], state.inputs = v, inputs(t)
+        state.update()
+        exact.update(state)
+        found.update(state)
+        np.testing.assert_allclose(found.e_dot, exact.e_dot, atol=1e-9)
+        np.testing.assert_allclose(found.drift, exact.drift, atol=1e-5)
 
 
 @pytest.mark.parametrize("name", NAMES)
