@@ -390,16 +390,11 @@ def _parts(shapes: Sequence[Shape], faults: list[str]) -> Iterator[Convex]:
         faults.append(f"{meshes[0].frame}: {error}")
 
 
-def held_body(chain: ClosedChain) -> Body:
-    """The object's box, as carried by the first arm."""
-    frame = chain.model.frames[chain.frames[0]]
-    size = tuple(float(edge) for edge in chain.held.size)
-    box = Shape(frame=frame.name, placement=frame.placement, kind="box", size=size)
-    return Body(OBJECT, frame.parentJoint, of_shape(box))
-
-
 def bodies_of(chain: ClosedChain) -> tuple[list[Body], list[str]]:
-    """The robot's bodies (InvalidValueError: none) and the object, and what cannot be watched."""
+    """The robot's bodies, the object as the first arm carries it, and what cannot be watched.
+
+    InvalidValueError: the robot has none.
+    """
     bodies, faults = chain.once(_of_the_robot)
     if not bodies:
         why = f": {faults[0]}" if faults else ""
@@ -407,7 +402,10 @@ def bodies_of(chain: ClosedChain) -> tuple[list[Body], list[str]]:
             f"robot {chain.robot.name} has no collision geometry{why}; leave this limit out, "
             "use a file with it, or add capsules to RobotModel.capsules"
         )
-    return [*bodies, held_body(chain)], faults
+    frame = chain.model.frames[chain.frames[0]]
+    size = tuple(float(edge) for edge in chain.held.size)
+    box = Shape(frame=frame.name, placement=frame.placement, kind="box", size=size)
+    return [*bodies, Body(OBJECT, frame.parentJoint, of_shape(box))], faults
 
 
 def _of_the_robot(chain: ClosedChain) -> tuple[list[Body], list[str]]:

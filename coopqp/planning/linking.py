@@ -325,7 +325,12 @@ class ClosedLine:
 
     def number(self, q: Array) -> float:
         """The linking number and a constant."""
-        return float(self._twist @ q) / (2.0 * np.pi) + writhe(self._corners(q))
+        pin.framesForwardKinematics(self._chain.model, self._data, q)
+        first, other = ([self._data.oMi[j].translation for j in arm.bends] for arm in self._arms)
+        X_WO = self._data.oMf[self._arms[0].frame]
+        above = self._above @ X_WO.rotation.T + X_WO.translation
+        corners = np.array([*first, *above, *other[::-1], *self._below[::-1]])
+        return float(self._twist @ q) / (2.0 * np.pi) + writhe(corners)
 
     def differs(self, q: Array) -> NDArray[np.int_]:
         """By how much the numbers at closed configurations (N, n) are proven to differ.
@@ -336,13 +341,6 @@ class ClosedLine:
         turns -= turns[:1]
         whole = np.abs(turns - turns.round()) < WHOLE
         return np.where(whole & self.proven, turns.round(), 0.0).astype(int)
-
-    def _corners(self, q: Array) -> Array:
-        pin.framesForwardKinematics(self._chain.model, self._data, q)
-        first, other = ([self._data.oMi[j].translation for j in arm.bends] for arm in self._arms)
-        X_WO = self._data.oMf[self._arms[0].frame]
-        above = self._above @ X_WO.rotation.T + X_WO.translation
-        return np.array([*first, *above, *other[::-1], *self._below[::-1]])
 
     def _between(self, arm: _Arm) -> Iterator[_Piece]:
         """Pieces between one bend and the next."""

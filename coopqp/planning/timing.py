@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem
-from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.profile import FASTEST, Profile
 from coopqp.planning.closed_path import ClosedPath, Loops, closed_path, lengths, on_lines
 from coopqp.planning.given_path import LAW, SLOW, calm_run
@@ -70,7 +69,7 @@ def timed(
     ticks ask for more than the limits. Errors where nothing can be followed, ticks are too many, or
     the clock has run down.
     """
-    chain, dt, way = problem.chain, problem.dt, lengths(q)
+    chain, dt, way, loops = problem.chain, problem.dt, lengths(q), Loops(problem.chain)
     best, least = q[:1].copy(), np.inf
     if len(q) < 2:
         return np.zeros(1), best
@@ -88,7 +87,9 @@ def timed(
             if near is None:
                 break
             pushed = np.diff(near, 2, axis=0, prepend=near[:1], append=near[-1:]) / dt**2
-            excess = float((np.abs(pushed) / push).max(initial=_opened(chain, near, clock) / SHARE))
+            parts = clock.parts(np.arange(len(near)))
+            opened = max(loops.opened(near[max(part[0] - 2, 0) : part[-1] + 1]) for part in parts)
+            excess = float((np.abs(pushed) / push).max(initial=opened / SHARE))
             if excess < least:
                 best, least = near, excess
             if excess <= 1.0:
@@ -132,13 +133,6 @@ def _near(
             return None
         found.append(near)
     return np.concatenate(found)
-
-
-def _opened(chain: ClosedChain, q: Array, clock: Clock) -> float:
-    """As :meth:`Loops.opened`, part by part."""
-    loops = Loops(chain)
-    starts = clock.parts(np.arange(len(q)))
-    return max(loops.opened(q[max(part[0] - 2, 0) : part[-1] + 1]) for part in starts)
 
 
 def finite_limits(problem: ControlProblem) -> tuple[Array, Array, Array]:
