@@ -405,7 +405,6 @@ class JointFollowing:
         still = np.ptp(read, axis=0) < STANDS * np.maximum(np.ptp(motion, axis=0), ranges)
         off = moves & (slope > LEAST_SLOPE) & (still | (slope < MOST_SLOPE)) | jumped | backwards
         exchanged = moves & (slope > SWAPPED[0]) & (slope < SWAPPED[1])
-        exchanged &= (read * motion).sum(axis=0) < 0.0  # late ones move as they are told, if less
         two = exchanged & (explained > EXPLAINED_SWAPPED)
         good = np.where(faults < n, off & (explained > EXPLAINED), two)
         first, second = np.argsort(left)[:2]
