@@ -366,8 +366,9 @@ def follower(
     q = np.atleast_2d(world.read())[0].copy()
     if law in ("qp", NO_OBSERVER, "pseudoinverse", "torque_qp"):
         observer = Observer(
-            enabled=law != NO_OBSERVER, inertial_stiffness=world.kp, object_compensated=1.0
-        )
+            enabled=law != NO_OBSERVER, inertial_stiffness=world.kp, object_compensated=1.0,
+            dead_band=world.dead_band,
+        )  # fmt: skip
         law = law.removesuffix(", no observer")
         loop = coopqp.OnlineLoop(scenario, law, clock=None, observer=observer)
 

@@ -25,7 +25,6 @@ from coopqp.signals import Waypoints
 from coopqp.tasks import Pose as PoseTask
 
 DT, ABOVE, YIELD = 0.01, 0.08, 1.0  # s; m, from where hands go down; s, while closed ones give way
-THERE = 1e-3  # rad: hands that stop short hold less of the bar
 LAWS = QPController(name="qp"), TorqueQp(name="torque_qp"), Pseudoinverse(name="pseudoinverse")
 Way = Callable[[float], pin.SE3]
 
@@ -57,10 +56,9 @@ def reaching(robot: coopqp.RobotModel, hands: list[pin.SE3], q: Array, steps: in
         pin.updateFramePlacements(model, data)
         J = np.vstack([pin.getFrameJacobian(model, data, f, pin.LOCAL) for f in frames])
         errors = [data.oMf[f].actInv(X) for f, X in zip(frames, hands, strict=True)]
-        e = np.concatenate([pin.log6(X).vector for X in errors])
+        e, to_rest = np.concatenate([pin.log6(X).vector for X in errors]), 0.015 * (rest - q)
         back = J.T @ np.linalg.inv(J @ J.T + 1e-4 * np.eye(len(e)))
-        step = back @ e + 0.05 * (rest - q - back @ (J @ (rest - q)))
-        q = np.clip(q + 0.3 * step, least, most)
+        q = np.clip(q + to_rest + back @ (0.3 * e - J @ to_rest), least, most)
     return q
 
 
@@ -68,8 +66,8 @@ def go(world: RobosuiteWorld, q: Array, time: float, dt: float = DT) -> Array:
     """Move all joints there, from where they are, and wait for them a second at most; returns q."""
     began, ticks = np.atleast_2d(world.read())[0], round(time / dt)
     for k in range(ticks + round(1.0 / dt)):
-        if k >= ticks and np.abs(q - np.atleast_2d(world.read())[0]).max() < THERE:
-            break
+        if k >= ticks and np.abs(q - np.atleast_2d(world.read())[0]).max() < 1e-3:
+            break  # hands that stop short hold less of the bar
         world.write(began + minimum_jerk((k + 1) / ticks) * (q - began), np.zeros_like(q))
     return q
 
@@ -125,11 +123,9 @@ def main() -> None:
         controller_configs=[controllers(name) for name in given.robots], control_freq=round(1 / DT),
         has_renderer=False, has_offscreen_renderer=False, use_camera_obs=False, horizon=10_000,
     )  # fmt: skip
-    env.reset()
     world = RobosuiteWorld(env)
     world.free_first_joints()
-    robot = world.robot("out")
-    take_hold(world, robot.build())
+    take_hold(world, (robot := world.robot("out")).build())
     begun, mass = world.object, float(world.model.body("pot_root").mass[0])
 
     def way(t: float) -> pin.SE3:
@@ -137,16 +133,16 @@ def main() -> None:
         return pin.SE3(begun.rotation, begun.translation + np.array([0.0, 0.0, 0.15 * up]))
 
     scenario = scenario_of(world, robot, way, 4.0, mass=mass)
-    servos, lifted = coopqp.Observer(inertial_stiffness=world.kp), False
-    loop = coopqp.OnlineLoop(scenario, "qp", clock=None, observer=servos)
+    servos = coopqp.Observer(inertial_stiffness=world.kp, dead_band=world.dead_band)
+    loop, lifted = coopqp.OnlineLoop(scenario, "qp", clock=None, observer=servos), False
     for _ in range(scenario.ticks):
         command = loop.tick(world.read())
         world.write(loop.setpoint, command.v)
         lifted |= bool(env._check_success())
     world.grip = dict.fromkeys(world.arms, -1.0)
     go(world, loop.setpoint.copy(), 0.5)
-    down = np.linalg.norm(world.object.translation - begun.translation)
-    print(f"{loop.ticks} ticks, lifted: {lifted}, put down within {1e3 * down:.1f} mm; {loop.note}")
+    off = 1e3 * np.linalg.norm(world.object.translation - begun.translation)
+    print(f"{loop.ticks} ticks, lifted: {lifted}, put down within {off:.1f} mm; {loop.note}")
 
 
 if __name__ == "__main__":

@@ -30,6 +30,8 @@ from coopqp.robots import Mjcf
 
 #: Velocity limit where none is given: robosuite and MJCF have none [rad/s].
 SPEED = 2.0
+#: Errors of joints from which on readings show them [rad].
+SHOWS = 1e-3
 #: Stiffness of robosuite's position servos, torque over inertia and error [1/s2].
 KP = 300.0
 
@@ -79,7 +81,8 @@ class RobosuiteWorld:
     Attributes:
         arms: their names. sites: of their hands, likewise. joints: of all arms, shape (n,).
         grip: of each arm, -1 open to 1 closed. obs, reward: of the last step.
-        kp: as given; ``Observer(inertial_stiffness=world.kp)`` knows how these servos sag.
+        kp: as given; ``Observer(inertial_stiffness=world.kp, dead_band=world.dead_band)`` knows how
+            these servos sag and stick.
     """
 
     def __init__(
@@ -184,6 +187,15 @@ class RobosuiteWorld:
         for half in self._halves:
             M[np.ix_(half, half)] = full[np.ix_(self._v[half], self._v[half])]
         return M
+
+    @property
+    def dead_band(self) -> float:
+        """How far friction keeps joints off, for ``Observer(dead_band=...)`` [rad].
+
+        Zero where that is less than a milliradian, of which readings show nothing.
+        """
+        off = self.model.dof_frictionloss[self._v] / (self.kp * self.inertia().diagonal())
+        return float(off.max()) if off.max() > SHOWS else 0.0
 
     def step(self, action: Array) -> None:
         """One step with the same number of values for each arm, those of its controller."""

@@ -139,6 +139,13 @@ def test_pads_are_those_of_each_hand(world: RobosuiteWorld) -> None:
     assert world.pads == [[world.model.geom(f"pad{i}").id] for i in range(2)]
 
 
+def test_joints_stand_off_by_what_friction_bears_of_their_servos() -> None:
+    hand = 'axis="0 0 1"'
+    for friction, off in ((0.2, 0.0), (3.0, 0.01)):  # at kp = 300 and 1 kg
+        scene = SCENE.replace(hand, f'{hand} frictionloss="{friction}"')
+        assert RobosuiteWorld(_Env(scene)).dead_band == pytest.approx(off)
+
+
 def test_robosuite_is_not_imported() -> None:
     code = "import coopqp.adapters.robosuite, sys; sys.exit('robosuite' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
