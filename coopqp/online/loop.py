@@ -218,6 +218,7 @@ class OnlineLoop:
         self._readings, self._stops = Readings(chain, silent_after, rates=torques), Stops(patience)
         self.measured = self._readings.q
         self.setpoint, self._no_reading = chain.q_start.copy(), np.full(chain.n, np.nan)
+        self._found = self._no_reading.copy()  # before it has begun
         self._refusal, self._holding = Command(chain.n), Command(chain.n)
         self._waiting = Waiting()
         self._keeper = Keeper(self, None if out is None else Path(out), record)
@@ -235,7 +236,7 @@ class OnlineLoop:
             self.ticks, self.begun, self._built = 0, False, False
             self._moved, self._behind, self._forgives = False, 0.0, False
             self._pace = self._pace_before = 1.0
-            self.setpoint[:] = self._phases.now.problem.chain.q_start
+            self.setpoint[:], self._found[:] = self._phases.now.problem.chain.q_start, np.nan
             self._say(self._refuse(Status.OPTIMAL, ""))
 
     @property
@@ -392,6 +393,8 @@ class OnlineLoop:
         state, history = self._phases.now.state, self.history
         measured = self._no_reading if self._wrong else self._readings.q
         i = history.add(now, state, measured, command, self.setpoint)
+        if not self.begun and np.isfinite(self._found).all():
+            self.setpoint[:] = self._found  # servos that are sent there stay
         history.us[i] = us = 1e-3 * (time.perf_counter_ns() - before)
         self._keeper.tick(state, command, us)
 
@@ -468,6 +471,7 @@ class OnlineLoop:
     def _try_to_begin(self) -> Command | None:
         if self._wrong:
             return self._refuse(self._wrong, self._time.wrong or self._readings.note)
+        self._found[:] = self._readings.q
         if not self._stops.why:
             try:
                 self._begin(self._phases.seen)

@@ -105,6 +105,15 @@ def test_where_the_object_has_a_place_hands_far_off_are_refused_with_the_mistake
     OnlineLoop(given, clock=None).begin(_joint(2, lambda x: x - 0.7)(q))  # may be held otherwise
 
 
+def test_a_robot_that_it_cannot_begin_with_is_sent_to_where_it_is(nao: Scenario) -> None:
+    loop, q = OnlineLoop(nao, clock=None), MISTAKES["arms swapped"](nao.chain.q_start)
+    for off in (0.0, 0.01):
+        assert loop.tick(q + off).status is Status.NOT_BEGUN
+        np.testing.assert_array_equal(loop.setpoint, q + off)
+    assert loop.tick(np.full_like(q, np.nan)).status is not Status.OPTIMAL
+    np.testing.assert_array_equal(loop.setpoint, q + 0.01)
+
+
 def test_it_begins_with_the_object_where_it_was_measured(nao: Scenario) -> None:
     q, middle = nao.chain.q_start, nao.chain.object_pose(nao.chain.q_start)
     loop = OnlineLoop(nao, clock=None)
