@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from coopqp.base.qp import QP
-from coopqp.base.rank import null_space, singular_values
+from coopqp.base.rank import null_space
 from coopqp.base.spec import Array, Positive, spec
 
 
@@ -293,9 +293,8 @@ class Verifier:
         reached = room <= IDLE
         on, held = pushes | reached, np.concatenate([pushes, np.ones(qp.m, bool)])
         C = qp.C[np.concatenate([on[n:], held[n + qp.p :]])]
-        values = singular_values(C[:, ~on[:n]]) / max(
-            np.abs(C).max(), EPSILON
-        )  # of rows but bounds
+        values = np.linalg.svd(C[:, ~on[:n]], compute_uv=False)  # of rows but bounds
+        values /= max(np.abs(C).max(), EPSILON)
         if not ((values > DEPENDENT) & (values < NEARLY)).any():
             return most
         root = np.linalg.cholesky(qp.P)

@@ -20,13 +20,8 @@ def matrix_rank(matrix: Array, tolerance: float = RANK_TOLERANCE) -> int:
     """How many rows of a matrix are independent."""
     if not matrix.size:
         return 0
-    values = singular_values(matrix)
+    values = np.linalg.svd(matrix, compute_uv=False)
     return int(np.count_nonzero(values > tolerance * values[0]))
-
-
-def singular_values(matrix: Array) -> Array:
-    """Of a finite matrix, the largest first."""
-    return np.asarray(lapack.dgesdd(matrix, compute_uv=0)[1] if matrix.size else np.zeros(0))
 
 
 def null_space(matrix: Array) -> Array:
