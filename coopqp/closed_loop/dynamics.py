@@ -95,9 +95,9 @@ class ClosedLoopDynamics:
         kept: which of the 6 L loop rows J has, shape (m,).
         actuated: indices of the actuated joints, shape (k,).
 
-    InvalidValueError: too few or repeated actuated joints, or a passive joint among them.
-    UnknownNameError: an unknown joint. GraspError: a released arm has passive joints, which nothing
-    would hold.
+    InvalidValueError: shares that do not sum to one, too few or repeated actuated joints, or a
+    passive joint among them. UnknownNameError: an unknown joint. GraspError: a released arm has
+    passive joints, which nothing would hold.
     """
 
     def __init__(
@@ -121,7 +121,10 @@ class ClosedLoopDynamics:
         self._mass, self._lever = mass_scale * body.mass, body.lever.copy()
         self._inertia = mass_scale * body.inertia
         self._each_way, self._falls = self._mass * np.eye(3), chain.model.gravity.linear.copy()
-        self.shares = np.eye(len(chain.arms))[0] if shares is None else np.array(shares, float)
+        self.shares = a = np.eye(len(chain.arms))[0] if shares is None else np.array(shares, float)
+        if len(a) != len(chain.arms) or not a.min() >= 0.0 or not abs(a.sum() - 1.0) <= 1e-9:
+            words = f"needs {len(chain.arms)}, one an arm, of at least 0 that sum to 1"
+            raise InvalidValueError(f"shares: found {a.tolist()}, {words}")
         self.model = chain.model.copy()
         for frame, share in zip(chain.frames, self.shares, strict=True):
             if share > 0.0:

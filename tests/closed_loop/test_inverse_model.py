@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 import scipy.linalg
@@ -196,6 +198,12 @@ def test_torques_for_a_motion_are_those_of_mujoco(
         tau = dynamics.inverse(a).tau
         work = twin.work(q, v, a)
         np.testing.assert_allclose(work.motions.T @ tau, work.done, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("shares", [(0.5,), (0.5, 0.0), (1.5, -0.5), (math.nan, 1.0)])
+def test_shares_that_are_none(chain: ClosedChain, shares: tuple[float, ...]) -> None:
+    with pytest.raises(InvalidValueError, match="needs 2, one an arm, of at least 0 that sum to 1"):
+        ClosedLoopDynamics(chain, shares=shares)
 
 
 @pytest.mark.parametrize(
