@@ -370,7 +370,7 @@ def follower(
             dead_band=world.dead_band,
         )  # fmt: skip
         law = law.removesuffix(", no observer")
-        loop = coopqp.OnlineLoop(scenario, law, clock=None, observer=observer)
+        loop = world.loop(scenario, law, observer=observer)
 
         def ours(t: float) -> None:
             command = loop.tick(world.read(), {POT: way(t)} if scenario.inputs else None)

@@ -133,8 +133,7 @@ def main() -> None:
         return pin.SE3(begun.rotation, begun.translation + np.array([0.0, 0.0, 0.15 * up]))
 
     scenario = scenario_of(world, robot, way, 4.0, mass=mass)
-    servos = coopqp.Observer(inertial_stiffness=world.kp, dead_band=world.dead_band)
-    loop, lifted = coopqp.OnlineLoop(scenario, "qp", clock=None, observer=servos), False
+    loop, lifted = world.loop(scenario, "qp"), False
     for _ in range(scenario.ticks):
         command = loop.tick(world.read())
         world.write(loop.setpoint, command.v)

@@ -5,13 +5,13 @@
     world = RobosuiteWorld(env, held="pot_root")
     world.find()                                   # again after each reset of the environment
     robot = world.robot(folder)                    # for a Scenario, with the motors' limits
-    loop = coopqp.OnlineLoop(scenario, clock=None)
+    loop = world.loop(scenario)                    # once the hands hold the object
     loop.tick(world.read()); world.write(loop.setpoint, loop.command.v)
 
 Arms are named as robosuite's robots, those of one robot as its arms: robot0, robot1; right, left.
 The file that robosuite itself simulates is read, so that joints have its names, and motors the
 limits of their ``ctrlrange``, by which robosuite clips. Each write is one step of the environment:
-its ``control_freq`` is the loop's rate. Quaternions are xyzw in robosuite's observations and wxyz
+its ``control_freq`` must be 1/dt. Quaternions are xyzw in robosuite's observations and wxyz
 in MuJoCo; here poses are pinocchio's.
 """
 
@@ -25,8 +25,11 @@ import pinocchio as pin
 
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array
+from coopqp.model.loop_observer import Observer
+from coopqp.online.loop import OnlineLoop
 from coopqp.robot_files.selection import JointLimits
 from coopqp.robots import Mjcf
+from coopqp.scenario.scenario import Scenario
 
 #: Velocity limit where none is given: robosuite and MJCF have none [rad/s].
 SPEED = 2.0
@@ -81,8 +84,8 @@ class RobosuiteWorld:
     Attributes:
         arms: their names. sites: of their hands, likewise. joints: of all arms, shape (n,).
         grip: of each arm, -1 open to 1 closed. obs, reward: of the last step.
-        kp: as given; ``Observer(inertial_stiffness=world.kp, dead_band=world.dead_band)`` knows how
-            these servos sag and stick.
+        kp: as given; ``Observer(inertial_stiffness=world.kp, dead_band=world.dead_band)``, as
+            :meth:`loop` has it, knows how these servos sag and stick.
     """
 
     def __init__(
@@ -147,6 +150,40 @@ class RobosuiteWorld:
         tips = dict(zip(self.arms, self.sites, strict=True))
         return Mjcf(path=path, arms=tips, joint_limits=limits)
 
+    def loop(self, scenario: Scenario, controller: str = "qp", **given: Any) -> OnlineLoop:
+        """A loop without a clock that knows these servos, for hands that hold the object.
+
+        Args:
+            scenario: with the robot that :meth:`robot` gives.
+            controller: its name.
+            **given: more of :class:`coopqp.OnlineLoop`'s.
+
+        Raises:
+            InvalidValueError: the environment's step is not dt, the robot's joints or arms are
+                others, or a hand that is to hold the object does not touch it.
+        """
+        step, chain = 1.0 / self.env.control_freq, scenario.chain
+        arms = {arm.name for arm in chain.robot.arms}
+        if abs(scenario.dt - step) > 1e-6 * step:
+            raise InvalidValueError(
+                f"dt: found {scenario.dt:g}; one write takes the environment {step:g} s further; "
+                f"make it with control_freq={1.0 / scenario.dt:g}"
+            )
+        if chain.joint_names != self.joints or arms != set(self.arms):
+            raise InvalidValueError(
+                f"robot: has joints {', '.join(chain.joint_names)} of {', '.join(arms)}; read() has "
+                f"{', '.join(self.joints)} of {', '.join(self.arms)}; take world.robot(folder)"
+            )
+        holding = chain.arms[: chain.holding]
+        wrenches = dict(zip(self.arms, self.hand_wrench().reshape(-1, 6), strict=True))
+        for name in (arm.name for arm in holding if not wrenches[arm.name].any()):
+            raise InvalidValueError(
+                f"grasps: the hand of {name} is to hold {self._held} and does not touch it; close "
+                "it around it first (world.grip, and some steps)"
+            )
+        known = Observer(inertial_stiffness=self.kp, dead_band=self.dead_band)
+        return OnlineLoop(scenario, controller, **{"clock": None, "observer": known, **given})
+
     def read(self) -> Array:
         """Joints, shape (n,) [rad], and by torques their velocities, too, shape (2, n)."""
         q = self.data.qpos[self._q].copy()
@@ -189,13 +226,13 @@ class RobosuiteWorld:
         return M
 
     @property
-    def dead_band(self) -> float:
+    def dead_band(self) -> dict[str, float]:
         """How far friction keeps joints off, for ``Observer(dead_band=...)`` [rad].
 
-        Zero where that is less than a milliradian, of which readings show nothing.
+        Of no joint where that is less than a milliradian in all, of which readings show nothing.
         """
         off = self.model.dof_frictionloss[self._v] / (self.kp * self.inertia().diagonal())
-        return float(off.max()) if off.max() > SHOWS else 0.0
+        return dict(zip(self.joints, off.tolist(), strict=True)) if off.max() > SHOWS else {}
 
     def step(self, action: Array) -> None:
         """One step with the same number of values for each arm, those of its controller."""

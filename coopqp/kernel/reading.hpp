@@ -221,7 +221,7 @@ coopqp::Observed observed_of(const nb::dict& d) {
     return {numbers(d, "up"), numbers(d, "at_origin"), number(d, "dt"), number(d, "share"),
             {most[0], most[1]}, int(number(d, "every")), number(d, "known") != 0.0,
             at("compliance"), at("sag"), at("torque"), at("opened"), at("told"),
-            at("left"), at("stalled"), at("spent"), number(d, "span"), number(d, "band")};
+            at("left"), at("stalled"), at("spent"), number(d, "span"), numbers(d, "band")};
 }
 
 coopqp::TwistLimit twist_limit_of(const nb::dict& d) {

@@ -110,8 +110,9 @@ class Observer:
     """Share of the object's weight in the servos' feed-forward, which makes nothing sag."""
     most: Positive = 0.01
     """How far the model's error may be from its first value [m]; in rotation 10 rad/m of that."""
-    dead_band: NonNegative = 0.0
-    """Range in which a joint may stay off its servo's command, by backlash or friction [rad, m]."""
+    dead_band: NonNegative | Mapping[str, NonNegative] = 0.0
+    """Range in which a joint may stay off its servo's command, by backlash or friction, one for all
+    or by joint [rad, m]."""
 
 
 class WeightSag:
@@ -177,6 +178,7 @@ class LoopObserver:
         note: what is wrong, where something is.
         paused: whether what is measured now is not to be believed, so that the gap stays.
         feels_in_motion: whether it follows the load in motion as well.
+        dead_band: of each joint, shape (n,) [rad, m].
     """
 
     def __init__(self, chain: ClosedChain, dt: float, settings: Observer | None = None) -> None:
@@ -189,10 +191,13 @@ class LoopObserver:
         self._samples = np.full((3, 2, chain.n), math.nan)  # commanded and measured, newest first
         self._sampled = -1.0
         self._most = self.settings.most, ROTATION * self.settings.most
-        self._band = 0.5 * self.settings.dead_band
+        self.dead_band = by_joint(
+            chain, self.settings.dead_band, np.zeros(chain.n), "observer", "dead_band"
+        )
+        self._band, self._yields_late = 0.5 * self.dead_band, bool(self.dead_band.any())
         self._weight = float(np.linalg.norm(chain.model.gravity.linear)) * chain.held.mass
         self._fed_forward = self.settings.object_compensated * self._weight
-        self.feels_in_motion = bool(self._inertial and self._weight and not self._band)
+        self.feels_in_motion = bool(self._inertial and self._weight)
         self.at_bound: tuple[str, ...] = ()
         self.note, self.paused = "", False
         self._every = max(1, round(RENEWED / dt))
@@ -342,7 +347,7 @@ class LoopObserver:
         causes = np.column_stack([v, a, self._sag.sag, lag])[yields]
         causes = np.linalg.solve(root, causes)
         causes -= squeezed @ (squeezed.T @ causes)
-        doubts = np.hypot(DOUBT, LAG_DOUBT * v[yields])
+        doubts = np.sqrt(DOUBT**2 + (LAG_DOUBT * v) ** 2 + self._band**2)[yields]
         doubt = float(np.linalg.norm(np.linalg.solve(root, doubts))) / len(doubts) ** 0.5
         A, prior = causes[:, :3], doubt / np.array([*LATE, self._weight])
         more = float(np.linalg.solve(A.T @ A + np.diag(prior**2), A.T @ causes[:, 3])[2])
@@ -358,7 +363,7 @@ class LoopObserver:
             self._told[1] = DOUBT / max(float(np.abs(sag.sag).max()), TINY)
         self._told[2] += 1
         lag, load = q - state.q, math.nan
-        if self._band:
+        if self._yields_late:
             lag -= np.clip(lag, -self._band, self._band)
             np.add(state.q, lag, out=q)
         if along is not None and known:
@@ -447,22 +452,21 @@ def _without(x: Array, along: Array | None) -> Array:
     return x if along is None else np.asarray(x - along.dot(x) * along, float)
 
 
-def stiffness_by_joint(
+def by_joint(
     chain: ClosedChain, given: float | Mapping[str, float] | None, default: Array, *place: str
 ) -> Array:
-    """K of each joint as given, else by default, shape (n,) [N m/rad]; UnknownNameError: none."""
+    """Of each joint as given, else by default, shape (n,); UnknownNameError: no such joint."""
     names = chain.joint_names
     if not isinstance(given, Mapping):
         return default.copy() if given is None else np.full(chain.n, float(given))
-    require_known("joint", given, names, at=(*place, "stiffness"))
+    require_known("joint", given, names, at=place)
     return np.array([given.get(name, K) for name, K in zip(names, default, strict=True)], float)
 
 
 def _compliance(chain: ClosedChain, given: float | Mapping[str, float] | None) -> Array:
     """1/K by joint, shape (n,) [rad/(N m)]; zero where a joint does not yield or has no motor."""
     yields = given is None and np.array(chain.joint_units) == "rad"
-    found = 1.0 / stiffness_by_joint(
-        chain, given, np.where(yields, np.ones(chain.n), np.inf), "observer"
-    )
+    rigid = np.where(yields, np.ones(chain.n), np.inf)
+    found = 1.0 / by_joint(chain, given, rigid, "observer", "stiffness")
     found[chain.passive] = 0.0
     return found

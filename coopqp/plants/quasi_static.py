@@ -23,7 +23,7 @@ from coopqp.closed_loop.grasp_matrix import grasp_matrix, moved
 from coopqp.closed_loop.hands import in_axes, into_contacts, points
 from coopqp.controller import Command, ControlProblem
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.loop_observer import GRIP_SIZE, stiffness_by_joint
+from coopqp.model.loop_observer import GRIP_SIZE, by_joint
 from coopqp.model.state import State
 from coopqp.plant import Disturbance, Plant, PlantModel
 from coopqp.plants._dynamic import DynamicModel, Servo, ServoLaw
@@ -73,7 +73,7 @@ class SpringServo(ServoLaw):
 
     def __init__(self, chain: ClosedChain, settings: QuasiStatic) -> None:
         super().__init__(chain, Servo())
-        self.stiffness = stiffness_by_joint(chain, settings.stiffness, self.stiffness)
+        self.stiffness = by_joint(chain, settings.stiffness, self.stiffness, "stiffness")
         self.stiffness[chain.passive] = 0.0
 
     def begin(self, command: Command, q: Array) -> None:

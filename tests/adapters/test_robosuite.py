@@ -12,6 +12,15 @@ import numpy as np
 import pytest
 
 from coopqp.adapters.robosuite import RobosuiteWorld
+from coopqp.base.errors import InvalidValueError
+from coopqp.base.spec import Pose
+from coopqp.controllers import QPController
+from coopqp.grasps import Rigid
+from coopqp.model.grasp_configuration import HeldObject
+from coopqp.online.loop import OnlineLoop
+from coopqp.robots import Mjcf
+from coopqp.scenario.scenario import Scenario
+from coopqp.tasks import PointOnPoint
 
 MASS = 2.0
 HAND = """
@@ -46,6 +55,7 @@ class _Env:
         )
         self.robots = [self._robot(i) for i in range(2)]
         self.grips: list[float] = []
+        self.control_freq = 100.0
 
     def _robot(self, i: int) -> Any:
         sites = {"grip_site": f"gripper{i}_grip_site"}
@@ -143,7 +153,41 @@ def test_joints_stand_off_by_what_friction_bears_of_their_servos() -> None:
     hand = 'axis="0 0 1"'
     for friction, off in ((0.2, 0.0), (3.0, 0.01)):  # at kp = 300 and 1 kg
         scene = SCENE.replace(hand, f'{hand} frictionloss="{friction}"')
-        assert RobosuiteWorld(_Env(scene)).dead_band == pytest.approx(off)
+        band = RobosuiteWorld(_Env(scene)).dead_band
+        assert band == pytest.approx({f"robot{i}_joint1": off for i in range(2)} if off else {})
+
+
+def test_a_loop_begins_with_hands_that_hold_the_object_at_the_environments_rate(
+    world: RobosuiteWorld, tmp_path: Path
+) -> None:
+    robot = world.robot(tmp_path)
+    given = {
+        "name": "lift", "robot": robot, "grasps": Rigid(), "duration": 1.0,
+        "start": dict.fromkeys(world.joints, 0.0), "controllers": {"qp": QPController()},
+        "held": HeldObject(mass=MASS, pose=Pose(position=(0.0, 0.1, 0.06))),
+        "tasks": (PointOnPoint(goal=(0.0, 0.1, 0.07)),),
+    }  # fmt: skip
+
+    def loop(dt: float = 0.01, **more: Any) -> OnlineLoop:
+        return world.loop(Scenario(**{**given, **more}, dt=dt))
+
+    world.data.qpos[-5] = 0.08
+    world.env.sim.forward()
+    with pytest.raises(InvalidValueError, match=r"^grasps: .* robot0 .* does not touch"):
+        loop()
+    for _ in range(100):
+        world.write(np.zeros(2), np.zeros(2))
+    with pytest.raises(InvalidValueError, match=r"^dt: found 0.005; .* control_freq=200"):
+        loop(dt=0.005)
+    arms = dict(zip(("left", "right"), robot.arms.values(), strict=True))
+    with pytest.raises(InvalidValueError, match=r"^robot: has .* of (left|right), .*take world"):
+        loop(robot=Mjcf(path=robot.path, arms=arms, joint_limits=robot.joint_limits))
+    begun = loop()
+    for _ in range(60):
+        begun.tick(world.read()[0])
+        world.write(begun.setpoint, begun.command.v, 0.5 * MASS * 9.81 * np.ones(2))
+    assert not begun.stopped
+    assert world.object.translation[2] > 0.06
 
 
 def test_robosuite_is_not_imported() -> None:

@@ -19,7 +19,7 @@ struct Observed {
     const double* compliance;  // (n, n)
     double *sag, *torque, *opened, *told;  // told: load, doubt, ticks
     double *left, *stalled, *spent, span;  // as LoopObserver._look_back and _learns have them
-    double band;                           // by which a joint may stay on either side of its command
+    std::vector<double> band;  // by which each joint may stay on either side of its command, (n,)
 };
 
 class LoopObserver {
@@ -27,7 +27,8 @@ class LoopObserver {
     LoopObserver(const Model& model, Observed given)
         : model_(model), o_(std::move(given)), measured_(model), q_(model.joints.size()), reading_(q_.size()),
           before_(6 * model.arms.size()), opened_(before_.size()), left_(3 * before_.size()),
-          stalled_(4 * model.arms.size()) {}
+          stalled_(4 * model.arms.size()),
+          late_(*std::max_element(o_.band.begin(), o_.band.end()) > 0.0) {}
 
     // Learn from joints measured at `reading` where q is commanded and v was. Its Jacobians are up to
     // date; the gap and what is felt are moved. False where that is Python's: nothing is moved then.
@@ -95,8 +96,8 @@ class LoopObserver {
         o_.told[2] += 1.0;
         for (std::size_t j = 0; j < n; j++) {
             const double lag = reading[j] - q[j];
-            q_[j] = lag - std::min(std::max(lag, -o_.band), o_.band);
-            reading_[j] = o_.band > 0.0 ? q[j] + q_[j] : reading[j];
+            q_[j] = lag - std::min(std::max(lag, -o_.band[j]), o_.band[j]);
+            reading_[j] = late_ ? q[j] + q_[j] : reading[j];
         }
         double load = rests ? felt_load() : std::numeric_limits<double>::quiet_NaN();
         felt[1] = std::isfinite(load) ? felt[1] + o_.dt : 0.0;
@@ -250,6 +251,7 @@ class LoopObserver {
     Observed o_;
     Kinematics measured_;
     std::vector<double> q_, reading_, before_, opened_, left_, stalled_;
+    const bool late_;  // whether a joint has a dead band
     double told_[3], felt_[2], spent_ = 0.0;
     double *gap_ = nullptr, *all_felt_ = nullptr;
     bool moved_ = false;
