@@ -12,7 +12,7 @@ pot by 15 cm in 1.5 s and hold it for 1 s. Printed are, of all seeds: successes 
 check at the end; medians of the internal force, (f_1 - f_2)/2 by contacts (95th percentile over a
 run), of the slip of the pads on the bar, of the shift of a hand, which is mostly the travel of its
 fingers, and of the tilt, at worst; share of steps with a motor at its limit, or a joint outside its
-range.
+range. Then the differences of qp from the other laws, seed by seed.
 
     qp, pseudoinverse  the loop on joint servos (JOINT_POSITION, kp 300), which knows kp
     qp, no observer    without the observer of the loop-closure offset
@@ -72,6 +72,7 @@ POT = "pot"  #: The input.
 ELBOWS_OUT, MIRROR = np.array([0.1, -0.75, 1.2, 1.6, -1.2, 1.2, -0.5]), np.array([-1.0, 1.0])
 #: What of a variant counts before the lift: in others hands reach and take hold alike.
 BEFORE = "heavy", "friction", "off"
+MEANT = 10  # seeds, of fewer a mean says little
 CHANGED = "body_mass", "body_inertia", "geom_friction", "body_pos", "body_quat"
 
 
@@ -101,6 +102,7 @@ def main() -> None:
                         file.flush()
                     found.append(kept[key])
     print(table(found))
+    print(differences(found))
 
 
 def key_of(done: dict[str, Any]) -> tuple[Any, ...]:
@@ -458,6 +460,28 @@ def table(found: list[dict[str, Any]]) -> str:
                     f"| {middle['shift']:.1f} | {middle['tilt']:.1f} "
                     f"| {middle['over']:.0f} |"
                 )
+    return "\n".join(lines)
+
+
+def differences(found: list[dict[str, Any]]) -> str:
+    """Of qp from the others on the same seeds: means with their 95 % intervals, by bootstrap.
+
+    An interval beyond zero says that qp has less, or more.
+    """
+    rng, by = np.random.default_rng(0), {(x["variant"], x["law"], x["seed"]): x for x in found}
+    lines = ["", "| variant | qp less | seeds | force N | slip mm |", "|---|---|---|---|---|"]
+    for variant in VARIANTS:
+        for law in LAWS:
+            pairs = [(x, by[variant, law, seed]) for (v, own, seed), x in by.items()
+                     if (v, own) == (variant, "qp") and (variant, law, seed) in by]  # fmt: skip
+            if law == "qp" or len(pairs) < MEANT:
+                continue
+            drawn, cells = rng.integers(len(pairs), size=(4000, len(pairs))), []
+            for kind in ("force", "slip"):
+                off = np.array([x[kind] - other[kind] for x, other in pairs])
+                low, high = np.percentile(off[drawn].mean(axis=1), [2.5, 97.5])
+                cells.append(f"{off.mean():+.2f} ({low:+.2f} to {high:+.2f})")
+            lines.append(f"| {variant} | {law} | {len(pairs)} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 

@@ -171,7 +171,7 @@ class RobosuiteWorld:
             )
         if chain.joint_names != self.joints or arms != set(self.arms):
             raise InvalidValueError(
-                f"robot: has joints {', '.join(chain.joint_names)} of {', '.join(arms)}; read() has "
+                f"robot: has {', '.join(chain.joint_names)} of {', '.join(arms)}; read() has "
                 f"{', '.join(self.joints)} of {', '.join(self.arms)}; take world.robot(folder)"
             )
         holding = chain.arms[: chain.holding]

@@ -53,7 +53,7 @@ def told(one: Law, state: State) -> np.ndarray:
 @pytest.mark.parametrize("observer", [
     Observer(most=0.1), Observer(stiffness=80.0, most=0.1), Observer(stiffness=80.0, most=BOUND),
     Observer(enabled=False), Observer(most=0.1, dead_band=2e-3),
-    Observer(most=0.1, inertial_stiffness=300.0, object_compensated=0.5),
+    Observer(most=0.1, inertial_stiffness=300.0, object_compensated=0.5, dead_band=2e-4),
 ], ids=["felt", "known", "at bound", "disabled", "dead band", "by inertia"])  # fmt: skip
 def test_what_is_learnt_is_what_python_learns(
     name: str, observer: Observer, monkeypatch: pytest.MonkeyPatch

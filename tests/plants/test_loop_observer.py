@@ -122,12 +122,17 @@ def test_servos_that_act_by_inertia_sag_by_its_inverse() -> None:
 
 
 @pytest.mark.parametrize("times", [1.0, 3.0])
-def test_servos_that_act_by_inertia_tell_of_a_load_while_it_moves(times: float) -> None:
-    """Of another load than is told, soon, beside lag and acceleration; also where readings miss."""
+@pytest.mark.parametrize("friction", [0.0, 0.03])
+def test_servos_that_act_by_inertia_tell_of_a_load_while_it_moves(
+    times: float, friction: float
+) -> None:
+    """Of another load than is told, soon, beside lag and friction; also where readings miss."""
     chain, dt, stiffness = scenario(FIRM, KNOWN).chain, 0.01, 250.0
-    observer = LoopObserver(chain, dt, Observer(inertial_stiffness=stiffness))
     state, data = State(chain), chain.model.createData()
     state.update()
+    sticks = friction / (stiffness * pin.crba(chain.model, data, state.q).diagonal())
+    band = dict(zip(chain.joint_names, sticks.tolist(), strict=True))
+    observer = LoopObserver(chain, dt, Observer(inertial_stiffness=stiffness, dead_band=band))
     observer.begin(state)
     state.v[:] = null_space(state.J_loop)[:, 0]
     for k in range(60):
@@ -136,9 +141,11 @@ def test_servos_that_act_by_inertia_tell_of_a_load_while_it_moves(times: float) 
         state.q[:] += dt * state.v
         state.update()
         M = pin.crba(chain.model, data, state.q)
-        sag = WeightSag(chain, np.linalg.inv(np.triu(M) + np.triu(M, 1).T) / stiffness)
+        compliance = np.linalg.inv(np.triu(M) + np.triu(M, 1).T) / stiffness
+        sag = WeightSag(chain, compliance)
         sag.update(state)
-        behind = 0.04 * state.v - times * MASS * G * sag.sag
+        behind = 0.04 * state.v + compliance @ (friction * np.sign(state.v))
+        behind -= times * MASS * G * sag.sag
         state.q_measured = None if k in (10, 20) else state.q - behind
         observer.update(state)
     assert observer.load == pytest.approx(times * MASS * G, abs=0.4 * MASS * G)
