@@ -232,17 +232,18 @@ def _closed(data: Mapping[str, Any], scenario: Scenario, key: str) -> ClosedChai
 
 
 def _of_chain(scenario: Scenario, chain: ClosedChain) -> Iterator[Wrong]:
-    """An object that is too large, and joints of the observer's stiffness that there are not."""
+    """An object that is too large, and joints of the observer that there are not."""
     longest = max(chain.held.size)
     if longest > LARGE * chain.reach:
         words = f"found an edge of {longest:g} m, but the arms reach {chain.reach:.2g} m"
         yield Wrong(["object", "size"], f"{words}; lengths are metres")
-    given, names = scenario.observer.stiffness, chain.joint_names
-    if given is not None and scenario.observer.inertial_stiffness is not None:
+    own, names = scenario.observer, chain.joint_names
+    if own.stiffness is not None and own.inertial_stiffness is not None:
         yield Wrong(["observer"], "found stiffness and inertial_stiffness; needs one of them")
-    for name in given if isinstance(given, Mapping) else ():
-        if name not in names:
-            yield Wrong(["observer", "stiffness", name], unknown_name("joint", name, names))
+    for key, given in (("stiffness", own.stiffness), ("dead_band", own.dead_band)):
+        for name in given if isinstance(given, Mapping) else ():
+            if name not in names:
+                yield Wrong(["observer", key, name], unknown_name("joint", name, names))
 
 
 def _check_plant(scenario: Scenario) -> None:

@@ -101,3 +101,6 @@ def test_springs_are_of_joints_that_there_are_and_the_rest_is_rigid(tmp_path: Pa
     at = rf":{len(text.splitlines()) + 2}: observer.stiffness.LElbowYwa: unknown joint 'LElbowYwa'"
     with pytest.raises(ScenarioError, match=at + "; did you mean 'LElbowYaw'"):
         coopqp.load(path)
+    path.write_text(text + "\nobserver: {dead_band: {LElbowYwa: 0.01}}\n", encoding="utf-8")
+    with pytest.raises(ScenarioError, match=r"observer.dead_band.LElbowYwa: unknown joint"):
+        coopqp.load(path)
