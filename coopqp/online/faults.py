@@ -238,7 +238,7 @@ class ForceMonitor:
 
     def _closed_in(self, state: State) -> float:
         """How far the hands are told to be closer than the model says [m]."""
-        return -float(self._squeezer.along.dot(state.gap)) if self._squeezer else 0.0
+        return -float(self._squeezer.along.dot(state.loop_offset)) if self._squeezer else 0.0
 
     def _silent(self, w: Array, step: Array, state: State) -> Finding | None:
         """A sensor that says zero, or always the same, where it cannot be so."""

@@ -44,7 +44,7 @@ class StepVerification:
         opened = self._levers * self._second_order.dot(v * v).max(initial=0.0)
         if (2.0 * norm(now) + opened <= self._most).all():
             return True
-        then = self._chain.loop_error(state.q + self._dt * v) - state.gap[: len(now)]
+        then = self._chain.loop_error(state.q + self._dt * v) - state.loop_offset[: len(now)]
         # A loop that is open already may be closed by steps that leave it open for now.
         return bool((_sizes(then) <= np.maximum(_sizes(now), self._most)).all())
 

@@ -42,7 +42,7 @@ def law(name: str, observer: Observer, kind: type[LoopObserver], *limits: object
 def told(one: Law, state: State) -> np.ndarray:
     """What a tick commands and learns."""
     return np.concatenate([
-        one.command.v, state.gap, state.felt, state.drift, state.loop_error, state.p_WO,
+        one.command.v, state.loop_offset, state.felt, state.drift, state.loop_error, state.p_WO,
         [one.observer.load, one.observer.doubt, one.command.scale, one.command.drift],
         *one.observer.flat()["stalled"],
     ])  # fmt: skip
@@ -81,12 +81,14 @@ def test_what_is_learnt_is_what_python_learns(
         np.testing.assert_allclose(
             told(laws[0], states[0]), told(laws[1], states[1]), rtol=1e-9, atol=1e-11
         )
-        np.testing.assert_allclose(states[0].gap, states[1].gap, rtol=0.0, atol=1e-12)
+        np.testing.assert_allclose(
+            states[0].loop_offset, states[1].loop_offset, rtol=0.0, atol=1e-12
+        )
         for one, state in zip(laws, states, strict=True):
             state.advance(0.0 * one.command.v if k > 110 else one.command.v, dt)
     assert len(by_python) < 0.5 * TICKS or observer.most == BOUND
     if observer.enabled:
-        assert states[0].gap.any()
+        assert states[0].loop_offset.any()
 
 
 def test_a_tick_without_an_answer_has_learnt_once() -> None:
@@ -113,10 +115,10 @@ def test_an_unusual_reading_takes_nothing_back() -> None:
     state.q_measured = reading = state.q + 1e-3
     for _ in range(3):
         one.tick(state)
-    gap, felt = state.gap.copy(), state.felt.copy()
+    loop_offset, felt = state.loop_offset.copy(), state.felt.copy()
     reading[2] = np.nan
     assert Status.NOT_MEASURED in one.tick(state).causes
-    np.testing.assert_array_equal(state.gap, gap)
+    np.testing.assert_array_equal(state.loop_offset, loop_offset)
     np.testing.assert_array_equal(state.felt, felt)
 
 

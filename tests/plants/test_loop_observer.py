@@ -180,13 +180,13 @@ def test_unknown_servos_have_no_load_and_are_unloaded_all_the_same() -> None:
 @pytest.mark.few(2)
 @pytest.mark.parametrize("plant", [FIRM, CREEPS], ids=["firm", "creeps"])
 @pytest.mark.parametrize("observer", [KNOWN, Observer()], ids=["known", "felt"])
-def test_hands_do_not_pull_and_the_gap_comes_to_rest(
+def test_hands_do_not_pull_and_the_loop_offset_comes_to_rest(
     plant: QuasiStatic, observer: Observer
 ) -> None:
     state = run(scenario(plant, observer), 8.0)[2]
     law, _, later, more = run(scenario(plant, observer), 10.0)
     assert np.mean(more[-50:]) < 0.05 * MASS * G
-    assert np.linalg.norm(later.gap[:3] - state.gap[:3]) < 1e-4
+    assert np.linalg.norm(later.loop_offset[:3] - state.loop_offset[:3]) < 1e-4
     assert law.observer.at_bound == ()
 
 
@@ -202,21 +202,21 @@ def test_a_grip_that_creeps_is_not_wound_up_by_servos_of_another_stiffness() -> 
     _, _, state, force = run(scenario(weak_wrists(), Observer()), 8.0)
     _, _, later, _ = run(scenario(weak_wrists(), Observer()), 10.0)
     assert np.mean(force[-50:]) < np.mean(none[-50:]) + 0.01 * MASS * G
-    assert np.linalg.norm(later.gap - state.gap) < 1e-5
+    assert np.linalg.norm(later.loop_offset - state.loop_offset) < 1e-5
 
 
 def test_a_position_stays_while_the_rotation_is_at_its_bound() -> None:
     law, _, state, _ = run(scenario(weak_wrists(), Observer(most=0.003)), 8.0)
     _, _, later, _ = run(scenario(weak_wrists(), Observer(most=0.003)), 10.0)
     assert law.observer.at_bound == ("left",)
-    assert np.linalg.norm((later.gap - state.gap)[:3]) < 1e-5
+    assert np.linalg.norm((later.loop_offset - state.loop_offset)[:3]) < 1e-5
 
 
-def test_a_gap_that_stays_moves_when_something_happens_to_the_hands() -> None:
+def test_a_loop_offset_that_stays_moves_when_something_happens_to_the_hands() -> None:
     slips = replace(ERRORS, slip=Slip(at=6.0, by=5e-3))
     _, _, state, _ = run(scenario(weak_wrists(), Observer(), slips), 6.0)
     _, _, later, force = run(scenario(weak_wrists(), Observer(), slips), 9.0)
-    assert np.linalg.norm((later.gap - state.gap)[:3]) > 1e-3
+    assert np.linalg.norm((later.loop_offset - state.loop_offset)[:3]) > 1e-3
     assert np.mean(force[-50:]) < 0.1 * max(force[600:])
 
 
@@ -259,7 +259,7 @@ def test_a_change_beyond_the_bound_is_named() -> None:
 def test_a_disabled_observer_keeps_what_it_began_with() -> None:
     _, _, state, _ = run(scenario(FIRM, Observer(enabled=False)), 0.5)
     begun = run(scenario(FIRM, Observer()), 0.01)[2].felt[2:]
-    np.testing.assert_allclose(state.gap, begun, atol=1e-12)
+    np.testing.assert_allclose(state.loop_offset, begun, atol=1e-12)
 
 
 def test_a_copied_state_feels_the_same() -> None:

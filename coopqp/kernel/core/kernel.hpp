@@ -73,7 +73,7 @@ class Kernel {
         std::copy(kinematics.R_WO, kinematics.R_WO + 9, bound.R_WO);
         for (std::size_t i = 0; i < kinematics.loop_error.size(); i++) {
             bound.loop_error[i] = kinematics.loop_error[i];
-            bound.drift[i] = kinematics.loop_error[i] - bound.gap[i];
+            bound.drift[i] = kinematics.loop_error[i] - bound.loop_offset[i];
         }
         std::copy(q, q + m_->n(), bound.q_seen);
         limits.h.resize(std::size_t(s_.inequalities));
@@ -81,10 +81,10 @@ class Kernel {
     }
 
     // Follow the loop-closure offset by measured joints; false where that is Python's.
-    bool learn(LoopObserver& observer, const double* reading, double* gap, double* felt) {
-        if (!observer.update(kinematics, bound.q, bound.v_last, reading, gap, felt)) return false;
+    bool learn(LoopObserver& observer, const double* reading, double* loop_offset, double* felt) {
+        if (!observer.update(kinematics, bound.q, bound.v_last, reading, loop_offset, felt)) return false;
         for (std::size_t i = 0; i < kinematics.loop_error.size(); i++)
-            bound.drift[i] = kinematics.loop_error[i] - gap[i];
+            bound.drift[i] = kinematics.loop_error[i] - loop_offset[i];
         return true;
     }
 
@@ -604,7 +604,7 @@ class Kernel {
     // v in lanes, or as much of it as leaves the loops within their budget, is what joints do.
     Status command(const double* v) {
         copy(v_, v, m_->blocks);
-        const double share = ahead_.shorten(bound.q, bound.gap, bound.drift, v_);
+        const double share = ahead_.shorten(bound.q, bound.loop_offset, bound.drift, v_);
         if (share == 0.0) return Status::Opens;
         write();
         return share < 1.0 ? Status::Shortened : Status::Optimal;

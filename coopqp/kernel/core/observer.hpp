@@ -30,14 +30,14 @@ class LoopObserver {
           stalled_(4 * model.arms.size()) {}
 
     // Learn from joints measured at `reading` where q is commanded and v was. Its Jacobians are up to
-    // date; the gap and what is felt are moved. False where that is Python's: nothing is moved then.
+    // date; the loop offset and what is felt are moved. False where that is Python's: nothing is moved then.
     bool update(const Kinematics& there, const double* q, const double* v, const double* reading,
-                double* gap, double* felt) {
+                double* loop_offset, double* felt) {
         const std::size_t loops = 6 * (model_.arms.size() - 1);
         if (std::isnan(felt[0])) return false;
         std::copy_n(o_.told, 3, told_);
         std::copy_n(felt, 2, felt_);
-        std::copy_n(gap, loops, before_.begin());
+        std::copy_n(loop_offset, loops, before_.begin());
         std::copy_n(o_.opened, loops, opened_.begin());
         std::copy_n(o_.left, 3 * loops, left_.begin());
         std::copy_n(o_.stalled, 2 * loops / 3, stalled_.begin());
@@ -47,7 +47,7 @@ class LoopObserver {
         const double load = unload(there, q, rests, reading, felt);
         measured_.place(q_.data());
         measured_.measure();
-        gap_ = gap;
+        loop_offset_ = loop_offset;
         all_felt_ = felt;
         moved_ = true;
         const std::size_t closed = 6 * std::size_t(std::max(model_.loops(), 0));
@@ -55,13 +55,13 @@ class LoopObserver {
         for (std::size_t i = 0; i < loops; i += 3) {
             const double share = learns(there, i, felt[1]) * (o_.stalled[i / 3] < SPANS);
             for (std::size_t r = i; i < closed && r < i + 3; r++)
-                gap[r] += share * (measured_.loop_error[r] - there.loop_error[r]) +
+                loop_offset[r] += share * (measured_.loop_error[r] - there.loop_error[r]) +
                           (began ? 0.0 : load * opened_[r] - load * o_.opened[r]);
         }
         for (std::size_t i = 0; i < closed; i += 3) {
             double away[3];
             for (std::size_t r = 0; r < 3; r++)
-                away[r] = gap[i + r] - (felt[2 + i + r] - load * o_.opened[i + r]);
+                away[r] = loop_offset[i + r] - (felt[2 + i + r] - load * o_.opened[i + r]);
             if (!(std::sqrt(dot3(away, away)) < o_.most[i / 3 % 2])) {
                 forget();
                 return false;
@@ -79,7 +79,7 @@ class LoopObserver {
         moved_ = false;
         std::copy_n(told_, 3, o_.told);
         std::copy_n(felt_, 2, all_felt_);
-        std::copy_n(before_.begin(), 6 * (model_.arms.size() - 1), gap_);
+        std::copy_n(before_.begin(), 6 * (model_.arms.size() - 1), loop_offset_);
         std::copy_n(opened_.begin(), 6 * (model_.arms.size() - 1), o_.opened);
         std::copy_n(left_.begin(), 18 * (model_.arms.size() - 1), o_.left);
         std::copy_n(stalled_.begin(), 4 * (model_.arms.size() - 1), o_.stalled);
@@ -251,7 +251,7 @@ class LoopObserver {
     Kinematics measured_;
     std::vector<double> q_, reading_, before_, opened_, left_, stalled_;
     double told_[3], felt_[2], spent_ = 0.0;
-    double *gap_ = nullptr, *all_felt_ = nullptr;
+    double *loop_offset_ = nullptr, *all_felt_ = nullptr;
     bool moved_ = false;
 };
 

@@ -76,7 +76,7 @@ struct Bound {
     const double* q = nullptr;
     const double* v_last = nullptr;
     double* v = nullptr;
-    const double* gap = nullptr;
+    const double* loop_offset = nullptr;
     double *p_WO = nullptr, *R_WO = nullptr, *loop_error = nullptr, *drift = nullptr;
     double* q_seen = nullptr;  // the q that these belong to
     double* later_pulls = nullptr;
