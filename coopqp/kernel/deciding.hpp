@@ -192,7 +192,7 @@ class Engine {
     // A whole tick, and the step q += v dt of joints that do as told, where it has an answer, after
     // which Python's objects are as an optimal one leaves them; not where the law stands still, is
     // bound to another state, something of it is not usual, or the tick before has not done all of
-    // the drift correction.
+    // the Baumgarte stabilisation.
     int step(nb::handle state) {
         const Use use(*this);
         double t, corrected;

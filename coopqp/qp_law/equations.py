@@ -11,7 +11,7 @@ from coopqp.task import TaskStack
 
 #: Cost of a missing share of what may be done in part, far above any soft task.
 SCALE_WEIGHT = 1e3
-#: A share of the drift correction from here on is all of it.
+#: A share of the Baumgarte stabilisation from here on is all of it.
 ALL_OF_IT = 1.0 - 1e-6
 #: Speed below which what is scaled counts as at rest [m/s, rad/s].
 LEAST_SPEED = 1e-4

@@ -262,7 +262,7 @@ class QPLaw(Law):
         self.command.scale = 1.0 - max([0.0, *lacks, *shares])
 
     def _with_less_drift(self, state: State, failed: Status) -> tuple[Array, tuple[Status, ...]]:
-        """The levels with as much of the drift correction as can be done."""
+        """The levels with as much of the Baumgarte stabilisation as can be done."""
         if not self._relaxes:
             state.memory["stopped"][0] = self.problem.on_infeasible == "stop"
             return self.first.v, (failed,)

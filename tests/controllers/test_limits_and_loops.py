@@ -66,14 +66,16 @@ def test_position_margin_and_velocity_share_are_kept(chain: ClosedChain) -> None
 
 
 @each_controller
-def test_drift_correction_keeps_the_loop_closed(controller: Controller, chain: ClosedChain) -> None:
+def test_baumgarte_stabilisation_keeps_the_loop_closed(
+    controller: Controller, chain: ClosedChain
+) -> None:
     """Within 0.1 mm, over 13 cm of object motion; the damped law pays with its loop."""
     given = problem(chain, PointOnPoint(goal=BEHIND), limits=LIMITS, kappa=1 / DT)
     gap = run(controller, given, 200).loop_position.max()
     assert gap < (1e-3 if isinstance(controller, DampedPseudoinverse) else 1e-4)
 
 
-def test_without_drift_correction_the_loop_opens_further(chain: ClosedChain) -> None:
+def test_without_baumgarte_stabilisation_the_loop_opens_further(chain: ClosedChain) -> None:
     task = PointOnPoint(goal=BEHIND)
     gaps = [
         run(QPController(), problem(chain, task, kappa=k), 200).loop_position.max()

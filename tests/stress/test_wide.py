@@ -82,7 +82,7 @@ def test_everything_follows_from_the_seed(small: list[Rollout]) -> None:
 
 
 def test_draws_are_wide() -> None:
-    """Every arrangement, grasp, mode, drift correction and period comes up."""
+    """Every arrangement, grasp, mode, Baumgarte gain and period comes up."""
     draws = [drawn(seed) for seed in range(150)]
     assert {d.robot for d in draws} == set(arrangements.names())
     assert {"rigid", "revolute"} <= {d.grasp for d in draws}

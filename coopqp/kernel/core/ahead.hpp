@@ -18,7 +18,7 @@ class Ahead {
         : m_(model), s_(settings), after_(model), q_(model.joints.size()),
           part_(arena.take(std::size_t(model.blocks * LANES))) {}
 
-    // Gain of the drift correction: more where the loop budget is half used up.
+    // Gain of the Baumgarte stabilisation: more where the loop budget is half used up.
     double kappa(const double* drift) const {
         const double most = 1.0 / s_.dt;
         if (s_.kappa >= most) return s_.kappa;

@@ -90,7 +90,7 @@ class Kernel {
 
     // Decide v from the kinematics, tasks and limits as they stand. Joints that are outside their
     // limits come back first: the limits are tightened by their way.
-    //   all_corrected: whether the tick before has done all of the drift correction.
+    //   all_corrected: whether the tick before has done all of the Baumgarte stabilisation.
     Status solve(bool all_corrected) {
         for (int j = 0; j < m_->n(); j++)
             last_[m_->joints[std::size_t(j)].lane] = bound.v_last[j];

@@ -10,7 +10,7 @@
 
 namespace coopqp {
 
-constexpr double IN_PART = 1.0 - ALL_OF_IT;  // of the drift correction
+constexpr double IN_PART = 1.0 - ALL_OF_IT;  // of the Baumgarte stabilisation
 
 class LimitRecovery {
   public:
