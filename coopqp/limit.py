@@ -171,7 +171,7 @@ class Limit(ABC):
 
 
 def damp(
-    room: Array, gain: Array, deep: NDArray[np.bool_], h: Array, shallow: float = SHALLOW
+    margin: Array, gain: Array, deep: NDArray[np.bool_], h: Array, shallow: float = SHALLOW
 ) -> None:
     """Velocity damper, d_dot >= -gain d, written to the right side of rows -d_dot <= h [m/s].
 
@@ -179,8 +179,8 @@ def damp(
     Below -shallow [m] it was there from the start: it may not decrease, but recovery could leave no
     motion at all, so there h = 0. All have shape (p,); ``deep`` is scratch, gain in 1/s.
     """
-    np.multiply(room, gain, h)
-    np.less(room, -shallow, deep)
+    np.multiply(margin, gain, h)
+    np.less(margin, -shallow, deep)
     np.copyto(h, 0.0, where=deep)
 
 

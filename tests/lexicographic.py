@@ -178,8 +178,8 @@ class Cascade:
     def _at_limits(self, v: Array) -> float:
         """How near an exact motion v is to a limit, from 0 at NEAR to 1 at it."""
         sizes = np.sqrt((self._G * self._G).sum(axis=1))
-        room = (self._h - self._G @ v) / np.maximum(sizes, LONG(IDLE))
-        return min(max(1.0 - float(room.min(initial=NEAR)) / NEAR, 0.0), 1.0)
+        margin = (self._h - self._G @ v) / np.maximum(sizes, LONG(IDLE))
+        return min(max(1.0 - float(margin.min(initial=NEAR)) / NEAR, 0.0), 1.0)
 
     def _leave(
         self, tasks: TaskStack, J: Array, shares: Array, leaves: float, beside: tuple[Array, Array]
@@ -330,7 +330,7 @@ def _levels(problem: ControlProblem) -> list[list[Task]]:
 
 
 def _active(program: Program) -> list[int]:
-    """The limits that are active by quadprog, with a little room so that some motion is left."""
+    """The limits that are active by quadprog, with a little margin so that some motion is left."""
     M, C, G = (rows.astype(float) for rows in (program.M, program.C, program.G))
     P = M.T @ M
     P += 1e-14 * np.trace(P) * np.eye(len(P))

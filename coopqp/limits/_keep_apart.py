@@ -116,7 +116,7 @@ class KeepApart(Limit):
             far = np.maximum(ways.dot(speed) + distance, self.within)
             found.update(far)
             corners.update()
-            damp(np.concatenate([found.d - distance, corners.room]), gains, deep, rows.h, shallow)
+            damp(np.concatenate([found.d - distance, corners.margin]), gains, deep, rows.h, shallow)
             rows.h[:count] += (1.0 / dt - gain) * np.maximum(found.d - self.within, 0.0)
             rows.h[count:] += later * corners.behind
             rows.G[:] = 0.0
@@ -224,7 +224,7 @@ class Corners:
     at p: the plane is fixed to its body and turns with it. Bodies are never nearer than that plane.
 
     Attributes:
-        room: margin of each corner to the distance kept from the other body's plane; that of rows
+        margin: of each corner to the distance kept from the other body's plane; that of rows
             without a corner is large, shape (ROWS,) [m].
         behind: how much farther away it is than the pair's nearest point, shape (ROWS,) [m].
         pair: which pair each corner belongs to, shape (ROWS,).
@@ -236,22 +236,22 @@ class Corners:
         self._pairs, self._found, self._distance = pairs, found, distance
         # Which can touch in more than one point.
         self._flat = [all(len(body.convex.points) > 1 for body in pair) for pair in pairs]
-        self.room, self.behind, self.W = np.ones(ROWS), np.zeros(ROWS), np.zeros((ROWS, 6))
+        self.margin, self.behind, self.W = np.ones(ROWS), np.zeros(ROWS), np.zeros((ROWS, 6))
         self.pair, self.count = np.zeros(ROWS, np.int64), 0
 
     def update(self) -> None:
         found = self._found
         if self.count:
-            self.room[:], self.behind[:], self.W[:], self.count = 1.0, 0.0, 0.0, 0
-        room = found.d[found.near] - self._distance
-        (close,) = (room < CLOSE).nonzero()
-        for k in close[room[close].argsort(kind="stable")].tolist():
+            self.margin[:], self.behind[:], self.W[:], self.count = 1.0, 0.0, 0.0, 0
+        margin = found.d[found.near] - self._distance
+        (close,) = (margin < CLOSE).nonzero()
+        for k in close[margin[close].argsort(kind="stable")].tolist():
             pair = int(found.near[k])
             if not self._flat[pair]:
                 continue
             n = found.n[pair]
             for corner, s in self._corners(pair, n, found.p[pair])[: ROWS - self.count]:
-                self.room[self.count], self.pair[self.count] = s - self._distance, pair
+                self.margin[self.count], self.pair[self.count] = s - self._distance, pair
                 self.behind[self.count] = max(s - found.d[pair], 0.0)
                 self.W[self.count] = _wrenches(n, corner)
                 self.count += 1

@@ -91,7 +91,7 @@ def _cells(row: dict[str, object], found: Assessment) -> dict[str, tuple[object,
         "cell, task_error": (bad("task_error"), bool(found.missed)),
         "cell, limit": (
             bad("limit"),
-            any(overrun.farther for overrun in (*found.joints, *found.limits)),
+            any(violation.farther for violation in (*found.joints, *found.limits)),
         ),
         "cell, speed": (bad("speed"), bool(found.speeds)),
         "cell, loop": (bad("loop"), found.held is not False and not found.loop_closed),

@@ -29,10 +29,10 @@ from coopqp.tasks import JointCentering, PointOnPoint
 problem = partial(laws.problem, limits=LIMITS)
 
 
-def tightened(chain: ClosedChain, q: Array, room: float) -> ClosedChain:
+def tightened(chain: ClosedChain, q: Array, margin: float) -> ClosedChain:
     """The same chain, with position limits this far around q [rad]."""
     model = chain.robot.model.copy()
-    model.lowerPositionLimit, model.upperPositionLimit = q - room, q + room
+    model.lowerPositionLimit, model.upperPositionLimit = q - margin, q + margin
     narrow = replace(chain.robot, model=model)
     return ClosedChain.attach(narrow, chain.q_start, Rigid(), HeldObject())
 

@@ -351,17 +351,17 @@ class Kernel {
 
     // 1 where the exact motion v is at a limit, 0 where it is NEAR none.
     double at_limits(const double* v) const {
-        double room = NEAR;
+        double margin = NEAR;
         for (const Joint& joint : m_->joints) {
             const double at = v[joint.lane];
-            room = std::min(room, std::min(limits.ub[joint.lane] - at, at - limits.lb[joint.lane]));
+            margin = std::min(margin, std::min(limits.ub[joint.lane] - at, at - limits.lb[joint.lane]));
         }
         for (std::size_t i = 0; i < limits.h.size(); i++) {
             const double* G = limits.G + i * std::size_t(stride());
             const double size = std::max(std::sqrt(dot(G, G, m_->blocks)), IDLE);
-            room = std::min(room, (limits.h[i] - dot(G, v, m_->blocks)) / size);
+            margin = std::min(margin, (limits.h[i] - dot(G, v, m_->blocks)) / size);
         }
-        return std::min(1.0 - room / NEAR, 1.0);
+        return std::min(1.0 - margin / NEAR, 1.0);
     }
 
     // Whether the answer of the exact program is what the levels of least squares answer.

@@ -38,7 +38,7 @@ class LimitRecovery {
         return in_part ? Status::Outside : status;
     }
 
-    // Let nobody take away what was found, but for a little room, so that tasks stay feasible.
+    // Let nobody take away what was found, but for a little margin, so that tasks stay feasible.
     void keep(const double* q, Limits& limits) const {
         for (int j = 0; j < m_.n(); j++) {
             const int side = s_.outside(q, j), lane = m_.joints[std::size_t(j)].lane;

@@ -54,7 +54,7 @@ class Separation {
         Told told = Told::Kept;
         for (std::size_t i = before; i < near_.size(); i++) {
             const double* row = take(near_[i], kinematics, limits);
-            if (dot(row, v, m_.blocks) > limits.h.back() + OVERRUN) told = Told::More;
+            if (dot(row, v, m_.blocks) > limits.h.back() + VIOLATION) told = Told::More;
         }
         return told;
     }
@@ -117,10 +117,10 @@ class Separation {
     }
 
     // Append -d_dot <= h of what is at p, by coopqp.limit.damp and with more where it is far.
-    const double* append(const Near& near, const V3& p, double room, double more,
+    const double* append(const Near& near, const V3& p, double margin, double more,
                          const Kinematics& kinematics, Limits& limits) const {
         double* row = limits.G + limits.h.size() * std::size_t(m_.blocks) * LANES;
-        double h = (room < -shallow_ ? 0.0 : room * gain_) + more;
+        double h = (margin < -shallow_ ? 0.0 : margin * gain_) + more;
         const double sum = fill(near, p, kinematics, row);
         if (h < 0.0) h = std::max(h, -BACK * sum);
         limits.h.push_back(h);
