@@ -77,7 +77,7 @@ class DistanceBounds:
     """Rows of a limit that keeps pairs of bodies apart, for the kernel."""
 
     bodies: Sequence[tuple[int, Convex]]  # each with the id of its joint; 0 is the world
-    levers: Array  # how fast each joint, at speed 1, moves a body's points at most, (b, n) [m, 1]
+    max_point_speeds: Array  # of each body's points, by each joint at speed 1, (b, n) [m, 1]
     pairs: NDArray[np.int64]  # of bodies, as numbers in ``bodies``, shape (p, 2)
     distance: float  # to keep [m]
     gain: float  # share of what is left that may be used up per second [1/s]

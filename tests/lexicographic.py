@@ -158,7 +158,9 @@ class Cascade:
         pulls = counts * _counting(missed) * np.abs(missed)
 
         def damped() -> Array:
-            d = self._damping.of(float(tasks.weights @ (pulls * tasks.levers)), self._state)
+            d = self._damping.of(
+                float(tasks.weights @ (pulls * tasks.curvature_bounds)), self._state
+            )
             return self._nearest(J, w, tasks.weights, least + d)
 
         if counts > 0.0:
@@ -173,7 +175,9 @@ class Cascade:
 
     def _overreaches(self, tasks: TaskStack, J: Array, v: Array) -> float:
         """How far rows are softened that see J v of a motion."""
-        return self._damping.overreaches(tasks.levers, (J @ v).astype(float), v.astype(float))
+        return self._damping.overreaches(
+            tasks.curvature_bounds, (J @ v).astype(float), v.astype(float)
+        )
 
     def _at_limits(self, v: Array) -> float:
         """How near an exact motion v is to a limit, from 0 at NEAR to 1 at it."""

@@ -98,15 +98,15 @@ class KeepApart(Limit):
         """Fill the rows, whether pairs are near or not.
 
         Of what a pair is farther apart than ``within`` all may be used up in a tick. It has a row
-        there if it could come closer than ``distance`` before the next, by its :func:`levers` and
-        the bounds on v. InvalidValueError: the gain overshoots in a tick dt [s].
+        there if it could come closer than ``distance`` before the next, by the bounds on v and
+        :func:`max_closing_speeds`. InvalidValueError: the gain overshoots in a tick dt [s].
         """
         self._check_gain(dt)
         pairs, distance, gain = self.watched(chain), self.distance, self.gain
         found, count = Distances(pairs), len(pairs)
         corners, later = Corners(pairs, found, distance), min(LATER * gain, 1.0 / dt - gain)
         gains, shallow = np.full(count + ROWS, gain), max(distance, SHALLOW)
-        deep, ways = np.zeros(count + ROWS, bool), dt * levers(chain, pairs)
+        deep, ways = np.zeros(count + ROWS, bool), dt * max_closing_speeds(chain, pairs)
         first, second = _moved(chain, pairs)
         sign = first - second  # joints that move both bodies change no distance
 
@@ -137,7 +137,7 @@ class KeepApart(Limit):
         at = {body: i for i, body in enumerate(bodies)}
         return DistanceBounds(
             bodies=[(body.joint, body.convex) for body in bodies],
-            levers=_levers_of(chain, bodies),
+            max_point_speeds=_max_point_speeds(chain, bodies),
             pairs=np.array([[at[a], at[b]] for a, b in pairs], np.int64).reshape(-1, 2),
             distance=self.distance,
             gain=self.gain,
@@ -313,7 +313,7 @@ def _wrenches(n: Array, p: Array) -> Array:
     return np.concatenate([n, np.cross(p, n)], axis=-1)
 
 
-def levers(chain: ClosedChain, pairs: Sequence[Pair]) -> Array:
+def max_closing_speeds(chain: ClosedChain, pairs: Sequence[Pair]) -> Array:
     """How fast each joint, at speed 1, can close each pair at most, shape (p, n) [m, 1].
 
     A joint that turns moves no point of a body faster than its speed times the longest way from its
@@ -321,7 +321,7 @@ def levers(chain: ClosedChain, pairs: Sequence[Pair]) -> Array:
     own speed. Of a pair only joints that move one of the two count.
     """
     first, second = _moved(chain, pairs)
-    both = (_levers_of(chain, [pair[side] for pair in pairs]) for side in (0, 1))
+    both = (_max_point_speeds(chain, [pair[side] for pair in pairs]) for side in (0, 1))
     return np.asarray(sum(both) * (first != second), float)
 
 
@@ -330,7 +330,7 @@ def _moved(chain: ClosedChain, pairs: Sequence[Pair]) -> list[Array]:
     return [movers(chain, [pair[side].joint for pair in pairs]) for side in (0, 1)]
 
 
-def _levers_of(chain: ClosedChain, bodies: Sequence[Body]) -> Array:
+def _max_point_speeds(chain: ClosedChain, bodies: Sequence[Body]) -> Array:
     """Longest way from each joint to a body's far end, 1 where the joint slides, shape (k, n)."""
     far = {b: np.linalg.norm(b.convex.placement.translation) + b.convex.radius for b in {*bodies}}
     far_ends = np.array([far[body] for body in bodies])  # from the joints' frames, at most [m]

@@ -209,7 +209,8 @@ class QPLaw(Law):
         return status, beside, beside + leaves * (v - beside), max(leaves, least)
 
     def _overreaches(self, rows: slice, v: Array) -> float:
-        return self._damping.overreaches(self.exact.levers[rows], self.exact.J[rows] @ v, v)
+        exact = self.exact
+        return self._damping.overreaches(exact.curvature_bounds[rows], exact.J[rows] @ v, v)
 
     def _holds_firmly(self, *, met: bool) -> bool:
         """Whether the exact program answers as the levels of least squares would.

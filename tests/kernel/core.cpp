@@ -176,7 +176,7 @@ Case random_case(Random& random) {
         for (auto* a : {&level.e, &level.rate, &level.wanted}) a->assign(std::size_t(rows), 0.0);
         level.gain.assign(std::size_t(rows), 5.0);
         level.weight.assign(std::size_t(rows), std::pow(10.0, uniform(random, -1, 2)));
-        level.lever.assign(std::size_t(rows), 1.0);
+        level.curvature_bound.assign(std::size_t(rows), 1.0);
         level.asks_velocity.assign(std::size_t(rows), 0);
         level.twist.assign(std::size_t(rows), !apart);
         const std::size_t stride = std::size_t(model->blocks) * LANES;
@@ -418,7 +418,7 @@ int too_fast(Random& random, int& near) {
             arm.tip = int(model.joints.size()) - 1;
             Solid solid{arm.tip, somewhere(random, 0.1), random_body(random), std::vector<double>(n)};
             for (int k = arm.tip; k >= 0; k = model.joints[std::size_t(k)].parent)
-                solid.levers[std::size_t(k)] = 3.0;
+                solid.max_point_speeds[std::size_t(k)] = 3.0;
             solids.push_back(solid);
         }
         arm.at = somewhere(random, 0.1);

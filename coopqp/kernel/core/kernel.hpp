@@ -380,14 +380,15 @@ class Kernel {
     // by more than it moves them.
     double overreaches(const double* v, int from, int to) {
         if (from == to) return 0.0;
-        double levers2 = 0.0, moved2 = 0.0;
+        double bounds2 = 0.0, moved2 = 0.0;
         rows_.object_twist(v, V_);
         for (int s = from; s < to; s++) {
-            const double along = rows_.times(levels[0], s, v, V_), lever = levels[0].lever[std::size_t(s)];
-            levers2 += lever * lever;
+            const double along = rows_.times(levels[0], s, v, V_);
+            const double bound = levels[0].curvature_bound[std::size_t(s)];
+            bounds2 += bound * bound;
             moved2 += along * along;
         }
-        return damping_.overreaches(std::sqrt(levers2) * dot(v, v, m_->blocks), std::sqrt(moved2));
+        return damping_.overreaches(std::sqrt(bounds2) * dot(v, v, m_->blocks), std::sqrt(moved2));
     }
 
     // The levels of hard and of scaled tasks where not all they ask can be done.

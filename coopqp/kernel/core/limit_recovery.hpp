@@ -56,7 +56,7 @@ class LimitRecovery {
         Level level;
         const std::size_t n = model.joints.size();
         level.rows = int(n);
-        for (auto* a : {&level.e, &level.rate, &level.gain, &level.lever, &level.wanted})
+        for (auto* a : {&level.e, &level.rate, &level.gain, &level.curvature_bound, &level.wanted})
             a->assign(n, 0.0);
         level.weight.assign(n, 1.0);
         level.share.assign(n, -1);
