@@ -445,7 +445,7 @@ class Law(ABC):
 
     def _fits(self, state: State) -> bool:
         n, m = self.problem.chain.n, 6 * (len(self.problem.chain.arms) - 1)
-        fit = len(state.loop_offset) == m and len(state.felt) == 2 + m
+        fit = len(state.loop_offset) == m and len(state.observer_state) == 2 + m
         return fit and state.q.shape == state.v.shape == (n,)
 
     def refuse(self, why: Status, note: str = "") -> Command:

@@ -78,7 +78,7 @@ class Engine {
         b.chatter = of("chatter");
         stopped_ = of("stopped");
         loop_offset_ = of("loop_offset");
-        felt_ = of("felt");
+        observer_state_ = of("observer_state");
         b.v = of("command");
         const auto memory = nb::cast<Written>(d["memory"]);
         memory_ = memory.data();
@@ -428,7 +428,7 @@ class Engine {
     int evaluate(double t, bool learns = false) {
         const int status = int(kernel_->update(t));
         if (status) return status;
-        if (learns && !kernel_->learn(*observer_, reading_, loop_offset_, felt_))
+        if (learns && !kernel_->learn(*observer_, reading_, loop_offset_, observer_state_))
             return int(coopqp::Status::Unusual);
         fill(t);
         return 0;
@@ -542,7 +542,7 @@ class Engine {
     nb::object state_, limits_, measured_, read_, observing_;
     std::unique_ptr<coopqp::LoopObserver> observer_;
     const double* reading_ = nullptr;
-    double *loop_offset_ = nullptr, *felt_ = nullptr;
+    double *loop_offset_ = nullptr, *observer_state_ = nullptr;
     nb::list rows_;
     nb::dict references_;
     double *q_now_ = nullptr, *v_now_ = nullptr, *commanded_ = nullptr;

@@ -258,7 +258,7 @@ class LoopObserver:
 
     def sag(self, state: State) -> Array:
         """What the load that is felt makes each joint sag by, shape (n,) [rad]."""
-        load = float(state.felt[0])
+        load = float(state.observer_state[0])
         return self._sag.sag * (load if math.isfinite(load) else 0.0)
 
     def begin(self, state: State) -> None:
@@ -281,7 +281,7 @@ class LoopObserver:
         if not learns:
             return True
         measured.q[:] = found
-        if math.isnan(state.felt[0]):
+        if math.isnan(state.observer_state[0]):
             measured.update_poses()
             self._first(state, measured.loop_error)
         began, before = self._told[2] == 0.0, self._sag.opened.copy()
@@ -292,10 +292,10 @@ class LoopObserver:
         left = _without(measured.loop_error - state.loop_error, along)
         halves = (left.reshape(-1, 6) * SPEEDS).reshape(-1, 3)
         self._look_back(halves, rests=rests)
-        learnt = np.repeat(self._learns(halves, state.felt[1]), 3) * left
+        learnt = np.repeat(self._learns(halves, state.observer_state[1]), 3) * left
         if not began:
             learnt += load * before - opened
-        about = state.felt[2:] - opened
+        about = state.observer_state[2:] - opened
         learnt[len(state.closed_error) :] = 0.0  # what holds nothing has no offset
         pressed = 0.0 if along is None else along.dot(state.loop_offset) * along
         state.loop_offset -= pressed
@@ -306,8 +306,8 @@ class LoopObserver:
 
     def _first(self, state: State, error: Array) -> None:
         """Believe in the object's weight where the servos' stiffness says what it does."""
-        state.felt[0] = self._weight - self._fed_forward if self._known else 0.0
-        state.felt[1], state.felt[2:] = 0.0, error
+        state.observer_state[0] = self._weight - self._fed_forward if self._known else 0.0
+        state.observer_state[1], state.observer_state[2:] = 0.0, error
         self._told[2], self._sampled = 0.0, -1.0
         self._samples[:] = math.nan
         self._look_back(self._left[2], rests=False)
@@ -327,7 +327,7 @@ class LoopObserver:
         samples, found = self._samples, state.reading
         samples[1:] = samples[:-1].copy()
         samples[0] = state.q, np.full(len(state.q), math.nan) if found is None else found
-        if not np.isfinite(samples).all() or math.isnan(state.felt[0]):
+        if not np.isfinite(samples).all() or math.isnan(state.observer_state[0]):
             return
         h, (c, m), then = self._every * self._dt, samples.swapaxes(0, 1), self._measured
         then.q[:], then.v[:] = c[1], state.v  # as the sag is of then
@@ -335,7 +335,7 @@ class LoopObserver:
         if _rests(then):
             return
         v, a = (m[0] - m[2]) / (2.0 * h), (m[0] - 2.0 * m[1] + m[2]) / h**2
-        lag = m[1] - c[1] - state.felt[0] * self._sag.sag
+        lag = m[1] - c[1] - state.observer_state[0] * self._sag.sag
         yields = np.diag(self._compliance) > 0.0
         root = np.linalg.cholesky(self._compliance[np.ix_(yields, yields)])
         squeezed = np.linalg.qr(root.T @ then.J_rel.T[yields])[0]
@@ -346,13 +346,13 @@ class LoopObserver:
         doubt = float(np.linalg.norm(np.linalg.solve(root, doubts))) / len(doubts) ** 0.5
         A, prior = causes[:, :3], doubt / np.array([*LATE, self._weight])
         more = float(np.linalg.solve(A.T @ A + np.diag(prior**2), A.T @ causes[:, 3])[2])
-        more = max(more, -self._fed_forward - float(state.felt[0]))
-        usual = OF_WEIGHT * self._weight
-        state.felt[0] += min(1.0, h / FEELS_MOVING) * (more - min(max(more, -usual), usual))
+        more = max(more, -self._fed_forward - float(state.observer_state[0]))
+        usual, share = OF_WEIGHT * self._weight, min(1.0, h / FEELS_MOVING)
+        state.observer_state[0] += share * (more - min(max(more, -usual), usual))
 
     def _unload(self, state: State, along: Array | None, *, rests: bool) -> float:
         """Take sag and squeeze out of the measured joints; the load that makes them sag."""
-        sag, felt, q, known = self._sag, state.felt, self._measured.q, self._known
+        sag, felt, q, known = self._sag, state.observer_state, self._measured.q, self._known
         if self._told[2] % self._every == 0:
             sag.update(state, along if known else None)
             self._told[1] = DOUBT / max(float(np.abs(sag.sag).max()), TINY)

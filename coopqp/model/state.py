@@ -76,7 +76,7 @@ class State:
         q_measured: measured joint positions, shape (n,); None where they are the commanded.
         hand_wrench: measured wrenches of the hands on the object, by the robot's arms, each at its
             hand's point, world axes, shape (6 N,) [N, N m]; None where there are none.
-        felt: of the loop observer: weight that the servos carry [N], NaN before it is measured;
+        observer_state: weight that the loop observer estimates [N], NaN before it is measured;
             time at rest [s]; loop error where joints were first measured, shape (2 + 6 L,).
         corrected: share of the Baumgarte correction that the last tick did.
         jacobians_due: whether only the poses are up to date; Jacobians are computed when asked for.
@@ -103,7 +103,7 @@ class State:
         self._J_task, self._J_rel = self._J_shown[:6], self._J_shown[6:]
         self._q_seen, self.jacobians_due, self.joints_due = self.q.copy(), False, False
         self.loop_error, self.loop_offset, self.drift = np.zeros((3, 6 * (arms - 1)))
-        self.felt = np.full(2 + 6 * (arms - 1), np.nan)
+        self.observer_state = np.full(2 + 6 * (arms - 1), np.nan)
         self.q_measured: Array | None = None
         self.hand_wrench: Array | None = None
         self._commanded = np.zeros(n)  # no configuration yet
@@ -123,8 +123,8 @@ class State:
 
     def kept(self) -> Kept:
         """All that :func:`state_of` needs beside the chain, to be sent elsewhere."""
-        sensed = self.q_measured, self.hand_wrench
-        own = (self.v, self.loop_offset, sensed, self.corrected, self._commanded, self.felt)
+        sensed = self.q_measured, self.hand_wrench, self.observer_state
+        own = (self.v, self.loop_offset, sensed, self.corrected, self._commanded)
         return self.q, self.t, self.memory, own, self.inputs.now()
 
     def __repr__(self) -> str:
@@ -194,8 +194,8 @@ class State:
         return {
             "q": self.q, "v": self.v, "loop_offset": self.loop_offset, "p_WO": self.p_WO,
             "R_WO": self.R_WO, "loop_error": self.loop_error, "drift": self.drift,
-            "q_seen": self._q_seen, "commanded": self._commanded, "felt": self.felt,
-            "J_ext": self._J_ext,
+            "q_seen": self._q_seen, "commanded": self._commanded, "J_ext": self._J_ext,
+            "observer_state": self.observer_state,
         }  # fmt: skip
 
     def _refresh(self) -> None:
@@ -403,8 +403,8 @@ def state_of(chain: ClosedChain, kept: Kept) -> State:
     q, t, memory, own, inputs = kept
     state = State(chain, q, t, memory)
     state.inputs = inputs
-    state.v[:], state.loop_offset[:], sensed, corrected, state._commanded[:], state.felt[:] = own
-    (state.q_measured, state.hand_wrench), state.corrected = sensed, corrected
+    state.v[:], state.loop_offset[:], sensed, state.corrected, state._commanded[:] = own
+    state.q_measured, state.hand_wrench, state.observer_state[:] = sensed
     state.update()
     return state
 

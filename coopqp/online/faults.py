@@ -136,7 +136,7 @@ class FaultMonitor:
         if self._at_bound > LASTING:
             return "loop_offset_at_bound", observer.at_bound, observer.note
         load, weight = observer.load, forces.weight  # NaN while it is not known
-        if observer.feels_in_motion and state.felt[1] < AFTER + 3.0 * FEELS:
+        if observer.feels_in_motion and state.observer_state[1] < AFTER + 3.0 * FEELS:
             return None  # in motion air and friction pull, too
         if load > weight + SMALL and load > weight + max(OF_WEIGHT * weight, observer.doubt):
             return forces.heavier(load, "the servos sag as under {} or more; weigh the object")

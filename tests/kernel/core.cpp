@@ -263,8 +263,8 @@ int garbage(Random& random, Case& c) {
 // Python's, keeps what was to be forgotten, or learns no number.
 int wrong_observer(Random& random, Case& c) {
     const std::size_t n = c.owner.q.size(), loops = c.owner.loop_offset.size(), arms = loops / 6 + 1;
-    std::vector<double> sag(n), torque(n), opened(loops), told(3), felt(2 + loops), compliance(n * n),
-        at_origin(18 * arms), left(3 * loops), stalled(2 * loops / 3);
+    std::vector<double> sag(n), torque(n), opened(loops), told(3), observer_state(2 + loops),
+        compliance(n * n), at_origin(18 * arms), left(3 * loops), stalled(2 * loops / 3);
     double spent = 0.0;
     for (std::size_t j = 0; j < n; j++) compliance[j * n + j] = uniform(random, 0.0, 0.02);
     for (double& x : at_origin) x = uniform(random, -1.0, 1.0);
@@ -276,17 +276,18 @@ int wrong_observer(Random& random, Case& c) {
     if (c.kernel->update(0.0) != Status::Optimal) return 0;
     int wrong = 0;
     for (double bad : {0.0, 0.0, 0.0, std::numeric_limits<double>::quiet_NaN(), 1e200, 0.0}) {
-        const auto offset = c.owner.loop_offset, before = felt;
+        const auto offset = c.owner.loop_offset, before = observer_state;
         std::vector<double> reading = c.owner.q;
         for (double& x : reading) x += uniform(random, -1e-3, 1e-3);
         reading[std::size_t(whole(random, 0, int(n) - 1))] += bad;
         observer.begin();
-        const bool learnt = c.kernel->learn(observer, reading.data(), c.owner.loop_offset.data(), felt.data());
+        const bool learnt = c.kernel->learn(observer, reading.data(), c.owner.loop_offset.data(),
+                                            observer_state.data());
         if (learnt && bad == 0.0)
             for (double x : c.owner.loop_offset) wrong += !std::isfinite(x);
         if (!learnt || bad != 0.0 || whole(random, 0, 1)) {
             observer.forget();
-            wrong += c.owner.loop_offset != offset || felt != before;
+            wrong += c.owner.loop_offset != offset || observer_state != before;
         }
     }
     std::fill(c.owner.loop_offset.begin(), c.owner.loop_offset.end(), 0.0);

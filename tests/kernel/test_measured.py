@@ -42,8 +42,8 @@ def law(name: str, observer: Observer, kind: type[LoopObserver], *limits: object
 def told(one: Law, state: State) -> np.ndarray:
     """What a tick commands and learns."""
     return np.concatenate([
-        one.command.v, state.loop_offset, state.felt, state.drift, state.loop_error, state.p_WO,
-        [one.observer.load, one.observer.doubt, one.command.scale, one.command.drift],
+        one.command.v, state.loop_offset, state.observer_state, state.drift, state.loop_error,
+        state.p_WO, [one.observer.load, one.observer.doubt, one.command.scale, one.command.drift],
         *one.observer.flat()["stalled"],
     ])  # fmt: skip
 
@@ -115,11 +115,11 @@ def test_an_unusual_reading_takes_nothing_back() -> None:
     state.q_measured = reading = state.q + 1e-3
     for _ in range(3):
         one.tick(state)
-    loop_offset, felt = state.loop_offset.copy(), state.felt.copy()
+    loop_offset, felt = state.loop_offset.copy(), state.observer_state.copy()
     reading[2] = np.nan
     assert Status.NOT_MEASURED in one.tick(state).causes
     np.testing.assert_array_equal(state.loop_offset, loop_offset)
-    np.testing.assert_array_equal(state.felt, felt)
+    np.testing.assert_array_equal(state.observer_state, felt)
 
 
 def test_a_joint_that_was_overwritten_is_told() -> None:
@@ -140,12 +140,12 @@ def test_what_was_felt_may_be_put_back() -> None:
         state.q_measured = state.q + 3e-3
         for _ in range(20):
             one.tick(state)
-        state.felt = state.felt.copy()
-        state.felt[0] += 3.0
+        state.observer_state = state.observer_state.copy()
+        state.observer_state[0] += 3.0
         one.tick(state)
     first, second = (told(*both) for both in zip(laws, states, strict=True))
     np.testing.assert_allclose(first, second, rtol=0.0, atol=1e-11)
-    states[0].felt = states[0].felt[:-1].copy()
+    states[0].observer_state = states[0].observer_state[:-1].copy()
     assert laws[0].tick(states[0]).causes == (Status.WRONG_STATE,)
 
 

@@ -81,8 +81,10 @@ class Kernel {
     }
 
     // Follow the loop-closure offset by measured joints; false where that is Python's.
-    bool learn(LoopObserver& observer, const double* reading, double* loop_offset, double* felt) {
-        if (!observer.update(kinematics, bound.q, bound.v_last, reading, loop_offset, felt)) return false;
+    bool learn(LoopObserver& observer, const double* reading, double* loop_offset,
+               double* observer_state) {
+        if (!observer.update(kinematics, bound.q, bound.v_last, reading, loop_offset, observer_state))
+            return false;
         for (std::size_t i = 0; i < kinematics.loop_error.size(); i++)
             bound.drift[i] = kinematics.loop_error[i] - loop_offset[i];
         return true;
