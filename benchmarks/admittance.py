@@ -75,7 +75,7 @@ def ran(scenario: Scenario, hand: float, stated: float, share: float, seconds: f
         controller="qp",
     )
     found = squeezes(trace)
-    way = float(np.linalg.norm(trace.gap[-END:, :3].mean(axis=0)))
+    way = float(np.linalg.norm(trace.loop_offset[-END:, :3].mean(axis=0)))
     return Ran(found, float(found[-END:].mean()) / way, scenario.dt)
 
 

@@ -101,22 +101,23 @@ class Found:
     """What a series of runs came to.
 
     Attributes:
-        room: distance less what is kept free, least of each run [m].
+        margin: distance less what is kept free, least of each run [m].
         by_coal: the same by coal alone, at that tick.
         stuck: ticks whose QP had no answer.
     """
 
-    room: list[float]
+    margin: list[float]
     by_coal: list[float]
     stuck: int = 0
 
     @property
     def row(self) -> str:
         """For the table."""
-        reached = sum(room < 1e-3 for room in self.room)
+        reached = sum(margin < 1e-3 for margin in self.margin)
         return (
-            f"{reached:4d} of {len(self.room)} reached a limit   "
-            f"nearest {1e3 * min(self.room):7.3f} mm   by coal {1e3 * min(self.by_coal):7.3f} mm   "
+            f"{reached:4d} of {len(self.margin)} reached a limit   "
+            f"nearest {1e3 * min(self.margin):7.3f} mm   "
+            f"by coal {1e3 * min(self.by_coal):7.3f} mm   "
             f"ticks without answer {self.stuck}"
         )
 
@@ -166,17 +167,17 @@ class Drive:
 def nearest(
     name: str, chain: ClosedChain, limits: Sequence[Limit], oracle: Oracle, q: Array
 ) -> tuple[float, float]:
-    """Least room in a run, and the same at that tick by coal alone [m]."""
+    """Least margin in a run, and the same at that tick by coal alone [m]."""
     v = np.zeros((len(q) - 1, chain.n))
-    rooms = [np.column_stack(list(k.margins(chain, q, v, DT).values())) for k in limits]
-    tick = int(np.argmin(np.minimum(*(room.min(axis=1) for room in rooms)))) + 1
+    margins = [np.column_stack(list(k.margins(chain, q, v, DT).values())) for k in limits]
+    tick = int(np.argmin(np.minimum(*(margin.min(axis=1) for margin in margins)))) + 1
     oracle.place(q[tick])
     by_coal = min(
         oracle.distance(*pair) - limit.distance  # type: ignore[attr-defined]
         for limit in limits
         for pair in bodies_of_rows(limit, chain)
     )
-    return min(float(room.min()) for room in rooms), by_coal
+    return min(float(margin.min()) for margin in margins), by_coal
 
 
 def free(name: str, goals: int, gain: float, ticks: int = TICKS) -> Found:
@@ -186,8 +187,8 @@ def free(name: str, goals: int, gain: float, ticks: int = TICKS) -> Found:
     oracle, arms = Oracle(CASES[name], chain, solids(name)), Drive(chain, limits)
     found = Found([], [])
     for goal in chain.sample(rng, goals):
-        room, by_coal = nearest(name, chain, limits, oracle, arms.run(goal, ticks))
-        found.room.append(room)
+        margin, by_coal = nearest(name, chain, limits, oracle, arms.run(goal, ticks))
+        found.margin.append(margin)
         found.by_coal.append(by_coal)
     found.stuck = arms.stuck
     return found
@@ -230,8 +231,8 @@ def holding(name: str, goals: int, gain: float, ticks: int = TICKS) -> Found:
         for _ in drive(law, plant, state, ticks):
             found.stuck += not law.command.status.usable
             q.append(state.q.copy())
-        room, by_coal = nearest(name, chain, limits, oracle, np.array(q))
-        found.room.append(room)
+        margin, by_coal = nearest(name, chain, limits, oracle, np.array(q))
+        found.margin.append(margin)
         found.by_coal.append(by_coal)
     return found
 

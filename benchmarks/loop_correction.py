@@ -4,7 +4,7 @@ python benchmarks/loop_correction.py [seeds] > table.md   (minutes a seed)
 
 Columns: internal force at worst and in the mean of the last half second [N], share of ticks with a
 saturated motor [%], error of the object's first task at worst and over the last half second [mm],
-the gap that the controller has observed [mm], ticks that were not OPTIMAL; the worst of all seeds,
+the observed loop offset [mm], ticks that were not OPTIMAL; the worst of all seeds,
 which decide the errors' signs and directions. A row is accepted with
 at most a tenth or 0.1 N more force at the end than without error, and no motor saturated that was
 not.
@@ -23,8 +23,8 @@ import coopqp
 from coopqp.controller import Command
 from coopqp.execution.rollout import rollout
 from coopqp.limits import JointPosition, JointVelocity
-from coopqp.metrics.gap import Gap
 from coopqp.metrics.internal_force import InternalForce
+from coopqp.metrics.loop_offset import LoopOffset
 from coopqp.model.state import State
 from coopqp.plant import Disturbance, Plant, PlantModel, Slip
 from coopqp.plants import Mujoco, RigidBody
@@ -89,7 +89,7 @@ def main() -> None:
     seeds = range(int(sys.argv[1]) if len(sys.argv) > 1 else 1)
     heads = (
         "case", "plant", "error", "force worst", "end", "saturated", "object worst", "end",
-        "gap", "not optimal", "accepted",
+        "loop_offset", "not optimal", "accepted",
     )  # fmt: skip
     print("| " + " | ".join(heads) + " |\n|" + "---|" * len(heads))
     for case in cases():
@@ -162,13 +162,13 @@ def measured(trace: Trace) -> dict[str, float]:
         "saturated": float(saturated),
         "object": float(np.nanmax(error)),
         "object_end": float(np.nanmean(error[last:])),
-        "gap": Gap().measure(trace)["position"],
+        "loop_offset": LoopOffset().measure(trace)["position"],
         "odd": sum(status != Status.OPTIMAL.name for status in trace.status) / trace.ticks,
     }
 
 
 def cells(found: dict[str, float]) -> list[str]:
-    mm = [f"{1e3 * found[key]:.2f}" for key in ("object", "object_end", "gap")]
+    mm = [f"{1e3 * found[key]:.2f}" for key in ("object", "object_end", "loop_offset")]
     percent = [f"{100 * found[key]:.0f} %" for key in ("saturated", "odd")]
     force = [f"{found[key]:.3f}" if math.isfinite(found[key]) else "-" for key in ("worst", "end")]
     return [*force, percent[0], *mm, percent[1]]

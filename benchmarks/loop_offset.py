@@ -7,8 +7,8 @@ python benchmarks/loop_offset.py friction       fingers that hold by friction al
 
 Two Pandas lift a box by 15 cm in 1.5 s and hold it to 13 s. Their links are 1 mm, grasps 1 mm and
 encoders 5 mrad off; the box's weight is not in the servos' feed-forward. Cells: half of the
-difference of the hands' forces in the mean of the last half second / at worst [N] / how far the gap
-has gone [mm] / how far a grip has crept or slipped [mm], the worst of all seeds.
+difference of the hands' forces in the mean of the last half second / at worst [N] / how far the
+offset has gone [mm] / how far a grip has crept or slipped [mm], the worst of all seeds.
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ Stiffness = float | Mapping[str, float]
 Started = tuple[Law, PlantModel, State]
 #: What is asked. Known servos: at the end [N], and on the way so many times the better of earlier
 #: and none. Unknown ones: at the end more than no observer [N]. Held by friction, with known
-#: servos: at 13 s [N] and slip [m], and what the gap moves by until 60 s [m].
+#: servos: at 13 s [N] and slip [m], and what the loop offset moves by until 60 s [m].
 MOST, TIMES, MORE, BY_FRICTION, SLIPS, DRIFTS = 1.0, 1.2, 1.0, 0.5, 5e-3, 1e-4
 
 
 class Earlier(LoopObserver):
-    """The law before the servos' sag was known of, whose gap never stays."""
+    """The law before the servos' sag was known of, whose loop offset never stays."""
 
     def _unload(self, state: State, along: Array | None, *, rests: bool) -> float:
         self._sag  # noqa: B018 - as made for the other law
@@ -157,16 +157,19 @@ def built(scenario: Scenario, name: str, plant: PlantModel | None = None) -> Sta
 
 
 def lift(scenario: Scenario, started: Started) -> Array:
-    """By tick the force [N], the gap's way, slip [m] and whether it is not optimal, (T, 4)."""
+    """By tick the force [N], the offset's way, slip [m] and whether it is not optimal, (T, 4)."""
     law, plant, state = started
-    begun, found = state.gap.copy(), np.full((scenario.ticks, 4), np.nan)
+    begun, found = state.loop_offset.copy(), np.full((scenario.ticks, 4), np.nan)
     for k in range(scenario.ticks):
         command = law.tick(state)
         plant.step(state, command)
         if plant.lost:
             return np.full_like(found, np.nan)
         first, last = plant.signals["hand_wrench"].reshape(2, 6)[:, :3]
-        found[k, :2] = 0.5 * np.linalg.norm(first - last), np.linalg.norm((state.gap - begun)[:3])
+        found[k, :2] = (
+            0.5 * np.linalg.norm(first - last),
+            np.linalg.norm((state.loop_offset - begun)[:3]),
+        )
         odd = command.status is not coopqp.Status.OPTIMAL
         found[k, 2:] = plant.signals["slip"].max(), odd
     return found
@@ -178,7 +181,7 @@ def summary(ways: list[Array], dt: float) -> dict[str, float]:
     return {
         "end": max(float(way[last:, 0].mean()) for way in ways),
         "worst": max(float(way[:, 0].max()) for way in ways),
-        "gap": max(1e3 * float(way[-1, 1]) for way in ways),
+        "loop_offset": max(1e3 * float(way[-1, 1]) for way in ways),
         "slip": max(1e3 * float(way[:, 2].max()) for way in ways),
         "odd": max(float(way[:, 3].mean()) for way in ways),
     }
@@ -193,7 +196,7 @@ def scenario_of(plant: Plant, mass: float, goal: Pose, off: Disturbance) -> Scen
 
 
 def cell(worst: Mapping[str, float]) -> str:
-    text = f"{worst['end']:.2f}/{worst['worst']:.1f}/{worst['gap']:.1f}"
+    text = f"{worst['end']:.2f}/{worst['worst']:.1f}/{worst['loop_offset']:.1f}"
     text += f"/{worst['slip']:.1f}" if worst["slip"] > 0.05 else ""
     return text + (f" ({100 * worst['odd']:.0f} % not optimal)" if worst["odd"] else "")
 
@@ -383,7 +386,7 @@ def friction() -> None:
         found = [summary([part], held.dt) for part in (way[:early], way)]
         none = none or found
         soon, late = found
-        drift = abs(late["gap"] - soon["gap"])
+        drift = abs(late["loop_offset"] - soon["loop_offset"])
         asked = {}
         if name == "nothing known":
             asked = {

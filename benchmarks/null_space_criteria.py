@@ -21,9 +21,9 @@ from coopqp.task import Task
 from coopqp.tasks import JointCentering, JointLimitBarrier
 
 FARTHEST = 0.1  # distance of a goal [m]
-RUNS_AWAY = 1.0  # an overrun beyond this is no question of limits [rad]
-ROUNDING = 1e-6  # an overrun that counts as none [rad]
-WORTH = 1e-3  # a difference of overruns that counts [rad]
+RUNS_AWAY = 1.0  # a violation beyond this is no question of limits [rad]
+ROUNDING = 1e-6  # a violation that counts as none [rad]
+WORTH = 1e-3  # a difference of violations that counts [rad]
 
 NULL_SPACE = "pseudoinverse_null_space"
 LAWS: dict[str, tuple[str, tuple[Task, ...]]] = {
@@ -41,7 +41,7 @@ LAWS: dict[str, tuple[str, tuple[Task, ...]]] = {
 }
 
 
-def overrun(scenario: Scenario, law: str) -> float:
+def violation(scenario: Scenario, law: str) -> float:
     """Of the worst position limit [rad]; negative inside."""
     controller, secondary = LAWS[law]
     with np.errstate(all="ignore"):  # laws that run away leave the range of numbers
@@ -57,7 +57,7 @@ def goals(scenario: Scenario, seed: int) -> Iterator[Scenario]:
         way *= rng.uniform(0.1, 1.0) * FARTHEST / np.linalg.norm(way)
         task = replace(scenario.tasks[0], goal=tuple((start + way).tolist()))
         aimed = replace(scenario, tasks=(task,))
-        if ROUNDING < overrun(aimed, "pseudoinverse") < RUNS_AWAY:
+        if ROUNDING < violation(aimed, "pseudoinverse") < RUNS_AWAY:
             yield aimed
 
 
@@ -68,7 +68,7 @@ def main() -> None:
     asked = parser.parse_args()
     drawn = goals(coopqp.load("point_on_point"), asked.seed)
     chosen = itertools.islice(drawn, asked.goals)
-    worst = np.array([[overrun(aimed, law) for law in LAWS] for aimed in chosen])
+    worst = np.array([[violation(aimed, law) for law in LAWS] for aimed in chosen])
     print(f"{'law':30s} {'inside':>6s} {'median':>7s} {'better':>6s} {'worse':>6s}")
     for law, found in zip(LAWS, worst.T, strict=True):
         change = found - worst[:, 0]

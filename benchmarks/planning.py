@@ -52,7 +52,7 @@ from coopqp.planning.closed_space import Budget, ClosedSpace
 from coopqp.planning.plan import Plan, Planner
 from coopqp.report.planning import write_plan
 from coopqp.scenario.loader import load
-from coopqp.scenario.planned import Followed, Way, following, way_tasks
+from coopqp.scenario.planned import PlanReference, Way, following, way_tasks
 from coopqp.scenario.scenario import Scenario
 from coopqp.study.explanation.goal import Room
 from coopqp.tasks import PointOnPoint
@@ -316,7 +316,7 @@ def goals(name: str, asked: argparse.Namespace) -> None:
         count["alone"] += _run(scenario)[0]
         if way.found:
             path, *_ = write_plan(way, replace(scenario, source=""), asked.out)
-            reached, most = _run(following(scenario, Followed(plan=path)))
+            reached, most = _run(following(scenario, PlanReference(plan=path)))
             beyond = max(beyond, most)
             count["followed"] += reached
             if not reached:

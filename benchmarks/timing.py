@@ -40,7 +40,7 @@ from coopqp.planning.time_along import TimedPath, time_along
 from coopqp.plant import Disturbance
 from coopqp.plants import Mujoco
 from coopqp.scenario.loader import load
-from coopqp.scenario.planned import Followed, following
+from coopqp.scenario.planned import PlanReference, following
 from coopqp.scenario.scenario import Scenario
 from coopqp.trace import Trace
 
@@ -166,7 +166,7 @@ def tracked(
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "timed.csv"
         file.write_text(csv_text(found.table(DT)), encoding="utf-8")
-        led = following(other, Followed(plan=file, late=REST)).held_by(law.name)
+        led = following(other, PlanReference(plan=file, late=REST)).held_by(law.name)
     led = led.changed(phases=led.phases[:1])
     trace = run(led, controller=law.name, timed=False)
     ticks = led.schedule[0].ticks(DT)

@@ -33,7 +33,7 @@ from coopqp.trace import TickBatch
 
 
 class InternalForceControl(Protocol):
-    """Who decides about the gap along one direction, because hands press there."""
+    """Who decides about the loop offset along one direction, because hands press there."""
 
     along: Array
     """That direction among all loops, a unit vector, shape (6 L,)."""
@@ -46,7 +46,7 @@ class InternalForceControl(Protocol):
     """A remark on the last tick."""
 
     def update(self, state: State) -> Status | None:
-        """Move the gap along it; what is wrong with the force, None if nothing is."""
+        """Move the loop offset along it; what is wrong with the force, None if nothing is."""
 
 
 TELL_APART = "add 'name:' to tell them apart"
@@ -306,7 +306,7 @@ class Law(ABC):
         """The first state, at q (n,) or the chain's start, with room for the law's memory.
 
         ``q_measured`` are measured joint positions, instead of q; the loop error there is taken for
-        the model's bias (``State.gap``). ``hand_wrench`` is that of the state.
+        the model's bias (``State.loop_offset``). ``hand_wrench`` is that of the state.
         """
         state = State(self.problem.chain, q, memory=Memory(self.memory_sizes))
         state.hand_wrench = hand_wrench
@@ -444,8 +444,8 @@ class Law(ABC):
             return self.decide(state)
 
     def _fits(self, state: State) -> bool:
-        n, gap = self.problem.chain.n, 6 * (len(self.problem.chain.arms) - 1)
-        fit = len(state.gap) == gap and len(state.felt) == 2 + gap
+        n, m = self.problem.chain.n, 6 * (len(self.problem.chain.arms) - 1)
+        fit = len(state.loop_offset) == m and len(state.observer_state) == 2 + m
         return fit and state.q.shape == state.v.shape == (n,)
 
     def refuse(self, why: Status, note: str = "") -> Command:

@@ -77,7 +77,7 @@ class DistanceBounds:
     """Rows of a limit that keeps pairs of bodies apart, for the kernel."""
 
     bodies: Sequence[tuple[int, Convex]]  # each with the id of its joint; 0 is the world
-    levers: Array  # how fast each joint, at speed 1, moves a body's points at most, (b, n) [m, 1]
+    max_point_speeds: Array  # of each body's points, by each joint at speed 1, (b, n) [m, 1]
     pairs: NDArray[np.int64]  # of bodies, as numbers in ``bodies``, shape (p, 2)
     distance: float  # to keep [m]
     gain: float  # share of what is left that may be used up per second [1/s]
@@ -171,7 +171,7 @@ class Limit(ABC):
 
 
 def damp(
-    room: Array, gain: Array, deep: NDArray[np.bool_], h: Array, shallow: float = SHALLOW
+    margin: Array, gain: Array, deep: NDArray[np.bool_], h: Array, shallow: float = SHALLOW
 ) -> None:
     """Velocity damper, d_dot >= -gain d, written to the right side of rows -d_dot <= h [m/s].
 
@@ -179,8 +179,8 @@ def damp(
     Below -shallow [m] it was there from the start: it may not decrease, but recovery could leave no
     motion at all, so there h = 0. All have shape (p,); ``deep`` is scratch, gain in 1/s.
     """
-    np.multiply(room, gain, h)
-    np.less(room, -shallow, deep)
+    np.multiply(margin, gain, h)
+    np.less(margin, -shallow, deep)
     np.copyto(h, 0.0, where=deep)
 
 

@@ -289,8 +289,8 @@ class Verifier:
         pushes = np.abs(solution.multipliers[: n + qp.p]) > IDLE * self.curvature
         if not qp.m or not pushes.any():
             return most
-        room = np.concatenate([np.minimum(solution.v - qp.lb, qp.ub - solution.v), slack])
-        reached = room <= IDLE
+        margin = np.concatenate([np.minimum(solution.v - qp.lb, qp.ub - solution.v), slack])
+        reached = margin <= IDLE
         on, held = pushes | reached, np.concatenate([pushes, np.ones(qp.m, bool)])
         C = qp.C[np.concatenate([on[n:], held[n + qp.p :]])]
         values = np.linalg.svd(C[:, ~on[:n]], compute_uv=False)  # of rows but bounds

@@ -257,9 +257,8 @@ class TaskStack:
         self.hard = np.repeat([task.mode == "hard" for task in tasks], sizes).astype(bool)
         self.priorities = np.repeat([task.priority for task in tasks], sizes).astype(int)
         #: Largest second derivative of each row's error [unit/rad2].
-        self.levers = np.array(
-            [lever for task in tasks for lever in levers_of(task, start.chain)], float
-        ).reshape(k)
+        bounds = (curvature_bounds_of(task, start.chain) for task in tasks)
+        self.curvature_bounds = np.array([*itertools.chain(*bounds)], float).reshape(k)
         self._asking = [
             part for task, part in zip(tasks, self.slices, strict=True) if task.asks_velocity
         ]
@@ -292,7 +291,7 @@ class TaskStack:
         most = self.gains * np.abs(self.e)
         for part in self._asking:
             most[part] = np.abs(self.J[part].dot(v) - self.rate[part])
-        most *= self.levers
+        most *= self.curvature_bounds
         return most
 
     def curvature(self, v: Array) -> float:
@@ -333,7 +332,7 @@ def rows_of(task: Task, chain: ClosedChain) -> tuple[Row, ...]:
     )
 
 
-def levers_of(task: Task, chain: ClosedChain) -> list[float]:
+def curvature_bounds_of(task: Task, chain: ClosedChain) -> list[float]:
     """L of each row: for metres the reach, more for round surfaces; 1 for angles, 0 for joints."""
     if task.joint_space:
         return [0.0] * len(task.rows(chain))

@@ -261,9 +261,9 @@ class Trace:
     measured: Annotated[Array, _ticks]
     #: The part of the loop error that each tick took for the model's own, loop by loop in the order
     #: of the phase's arms, zero for open ones, shape (T, 6 L) [m, rad].
-    gap: Annotated[Array, _padded]
+    loop_offset: Annotated[Array, _padded]
     #: What the law remembered when each tick began, zero beyond what it remembers, shape (T, .);
-    #: with t, commanded, gap and the v before it repeats the tick.
+    #: with t, commanded, loop_offset and the v before it repeats the tick.
     memory: Annotated[Array, _padded]
     position: Annotated[Array, _instants]  #: Of the object, shape (T + 1, 3) [m].
     rotation: Annotated[Array, _instants]  #: Of the object, shape (T + 1, 3, 3).

@@ -83,8 +83,8 @@ def checked(solver: Solver, qp: QP) -> tuple[Solution, Status]:
 def active(qp: QP, v: Array) -> tuple[Array, Array]:
     """Which of [-v; v; G v] press on -lb, ub and h, and those rows."""
     rows = np.vstack([-np.eye(N), np.eye(N), qp.G])
-    room = np.concatenate([-qp.lb, qp.ub, qp.h]) - rows @ v
-    return room < 1e-7, rows
+    margin = np.concatenate([-qp.lb, qp.ub, qp.h]) - rows @ v
+    return margin < 1e-7, rows
 
 
 def distance_from_optimality(qp: QP, v: Array) -> float:

@@ -158,7 +158,9 @@ class Cascade:
         pulls = counts * _counting(missed) * np.abs(missed)
 
         def damped() -> Array:
-            d = self._damping.of(float(tasks.weights @ (pulls * tasks.levers)), self._state)
+            d = self._damping.of(
+                float(tasks.weights @ (pulls * tasks.curvature_bounds)), self._state
+            )
             return self._nearest(J, w, tasks.weights, least + d)
 
         if counts > 0.0:
@@ -173,13 +175,15 @@ class Cascade:
 
     def _overreaches(self, tasks: TaskStack, J: Array, v: Array) -> float:
         """How far rows are softened that see J v of a motion."""
-        return self._damping.overreaches(tasks.levers, (J @ v).astype(float), v.astype(float))
+        return self._damping.overreaches(
+            tasks.curvature_bounds, (J @ v).astype(float), v.astype(float)
+        )
 
     def _at_limits(self, v: Array) -> float:
         """How near an exact motion v is to a limit, from 0 at NEAR to 1 at it."""
         sizes = np.sqrt((self._G * self._G).sum(axis=1))
-        room = (self._h - self._G @ v) / np.maximum(sizes, LONG(IDLE))
-        return min(max(1.0 - float(room.min(initial=NEAR)) / NEAR, 0.0), 1.0)
+        margin = (self._h - self._G @ v) / np.maximum(sizes, LONG(IDLE))
+        return min(max(1.0 - float(margin.min(initial=NEAR)) / NEAR, 0.0), 1.0)
 
     def _leave(
         self, tasks: TaskStack, J: Array, shares: Array, leaves: float, beside: tuple[Array, Array]
@@ -330,7 +334,7 @@ def _levels(problem: ControlProblem) -> list[list[Task]]:
 
 
 def _active(program: Program) -> list[int]:
-    """The limits that are active by quadprog, with a little room so that some motion is left."""
+    """The limits that are active by quadprog, with a little margin so that some motion is left."""
     M, C, G = (rows.astype(float) for rows in (program.M, program.C, program.G))
     P = M.T @ M
     P += 1e-14 * np.trace(P) * np.eye(len(P))

@@ -95,7 +95,7 @@ def why(law: KernelLaw) -> str:
 def ask_alike(other: State, state: State) -> None:
     """Let a state be as another one."""
     other.q[:], other.v[:], other.t = state.q, state.v, state.t
-    other.gap[:], other.corrected = state.gap, state.corrected
+    other.loop_offset[:], other.corrected = state.loop_offset, state.corrected
     other.memory.numbers[:] = state.memory.numbers
 
 

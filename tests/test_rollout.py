@@ -32,7 +32,8 @@ pytestmark = needs_kernel
 
 TICKS = 25  # of a phase
 #: What the law decides, and from what: the same bits, whoever looks at it.
-DECIDED = {"q", "v", "t", "commanded", "gap", "memory", "scale", "compiled", "status", "usable"}
+DECIDED = {"q", "v", "t", "commanded", "loop_offset", "memory", "scale", "compiled", "status"}
+DECIDED |= {"usable"}
 
 
 @cache

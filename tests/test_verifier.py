@@ -129,7 +129,7 @@ def test_answer_beyond_a_row_is_caught(lie: tuple[QP, Solution]) -> None:
     assert verdict(qp, exact.v, exact) is Status.BOUND_RESIDUAL
 
 
-def test_tiny_overrun_is_clipped_to_the_bound() -> None:
+def test_tiny_violation_is_clipped_to_the_bound() -> None:
     """The minimum of (v - 3)^2 / 2 with v <= 1 is at the bound; a solver may end 1e-8 beyond."""
     qp = empty_qp(n=2, p=0, m=0)
     qp.q[:], qp.ub[:] = -3.0, 1.0

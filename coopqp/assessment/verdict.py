@@ -35,7 +35,7 @@ def verdict(found: Assessment, metrics: Mapping[str, Any], unseen: Sequence[str]
     parts = [
         *_broken(found.trace), _hold(found, metrics), _arrival(found), _waits(found),
         _motion(found), _limits(found, unseen), _speed(found), _acceleration(found), loop,
-        _gap(metrics), saturation_words(found, "saturates "), _oscillation(found),
+        _loop_offset(metrics), saturation_words(found, "saturates "), _oscillation(found),
         _ticks(found, metrics),
     ]  # fmt: skip
     text = "; ".join(part for part in parts if part)
@@ -264,8 +264,8 @@ def loop_words(found: Assessment) -> str:
     return " and ".join(sizes)
 
 
-def _gap(metrics: Mapping[str, Any]) -> str:
-    position, orientation = metrics["gap"]["position"], metrics["gap"]["orientation"]
+def _loop_offset(metrics: Mapping[str, Any]) -> str:
+    position, orientation = (metrics["loop_offset"][of] for of in ("position", "orientation"))
     if position <= thresholds.MODEL_OFF and orientation <= thresholds.MODEL_OFF_ANGLE:
         return ""
     apart = [f"{_round(1e3 * position)} mm"] if resolved(position, thresholds.MODEL_OFF) else []

@@ -6,8 +6,8 @@ With e the direction from one hand to the other, the hands approach each other a
 
 where F is the measured squeeze. The force is proportional to the relative displacement, so this
 integrates the force error: none remains at rest, whatever the stiffness. It enters through the
-loop correction, J_c v = -kappa (e_c - gap): along e the gap is the commanded relative
-displacement, gap' = v, and in all other directions it is the estimated model bias
+loop correction, J_c v = -kappa (e_c - o): along e the loop offset o is the commanded relative
+displacement, o' = v, and in all other directions it is the estimated model bias
 (``model.loop_observer``), which leaves e out, since it would cancel the squeeze.
 
 With a series stiffness k between the hands, 1/k = 1/k_hand1 + 1/k_hand2 + 1/k_servos, and commands
@@ -84,10 +84,10 @@ def stability_limit(delay: int) -> float:
 
 
 class InternalForceControl:
-    """Moves the gap of a loop so that two hands squeeze with the wanted force.
+    """Moves the offset of a loop so that two hands squeeze with the wanted force.
 
     Attributes:
-        along: direction among all loops in which the gap is the squeeze's, shape (6 L,).
+        along: direction among all loops in which the loop offset is the squeeze's, shape (6 L,).
         gain: g [m/(s N)]. wanted: F_wanted of the last update; NaN before [N].
         memory_sizes: what a law must remember for it.
         note: details of the last tick's status.
@@ -119,30 +119,30 @@ class InternalForceControl:
         self._presses = any(hand.contact for hand in self._hands)
 
     def update(self, state: State) -> Status | None:
-        """Move the gap by how far the hands are to approach each other; the fault, if any.
+        """Move the loop offset by how far the hands are to approach each other; the fault, if any.
 
-        ``state`` has up-to-date kinematics; its ``gap`` and memory are written. Either the force
+        ``state`` has up-to-date kinematics; its offset and memory are written. Either the force
         was not measured, so the hands stay as they are, or the hands are at ``most_way`` and the
         force error exceeds the task's tolerance.
         """
         p = points(self._hands, state.p_WO, state.R_WO)
         e = (p[1] - p[0]) / np.linalg.norm(p[1] - p[0])
-        before, gap = state.memory[ALONG], state.gap[:3]
+        before, offset = state.memory[ALONG], state.loop_offset[:3]
         self.along[:3] = e
         error = self._force_error(state)
         if state.corrected < 1.0:
-            return self._status(error, -float(e.dot(gap)))
+            return self._status(error, -float(e.dot(offset)))
         if before.any():  # the squeeze turns with the object
-            gap += before.dot(gap) * (e - before)
+            offset += before.dot(offset) * (e - before)
         before[:] = e
         if not math.isfinite(error):
             return self._status(error, 0.0)
-        max_speed, way = self._settings.most_speed, -e.dot(gap)
+        max_speed, way = self._settings.most_speed, -e.dot(offset)
         target = way + self._dt * min(max(self.gain * error, -max_speed), max_speed)
         bound = max(self._settings.most_way, abs(way))
-        gap -= (min(max(target, -bound), bound) - way) * e
+        offset -= (min(max(target, -bound), bound) - way) * e
         state.update_drift()
-        return self._status(error, -float(e.dot(gap)))
+        return self._status(error, -float(e.dot(offset)))
 
     def _status(self, error: float, way: float) -> Status | None:
         """Status and note of a tick from the force error [N] and the displacement [m]."""

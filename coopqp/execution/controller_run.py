@@ -131,7 +131,7 @@ def begin_phase(
             plant.resume(before.plant)
         state = law.start(q_measured=plant.measured, hand_wrench=plant.hand_wrench)
     if before:
-        state.v[:], state.felt[0] = before.state.v, before.state.felt[0]
+        state.v[:], state.observer_state[0] = before.state.v, before.state.observer_state[0]
     return PhaseRun(
         scenario=scenario,
         controller=controller,

@@ -107,10 +107,10 @@ class Instants:
             if part.start >= motion:
                 self.task_error[k, i] = self.goal_error[k, i] = np.linalg.norm(self.e[k, part])
 
-    def follow(self, t: Array, q: Array, v: Array, gap: Array) -> None:
+    def follow(self, t: Array, q: Array, v: Array, offset: Array) -> None:
         """Compute all of it after the run, from t (T + 1,), q (T + 1, n) and v (T, n).
 
-        ``gap`` of the closed loops, shape (6 L,) [m, rad], has not changed.
+        ``offset`` of the closed loops, shape (6 L,) [m, rad], has not changed.
         """
         chain = self._problem.chain
         if self._evaluation is None:
@@ -118,7 +118,7 @@ class Instants:
             return
         found = self._evaluation.look(t, q, v if self._velocities else None)
         self.position, self.rotation = found.position, found.rotation
-        apart = found.loop_error[:, : len(gap)] - gap
+        apart = found.loop_error[:, : len(offset)] - offset
         sizes = np.linalg.norm(apart.reshape(len(t), -1, 2, 3), axis=3)
         self.loop = sizes.max(axis=1, initial=0.0)
         rows = found.e.shape[1] // 2

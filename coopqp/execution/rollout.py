@@ -92,7 +92,7 @@ Progress = Callable[[int], None]
 PROGRESS_EVERY = 50  # ticks
 OPTIMAL = (Status.OPTIMAL,)
 #: What of a trace a recorder has under the same name, what its ticks have, and its instants.
-RECORDED = "t", "commanded", "measured", "gap", "rows_us", "tick_us", "signals", "inputs"
+RECORDED = "t", "commanded", "measured", "loop_offset", "rows_us", "tick_us", "signals", "inputs"
 TICKS = "q", "v", "memory", "scale", "compiled"
 INSTANTS = "position", "rotation", "task_error", "goal_error", "e", "rate", "points"
 
@@ -170,12 +170,12 @@ class _Recorder:
     ) -> None:
         problem = law.problem
         n = problem.chain.n
-        self._law, self._plant = law, plant
+        self._law, self._plant, self._inputs_at_end = law, plant, start.inputs
         alone &= law.force_control is None and not start.inputs
         self.instants = Instants(problem, plant, start, ticks, alone=alone)
-        self._gap, self._inputs_at_end = start.gap[: len(start.closed_error)].copy(), start.inputs
+        self._offset = start.loop_offset[: len(start.closed_error)].copy()
         self.batch = TickBatch.empty(ticks, n, sum(law.memory_sizes.values()))
-        self.t, self.gap = np.zeros(ticks + 1), np.zeros((ticks, len(start.gap)))
+        self.t, self.loop_offset = np.zeros(ticks + 1), np.zeros((ticks, len(start.loop_offset)))
         self.commanded, self.measured = np.zeros((ticks, n)), np.full((ticks, n), np.nan)
         self._remembered, self._v_before = start.memory.numbers.copy(), start.v.copy()
         self.tick_us, self.rows_us = np.full((2, ticks), np.nan)
@@ -200,7 +200,7 @@ class _Recorder:
         self.t[0], self.t[1:] = t, law.problem.dt
         np.add.accumulate(self.t, out=self.t)  # as tick by tick, to the last digit
         self.batch, self.commanded = found, found.q[:-1]
-        self.gap[:, : len(self._gap)] = self._gap
+        self.loop_offset[:, : len(self._offset)] = self._offset
         return True
 
     def instant(self, k: int, state: State) -> None:
@@ -219,7 +219,7 @@ class _Recorder:
     def tick(self, k: int, command: Command, us: float, state: State) -> None:
         """Record what the law decided in tick k, and from what."""
         closed, batch = len(state.closed_error), self.batch
-        self.commanded[k], self.gap[k, :closed] = state.q, state.gap[:closed]
+        self.commanded[k], self.loop_offset[k, :closed] = state.q, state.loop_offset[:closed]
         measured = state.q if command.tau is not None else state.q_measured
         if measured is not None:
             self.measured[k] = measured
@@ -237,7 +237,7 @@ class _Recorder:
     def trace(self, controller: str, solver: str | None, supports: Features) -> Trace:
         problem, instants, batch = self._law.problem, self.instants, self.batch
         chain, q, v = problem.chain, batch.q, batch.v
-        instants.follow(self.t, q, v, self._gap)
+        instants.follow(self.t, q, v, self._offset)
         usable, inaccurate = np.ones(len(v), bool), np.zeros(len(v), bool)
         status, failures = [Status.OPTIMAL.name] * len(v), list[Failure]()
         for k, causes in enumerate(batch.causes):

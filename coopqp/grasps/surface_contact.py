@@ -102,10 +102,10 @@ class Pad(Contact):
         for a, b in itertools.product((1.0, -1.0), repeat=2):
             # a Y fx + b X fy + sign tz <= m ((X + Y) fz - sign (a tx + b ty))
             for sign in (1.0, -1.0):
-                room = (X + Y) * fz - sign * (a * tx + b * ty)
+                margin = (X + Y) * fz - sign * (a * tx + b * ty)
                 force = a * Y * fx + b * X * fy + sign * tz
                 if force > 0.0:
-                    need = max(need, force / room if room > 0.0 else np.inf)
+                    need = max(need, force / margin if margin > 0.0 else np.inf)
         return float(need)
 
 

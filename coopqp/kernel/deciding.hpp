@@ -63,7 +63,7 @@ class Engine {
         b.q = q_now_ = of("q");
         b.v_last = v_now_ = of("v");
         commanded_ = of("commanded");
-        b.gap = of("gap");
+        b.loop_offset = of("loop_offset");
         b.p_WO = of("p_WO");
         b.R_WO = of("R_WO");
         b.loop_error = of("loop_error");
@@ -77,8 +77,8 @@ class Engine {
         b.recovery = of("recovery");
         b.chatter = of("chatter");
         stopped_ = of("stopped");
-        gap_ = of("gap");
-        felt_ = of("felt");
+        loop_offset_ = of("loop_offset");
+        observer_state_ = of("observer_state");
         b.v = of("command");
         const auto memory = nb::cast<Written>(d["memory"]);
         memory_ = memory.data();
@@ -192,7 +192,7 @@ class Engine {
     // A whole tick, and the step q += v dt of joints that do as told, where it has an answer, after
     // which Python's objects are as an optimal one leaves them; not where the law stands still, is
     // bound to another state, something of it is not usual, or the tick before has not done all of
-    // the drift correction.
+    // the Baumgarte stabilisation.
     int step(nb::handle state) {
         const Use use(*this);
         double t, corrected;
@@ -280,17 +280,17 @@ class Engine {
         }
     }
 
-    // Where joints are a tick after q that go towards x, with the loops left open by gap; q itself
+    // Where joints are a tick after q that go towards x, with the loops left open by the offset; q itself
     // where there is no answer, which is told. Of one task of least velocity. about: where they will be at about;
     // null: only bodies that are near by now count.
-    bool toward(const double* q, const double* x, const double* gap, const double* about, double* to) {
+    bool toward(const double* q, const double* x, const double* loop_offset, const double* about, double* to) {
         const auto& m = kernel_->model();
         const double dt = kernel_->settings().dt;
         for (std::size_t j = 0; j < m.joints.size(); j++) {
             q_now_[j] = q[j];
             v_now_[j] = about ? (about[j] - q[j]) / dt : 0.0;
         }
-        if (gap) std::copy_n(gap, 6 * m.loops(), gap_);
+        if (loop_offset) std::copy_n(loop_offset, 6 * m.loops(), loop_offset_);
         std::fill_n(kernel_->bound.chatter, 1 + m.joints.size(), 0.0);
         kernel_->looks_again = about;
         coopqp::Status status = kernel_->update(0.0);
@@ -428,7 +428,7 @@ class Engine {
     int evaluate(double t, bool learns = false) {
         const int status = int(kernel_->update(t));
         if (status) return status;
-        if (learns && !kernel_->learn(*observer_, reading_, gap_, felt_))
+        if (learns && !kernel_->learn(*observer_, reading_, loop_offset_, observer_state_))
             return int(coopqp::Status::Unusual);
         fill(t);
         return 0;
@@ -542,7 +542,7 @@ class Engine {
     nb::object state_, limits_, measured_, read_, observing_;
     std::unique_ptr<coopqp::LoopObserver> observer_;
     const double* reading_ = nullptr;
-    double *gap_ = nullptr, *felt_ = nullptr;
+    double *loop_offset_ = nullptr, *observer_state_ = nullptr;
     nb::list rows_;
     nb::dict references_;
     double *q_now_ = nullptr, *v_now_ = nullptr, *commanded_ = nullptr;

@@ -17,7 +17,7 @@ from coopqp.model.state import State
 from coopqp.program import sees_twist
 from coopqp.robot import Convex, axis_of
 from coopqp.signal import InputValues, Moment
-from coopqp.task import Programs, Task, TaskStack, evaluate_all, levers_of
+from coopqp.task import Programs, Task, TaskStack, curvature_bounds_of, evaluate_all
 
 Flat = dict[str, Any]
 
@@ -104,9 +104,9 @@ def flat_twist_limit(bounds: TwistBounds, at: int) -> Flat:
 
 def flat_distances(chain: ClosedChain, bounds: DistanceBounds) -> Flat:
     """Pairs of bodies as numbers."""
-    bodies = zip(bounds.bodies, bounds.levers, strict=True)
+    bodies = zip(bounds.bodies, bounds.max_point_speeds, strict=True)
     return {
-        "solids": [_flat_solid(chain, *body, levers) for body, levers in bodies],
+        "solids": [_flat_solid(chain, *body, speeds) for body, speeds in bodies],
         "pairs": bounds.pairs.astype(float).ravel(),
         "distance": float(bounds.distance),
         "gain": float(bounds.gain),
@@ -114,7 +114,7 @@ def flat_distances(chain: ClosedChain, bounds: DistanceBounds) -> Flat:
     }
 
 
-def _flat_solid(chain: ClosedChain, joint: int, convex: Convex, levers: Array) -> Flat:
+def _flat_solid(chain: ClosedChain, joint: int, convex: Convex, speeds: Array) -> Flat:
     A, X = chain.once(turned)[joint].T, convex.placement
     return {
         "joint": float(joint - 1),
@@ -125,7 +125,7 @@ def _flat_solid(chain: ClosedChain, joint: int, convex: Convex, levers: Array) -
         "rim": float(convex.rim),
         "points": np.array(convex.points, float).ravel(),
         "edges": convex.edges.astype(float).ravel(),
-        "levers": np.array(levers, float),
+        "max_point_speeds": np.array(speeds, float),
     }
 
 
@@ -160,7 +160,7 @@ def _z_along(axis: Array) -> Array:
 
 
 #: Numbers of a level's rows.
-ROW = ("gain", "weight", "lever", "asks_velocity", "twist", "share")
+ROW = ("gain", "weight", "curvature_bound", "asks_velocity", "twist", "share")
 
 
 @dataclass(frozen=True)
@@ -251,7 +251,7 @@ class Levels:
     ) -> None:
         """Add a task's rows to a level, as primitives where it has any."""
         program, at, twist = self._programs.of(task), len(rows), False
-        levers, weight, gain = levers_of(task, self._start.chain), task.weight, task.gain
+        bounds, weight, gain = curvature_bounds_of(task, self._start.chain), task.weight, task.gain
         if program is None or not all(p.compiles and p.of_joints == joints for p in program):
             stack = TaskStack([task], self._start)
             block = stack.e, stack.J, stack.rate
@@ -266,9 +266,9 @@ class Levels:
                     of_kind.append((len(self.primitives), primitive.reference))
                 self.primitives.append({**primitive.flat(self._start), **numbers, "at": float(at)})
                 at += len(primitive.rows)
-            levers = levers[: at - len(rows)]
+            bounds = bounds[: at - len(rows)]
         if not joints:
-            rows += [(gain, weight, lever, task.asks_velocity, twist, share) for lever in levers]
+            rows += [(gain, weight, bound, task.asks_velocity, twist, share) for bound in bounds]
 
 
 #: What the compiled arrays hold: joints of two arms, joints that move several arms, loops.

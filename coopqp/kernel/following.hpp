@@ -40,21 +40,21 @@ class Following {
         double* now = q.data();
         for (std::size_t k = 0; k < changed.size(); k++) {
             const double* asked = x.data() + k * n_;
-            double *to = found.data() + k * n_, gap[6];
+            double *to = found.data() + k * n_, loop_offset[6];
             std::copy_n(now, n_, before.data() + k * n_);
-            opened.data()[k] = holds ? open(asked, gap) : 0.0;
+            opened.data()[k] = holds ? open(asked, loop_offset) : 0.0;
             const bool fine = opened.data()[k] == 0.0 && reaches(now, asked, rounding) && goes(now, asked);
             changed.data()[k] = !fine;
             std::copy_n(asked, n_, to);
-            if (!fine && !recorded && !go_near(now, asked, holds ? gap : nullptr, to)) return k;
+            if (!fine && !recorded && !go_near(now, asked, holds ? loop_offset : nullptr, to)) return k;
             std::copy_n(to, n_, now);
         }
         return changed.size();
     }
 
   private:
-    // How far x opens the loop by more than it may [m], and the squeeze that it asks for, gap.
-    double open(const double* x, double* gap) {
+    // How far x opens the loop by more than it may [m], and the squeeze that it asks for, offset.
+    double open(const double* x, double* offset) {
         coopqp::Kinematics& seen = held_.kernel().kinematics;
         seen.place(x);
         seen.measure();
@@ -63,11 +63,11 @@ class Following {
         const double size = std::max(std::sqrt(dot(along, along)), 1e-9);
         const coopqp::V3 u = (1.0 / size) * along;
         const double closer = std::min(std::max(u.x * e[0] + u.y * e[1] + u.z * e[2], 0.0), squeeze_);
-        std::fill_n(gap, 6, 0.0);
-        gap[0] = closer * u.x;
-        gap[1] = closer * u.y;
-        gap[2] = closer * u.z;
-        const double off = std::hypot(e[0] - gap[0], e[1] - gap[1], e[2] - gap[2]);
+        std::fill_n(offset, 6, 0.0);
+        offset[0] = closer * u.x;
+        offset[1] = closer * u.y;
+        offset[2] = closer * u.z;
+        const double off = std::hypot(e[0] - offset[0], e[1] - offset[1], e[2] - offset[2]);
         return off > position_ || std::hypot(e[3], e[4], e[5]) > orientation_ ? std::max(off, 1e-9) : 0.0;
     }
 
@@ -102,24 +102,24 @@ class Following {
         return way_.data();
     }
 
-    // Where a frame's step leads from q towards x; gap: of arms that hold. False where bodies are in
+    // Where a frame's step leads from q towards x; loop_offset: of arms that hold. False where bodies are in
     // each other, and no law says how to go on.
-    bool go_near(const double* q, const double* x, const double* gap, double* to) {
+    bool go_near(const double* q, const double* x, const double* loop_offset, double* to) {
         for (std::size_t j = 0; j < n_; j++) x_[j] = std::min(std::max(x[j], lower_[j]), upper_[j]);
         // Without asking for distances first, which most frames keep.
-        if (gap) {
-            held_.toward(q, x_.data(), gap, nullptr, goal_.data());
+        if (loop_offset) {
+            held_.toward(q, x_.data(), loop_offset, nullptr, goal_.data());
         } else {
             for (std::size_t j = 0; j < n_; j++)
                 goal_[j] = std::min(std::max(x_[j], q[j] - step_[j]), q[j] + step_[j]);
             for (std::size_t j = 0; j < n_; j++)
                 goal_[j] = std::min(std::max(goal_[j], lower_[j]), upper_[j]);
         }
-        Engine& law = gap ? careful_ : apart_;
+        Engine& law = loop_offset ? careful_ : apart_;
         bool told = true, there = goes(q, goal_.data());
         for (const double* about : {(const double*)nullptr, (const double*)goal_.data()}) {
             if (there) break;
-            told = law.toward(q, x_.data(), gap, about, goal_.data());
+            told = law.toward(q, x_.data(), loop_offset, about, goal_.data());
             there = goes(q, goal_.data());
         }
         std::copy(goal_.begin(), goal_.end(), to);

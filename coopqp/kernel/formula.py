@@ -54,10 +54,10 @@ class FormulaLaw(Law):
         return command
 
     def _solves(self, whole: Compiled, state: State) -> bool:
-        now = state, state.q, state.v, state.gap, self.command
+        now = state, state.q, state.v, state.loop_offset, self.command
         if any(a is not b for a, b in zip(now, self._shown, strict=True)):
             self._shown = (None,) * 5
-            if not (self._fits(state) and plain_numbers(state.q, state.v, state.gap)):
+            if not (self._fits(state) and plain_numbers(state.q, state.v, state.loop_offset)):
                 return False
             memory = Memory(memory_sizes(self.problem, 2))
             if whole.bind(state, memory, self.command.v) is None:

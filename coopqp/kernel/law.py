@@ -55,7 +55,7 @@ RESTS = {
 IN_A_RUN = {**ALL_WELL, **RESTS}
 AT_ONCE = 1000  # ticks of a run without Python
 #: Attributes of a state whose objects the kernel is bound to.
-BOUND_TO = "q", "v", "gap", "felt", "memory", "inputs"
+BOUND_TO = "q", "v", "loop_offset", "observer_state", "memory", "inputs"
 
 
 class KernelLaw(Law):
@@ -272,8 +272,8 @@ class KernelLaw(Law):
 
     def _shows(self, state: State) -> bool:
         """Bind the arrays of a state; whether the kernel may decide at them."""
-        memory = state.memory
-        if not self._fits(state) or not plain_numbers(state.q, state.v, state.gap, state.felt):
+        memory, numbers = state.memory, (state.q, state.v, state.loop_offset, state.observer_state)
+        if not (self._fits(state) and plain_numbers(*numbers)):
             return False
         if memory.sizes != self.memory_sizes:
             state.memory = memory = Memory(self.memory_sizes)

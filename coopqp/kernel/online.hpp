@@ -186,7 +186,7 @@ class Samples {
         const auto told = [&](int t, std::size_t i) {
             return 0.5 * (of(c_, t - lag / 2)[i] + of(c_, t - (lag + 1) / 2)[i]);
         };
-        std::vector<double> A(n * m), U(n * n), values(m + 1), variance(n), sag(n), bends;
+        std::vector<double> A(n * m), U(n * n), values(m + 1), variance(n), sag(n), second_differences;
         for (std::size_t i = 0; i < n; i++)
             for (std::size_t k = 0; k < m; k++)
                 A[i * m + k] = compliance_[i] * J.data()[k * all + own_[i]];
@@ -206,10 +206,12 @@ class Samples {
             for (std::size_t i = 0; i < n; i++) {
                 sag[i] += bent[i] * bent[i] / T;
                 if (t > first + 1)
-                    bends.push_back(std::fabs(of(m_, t)[i] - 2.0 * of(m_, t - 1)[i] + of(m_, t - 2)[i]));
+                    second_differences.push_back(
+                        std::fabs(of(m_, t)[i] - 2.0 * of(m_, t - 1)[i] + of(m_, t - 2)[i]));
             }
         }
-        const double noise = std::max(coopqp::READING_NOISE, coopqp::OF_BENDS * median(bends));
+        const double noise = std::max(coopqp::READING_NOISE,
+                                      coopqp::OF_SECOND_DIFFERENCES * median(second_differences));
         std::vector<double> turns(n), turn(n * m), M = squared(A, m, nothing);
         for (std::size_t i = 0; i < n; i++)
             for (std::size_t k = 0; k < m; k++) {
@@ -229,10 +231,11 @@ class Samples {
         for (std::size_t i = 0; i < n; i++) {
             double speed = 0.0;
             for (int t = first + 1; t <= last; t++) speed += std::fabs(told(t, i) - told(t - 1, i));
-            const double bend = told(first + 2 * half, i) - 2.0 * told(first + half, i) + told(first, i);
+            const double second_difference =
+                told(first + 2 * half, i) - 2.0 * told(first + half, i) + told(first, i);
             const double terms[] = {noise, band_[i], coopqp::LAG_NOISE * speed / (h_ * std::max(1, T - 1)),
                                     coopqp::STIFFNESS_NOISE * std::sqrt(sag[i]), load.data()[own_[i]],
-                                    coopqp::INERTIA_NOISE * bend / (h_ * h_ * std::max(half * half, 1)),
+                                    coopqp::INERTIA_NOISE * second_difference / (h_ * h_ * std::max(half * half, 1)),
                                     compliance_[i] * std::sqrt(turns[i] / 3.0)};
             for (double term : terms) variance[i] += term * term;
         }

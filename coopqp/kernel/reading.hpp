@@ -98,7 +98,7 @@ coopqp::Level level_of(const nb::dict& d, const coopqp::Model& m, coopqp::Arena&
     coopqp::Level level;
     level.gain = numbers(d, "gain");
     level.weight = numbers(d, "weight");
-    level.lever = numbers(d, "lever");
+    level.curvature_bound = numbers(d, "curvature_bound");
     for (int x : integers(d, "asks_velocity")) level.asks_velocity.push_back(char(x));
     for (int x : integers(d, "twist")) level.twist.push_back(char(x));
     level.rows = int(level.gain.size());
@@ -191,7 +191,7 @@ coopqp::Solid solid_of(const nb::dict& d) {
     coopqp::Solid solid;
     solid.joint = int(number(d, "joint"));
     solid.at = placement(numbers(d, "placement").data());
-    solid.levers = numbers(d, "levers");
+    solid.max_point_speeds = numbers(d, "max_point_speeds");
     coopqp::Convex& convex = solid.convex;
     convex.form = static_cast<coopqp::Form>(int(number(d, "form")));
     const auto half = numbers(d, "half"), points = numbers(d, "points");

@@ -98,15 +98,15 @@ class KeepApart(Limit):
         """Fill the rows, whether pairs are near or not.
 
         Of what a pair is farther apart than ``within`` all may be used up in a tick. It has a row
-        there if it could come closer than ``distance`` before the next, by its :func:`levers` and
-        the bounds on v. InvalidValueError: the gain overshoots in a tick dt [s].
+        there if it could come closer than ``distance`` before the next, by the bounds on v and
+        :func:`max_closing_speeds`. InvalidValueError: the gain overshoots in a tick dt [s].
         """
         self._check_gain(dt)
         pairs, distance, gain = self.watched(chain), self.distance, self.gain
         found, count = Distances(pairs), len(pairs)
         corners, later = Corners(pairs, found, distance), min(LATER * gain, 1.0 / dt - gain)
         gains, shallow = np.full(count + ROWS, gain), max(distance, SHALLOW)
-        deep, ways = np.zeros(count + ROWS, bool), dt * levers(chain, pairs)
+        deep, ways = np.zeros(count + ROWS, bool), dt * max_closing_speeds(chain, pairs)
         first, second = _moved(chain, pairs)
         sign = first - second  # joints that move both bodies change no distance
 
@@ -116,7 +116,7 @@ class KeepApart(Limit):
             far = np.maximum(ways.dot(speed) + distance, self.within)
             found.update(far)
             corners.update()
-            damp(np.concatenate([found.d - distance, corners.room]), gains, deep, rows.h, shallow)
+            damp(np.concatenate([found.d - distance, corners.margin]), gains, deep, rows.h, shallow)
             rows.h[:count] += (1.0 / dt - gain) * np.maximum(found.d - self.within, 0.0)
             rows.h[count:] += later * corners.behind
             rows.G[:] = 0.0
@@ -137,7 +137,7 @@ class KeepApart(Limit):
         at = {body: i for i, body in enumerate(bodies)}
         return DistanceBounds(
             bodies=[(body.joint, body.convex) for body in bodies],
-            levers=_levers_of(chain, bodies),
+            max_point_speeds=_max_point_speeds(chain, bodies),
             pairs=np.array([[at[a], at[b]] for a, b in pairs], np.int64).reshape(-1, 2),
             distance=self.distance,
             gain=self.gain,
@@ -224,7 +224,7 @@ class Corners:
     at p: the plane is fixed to its body and turns with it. Bodies are never nearer than that plane.
 
     Attributes:
-        room: margin of each corner to the distance kept from the other body's plane; that of rows
+        margin: of each corner to the distance kept from the other body's plane; that of rows
             without a corner is large, shape (ROWS,) [m].
         behind: how much farther away it is than the pair's nearest point, shape (ROWS,) [m].
         pair: which pair each corner belongs to, shape (ROWS,).
@@ -236,22 +236,22 @@ class Corners:
         self._pairs, self._found, self._distance = pairs, found, distance
         # Which can touch in more than one point.
         self._flat = [all(len(body.convex.points) > 1 for body in pair) for pair in pairs]
-        self.room, self.behind, self.W = np.ones(ROWS), np.zeros(ROWS), np.zeros((ROWS, 6))
+        self.margin, self.behind, self.W = np.ones(ROWS), np.zeros(ROWS), np.zeros((ROWS, 6))
         self.pair, self.count = np.zeros(ROWS, np.int64), 0
 
     def update(self) -> None:
         found = self._found
         if self.count:
-            self.room[:], self.behind[:], self.W[:], self.count = 1.0, 0.0, 0.0, 0
-        room = found.d[found.near] - self._distance
-        (close,) = (room < CLOSE).nonzero()
-        for k in close[room[close].argsort(kind="stable")].tolist():
+            self.margin[:], self.behind[:], self.W[:], self.count = 1.0, 0.0, 0.0, 0
+        margin = found.d[found.near] - self._distance
+        (close,) = (margin < CLOSE).nonzero()
+        for k in close[margin[close].argsort(kind="stable")].tolist():
             pair = int(found.near[k])
             if not self._flat[pair]:
                 continue
             n = found.n[pair]
             for corner, s in self._corners(pair, n, found.p[pair])[: ROWS - self.count]:
-                self.room[self.count], self.pair[self.count] = s - self._distance, pair
+                self.margin[self.count], self.pair[self.count] = s - self._distance, pair
                 self.behind[self.count] = max(s - found.d[pair], 0.0)
                 self.W[self.count] = _wrenches(n, corner)
                 self.count += 1
@@ -313,7 +313,7 @@ def _wrenches(n: Array, p: Array) -> Array:
     return np.concatenate([n, np.cross(p, n)], axis=-1)
 
 
-def levers(chain: ClosedChain, pairs: Sequence[Pair]) -> Array:
+def max_closing_speeds(chain: ClosedChain, pairs: Sequence[Pair]) -> Array:
     """How fast each joint, at speed 1, can close each pair at most, shape (p, n) [m, 1].
 
     A joint that turns moves no point of a body faster than its speed times the longest way from its
@@ -321,7 +321,7 @@ def levers(chain: ClosedChain, pairs: Sequence[Pair]) -> Array:
     own speed. Of a pair only joints that move one of the two count.
     """
     first, second = _moved(chain, pairs)
-    both = (_levers_of(chain, [pair[side] for pair in pairs]) for side in (0, 1))
+    both = (_max_point_speeds(chain, [pair[side] for pair in pairs]) for side in (0, 1))
     return np.asarray(sum(both) * (first != second), float)
 
 
@@ -330,7 +330,7 @@ def _moved(chain: ClosedChain, pairs: Sequence[Pair]) -> list[Array]:
     return [movers(chain, [pair[side].joint for pair in pairs]) for side in (0, 1)]
 
 
-def _levers_of(chain: ClosedChain, bodies: Sequence[Body]) -> Array:
+def _max_point_speeds(chain: ClosedChain, bodies: Sequence[Body]) -> Array:
     """Longest way from each joint to a body's far end, 1 where the joint slides, shape (k, n)."""
     far = {b: np.linalg.norm(b.convex.placement.translation) + b.convex.radius for b in {*bodies}}
     far_ends = np.array([far[body] for body in bodies])  # from the joints' frames, at most [m]

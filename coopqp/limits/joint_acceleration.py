@@ -64,7 +64,7 @@ class JointAcceleration(Limit):
         return JointBounds(of=Bounded.BRAKING, lower=lower, upper=upper, step=step)
 
     def margins(self, chain: ClosedChain, q: Array, v: Array, dt: float) -> dict[Row, Array]:
-        """Acceleration left, from rest at first, and room left after braking to rest."""
+        """Acceleration left, from rest at first, and margin left after braking to rest."""
         a = self._limits(chain)
         change = np.diff(v, axis=0, prepend=np.zeros((1, chain.n))) / dt
         lower, upper = self._ends(chain)
@@ -83,9 +83,9 @@ class JointAcceleration(Limit):
         return np.vstack([chain.lower + self.margin, chain.upper - self.margin])
 
 
-def _fastest(room: Array, step: Array, dt: float) -> Array:
-    """Speed with a room to the bound; a joint outside its range may not go further out."""
-    s = np.maximum(room * (2.0 / (step * dt)), 0.0)
+def _fastest(margin: Array, step: Array, dt: float) -> Array:
+    """Speed with a margin to the bound; a joint outside its range may not go further out."""
+    s = np.maximum(margin * (2.0 / (step * dt)), 0.0)
     M = np.maximum(np.rint(np.sqrt(s + 0.25)), 1.0)
     return np.asarray((s / M + M - 1.0) * (0.5 * step))
 

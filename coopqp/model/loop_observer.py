@@ -5,7 +5,7 @@ open by some b, a loop-closure offset that changes slowly. With e_c = e(q) at th
 configuration, e_m at the measured one, and compliance between them, the internal force is
 proportional to e_c - e_m: it vanishes where the *command* carries the model's error. Hence
 
-    J_c v = -kappa (e_c - gap),     gap' = (e(q_m - u) - e_c) / time
+    J_c v = -kappa (e_c - o),     o' = (e(q_m - u) - e_c) / time
 
 Correcting e_m, or all of e_c, to zero would integrate b without end, until the motors saturate. The
 observer is stable for every delay while the compliance of the grasp is part of the whole (small
@@ -21,7 +21,7 @@ with the h_i as grips alike share them, forces at the hands' points and as littl
 h = W G' (G W G')^-1 w, W = diag(1, (0.03 m)^2). Grips that yield transmit no more. It opens the
 loop by d without any squeeze: an observer of e_m alone would rest only where the hands pull by d
 over the servos' compliance, and never on grips that creep. What d changes by as the arms move is
-known, and so taken off the gap at once, gap' = ... - d'; the rest would lag behind by ``time``. The
+known, and so taken off o at once, o' = ... - d'; the rest would lag behind by ``time``. The
 load is the object's weight, less what is fed forward, where the stiffness is known, else nothing,
 until it is felt: at rest, by least squares of q_m - q_c. Servos that act by the arms' inertia tell
 of it while they move, too, with lags T and frequencies omega that are alike in all joints, by
@@ -33,10 +33,10 @@ Noise of 0.5 mrad or a delay of 0.1 s would make that run away: only simulators 
 
 Where a joint may stay behind its servo's command by a dead band, so much of q_m - q_c is none.
 
-What is wrong with u then winds up a grip that creeps: it gives way as fast as the gap moves, and
-what is left of e(q_m - u) - e_c stays. So a loop's gap stays, too, where a second at rest has left
-what there was, and another one, until the object moves or something has happened to the hands; its
-position and its rotation each for itself, since one may be at its bound meanwhile.
+What is wrong with u then winds up a grip that creeps: it gives way as fast as the offset moves,
+and what is left of e(q_m - u) - e_c stays. So a loop's offset stays, too, where a second at rest
+has left what there was, and another one, until the object moves or something has happened to the
+hands; its position and its rotation each for itself, since one may be at its bound meanwhile.
 """
 
 from __future__ import annotations
@@ -77,14 +77,14 @@ FEELS_MOVING, OF_WEIGHT, LATE, LAG_DOUBT = 0.05, 0.3, (0.1, 3e-3), 2e-3
 #: Smaller sags of unknown servos may as well be errors of their feed-forward [rad].
 SLIGHT = 2e-4
 #: Share of what is left of a loop's error by which it must change in a span at rest [s], else its
-#: gap stays after so many of them; what it must change by for the gap to move again [m], a rotation
-#: counts as below.
+#: offset stays after so many of them; what it must change by for the offset to move again [m], a
+#: rotation counts as below.
 STALLED, SPAN, SPANS, HAPPENED = 0.03, 1.0, 2, 5e-4
 #: Size of a grip: its rotational stiffness over the other is (this)^2 [m].
 GRIP_SIZE = 0.03
 #: An object that is commanded to move faster does not rest: the servos' lag would count as a sag
-#: [m/s]; a rotation counts by 0.1 m. Joints may move meanwhile, in the null space or as the gap has
-#: them move: hands that do not move, or move apart, tell of no load; but not faster [rad/s].
+#: [m/s]; a rotation counts by 0.1 m. Joints may move meanwhile, in the null space or as the offset
+#: has them move: hands that do not move, or move apart, tell of no load; but not faster [rad/s].
 MOVES, REST, TURN_COUNTS = 0.5, 0.005, 0.1
 SPEEDS = np.repeat([1.0, TURN_COUNTS], 3)
 #: A load that is felt makes no joint sag by more [rad], unless of the sags so much has its shape,
@@ -169,14 +169,14 @@ class WeightSag:
 
 
 class LoopObserver:
-    """Estimates ``State.gap``.
+    """Estimates ``State.loop_offset``.
 
     InvalidValueError: the settings name a joint that there is not.
 
     Attributes:
         at_bound: arms whose loops with the first one are at their bound since the last update.
         note: what is wrong, where something is.
-        paused: whether what is measured now is not to be believed, so that the gap stays.
+        paused: whether what is measured now is not to be believed, so that the loop offset stays.
         feels_in_motion: whether it follows the load in motion as well.
         dead_band: of each joint, shape (n,) [rad, m].
     """
@@ -263,7 +263,7 @@ class LoopObserver:
 
     def sag(self, state: State) -> Array:
         """What the load that is felt makes each joint sag by, shape (n,) [rad]."""
-        load = float(state.felt[0])
+        load = float(state.observer_state[0])
         return self._sag.sag * (load if math.isfinite(load) else 0.0)
 
     def begin(self, state: State) -> None:
@@ -271,7 +271,7 @@ class LoopObserver:
         self._measured.q[:] = state.q  # made now, not in a tick
         state.update()
         self._first(state, state.loop_error)
-        state.gap[:] = state.loop_error
+        state.loop_offset[:] = state.loop_error
         state.update()
 
     def update(self, state: State, along: Array | None = None) -> bool:
@@ -286,7 +286,7 @@ class LoopObserver:
         if not learns:
             return True
         measured.q[:] = found
-        if math.isnan(state.felt[0]):
+        if math.isnan(state.observer_state[0]):
             measured.update_poses()
             self._first(state, measured.loop_error)
         began, before = self._told[2] == 0.0, self._sag.opened.copy()
@@ -297,22 +297,22 @@ class LoopObserver:
         left = _without(measured.loop_error - state.loop_error, along)
         halves = (left.reshape(-1, 6) * SPEEDS).reshape(-1, 3)
         self._look_back(halves, rests=rests)
-        learnt = np.repeat(self._learns(halves, state.felt[1]), 3) * left
+        learnt = np.repeat(self._learns(halves, state.observer_state[1]), 3) * left
         if not began:
             learnt += load * before - opened
-        about = state.felt[2:] - opened
+        about = state.observer_state[2:] - opened
         learnt[len(state.closed_error) :] = 0.0  # what holds nothing has no offset
-        pressed = 0.0 if along is None else along.dot(state.gap) * along
-        state.gap -= pressed
-        self._learn(state.gap, _without(learnt, along), _without(about, along))
-        state.gap += pressed
+        pressed = 0.0 if along is None else along.dot(state.loop_offset) * along
+        state.loop_offset -= pressed
+        self._learn(state.loop_offset, _without(learnt, along), _without(about, along))
+        state.loop_offset += pressed
         state.update_drift()
         return True
 
     def _first(self, state: State, error: Array) -> None:
         """Believe in the object's weight where the servos' stiffness says what it does."""
-        state.felt[0] = self._weight - self._fed_forward if self._known else 0.0
-        state.felt[1], state.felt[2:] = 0.0, error
+        state.observer_state[0] = self._weight - self._fed_forward if self._known else 0.0
+        state.observer_state[1], state.observer_state[2:] = 0.0, error
         self._told[2], self._sampled = 0.0, -1.0
         self._samples[:] = math.nan
         self._look_back(self._left[2], rests=False)
@@ -332,7 +332,7 @@ class LoopObserver:
         samples, found = self._samples, state.reading
         samples[1:] = samples[:-1].copy()
         samples[0] = state.q, np.full(len(state.q), math.nan) if found is None else found
-        if not np.isfinite(samples).all() or math.isnan(state.felt[0]):
+        if not np.isfinite(samples).all() or math.isnan(state.observer_state[0]):
             return
         h, (c, m), then = self._every * self._dt, samples.swapaxes(0, 1), self._measured
         then.q[:], then.v[:] = c[1], state.v  # as the sag is of then
@@ -340,7 +340,7 @@ class LoopObserver:
         if _rests(then):
             return
         v, a = (m[0] - m[2]) / (2.0 * h), (m[0] - 2.0 * m[1] + m[2]) / h**2
-        lag = m[1] - c[1] - state.felt[0] * self._sag.sag
+        lag = m[1] - c[1] - state.observer_state[0] * self._sag.sag
         yields = np.diag(self._compliance) > 0.0
         root = np.linalg.cholesky(self._compliance[np.ix_(yields, yields)])
         squeezed = np.linalg.qr(root.T @ then.J_rel.T[yields])[0]
@@ -351,13 +351,13 @@ class LoopObserver:
         doubt = float(np.linalg.norm(np.linalg.solve(root, doubts))) / len(doubts) ** 0.5
         A, prior = causes[:, :3], doubt / np.array([*LATE, self._weight])
         more = float(np.linalg.solve(A.T @ A + np.diag(prior**2), A.T @ causes[:, 3])[2])
-        more = max(more, -self._fed_forward - float(state.felt[0]))
-        usual = OF_WEIGHT * self._weight
-        state.felt[0] += min(1.0, h / FEELS_MOVING) * (more - min(max(more, -usual), usual))
+        more = max(more, -self._fed_forward - float(state.observer_state[0]))
+        usual, share = OF_WEIGHT * self._weight, min(1.0, h / FEELS_MOVING)
+        state.observer_state[0] += share * (more - min(max(more, -usual), usual))
 
     def _unload(self, state: State, along: Array | None, *, rests: bool) -> float:
         """Take sag and squeeze out of the measured joints; the load that makes them sag."""
-        sag, felt, q, known = self._sag, state.felt, self._measured.q, self._known
+        sag, felt, q, known = self._sag, state.observer_state, self._measured.q, self._known
         if self._told[2] % self._every == 0:
             sag.update(state, along if known else None)
             self._told[1] = DOUBT / max(float(np.abs(sag.sag).max()), TINY)
@@ -382,7 +382,7 @@ class LoopObserver:
         return load
 
     def _learns(self, left: Array, rested: float) -> Array:
-        """The shares of what is left of position and rotation of each loop that the gap takes."""
+        """Shares of what is left of position and rotation of each loop that the offset takes."""
         last = self._left[2]
         along, apart = (left * last).sum(axis=1), ((left - last) ** 2).sum(axis=1)
         self._noise += self._share * (0.5 * apart - self._noise)
@@ -409,15 +409,15 @@ class LoopObserver:
         self._stalled[:] = np.where(stalled, self._stalled + 1.0, 0.0)
         self._spent[0], before[:], total[:] = 0.0, mean, 0.0
 
-    def _learn(self, gap: Array, learnt: Array, about: Array) -> None:
-        """Move the gap, at most as far ``about`` a value as a model's error changes."""
-        gap += learnt
-        away = (gap - about).tolist()
+    def _learn(self, offset: Array, learnt: Array, about: Array) -> None:
+        """Move the offset, at most as far ``about`` a value as a model's error changes."""
+        offset += learnt
+        away = (offset - about).tolist()
         for i in range(0, 6 * (self._chain.holding - 1), 3):
             most, size = self._most[i // 3 % 2], math.hypot(*away[i : i + 3])
             if size > most:
                 part = slice(i, i + 3)
-                gap[part] = about[part] + most / size * (gap[part] - about[part])
+                offset[part] = about[part] + most / size * (offset[part] - about[part])
                 self._left[1, i // 3], self._stalled[i // 3] = math.nan, 0.0  # can come no nearer
                 self._say(i)
 

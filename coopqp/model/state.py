@@ -69,20 +69,17 @@ class State:
         p_WO, R_WO: the object's pose, shapes (3,) [m] and (3, 3).
         loop_error: how far arm i carries the object from where arm 0 does, shape (6 L,): position
             [m], then rotation vector [rad], per loop; open loops come last.
-        gap: loop-closure offset, shape (6 L,), which is not corrected: the model's bias, constant
-            or slow, which the law observes where ``q_measured`` is given, and the commanded
-            relative displacement of hands that squeeze by admittance.
-        drift: loop_error - gap, what the Baumgarte stabilisation has to correct, shape (6 L,).
+        loop_offset: loop-closure offset, shape (6 L,), not corrected: the model's bias, observed
+            where joints are measured, and the displacement that squeezing hands are commanded.
+        drift: loop_error - loop_offset, what the Baumgarte stabilisation corrects, shape (6 L,).
         closed_error: the part of drift that belongs to closed loops.
         q_measured: measured joint positions, shape (n,); None where they are the commanded.
         hand_wrench: measured wrenches of the hands on the object, by the robot's arms, each at its
             hand's point, world axes, shape (6 N,) [N, N m]; None where there are none.
-        felt: what the observer of the gap knows: the object's weight that the servos carry [N], NaN
-            before the first measurement; how long the arms have been at rest [s]; and the loop
-            error where joints were first measured, shape (2 + 6 L,).
+        observer_state: weight that the loop observer estimates [N], NaN before it is measured;
+            time at rest [s]; loop error where joints were first measured, shape (2 + 6 L,).
         corrected: share of the Baumgarte correction that the last tick did.
-        jacobians_due: whether the poses alone are up to date, as the kernel leaves them; Jacobians
-            are then computed when somebody asks for them.
+        jacobians_due: whether only the poses are up to date; Jacobians are computed when asked for.
         joints_due: whether ``J_ext`` is the kernel's, and what else is known of each joint is due.
         inputs: filtered values of what arrived from outside, by name; empty where nothing can.
     """
@@ -105,8 +102,8 @@ class State:
         self._J_shown = read_only(self._J_ext)
         self._J_task, self._J_rel = self._J_shown[:6], self._J_shown[6:]
         self._q_seen, self.jacobians_due, self.joints_due = self.q.copy(), False, False
-        self.loop_error, self.gap, self.drift = np.zeros((3, 6 * (arms - 1)))
-        self.felt = np.full(2 + 6 * (arms - 1), np.nan)
+        self.loop_error, self.loop_offset, self.drift = np.zeros((3, 6 * (arms - 1)))
+        self.observer_state = np.full(2 + 6 * (arms - 1), np.nan)
         self.q_measured: Array | None = None
         self.hand_wrench: Array | None = None
         self._commanded = np.zeros(n)  # no configuration yet
@@ -126,8 +123,8 @@ class State:
 
     def kept(self) -> Kept:
         """All that :func:`state_of` needs beside the chain, to be sent elsewhere."""
-        sensed = self.q_measured, self.hand_wrench
-        own = (self.v, self.gap, sensed, self.corrected, self._commanded, self.felt)
+        sensed = self.q_measured, self.hand_wrench, self.observer_state
+        own = (self.v, self.loop_offset, sensed, self.corrected, self._commanded)
         return self.q, self.t, self.memory, own, self.inputs.now()
 
     def __repr__(self) -> str:
@@ -142,7 +139,7 @@ class State:
         if not (
             self.q is own["q"]
             and self.v is own["v"]
-            and self.gap is own["gap"]
+            and self.loop_offset is own["loop_offset"]
             and self.memory is own["memory"]
             and self.inputs is own["inputs"]
         ):
@@ -158,7 +155,7 @@ class State:
 
     def _show(self) -> None:
         """Make read-only views, of all that the state has now."""
-        of = ("q", "v", "gap", "p_WO", "R_WO", "loop_error", "drift", "closed_error")
+        of = ("q", "v", "loop_offset", "p_WO", "R_WO", "loop_error", "drift", "closed_error")
         self._own = {name: getattr(self, name) for name in (*of, *_SHOWN_ELSEHOW)}
         self._shown: dict[str, Any] = {name: read_only(self._own[name]) for name in of}
         self._shown["memory"] = self.memory.shown()
@@ -195,9 +192,10 @@ class State:
         ``q_seen`` is the q that the poses belong to, ``commanded`` what :meth:`advance` keeps.
         """
         return {
-            "q": self.q, "v": self.v, "gap": self.gap, "p_WO": self.p_WO, "R_WO": self.R_WO,
-            "loop_error": self.loop_error, "drift": self.drift, "q_seen": self._q_seen,
-            "commanded": self._commanded, "felt": self.felt, "J_ext": self._J_ext,
+            "q": self.q, "v": self.v, "loop_offset": self.loop_offset, "p_WO": self.p_WO,
+            "R_WO": self.R_WO, "loop_error": self.loop_error, "drift": self.drift,
+            "q_seen": self._q_seen, "commanded": self._commanded, "J_ext": self._J_ext,
+            "observer_state": self.observer_state,
         }  # fmt: skip
 
     def _refresh(self) -> None:
@@ -293,8 +291,8 @@ class State:
         self._update_errors()
 
     def update_drift(self) -> None:
-        """Compute what follows from the gap; call it after the gap has changed."""
-        np.subtract(self.loop_error, self.gap, self.drift)
+        """Compute what follows from the loop offset; call it after that has changed."""
+        np.subtract(self.loop_error, self.loop_offset, self.drift)
         if self._rows_chosen:
             self._update_loop_rows()
 
@@ -405,8 +403,8 @@ def state_of(chain: ClosedChain, kept: Kept) -> State:
     q, t, memory, own, inputs = kept
     state = State(chain, q, t, memory)
     state.inputs = inputs
-    state.v[:], state.gap[:], sensed, state.corrected, state._commanded[:], state.felt[:] = own
-    state.q_measured, state.hand_wrench = sensed
+    state.v[:], state.loop_offset[:], sensed, state.corrected, state._commanded[:] = own
+    state.q_measured, state.hand_wrench, state.observer_state[:] = sensed
     state.update()
     return state
 

@@ -136,7 +136,7 @@ class FaultMonitor:
         if self._at_bound > LASTING:
             return "loop_offset_at_bound", observer.at_bound, observer.note
         load, weight = observer.load, forces.weight  # NaN while it is not known
-        if observer.feels_in_motion and state.felt[1] < AFTER + 3.0 * FEELS:
+        if observer.feels_in_motion and state.observer_state[1] < AFTER + 3.0 * FEELS:
             return None  # in motion air and friction pull, too
         if load > weight + SMALL and load > weight + max(OF_WEIGHT * weight, observer.doubt):
             return forces.heavier(load, "the servos sag as under {} or more; weigh the object")
@@ -238,7 +238,7 @@ class ForceMonitor:
 
     def _closed_in(self, state: State) -> float:
         """How far the hands are told to be closer than the model says [m]."""
-        return -float(self._squeezer.along.dot(state.gap)) if self._squeezer else 0.0
+        return -float(self._squeezer.along.dot(state.loop_offset)) if self._squeezer else 0.0
 
     def _silent(self, w: Array, step: Array, state: State) -> Finding | None:
         """A sensor that says zero, or always the same, where it cannot be so."""

@@ -44,7 +44,7 @@ ALIKE = (0.3, 3.0)
 #: adds for an acceleration, 1/frequency^2 [s^2]; of its stiffness, as a share of the sag.
 NOISE, LAG_NOISE, INERTIA_NOISE, STIFFNESS_NOISE = 4e-4, 6e-3, 2e-3, 0.1
 #: sigma of white noise over the median of |second differences|, which is 1.65 sigma, 1.2 of few.
-OF_BENDS = 0.73
+OF_SECOND_DIFFERENCES = 0.73
 #: Square of the parity vector's change over its variance from which a fault is looked for; mean
 #: square about the mean, less the noise, from which it is one, over the variance that is not white,
 #: and by how many standard deviations sqrt(1.9/(T d)) of von Neumann's ratio (variance to that of
@@ -277,11 +277,11 @@ class JointFollowing:
         r = (m - c) - (m[0] - c[0])
         sag = np.mean((r @ U @ U.T) ** 2, axis=0)
         speed = np.abs(np.diff(c, axis=0)).mean(axis=0) / self._h
-        noise = max(NOISE, OF_BENDS * float(np.median(np.abs(np.diff(m, 2, axis=0)))))
+        noise = max(NOISE, OF_SECOND_DIFFERENCES * float(np.median(np.abs(np.diff(m, 2, axis=0)))))
         half = (len(c) - 1) // 2
-        bend = np.abs(c[2 * half] - 2.0 * c[half] + c[0]) / max(half * self._h, self._h) ** 2
+        a = np.abs(c[2 * half] - 2.0 * c[half] + c[0]) / max(half * self._h, self._h) ** 2
         variance = noise**2 + self._band**2 + (LAG_NOISE * speed) ** 2 + STIFFNESS_NOISE**2 * sag
-        variance += (INERTIA_NOISE * bend) ** 2
+        variance += (INERTIA_NOISE * a) ** 2
         # What pulled as now pulled otherwise before J_c turned with the joints.
         least = (SINGULAR * values.max(initial=1e-12)) ** 2 * np.identity(A.shape[1])
         lags = (m - c)[-1:] if span <= self._spans[1] else m - c

@@ -324,7 +324,7 @@ class Phases:
         check_resumed(now.problem.chain, q, outside=self._given.start_outside)
         now.state = Measured(q, self._observed).start(now.law)
         now.state.t, now.state.inputs = before.t, before.inputs
-        now.state.felt[0] = before.felt[0]
+        now.state.observer_state[0] = before.observer_state[0]
         if self.holding and before.memory.sizes == now.state.memory.sizes:
             now.state.memory["integral"][:] = before.memory["integral"]
         self.rest_inputs()

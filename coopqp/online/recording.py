@@ -40,7 +40,7 @@ MEASURED: dict[str, Callable[[State, Command], Any]] = {
     "q": lambda state, command: state.q,
     "v": lambda state, command: command.v,
     "measured": lambda state, command: np.nan if state.q_measured is None else state.q_measured,
-    "gap": lambda state, command: state.gap,
+    "loop_offset": lambda state, command: state.loop_offset,
     "tau": lambda state, command: command.tau,
     "position": lambda state, command: state.p_WO,
     "rotation": lambda state, command: state.R_WO.ravel(),
@@ -98,7 +98,7 @@ class LiveRecording:
         self.dropped = self._filled = self._emptied = self._ticks = 0  # rows in and out
         layout = Layout(
             joints=law.problem.chain.joint_names,
-            loops=len(start.gap) // 6 + (held.stands and not start.chain.standing),
+            loops=len(start.loop_offset) // 6 + (held.stands and not start.chain.standing),
             memory=max(memory, len(start.memory.numbers)),
             inputs=held.followed(),
         )

@@ -25,7 +25,7 @@ from coopqp.execution.controller_run import PhaseRun
 from coopqp.limits import JointAcceleration
 from coopqp.model.loop_observer import Observer
 from coopqp.model.state import State
-from coopqp.recordings.csv_file import FOLDER, Sent, fed, file_name
+from coopqp.recordings.csv_file import FOLDER, InputRows, fed, file_name
 from coopqp.scenario.input import Arrival
 from coopqp.scenario.planned import FOLLOWED
 from coopqp.scenario.scenario import Scenario
@@ -36,7 +36,7 @@ from coopqp.signal import Kind
 AT_MOST = 1.0
 
 
-class _File(Sent):
+class _File(InputRows):
     def __init__(self, path: Path, kind: Kind) -> None:
         super().__init__(kind)
         self.path, self.written = path, False

@@ -214,7 +214,7 @@ class Share:
         self._rows, made = rows, rows.maker
         self._at = np.flatnonzero(made.kinds != "acceleration")
         self._unit, self._sided = made.unit[self._at], made.two_sided[self._at]
-        self._room = made.size[self._at] - self._unit
+        self._margin = made.size[self._at] - self._unit
         typical = np.median(self._unit) if len(self._at) else 0.0
         self._scale = np.maximum(self._unit, NARROW * typical)
         k, self._m = len(self._at), rows.Rl.shape[2]
@@ -232,11 +232,11 @@ class Share:
             return 0.0, ""
         by_u, by_x, felt = rows.R[:, i, self._at] / self._scale
         felt = felt + by_u * u + by_x * x
-        A, room = self._A, self._room / self._scale
+        A, left = self._A, self._margin / self._scale
         by_wrench = rows.Rl[i, self._at] * (FORCE / self._scale)[:, None]
         by_wrench[np.abs(by_wrench) < ROUNDING] = 0.0
         A[:k, :m], A[k:, :m] = by_wrench, -by_wrench[sided]
-        self._upper[m + 1 : m + 1 + k], self._upper[m + 1 + k :] = room - felt, (room + felt)[sided]
+        self._upper[m + 1 : m + 1 + k], self._upper[m + 1 + k :] = left - felt, (left + felt)[sided]
         solved = program(None, self._cost, A, self._upper, self._lower)
         if solved is None:
             return np.inf, ""
@@ -254,5 +254,5 @@ class Share:
         if hinged.any():
             inverse = np.asarray(np.linalg.pinv(R[:, hinged]), float)
             felt -= times(R, times(inverse, felt[:, hinged]))
-        used = np.where(self._sided, np.abs(felt), felt) - self._room
+        used = np.where(self._sided, np.abs(felt), felt) - self._margin
         return np.asarray((used[:, ~hinged] / self._unit[~hinged]).max(axis=1, initial=0.0), float)

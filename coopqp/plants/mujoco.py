@@ -313,8 +313,9 @@ class MujocoModel(DynamicModel):
         truth = super().truth(state)
         if self._yielding:
             places = self._data.xpos[self._yielding]
-            yielded = truth.loop_error.reshape(-1, 6)[: len(places) - 1, :3]
-            truth.gap.reshape(-1, 6)[: len(places) - 1, :3] = yielded - (places[1:] - places[0])
+            offset = truth.loop_offset.reshape(-1, 6)[: len(places) - 1, :3]
+            yielded = truth.loop_error.reshape(-1, 6)[: len(offset), :3]
+            offset[:] = yielded - (places[1:] - places[0])
             truth.update_drift()
         if self.hand_signals.pressing or self._yielding:
             truth.p_WO[:] = self._data.xpos[self._object]

@@ -110,7 +110,7 @@ class QuasiStaticModel(DynamicModel):
         """Before noise; the object is where it is between hands that yield."""
         truth = super().truth(state)
         closed = len(truth.closed_error)
-        truth.gap[:closed] = truth.loop_error[:closed]
+        truth.loop_offset[:closed] = truth.loop_error[:closed]
         truth.update_drift()
         truth.p_WO[:], truth.R_WO[:] = self._X_WO.translation, self._X_WO.rotation
         return truth

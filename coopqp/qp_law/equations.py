@@ -11,7 +11,7 @@ from coopqp.task import TaskStack
 
 #: Cost of a missing share of what may be done in part, far above any soft task.
 SCALE_WEIGHT = 1e3
-#: A share of the drift correction from here on is all of it.
+#: A share of the Baumgarte stabilisation from here on is all of it.
 ALL_OF_IT = 1.0 - 1e-6
 #: Speed below which what is scaled counts as at rest [m/s, rad/s].
 LEAST_SPEED = 1e-4
@@ -67,13 +67,13 @@ class Damping:
         grown = float(state.memory["chatter"][0]) if self.share > 0.0 else 0.0
         return self.of(tasks.curvature(state.v), state) + grown * tasks.joint_weight
 
-    def overreaches(self, levers: Array, done: Array, v: Array) -> float:
+    def overreaches(self, bounds: Array, done: Array, v: Array) -> float:
         """How far hard or scaled rows are softened, 0 to 1, as they see ``done`` of v.
 
         So they are where a tick bends them by more than BENDS times what it moves them: a linear
         step would pass the singularity.
         """
-        bent = 0.5 * self.dt * norm(levers) * float(v @ v) if self.share > 0.0 else 0.0
+        bent = 0.5 * self.dt * norm(bounds) * float(v @ v) if self.share > 0.0 else 0.0
         return min(max(bent / (BENDS * max(norm(done), LEAST_SPEED)) - 1.0, 0.0), 1.0)
 
     def of_drift(self, state: State, kappa: float) -> float:

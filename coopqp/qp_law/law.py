@@ -209,7 +209,8 @@ class QPLaw(Law):
         return status, beside, beside + leaves * (v - beside), max(leaves, least)
 
     def _overreaches(self, rows: slice, v: Array) -> float:
-        return self._damping.overreaches(self.exact.levers[rows], self.exact.J[rows] @ v, v)
+        exact = self.exact
+        return self._damping.overreaches(exact.curvature_bounds[rows], exact.J[rows] @ v, v)
 
     def _holds_firmly(self, *, met: bool) -> bool:
         """Whether the exact program answers as the levels of least squares would.
@@ -262,7 +263,7 @@ class QPLaw(Law):
         self.command.scale = 1.0 - max([0.0, *lacks, *shares])
 
     def _with_less_drift(self, state: State, failed: Status) -> tuple[Array, tuple[Status, ...]]:
-        """The levels with as much of the drift correction as can be done."""
+        """The levels with as much of the Baumgarte stabilisation as can be done."""
         if not self._relaxes:
             state.memory["stopped"][0] = self.problem.on_infeasible == "stop"
             return self.first.v, (failed,)

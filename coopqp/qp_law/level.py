@@ -63,7 +63,7 @@ class Level(Program):
         shares: Sequence[str] = (), *, slows: bool = False,
     ) -> None:  # fmt: skip
         chain, n, least = given.problem.chain, given.problem.chain.n, given.damping.least
-        shares = ["drift correction"] if slows else shares
+        shares = ["Baumgarte stabilisation"] if slows else shares
         scales = (Row(name=f"scale[{name}]", kind="share", owner=name, unit="1") for name in shares)
         variables = (*joint_rows(chain.joint_names, chain.joint_units), *scales)
         rows = Rows(variables, given.bounds.rows, (*chain.loops.solver_rows, *more))

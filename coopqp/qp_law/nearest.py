@@ -76,7 +76,7 @@ class Nearest:
     def damp(self, state: State, kappa: float, pulls: Array) -> Status:
         """Solve it anew, with the damping of rows that lack, or want, so much."""
         level, tasks = self.hard, self.hard.tasks
-        d = self._damping.of(float(tasks.weights @ (pulls * tasks.levers)), state)
+        d = self._damping.of(float(tasks.weights @ (pulls * tasks.curvature_bounds)), state)
         level.assemble(state, kappa, d)
         status = self._refined.step(level.v, null_space(state.J_loop).T, level.curvature)
         level.v[:] = self._refined.v

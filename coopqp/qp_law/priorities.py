@@ -81,7 +81,7 @@ class LaterLevel(Step):
     def __init__(self, given: Given, tasks: TaskStack, before: Sequence[TaskStack]) -> None:
         super().__init__(given, tasks)
         self._before, self.share = before, 1.0
-        self._lever = max(float(stack.levers.max(initial=0.0)) for stack in before)
+        self._bound = max(float(stack.curvature_bounds.max(initial=0.0)) for stack in before)
 
     def improve(self, state: State, loops: Array, v: Array, pull: Array) -> tuple[Array, Status]:
         """Improve v in the null space, at an up-to-date state.
@@ -102,5 +102,5 @@ class LaterLevel(Step):
         found = self.step(v, free, d, held)
         made = self.v - v
         y = np.concatenate([ways[:rank].dot(self.slope), held * free.dot(made)])
-        pull[0] = held_pull(float(np.abs(y).dot(self._lever / np.maximum(sizes, IDLE))), pull[0])
+        pull[0] = held_pull(float(np.abs(y).dot(self._bound / np.maximum(sizes, IDLE))), pull[0])
         return v + self.share * made, found

@@ -24,7 +24,7 @@ class StepVerification:
     def __init__(self, problem: ControlProblem) -> None:
         self._dt, self._second_order = problem.dt, opening(problem.chain, problem.dt)
         self._most = np.array([problem.budget.loop_position, problem.budget.loop_orientation])
-        self._chain, self._levers = problem.chain, np.array([problem.chain.reach, 1.0])
+        self._chain, self._lengths = problem.chain, np.array([problem.chain.reach, 1.0])
 
     def shorten(self, state: State, command: Command) -> None:
         """Make the largest share of the step that leaves the loops within the budget after it."""
@@ -41,10 +41,10 @@ class StepVerification:
     def within(self, state: State, v: Array) -> bool:
         """Whether the loops are within budget after a step v dt, or no worse than before it."""
         now = state.closed_error
-        opened = self._levers * self._second_order.dot(v * v).max(initial=0.0)
+        opened = self._lengths * self._second_order.dot(v * v).max(initial=0.0)
         if (2.0 * norm(now) + opened <= self._most).all():
             return True
-        then = self._chain.loop_error(state.q + self._dt * v) - state.gap[: len(now)]
+        then = self._chain.loop_error(state.q + self._dt * v) - state.loop_offset[: len(now)]
         # A loop that is open already may be closed by steps that leave it open for now.
         return bool((_sizes(then) <= np.maximum(_sizes(now), self._most)).all())
 

@@ -2,7 +2,7 @@
 
 ``trace.csv``, Parquet, MCAP, rosbag2, the ring of a live loop and the reading of all of them are
 made from it, and a test holds ``docs/recordings.md`` against it. A column is called ``NAME``,
-``NAME[KEY]`` or ``NAME[KEY].PART``, such as ``t``, ``q[RElbowRoll]`` and ``gap[1].rot_x``. Numbers
+``NAME[KEY]`` or ``NAME[KEY].PART``, such as ``q[RElbowRoll]`` and ``loop_offset[1].rot_x``. Numbers
 stay arrays: float64, in which NaN is an empty cell, and int64 for whole numbers; in texts "" is.
 """
 
@@ -51,7 +51,7 @@ def layout_of(traces: Collection[Trace]) -> Layout:
 
     return Layout(
         joints=all_of(lambda trace: trace.joints),
-        loops=max(trace.gap.shape[1] // 6 for trace in traces),
+        loops=max(trace.loop_offset.shape[1] // 6 for trace in traces),
         memory=max(trace.memory.shape[1] for trace in traces),
         inputs={name: kept.kind for trace in traces for name, kept in trace.inputs.items()},
         tasks=all_of(lambda trace: (task.name for task in trace.tasks)),
@@ -218,8 +218,8 @@ TABLE: tuple[Field, ...] = (
     Field("commanded", JOINT, "{}", "from where the tick decided; empty where that is q",
           of=_commanded),
     Field("measured", JOINT, "{}", "what the sensors said"),
-    Field("gap", LOOP, "{}", "what each loop is open by in the model, "
-          "[real robots](real_robots.md)", of=lambda trace: _unless_zero(trace.gap)),
+    Field("loop_offset", LOOP, "{}", "what each loop is open by in the model, "
+          "[real robots](real_robots.md)", of=lambda trace: _unless_zero(trace.loop_offset)),
     Field("memory", MEMORY, "", "what the law remembered when the tick began",
           of=lambda trace: _unless_zero(trace.memory)),
     Field("input", SENT, "", "what arrived at an [input](signals.md) for this tick; `sent`: when "

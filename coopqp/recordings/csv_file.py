@@ -124,7 +124,7 @@ def _lines(path: Path) -> Iterator[str]:
 FOLDER = "inputs"
 
 
-class Sent:
+class InputRows:
     """What arrived at one input, row by row."""
 
     def __init__(self, kind: Kind) -> None:

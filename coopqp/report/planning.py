@@ -41,9 +41,9 @@ def configurations(found: Reach) -> Table:
         table.add_column(title, justify="left" if title[0] in "bq" else "right")
     for bends, group in found.groups.items():
         best = group[0]
-        room = f"{1e3 * best.clearance:.1f} mm" if np.isfinite(best.clearance) else "-"
+        clearance = f"{1e3 * best.clearance:.1f} mm" if np.isfinite(best.clearance) else "-"
         q = " ".join(f"{x:.4f}" for x in best.q)
-        table.add_row(bends, f"{len(group)}", f"{best.joint_margin:.3f}", room, q)
+        table.add_row(bends, f"{len(group)}", f"{best.joint_margin:.3f}", clearance, q)
     return table
 
 

@@ -30,7 +30,7 @@ from coopqp.base.wording import Location, shown
 from coopqp.grasp import Grasp
 from coopqp.robot import Robot
 from coopqp.scenario.catalog import COLLECTIONS, Catalog
-from coopqp.scenario.planned import Followed
+from coopqp.scenario.planned import PlanReference
 from coopqp.scenario.scenario import NO_KEY, UNIONS, Key, Phase, Scenario
 from coopqp.scenario.yaml import Wrong, YamlFile
 from coopqp.signal import Signal
@@ -111,7 +111,7 @@ class FileKeys:
     ] = None
     """Joint values by arm (base first), joint or passive joint [rad, m]; or solve, to find them
     from object.pose and the grasps' object_in_hand."""
-    reference: Followed | None = None
+    reference: PlanReference | None = None
     """A plan that is followed before the tasks are, {plan: FILE} or {plan: true}."""
     start_near: Joints | None = None
     """Posture that a solved start is to be near, by arm or joint [rad, m]; far from all limits if

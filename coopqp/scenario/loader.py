@@ -17,7 +17,7 @@ from coopqp.model.profile import FASTEST
 from coopqp.scenario.catalog import Catalog
 from coopqp.scenario.checks import Known, at, check_start, contradictions, placed_tasks, refuse
 from coopqp.scenario.form import SOLVE, check, chosen, fields_of, given
-from coopqp.scenario.planned import Followed, following
+from coopqp.scenario.planned import PlanReference, following
 from coopqp.scenario.scenario import Scenario
 from coopqp.scenario.start import Start, from_degrees
 from coopqp.scenario.start_solver import Progress, StartSolution, close_start, solve_start
@@ -73,7 +73,7 @@ def load_file(file: YamlFile, catalog: Catalog, known: Known | None = None) -> S
 
 def _read(
     file: YamlFile, catalog: Catalog, *, needs_start: bool = True
-) -> tuple[Scenario, Followed | None]:
+) -> tuple[Scenario, PlanReference | None]:
     """The scenario as the file says it, of which nothing is built yet, and what it follows."""
     read: Any = check(file, catalog)
     keys = given(read)

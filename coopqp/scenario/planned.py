@@ -60,7 +60,7 @@ class Way(NamedTuple):
 
 
 @spec
-class Followed:
+class PlanReference:
     """A plan that is followed."""
 
     plan: FilePath | Literal[True]
@@ -76,43 +76,43 @@ class Followed:
     """How much longer than planned each way lasts, for joints that are pushed off it [s]."""
 
 
-def following(scenario: Scenario, followed: Followed) -> Scenario:
+def following(scenario: Scenario, reference: PlanReference) -> Scenario:
     """The scenario with a plan before the tasks of each phase.
 
     CoopqpError: no way is found, or the file is none that 'coopqp plan' writes for such a robot,
     start and phases.
     """
     with under("plan"):
-        if isinstance(followed.plan, Path):
-            table = read_table(followed.plan)
-            Waypoints(file=followed.plan)._table(POSE)
+        if isinstance(reference.plan, Path):
+            table = read_table(reference.plan)
+            Waypoints(file=reference.plan)._table(POSE)
         else:
-            way = coopqp.plan(scenario, keep=followed.keep, budget=followed.seconds)
+            way = coopqp.plan(scenario, keep=reference.keep, budget=reference.seconds)
             if not way.found:
-                raise InvalidValueError(f"{way.sentence}; it had 'seconds: {followed.seconds:g}'")
+                raise InvalidValueError(f"{way.sentence}; it had 'seconds: {reference.seconds:g}'")
             table = Table(Path("plan"), way.columns, 0)
         ways = list(_ways(scenario, table))
-    require_known("controller", followed.by, scenario.controllers, "by: ")
+    require_known("controller", reference.by, scenario.controllers, "by: ")
     each = {
-        name: _phases(scenario, ways, followed, law)
+        name: _phases(scenario, ways, reference, law)
         for name, law in scenario.controllers.items()
-        if law.commands_torques or (followed.by and name not in followed.by)
+        if law.commands_torques or (reference.by and name not in reference.by)
     }
-    phases = _phases(scenario, ways, followed)
+    phases = _phases(scenario, ways, reference)
     return scenario.changed(tasks=(), duration=0.0, phases=phases, phases_of=each, follows=table)
 
 
 def _phases(
-    scenario: Scenario, ways: Sequence[Way], followed: Followed, law: Controller | None = None
+    scenario: Scenario, ways: Sequence[Way], reference: PlanReference, law: Controller | None = None
 ) -> tuple[Phase, ...]:
     """Each phase and the way to it, which a law that does not follow it does not know."""
     found, arms = list[Phase](), {arm.name for arm in scenario.robot_model.arms}
-    alone = law is not None and bool(followed.by) and law.name not in followed.by
+    alone = law is not None and bool(reference.by) and law.name not in reference.by
     for phase, way in zip(scenario.schedule, ways, strict=True):
-        kept = [replace(task, mode="hard") for task in phase.tasks if task.name in followed.keep]
+        kept = [replace(task, mode="hard") for task in phase.tasks if task.name in reference.keep]
         tasks = (*way_tasks(way, scenario.dt, arms.issubset(phase.released), law), *kept)
         before = Phase(
-            name=f"{phase.name} {WAY}".strip(), duration=way.t[-1] + followed.late, leads=True,
+            name=f"{phase.name} {WAY}".strip(), duration=way.t[-1] + reference.late, leads=True,
             released=phase.released, tasks=phase.tasks if alone else tasks,
         )  # fmt: skip
         found += [before, replace(phase, name=phase.name or GOAL)]

@@ -165,9 +165,9 @@ class StartProblem:
         """How good a start is: its margin, or its distance to the posture to be near."""
         if asked := [i for i in columns if i in self.near]:
             return -float(np.linalg.norm((q - self.middle)[asked]))
-        return float(self.room(q)[list(columns)].min(initial=np.inf))
+        return float(self.margins(q)[list(columns)].min(initial=np.inf))
 
-    def room(self, q: Array) -> Array:
+    def margins(self, q: Array) -> Array:
         """Distance of each joint to its nearer limit, shape (n,) [rad or m]."""
         return np.minimum(q - self.lower, self.upper - q)
 
@@ -236,7 +236,7 @@ def _ranked(problem: StartProblem, searches: Sequence[_Search]) -> Iterator[Star
         for search, (_, one) in zip(searches, choice, strict=True):
             q[search.columns] = one[search.columns]
         names = list(problem.model.names)[1:]
-        yield _solution(problem.robot, names, q, problem.room(q), tries, found)
+        yield _solution(problem.robot, names, q, problem.margins(q), tries, found)
 
 
 def close_start(
@@ -261,24 +261,24 @@ def close_start(
             "no start near this one closes the loops exactly: the lengths and angles of the robot "
             "or of object_in_hand are rounded; give more digits"
         )
-    room = np.minimum(q - chain.lower, chain.upper - q)
-    if room.min() < 0.0:
+    margins = np.minimum(q - chain.lower, chain.upper - q)
+    if margins.min() < 0.0:
         raise GraspError(
-            f"the start near this one that closes the loops has {chain.joint_names[room.argmin()]} "
-            "outside its limits; change the start"
+            "the start near this one that closes the loops has "
+            f"{chain.joint_names[margins.argmin()]} outside its limits; change the start"
         )
-    return _solution(robot, chain.joint_names, q, room)
+    return _solution(robot, chain.joint_names, q, margins)
 
 
 def yaml_text(solution: StartSolution) -> str:
     """The start as a scenario file has it, with a comment on how it was found."""
-    room = f"{solution.margin:.3g} rad or m inside the limits" if solution.tightest else "no limits"
+    text = f"{solution.margin:.3g} rad or m inside the limits" if solution.tightest else "no limits"
     if GRIPPERS.search(solution.tightest):
-        room += f" (at {solution.tightest}, which seems to be a gripper's: lock it)"
+        text += f" (at {solution.tightest}, which seems to be a gripper's: lock it)"
     if not solution.tries:
-        remark = f"{room}, the nearest to the given one that closes the loops"
+        remark = f"{text}, the nearest to the given one that closes the loops"
         return start_text(solution.start, remark, FINE_DIGITS)
-    return start_text(solution.start, f"{room}, the best of {solution.found} found")
+    return start_text(solution.start, f"{text}, the best of {solution.found} found")
 
 
 def start_text(start: Mapping[str, float | list[float]], remark: str, digits: int = DIGITS) -> str:
@@ -298,18 +298,18 @@ def _without_object(grasps: Mapping[str, Grasp]) -> str:
 
 
 def _solution(
-    robot: RobotModel, names: Sequence[str], q: Array, room: Array, tries: int = 0, found: int = 1
+    robot: RobotModel, names: Sequence[str], q: Array, slack: Array, tries: int = 0, found: int = 1
 ) -> StartSolution:
-    """The answer in the robot's own terms, with the room of each joint to its limits."""
+    """The answer in the robot's own terms, with the margin of each joint to its limits."""
     values = dict(zip(names, q.tolist(), strict=True))
     return StartSolution(
         q=np.array([values[name] for name in robot.joint_names]),
         passive={name: x for name, x in values.items() if name not in robot.joint_names},
         start=by_arm(robot, values),
-        margin=float(room.min(initial=np.inf)),
+        margin=float(slack.min(initial=np.inf)),
         tries=tries,
         found=found,
-        tightest=str(names[int(room.argmin())]) if np.isfinite(room).any() else "",
+        tightest=str(names[int(slack.argmin())]) if np.isfinite(slack).any() else "",
     )
 
 
@@ -419,8 +419,8 @@ def _how_far(search: _Search) -> str:
         gap, angle = 1e3 * np.linalg.norm(part[:3]), np.degrees(np.linalg.norm(part[3:]) / LENGTH)
         of = f"{arm} " if len(search.arms) > 1 else ""
         offsets.append(f"{of}{gap:.1f} mm and {angle:.1f} degrees")
-    room = problem.room(q)
-    names = [problem.model.names[1 + j] for j in search.columns if room[j] < AT_LIMIT]
+    margins = problem.margins(q)
+    names = [problem.model.names[1 + j] for j in search.columns if margins[j] < AT_LIMIT]
     held_back = f", with {', '.join(names)} at the limit" if names else ""
     if fingers := [name for name in names if GRIPPERS.search(name)]:
         held_back += f" (of a gripper, it seems: lock {' and '.join(fingers)})"

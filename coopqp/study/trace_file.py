@@ -113,7 +113,7 @@ def _phase(run: Run, problem: ControlProblem, begin: str, v_before: Array | None
         velocity=chain.velocity, effort=chain.model.effortLimit.copy(),
         tasks=tasks, manipulability=np.ones(len(tasks)),
         t=np.arange(ticks + 1.0) * dt, q=q, v=v, commanded=q[:-1], measured=q[:-1],
-        gap=nothing[1:], memory=nothing[1:], position=nothing, rotation=nothing,
+        loop_offset=nothing[1:], memory=nothing[1:], position=nothing, rotation=nothing,
         loop_position=loop[:, 0], loop_orientation=loop[:, 1],
         task_error=_errors(run, layout, tasks), goal_error=nothing,
         task_rows=rows, e=e, rate=rate,
@@ -230,7 +230,7 @@ def off_the_record(path: Path | Run, record: TickRecord) -> float:
 def state_from_trace(run: Run, controller: str, tick: int, law: Law, t_start: float = 0.0) -> State:
     """The state that a tick of a recorded run decided from; the law's tick repeats it.
 
-    The gap is what the observer had made of the measured joints already, and who squeezes of the
+    The observer had made the loop offset of the measured joints already, and who squeezes of the
     forces, so neither adds to it. The law gives the joints; its phase began at t_start [s].
     """
     run = run.of(controller).ticks
@@ -248,8 +248,9 @@ def state_from_trace(run: Run, controller: str, tick: int, law: Law, t_start: fl
     state.q[:] = row.joints("commanded" if commanded else "q", joints)
     if before is not None:
         state.v[:] = run.only([before]).joints("v", joints)
-    layout = Layout(joints=joints, loops=len(state.gap) // 6, memory=len(state.memory.numbers))
-    for name, numbers in (("gap", state.gap), ("memory", state.memory.numbers)):
+    kept = {"loop_offset": state.loop_offset, "memory": state.memory.numbers}
+    layout = Layout(joints=joints, loops=len(kept["loop_offset"]) // 6, memory=len(kept["memory"]))
+    for name, numbers in kept.items():
         numbers[:] = np.nan_to_num(row.numbers(of_field(name, layout), empty=True))
     if np.isfinite(run.joints("measured", joints, empty=True)).any():
         state.q_measured = row.joints("measured", joints, empty=True)[0]

@@ -29,7 +29,7 @@ from coopqp.model.marker import RelativeMarker
 from coopqp.model.profile import Profile
 from coopqp.model.state import State
 from coopqp.model.trajectory_filter import RAMPS, VELOCITIES, MotionLimits
-from coopqp.recordings.csv_file import FOLDER, Sent, fed, file_name
+from coopqp.recordings.csv_file import FOLDER, InputRows, fed, file_name
 from coopqp.report.files import write_one
 from coopqp.scenario.input import Arrival, InputSettings
 from coopqp.scenario.scenario import MOST_KEPT, Scenario
@@ -330,7 +330,7 @@ class Recording:
         self._scenario, self._steered, self._names = scenario, steered, controllers
         self._dials = dict(dials)
         self.ticks, self.note = [0], ""
-        self._sent: dict[str, Sent] = {}
+        self._sent: dict[str, InputRows] = {}
         joints = len(scenario.robot_model.joint_names)
         self._max_ticks = MOST_KEPT // (joints * max(1, len(controllers)))
 
@@ -350,7 +350,7 @@ class Recording:
             self.ticks.append(0)
         self.ticks[phase] += 1
         for name, value, when in sent:
-            kept = self._sent.setdefault(name, Sent(kinds[name]))
+            kept = self._sent.setdefault(name, InputRows(kinds[name]))
             kept.add(since + t, since + when, value)
 
     def end(self, why: str) -> None:

@@ -32,7 +32,7 @@ BREAKS = re.compile(r"\b(drives|goes|brings|exceeds|needs|lets the loop open|los
 #: Kinds of explanations that geometry has no part in.
 WITHOUT_LIMITS = ("lost", "input", "failed")
 #: Metrics that verdict and table read, where there is no scenario to measure all of them for.
-NO_METRICS = {"gap": {"position": 0.0, "orientation": 0.0}, "relaxed_ticks": {}}
+NO_METRICS = {"loop_offset": {"position": 0.0, "orientation": 0.0}, "relaxed_ticks": {}}
 
 
 def disagreements(
@@ -91,7 +91,7 @@ def _cells(row: dict[str, object], found: Assessment) -> dict[str, tuple[object,
         "cell, task_error": (bad("task_error"), bool(found.missed)),
         "cell, limit": (
             bad("limit"),
-            any(overrun.farther for overrun in (*found.joints, *found.limits)),
+            any(violation.farther for violation in (*found.joints, *found.limits)),
         ),
         "cell, speed": (bad("speed"), bool(found.speeds)),
         "cell, loop": (bad("loop"), found.held is not False and not found.loop_closed),

@@ -214,7 +214,7 @@ def test_what_began_outside_and_came_back_breaks_nothing() -> None:
     q[1:, 0] = np.minimum(q[1:, 0], upper[0] - 0.01)
     outside = replace(trace, q=q, upper=upper)
     found = assess(outside)
-    assert [overrun.name for overrun in found.joints] == [trace.joints[0]]
+    assert [violation.name for violation in found.joints] == [trace.joints[0]]
     assert found.succeeds
     assert not list(disagreements(scenario, outside))
 
@@ -321,7 +321,7 @@ def test_who_is_beyond_a_limit_is_not_at_it_and_by_one_amount() -> None:
     q[0, i], q[row, i] = start, start + 0.02
     outside = replace(trace, q=q)
     found = assess(outside)
-    (worst,) = (overrun for overrun in found.joints if overrun.name == trace.joints[i])
+    (worst,) = (violation for violation in found.joints if violation.name == trace.joints[i])
     assert not {o.name for o in found.joints} & set(found.at_limits(0))
     assert f"{worst.by:.3g} rad" in words.broken(found)
 

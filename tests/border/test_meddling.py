@@ -77,8 +77,8 @@ def _update(state: Any) -> None:
 
 
 ARRAYS = (
-    "q", "v", "gap", "p_WO", "R_WO", "loop_error", "drift", "closed_error", "q_measured", "J_ext",
-    "J_task", "J_rel", "J_joints", "J_loop", "e_loop",
+    "q", "v", "loop_offset", "p_WO", "R_WO", "loop_error", "drift", "closed_error", "q_measured",
+    "J_ext", "J_task", "J_rel", "J_joints", "J_loop", "e_loop",
 )  # fmt: skip
 WRITES: dict[str, Callable[[Any], None]] = {
     **{f"{name} nan": _fill(name, np.nan) for name in ARRAYS},
@@ -178,7 +178,7 @@ def _law(chain: ClosedChain, law: str, by: str, how: str) -> Law:
 
 def _owned(state: State) -> tuple[Any, ...]:
     """What may not be another after a tick."""
-    return state.q, state.v, state.gap, state.t, state.inputs, state.chain, state.memory
+    return state.q, state.v, state.loop_offset, state.t, state.inputs, state.chain, state.memory
 
 
 BY = [(law, by) for law in LAWS for by in ("task", "limit", "signal")]
@@ -207,7 +207,7 @@ def _check_undone(chain: ClosedChain, law: str, by: str, how: str) -> None:
         np.testing.assert_array_equal(state.q, q)
         np.testing.assert_array_equal(state.v, v)
         assert all(a is b for a, b in zip(_owned(state), own, strict=True))
-        assert np.isfinite(state.gap).all()
+        assert np.isfinite(state.loop_offset).all()
         assert np.isfinite(state.memory.numbers).all()
         if state.t > LATE:
             assert command.causes[0] is Status.RAISED, how

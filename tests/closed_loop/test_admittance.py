@@ -94,7 +94,7 @@ def test_they_approach_no_faster_and_no_farther_than_they_may(chain: ClosedChain
     state = law.start(q_measured=chain.q_start, hand_wrench=squeezed(chain, 0.0))
     for way in (2e-5, 4e-5, 5e-5, 5e-5):
         state.advance(law.tick(state).v, DT)
-        assert -line(state) @ state.gap[:3] == pytest.approx(way, rel=1e-3)
+        assert -line(state) @ state.loop_offset[:3] == pytest.approx(way, rel=1e-3)
     assert law.command.causes == (Status.SQUEEZE_GIVEN_UP,)
     assert "stands at most_way, 0.05 mm closer" in law.command.note
     assert "is the force sensor alive?" in law.command.note
@@ -119,27 +119,27 @@ def test_a_lost_force_stops_the_hands_where_they_are(chain: ClosedChain, words: 
     law = law_of(chain)
     state = law.start(q_measured=chain.q_start, hand_wrench=squeezed(chain, 0.0))
     state.advance(law.tick(state).v, DT)
-    before = state.gap.copy()
+    before = state.loop_offset.copy()
     lost: Any = LOST[words]
     state.q_measured, state.hand_wrench = state.q.copy(), lost
     assert law.tick(state).causes == (Status.FORCE_NOT_MEASURED,)
     assert words in law.command.note
     assert closing(law, state) == pytest.approx(np.zeros(3), abs=1e-5)  # of 3 mm/s before
-    assert state.gap == pytest.approx(before, abs=1e-9)
+    assert state.loop_offset == pytest.approx(before, abs=1e-9)
     state.hand_wrench = squeezed(chain, 0.0)
     assert law.tick(state).causes == (Status.OPTIMAL,)
     assert line(state) @ closing(law, state) > 1e-3
 
 
 def test_what_is_measured_teaches_nothing_along_the_squeeze(chain: ClosedChain) -> None:
-    """Across it the gap follows the measured joints, as it does without a squeeze."""
+    """Across it the loop offset follows the measured joints, as it does without a squeeze."""
     law = law_of(chain)
     state = law.start(q_measured=chain.q_start, hand_wrench=squeezed(chain, WANTED))
-    e, begun = line(state), state.gap.copy()
+    e, begun = line(state), state.loop_offset.copy()
     state.q_measured = chain.q_start + 0.01
     law.tick(state)
     other = State(chain, chain.q_start + 0.01)
-    learnt, seen = state.gap - begun, other.loop_error - begun
+    learnt, seen = state.loop_offset - begun, other.loop_error - begun
     assert e @ learnt[:3] == pytest.approx(0.0, abs=1e-12)
     across = np.eye(3) - np.outer(e, e)
     assert learnt[:3] == pytest.approx(across @ seen[:3] * DT / 0.15, abs=1e-9)
@@ -150,7 +150,7 @@ def test_what_is_measured_teaches_nothing_along_the_squeeze(chain: ClosedChain) 
 def test_the_squeeze_turns_with_the_object(chain: ClosedChain) -> None:
     law = law_of(chain)
     state = law.start(q_measured=chain.q_start, hand_wrench=squeezed(chain, WANTED))
-    state.gap[:3] = -0.004 * line(state)
+    state.loop_offset[:3] = -0.004 * line(state)
     law.tick(state)
     old = line(state)
     turned = {"right": [0.7, -0.1, 1.2, 0.9, 0.1], "left": [0.7, 0.3, -1.2, -0.9, -0.1]}
@@ -159,7 +159,7 @@ def test_the_squeeze_turns_with_the_object(chain: ClosedChain) -> None:
     state.q_measured, state.hand_wrench = state.q.copy(), None
     law.tick(state)
     assert line(state) @ old < 0.999
-    assert state.gap[:3] == pytest.approx(-0.004 * line(state), abs=1e-5)
+    assert state.loop_offset[:3] == pytest.approx(-0.004 * line(state), abs=1e-5)
 
 
 def test_the_kernel_decides_the_same(chain: ClosedChain) -> None:
@@ -171,7 +171,7 @@ def test_the_kernel_decides_the_same(chain: ClosedChain) -> None:
             command = law.tick(state)
             state.advance(command.v, DT)
             state.q_measured = state.q.copy()
-        found.append((state.q.copy(), state.gap.copy()))
+        found.append((state.q.copy(), state.loop_offset.copy()))
     assert found[0][0] == pytest.approx(found[1][0], abs=1e-8)
     assert found[0][1] == pytest.approx(found[1][1], abs=1e-8)
 

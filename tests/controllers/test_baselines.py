@@ -228,7 +228,7 @@ def test_one_level_saturates_scales_or_says_that_it_cannot() -> None:
 
 
 def test_two_steps_are_the_papers_equations(chain: ClosedChain, closed_loop_walk: Walk) -> None:
-    """With q_a = [q1 q2 q3 q7] and no drift correction: v_a = J_a^+ h_dot, v = motion v_a."""
+    """With q_a = [q1 q2 q3 q7] and no stabilisation: v_a = J_a^+ h_dot, v = motion v_a."""
     given = problem(chain, REACH, kappa=0.0)
     for q in closed_loop_walk(chain, 5):
         state = State(chain, q)

@@ -23,7 +23,7 @@ from coopqp.tasks import PointOnPoint
 BEHIND = (0.1, 0.05, -0.05)  # reachable, 13 cm away
 
 
-def overrun(chain: ClosedChain, q: Array) -> float:
+def violation(chain: ClosedChain, q: Array) -> float:
     """How far outside the position limits [rad]; negative inside."""
     return float(np.max([chain.lower - q, q - chain.upper]))
 
@@ -33,11 +33,11 @@ def test_qp_stays_within_all_limits_on_the_way_to_an_unreachable_goal(
 ) -> None:
     result = run(QPController(), reach_too_far, 200)
     assert result.usable.all()
-    assert overrun(chain, result.q) <= 1e-9
+    assert violation(chain, result.q) <= 1e-9
     assert (np.abs(result.v) <= chain.velocity + 1e-9).all()
     distance = distances(result, UNREACHABLE)
     # The limits were needed, and the object has come nearer and stopped.
-    assert overrun(chain, result.q) > -1e-6
+    assert violation(chain, result.q) > -1e-6
     assert distance[-1] < 0.3 * distance[0]
     assert np.abs(np.diff(distance[-20:])).max() < 1e-3
 
@@ -53,7 +53,7 @@ def test_classical_laws_leave_the_limits_on_the_same_way(
     controller: Controller, reach_too_far: ControlProblem, chain: ClosedChain
 ) -> None:
     result = run(controller, reach_too_far, 200)
-    assert overrun(chain, result.q) > 0.3
+    assert violation(chain, result.q) > 0.3
     assert (np.abs(result.v) - chain.velocity).max() > 1.0
 
 
@@ -61,19 +61,21 @@ def test_position_margin_and_velocity_share_are_kept(chain: ClosedChain) -> None
     limits = (JointPosition(margin=0.05), JointVelocity(scale=0.1))
     given = problem(chain, PointOnPoint(goal=UNREACHABLE), limits=limits, kappa=1 / DT)
     result = run(QPController(), given, 200)
-    assert overrun(chain, result.q) <= -0.05 + 1e-9
+    assert violation(chain, result.q) <= -0.05 + 1e-9
     assert np.abs(result.v / chain.velocity).max() == pytest.approx(0.1, abs=1e-9)
 
 
 @each_controller
-def test_drift_correction_keeps_the_loop_closed(controller: Controller, chain: ClosedChain) -> None:
+def test_baumgarte_stabilisation_keeps_the_loop_closed(
+    controller: Controller, chain: ClosedChain
+) -> None:
     """Within 0.1 mm, over 13 cm of object motion; the damped law pays with its loop."""
     given = problem(chain, PointOnPoint(goal=BEHIND), limits=LIMITS, kappa=1 / DT)
     gap = run(controller, given, 200).loop_position.max()
     assert gap < (1e-3 if isinstance(controller, DampedPseudoinverse) else 1e-4)
 
 
-def test_without_drift_correction_the_loop_opens_further(chain: ClosedChain) -> None:
+def test_without_baumgarte_stabilisation_the_loop_opens_further(chain: ClosedChain) -> None:
     task = PointOnPoint(goal=BEHIND)
     gaps = [
         run(QPController(), problem(chain, task, kappa=k), 200).loop_position.max()

@@ -30,7 +30,7 @@ def null_space_law(scenario: Scenario, *secondary: Task) -> Trace:
     return coopqp.run(replace(scenario, secondary=secondary), controller="pseudoinverse_null_space")
 
 
-def overrun(trace: Trace) -> float:
+def violation(trace: Trace) -> float:
     """Of the worst position limit [rad]; negative inside."""
     return float(np.maximum(trace.lower - trace.q, trace.q - trace.upper).max())
 
@@ -39,8 +39,8 @@ def test_the_null_space_term_keeps_joints_inside_that_the_pseudoinverse_lets_out
     """The message of Figs. 4 to 8, with a criterion that grows towards the limits."""
     plain = coopqp.run(figures(), controller="pseudoinverse")
     kept = null_space_law(figures(), *figures().secondary)
-    assert overrun(plain) > 0.05
-    assert overrun(kept) < -0.05
+    assert violation(plain) > 0.05
+    assert violation(kept) < -0.05
     assert max(assess(plain).errors[0], assess(kept).errors[0]) < 1e-5
     with_, without = limit_criterion(kept)["nearest"], limit_criterion(plain)["nearest"]
     assert with_.max() < 0.95 < 1.05 < without.max()
@@ -48,12 +48,12 @@ def test_the_null_space_term_keeps_joints_inside_that_the_pseudoinverse_lets_out
     assert speed < 0.2  # it is no violent motion that does it
 
 
-def test_a_quadratic_criterion_falls_with_its_gain_while_the_overrun_grows() -> None:
+def test_a_quadratic_criterion_falls_with_its_gain_while_the_violation_grows() -> None:
     """Not a fault of the law: the least sum lies beyond the limit, where a shoulder gains more."""
     traces = [null_space_law(figures(), JointCentering(gain=gain)) for gain in (0.5, 5.0, 50.0)]
     ends = [limit_criterion(trace)["quadratic"][-1] for trace in traces]
     assert (np.diff(ends) < 0.0).all()
-    assert (np.diff([overrun(trace) for trace in traces]) > 0.02).all()
+    assert (np.diff([violation(trace) for trace in traces]) > 0.02).all()
 
 
 def test_least_quadratic_sum_along_the_self_motion_is_beyond_the_limits() -> None:

@@ -40,11 +40,11 @@ Placement somewhere(Random& random, double size) {
 
 // Everything that Python would own.
 struct Owner {
-    std::vector<double> q, v_last, v, gap, p, R, error, drift, seen, pulls, missed, scaled_pull,
+    std::vector<double> q, v_last, v, loop_offset, p, R, error, drift, seen, pulls, missed, scaled_pull,
         missing, recovery, chatter;
     void bind(Kernel& k, int n, int arms, int levels) {
         for (auto* a : {&q, &v_last, &v, &seen}) a->assign(std::size_t(n), 0.0);
-        for (auto* a : {&gap, &error, &drift}) a->assign(std::size_t(6 * (arms - 1)), 0.0);
+        for (auto* a : {&loop_offset, &error, &drift}) a->assign(std::size_t(6 * (arms - 1)), 0.0);
         p.assign(3, 0.0);
         R.assign(9, 0.0);
         pulls.assign(std::size_t(levels), 0.0);
@@ -52,7 +52,7 @@ struct Owner {
         missed.assign(std::size_t(k.levels[0].hard), 0.0);
         chatter.assign(1 + std::size_t(n), 0.0);
         missing.assign(std::size_t(k.levels[0].shares), 0.0);
-        k.bound = {q.data(), v_last.data(), v.data(), gap.data(), p.data(), R.data(),
+        k.bound = {q.data(), v_last.data(), v.data(), loop_offset.data(), p.data(), R.data(),
                    error.data(), drift.data(), seen.data(), pulls.data(), missed.data(),
                    scaled_pull.data(), missing.data(), recovery.data(), chatter.data()};
     }
@@ -176,7 +176,7 @@ Case random_case(Random& random) {
         for (auto* a : {&level.e, &level.rate, &level.wanted}) a->assign(std::size_t(rows), 0.0);
         level.gain.assign(std::size_t(rows), 5.0);
         level.weight.assign(std::size_t(rows), std::pow(10.0, uniform(random, -1, 2)));
-        level.lever.assign(std::size_t(rows), 1.0);
+        level.curvature_bound.assign(std::size_t(rows), 1.0);
         level.asks_velocity.assign(std::size_t(rows), 0);
         level.twist.assign(std::size_t(rows), !apart);
         const std::size_t stride = std::size_t(model->blocks) * LANES;
@@ -262,9 +262,9 @@ int garbage(Random& random, Case& c) {
 // How often the observer of the loop-closure offset, given anything as measured joints, moves what is
 // Python's, keeps what was to be forgotten, or learns no number.
 int wrong_observer(Random& random, Case& c) {
-    const std::size_t n = c.owner.q.size(), loops = c.owner.gap.size(), arms = loops / 6 + 1;
-    std::vector<double> sag(n), torque(n), opened(loops), told(3), felt(2 + loops), compliance(n * n),
-        at_origin(18 * arms), left(3 * loops), stalled(2 * loops / 3);
+    const std::size_t n = c.owner.q.size(), loops = c.owner.loop_offset.size(), arms = loops / 6 + 1;
+    std::vector<double> sag(n), torque(n), opened(loops), told(3), observer_state(2 + loops),
+        compliance(n * n), at_origin(18 * arms), left(3 * loops), stalled(2 * loops / 3);
     double spent = 0.0;
     for (std::size_t j = 0; j < n; j++) compliance[j * n + j] = uniform(random, 0.0, 0.02);
     for (double& x : at_origin) x = uniform(random, -1.0, 1.0);
@@ -276,20 +276,21 @@ int wrong_observer(Random& random, Case& c) {
     if (c.kernel->update(0.0) != Status::Optimal) return 0;
     int wrong = 0;
     for (double bad : {0.0, 0.0, 0.0, std::numeric_limits<double>::quiet_NaN(), 1e200, 0.0}) {
-        const auto gap = c.owner.gap, before = felt;
+        const auto offset = c.owner.loop_offset, before = observer_state;
         std::vector<double> reading = c.owner.q;
         for (double& x : reading) x += uniform(random, -1e-3, 1e-3);
         reading[std::size_t(whole(random, 0, int(n) - 1))] += bad;
         observer.begin();
-        const bool learnt = c.kernel->learn(observer, reading.data(), c.owner.gap.data(), felt.data());
+        const bool learnt = c.kernel->learn(observer, reading.data(), c.owner.loop_offset.data(),
+                                            observer_state.data());
         if (learnt && bad == 0.0)
-            for (double x : c.owner.gap) wrong += !std::isfinite(x);
+            for (double x : c.owner.loop_offset) wrong += !std::isfinite(x);
         if (!learnt || bad != 0.0 || whole(random, 0, 1)) {
             observer.forget();
-            wrong += c.owner.gap != gap || felt != before;
+            wrong += c.owner.loop_offset != offset || observer_state != before;
         }
     }
-    std::fill(c.owner.gap.begin(), c.owner.gap.end(), 0.0);
+    std::fill(c.owner.loop_offset.begin(), c.owner.loop_offset.end(), 0.0);
     return wrong;
 }
 
@@ -418,7 +419,7 @@ int too_fast(Random& random, int& near) {
             arm.tip = int(model.joints.size()) - 1;
             Solid solid{arm.tip, somewhere(random, 0.1), random_body(random), std::vector<double>(n)};
             for (int k = arm.tip; k >= 0; k = model.joints[std::size_t(k)].parent)
-                solid.levers[std::size_t(k)] = 3.0;
+                solid.max_point_speeds[std::size_t(k)] = 3.0;
             solids.push_back(solid);
         }
         arm.at = somewhere(random, 0.1);

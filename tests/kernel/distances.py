@@ -240,7 +240,7 @@ def of_cases(chain: ClosedChain, cases: Iterable[tuple[Any, Placed, Placed, floa
         pairs = np.arange(len(solids), dtype=np.int64).reshape(-1, 2)
         still = np.zeros((len(solids), chain.n))
         bounds = DistanceBounds(
-            bodies=solids, levers=still, pairs=pairs, distance=0.0, gain=1.0, within=0.1
+            bodies=solids, max_point_speeds=still, pairs=pairs, distance=0.0, gain=1.0, within=0.1
         )
         found = All(chain, bounds).measure(chain.q_start, seen)
         known = seen.add(found)

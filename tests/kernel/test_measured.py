@@ -42,8 +42,8 @@ def law(name: str, observer: Observer, kind: type[LoopObserver], *limits: object
 def told(one: Law, state: State) -> np.ndarray:
     """What a tick commands and learns."""
     return np.concatenate([
-        one.command.v, state.gap, state.felt, state.drift, state.loop_error, state.p_WO,
-        [one.observer.load, one.observer.doubt, one.command.scale, one.command.drift],
+        one.command.v, state.loop_offset, state.observer_state, state.drift, state.loop_error,
+        state.p_WO, [one.observer.load, one.observer.doubt, one.command.scale, one.command.drift],
         *one.observer.flat()["stalled"],
     ])  # fmt: skip
 
@@ -81,12 +81,14 @@ def test_what_is_learnt_is_what_python_learns(
         np.testing.assert_allclose(
             told(laws[0], states[0]), told(laws[1], states[1]), rtol=1e-9, atol=1e-11
         )
-        np.testing.assert_allclose(states[0].gap, states[1].gap, rtol=0.0, atol=1e-12)
+        np.testing.assert_allclose(
+            states[0].loop_offset, states[1].loop_offset, rtol=0.0, atol=1e-12
+        )
         for one, state in zip(laws, states, strict=True):
             state.advance(0.0 * one.command.v if k > 110 else one.command.v, dt)
     assert len(by_python) < 0.5 * TICKS or observer.most == BOUND
     if observer.enabled:
-        assert states[0].gap.any()
+        assert states[0].loop_offset.any()
 
 
 def test_a_tick_without_an_answer_has_learnt_once() -> None:
@@ -113,11 +115,11 @@ def test_an_unusual_reading_takes_nothing_back() -> None:
     state.q_measured = reading = state.q + 1e-3
     for _ in range(3):
         one.tick(state)
-    gap, felt = state.gap.copy(), state.felt.copy()
+    loop_offset, felt = state.loop_offset.copy(), state.observer_state.copy()
     reading[2] = np.nan
     assert Status.NOT_MEASURED in one.tick(state).causes
-    np.testing.assert_array_equal(state.gap, gap)
-    np.testing.assert_array_equal(state.felt, felt)
+    np.testing.assert_array_equal(state.loop_offset, loop_offset)
+    np.testing.assert_array_equal(state.observer_state, felt)
 
 
 def test_a_joint_that_was_overwritten_is_told() -> None:
@@ -138,12 +140,12 @@ def test_what_was_felt_may_be_put_back() -> None:
         state.q_measured = state.q + 3e-3
         for _ in range(20):
             one.tick(state)
-        state.felt = state.felt.copy()
-        state.felt[0] += 3.0
+        state.observer_state = state.observer_state.copy()
+        state.observer_state[0] += 3.0
         one.tick(state)
     first, second = (told(*both) for both in zip(laws, states, strict=True))
     np.testing.assert_allclose(first, second, rtol=0.0, atol=1e-11)
-    states[0].felt = states[0].felt[:-1].copy()
+    states[0].observer_state = states[0].observer_state[:-1].copy()
     assert laws[0].tick(states[0]).causes == (Status.WRONG_STATE,)
 
 

@@ -41,9 +41,9 @@ def test_phases_are_gone_through_alike(plant: str, tmp_path: Path) -> None:
 
 
 def test_what_sensors_teach_is_learned_alike() -> None:
-    """Encoders and links that are off: the loops' gap is observed between the kernel's ticks."""
+    """Encoders and links that are off: the loops' offset is observed between the kernel's ticks."""
     kernel, python = by_engine(replace(load("calibration_error"), duration=1.0))
-    assert np.abs(kernel.gap).max() > 1e-4
+    assert np.abs(kernel.loop_offset).max() > 1e-4
     assert kernel.compiled.all()
-    np.testing.assert_allclose(kernel.gap, python.gap, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(kernel.loop_offset, python.loop_offset, rtol=0.0, atol=1e-12)
     np.testing.assert_allclose(kernel.q, python.q, rtol=0.0, atol=1e-9)

@@ -65,8 +65,8 @@ def test_distances_are_those_of_coal_alone(name: str) -> None:
 def test_arms_driven_together_stay_apart(name: str, kind: str, goals: int) -> None:
     """Nearer than asked by what a tick bends the path: a millimetre at full speed at most."""
     found = getattr(benchmark(), kind)(name, goals, 10.0, 60)
-    assert -1e-3 < min(found.room) < 2e-3  # they did meet
-    assert found.by_coal == pytest.approx(found.room, abs=5e-6)
+    assert -1e-3 < min(found.margin) < 2e-3  # they did meet
+    assert found.by_coal == pytest.approx(found.margin, abs=5e-6)
     assert found.stuck == 0
 
 

@@ -157,16 +157,16 @@ def test_standing_still_is_allowed_but_just_below_a_limit(
         assert np.isfinite(rows.G).all()
         margins = by_name(limit.margins(held_box, np.vstack([q, q]), np.zeros((1, held_box.n)), DT))
         h = rows.h[[name in margins for name in names]]  # without corners
-        room = np.array([margins[name][0] for name in names if name in margins])
-        assert (h[(room >= 0.0) | (room < -strip)] >= 0.0).all()
+        margin = np.array([margins[name][0] for name in names if name in margins])
+        assert (h[(margin >= 0.0) | (margin < -strip)] >= 0.0).all()
         assert rows.h.min() >= -10.0 * strip  # what is asked back, at the default gain
-        deep += int((room < -strip).sum())
+        deep += int((margin < -strip).sum())
     assert deep > 30 or isinstance(limit, ObjectSpeed)
 
 
 def test_what_sank_in_a_little_is_asked_back_and_what_started_deep_is_not() -> None:
-    room, h = np.array([0.02, 0.0, -0.5 * SHALLOW, -2.0 * SHALLOW]), np.zeros(4)
-    damp(room, np.full(4, 10.0), np.zeros(4, bool), h)
+    margin, h = np.array([0.02, 0.0, -0.5 * SHALLOW, -2.0 * SHALLOW]), np.zeros(4)
+    damp(margin, np.full(4, 10.0), np.zeros(4, bool), h)
     assert h.tolist() == pytest.approx([0.2, 0.0, -5.0 * SHALLOW, 0.0])
 
 
@@ -175,7 +175,7 @@ IN_SPACE = [limit for limit in EXAMPLES if type(limit).clearance is not Limit.cl
 
 @pytest.mark.parametrize("limit", IN_SPACE, ids=lambda limit: type(limit).__name__)
 def test_rows_in_space_are_the_slope_of_what_is_left(limit: Limit, held_box: ClosedChain) -> None:
-    """-G against central differences of the room, at random configurations with closed loops.
+    """-G against central differences of the margin, at random configurations with closed loops.
 
     coal ends its search for the distance of what is round with a normal that is 1e-4 off.
     """
@@ -187,7 +187,7 @@ def test_rows_in_space_are_the_slope_of_what_is_left(limit: Limit, held_box: Clo
         state = State(held_box, held_box.q_start + rng.uniform(-0.1, 0.1, held_box.n))
         state.close_loops(20)
         q, rows = state.q.copy(), empty_rows(held_box, limit)
-        rows.lb[:] = rows.ub[:] = 0.0  # at rest nothing looks farther ahead than the room does
+        rows.lb[:] = rows.ub[:] = 0.0  # at rest nothing looks farther ahead than the margin does
         limit.bind(held_box, DT)(state, rows)
         for i in range(held_box.n):
             step = 1e-6 * np.eye(held_box.n)[i]

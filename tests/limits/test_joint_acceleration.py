@@ -57,9 +57,9 @@ def test_the_braking_bound_is_the_closed_form_at_whole_ticks(held_box: ClosedCha
     a, limit, state = 40.0, JointAcceleration(max=40.0), State(held_box)
     for ticks in range(1, 12):
         v = ticks * a * DT
-        room = v**2 / (2.0 * a) + v * DT / 2.0
-        state.q[:], state.v[:] = held_box.upper - room, v
-        bound = -a * DT / 2.0 + math.sqrt((a * DT / 2.0) ** 2 + 2.0 * a * room)
+        margin = v**2 / (2.0 * a) + v * DT / 2.0
+        state.q[:], state.v[:] = held_box.upper - margin, v
+        bound = -a * DT / 2.0 + math.sqrt((a * DT / 2.0) ** 2 + 2.0 * a * margin)
         rows = LimitRows(
             np.full(held_box.n, -99.0), np.full(held_box.n, 99.0),
             np.zeros((0, held_box.n)), np.zeros(0),

@@ -17,7 +17,7 @@ from example_limits import empty_rows
 import coopqp
 from coopqp.base.spec import Array
 from coopqp.limits import Obstacle, Obstacles, SelfCollision
-from coopqp.limits._keep_apart import distances_along, levers
+from coopqp.limits._keep_apart import distances_along, max_closing_speeds
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.scenario.loader import load
 from coopqp.trace import Trace
@@ -113,7 +113,7 @@ def test_a_distance_is_kept_whatever_dt_and_within_are(
 def test_no_pair_closes_faster_than_is_looked_ahead(held_box: ClosedChain) -> None:
     """Random poses and speeds: the ways in a tick are below the bound, and not far below it."""
     pairs = SelfCollision().watched(held_box)
-    ways, rng, dt = levers(held_box, pairs), np.random.default_rng(0), 1e-3
+    ways, rng, dt = max_closing_speeds(held_box, pairs), np.random.default_rng(0), 1e-3
     shares = []
     for q in held_box.sample(rng, 30):
         v = rng.choice((-1.0, 1.0), held_box.n) * held_box.velocity

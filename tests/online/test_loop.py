@@ -307,7 +307,7 @@ def test_the_object_is_taken_as_it_is_held() -> None:
     chain = loop.problem.chain
     np.testing.assert_array_equal(chain.q_start, q)
     assert np.abs(State(chain).loop_error).max() < 1e-12
-    assert np.abs(loop.state.gap).max() < 1e-12
+    assert np.abs(loop.state.loop_offset).max() < 1e-12
 
 
 def test_a_written_grasp_is_taken_a_little_off_and_refused_far_off() -> None:

@@ -35,7 +35,7 @@ from coopqp.plants import Mujoco, RigidBody
 from coopqp.robot import Arm, Robot, RobotModel
 from coopqp.robots import PlanarPair
 from coopqp.scenario.loader import load
-from coopqp.scenario.planned import Followed, Way, following, way_tasks
+from coopqp.scenario.planned import PlanReference, Way, following, way_tasks
 from coopqp.scenario.scenario import Phase, Scenario
 from coopqp.signal import CLOCK, POSE, Moment, Trajectory
 from coopqp.signals import Waypoints
@@ -451,7 +451,9 @@ def test_a_plan_that_is_timed_is_followed_with_its_forces(
         file = tmp_path / f"{len(columns)}.csv"
         file.write_text(csv_text(columns), encoding="utf-8")
         trace = run(
-            following(scenario, Followed(plan=file, late=0.1)), controller=law.name, timed=False
+            following(scenario, PlanReference(plan=file, late=0.1)),
+            controller=law.name,
+            timed=False,
         )
         ticks = slice(0, len(whole))
         off.append(np.abs(trace.q[ticks] - [now.q for now in whole]).max())

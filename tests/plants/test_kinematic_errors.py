@@ -201,7 +201,7 @@ def test_errors_of_the_model_do_not_squeeze_the_box(plant: str, error: str) -> N
     assert not trace.signals["saturated"].any()
     assert set(trace.status) == {"OPTIMAL"}
     assert trace.loop_position.max() < 1e-5, "the true loops are closed"
-    assert np.linalg.norm(trace.gap[-1, :3]) > 5e-4, "and the controller has seen the error"
+    assert np.linalg.norm(trace.loop_offset[-1, :3]) > 5e-4, "and the controller has seen the error"
 
 
 @pytest.mark.parametrize("plant", WITH_MASSES)
@@ -219,7 +219,7 @@ def test_a_slip_is_let_go_of(plant: str) -> None:
     assert force[:50].max() < 0.2
     assert force[60:70].max() > 1.0
     assert squeeze(trace) < 0.1
-    assert np.linalg.norm(trace.gap[-1, :3]) == pytest.approx(5e-3, rel=0.05)
+    assert np.linalg.norm(trace.loop_offset[-1, :3]) == pytest.approx(5e-3, rel=0.05)
 
 
 def test_plants_agree_on_where_the_box_really_is() -> None:
@@ -232,13 +232,13 @@ def test_plants_agree_on_where_the_box_really_is() -> None:
 
 
 def test_perfect_joints_show_how_far_the_hands_are_apart() -> None:
-    """Nothing holds them together, so that the error's change along the way is a gap."""
+    """Nothing holds them together, so that the error's change along the way is a loop offset."""
     trace = carried("kinematic", GRASP)
     assert trace.loop_position[0] < 1e-9
     assert 1e-5 < trace.loop_position[-1] < 2e-3
 
 
-def test_the_gap_is_in_the_verdict() -> None:
+def test_the_loop_offset_is_in_the_verdict() -> None:
     comparison = coopqp.compare(coopqp.load("calibration_error"), controllers=["qp"])
     metrics, said = comparison.metrics["qp"], comparison.verdicts["qp"]
     assert metrics["reached"]

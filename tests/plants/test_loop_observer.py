@@ -158,10 +158,10 @@ def test_what_is_no_reading_teaches_no_load(settings: Observer, reading: object)
     observer, state = LoopObserver(chain, 0.01, settings), State(chain)
     state.update()
     observer.begin(state)
-    before, state.q_measured = state.felt[0], reading  # type: ignore[assignment]
+    before, state.q_measured = state.observer_state[0], reading  # type: ignore[assignment]
     for _ in range(10):
         observer.update(state)
-    assert state.felt[0] == before
+    assert state.observer_state[0] == before
 
 
 def test_weight_that_is_fed_forward_makes_nothing_sag() -> None:
@@ -169,7 +169,7 @@ def test_weight_that_is_fed_forward_makes_nothing_sag() -> None:
     fed, off = replace(FIRM, object_compensated=0.8), replace(ERRORS, object_mass=1.5)
     law, _, state, _ = run(scenario(fed, Observer(stiffness=K, object_compensated=0.8), off), 5.0)
     assert law.observer.load == pytest.approx(1.5 * MASS * G, rel=0.05)
-    assert state.felt[0] == pytest.approx(0.7 * MASS * G, rel=0.1)
+    assert state.observer_state[0] == pytest.approx(0.7 * MASS * G, rel=0.1)
 
 
 @pytest.mark.parametrize("times", [1.0, 1.5])
@@ -181,19 +181,19 @@ def test_the_load_is_felt_whatever_the_scenario_says(times: float) -> None:
 def test_unknown_servos_have_no_load_and_are_unloaded_all_the_same() -> None:
     law, _, state, _ = run(scenario(FIRM, Observer()), 5.0)
     assert math.isnan(law.observer.load)
-    assert K * state.felt[0] == pytest.approx(MASS * G, rel=0.05)  # K is believed to be 1
+    assert K * state.observer_state[0] == pytest.approx(MASS * G, rel=0.05)  # K is believed to be 1
 
 
 @pytest.mark.few(2)
 @pytest.mark.parametrize("plant", [FIRM, CREEPS], ids=["firm", "creeps"])
 @pytest.mark.parametrize("observer", [KNOWN, Observer()], ids=["known", "felt"])
-def test_hands_do_not_pull_and_the_gap_comes_to_rest(
+def test_hands_do_not_pull_and_the_loop_offset_comes_to_rest(
     plant: QuasiStatic, observer: Observer
 ) -> None:
     state = run(scenario(plant, observer), 8.0)[2]
     law, _, later, more = run(scenario(plant, observer), 10.0)
     assert np.mean(more[-50:]) < 0.05 * MASS * G
-    assert np.linalg.norm(later.gap[:3] - state.gap[:3]) < 1e-4
+    assert np.linalg.norm(later.loop_offset[:3] - state.loop_offset[:3]) < 1e-4
     assert law.observer.at_bound == ()
 
 
@@ -209,21 +209,21 @@ def test_a_grip_that_creeps_is_not_wound_up_by_servos_of_another_stiffness() -> 
     _, _, state, force = run(scenario(weak_wrists(), Observer()), 8.0)
     _, _, later, _ = run(scenario(weak_wrists(), Observer()), 10.0)
     assert np.mean(force[-50:]) < np.mean(none[-50:]) + 0.01 * MASS * G
-    assert np.linalg.norm(later.gap - state.gap) < 1e-5
+    assert np.linalg.norm(later.loop_offset - state.loop_offset) < 1e-5
 
 
 def test_a_position_stays_while_the_rotation_is_at_its_bound() -> None:
     law, _, state, _ = run(scenario(weak_wrists(), Observer(most=0.003)), 8.0)
     _, _, later, _ = run(scenario(weak_wrists(), Observer(most=0.003)), 10.0)
     assert law.observer.at_bound == ("left",)
-    assert np.linalg.norm((later.gap - state.gap)[:3]) < 1e-5
+    assert np.linalg.norm((later.loop_offset - state.loop_offset)[:3]) < 1e-5
 
 
-def test_a_gap_that_stays_moves_when_something_happens_to_the_hands() -> None:
+def test_a_loop_offset_that_stays_moves_when_something_happens_to_the_hands() -> None:
     slips = replace(ERRORS, slip=Slip(at=6.0, by=5e-3))
     _, _, state, _ = run(scenario(weak_wrists(), Observer(), slips), 6.0)
     _, _, later, force = run(scenario(weak_wrists(), Observer(), slips), 9.0)
-    assert np.linalg.norm((later.gap - state.gap)[:3]) > 1e-3
+    assert np.linalg.norm((later.loop_offset - state.loop_offset)[:3]) > 1e-3
     assert np.mean(force[-50:]) < 0.1 * max(force[600:])
 
 
@@ -242,7 +242,9 @@ def test_noise_is_not_followed_sooner() -> None:
     noisy = replace(ERRORS, noise_position=2e-3)
     law, _, state, _ = run(scenario(FIRM, KNOWN, noisy), 3.0)
     share, rng = law.observer._share, np.random.default_rng(0)
-    sooner = [law.observer._learns(rng.normal(size=(2, 3)), state.felt[1]) for _ in range(1000)]
+    sooner = [
+        law.observer._learns(rng.normal(size=(2, 3)), state.observer_state[1]) for _ in range(1000)
+    ]
     assert np.mean(np.array(sooner[30:]) > 1.01 * loop_observer.SOONER * share) < 0.002
 
 
@@ -265,13 +267,13 @@ def test_a_change_beyond_the_bound_is_named() -> None:
 
 def test_a_disabled_observer_keeps_what_it_began_with() -> None:
     _, _, state, _ = run(scenario(FIRM, Observer(enabled=False)), 0.5)
-    begun = run(scenario(FIRM, Observer()), 0.01)[2].felt[2:]
-    np.testing.assert_allclose(state.gap, begun, atol=1e-12)
+    begun = run(scenario(FIRM, Observer()), 0.01)[2].observer_state[2:]
+    np.testing.assert_allclose(state.loop_offset, begun, atol=1e-12)
 
 
 def test_a_copied_state_feels_the_same() -> None:
     _, _, state, _ = run(scenario(FIRM, KNOWN), 0.5)
-    np.testing.assert_array_equal(copy.deepcopy(state).felt, state.felt)
+    np.testing.assert_array_equal(copy.deepcopy(state).observer_state, state.observer_state)
 
 
 def test_a_joint_that_there_is_not_is_refused() -> None:

@@ -46,7 +46,7 @@ def test_a_hand_that_takes_hold_in_motion_stops_as_pinocchio_says(
 def test_plants_with_masses_open_and_close_the_loop(tmp_path: Path, plant: object) -> None:
     if isinstance(plant, Mujoco):
         pytest.importorskip("mujoco")
-    # Welds give way a little, and a drift correction would pull at them without end.
+    # Welds give way a little, and Baumgarte stabilisation would pull at them without end.
     made = replace(phased(tmp_path), plant=plant, kappa=0.0)
     trace, ideal = (
         run(made, controller="qp"),

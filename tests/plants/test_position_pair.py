@@ -19,7 +19,7 @@ from coopqp.closed_loop.admittance import Admittance
 from coopqp.controller import Command
 from coopqp.controllers import QPController
 from coopqp.grasps import Rigid
-from coopqp.metrics.gap import Gap
+from coopqp.metrics.loop_offset import LoopOffset
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
 from coopqp.plant import Disturbance
@@ -72,13 +72,13 @@ def test_the_box_is_lifted_meanwhile(lifted: Trace) -> None:
 
 def test_hands_have_approached_by_what_hands_and_servos_yield(lifted: Trace) -> None:
     """In series; the springs are 10 kN/m, the servos by their frequency some times that."""
-    way = np.linalg.norm(lifted.gap[-1, :3])
+    way = np.linalg.norm(lifted.loop_offset[-1, :3])
     assert 5e3 < WANTED / way < 1e4
 
 
 def test_what_springs_yield_is_neither_an_open_loop_nor_the_models_error(lifted: Trace) -> None:
     assert lifted.loop_position.max() < 5e-4
-    assert Gap().measure(lifted)["position"] < 1e-3
+    assert LoopOffset().measure(lifted)["position"] < 1e-3
 
 
 def test_soft_hands_are_squeezed_alike(scenario: Scenario) -> None:

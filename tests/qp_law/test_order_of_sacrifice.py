@@ -29,10 +29,10 @@ from coopqp.tasks import JointCentering, PointOnPoint
 problem = partial(laws.problem, limits=LIMITS)
 
 
-def tightened(chain: ClosedChain, q: Array, room: float) -> ClosedChain:
+def tightened(chain: ClosedChain, q: Array, margin: float) -> ClosedChain:
     """The same chain, with position limits this far around q [rad]."""
     model = chain.robot.model.copy()
-    model.lowerPositionLimit, model.upperPositionLimit = q - room, q + room
+    model.lowerPositionLimit, model.upperPositionLimit = q - margin, q + margin
     narrow = replace(chain.robot, model=model)
     return ClosedChain.attach(narrow, chain.q_start, Rigid(), HeldObject())
 
@@ -122,7 +122,7 @@ def test_no_tick_of_a_built_law_waits_for_what_gives_up(
 
 
 def most_correction(chain: ClosedChain, state: State, speed: float) -> float:
-    """The largest share of the drift correction under bounds, by a linear program."""
+    """The largest share of the Baumgarte stabilisation under bounds, by a linear program."""
     n, gap = chain.n, state.loop_error / DT
     top = np.minimum((chain.upper - state.q) / DT, speed * chain.velocity)
     low = np.maximum((chain.lower - state.q) / DT, -speed * chain.velocity)
@@ -136,7 +136,7 @@ def most_correction(chain: ClosedChain, state: State, speed: float) -> float:
 
 
 @pytest.mark.parametrize("acceleration", [(), (JointAcceleration(max=20.0),)], ids=["", "a"])
-def test_drift_correction_is_slowed_by_position_limits(
+def test_baumgarte_stabilisation_is_slowed_by_position_limits(
     acceleration: tuple[Limit, ...], chain: ClosedChain
 ) -> None:
     """The joints may move 10 micro-radians and the gap is 0.1 mm: it closes as far as they go."""
@@ -155,7 +155,7 @@ def test_drift_correction_is_slowed_by_position_limits(
     assert np.linalg.norm(after.loop_error) < np.linalg.norm(state.loop_error)
 
 
-def test_drift_correction_is_slowed_by_velocity_limits(chain: ClosedChain) -> None:
+def test_baumgarte_stabilisation_is_slowed_by_velocity_limits(chain: ClosedChain) -> None:
     """A gap of 0.5 mm in one tick would take more than the speed that is allowed."""
     q = slightly_open(chain, 5e-4)
     slow = JointVelocity(scale=1e-3)
@@ -180,7 +180,7 @@ def test_a_gap_that_limits_slow_closes_in_the_end(chain: ClosedChain) -> None:
 
 
 def test_least_is_given_up_first(chain: ClosedChain) -> None:
-    """Tasks alone, then the drift correction in part, then acceleration limits as well."""
+    """Tasks alone, then the Baumgarte stabilisation in part, then acceleration limits as well."""
     limits = (*LIMITS, JointAcceleration(max=20.0))
     law = PLAIN.build(problem(chain, TURN, limits=(*LIMITS, JointAcceleration(max=1e4))))
     assert law.tick(law.start()).causes == (Status.TASKS_RELAXED,)

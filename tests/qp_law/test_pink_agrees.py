@@ -119,7 +119,7 @@ class Baxter:
         return at
 
     def close(self, state: State) -> None:
-        """Close the loops by the joints that are not at a limit, which must not be overrun."""
+        """Close the loops by the joints that are not at a limit, which must not be exceeded."""
         free = ~self.at_limit(state.q)
         for _ in range(2):
             J = state.J_loop[:, free]

@@ -137,7 +137,7 @@ def test_there_is_always_an_answer(joints: str, nao: RobotModel) -> None:
     strict=True,
     reason="known: where joints compete the loop opens up to its budget, and then no step fits",
 )
-def test_recovery_goes_on_where_the_drift_correction_is_given_up(nao: RobotModel) -> None:
+def test_recovery_goes_on_where_the_baumgarte_stabilisation_is_given_up(nao: RobotModel) -> None:
     """As long as a linear program finds a motion along the loops that brings joints back."""
     chain, trace = coming_back(nao, "revolute", OUTSIDE["both shoulders"])
     q = trace.q[-1]

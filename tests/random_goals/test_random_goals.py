@@ -185,7 +185,7 @@ def made_up(goal: str, **runs: LawRun) -> GoalRun:
 
 
 GOOD = LawRun("", True, True, True, 0.0, 0.0, 0.5, 1e-6)
-OUTSIDE = replace(GOOD, inside=False, overrun=0.2)
+OUTSIDE = replace(GOOD, inside=False, violation=0.2)
 OPEN = replace(GOOD, loop=False, loop_error=0.1)
 SHORT = replace(GOOD, reached=False, error=0.03)
 

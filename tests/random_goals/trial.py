@@ -59,7 +59,7 @@ class LawRun:
         inside: no joint ever beyond a limit of its position or its speed.
         loop: the loops were closed all the time.
         error: at the end, sqrt(sum_i w_i |e_i|^2), what the tasks' weights make of it.
-        overrun: of a position limit, the worst [rad or m].
+        violation: of a position limit, the worst [rad or m].
         speed: the largest, as a share of the joint's limit.
         loop_error: the widest [m].
     """
@@ -69,7 +69,7 @@ class LawRun:
     inside: bool
     loop: bool
     error: float
-    overrun: float
+    violation: float
     speed: float
     loop_error: float
 
@@ -187,7 +187,7 @@ def _judge(name: str, trace: Trace, problem: ControlProblem) -> LawRun:
         inside=not (found.joints or found.speeds),
         loop=found.loop_closed,
         error=_norm(problem, [task.error for task in found.tasks]),
-        overrun=float(beyond(trace).max()),
+        violation=float(beyond(trace).max()),
         speed=float((np.abs(trace.v) / trace.velocity).max()),
         loop_error=found.loop[0],
     )

@@ -119,7 +119,7 @@ def test_parquet_has_columns_with_units(written: Any, trace: Trace) -> None:
     assert tuple(table["status"].to_pylist()[:-1]) == trace.status
     units = {
         "t": "s", "x": "m", "R11": "1", "tick_us": "us", "v[RElbowRoll]": "rad/s",
-        "tau[RElbowRoll]": "N m", "gap[1].rot_x": "rad", "error[alone.away]": "rad",
+        "tau[RElbowRoll]": "N m", "loop_offset[1].rot_x": "rad", "error[alone.away]": "rad",
         "rate[again.up.z]": "m/s", "margin[velocity].rad/s": "rad/s",
     }  # fmt: skip
     for name, unit in units.items():

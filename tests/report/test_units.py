@@ -177,13 +177,13 @@ def compared(write: Write) -> Comparison:
     return coopqp.compare(load(write()))
 
 
-def with_limits(comparison: Comparison, joint: str, room: float) -> Comparison:
-    """As if a joint had had this much room above the farthest it went; others have plenty."""
+def with_limits(comparison: Comparison, joint: str, margin: float) -> Comparison:
+    """As if a joint had had this much margin above the farthest it went; others have plenty."""
 
     def limited(trace: Trace) -> Trace:
         upper = np.full(len(trace.joints), 50.0)
         i = trace.joints.index(joint)
-        upper[i] = trace.q[:, i].max() + room
+        upper[i] = trace.q[:, i].max() + margin
         return replace(trace, lower=np.full(len(upper), -50.0), upper=upper)
 
     traces = {name: limited(trace) for name, trace in comparison.traces.items()}
@@ -191,7 +191,7 @@ def with_limits(comparison: Comparison, joint: str, room: float) -> Comparison:
 
 
 @pytest.mark.parametrize(("joint", "unit"), [("rail", "m"), ("r_j2", "rad")])
-def test_margins_and_overruns_have_the_unit_of_the_worst_joint(
+def test_margins_and_violations_have_the_unit_of_the_worst_joint(
     compared: Comparison, joint: str, unit: str
 ) -> None:
     inside, beyond = with_limits(compared, joint, 0.25), with_limits(compared, joint, -0.125)
@@ -241,11 +241,11 @@ def test_metrics_say_that_their_unit_is_the_joints() -> None:
 def test_the_playback_tells_margins_of_slides_and_hinges_apart(compared: Comparison) -> None:
     trace = compared.traces["qp"]
     readout = scene(compared)["controllers"][0]["readout"]
-    room = np.minimum(trace.q - trace.lower, trace.upper - trace.q)
+    margin = np.minimum(trace.q - trace.lower, trace.upper - trace.q)
     rail = trace.joints.index("rail")
-    hinges = np.delete(room, rail, axis=1).min(axis=1)
+    hinges = np.delete(margin, rail, axis=1).min(axis=1)
     for k, lines in enumerate(readout):
-        assert lines[-1] == f"limit margin {hinges[k]:.3g} rad, {room[k, rail]:.3g} m"
+        assert lines[-1] == f"limit margin {hinges[k]:.3g} rad, {margin[k, rail]:.3g} m"
 
 
 def test_margins_of_slides_have_a_figure_of_their_own(compared: Comparison) -> None:

@@ -97,9 +97,9 @@ def check(
     np.testing.assert_allclose(state.p_WO, held.pose.position, atol=CLOSED)
     R = pin.rpy.rpyToMatrix(*held.pose.angles)
     assert np.linalg.norm(pin.log3(state.R_WO @ R.T)) < CLOSED
-    room = np.minimum(chain.q_start - chain.lower, chain.upper - chain.q_start).min()
-    assert room > 0.0
-    assert found.margin == pytest.approx(room, abs=1e-6)
+    margin = np.minimum(chain.q_start - chain.lower, chain.upper - chain.q_start).min()
+    assert margin > 0.0
+    assert found.margin == pytest.approx(margin, abs=1e-6)
     own = {k: v for k, v in found.start.items() if k not in found.passive}
     np.testing.assert_array_equal(robot.configuration(own), found.q)
     return chain
@@ -133,8 +133,8 @@ def test_the_margin_is_no_worse_than_that_of_the_pose_it_was_made_of() -> None:
     q = nao_start(robot)
     grasps, held = held_at(robot, q)
     found = solve_start(robot, grasps, held)
-    room = np.minimum(q - robot.model.lowerPositionLimit, robot.model.upperPositionLimit - q)
-    assert found.margin > room.min() - 1e-6
+    margins = np.minimum(q - robot.model.lowerPositionLimit, robot.model.upperPositionLimit - q)
+    assert found.margin > margins.min() - 1e-6
 
 
 @pytest.mark.parametrize(

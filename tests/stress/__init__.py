@@ -2,7 +2,7 @@
 
 arrangements  which arms hold the object how, from the shipped scenarios
 goals, draw   random tasks; a whole random problem from one seed
-signs         what a recorded rollout shows: standing still, an overrun
+signs         what a recorded rollout shows: standing still, a violation
 driving       runs a law and keeps what happens
 ending        where it ended, and why there
 firmness      hard tasks that end farther off than as soft ones

@@ -95,7 +95,7 @@ def _run(seed: int, solver: Solver, plant: Plant) -> Rollout:
         errors=faults[0].kind if len(faults) == 1 else "two at a time",
         outcome="silent" if silent else "spoken",
         reason=", ".join(fault.words for fault in faults),
-        broken=(*signs.overruns(record, problem.budget), *untrue(record, lost)),
+        broken=(*signs.violations(record, problem.budget), *untrue(record, lost)),
         ticks=len(v),
         position_excess=signs.position_excess(record),
         velocity_excess=signs.velocity_excess(record),

@@ -26,7 +26,7 @@ class Rollout:
         frozen, oscillating, worse, never_back: signs that were seen; each is a broken promise too.
         saturated, squeezed: the same on plants with masses.
         compared: hard tasks that it rests short of, and that were tried as soft ones.
-        position_excess: largest overrun of a position limit that held before [rad].
+        position_excess: largest violation of a position limit that held before [rad].
         velocity_excess: of a velocity limit [rad/s].
         loop_position, loop_orientation: largest loop error [m], [rad].
         force, explained: internal force at the end on plants with masses, and what of it the
@@ -92,7 +92,7 @@ def judged(
         outcome=end.outcome,
         reason=end.reason,
         broken=(
-            *signs.overruns(record, drawn.problem.budget, excess),
+            *signs.violations(record, drawn.problem.budget, excess),
             *_seen(end, drawn, oscillates),
         ),
         frozen=end.frozen,

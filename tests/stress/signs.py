@@ -94,7 +94,7 @@ def outside(record: Record) -> float:
 
 
 def position_excess(record: Record) -> float:
-    """Largest overrun: what is inside stays inside, what is outside may only come nearer."""
+    """Largest violation: what is inside stays inside, what is outside may only come nearer."""
     q = np.asfortranarray(record.q)  # along whose first axis numpy is faster
     lowest, highest = q.min(axis=0), q.max(axis=0)
     if (lowest >= record.lower).all() and (highest <= record.upper).all():
@@ -105,7 +105,7 @@ def position_excess(record: Record) -> float:
 
 
 def velocity_excess(record: Record) -> float:
-    """Largest overrun of a velocity limit [rad/s, m/s]."""
+    """Largest violation of a velocity limit [rad/s, m/s]."""
     return max(0.0, float((np.abs(record.v) - record.speed).max(initial=0.0)))
 
 
@@ -125,7 +125,7 @@ def held_up(record: Record) -> bool:
     return bool(last) and all(any(cause in SHORTENED for cause in causes) for causes in last)
 
 
-def overruns(
+def violations(
     record: Record, budget: Budget, excess: tuple[float, float] | None = None
 ) -> Iterator[str]:
     """Promises that no tick may break, in words; with the excesses, where they are known."""

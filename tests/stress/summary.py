@@ -125,7 +125,8 @@ def fault_table(lines: Sequence[Line], plant: str) -> Table:
     """The same of rollouts with faults; they are not "held" firmly, but have kinds."""
     worst = lines[-1]
     caption = (
-        f"worst overrun: {worst['position_excess']:.1e} rad, {worst['velocity_excess']:.1e} rad/s\n"
+        f"worst violation: {worst['position_excess']:.1e} rad, "
+        f"{worst['velocity_excess']:.1e} rad/s\n"
         f"of {worst['ticks']} ticks {worst['relaxations']} gave something up"
     )
     rows = ([*(x["outcomes"].get(o, 0) for o in ("silent", "spoken")), x["broken"]] for x in lines)
@@ -161,7 +162,7 @@ def _worst(x: Line, *, masses: bool) -> str:
     """The worst of everything, a line each."""
     squeeze = f"\nlargest internal force at the end: {x['force']:.2f} N" if masses else ""
     return (
-        f"worst overrun: {x['position_excess']:.1e} rad, {x['velocity_excess']:.1e} rad/s\n"
+        f"worst violation: {x['position_excess']:.1e} rad, {x['velocity_excess']:.1e} rad/s\n"
         f"widest loop: {1e3 * x['loop_position']:.3f} mm, {1e3 * x['loop_orientation']:.2f} mrad\n"
         f"of {x['ticks']} ticks {x['relaxations']} gave something up, "
         f"{x['inaccurate']} were INACCURATE\n"

@@ -82,7 +82,7 @@ def test_everything_follows_from_the_seed(small: list[Rollout]) -> None:
 
 
 def test_draws_are_wide() -> None:
-    """Every arrangement, grasp, mode, drift correction and period comes up."""
+    """Every arrangement, grasp, mode, Baumgarte gain and period comes up."""
     draws = [drawn(seed) for seed in range(150)]
     assert {d.robot for d in draws} == set(arrangements.names())
     assert {"rigid", "revolute"} <= {d.grasp for d in draws}
@@ -142,22 +142,22 @@ def test_a_hinge_without_a_speed_limit_is_compared_with_what_turns() -> None:
     assert record.scale.tolist() == [0.07, 2.0, 2.0]
 
 
-def test_an_overrun_is_seen_and_a_way_back_is_none() -> None:
+def test_a_violation_is_seen_and_a_way_back_is_none() -> None:
     out = made_up(np.full(TICKS, 0.5), q_0=0.8)
     assert signs.position_excess(out) == pytest.approx(0.3, abs=1e-12)
-    assert any("position limit" in words for words in signs.overruns(out, Budget()))
+    assert any("position limit" in words for words in signs.violations(out, Budget()))
     back = made_up(np.full(TICKS, -0.5), q_0=1.3)
-    assert list(signs.overruns(back, Budget())) == []
+    assert list(signs.violations(back, Budget())) == []
     there_and_out = made_up(np.repeat([-0.5, 0.5], TICKS // 2), q_0=1.3)
     assert signs.position_excess(there_and_out) == pytest.approx(0.25, abs=1e-12)
 
 
 def test_speed_loops_and_nan_are_promises() -> None:
-    words = list(signs.overruns(made_up(np.full(TICKS, -1.1), q_0=1.0), Budget()))
+    words = list(signs.violations(made_up(np.full(TICKS, -1.1), q_0=1.0), Budget()))
     assert any("velocity limit by 0.1" in word for word in words)
     wide = replace(made_up(np.zeros(TICKS)), loop_position=2e-3, loop_orientation=2e-2)
-    assert len(list(signs.overruns(wide, Budget()))) == 2
-    assert list(signs.overruns(made_up(np.full(TICKS, np.nan)), Budget())) == ["commanded NaN"]
+    assert len(list(signs.violations(wide, Budget()))) == 2
+    assert list(signs.violations(made_up(np.full(TICKS, np.nan)), Budget())) == ["commanded NaN"]
 
 
 def test_loop_budget_that_stands_is_seen() -> None:

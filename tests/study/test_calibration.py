@@ -155,8 +155,8 @@ def run(scenario: Scenario) -> tuple[Trace, Calibration]:
     return trace, calibrate(scenario.chain, trace.measured[: 1 if one else None])
 
 
-def gap(trace: Trace) -> Array:
-    return np.linalg.norm(trace.gap[-1].reshape(2, 3), axis=1)
+def loop_offset(trace: Trace) -> Array:
+    return np.linalg.norm(trace.loop_offset[-1].reshape(2, 3), axis=1)
 
 
 FIRM, HINGE = Rigid(), Revolute(point=(0.0, 0.0, 0.02))
@@ -174,7 +174,7 @@ FIRM, HINGE = Rigid(), Revolute(point=(0.0, 0.0, 0.02))
     ],
     ids=["kinematic", "kinematic, hinges", "rigid_body", "rigid_body, hinges", "mujoco"],
 )
-def test_with_what_a_run_tells_the_gap_is_gone(
+def test_with_what_a_run_tells_the_loop_offset_is_gone(
     plant: Plant, grasp: Rigid | Revolute, tmp_path: Path
 ) -> None:
     """The same robot with the same errors again, and a law that knows what was found."""
@@ -190,8 +190,8 @@ def test_with_what_a_run_tells_the_gap_is_gone(
     law = scenario.controllers["qp"].build(replace(problem, chain=found.chain))
     real = plant.build(problem, scenario.seed, wrong)
     again = rollout(law, real, scenario.ticks, controller="qp", solver=None)
-    assert (gap(trace) > [1e-3, 5e-3]).all()
-    assert (gap(again) < 0.1 * gap(trace)).all()
+    assert (loop_offset(trace) > [1e-3, 5e-3]).all()
+    assert (loop_offset(again) < 0.1 * loop_offset(trace)).all()
 
 
 def written(folder: Path, scenario: Scenario) -> Path:

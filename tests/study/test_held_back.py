@@ -115,7 +115,7 @@ def test_the_limits_that_hold_back_are_at_their_bounds_and_come_first(
 def test_no_search_of_another_kind_finds_a_smaller_total(
     stress: tuple[Scenario, RunExplanation],
 ) -> None:
-    """SLSQP on the sum of overruns with the goal and the loops as equalities."""
+    """SLSQP on the sum of violations with the goal and the loops as equalities."""
     scenario, found = stress
     chain = scenario.chain
     goal = np.array(scenario.tasks[0].goal)  # type: ignore[attr-defined]

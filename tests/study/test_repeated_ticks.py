@@ -69,4 +69,4 @@ def test_columns_are_empty_where_there_is_nothing_to_say(tmp_path: Path) -> None
     joints = comparison.traces["qp"].joints
     for row in rows:
         assert not any(row[f"commanded[{joint}]"] for joint in joints)
-        assert not any(row[f"gap[1].{axis}"] for axis in ("x", "y", "z", "rot_x"))
+        assert not any(row[f"loop_offset[1].{axis}"] for axis in ("x", "y", "z", "rot_x"))

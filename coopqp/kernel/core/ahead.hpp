@@ -18,7 +18,7 @@ class Ahead {
         : m_(model), s_(settings), after_(model), q_(model.joints.size()),
           part_(arena.take(std::size_t(model.blocks * LANES))) {}
 
-    // Gain of the drift correction: more where the loop budget is half used up.
+    // Gain of the Baumgarte stabilisation: more where the loop budget is half used up.
     double kappa(const double* drift) const {
         const double most = 1.0 / s_.dt;
         if (s_.kappa >= most) return s_.kappa;
@@ -33,13 +33,13 @@ class Ahead {
 
     // The largest share of a step v dt, v in lanes, that leaves the loops within their budget, by
     // which v is shortened. 0 where hardly a step would.
-    double shorten(const double* q, const double* gap, const double* drift, double* v) {
-        if (within(q, gap, drift, v)) return 1.0;
+    double shorten(const double* q, const double* loop_offset, const double* drift, double* v) {
+        if (within(q, loop_offset, drift, v)) return 1.0;
         double share = 0.0, more = 0.5;
         for (int i = 0; i < HALVINGS; i++, more *= 0.5) {
             for (int b = 0; b < m_.blocks; b++)
                 lanes(part_)[b] = (share + more) * lanes(v)[b];
-            if (within(q, gap, drift, part_)) share += more;
+            if (within(q, loop_offset, drift, part_)) share += more;
         }
         if (share < SHORTEST) return 0.0;
         for (int b = 0; b < m_.blocks; b++) lanes(v)[b] *= share;
@@ -50,7 +50,7 @@ class Ahead {
     static double size3(const double* e) { return std::sqrt(dot3(e, e)); }
 
     // Whether the loops are within their budget after a step, or no worse than before it.
-    bool within(const double* q, const double* gap, const double* drift, const double* v) {
+    bool within(const double* q, const double* loop_offset, const double* drift, const double* v) {
         if (m_.loops() < 1) return true;
         double error = 0.0;
         for (int i = 0; i < 6 * m_.loops(); i++) error += drift[i] * drift[i];
@@ -65,7 +65,7 @@ class Ahead {
             }
             opened = std::max(opened, by);
         }
-        return fits(error, opened) || look(q, gap, drift, v);
+        return fits(error, opened) || look(q, loop_offset, drift, v);
     }
 
     bool fits(double error, double opened) const {
@@ -73,7 +73,7 @@ class Ahead {
                error + opened <= s_.budget.loop_orientation;
     }
 
-    bool look(const double* q, const double* gap, const double* drift, const double* v) {
+    bool look(const double* q, const double* loop_offset, const double* drift, const double* v) {
         for (std::size_t j = 0; j < q_.size(); j++)
             q_[j] = q[j] + s_.dt * v[m_.joints[j].lane];
         after_.place(q_.data());
@@ -81,7 +81,7 @@ class Ahead {
         for (int i = 0; i < m_.loops(); i++) {
             double e[6];
             for (int r = 0; r < 6; r++)
-                e[r] = after_.loop_error[std::size_t(6 * i + r)] - gap[6 * i + r];
+                e[r] = after_.loop_error[std::size_t(6 * i + r)] - loop_offset[6 * i + r];
             // A loop that is open already may be closed by steps that leave it open for now.
             const double* before = drift + 6 * i;
             if (!(size3(e) <= std::max(s_.budget.loop_position, size3(before)) &&

@@ -21,7 +21,7 @@ struct Solid {
     Placement at;
     Convex convex;
     // How fast each joint, at speed 1, moves any of its points at most; 0 where it moves none.
-    std::vector<double> levers;
+    std::vector<double> max_point_speeds;
 };
 
 // Nothing of it changes: where the bodies are is told by `poses`, which several threads may have of

@@ -90,8 +90,8 @@ class Bounds {
     }
 
     // On the chords of coopqp.limits.joint_acceleration.
-    double fastest(double room, double step) const {
-        const double s = std::max(room * (2.0 / (step * dt_)), 0.0);
+    double fastest(double margin, double step) const {
+        const double s = std::max(margin * (2.0 / (step * dt_)), 0.0);
         const double ticks = std::max(std::nearbyint(std::sqrt(s + 0.25)), 1.0);
         return (s / ticks + ticks - 1.0) * (0.5 * step);
     }

@@ -26,7 +26,7 @@ constexpr double ANOTHER = 1e-8;  // from there on an answer is another than the
 // spent on larger shares. First by this, then by so many times more, up to CONSISTENT [rad/s].
 constexpr double LEAST_WIDTH = 1e-11, WIDER = 10.0;
 constexpr double HOLD = 1e-11;  // by which rows that must hold may not, in an answer that is mended
-constexpr double CLOSE = 1e-9;  // overrun of limits in a second try, as daqp's first [rad/s]
+constexpr double CLOSE = 1e-9;  // violation of limits in a second try, as daqp's first [rad/s]
 
 class Cascade {
   public:
@@ -86,16 +86,16 @@ class Cascade {
         const int decided = hierarchy_.decided;
         hierarchy_.append(level.rows + hierarchy_.held, level.exact);
         copy(before_, v_, m_.blocks);
-        constraints_.nearest.overrun = OVERRUN;
+        constraints_.nearest.violation = VIOLATION;
         const Status status = decide_rows(l, before, decided, d);
-        // At rest the certificate sees limits that are overrun. Where several nearly depend on each
+        // At rest the certificate sees limits that are exceeded. Where several nearly depend on each
         // other a later level may seem to have no room, which cannot be: it may stay where it is.
         const bool no_room = l > 0 && status == Status::Unproven;
         const bool exceeds = status == Status::Optimal && check_.exceeds();
         if (status != Status::Inaccurate && !no_room && !exceeds) return status;
         copy(v_, before_, m_.blocks);
         copy(check_.V, V_, 2);
-        constraints_.nearest.overrun = no_room ? CLOSE : LAST_DIGITS;
+        constraints_.nearest.violation = no_room ? CLOSE : LAST_DIGITS;
         return decide_rows(l, before, decided, d);
     }
 

@@ -56,7 +56,7 @@ class Check {
         const bool rows_alone = std::size_t(l) + 1 < levels_.size() && levels_[std::size_t(l) + 1].rows;
         const double mu = std::min(rows_alone ? std::max(d, s_.damping) : d, SCALE_WEIGHT);
         const double over2 = clip(v, c.limits.lb, c.limits.ub);
-        const double overrun = std::sqrt(over2 + (l == 0 ? clip_shares() : 0.0));
+        const double violation = std::sqrt(over2 + (l == 0 ? clip_shares() : 0.0));
         double above = 0.0;
         alignas(64) double V_before[TWIST];
         slack_.resize(c.limits.h.size());
@@ -89,11 +89,11 @@ class Check {
         off += idle(mu);
         const double held = r_.distance(first, outcome.gap, v, c);
         const double astray = l == 0 ? std::max(held, unsure(v, c)) : held;
-        worst_primal = std::max(worst_primal, std::max(gap, std::max(overrun, above)));
+        worst_primal = std::max(worst_primal, std::max(gap, std::max(violation, above)));
         worst_dual = std::max(worst_dual, off);
-        if (!(gap + off + astray + above + overrun < std::numeric_limits<double>::infinity()))
+        if (!(gap + off + astray + above + violation < std::numeric_limits<double>::infinity()))
             outcome.status = Status::NotFinite;
-        else if (!(overrun <= s_.budget.bound && above <= s_.budget.bound))
+        else if (!(violation <= s_.budget.bound && above <= s_.budget.bound))
             outcome.status = Status::Bound;
         else if (!(gap <= s_.budget.equality))
             outcome.status = Status::Equality;
@@ -215,10 +215,10 @@ class Check {
         if (!c.nearest.active) return most;
         for (const Joint& joint : m_.joints) {
             const double slack = std::min(v[joint.lane] - c.limits.lb[joint.lane], c.limits.ub[joint.lane] - v[joint.lane]);
-            if (slack <= OVERRUN) most = std::max(most, c.nearest.unsure(joint.lane, m_.blocks));
+            if (slack <= VIOLATION) most = std::max(most, c.nearest.unsure(joint.lane, m_.blocks));
         }
         for (std::size_t at = 0; at < slack_.size(); at++)
-            if (slack_[at] <= OVERRUN)
+            if (slack_[at] <= VIOLATION)
                 most = std::max(most, c.nearest.unsure(m_.blocks * LANES + int(at), m_.blocks));
         return most;
     }

@@ -138,12 +138,12 @@ class Constraints {
         v4 over = v4{};
         for (int b = 0; b < lanes_ / LANES; b++)
             over = larger(over, larger(lo[b] - x[b], x[b] - hi[b]));
-        for (int k = 0; k < LANES; k++) inside &= over[k] <= nearest.overrun;
+        for (int k = 0; k < LANES; k++) inside &= over[k] <= nearest.violation;
         double* slack = nearest.upper + lanes_;
         for (int i = 0; i < inequalities_; i++) {
             slack[i] = limits.h[std::size_t(i)] -
                        dot(limits.G + std::size_t(i) * std::size_t(lanes_), v, lanes_ / LANES);
-            inside &= slack[i] >= -nearest.overrun;
+            inside &= slack[i] >= -nearest.violation;
         }
         for (int k = 0; k < shares_.count(); k++)
             inside &= shares_.share(k) >= 0.0 && shares_.share(k) <= 1.0;
@@ -156,7 +156,7 @@ class Constraints {
         for (int s = 0; s < exact_; s++) {
             const double lacks = l == 0 ? shares_.lacks(s) : 0.0;
             nearest.lower[spare_row(s)] = nearest.upper[spare_row(s)] = -lacks;
-            agree &= std::fabs(lacks) <= OVERRUN;
+            agree &= std::fabs(lacks) <= VIOLATION;
         }
         for (int k = 0; l > 0 && k < shares_.count(); k++)
             nearest.lower[share_row(k)] = nearest.upper[share_row(k)] = 0.0;

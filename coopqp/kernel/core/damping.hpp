@@ -102,7 +102,7 @@ class StepDamping {
         const double size = level.asks_velocity[i]
                                 ? rows_.times(level, s, v_last, V) - level.rate[i]
                                 : level.gain[i] * level.e[i];
-        return std::fabs(size) * level.lever[i];
+        return std::fabs(size) * level.curvature_bound[i];
     }
 
     // Multipliers of scaled tasks are known by what their shares lacked in the last tick.

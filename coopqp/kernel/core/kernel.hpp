@@ -73,7 +73,7 @@ class Kernel {
         std::copy(kinematics.R_WO, kinematics.R_WO + 9, bound.R_WO);
         for (std::size_t i = 0; i < kinematics.loop_error.size(); i++) {
             bound.loop_error[i] = kinematics.loop_error[i];
-            bound.drift[i] = kinematics.loop_error[i] - bound.gap[i];
+            bound.drift[i] = kinematics.loop_error[i] - bound.loop_offset[i];
         }
         std::copy(q, q + m_->n(), bound.q_seen);
         limits.h.resize(std::size_t(s_.inequalities));
@@ -81,16 +81,18 @@ class Kernel {
     }
 
     // Follow the loop-closure offset by measured joints; false where that is Python's.
-    bool learn(LoopObserver& observer, const double* reading, double* gap, double* felt) {
-        if (!observer.update(kinematics, bound.q, bound.v_last, reading, gap, felt)) return false;
+    bool learn(LoopObserver& observer, const double* reading, double* loop_offset,
+               double* observer_state) {
+        if (!observer.update(kinematics, bound.q, bound.v_last, reading, loop_offset, observer_state))
+            return false;
         for (std::size_t i = 0; i < kinematics.loop_error.size(); i++)
-            bound.drift[i] = kinematics.loop_error[i] - gap[i];
+            bound.drift[i] = kinematics.loop_error[i] - loop_offset[i];
         return true;
     }
 
     // Decide v from the kinematics, tasks and limits as they stand. Joints that are outside their
     // limits come back first: the limits are tightened by their way.
-    //   all_corrected: whether the tick before has done all of the drift correction.
+    //   all_corrected: whether the tick before has done all of the Baumgarte stabilisation.
     Status solve(bool all_corrected) {
         for (int j = 0; j < m_->n(); j++)
             last_[m_->joints[std::size_t(j)].lane] = bound.v_last[j];
@@ -351,17 +353,17 @@ class Kernel {
 
     // 1 where the exact motion v is at a limit, 0 where it is NEAR none.
     double at_limits(const double* v) const {
-        double room = NEAR;
+        double margin = NEAR;
         for (const Joint& joint : m_->joints) {
             const double at = v[joint.lane];
-            room = std::min(room, std::min(limits.ub[joint.lane] - at, at - limits.lb[joint.lane]));
+            margin = std::min(margin, std::min(limits.ub[joint.lane] - at, at - limits.lb[joint.lane]));
         }
         for (std::size_t i = 0; i < limits.h.size(); i++) {
             const double* G = limits.G + i * std::size_t(stride());
             const double size = std::max(std::sqrt(dot(G, G, m_->blocks)), IDLE);
-            room = std::min(room, (limits.h[i] - dot(G, v, m_->blocks)) / size);
+            margin = std::min(margin, (limits.h[i] - dot(G, v, m_->blocks)) / size);
         }
-        return std::min(1.0 - room / NEAR, 1.0);
+        return std::min(1.0 - margin / NEAR, 1.0);
     }
 
     // Whether the answer of the exact program is what the levels of least squares answer.
@@ -380,14 +382,15 @@ class Kernel {
     // by more than it moves them.
     double overreaches(const double* v, int from, int to) {
         if (from == to) return 0.0;
-        double levers2 = 0.0, moved2 = 0.0;
+        double bounds2 = 0.0, moved2 = 0.0;
         rows_.object_twist(v, V_);
         for (int s = from; s < to; s++) {
-            const double along = rows_.times(levels[0], s, v, V_), lever = levels[0].lever[std::size_t(s)];
-            levers2 += lever * lever;
+            const double along = rows_.times(levels[0], s, v, V_);
+            const double bound = levels[0].curvature_bound[std::size_t(s)];
+            bounds2 += bound * bound;
             moved2 += along * along;
         }
-        return damping_.overreaches(std::sqrt(levers2) * dot(v, v, m_->blocks), std::sqrt(moved2));
+        return damping_.overreaches(std::sqrt(bounds2) * dot(v, v, m_->blocks), std::sqrt(moved2));
     }
 
     // The levels of hard and of scaled tasks where not all they ask can be done.
@@ -604,7 +607,7 @@ class Kernel {
     // v in lanes, or as much of it as leaves the loops within their budget, is what joints do.
     Status command(const double* v) {
         copy(v_, v, m_->blocks);
-        const double share = ahead_.shorten(bound.q, bound.gap, bound.drift, v_);
+        const double share = ahead_.shorten(bound.q, bound.loop_offset, bound.drift, v_);
         if (share == 0.0) return Status::Opens;
         write();
         return share < 1.0 ? Status::Shortened : Status::Optimal;

@@ -12,7 +12,7 @@
 
 namespace coopqp {
 
-constexpr double OVERRUN = 1e-12;         // of a constraint that counts as met [rad/s, m/s]
+constexpr double VIOLATION = 1e-12;       // of a constraint that counts as met [rad/s, m/s]
 constexpr double IN_THE_SPAN = 1e-9;      // share of a normal that active ones leave of it
 constexpr int MOST_CHANGES = 400;         // of the active set
 
@@ -44,7 +44,7 @@ class LeastDistance {
   public:
     double *M, *lower, *upper;
     int active = 0;
-    double overrun = OVERRUN;
+    double violation = VIOLATION;
 
   private:
     double* values_;
@@ -80,7 +80,7 @@ class LeastDistance {
     }
 
     // How far the first lanes may be off because a row at its limit, active or not, may be exceeded or
-    // pushed by as much as `overrun`: much, where those that are active leave next to nothing of it.
+    // pushed by as much as `violation`: much, where those that are active leave next to nothing of it.
     double unsure(int row, int blocks) {
         int held = active;
         for (int i = 0; i < active; i++)
@@ -96,7 +96,7 @@ class LeastDistance {
         clear(values_, blocks);
         add_rows(u, Q_, width_, K_, h_, blocks_);
         add_rows(values_, M, stride(), K_, u, blocks);
-        return overrun / left2 * std::sqrt(dot(values_, values_, blocks));
+        return violation / left2 * std::sqrt(dot(values_, values_, blocks));
     }
 
     // For tests of the check.
@@ -158,11 +158,11 @@ class LeastDistance {
     // The constraint that is violated most by values_, or -1.
     int most_violated(double& side) {
         const v4 *lo = lanes(lower), *hi = lanes(upper), *x = lanes(values_);
-        v4 most = v4{} + overrun;
+        v4 most = v4{} + violation;
         for (int b = 0; b < row_blocks_; b++)
             most = larger(most, larger(x[b] - hi[b], lo[b] - x[b]));
         const double worst = largest(most);
-        if (!(worst > overrun)) return -1;
+        if (!(worst > violation)) return -1;
         for (int i = 0; i < stride(); i++) {
             const bool above = values_[i] - upper[i] >= worst;
             if (!above && !(lower[i] - values_[i] >= worst)) continue;

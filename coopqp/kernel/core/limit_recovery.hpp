@@ -10,7 +10,7 @@
 
 namespace coopqp {
 
-constexpr double IN_PART = 1.0 - ALL_OF_IT;  // of the drift correction
+constexpr double IN_PART = 1.0 - ALL_OF_IT;  // of the Baumgarte stabilisation
 
 class LimitRecovery {
   public:
@@ -38,7 +38,7 @@ class LimitRecovery {
         return in_part ? Status::Outside : status;
     }
 
-    // Let nobody take away what was found, but for a little room, so that tasks stay feasible.
+    // Let nobody take away what was found, but for a little margin, so that tasks stay feasible.
     void keep(const double* q, Limits& limits) const {
         for (int j = 0; j < m_.n(); j++) {
             const int side = s_.outside(q, j), lane = m_.joints[std::size_t(j)].lane;
@@ -56,7 +56,7 @@ class LimitRecovery {
         Level level;
         const std::size_t n = model.joints.size();
         level.rows = int(n);
-        for (auto* a : {&level.e, &level.rate, &level.gain, &level.lever, &level.wanted})
+        for (auto* a : {&level.e, &level.rate, &level.gain, &level.curvature_bound, &level.wanted})
             a->assign(n, 0.0);
         level.weight.assign(n, 1.0);
         level.share.assign(n, -1);

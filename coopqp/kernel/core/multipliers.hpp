@@ -91,10 +91,10 @@ class Multipliers {
     // LaterLevel.pull: how much a level, whose gradient is g, pulls at the task rows decided before
     // it, by how fast these turn. Damping is left out, or it would feed itself.
     double pull(int l, int first, double damping, const double* v) {
-        double lever = 0.0, all = of_held_;
+        double bound = 0.0, all = of_held_;
         for (int k = 0; k < l; k++)
-            for (double of_row : levels_[std::size_t(k)].lever) lever = std::max(lever, of_row);
-        if (lever == 0.0 || first == 0) return lever * all;
+            for (double of_row : levels_[std::size_t(k)].curvature_bound) bound = std::max(bound, of_row);
+        if (bound == 0.0 || first == 0) return bound * all;
         const int blocks = hierarchy_.blocks();
         reduce(v, y_);
         reduce(g, of_g_);
@@ -107,7 +107,7 @@ class Multipliers {
             if (sigma > NOISE)
                 all += std::fabs(dot(hierarchy_.direction(s), y_, blocks)) / (sigma * sigma);
         }
-        return lever * all;
+        return bound * all;
     }
 
     // Multiplier of an exact row, of which the first coordinates are.

@@ -41,8 +41,8 @@ class Nearest {
         const Outcome& found = cascade_.outcome();
         double squares = 0.0, all = 0.0;
         for (std::size_t s = 0; s < std::size_t(given_.hard); s++) {
-            squares += given_.weight[s] * given_.lever[s] * given_.lever[s];
-            all += given_.weight[s] * pulls[s] * given_.lever[s];
+            squares += given_.weight[s] * given_.curvature_bound[s] * given_.curvature_bound[s];
+            all += given_.weight[s] * pulls[s] * given_.curvature_bound[s];
         }
         const double speed = std::sqrt(dot(v(), v(), blocks_));
         const double off = found.off * std::sqrt(least_ * squares / 4.0) / all * speed;
@@ -54,7 +54,7 @@ class Nearest {
         const Level& level = levels_[0];
         double curvature = 0.0;
         for (int s = 0; s < level.rows; s++)
-            curvature += level.weight[std::size_t(s)] * pulls[s] * level.lever[std::size_t(s)];
+            curvature += level.weight[std::size_t(s)] * pulls[s] * level.curvature_bound[std::size_t(s)];
         return of_hard(b, v, damping.of(curvature));
     }
 
@@ -127,7 +127,7 @@ class Nearest {
         level.e = level.rate = level.wanted = cut(given.wanted);
         level.gain = cut(given.gain);
         level.weight = cut(given.weight);
-        level.lever = cut(given.lever);
+        level.curvature_bound = cut(given.curvature_bound);
         level.asks_velocity = cut(given.asks_velocity);
         level.twist = cut(given.twist);
         level.share.assign(std::size_t(level.rows), -1);

@@ -31,38 +31,39 @@ class LoopObserver {
           late_(*std::max_element(o_.band.begin(), o_.band.end()) > 0.0) {}
 
     // Learn from joints measured at `reading` where q is commanded and v was. Its Jacobians are up to
-    // date; the gap and what is felt are moved. False where that is Python's: nothing is moved then.
+    // date; the loop offset and the observer's state are moved. False where that is Python's: nothing
+    // is moved then.
     bool update(const Kinematics& there, const double* q, const double* v, const double* reading,
-                double* gap, double* felt) {
+                double* loop_offset, double* observer_state) {
         const std::size_t loops = 6 * (model_.arms.size() - 1);
-        if (std::isnan(felt[0])) return false;
+        if (std::isnan(observer_state[0])) return false;
         std::copy_n(o_.told, 3, told_);
-        std::copy_n(felt, 2, felt_);
-        std::copy_n(gap, loops, before_.begin());
+        std::copy_n(observer_state, 2, state_);
+        std::copy_n(loop_offset, loops, before_.begin());
         std::copy_n(o_.opened, loops, opened_.begin());
         std::copy_n(o_.left, 3 * loops, left_.begin());
         std::copy_n(o_.stalled, 2 * loops / 3, stalled_.begin());
         spent_ = *o_.spent;
         const bool began = o_.told[2] == 0.0;
         const bool rests = at_rest(v);
-        const double load = unload(there, q, rests, reading, felt);
+        const double load = unload(there, q, rests, reading, observer_state);
         measured_.place(q_.data());
         measured_.measure();
-        gap_ = gap;
-        all_felt_ = felt;
+        loop_offset_ = loop_offset;
+        observer_state_ = observer_state;
         moved_ = true;
         const std::size_t closed = 6 * std::size_t(std::max(model_.loops(), 0));
         look_back(there, rests);
         for (std::size_t i = 0; i < loops; i += 3) {
-            const double share = learns(there, i, felt[1]) * (o_.stalled[i / 3] < SPANS);
+            const double share = learns(there, i, observer_state[1]) * (o_.stalled[i / 3] < SPANS);
             for (std::size_t r = i; i < closed && r < i + 3; r++)
-                gap[r] += share * (measured_.loop_error[r] - there.loop_error[r]) +
+                loop_offset[r] += share * (measured_.loop_error[r] - there.loop_error[r]) +
                           (began ? 0.0 : load * opened_[r] - load * o_.opened[r]);
         }
         for (std::size_t i = 0; i < closed; i += 3) {
             double away[3];
             for (std::size_t r = 0; r < 3; r++)
-                away[r] = gap[i + r] - (felt[2 + i + r] - load * o_.opened[i + r]);
+                away[r] = loop_offset[i + r] - (observer_state[2 + i + r] - load * o_.opened[i + r]);
             if (!(std::sqrt(dot3(away, away)) < o_.most[i / 3 % 2])) {
                 forget();
                 return false;
@@ -79,8 +80,8 @@ class LoopObserver {
         if (!moved_) return;
         moved_ = false;
         std::copy_n(told_, 3, o_.told);
-        std::copy_n(felt_, 2, all_felt_);
-        std::copy_n(before_.begin(), 6 * (model_.arms.size() - 1), gap_);
+        std::copy_n(state_, 2, observer_state_);
+        std::copy_n(before_.begin(), 6 * (model_.arms.size() - 1), loop_offset_);
         std::copy_n(opened_.begin(), 6 * (model_.arms.size() - 1), o_.opened);
         std::copy_n(left_.begin(), 18 * (model_.arms.size() - 1), o_.left);
         std::copy_n(stalled_.begin(), 4 * (model_.arms.size() - 1), o_.stalled);
@@ -90,7 +91,7 @@ class LoopObserver {
   private:
     // The reading without dead band and sag, q_; the load that it is taken to have.
     double unload(const Kinematics& there, const double* q, bool rests, const double* reading,
-                  double* felt) {
+                  double* observer_state) {
         const std::size_t n = q_.size();
         if (std::fmod(o_.told[2], double(o_.every)) == 0.0) look_at_sag(there);
         o_.told[2] += 1.0;
@@ -99,11 +100,12 @@ class LoopObserver {
             q_[j] = lag - std::min(std::max(lag, -o_.band[j]), o_.band[j]);
             reading_[j] = late_ ? q[j] + q_[j] : reading[j];
         }
-        double load = rests ? felt_load() : std::numeric_limits<double>::quiet_NaN();
-        felt[1] = std::isfinite(load) ? felt[1] + o_.dt : 0.0;
-        if (felt[1] > AFTER) felt[0] += std::min(1.0, o_.dt / FEELS) * (load - felt[0]);
-        o_.told[0] = o_.known ? felt[0] : std::numeric_limits<double>::quiet_NaN();
-        load = felt[0];
+        double load = rests ? load_of_sag() : std::numeric_limits<double>::quiet_NaN();
+        observer_state[1] = std::isfinite(load) ? observer_state[1] + o_.dt : 0.0;
+        if (observer_state[1] > AFTER)
+            observer_state[0] += std::min(1.0, o_.dt / FEELS) * (load - observer_state[0]);
+        o_.told[0] = o_.known ? observer_state[0] : std::numeric_limits<double>::quiet_NaN();
+        load = observer_state[0];
         if (!o_.known && load * largest_sag() < SLIGHT) load = 0.0;
         for (std::size_t j = 0; j < n; j++) q_[j] = reading_[j] - load * o_.sag[j];
         return load;
@@ -195,7 +197,7 @@ class LoopObserver {
     }
 
     // As WeightSag.load, of the sag q_.
-    double felt_load() const {
+    double load_of_sag() const {
         const double unknown = std::numeric_limits<double>::quiet_NaN();
         double size = 0.0, along = 0.0, most = 0.0, all = 0.0, other = 0.0;
         for (std::size_t j = 0; j < q_.size(); j++) {
@@ -252,8 +254,8 @@ class LoopObserver {
     Kinematics measured_;
     std::vector<double> q_, reading_, before_, opened_, left_, stalled_;
     const bool late_;  // whether a joint has a dead band
-    double told_[3], felt_[2], spent_ = 0.0;
-    double *gap_ = nullptr, *all_felt_ = nullptr;
+    double told_[3], state_[2], spent_ = 0.0;
+    double *loop_offset_ = nullptr, *observer_state_ = nullptr;
     bool moved_ = false;
 };
 

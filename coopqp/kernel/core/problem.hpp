@@ -20,7 +20,7 @@ struct Level {
     std::vector<int> share;             // of each row which share it is scaled by; -1 if by none
     int shares = 0;
     std::vector<int> task;              // the first row of each hard task
-    std::vector<double> e, rate, gain, weight, lever, wanted;
+    std::vector<double> e, rate, gain, weight, curvature_bound, wanted;
     std::vector<double> aside;  // of exact rows, by the last share, which then is to be small; or none
     std::vector<char> asks_velocity, twist;
     // A row sees the object's twist (rows, 8) or, where `twist` is 0, all joints (rows, lanes).
@@ -76,7 +76,7 @@ struct Bound {
     const double* q = nullptr;
     const double* v_last = nullptr;
     double* v = nullptr;
-    const double* gap = nullptr;
+    const double* loop_offset = nullptr;
     double *p_WO = nullptr, *R_WO = nullptr, *loop_error = nullptr, *drift = nullptr;
     double* q_seen = nullptr;  // the q that these belong to
     double* later_pulls = nullptr;

@@ -2,8 +2,8 @@
 // pairs that could need one in this tick.
 //
 // A pair whose distance d leaves a row -d_dot <= h that its joints, at speeds s, cannot break has none:
-// d_dot is no faster than the sum of their levers times s. An answer is asked afterwards whether
-// its joints are faster than that; more pairs are looked at then.
+// d_dot is no faster than the sum of their max_point_speeds times s. An answer is asked afterwards
+// whether its joints are faster than that; more pairs are looked at then.
 #pragma once
 #include <algorithm>
 #include <cmath>
@@ -54,7 +54,7 @@ class Separation {
         Told told = Told::Kept;
         for (std::size_t i = before; i < near_.size(); i++) {
             const double* row = take(near_[i], kinematics, limits);
-            if (dot(row, v, m_.blocks) > limits.h.back() + OVERRUN) told = Told::More;
+            if (dot(row, v, m_.blocks) > limits.h.back() + VIOLATION) told = Told::More;
         }
         return told;
     }
@@ -74,7 +74,7 @@ class Separation {
         const std::size_t n = m_.joints.size();
         for (std::size_t i = 0; i < solids.size(); i++) {
             closing_[i] = 0.0;
-            for (std::size_t j = 0; j < n; j++) closing_[i] += solids[i].levers[j] * speed[j];
+            for (std::size_t j = 0; j < n; j++) closing_[i] += solids[i].max_point_speeds[j] * speed[j];
         }
         for (std::size_t k = 0; k < pairs_.size(); k++) {
             // Joints that move both bodies are counted at first.
@@ -95,7 +95,7 @@ class Separation {
 
     // How fast a pair can close.
     double closing(std::size_t k, const double* speed) const {
-        const double *a = pairs_.first(k).levers.data(), *b = pairs_.second(k).levers.data();
+        const double *a = pairs_.first(k).max_point_speeds.data(), *b = pairs_.second(k).max_point_speeds.data();
         double all = 0.0;
         for (std::size_t j = 0; j < m_.joints.size(); j++)
             all += a[j] == 0.0 || b[j] == 0.0 ? (a[j] + b[j]) * speed[j] : 0.0;
@@ -117,10 +117,10 @@ class Separation {
     }
 
     // Append -d_dot <= h of what is at p, by coopqp.limit.damp and with more where it is far.
-    const double* append(const Near& near, const V3& p, double room, double more,
+    const double* append(const Near& near, const V3& p, double margin, double more,
                          const Kinematics& kinematics, Limits& limits) const {
         double* row = limits.G + limits.h.size() * std::size_t(m_.blocks) * LANES;
-        double h = (room < -shallow_ ? 0.0 : room * gain_) + more;
+        double h = (margin < -shallow_ ? 0.0 : margin * gain_) + more;
         const double sum = fill(near, p, kinematics, row);
         if (h < 0.0) h = std::max(h, -BACK * sum);
         limits.h.push_back(h);
@@ -129,8 +129,8 @@ class Separation {
 
     // -d_dot by the joints' speeds; returns the sum of their sizes.
     double fill(const Near& near, const V3& p, const Kinematics& kinematics, double* row) const {
-        const double *a = pairs_.first(near.pair).levers.data(),
-                     *b = pairs_.second(near.pair).levers.data();
+        const double *a = pairs_.first(near.pair).max_point_speeds.data(),
+                     *b = pairs_.second(near.pair).max_point_speeds.data();
         const V3& n = near.at.n;
         double sum = 0.0;
         clear(row, m_.blocks);

@@ -180,8 +180,8 @@ class Way {
                 found_.path.insert(found_.path.end(), inner.begin(), inner.end());
                 found_.path.insert(found_.path.end(), b, b + n_);
                 found_.first = length(found_.path);
-                const Legs legs = legs_of(found_.path, true);
-                found_.path = points_of(shortened(legs, legs));
+                const Segments segments = segments_of(found_.path, true);
+                found_.path = points_of(shortened(segments, segments));
                 return found_.found = true;
             }
         return false;
@@ -293,11 +293,11 @@ class Way {
         Points path;
         if (!traced(trees, of_start, of_goal, COARSE * s_.fine, path)) return false;
         found_.first = length(path);
-        Legs good = shortened(legs_of(path, false), {});
+        Segments good = shortened(segments_of(path, false), {});
         if (good.empty()) {
             if (!traced(trees, of_start, of_goal, s_.fine, path)) return false;
-            const Legs legs = legs_of(path, true);
-            good = shortened(legs, legs);
+            const Segments segments = segments_of(path, true);
+            good = shortened(segments, segments);
         }
         found_.path = points_of(good);
         return found_.found = true;
@@ -340,61 +340,62 @@ class Way {
     }
 
     // A point of a path, those between it and the one before, and whether these are known.
-    struct Leg {
+    struct Segment {
         Points inner, to;
         bool known;
     };
-    using Legs = std::vector<Leg>;
+    using Segments = std::vector<Segment>;
 
     // Over those of a path's points that are about so far apart, with the points between where
     // these are near enough to be known.
-    Legs legs_of(const Points& path, bool known) const {
+    Segments segments_of(const Points& path, bool known) const {
         const auto n = std::size_t(n_);
-        Legs legs;
+        Segments segments;
         Points inner;
         for (std::size_t at = 0; at < path.size(); at += n) {
             const double* q = &path[at];
             if (!at || at + 2 * n > path.size() ||
-                apart(legs.back().to.data(), q + n) > COARSE * s_.fine) {
-                legs.push_back({known ? inner : Points(), {q, q + n}, !at || known});
+                apart(segments.back().to.data(), q + n) > COARSE * s_.fine) {
+                segments.push_back({known ? inner : Points(), {q, q + n}, !at || known});
                 inner.clear();
             } else {
                 inner.insert(inner.end(), q, q + n);
             }
         }
-        return legs;
+        return segments;
     }
 
-    static Points points_of(const Legs& legs) {
+    static Points points_of(const Segments& segments) {
         Points path;
-        for (const Leg& leg : legs) {
-            path.insert(path.end(), leg.inner.begin(), leg.inner.end());
-            path.insert(path.end(), leg.to.begin(), leg.to.end());
+        for (const Segment& segment : segments) {
+            path.insert(path.end(), segment.inner.begin(), segment.inner.end());
+            path.insert(path.end(), segment.to.begin(), segment.to.end());
         }
         return path;
     }
 
     // Shortened on few of its points, in rounds after which it is looked at between them. A round
     // that does not stand that is undone, to what is known to be good; all where nothing is.
-    Legs shortened(Legs legs, Legs good) {
+    Segments shortened(Segments segments, Segments good) {
         for (int round = 0; round < ROUNDS; round++) {
-            shorten(legs, (s_.shortcuts + round) / ROUNDS);
-            if (stands(legs))
-                good = legs;
+            shorten(segments, (s_.shortcuts + round) / ROUNDS);
+            if (stands(segments))
+                good = segments;
             else if (good.empty())
                 break;
             else
-                legs = good;
+                segments = good;
         }
         return good;
     }
 
-    bool stands(Legs& legs) {
-        for (std::size_t k = 1; k < legs.size(); k++) {
-            Leg& leg = legs[k];
-            if (!leg.known && !between(legs[k - 1].to.data(), leg.to.data(), s_.fine, leg.inner))
+    bool stands(Segments& segments) {
+        for (std::size_t k = 1; k < segments.size(); k++) {
+            Segment& segment = segments[k];
+            if (!segment.known &&
+                !between(segments[k - 1].to.data(), segment.to.data(), s_.fine, segment.inner))
                 return false;
-            leg.known = true;
+            segment.known = true;
         }
         return true;
     }
@@ -402,49 +403,50 @@ class Way {
     // Ways between two points of the path at random, where they are shorter: straight ones, and ones
     // on which some joints go straight and the others as they went (partial shortcuts after
     // Geraerts and Overmars 2007).
-    void shorten(Legs& legs, int tries) {
+    void shorten(Segments& segments, int tries) {
         std::vector<double> at;  // length up to each point
         for (int i = 0; i < tries && !late(); i++) {
-            const std::size_t count = legs.size();
+            const std::size_t count = segments.size();
             if (count < 3) return;
             if (at.size() != count) {
                 at.assign(count, 0.0);
                 for (std::size_t k = 1; k < count; k++)
-                    at[k] = at[k - 1] + apart(legs[k].to.data(), legs[k - 1].to.data());
+                    at[k] = at[k - 1] + apart(segments[k].to.data(), segments[k - 1].to.data());
             }
             const double u = random() * at.back(), v = random() * at.back();
             const auto index = [&](double x) {
                 return std::size_t(std::lower_bound(at.begin(), at.end(), x) - at.begin());
             };
             const std::size_t a = index(std::min(u, v)), b = index(std::max(u, v));
-            const double *first = legs[a].to.data(), *last = legs[b].to.data();
+            const double *first = segments[a].to.data(), *last = segments[b].to.data();
             if (b < a + 2 || apart(first, last) > NEARLY * (at[b] - at[a])) continue;
             Points inner(first, first + n_);
             if (random() < WHOLE ? !between(first, last, COARSE * s_.fine, inner)
-                                 : !partly(legs, at, a, b, inner))
+                                 : !partly(segments, at, a, b, inner))
                 continue;
             inner.insert(inner.end(), last, last + n_);
             if (length(inner) > at[b] - at[a] - SAME) continue;
             const auto n = std::size_t(n_);
-            Legs made;
+            Segments made;
             for (std::size_t q = n; q < inner.size(); q += n)
                 made.push_back({{}, {&inner[q], &inner[q] + n}, false});
-            legs.erase(legs.begin() + long(a + 1), legs.begin() + long(b + 1));
-            legs.insert(legs.begin() + long(a + 1), made.begin(), made.end());
+            segments.erase(segments.begin() + long(a + 1), segments.begin() + long(b + 1));
+            segments.insert(segments.begin() + long(a + 1), made.begin(), made.end());
             at.clear();
         }
     }
 
     // From point a to point b of a path with some joints nearer to straight lines, a few points
     // before those between them.
-    bool partly(const Legs& legs, const std::vector<double>& at, std::size_t a, std::size_t b,
+    bool partly(const Segments& segments, const std::vector<double>& at, std::size_t a, std::size_t b,
                 Points& inner) {
         const auto n = std::size_t(n_);
         const double most = at[b] - at[a], by = random() < 0.5 ? 1.0 : random();
         std::vector<double> share(n);
         for (double& x : share) x = random() < JOINTS ? by : 0.0;
         Points now;
-        for (std::size_t k = a; k <= b; k++) now.insert(now.end(), legs[k].to.begin(), legs[k].to.end());
+        for (std::size_t k = a; k <= b; k++)
+            now.insert(now.end(), segments[k].to.begin(), segments[k].to.end());
         const std::size_t last = b - a;
         const double *first = &now[0], *end = &now[last * n];
         for (std::size_t stride = 16; stride > 0; stride /= 2) {

@@ -7,7 +7,7 @@ the minimal total violation of the limits with which the goal holds:
 
     minimise    sum s_j + 4 sum sigma_l                              [rad, and m times 4 rad/m]
     subject to  e(q) = 0,   e_loop(q) = 0
-                lower - s <= q <= upper + s,   room_k(q) >= -sigma_l,   s, sigma >= 0
+                lower - s <= q <= upper + s,   slack_k(q) >= -sigma_l,   s, sigma >= 0
 
 with one s a joint's side and one sigma a limit in space (a wall moves as a whole), by sequential
 linear programs from a configuration at the goal outside the limits; one radian counts as a quarter

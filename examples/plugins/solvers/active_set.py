@@ -25,7 +25,7 @@ class ActiveSet(Solver):
     rounds: int = 50
     """Most linear systems in a tick."""
     c: float = 1.0
-    """How much a bound's overrun counts against its multiplier."""
+    """How much a bound's violation counts against its multiplier."""
 
     def open(self, qp: QP, solution: Solution) -> Solve:
         """Nothing is kept between ticks."""

@@ -1,4 +1,4 @@
-"""Internal force and gap, by hand."""
+"""Internal force and loop offset, by hand."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import coopqp
-from coopqp.metrics.gap import Gap
 from coopqp.metrics.internal_force import InternalForce
+from coopqp.metrics.loop_offset import LoopOffset
 from coopqp.trace import Trace
 
 
@@ -33,9 +33,9 @@ def test_plants_that_do_not_tell_the_force_have_none(trace: Trace) -> None:
     assert InternalForce().measure(trace) is None
 
 
-def test_the_gap_is_the_last_and_largest(trace: Trace) -> None:
-    gap = np.zeros((trace.ticks, 12))
-    gap[5] = 1.0
-    gap[-1, :3], gap[-1, 9:] = [3e-3, 0.0, 4e-3], [0.0, 0.01, 0.0]
-    found = Gap().measure(replace(trace, gap=gap))
+def test_the_loop_offset_is_the_last_and_largest(trace: Trace) -> None:
+    loop_offset = np.zeros((trace.ticks, 12))
+    loop_offset[5] = 1.0
+    loop_offset[-1, :3], loop_offset[-1, 9:] = [3e-3, 0.0, 4e-3], [0.0, 0.01, 0.0]
+    found = LoopOffset().measure(replace(trace, loop_offset=loop_offset))
     assert found == {"position": pytest.approx(5e-3), "orientation": pytest.approx(0.01)}

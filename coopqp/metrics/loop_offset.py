@@ -8,7 +8,7 @@ from coopqp.trace import Trace
 
 
 @spec
-class Gap(Metric):
+class LoopOffset(Metric):
     """How far the hands end apart from what the model says: its calibration error."""
 
     unit: ClassVar[str] = "m, rad"
@@ -16,10 +16,10 @@ class Gap(Metric):
     def measure(self, trace: Trace) -> dict[str, float]:
         """The largest of the loops in the last tick, as the controller observed it.
 
-        Along the line between hands that squeeze by admittance the gap is the commanded
+        Along the line between hands that squeeze by admittance the loop offset is the commanded
         displacement, and no calibration error.
         """
-        last = trace.gap[-1].copy() if trace.ticks else np.zeros(0)
+        last = trace.loop_offset[-1].copy() if trace.ticks else np.zeros(0)
         e = _squeezed_along(trace)
         if e is not None:
             last[:3] -= e.dot(last[:3]) * e
@@ -32,7 +32,7 @@ def _squeezed_along(trace: Trace) -> Array | None:
     """Direction between two hands of which a squeeze is asked; None where it is not."""
     points = trace.signals.get("hand_point")
     asked = "forces" in trace.supports and any(task.unit == "N" for task in trace.tasks)
-    if points is None or not asked or not trace.ticks or not len(trace.gap[-1]):
+    if points is None or not asked or not trace.ticks or not len(trace.loop_offset[-1]):
         return None
     last = points[-1].reshape(-1, 3)
     held = last[(last != 0.0).any(axis=1)]
