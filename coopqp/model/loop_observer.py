@@ -262,8 +262,10 @@ class LoopObserver:
             return 1.0 / np.diag(self._compliance) if self._known else None
 
     def sag(self, state: State) -> Array:
-        """What the load that is felt makes each joint sag by, shape (n,) [rad]."""
-        load = float(state.observer_state[0])
+        """What the object's load would make each joint sag by, fed forward or not, (n,) [rad]."""
+        if not self.settings.enabled:
+            self._sag.update(state)
+        load = float(state.observer_state[0]) + self._fed_forward
         return self._sag.sag * (load if math.isfinite(load) else 0.0)
 
     def begin(self, state: State) -> None:
