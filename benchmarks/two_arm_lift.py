@@ -469,7 +469,7 @@ def differences(found: list[dict[str, Any]]) -> str:
     An interval beyond zero says that qp has less, or more.
     """
     rng, by = np.random.default_rng(0), {(x["variant"], x["law"], x["seed"]): x for x in found}
-    lines = ["", "| variant | qp less | seeds | force N | slip mm |", "|---|---|---|---|---|"]
+    lines = ["", "| variant | qp - | seeds | force N | slip mm |", "|---|---|---|---|---|"]
     for variant in VARIANTS:
         for law in LAWS:
             pairs = [(x, by[variant, law, seed]) for (v, own, seed), x in by.items()
