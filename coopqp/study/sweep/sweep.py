@@ -86,8 +86,7 @@ def sweep(
     results.needs_arrow()
     head = _head_for(study)
     _check_folder(folder, head)
-    data, folders = json.dumps(study.scenario.data), study.catalog.folders
-    job = Job(study.scenario_text, data, study.locations, study.controllers, study.metrics, folders)
+    job = job_of(study)
     with results.Journal.opened(results.path_of(folder, engine.share), head) as journal:
         mine = engine.share.taken(range(study.points.count))
         index = results.Index(folder, study)
@@ -130,6 +129,12 @@ class Job:
     controllers: tuple[str, ...]
     metrics: tuple[str, ...]
     folders: tuple[tuple[Path, ...], ...]
+
+
+def job_of(study: Study) -> Job:
+    """What the workers of a study must know."""
+    data, folders = json.dumps(study.scenario.data), study.catalog.folders
+    return Job(study.scenario_text, data, study.locations, study.controllers, study.metrics, folders)
 
 
 @lru_cache(maxsize=2)
