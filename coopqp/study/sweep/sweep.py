@@ -133,8 +133,8 @@ class Job:
 
 def job_of(study: Study) -> Job:
     """What the workers of a study must know."""
-    data, folders = json.dumps(study.scenario.data), study.catalog.folders
-    return Job(study.scenario_text, data, study.locations, study.controllers, study.metrics, folders)
+    data, own = json.dumps(study.scenario.data), study.catalog.folders
+    return Job(study.scenario_text, data, study.locations, study.controllers, study.metrics, own)
 
 
 @lru_cache(maxsize=2)
