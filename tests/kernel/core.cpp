@@ -272,7 +272,7 @@ int wrong_observer(Random& random, Case& c) {
                           {{0, 0, 1}, at_origin, 0.01, 0.05, {0.02, 0.2}, whole(random, 1, 3),
                            whole(random, 0, 1) == 1, compliance.data(), sag.data(), torque.data(),
                            opened.data(), told.data(), left.data(), stalled.data(), &spent, 2.0,
-                           whole(random, 0, 1) * 5e-4});
+                           std::vector<double>(n, whole(random, 0, 1) * 5e-4)});
     if (c.kernel->update(0.0) != Status::Optimal) return 0;
     int wrong = 0;
     for (double bad : {0.0, 0.0, 0.0, std::numeric_limits<double>::quiet_NaN(), 1e200, 0.0}) {
