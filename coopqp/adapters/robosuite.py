@@ -17,6 +17,7 @@ in MuJoCo; here poses are pinocchio's.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -25,7 +26,6 @@ import pinocchio as pin
 
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array
-from coopqp.model.loop_observer import Observer
 from coopqp.online.loop import OnlineLoop
 from coopqp.robot_files.selection import JointLimits
 from coopqp.robots import Mjcf
@@ -153,17 +153,21 @@ class RobosuiteWorld:
     def loop(self, scenario: Scenario, controller: str = "qp", **given: Any) -> OnlineLoop:
         """A loop without a clock that knows these servos, for hands that hold the object.
 
+        Its observer is the scenario's but for these servos.
+
         Args:
             scenario: with the robot that :meth:`robot` gives.
             controller: its name.
             **given: more of :class:`coopqp.OnlineLoop`'s.
 
         Raises:
-            InvalidValueError: the environment's step is not dt, the robot's joints or arms are
-                others, or a hand that is to hold the object does not touch it.
+            InvalidValueError: the environment was reset, its step is not dt, the robot's joints or
+                arms are others, or a hand that is to hold the object does not touch it.
         """
         step, chain = 1.0 / self.env.control_freq, scenario.chain
         arms = {arm.name for arm in chain.robot.arms}
+        if self.data is not self.env.sim.data._data:
+            raise InvalidValueError("env: was reset since; call world.find() after each reset")
         if abs(scenario.dt - step) > 1e-6 * step:
             raise InvalidValueError(
                 f"dt: found {scenario.dt:g}; one write takes the environment {step:g} s further; "
@@ -181,7 +185,10 @@ class RobosuiteWorld:
                 f"grasps: the hand of {name} is to hold {self._held} and does not touch it; close "
                 "it around it first (world.grip, and some steps)"
             )
-        known = Observer(inertial_stiffness=self.kp, dead_band=self.dead_band)
+        known = replace(
+            scenario.observer,
+            stiffness=None, inertial_stiffness=self.kp, dead_band=self.dead_band,
+        )  # fmt: skip
         return OnlineLoop(scenario, controller, **{"clock": None, "observer": known, **given})
 
     def read(self) -> Array:

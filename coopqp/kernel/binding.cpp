@@ -87,7 +87,7 @@ NB_MODULE(KERNEL_MODULE, m) {
     nb::class_<Samples>(m, "Samples")
         .def(nb::init<const Written&, const Written&, const Joints&, const std::vector<Joints>&, int,
                       int, const std::vector<int>&, int, const std::vector<double>&, double, int,
-                      double, const std::vector<double>&>())
+                      double, double>())
         .def("add", &Samples::add)
         .def("forget", &Samples::forget)
         .def("trust", &Samples::trust)

@@ -96,13 +96,13 @@ class Samples {
     // belong to an arm; every: readings in a sample; stuck, spans: samples between which they are
     // compared; compliance: of their servos; h: time between two samples; late, moved: the latest
     // that a joint may follow, in samples, and what it must be commanded to move by for a reading to
-    // be asked to change; band: in which each may stay behind.
+    // be asked to change; band: in which it may stay behind.
     Samples(const Written& c, const Written& m, const std::vector<std::size_t>& own,
             const std::vector<std::vector<std::size_t>>& arms, int every, int stuck,
             const std::vector<int>& spans, int long_one, const std::vector<double>& compliance,
-            double h, int late, double moved, const std::vector<double>& band)
-        : c_(c), m_(m), own_(own), arms_(arms), spans_(spans), compliance_(compliance), band_(band), h_(h),
-          moved_(moved), late_(late), every_(every), stuck_(stuck), long_(long_one),
+            double h, int late, double moved, double band)
+        : c_(c), m_(m), own_(own), arms_(arms), spans_(spans), compliance_(compliance), h_(h),
+          moved_(moved), band_(band), late_(late), every_(every), stuck_(stuck), long_(long_one),
           kept_(int(c.shape(0))), n_(c.shape(1)), r_(n_), read_(2 * n_) {
         for (std::size_t j : own_) last_ = std::max(last_, j);
     }
@@ -233,7 +233,7 @@ class Samples {
             for (int t = first + 1; t <= last; t++) speed += std::fabs(told(t, i) - told(t - 1, i));
             const double second_difference =
                 told(first + 2 * half, i) - 2.0 * told(first + half, i) + told(first, i);
-            const double terms[] = {noise, band_[i], coopqp::LAG_NOISE * speed / (h_ * std::max(1, T - 1)),
+            const double terms[] = {noise, band_, coopqp::LAG_NOISE * speed / (h_ * std::max(1, T - 1)),
                                     coopqp::STIFFNESS_NOISE * std::sqrt(sag[i]), load.data()[own_[i]],
                                     coopqp::INERTIA_NOISE * second_difference / (h_ * h_ * std::max(half * half, 1)),
                                     compliance_[i] * std::sqrt(turns[i] / 3.0)};
@@ -262,7 +262,7 @@ class Samples {
         double way = 0.0;
         for (int t = first; t <= last - late_; t++)
             way = std::max(way, std::fabs(of(c_, t)[j] - of(c_, first)[j]));
-        return way > moved_ + band_[j];
+        return way > moved_;
     }
 
     // The Cholesky factor of A'A + least^2, A (n, m).
@@ -322,8 +322,8 @@ class Samples {
     std::vector<std::size_t> own_;
     std::vector<std::vector<std::size_t>> arms_;
     std::vector<int> spans_;
-    std::vector<double> compliance_, band_;
-    double h_, moved_;
+    std::vector<double> compliance_;
+    double h_, moved_, band_;
     int late_, every_, stuck_, long_, kept_, count_ = 0;
     int readings_ = 0, trusted_until_ = 0, lag_ = 0;
     bool leapt_ = false;

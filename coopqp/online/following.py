@@ -111,7 +111,8 @@ class JointFollowing:
         K = chain.model.effortLimit[own] if stiffness is None else stiffness[own]
         usable = (K > 0.0).all() and np.isfinite(K).any()
         self._compliance = 1.0 / K if usable else np.ones(n)
-        self._band = observer.dead_band[own]
+        # The largest: unequal ones would blame joints without for what those that stick do to them.
+        self._band = float(observer.dead_band.max())
         self._every = max(1, round(SAMPLE / dt))
         h = self._every * dt
         #: In half samples, of which odd ones lie between two samples.
@@ -138,7 +139,7 @@ class JointFollowing:
         self._stuck_for = round(STUCK / h) - 1  # of which the first lasts as long, too
         rings, members = (self._c, self._m), [arm.tolist() for arm in self._arms]
         made = (*rings, own.tolist(), members, self._every, self._stuck_for, self._spans, LONG)
-        stands = len(self._lags) // 2, MOVED, self._band.tolist()
+        stands = len(self._lags) // 2, MOVED + self._band, self._band
         found = native.module()
         self._quick = found and found.Samples(*made, self._compliance.tolist(), h, *stands)
         self.forget()
@@ -222,14 +223,13 @@ class JointFollowing:
 
     def _stuck(self, span: int) -> Suspect | None:
         """An arm of which no reading has changed by a bit while it was commanded to move."""
-        last, least = self._samples - 1, MOVED * span / self._stuck_for
+        last, least = self._samples - 1, MOVED * span / self._stuck_for + self._band
         if last < span:
             return None
         at = np.arange(last - span, last + 1)
         for arm in (arm for arm in self._arms if len(arm) > 1):
             m, c = (np.diff(self._of(ring, at)[:, arm], axis=0) for ring in (self._m, self._c))
-            far = np.abs(c).sum(axis=0) > least + self._band[arm]
-            if not m.any() and c.any(axis=1).all() and far.any():
+            if not m.any() and c.any(axis=1).all() and np.abs(c).sum(axis=0).max() > least:
                 return Suspect("readings_stuck", tuple(int(j) for j in self._own[arm]), 0.0)
         return None
 
@@ -246,7 +246,7 @@ class JointFollowing:
             way = np.abs(told[: max(1, len(told) - late)] - told[0]).max()
             lively = first >= self._stuck_for and np.diff(m[: first + 1, j]).all()
             stops = min(told.min() - self._least[j], self._most[j] - told.max()) < NEAR
-            if way > MOVED * (1.0 if lively else STICKS) + self._band[j] and not stops:
+            if way > MOVED * (1.0 if lively else STICKS) + self._band and not stops:
                 return Suspect("joint_stands_still", (int(self._own[j]),), 1.0)
         return None
 

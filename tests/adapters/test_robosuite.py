@@ -17,6 +17,7 @@ from coopqp.base.spec import Pose
 from coopqp.controllers import QPController
 from coopqp.grasps import Rigid
 from coopqp.model.grasp_configuration import HeldObject
+from coopqp.model.loop_observer import Observer
 from coopqp.online.loop import OnlineLoop
 from coopqp.robots import Mjcf
 from coopqp.scenario.scenario import Scenario
@@ -182,12 +183,18 @@ def test_a_loop_begins_with_hands_that_hold_the_object_at_the_environments_rate(
     arms = dict(zip(("left", "right"), robot.arms.values(), strict=True))
     with pytest.raises(InvalidValueError, match=r"^robot: has .* of (left|right), .*take world"):
         loop(robot=Mjcf(path=robot.path, arms=arms, joint_limits=robot.joint_limits))
-    begun = loop()
+    begun = loop(observer=Observer(most=0.02, stiffness=80.0))
+    assert begun.law.observer.settings == Observer(
+        most=0.02, inertial_stiffness=900.0, dead_band={}
+    )
     for _ in range(60):
         begun.tick(world.read()[0])
         world.write(begun.setpoint, begun.command.v, 0.5 * MASS * 9.81 * np.ones(2))
     assert not begun.stopped
     assert world.object.translation[2] > 0.06
+    world.env.sim.data = SimpleNamespace(_data=world.env.mujoco.MjData(world.model))
+    with pytest.raises(InvalidValueError, match=r"^env: was reset since; call world.find"):
+        loop()
 
 
 def test_robosuite_is_not_imported() -> None:

@@ -187,7 +187,7 @@ def test_what_internal_wrenches_leave_is_that_of_lapack(n: int, m: int) -> None:
     rng, found = np.random.default_rng(n), native.module()
     assert found
     still, own = (np.zeros((5, n)), np.zeros((5, n))), list(range(n))
-    samples = found.Samples(*still, own, [], 1, 1, [1, 2], 4, [1.0] * n, 0.02, 7, 0.01, [0.0] * n)
+    samples = found.Samples(*still, own, [], 1, 1, [1, 2], 4, [1.0] * n, 0.02, 7, 0.01, 0.0)
     for _ in range(4):
         samples.add(np.zeros(n), np.zeros(n))
     for case in range(20):
