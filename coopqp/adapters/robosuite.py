@@ -165,7 +165,7 @@ class RobosuiteWorld:
                 arms are others, or a hand that is to hold the object does not touch it.
         """
         step, chain = 1.0 / self.env.control_freq, scenario.chain
-        arms = {arm.name for arm in chain.robot.arms}
+        arms = sorted(arm.name for arm in chain.robot.arms)
         if self.data is not self.env.sim.data._data:
             raise InvalidValueError("env: was reset since; call world.find() after each reset")
         if abs(scenario.dt - step) > 1e-6 * step:
@@ -173,7 +173,7 @@ class RobosuiteWorld:
                 f"dt: found {scenario.dt:g}; one write takes the environment {step:g} s further; "
                 f"make it with control_freq={1.0 / scenario.dt:g}"
             )
-        if chain.joint_names != self.joints or arms != set(self.arms):
+        if chain.joint_names != self.joints or arms != sorted(self.arms):
             raise InvalidValueError(
                 f"robot: has {', '.join(chain.joint_names)} of {', '.join(arms)}; read() has "
                 f"{', '.join(self.joints)} of {', '.join(self.arms)}; take world.robot(folder)"
