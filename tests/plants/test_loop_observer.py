@@ -151,6 +151,23 @@ def test_servos_that_act_by_inertia_tell_of_a_load_while_it_moves(
     assert observer.load == pytest.approx(times * MASS * G, abs=0.4 * MASS * G)
 
 
+@pytest.mark.parametrize("enabled", [True, False])
+@pytest.mark.parametrize("share", [0.0, 0.7, 1.0])
+def test_joints_are_judged_by_all_of_the_load_fed_forward_or_not(
+    enabled: bool, share: float
+) -> None:
+    chain = scenario(FIRM, KNOWN).chain
+    given = Observer(stiffness=K, enabled=enabled, object_compensated=share)
+    observer, state = LoopObserver(chain, 0.01, given), State(chain)
+    state.update()
+    observer.begin(state)
+    state.q_measured = state.q.copy()
+    observer.update(state)
+    sag = WeightSag(chain, np.identity(chain.n) / K)
+    sag.update(state)
+    np.testing.assert_allclose(observer.sag(state), MASS * G * sag.sag, atol=1e-12)
+
+
 @pytest.mark.parametrize("settings", [Observer(stiffness=K), Observer(inertial_stiffness=250.0)])
 @pytest.mark.parametrize("reading", [None, [0.0], "no joints"])
 def test_what_is_no_reading_teaches_no_load(settings: Observer, reading: object) -> None:
