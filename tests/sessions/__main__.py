@@ -1,4 +1,4 @@
-"""The command; docs/online.md says what is drawn and what came of it."""
+"""The command; docs/faults.md says what is drawn and what came of it."""
 
 from __future__ import annotations
 
