@@ -6,10 +6,10 @@
     python -m benchmarks.studies --dask --kills 10    on a scheduler and two workers that it starts,
                                                       which are killed on the way
 
-The first prints the ratio of the two in one run, and what two processes without any engine reach in
-it, each with half of the variants: no engine can do more than that on a machine whose cores slow
-each other down. Loop, halves and sweep take turns, each as often as --rounds says; the best of each
-counts.
+The first prints how much faster two processes do the study than one does (--jobs 1), and than a plain
+loop over its variants, which keeps no results; and what two processes without any engine reach, each
+with half of the variants: no engine can do more than that on a machine whose cores slow each other
+down. They take turns, each as often as --rounds says; the best of each counts.
 """
 
 from __future__ import annotations
@@ -120,23 +120,33 @@ def with_engine(folder: Path, study: Study, jobs: int) -> tuple[float, float, fl
     return swept, whole, here
 
 
+def in_one_process(folder: Path, study: Study) -> float:
+    """Time of the same sweep in this process alone [s]."""
+    begun = time.perf_counter()
+    sweep(study, folder / "out", engine=Engine(1))
+    swept = time.perf_counter() - begun
+    shutil.rmtree(folder / "out")
+    return swept
+
+
 def throughput(folder: Path, variants: int, jobs: int, rounds: int) -> None:
     path = written(folder, variants)
     study, found = read_study(path), []
     for _ in range(rounds):
         plain = loop(study, 0, 1)
         ceiling = plain / without_engine(path, jobs)
+        alone = in_one_process(folder, study)
         swept, whole, here = with_engine(folder, study, jobs)
-        found.append((plain, ceiling, plain / swept, swept, whole, here))
-        print(f"plain loop {plain:.1f} s, sweep {swept:.1f} s: {plain / swept:.2f} times, "
-              f"of at most {ceiling:.2f} without an engine")  # fmt: skip
-    plain, swept = min(row[0] for row in found), min(row[3] for row in found)
+        found.append((plain, ceiling, alone, swept, whole, here))
+        print(f"plain loop {plain:.2f} s, one process {alone:.2f} s, {jobs} processes {swept:.2f} s: "
+              f"{alone / swept:.2f} times one, of at most {ceiling:.2f} without an engine")  # fmt: skip
+    plain, alone, swept = (min(row[k] for row in found) for k in (0, 2, 3))
     ceiling = plain / min(row[0] / row[1] for row in found)
     print(f"best of {rounds}: {variants} variants of {TICKS} ticks, {jobs} processes")
     print(f"plain loop {plain:.1f} s, {1e3 * plain / variants:.2f} ms a variant")
     print(f"sweep {swept:.1f} s, {variants / swept:.0f} variants a second")
-    reached, most = f"{plain / swept:.2f} times the loop's throughput", f"{ceiling:.2f} times"
-    print(f"that is {reached}, of at most {most} on this machine now")
+    reached = f"{alone / swept:.2f} times one process, {plain / swept:.2f} times the plain loop"
+    print(f"that is {reached}, of at most {ceiling:.2f} times without an engine on this machine now")
     whole, here = (1e3 * min(row[k] for row in found) / variants for k in (4, 5))
     print(f"processor time a variant: {whole:.2f} ms, with the workers' start")
     print(f"of that in the process that hands out and writes: {here:.2f} ms")
