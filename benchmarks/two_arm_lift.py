@@ -22,7 +22,7 @@ range. Then the differences of qp from the other laws, seed by seed.
 
 Steps of 20 mm arrive at the loop as an input, whose own bounds hold; IK and OSC go there at once.
 
-All but torque_qp are told the object's mass as half of its weight on each hand, which their
+All but torque_qp know the object's mass as half of its weight on each hand, which their
 servos bear; OSC by as much as its springs need. Hands of IK and OSC follow the pot's way as rigidly
 held by it.
 """
@@ -58,8 +58,8 @@ from coopqp.tasks import Pose as PoseTask
 NO_OBSERVER = "qp, no observer"
 LAWS = ("qp", NO_OBSERVER, "torque_qp", "pseudoinverse", "IK", "OSC")
 VARIANTS = {
-    "as shipped": {}, "pot x4, told": {"heavy": 4.0, "told": True},
-    "pot x4, not told": {"heavy": 4.0}, "friction 0.3": {"friction": 0.3},
+    "as shipped": {}, "pot x4, known": {"heavy": 4.0, "known": True},
+    "pot x4, unknown": {"heavy": 4.0}, "friction 0.3": {"friction": 0.3},
     "20 mm a step": {"fast": True}, "servos kp 3000": {"kp": 3000.0},
     "base 10 mm, 15 mrad off": {"off": True}, "circle with yaw": {"circle": True},
     "push of 20 N": {"push": 20.0},
@@ -215,7 +215,7 @@ def run(robots: list[str], law: str, variant: str, seed: int) -> dict[str, Any]:
     world = RobosuiteWorld(env, kp=kp, by_torques=law == "torque_qp")
     change(world, what)
     mass = float(world.model.body("pot_root").mass[0])
-    if not what.get("told"):
+    if not what.get("known"):
         mass /= float(what.get("heavy", 1.0))
     hands = Hands(world, own.model)
     before = seed, kp if law != "OSC" else 0.0, *(what.get(key) for key in BEFORE)
