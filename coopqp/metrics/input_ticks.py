@@ -8,9 +8,7 @@ from dataclasses import asdict
 from typing import Any
 
 from coopqp.assessment import assess
-from coopqp.base.spec import spec
-from coopqp.metric import Metric
-from coopqp.trace import Trace
+from coopqp.metric import Metric, Trace, spec
 
 
 @spec

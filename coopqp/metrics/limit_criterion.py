@@ -13,9 +13,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from coopqp.base.spec import Array, spec
-from coopqp.metric import Metric
-from coopqp.trace import Trace
+from coopqp.metric import Array, Metric, Trace, spec
 
 
 @spec

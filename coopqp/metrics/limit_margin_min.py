@@ -1,9 +1,7 @@
 from typing import ClassVar
 
 from coopqp.assessment.limits import beyond
-from coopqp.base.spec import spec
-from coopqp.metric import Metric
-from coopqp.trace import Trace
+from coopqp.metric import Metric, Trace, spec
 
 
 @spec

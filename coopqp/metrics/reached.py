@@ -5,9 +5,7 @@ A goal that is an input, and was never followed, is not reached, however small t
 """
 
 from coopqp.assessment import assess
-from coopqp.base.spec import spec
-from coopqp.metric import Metric
-from coopqp.trace import Trace
+from coopqp.metric import Metric, Trace, spec
 
 
 @spec

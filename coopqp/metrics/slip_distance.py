@@ -1,9 +1,7 @@
 from typing import ClassVar
 
-from coopqp.base.spec import spec
-from coopqp.metric import Metric
+from coopqp.metric import Metric, Trace, spec
 from coopqp.metrics._hands import by_hand
-from coopqp.trace import Trace
 
 
 @spec

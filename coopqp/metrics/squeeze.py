@@ -2,11 +2,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from coopqp.base.spec import spec
 from coopqp.closed_loop.forces import squeezes
-from coopqp.metric import Metric
+from coopqp.metric import Metric, Trace, spec
 from coopqp.metrics._hands import by_hand
-from coopqp.trace import Trace
 
 
 @spec

@@ -66,7 +66,6 @@ class ExplainedPhase:
     name: str  # of the controller
     problem: ControlProblem  # without limits where the controller supports none
     index: int  # in the schedule
-    phase_name: str  # empty if it is the only one
     first: int  # its first tick
     q: Array  # shape (K + 1, n)
     v: Array  # shape (K, n)
@@ -95,7 +94,6 @@ class ExplainedPhase:
 
     @property
     def stands_still(self) -> str:
-        """In how many ticks it stands still, in words."""
         count = sum(not causes[0].usable for causes in self.causes)
         return f"it stands still in {count} of {len(self.causes)} ticks"
 
@@ -141,7 +139,7 @@ def explained_phases(
         last = level or next((of.level for of in own), None)
         count, ticks = sum(last is None or of.level <= last for of in own), slice(first, end)
         yield ExplainedPhase(
-            scenario=scenario, name=trace.controller, index=i, phase_name=phase.name, first=first,
+            scenario=scenario, name=trace.controller, index=i, first=first,
             problem=problem if "limits" in controller.supports else replace(problem, limits=()),
             q=trace.q[first : end + 1], v=trace.v[ticks], tau=tau[ticks],
             causes=tuple(causes_of(word) for word in trace.status[ticks]),
@@ -281,14 +279,14 @@ class _Programs:
                 step *= SHRINK
         return violations_along(self._room, q[None])
 
-    def _step(self, q: Array, most: float) -> Array | None:
+    def _step(self, q: Array, max_step: float) -> Array | None:
         room, (C, r) = self._room, self._equalities(q)
         U, values, Vt = np.linalg.svd(C, full_matrices=False)
         kept = int((values > CUT).sum())
         equal = Vt[:kept], -(U[:, :kept].T @ r) / values[:kept]
         limits = room.ways(q), room.slack(q)
-        found = least_relaxation(equal, limits, room.owners, self._costs, most)
-        return found and found[0]
+        relaxed = least_relaxation(equal, limits, room.owners, self._costs, max_step)
+        return relaxed and relaxed[0]
 
     def _back(self, q: Array) -> Array:
         """Newton steps to where the equalities hold again, so that steps may be long."""

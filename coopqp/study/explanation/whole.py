@@ -81,8 +81,8 @@ def _explained(
 ) -> RunExplanation:
     every = *phase.missed, *phase.gave_way
     missed = tuple(MissedPart(task=p.name, error=e, unit=p.part.unit) for p, e in every)
-    last = phase.first + len(phase.v) - 1
-    base = RunExplanation(controller=phase.name, phase=phase.phase_name, tick=last, missed=missed)
+    last, name = phase.first + len(phase.v) - 1, phase.scenario.schedule[phase.index].name
+    base = RunExplanation(controller=phase.name, phase=name, tick=last, missed=missed)
     torn = any(task.torn for task in found.tasks)
     suspect = phase.missed or torn or found.held is False
     if suspect and (gone := _lost(phase, base)):
@@ -175,11 +175,11 @@ def _blocked(phase: ExplainedPhase, base: RunExplanation, report: Report) -> Run
         return insufficient_time.explain(phase, goal, found.place, base)
     if isinstance(found, diagnosis.BlockedByLimits):
         suggestion = by_geometry(phase, goal, found, report)
-        other = found.elsewhere
-        more = [words.elsewhere(other, goal.chain)] if other else []
-        if other:
-            base = replace(base, elsewhere=tuple(other.q.tolist()))
-        return with_suggestion(base, found.shares, suggestion, *more)
+        if (other := found.elsewhere) is None:
+            return with_suggestion(base, found.shares, suggestion)
+        base = replace(base, elsewhere=tuple(other.q.tolist()))
+        elsewhere = words.elsewhere(other, goal.chain)
+        return with_suggestion(base, found.shares, suggestion, elsewhere)
     return _by_geometry(phase, found, base)
 
 
