@@ -138,13 +138,13 @@ def reach(scenario: str, seed: int | None, catalog: Any, as_json: bool) -> None:
     from coopqp.report import planning as report
 
     with bar("looking") as progress:
-        found = look(read_scenario(scenario, catalog), seed=seed, progress=progress)
+        result = look(read_scenario(scenario, catalog), seed=seed, progress=progress)
     if as_json:
-        click.echo(report.reach_json(found))
+        click.echo(report.reach_json(result))
         return
-    say(found.sentence, aside=False)
-    if found.found:
-        show(report.configurations(found))
+    say(result.sentence, aside=False)
+    if result.found:
+        show(report.configurations(result))
 
 
 @click.command()
@@ -366,12 +366,12 @@ def compare_on(scenario: Any, controllers: list[str], out: Path | None, *, as_js
     from coopqp.report import files, table
     from coopqp.report.table import progress_bars
 
-    told = _refused(scenario, controllers)
+    refused = _refused(scenario, controllers)
     if out:
         files.check_folder(out)
     with progress_bars(controllers, scenario.ticks) as progress:
         comparison = run_all(scenario, controllers=controllers, progress=progress)
-    say_left_out({name: why for name, why in comparison.refused.items() if name not in told})
+    say_left_out({name: why for name, why in comparison.refused.items() if name not in refused})
     for line in comparison.faults:
         say(f"warning: {line}")
     if as_json:

@@ -29,8 +29,8 @@ class LoopOffset(Metric):
 def _squeezed_along(trace: Trace) -> Array | None:
     """Direction between two hands of which a squeeze is asked; None where it is not."""
     points = trace.signals.get("hand_point")
-    asked = "forces" in trace.supports and any(task.unit == "N" for task in trace.tasks)
-    if points is None or not asked or not trace.ticks or not len(trace.loop_offset[-1]):
+    squeezes = "forces" in trace.supports and any(task.unit == "N" for task in trace.tasks)
+    if points is None or not squeezes or not trace.ticks or not len(trace.loop_offset[-1]):
         return None
     last = points[-1].reshape(-1, 3)
     held = last[(last != 0.0).any(axis=1)]

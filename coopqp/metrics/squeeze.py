@@ -24,11 +24,11 @@ class Squeeze(Metric):
             return None
         holds = (points != 0.0).any(axis=2)  # hands that hold nothing have no point
         if normal is not None:
-            found = normal[:, :, 0][holds & (wrenches != 0.0).any(axis=2)]
+            forces = normal[:, :, 0][holds & (wrenches != 0.0).any(axis=2)]
         else:
             ticks = zip(points, wrenches, strict=True)
-            found = np.array([newtons for p, h in ticks for newtons in squeezes(p, h)])
-        if not found.size:
+            forces = np.array([newtons for p, h in ticks for newtons in squeezes(p, h)])
+        if not forces.size:
             return None
-        least, mean, worst = float(found.min()), float(found.mean()), float(found.max())
+        least, mean, worst = float(forces.min()), float(forces.mean()), float(forces.max())
         return {"least": least, "mean": mean, "worst": worst}

@@ -122,8 +122,8 @@ def explained_phases(
     ``level`` is the last that counts, if not that of the first task that a phase misses.
     """
     controller = controller_of(scenario, trace.controller)
-    found = assess(trace)
-    errors = {task.name: task.error for task in found.tasks}
+    result = assess(trace)
+    errors = {task.name: task.error for task in result.tasks}
     tau = trace.signals.get("tau", trace.v[:0])
     ends = pairwise((*scenario.first_ticks, scenario.ticks))
     problems = scenario.problems(lambda first: trace.q[first])
@@ -134,7 +134,7 @@ def explained_phases(
         if strange := [name for name in named if name not in errors]:
             why = "the trace is of another scenario than the one beside it"
             raise InvalidValueError(f"no error of '{strange[0]}' in the trace; {why}")
-        own = [of for of in found.missed if of.name in named]
+        own = [of for of in result.missed if of.name in named]
         missed = tuple((named[of.name], of.error) for of in own)
         last = level or next((of.level for of in own), None)
         count, ticks = sum(last is None or of.level <= last for of in own), slice(first, end)
@@ -240,13 +240,13 @@ class Violation:
 
 def violations_along(room: Room, qs: Array) -> list[Violation]:
     """The largest violation of each limit along configurations, shape (T, n)."""
-    slack, found = np.array([room.slack(q) for q in qs]), []
+    slack, violations = np.array([room.slack(q) for q in qs]), []
     for owner in np.unique(room.owners).tolist():
         own = np.flatnonzero(room.owners == owner)
         row = room.all_rows[own[slack[-1, own].argmin()]]
         limit = room.limits[owner - len(room.sides)] if owner >= len(room.sides) else None
-        found.append(Violation(row, float(-slack[:, own].min()), limit))
-    return [violation for violation in found if violation.amount > NOTHING]
+        violations.append(Violation(row, float(-slack[:, own].min()), limit))
+    return [violation for violation in violations if violation.amount > NOTHING]
 
 
 def _cost(row: Row) -> float:
@@ -324,10 +324,10 @@ class SuggestedRelaxation:
 
 
 def by_geometry(
-    phase: ExplainedPhase, goal: Goal, found: BlockedByLimits, report: Callable[[float], None]
+    phase: ExplainedPhase, goal: Goal, blocked: BlockedByLimits, report: Callable[[float], None]
 ) -> SuggestedRelaxation | None:
     """Relaxations where limits keep a phase from its goal; None where none were found."""
-    needs = minimal_relaxations(goal, phase.room, found)
+    needs = minimal_relaxations(goal, phase.room, blocked)
     report(0.5)
     first = _tried(phase, needs, goal)
     if first and first.reached:
@@ -353,12 +353,12 @@ def by_rerun(phase: ExplainedPhase, goal: Goal | None) -> SuggestedRelaxation | 
     return _tried(phase, _rounded(violations_along(phase.room, free.q)), goal)
 
 
-def minimal_relaxations(goal: Goal, room: Room, found: BlockedByLimits) -> tuple[Violation, ...]:
+def minimal_relaxations(goal: Goal, room: Room, blocked: BlockedByLimits) -> tuple[Violation, ...]:
     """The smallest found from the configuration at the goal, and from others near by."""
     search, rng = Search(goal), np.random.default_rng(2)
-    starts = [found.start]
+    starts = [blocked.start]
     for _ in range(STARTS - 1):
-        other = search.from_(found.start + rng.normal(scale=NEAR, size=goal.chain.n))
+        other = search.from_(blocked.start + rng.normal(scale=NEAR, size=goal.chain.n))
         if other.reached:
             starts.append(other.q)
     programs = _Programs(goal, room)
@@ -391,10 +391,10 @@ def _tried(
     return SuggestedRelaxation(needs, after)
 
 
-def _rounded(found: Sequence[Violation]) -> tuple[Violation, ...]:
+def _rounded(violations: Sequence[Violation]) -> tuple[Violation, ...]:
     """A little more than the minimum, rounded up to two digits, the largest first."""
     needs = []
-    for violation in found:
+    for violation in violations:
         more = SHARE * violation.amount + MORE
         step = 10.0 ** (math.floor(math.log10(more)) - DIGITS + 1)
         needs.append(replace(violation, amount=round(math.ceil(more / step - 1e-9) * step, 9)))

@@ -90,12 +90,12 @@ class Room:
     @cached_property
     def _spaces(self) -> list[tuple[tuple[Row, ...], Clearance, Callable[[State], Array]]]:
         """Rows, clearances and their gradient of each limit in space."""
-        found = []
+        spaces = []
         for limit in self.limits:
             if left := limit.clearance(self.chain):
                 rows = limit.rows(self.chain)[: len(left(self._state))]
-                found.append((rows, left, _slope(limit, self.chain, self._dt, len(rows))))
-        return found
+                spaces.append((rows, left, _slope(limit, self.chain, self._dt, len(rows))))
+        return spaces
 
     @cached_property
     def rows(self) -> tuple[Row, ...]:
@@ -214,10 +214,10 @@ def least_relaxation(
     return (result.x[:n], result.x[n:]) if result.success else None
 
 
-def shares(found: Iterable[tuple[Row, float]]) -> tuple[Share, ...]:
+def shares(forces: Iterable[tuple[Row, float]]) -> tuple[Share, ...]:
     """The limits' shares, largest first; forces on corners or sides of one limit are summed."""
     by_thing: dict[str, list[tuple[Row, float]]] = {}
-    for row, amount in found:
+    for row, amount in forces:
         by_thing.setdefault(thing_of(row), []).append((row, amount))
     sums = [sum(amount for _, amount in own) for own in by_thing.values()]
     total = max(sum(sums), 1e-300)

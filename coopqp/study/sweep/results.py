@@ -95,10 +95,10 @@ def records(path: Path) -> Iterator[tuple[int, dict[str, Any] | None]]:
             last = chunk[-1][0]
 
 
-def _read(said: Any, crc: Any) -> dict[str, Any] | None:
-    if not isinstance(said, bytes) or crc32(said) != crc:
+def _read(text: Any, crc: Any) -> dict[str, Any] | None:
+    if not isinstance(text, bytes) or crc32(text) != crc:
         return None
-    found: dict[str, Any] = json.loads(said)
+    found: dict[str, Any] = json.loads(text)
     return found
 
 
@@ -159,13 +159,13 @@ class Journal:
                         journal._insert([(HEAD, head)])
                 yield journal
 
-    def append(self, said: Iterable[tuple[int | None, dict[str, Any]]]) -> None:
+    def append(self, records: Iterable[tuple[int | None, dict[str, Any]]]) -> None:
         """Write records by number, None for the next one, and see them on the disk."""
         with self._written():
-            self._insert(said)
+            self._insert(records)
 
-    def _insert(self, said: Iterable[tuple[int | None, dict[str, Any]]]) -> None:
-        texts = [(number, json.dumps(one, separators=(",", ":"))) for number, one in said]
+    def _insert(self, records: Iterable[tuple[int | None, dict[str, Any]]]) -> None:
+        texts = [(number, json.dumps(one, separators=(",", ":"))) for number, one in records]
         rows = [(number, text, crc32(text.encode())) for number, text in texts]
         self._database.executemany("INSERT OR REPLACE INTO records VALUES (?, ?, ?)", rows)
 

@@ -28,9 +28,9 @@ from scipy.special import ndtri
 from coopqp.base.spec import Array
 from coopqp.base.wording import shown
 
-LEAST = 2.0**-40  # u of a normal variation is between this and 1 - this
-MOST_LEVELS = 1_000_000
-MOST = 10_000_000  # points of a study
+MIN_U = 2.0**-40  # u of a normal variation is between this and 1 - this
+MAX_LEVELS = 1_000_000
+MAX_POINTS = 10_000_000  # points of a study
 CORNERS = "needs two corners, [[lows], [highs]], and levels if you like"
 #: What the samples' seed is mixed with, so that it gives other numbers than the variants' seeds.
 MIXED = 0x5A3B
@@ -77,7 +77,7 @@ class Normal:
     tries = (0.5,)
 
     def at(self, u: float) -> float:
-        return self.mean + self.deviation * float(ndtri(np.clip(u, LEAST, 1.0 - LEAST)))
+        return self.mean + self.deviation * float(ndtri(np.clip(u, MIN_U, 1.0 - MIN_U)))
 
     def levels(self, count: int) -> int:
         return 0
@@ -188,21 +188,21 @@ Number = Annotated[float, WrapValidator(lambda value, check: (check(value), valu
 Numbers = Annotated[list[Number], Field(min_length=1)]
 
 
-def needs(test: Callable[[Any], bool], words: str) -> BeforeValidator:
+def needs(test: Callable[[Any], bool], message: str) -> BeforeValidator:
     """Refuse, in words, what does not pass a test."""
 
     def check(value: Any) -> Any:
         if not test(value):
-            raise ValueError(words)
+            raise ValueError(message)
         return value
 
     return BeforeValidator(check)
 
 
-def _list(item: Any, least: int, most: int | None, words: str) -> Any:
+def _list(item: Any, lower: int, upper: int | None, message: str) -> Any:
     of_item = types.GenericAlias(list, (item,))
-    many = needs(lambda x: isinstance(x, list) and least <= len(x) <= (most or len(x)), words)
-    return Annotated[of_item, Field(min_length=least, max_length=most), many]
+    many = needs(lambda x: isinstance(x, list) and lower <= len(x) <= (upper or len(x)), message)
+    return Annotated[of_item, Field(min_length=lower, max_length=upper), many]
 
 
 def _box(given: list[Any]) -> Variation:
@@ -235,7 +235,7 @@ def _interval(low: Any, high: Any, count: Any = None) -> Interval:
         raise ValueError(f"is empty: {low:g} to {high:g}; give the least first")
     if count is None:
         return Interval(low, high)
-    if not isinstance(count, int) or not 1 <= count <= MOST_LEVELS:
+    if not isinstance(count, int) or not 1 <= count <= MAX_LEVELS:
         raise ValueError(f"found {shown(count)} levels; needs a whole number, at least 1")
     if count == 1 and low != high:
         raise ValueError("found 1 level between two numbers; needs at least 2")
