@@ -11,21 +11,8 @@ import click
 
 from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.reading import absolute
-from coopqp.cli.options import (
-    JSON,
-    WRITTEN,
-    bar,
-    catalogued,
-    engined,
-    print_json,
-    printed_aside,
-    read_scenario,
-    read_tick,
-    read_trace,
-    say,
-    say_wrote,
-    show,
-)
+from coopqp.cli import options
+from coopqp.cli.options import print_json, read_scenario, read_trace, say, say_wrote, show
 
 FORMATS = ("mcap", "rosbag2", "parquet", "lerobot")
 
@@ -33,7 +20,7 @@ FORMATS = ("mcap", "rosbag2", "parquet", "lerobot")
 @click.command(name="time")
 @click.argument("path", type=click.Path(exists=True, path_type=Path))
 @click.option("--scenario", help="Whose robot and limits count; that of a recorded run if omitted.")
-@click.option("--out", type=WRITTEN, help="Folder for the timed path.")
+@click.option("--out", type=options.WRITTEN, help="Folder for the timed path.")
 @click.option("--controller", help="Of a recorded run; the first if omitted.")
 @click.option("--torque", type=float, default=1.0, help="Share of each motor that is planned with.")
 @click.option(
@@ -46,8 +33,8 @@ FORMATS = ("mcap", "rosbag2", "parquet", "lerobot")
 )  # fmt: skip
 @click.option("--rise", type=float, default=0.0, help="Time in which accelerations change [s].")
 @click.option("--points", type=int, default=200, help="Intervals of the grid.")
-@catalogued
-@JSON
+@options.catalogued
+@options.JSON
 def time_(
     path: Path, scenario: str | None, out: Path | None, catalog: Any, *, as_json: bool, **how: Any
 ) -> None:
@@ -116,12 +103,12 @@ def _beside(table: Path) -> str:
 )
 @click.option(
     "--save",
-    type=WRITTEN,
+    type=options.WRITTEN,
     help="Keep a tick in this file; if --tick is omitted, the "
     "first that gave something up, else the last.",
 )
-@catalogued
-@JSON
+@options.catalogued
+@options.JSON
 def explain(
     trace: Path, tick: int | None, controller: str | None, save: Path | None, catalog: Any,
     as_json: bool,
@@ -137,7 +124,7 @@ def explain(
     from coopqp.study.trace_file import trace_from_file, worth_explaining
 
     if tick is not None or save:
-        record = read_tick(trace, catalog, controller, tick)
+        record = options.read_tick(trace, catalog, controller, tick)
         click.echo(table.tick_text(record, as_json=as_json))
         if save:
             files.write_one(save, record.text())
@@ -148,7 +135,7 @@ def explain(
         recorded = trace_from_file(run, scenario, controller)
     else:
         recorded = worth_explaining(run, scenario)
-    with bar("explaining") as report:
+    with options.bar("explaining") as report:
         explained = explain_run(scenario, recorded, report)
         beside = run.path.with_name("scenario.yaml")  # recordings of other formats hold theirs
         explained = way_round(scenario, explained, str(beside) if beside.exists() else "SCENARIO")
@@ -159,8 +146,8 @@ def explain(
 @click.argument("run", type=click.Path(path_type=Path))
 @click.option("--to", required=True, type=click.Choice(FORMATS), help="Format.")
 @click.option("--controller", help="Whose; all of them, a file each, if omitted.")
-@click.option("--out", type=WRITTEN, help="File; CONTROLLER.FORMAT beside RUN if omitted.")
-@catalogued
+@click.option("--out", type=options.WRITTEN, help="File; CONTROLLER.FORMAT beside RUN if omitted.")
+@options.catalogued
 def export(run: Path, to: str, controller: str | None, out: Path | None, catalog: Any) -> None:
     """Write a recorded run for Foxglove, ROS 2, PlotJuggler, pandas or LeRobot.
 
@@ -189,8 +176,8 @@ def export(run: Path, to: str, controller: str | None, out: Path | None, catalog
 @click.argument("trace", type=click.Path(path_type=Path))
 @click.option("--controller", help="Whose; the first with measured joints if omitted.")
 @click.option("--encoders", is_flag=True, help="Look for offsets of the encoders as well.")
-@catalogued
-@JSON
+@options.catalogued
+@options.JSON
 def calibrate(
     trace: Path, controller: str | None, encoders: bool, catalog: Any, as_json: bool
 ) -> None:
@@ -220,8 +207,8 @@ def calibrate(
 @click.option("--tick", type=int, help="Which tick of a run; as 'explain --save' if omitted.")
 @click.option("--controller", help="Whose tick of a run; the first QP controller's if omitted.")
 @click.option("--solver", multiple=True, help="Which; may be given more than once. All if omitted.")
-@catalogued
-@JSON
+@options.catalogued
+@options.JSON
 def replay(
     file: Path, tick: int | None, controller: str | None, solver: tuple[str, ...], catalog: Any,
     as_json: bool,
@@ -237,7 +224,9 @@ def replay(
     from coopqp.study.tick_record import replay as solve_again
 
     is_tick = not is_run(file)
-    record = TickRecord.read(file) if is_tick else read_tick(file, catalog, controller, tick)
+    record = (
+        TickRecord.read(file) if is_tick else options.read_tick(file, catalog, controller, tick)
+    )
     answers = {
         name: solve_again(record, solver_by_name(name, catalog))
         for name in solver or solver_names(catalog)
@@ -270,13 +259,13 @@ statistics = _moved("statistics", "goals", "random_goals")
 
 @click.command()
 @click.argument("what", type=click.Path(path_type=Path), metavar="STUDY | FOLDER")
-@click.option("--out", type=WRITTEN, help="Folder for journal, results and page.")
-@engined
+@click.option("--out", type=options.WRITTEN, help="Folder for journal, results and page.")
+@options.engined
 @click.option("--watch", is_flag=True, help="Draw the page anew while it runs.")
 @click.option("--table", is_flag=True, help="Print what there is by now; with a folder.")
 @click.option("--show", type=int, metavar="ROW", help="Compare on one row; with a folder.")
-@catalogued
-@JSON
+@options.catalogued
+@options.JSON
 def sweep(
     what: Path, out: Path | None, engine: Any, watch: bool, table: bool, show: int | None,
     catalog: Any, as_json: bool,
@@ -304,12 +293,12 @@ def _run(what: Path, out: Path, engine: Any, catalog: Any, *, watch: bool, as_js
     from coopqp.report.sweep.table import shown
     from coopqp.study import sweep as study_of
 
-    with printed_aside(as_json):
+    with options.printed_aside(as_json):
         study = study_of.read_study(what, catalog)
     for note in study.notes:
         say(f"note: {note}")
     page = _LivePage(out, study) if watch else None
-    with printed_aside(as_json), shown(study) as show_progress:
+    with options.printed_aside(as_json), shown(study) as show_progress:
 
         def progress(state: Any) -> None:
             show_progress(state)

@@ -25,16 +25,8 @@ from coopqp.assessment.thresholds import BEYOND
 from coopqp.base.rank import independent_rows, matrix_rank, null_space
 from coopqp.base.spec import Array
 from coopqp.scenario.bounded_steps import BoundedSteps, Stop
-from coopqp.study.explanation.goal import (
-    Goal,
-    PartOfTask,
-    Place,
-    Room,
-    Search,
-    Share,
-    forces,
-    shares,
-)
+from coopqp.study.explanation import goal as geometry
+from coopqp.study.explanation.goal import Goal, PartOfTask, Place, Room, Search, Share, shares
 from coopqp.task import Task
 
 T = TypeVar("T")
@@ -204,7 +196,7 @@ def _held_back(goal: Goal, room: Room, q: Array) -> tuple[Share, ...]:
     goal.look(q)
     Z = null_space(goal.state.J_loop)
     pull = -Z.T @ goal.stack.J.T @ (goal.weights * goal.stack.e)
-    return shares(forces(pull, Z, room.at_bound(q)))
+    return shares(geometry.forces(pull, Z, room.at_bound(q)))
 
 
 def _too_few(goal: Goal, q: Array) -> TooFewFreedoms | None:

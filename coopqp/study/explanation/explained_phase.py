@@ -38,21 +38,10 @@ from coopqp.model.closed_chain import ClosedChain
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import InputValues
 from coopqp.solver import Status, causes_of
+from coopqp.study.explanation import goal as geometry
 from coopqp.study.explanation import words
 from coopqp.study.explanation.diagnosis import BlockedByLimits
-from coopqp.study.explanation.goal import (
-    NEAR,
-    PLACE_UNITS,
-    Goal,
-    Missed,
-    Room,
-    Search,
-    Share,
-    least_relaxation,
-    parts_of,
-    placed,
-    thing_of,
-)
+from coopqp.study.explanation.goal import Goal, Missed, Room, Search, Share, parts_of, placed
 from coopqp.study.explanation.words import Needed, RunExplanation
 from coopqp.task import Level, Task
 from coopqp.trace import InputTrace, Trace, followed
@@ -285,7 +274,7 @@ class _Programs:
         kept = int((values > CUT).sum())
         equal = Vt[:kept], -(U[:, :kept].T @ r) / values[:kept]
         limits = room.ways(q), room.slack(q)
-        relaxed = least_relaxation(equal, limits, room.owners, self._costs, max_step)
+        relaxed = geometry.least_relaxation(equal, limits, room.owners, self._costs, max_step)
         return relaxed and relaxed[0]
 
     def _back(self, q: Array) -> Array:
@@ -343,7 +332,10 @@ def by_rerun(phase: ExplainedPhase, goal: Goal | None) -> SuggestedRelaxation | 
     limits = tuple(  # without those of position, which braking before an end stop is as well
         limit
         for limit in phase.scenario.limits
-        if all(row.unit not in PLACE_UNITS for row in audit([limit], chain, q, v, 0.01).margins)
+        if all(
+            row.unit not in geometry.PLACE_UNITS
+            for row in audit([limit], chain, q, v, 0.01).margins
+        )
     )
     free = rerun(phase, limits=limits)
     if free.missed and goal:
@@ -358,7 +350,7 @@ def minimal_relaxations(goal: Goal, room: Room, blocked: BlockedByLimits) -> tup
     search, rng = Search(goal), np.random.default_rng(2)
     starts = [blocked.start]
     for _ in range(STARTS - 1):
-        other = search.from_(blocked.start + rng.normal(scale=NEAR, size=goal.chain.n))
+        other = search.from_(blocked.start + rng.normal(scale=geometry.NEAR, size=goal.chain.n))
         if other.reached:
             starts.append(other.q)
     programs = _Programs(goal, room)
@@ -422,9 +414,9 @@ def with_suggestion(
 def _said(suggestion: SuggestedRelaxation | None, shares: Sequence[Share]) -> str:
     if suggestion is None:
         return "even without limits of place the law does not get there"
-    now = {thing_of(share.row) for share in shares}
-    first = [need for need in suggestion.needs if thing_of(need.row) in now]
-    later = [need for need in suggestion.needs if thing_of(need.row) not in now]
+    now = {geometry.thing_of(share.row) for share in shares}
+    first = [need for need in suggestion.needs if geometry.thing_of(need.row) in now]
+    later = [need for need in suggestion.needs if geometry.thing_of(need.row) not in now]
     text = f"to get there {needed(first)}" if first else "to get there"
     if later:
         text += f"{';' if first else ''} next would come {needed(later, alone=False)}, idle now"

@@ -19,23 +19,11 @@ from coopqp.closed_loop.screw import LENGTH
 from coopqp.model.closed_chain import AXES
 from coopqp.plant import Disturbance
 from coopqp.solver import Status
-from coopqp.study.explanation import words
+from coopqp.study.explanation import explained_phase, tick, words
 from coopqp.study.explanation.diagnosis import TooFar
-from coopqp.study.explanation.explained_phase import (
-    ExplainedPhase,
-    arrival,
-    by_rerun,
-    rerun,
-    with_suggestion,
-)
+from coopqp.study.explanation.explained_phase import ExplainedPhase, arrival, rerun
 from coopqp.study.explanation.goal import Goal, PartOfTask, Place, Room, Share, least_relaxation
-from coopqp.study.explanation.tick import (
-    PhaseTicks,
-    contradicting_rows,
-    held_up,
-    relaxed,
-    speed_share,
-)
+from coopqp.study.explanation.tick import PhaseTicks, held_up, relaxed, speed_share
 from coopqp.study.explanation.words import RunExplanation
 from coopqp.task import Task, level_of
 
@@ -283,7 +271,7 @@ def explain_velocity(phase: ExplainedPhase, base: RunExplanation) -> RunExplanat
         return _at_the_edge(part, axes, u, base)
     held = held_up(phase, range(max(0, k - EVALUATED), k + 1))
     if held and speed_share(held) <= MOSTLY:
-        return with_suggestion(base, held, by_rerun(phase, None))
+        return explained_phase.with_suggestion(base, held, explained_phase.by_rerun(phase, None))
     why = words.slow(held) if held else "the law does not follow it"
     more = f"; it asks for {needed:.2g} times the speed there is" if needed > 1.0 else ""
     return base.because("speed", why + more, held, tasks=(part.task.name,))
@@ -326,6 +314,6 @@ def contradicting(phase: ExplainedPhase) -> tuple[str, ...]:
     own = [i for i in look.counted if stack.rows[i].owner in free]
     wanted, owners = stack.wanted[own], [stack.rows[i].owner for i in own]
     allowed = np.full(len(own), SOLVED * np.linalg.norm(wanted))
-    return contradicting_rows(
+    return tick.contradicting_rows(
         loops, np.zeros(len(loops)), stack.J[own], wanted, owners, allowed, CUT
     )

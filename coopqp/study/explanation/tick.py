@@ -37,16 +37,10 @@ from coopqp.base.rank import null_space
 from coopqp.base.spec import Array
 from coopqp.model.state import State
 from coopqp.solver import HALTS, Budget, Status, causes_of, norm
+from coopqp.study.explanation import goal as geometry
 from coopqp.study.explanation.diagnosis import contradicting
 from coopqp.study.explanation.explained_phase import ExplainedPhase
-from coopqp.study.explanation.goal import (
-    PLACE_UNITS,
-    Share,
-    forces,
-    least_relaxation,
-    shares,
-    thing_of,
-)
+from coopqp.study.explanation.goal import Share, forces, least_relaxation, shares
 from coopqp.study.explanation.words import Relaxed, listed, percent, with_note
 from coopqp.study.tick_record import NamedBounds, TickRecord
 from coopqp.task import Mode, TaskStack
@@ -160,7 +154,7 @@ def held_up(phase: ExplainedPhase, ticks: range | None = None) -> tuple[Share, .
 
 def speed_share(shares: Sequence[Share]) -> float:
     """Share of the limits of speeds and accelerations."""
-    rates = (s for s in shares if not s.row.of_place and s.row.unit not in PLACE_UNITS)
+    rates = (s for s in shares if not s.row.of_place and s.row.unit not in geometry.PLACE_UNITS)
     return sum(share.share for share in rates)
 
 
@@ -279,7 +273,7 @@ def explain(record: TickRecord) -> Explanation:
 def at_bound(record: TickRecord) -> tuple[Row, ...]:
     """Active limits, each side of a joint and each limit in space once."""
     tick, _ = _rows_then(record)
-    return tuple({thing_of(row): row for row, _ in tick.at_limits(AT_BOUND)}.values())
+    return tuple({geometry.thing_of(row): row for row, _ in tick.at_limits(AT_BOUND)}.values())
 
 
 def _allowed(record: TickRecord) -> Array:

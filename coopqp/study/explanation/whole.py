@@ -23,15 +23,8 @@ from coopqp.execution.controller_run import run
 from coopqp.metrics.friction_margin import FrictionMargin
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status
-from coopqp.study.explanation import diagnosis, insufficient_time, words
-from coopqp.study.explanation.explained_phase import (
-    ExplainedPhase,
-    by_geometry,
-    explained_phases,
-    minimal_relaxations,
-    needed,
-    with_suggestion,
-)
+from coopqp.study.explanation import diagnosis, explained_phase, insufficient_time, words
+from coopqp.study.explanation.explained_phase import ExplainedPhase
 from coopqp.study.explanation.goal import Goal, Room, Search, placed
 from coopqp.study.explanation.tick import relaxed
 from coopqp.study.explanation.words import MissedPart, RunExplanation, listed
@@ -50,7 +43,7 @@ def explain_run(
     ``report`` is called now and then with the share that is done.
     """
     held = scenario.held_by(trace.controller)
-    result, phases = assess(trace), list(explained_phases(held, trace))
+    result, phases = assess(trace), list(explained_phase.explained_phases(held, trace))
     phase = next((phase for phase in phases if phase.missed), phases[-1])
     explained = _explained(result, phases, phase, report)
     more = saturation_words(result, "it saturates ") if explained.kind != "motors" else ""
@@ -175,12 +168,12 @@ def _blocked(phase: ExplainedPhase, base: RunExplanation, report: Report) -> Run
             return insufficient_time.explain_velocity(phase, base)
         return insufficient_time.explain(phase, goal, cause.place, base)
     if isinstance(cause, diagnosis.BlockedByLimits):
-        suggestion = by_geometry(phase, goal, cause, report)
+        suggestion = explained_phase.by_geometry(phase, goal, cause, report)
         if (other := cause.elsewhere) is None:
-            return with_suggestion(base, cause.shares, suggestion)
+            return explained_phase.with_suggestion(base, cause.shares, suggestion)
         base = replace(base, elsewhere=tuple(other.q.tolist()))
         elsewhere = words.elsewhere(other, goal.chain)
-        return with_suggestion(base, cause.shares, suggestion, elsewhere)
+        return explained_phase.with_suggestion(base, cause.shares, suggestion, elsewhere)
     return _by_geometry(phase, cause, base)
 
 
@@ -269,10 +262,10 @@ def _friction(phase: ExplainedPhase) -> str:
 
     known = tried(1.0)
     margin = FrictionMargin().measure(known) if known else None
-    needed = 1.0 if margin is None else round(SPARE * (1.0 - margin), 2)
-    if not there < needed < 1.0 or tried(needed) is None:
+    enough = 1.0 if margin is None else round(SPARE * (1.0 - margin), 2)
+    if not there < enough < 1.0 or tried(enough) is None:
         return ""
-    return f"{needed:g} of the modelled friction instead of {there:g}"
+    return f"{enough:g} of the modelled friction instead of {there:g}"
 
 
 def _pressing(phase: ExplainedPhase) -> str:
@@ -333,8 +326,8 @@ def explain_standing(
         part, error = nearest[0]
         short = f"{part.name} gets no nearer than {words.size(error, part.part.unit)}"
     parts = [short, words.holding(cause.shares)]
-    if needs := minimal_relaxations(goal, room, cause):
-        parts.append(f"to get there {needed(needs)} (not tried)")
+    if needs := explained_phase.minimal_relaxations(goal, room, cause):
+        parts.append(f"to get there {explained_phase.needed(needs)} (not tried)")
     if cause.elsewhere:
         parts.append(words.elsewhere(cause.elsewhere, chain))
     return Standing(False, True, "; ".join(parts))

@@ -11,16 +11,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    ValidationError,
-    ValidationInfo,
-    create_model,
-)
+import pydantic
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from coopqp.base import wording
 from coopqp.base.errors import CoopqpError, Fault, InvalidValueError, ScenarioError, unknown_name
@@ -67,7 +59,7 @@ def _samples(value: Any) -> Any:
     return named
 
 
-def _metric(name: str, info: ValidationInfo) -> str:
+def _metric(name: str, info: pydantic.ValidationInfo) -> str:
     known = (info.context or {}).get("metrics")
     if known is not None and name not in known:
         raise ValueError(unknown_name("metric", name, known))
@@ -82,7 +74,7 @@ Count = Annotated[int, Field(ge=1, le=MAX_POINTS), _COUNTS]
 def _one_of(name: str, about: str, max_keys: int, fields: dict[str, Any]) -> Any:
     """A model with at least one of its fields and at most so many."""
     counts = ConfigDict(**STRICT, json_schema_extra={"minProperties": 1, "maxProperties": max_keys})
-    return create_model(name, __config__=counts, __doc__=about, **fields)
+    return pydantic.create_model(name, __config__=counts, __doc__=about, **fields)
 
 
 _KINDS: dict[str, Any] = {
