@@ -90,7 +90,6 @@ class TaskEnd:
 
     @property
     def arrives(self) -> bool:
-        """Whether the error is within the tolerance."""
         return thresholds.within(self.error, self.tolerance)
 
     @property

@@ -385,7 +385,6 @@ class _LivePage:
         self._next = time.monotonic() + self.EVERY
 
     def update(self) -> None:
-        """Draw it if it is time."""
         from coopqp.report.sweep.page import write
         from coopqp.study.sweep.results import Columns, compact
         from coopqp.study.sweep.summary import summarize

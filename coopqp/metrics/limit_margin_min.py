@@ -1,5 +1,3 @@
-from typing import ClassVar
-
 from coopqp.assessment.limits import beyond
 from coopqp.metric import Metric, Trace, spec
 
@@ -8,7 +6,7 @@ from coopqp.metric import Metric, Trace, spec
 class LimitMarginMin(Metric):
     """Least distance of a joint to its position limit; negative beyond it."""
 
-    unit: ClassVar[str] = "rad or m"
+    unit = "rad or m"
 
     def measure(self, trace: Trace) -> float:
         return 0.0 - float(beyond(trace).max())  # no negative zero

@@ -1,5 +1,3 @@
-from typing import ClassVar
-
 from coopqp.assessment.limits import beyond
 from coopqp.metric import Metric, Trace, spec
 
@@ -8,7 +6,7 @@ from coopqp.metric import Metric, Trace, spec
 class LimitViolationMax(Metric):
     """How far the worst joint went beyond its position limit."""
 
-    unit: ClassVar[str] = "rad or m"
+    unit = "rad or m"
 
     def measure(self, trace: Trace) -> float:
         return max(0.0, float(beyond(trace).max()))

@@ -1,5 +1,3 @@
-from typing import ClassVar
-
 from coopqp.assessment import assess
 from coopqp.metric import Metric, Trace, spec
 
@@ -8,7 +6,7 @@ from coopqp.metric import Metric, Trace, spec
 class LoopErrorMax(Metric):
     """Largest distance and angle between where two arms carry the object."""
 
-    unit: ClassVar[str] = "m, rad"
+    unit = "m, rad"
 
     def measure(self, trace: Trace) -> dict[str, float]:
         position, orientation = assess(trace).loop

@@ -1,5 +1,3 @@
-from typing import ClassVar
-
 import numpy as np
 
 from coopqp.metric import Array, Metric, Trace, spec
@@ -9,7 +7,7 @@ from coopqp.metric import Array, Metric, Trace, spec
 class LoopOffset(Metric):
     """How far the hands end apart from what the model says: its calibration error."""
 
-    unit: ClassVar[str] = "m, rad"
+    unit = "m, rad"
 
     def measure(self, trace: Trace) -> dict[str, float]:
         """The largest of the loops in the last tick, as the controller observed it.

@@ -1,5 +1,3 @@
-from typing import ClassVar
-
 from coopqp.metric import Metric, Trace, spec
 from coopqp.metrics._hands import by_hand
 
@@ -8,7 +6,7 @@ from coopqp.metrics._hands import by_hand
 class SlipDistance(Metric):
     """How far the object slipped along a hand that presses, at most, while it was held."""
 
-    unit: ClassVar[str] = "m"
+    unit = "m"
 
     def measure(self, trace: Trace) -> float | None:
         """None where no hand presses."""

@@ -1,5 +1,3 @@
-from typing import ClassVar
-
 import numpy as np
 
 from coopqp.closed_loop.forces import squeezes
@@ -11,7 +9,7 @@ from coopqp.metrics._hands import by_hand
 class Squeeze(Metric):
     """How hard the hands press on the object: least, mean and worst, where the plant tells it."""
 
-    unit: ClassVar[str] = "N"
+    unit = "N"
 
     def measure(self, trace: Trace) -> dict[str, float] | None:
         """Normal forces of hands that press; the squeeze between two or three fastened ones.

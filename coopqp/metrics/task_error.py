@@ -1,5 +1,3 @@
-from typing import ClassVar
-
 from coopqp.assessment import assess
 from coopqp.metric import Metric, Trace, spec
 
@@ -8,7 +6,7 @@ from coopqp.metric import Metric, Trace, spec
 class TaskError(Metric):
     """Each task's error at its end; a force's largest of the last 0.2 s."""
 
-    unit: ClassVar[str] = "the task's own"
+    unit = "the task's own"
 
     def measure(self, trace: Trace) -> dict[str, float]:
         """By task name."""

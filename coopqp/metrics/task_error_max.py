@@ -1,5 +1,3 @@
-from typing import ClassVar
-
 import numpy as np
 
 from coopqp.metric import Metric, Trace, spec
@@ -9,7 +7,7 @@ from coopqp.metric import Metric, Trace, spec
 class TaskErrorMax(Metric):
     """How far each row of the tasks was from its reference at most, such as "springs.y"."""
 
-    unit: ClassVar[str] = "the task's own"
+    unit = "the task's own"
 
     def measure(self, trace: Trace) -> dict[str, float | None]:
         """By row, without a sign; None where it has no number in any tick."""

@@ -1,5 +1,3 @@
-from typing import ClassVar
-
 import numpy as np
 
 from coopqp.metric import Metric, Trace, spec
@@ -9,8 +7,8 @@ from coopqp.metric import Metric, Trace, spec
 class TickUs(Metric):
     """Time from reading the joints to the verified command."""
 
-    unit: ClassVar[str] = "us"
-    timed: ClassVar[bool] = True
+    unit = "us"
+    timed = True
 
     def measure(self, trace: Trace) -> dict[str, float] | None:
         """None where many ticks were done at once."""

@@ -1,5 +1,3 @@
-from typing import ClassVar
-
 import numpy as np
 
 from coopqp.metric import Metric, Trace, spec
@@ -9,7 +7,7 @@ from coopqp.metric import Metric, Trace, spec
 class VelocityViolationMax(Metric):
     """How far the worst joint's speed went beyond its limit."""
 
-    unit: ClassVar[str] = "rad/s or m/s"
+    unit = "rad/s or m/s"
 
     def measure(self, trace: Trace) -> float:
         return max(0.0, float((np.abs(trace.v) - trace.velocity).max(initial=0.0)))

@@ -126,7 +126,6 @@ class TickRecord:
         return None
 
     def qp(self) -> QP:
-        """The program, in arrays."""
         qp = QP(Rows(tuple(self.variables), tuple(self.inequality_rows), tuple(self.equality_rows)))
         qp.P[:], qp.q[:] = self.P, self.q_cost
         if self.C:
@@ -216,7 +215,6 @@ class NamedBounds:
         self.update(state)
 
     def update(self, state: State) -> None:
-        """Evaluate all at a state."""
         n = len(state.v)
         self.below, self.above = tightest_rows = [*self._none[0]], [*self._none[1]]
         tightest = np.full((2, n), np.inf)

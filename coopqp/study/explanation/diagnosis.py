@@ -192,7 +192,6 @@ def diagnose(goal: Goal, room: Room, q: Array) -> Diagnosis:
 
 
 def _held_back(goal: Goal, room: Room, q: Array) -> tuple[Share, ...]:
-    """Shares of the limits that hold the goal back at a configuration."""
     goal.look(q)
     Z = null_space(goal.state.J_loop)
     pull = -Z.T @ goal.stack.J.T @ (goal.weights * goal.stack.e)

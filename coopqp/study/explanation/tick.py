@@ -284,7 +284,6 @@ def _allowed(record: TickRecord) -> Array:
 
 
 def _missed(record: TickRecord) -> NDArray[np.bool_]:
-    """Which task rows the answer misses."""
     J = np.array(record.J).reshape(-1, len(record.answer))
     return np.asarray(np.abs(J @ record.answer - record.wanted) > _allowed(record))
 

@@ -112,12 +112,6 @@ class StudyFile(BaseModel):
     )
 
     @property
-    def variations(self) -> dict[str, space.Variation]:
-        """What each path is varied over."""
-        given = ((path, dict(over), over.model_fields_set) for path, over in self.vary.items())
-        return {path: over[kind] for path, over, (kind,) in given}
-
-    @property
     def sampled(self) -> tuple[str, int]:
         """The way to sample, and how many; 0 where levels say it."""
         (way,) = self.samples.model_fields_set - {SEED}
@@ -181,7 +175,8 @@ def _study(file: YamlFile, catalog: Catalog, scenario: YamlFile | None) -> Study
     scenario = scenario or _scenario(file, wrong)
     if not form or not scenario or wrong:
         raise MisplacedError(wrong)
-    defaults, vary = _defaults(file_model(catalog)), form.variations
+    given = ((path, dict(over), over.model_fields_set) for path, over in form.vary.items())
+    defaults, vary = _defaults(file_model(catalog)), {path: x[kind] for path, x, (kind,) in given}
     base = scenario.changed(copy.deepcopy(scenario.data))
     chosen = vary.pop(CONTROLLERS, None)
     wrong += [] if chosen is None else _controllers(chosen, base, catalog, kept=kept)
@@ -340,11 +335,11 @@ def _points(form: StudyFile, varied: Sequence[Varied]) -> tuple[Points, Sequence
             wrong.append(Wrong(["vary", one.path], f"has no levels for a grid; give it {advice}"))
         levels += own
         gridded.append(replace(one, over=one.over.gridded(own)))
-    if math.prod(levels) > MAX_POINTS:
-        words = f"the grid has {math.prod(levels):,} points; needs at most {MAX_POINTS:,}"
+    if (size := math.prod(levels)) > MAX_POINTS:
+        words = f"the grid has {size:,} points; needs at most {MAX_POINTS:,}"
         wrong.append(Wrong(["samples"], words))
     refuse(wrong)
-    return space.grid(levels), gridded
+    return Points(size, tuple(levels)), gridded
 
 
 def _defaults(model: type[BaseModel]) -> dict[str, Any]:

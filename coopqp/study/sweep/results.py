@@ -37,7 +37,7 @@ from coopqp.base.errors import CoopqpError, needs
 from coopqp.base.reading import check_plain
 from coopqp.base.spec import Array
 from coopqp.study.engine import Share
-from coopqp.study.sweep.study import DONE, Row, Study
+from coopqp.study.sweep.study import DONE, SEED, Row, Study
 
 PATTERN = "journal*.sqlite3"
 #: Journals of coopqp 0.1, with a line a variant.
@@ -238,7 +238,6 @@ class Index:
 
     @property
     def done(self) -> int:
-        """Number of variants."""
         return int(self._there.sum())
 
     def missing(self, among: Sequence[int]) -> NDArray[np.int64]:
@@ -248,8 +247,8 @@ class Index:
 
     def rows(self) -> Iterator[tuple[int, list[Row]]]:
         """Each variant that is there, in order, with its rows."""
-        found = ((variant, rows) for variant, rows in self._records() if rows is not None)
-        return (one for one in found if self._there[one[0]])
+        records = self._records()
+        return ((i, rows) for i, rows in records if rows is not None and self._there[i])
 
 
 def _kind_of(value: Any) -> str:
@@ -321,7 +320,8 @@ def _rows(study: Study, index: Index, kinds: dict[str, str]) -> Iterator[list[An
     rest = list(kinds)[len(FIRST) + 1 + len(study.columns) :]
     for number, rows in index.rows():
         variant = study.variant(number)
-        values = [study.seed_of(variant), *study.parts(variant)]
+        varied = dict(zip(study.locations, variant.values, strict=True))
+        values = [varied.get((SEED,), variant.seed), *study.parts(variant)]
         for k, (controller, row) in enumerate(zip(study.controllers, rows, strict=True)):
             own = [row["state"], row["reason"], *values, *map(row.get, rest)]
             place = number * len(study.controllers) + k

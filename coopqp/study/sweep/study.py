@@ -102,11 +102,6 @@ class Study:
         child = np.random.SeedSequence(self.seed, spawn_key=(index,))
         return Variant(index, int(child.generate_state(1)[0]), tuple(values))
 
-    def seed_of(self, variant: Variant) -> Any:
-        """The scenario's in a variant; the variant's own unless it is varied."""
-        values = zip(self.varied, variant.values, strict=True)
-        return next((x for one, x in values if one.location == (SEED,)), variant.seed)
-
     def parts(self, variant: Variant) -> tuple[Any, ...]:
         """What stands in the columns; what is neither number nor text, as JSON."""
         found: list[Any] = []

@@ -230,7 +230,6 @@ def _quantiles(values: NDArray[np.float64], outer: float) -> tuple[float, float]
 
 
 def _texts(rows: Rows, codes: NDArray[np.int64], texts: list[str]) -> Iterator[tuple[str, int]]:
-    """How often each text is there."""
     counts = np.bincount(codes[rows & (codes >= 0)], minlength=len(texts))
     return zip(texts, counts.tolist(), strict=True)
 
