@@ -69,17 +69,16 @@ def mobility(
     as_json: bool,
 ) -> None:  # fmt: skip
     """Tell what a scenario's grasp allows, before anything moves."""
-    from coopqp.report import files
-    from coopqp.report import mobility as report
+    from coopqp.report import files, mobility
 
     scheme = [name.strip() for name in actuated.split(",")] if actuated is not None else None
-    study = report.study(read_scenario(scenario, catalog), scheme, phase=phase)
+    study = mobility.study(read_scenario(scenario, catalog), scheme, phase=phase)
     if page:
-        files.write_one(page, report.page(study))
+        files.write_one(page, mobility.page(study))
     if as_json:
-        print_json(report.as_json(study))
+        print_json(mobility.as_json(study))
     else:
-        show(*report.tables(study), study.verdict())
+        show(*mobility.tables(study), study.verdict())
         say_wrote(*filter(None, [page]))
     if study.refused:
         raise study.refused
@@ -153,20 +152,18 @@ def plan(
 
     SCENARIO is a YAML file or the name of a shipped scenario (coopqp list scenarios).
     """
-    from coopqp.planning import Budget
-    from coopqp.planning import plan as find
-    from coopqp.report import files
-    from coopqp.report import planning as report
+    from coopqp.planning import Budget, plan
+    from coopqp.report import files, planning
 
     loaded = read_scenario(scenario, catalog)
     budget = Budget(seconds=seconds, seed=loaded.seed if seed is None else seed)
-    report.check_written(out, loaded, report.PATH)
+    planning.check_written(out, loaded, planning.PATH)
     with files.checked_folder(out), options.bar("planning") as progress:
-        found = find(loaded, keep=keep, budget=budget, progress=progress)
-        if not found.found:
-            raise CoopqpError(found.sentence)
-        written = report.write_plan(found, loaded, out, keep) if out else ()
-    click.echo(report.plan_json(found)) if as_json else say(found.sentence, aside=False)
+        result = plan(loaded, keep=keep, budget=budget, progress=progress)
+        if not result.found:
+            raise CoopqpError(result.sentence)
+        written = planning.write_plan(result, loaded, out, keep) if out else ()
+    click.echo(planning.plan_json(result)) if as_json else say(result.sentence, aside=False)
     say_wrote(*written, aside=as_json)
 
 
@@ -350,12 +347,11 @@ def compare_on(scenario: Any, controllers: list[str], out: Path | None, *, as_js
     """Run, print the table or JSON, and write the report to a folder, if one is given."""
     from coopqp.execution.comparison import compare as run_all
     from coopqp.report import files, table
-    from coopqp.report.table import progress_bars
 
     refused = _refused(scenario, controllers)
     if out:
         files.check_folder(out)
-    with progress_bars(controllers, scenario.ticks) as progress:
+    with table.progress_bars(controllers, scenario.ticks) as progress:
         comparison = run_all(scenario, controllers=controllers, progress=progress)
     say_left_out({name: why for name, why in comparison.refused.items() if name not in refused})
     for line in comparison.faults:
@@ -397,16 +393,14 @@ def play(
 
     SCENARIO is a YAML file or the name of a shipped scenario (coopqp list scenarios).
     """
-    from coopqp.viewer import play as viewer
-    from coopqp.viewer.gate import checked_origins
+    from coopqp.viewer import gate, play, steering
     from coopqp.viewer.player import Player
-    from coopqp.viewer.steering import check_folder
 
-    viewer.check_viewer()
-    viewer.check_address(host, port)
-    checked_origins(origins)
+    play.check_viewer()
+    play.check_address(host, port)
+    gate.checked_origins(origins)
     if record:
-        check_folder(record)
+        steering.check_folder(record)
     loaded = read_scenario(scenario, catalog, solver)
     player = Player(loaded, controllers, record)
     player.speed = speed
@@ -416,7 +410,7 @@ def play(
     options.print_notes(loaded, [run.name for run in player.controllers], steered=True)
     try:
         opened = lambda page: click.echo(f"{page}  (Ctrl-C ends it)")  # noqa: E731
-        viewer.play(player, host, port, opened, origins=origins)
+        play.play(player, host, port, opened, origins=origins)
     except CoopqpError:
         player.save()  # the recording survives the page
         raise

@@ -120,8 +120,7 @@ def explain(
     """
     from coopqp.planning import way_round
     from coopqp.report import files, table
-    from coopqp.study.explanation import explain_run
-    from coopqp.study.trace_file import trace_from_file, worth_explaining
+    from coopqp.study import explanation, trace_file
 
     if tick is not None or save:
         record = options.read_tick(trace, catalog, controller, tick)
@@ -132,11 +131,11 @@ def explain(
         return
     run, scenario = read_trace(trace, catalog)
     if controller:
-        recorded = trace_from_file(run, scenario, controller)
+        recorded = trace_file.trace_from_file(run, scenario, controller)
     else:
-        recorded = worth_explaining(run, scenario)
+        recorded = trace_file.worth_explaining(run, scenario)
     with options.bar("explaining") as report:
-        explained = explain_run(scenario, recorded, report)
+        explained = explanation.explain_run(scenario, recorded, report)
         beside = run.path.with_name("scenario.yaml")  # recordings of other formats hold theirs
         explained = way_round(scenario, explained, str(beside) if beside.exists() else "SCENARIO")
     click.echo(table.run_text(explained, absolute(run.path.parent).name, as_json=as_json))
@@ -220,15 +219,12 @@ def replay(
     from coopqp.recordings import is_run
     from coopqp.report import table
     from coopqp.scenario.loader import solver_by_name, solver_names
-    from coopqp.study.tick_record import TickRecord
-    from coopqp.study.tick_record import replay as solve_again
+    from coopqp.study import tick_record
 
-    is_tick = not is_run(file)
-    record = (
-        TickRecord.read(file) if is_tick else options.read_tick(file, catalog, controller, tick)
-    )
+    read = tick_record.TickRecord.read
+    record = options.read_tick(file, catalog, controller, tick) if is_run(file) else read(file)
     answers = {
-        name: solve_again(record, solver_by_name(name, catalog))
+        name: tick_record.replay(record, solver_by_name(name, catalog))
         for name in solver or solver_names(catalog)
     }
     if as_json:
@@ -313,21 +309,20 @@ def _run(what: Path, out: Path, engine: Any, catalog: Any, *, watch: bool, as_js
 
 def _look(folder: Path, catalog: Any, *, watch: bool, show: int | None, as_json: bool) -> None:
     """Print, draw or rerun from a folder, also while another command runs the study."""
-    from coopqp.study.sweep import kept_study
-    from coopqp.study.sweep.results import compact, needs_arrow
+    from coopqp.study.sweep import kept_study, results
 
     study = kept_study(folder, catalog)
     if show is not None:
         _show(study, folder, show)
         return
-    needs_arrow()
-    index = compact(study, folder)
+    results.needs_arrow()
+    index = results.compact(study, folder)
     if index.damaged:
         say(f"warning: {_records(index.damaged)} damaged; what stands there does not count")
     while watch and index.done < study.points.count:
         _print(study, folder, as_json=as_json)
         time.sleep(_LivePage.EVERY)
-        index = compact(study, folder)
+        index = results.compact(study, folder)
     _print(study, folder, as_json=as_json)
 
 
