@@ -49,7 +49,7 @@ def time_(
     from coopqp.report.planning import TIMED, check_written, limits_table, phase_titles, write_timed
 
     if scenario is None and (table := table_of(path)):
-        scenario = _beside(table)
+        scenario = _scenario_for(table)
     loaded = read_scenario(scenario, catalog) if scenario else read_trace(path, catalog)[1]
     check_written(out, loaded, TIMED)
     with files.checked_folder(out), _named(path):
@@ -86,7 +86,7 @@ def _named(path: Path) -> Iterator[None]:
         raise InvalidValueError(f"{path}: {str(error)[6:]}") from None
 
 
-def _beside(table: Path) -> str:
+def _scenario_for(table: Path) -> str:
     """The scenario that stands beside a table of joints, as 'coopqp plan' writes it."""
     found = sorted(table.parent.glob("*.yaml"))
     if len(found) != 1:

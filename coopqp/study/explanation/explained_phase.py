@@ -15,8 +15,6 @@ of a metre. A law may stop short with it, where its path leads into a saddle; th
 without position limits, and the largest violation on its path is enough.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -400,7 +398,7 @@ def with_suggestion(
     *more: str,
 ) -> RunExplanation:
     """That limits hold a run back, and which relaxation would do."""
-    sentence = "; ".join([words.holding(shares), _said(suggestion, shares), *more])
+    sentence = "; ".join([words.holding(shares), _suggested(suggestion, shares), *more])
     if suggestion is None:
         return base.because("limits", sentence, shares)
     needs = tuple(
@@ -411,7 +409,7 @@ def with_suggestion(
     return base.because("limits", sentence, shares, needed=needs, tried=tried, time=time)
 
 
-def _said(suggestion: SuggestedRelaxation | None, shares: Sequence[Share]) -> str:
+def _suggested(suggestion: SuggestedRelaxation | None, shares: Sequence[Share]) -> str:
     if suggestion is None:
         return "even without limits of place the law does not get there"
     now = {geometry.thing_of(share.row) for share in shares}
