@@ -20,9 +20,9 @@ from .controller import ControlProblem as ControlProblem
 from .controller import Law as Law
 from .execution.comparison import Comparison as Comparison
 from .execution.comparison import compare as compare
+from .execution.controller_run import Motions as Motions
 from .execution.controller_run import run as run
-from .execution.many import Motions as Motions
-from .execution.many import run_many as run_many
+from .execution.controller_run import run_many as run_many
 from .grasp import Grasp as Grasp
 from .grasp import PassiveJoint as PassiveJoint
 from .limit import Limit as Limit

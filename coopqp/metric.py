@@ -1,4 +1,4 @@
-"""What a metric is: one number, or a few, out of a trace."""
+"""What a metric is: one number, or a few, out of a trace; and what it is written with."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-from coopqp.base.spec import spec
+from coopqp.base.spec import Array as Array
+from coopqp.base.spec import spec as spec
 from coopqp.base.wording import plain, raised, written_in
-from coopqp.trace import Trace, read_only
+from coopqp.trace import Trace as Trace
+from coopqp.trace import read_only
 
 #: Columns that every study has of its own; no metric is called so.
 OF_STUDIES = frozenset(

@@ -60,7 +60,7 @@ def test_motions_are_those_of_one_law(name: str) -> None:
     given = starts(scenario.chain, SLOW if name in IN_PYTHON else MOTIONS)
     found = [run_many(scenario, given, ticks=TICKS, threads=k) for k in (1, 2, 3)]
     for other in found[1:]:
-        for of in ("q", "v", "said", "compiled"):
+        for of in ("q", "v", "outcomes", "compiled"):
             np.testing.assert_array_equal(getattr(found[0], of), getattr(other, of))
         assert other.causes == found[0].causes
     law, many, seen = scenario.controllers["qp"].build(scenario.problem()), found[0], set[Any]()
@@ -69,12 +69,12 @@ def test_motions_are_those_of_one_law(name: str) -> None:
         np.testing.assert_array_equal(many.q[i], alone.q)
         np.testing.assert_array_equal(many.v[i], alone.v)
         np.testing.assert_array_equal(many.compiled[i], alone.compiled)
-        assert [many.causes[k] for k in many.said[i]] == alone.causes
+        assert [many.causes[k] for k in many.outcomes[i]] == alone.causes
         seen |= set(alone.causes)
     assert seen <= set(many.causes)
     assert len(set(many.causes)) == len(many.causes)
     said = [Status.TASKS_RELAXED in causes for causes in many.causes]
-    assert many.share(Status.TASKS_RELAXED) == np.isin(many.said, np.flatnonzero(said)).mean()
+    assert many.share(Status.TASKS_RELAXED) == np.isin(many.outcomes, np.flatnonzero(said)).mean()
 
 
 def test_nothing_is_run_from_nowhere_or_for_no_time() -> None:

@@ -35,8 +35,8 @@ def _end_errors(trace: Trace, k: int) -> Array:
         rows = _rows_of(trace, task.name.rpartition(".")[0])  # the task is one of several parts
         e = trace.e[last, [rows[row] for row, _, _ in task.springs]]
         push = trace.signals["push"][last - 1]
-        asked = np.array([push[axis] / stiffness for _, axis, stiffness in task.springs])
-        return np.array([np.linalg.norm(e - asked)])
+        wanted = np.array([push[axis] / stiffness for _, axis, stiffness in task.springs])
+        return np.array([np.linalg.norm(e - wanted)])
     error = trace.task_error[task.rows.start : last + 1, k]
     if task.unit not in FORCES:
         return error[-1:]
@@ -90,7 +90,6 @@ class TaskEnd:
 
     @property
     def arrives(self) -> bool:
-        """Whether the error is within the tolerance."""
         return thresholds.within(self.error, self.tolerance)
 
     @property
@@ -200,7 +199,7 @@ class Assessment:
     @cached_property
     def joints(self) -> tuple[LimitViolation, ...]:
         """Joints beyond their places' limits, the farthest first."""
-        trace, found = self.trace, []
+        trace, worst = self.trace, []
         out = np.maximum(limits.beyond(trace), 0.0)
         for i in np.flatnonzero(~(out.max(axis=0) <= 0.0)).tolist():
             joint, unit, k = trace.joints[i], trace.units[i], int(out[:, i].argmax())
@@ -211,21 +210,21 @@ class Assessment:
             )  # fmt: skip
             violation = limits.worst_of_joint(row, trace, out[:, i], float(out[0, i]))
             if thresholds.matters(violation.by, unit):
-                found.append(violation)
-        return tuple(sorted(found, key=lambda violation: -np.nan_to_num(violation.by, nan=np.inf)))
+                worst.append(violation)
+        return tuple(sorted(worst, key=lambda violation: -np.nan_to_num(violation.by, nan=np.inf)))
 
     @cached_property
     def speeds(self) -> tuple[LimitViolation, ...]:
         """Joints faster than they can be, by the share of their limit."""
-        trace, found, speed = self.trace, [], np.abs(self.trace.v)
-        most = speed.max(axis=0, initial=0.0)
-        fast = np.flatnonzero(~(most <= (1.0 + thresholds.TOO_FAST) * trace.velocity))
-        for i in sorted(fast.tolist(), key=lambda i: -most[i] / trace.velocity[i]):
+        trace, violations, speed = self.trace, [], np.abs(self.trace.v)
+        fastest = speed.max(axis=0, initial=0.0)
+        fast = np.flatnonzero(~(fastest <= (1.0 + thresholds.TOO_FAST) * trace.velocity))
+        for i in sorted(fast.tolist(), key=lambda i: -fastest[i] / trace.velocity[i]):
             joint, unit = trace.joints[i], f"{trace.units[i]}/s"
             row = Row(name=f"speed of {joint}", kind="limit", owner=joint, unit=unit, joint=joint)
             over = np.maximum(speed[:, i] - trace.velocity[i], 0.0)
-            found.append(limits.worst_of_joint(row, trace, over, 0.0))
-        return tuple(found)
+            violations.append(limits.worst_of_joint(row, trace, over, 0.0))
+        return tuple(violations)
 
     @cached_property
     def limits(self) -> tuple[LimitViolation, ...]:
@@ -247,12 +246,12 @@ class Assessment:
     @property
     def blocked_by(self) -> tuple[str, ...]:
         """Limits at which it stands where it has missed a goal, or that held it up on its way."""
-        found: dict[str, None] = {}
+        names: dict[str, None] = {}
         for k, task in enumerate(self.tasks):
             if not task.arrives:
-                found |= dict.fromkeys(limits.at_limits(self.trace, self.trace.last_instants[k]))
-                found |= dict.fromkeys(limits.slowed_by(self.trace, k))
-        return tuple(found)
+                names |= dict.fromkeys(limits.at_limits(self.trace, self.trace.last_instants[k]))
+                names |= dict.fromkeys(limits.slowed_by(self.trace, k))
+        return tuple(names)
 
     def at_limits(self, k: int) -> tuple[str, ...]:
         """Limits of place at which it is when task k ends, and was never beyond, by name."""

@@ -2,7 +2,7 @@
 
 A joint oscillates where its path is much longer than its range, and the range does not fade:
 
-    sum |q_k+1 - q_k| > RATIO (max q - min q),    range > LEAST,    range now > KEPT range before
+    sum |q_k+1 - q_k| > RATIO (max q - min q),   range > MIN_RANGE,   range now > KEPT range before
 
 over blocks of W ticks, W = 8, 16, 32, ... and a third of the resting time. A ramp and an approach
 have a ratio of 1, a single way there and back has 2, a sine has 2 a period. The first third of the
@@ -22,7 +22,7 @@ from coopqp.base.spec import Array
 RATIO = 2.5  # path over range of an oscillation: more than once there and back
 KEPT = 0.7  # one whose range becomes less than this from one third to the next fades
 #: Ranges that nobody sees: what half a metre makes of 0.2 mrad is 0.1 mm.
-LEAST = {"rad": 2.0 * OSCILLATES, "m": float(OSCILLATES)}
+MIN_RANGE = {"rad": 2.0 * OSCILLATES, "m": float(OSCILLATES)}
 NOISY = 5.0  # deviations of the encoders' noise that the range of commands may be wider
 SHORTEST = 8  # ticks of the shortest block
 
@@ -47,19 +47,19 @@ def oscillation(
     third = (len(q) - 1) // 3
     if third < SHORTEST or not np.isfinite(q).all():
         return None
-    least, now = least_size(units) + NOISY * noise, q[-1 - third :]
+    narrowest, now = smallest_ranges(units) + NOISY * noise, q[-1 - third :]
     steps = np.diff(np.asfortranarray(now), axis=0)
     turns = (steps.max(axis=0) > 0.0) & (steps.min(axis=0) < 0.0)
-    joints = np.flatnonzero(turns & (reach(now) > least))  # what others have no block has
+    joints = np.flatnonzero(turns & (reach(now) > narrowest))  # what others have no block has
     if not len(joints):
         return None
-    least, before, now = least[joints], q[-1 - 2 * third : -third, joints], now[:, joints]
+    narrowest, before, now = narrowest[joints], q[-1 - 2 * third : -third, joints], now[:, joints]
     widest: Oscillation | None = None
     doubled = [SHORTEST << k for k in range((third // SHORTEST).bit_length())]
     for ticks in (ticks for ticks in (*doubled, third) if ticks <= longest):
         (was, was_ratio), (size, ratio) = _blocks(before, ticks), _blocks(now, ticks)
-        found = (np.minimum(ratio, was_ratio) > RATIO) & (size > KEPT * was) & (size > least)
-        over = np.where(found, size / least, 0.0)
+        found = (np.minimum(ratio, was_ratio) > RATIO) & (size > KEPT * was) & (size > narrowest)
+        over = np.where(found, size / narrowest, 0.0)
         i = int(over.argmax())
         if found[i] and (widest is None or size[i] > widest.size):
             # A range is crossed twice a period.
@@ -68,9 +68,9 @@ def oscillation(
     return widest
 
 
-def least_size(units: Sequence[str]) -> Array:
+def smallest_ranges(units: Sequence[str]) -> Array:
     """Smallest range of joints that is an oscillation, shape (n,)."""
-    return np.array([LEAST[unit] for unit in units])
+    return np.array([MIN_RANGE[unit] for unit in units])
 
 
 def _blocks(q: Array, ticks: int) -> tuple[Array, Array]:
@@ -84,10 +84,10 @@ def _blocks(q: Array, ticks: int) -> tuple[Array, Array]:
     return _median(size), _median(ratio)
 
 
-def _median(found: Array) -> Array:
+def _median(values: Array) -> Array:
     """Along the first axis; numpy's own takes five times as long for so few numbers."""
-    found, k = np.sort(found, axis=0), len(found)
-    return np.asarray(0.5 * (found[(k - 1) // 2] + found[k // 2]))
+    values, k = np.sort(values, axis=0), len(values)
+    return np.asarray(0.5 * (values[(k - 1) // 2] + values[k // 2]))
 
 
 def reach(q: Array) -> Array:

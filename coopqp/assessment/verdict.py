@@ -22,44 +22,44 @@ RELAXED = {
 }
 #: Speeds and accelerations below so many times the limit are told by what they are beyond it.
 HARDLY = 1.1
-MOST_NAMES = 3
+MAX_NAMES = 3
 
 
-def verdict(found: Assessment, metrics: Mapping[str, Any], unseen: Sequence[str] = ()) -> str:
+def verdict(run: Assessment, metrics: Mapping[str, Any], unseen: Sequence[str] = ()) -> str:
     """Say in one sentence whether it gets there, keeps the limits and the loop closed.
 
     ``unseen`` is what the limits ought to bound and cannot, one sentence each.
     """
-    opens = found.held is not False and not found.loop_closed
-    loop = f"lets the loop open by {loop_words(found)}" if opens else ""
+    opens = run.held is not False and not run.loop_closed
+    loop = f"lets the loop open by {loop_words(run)}" if opens else ""
     parts = [
-        *_broken(found.trace), _hold(found, metrics), _arrival(found), _waits(found),
-        _motion(found), _limits(found, unseen), _speed(found), _acceleration(found), loop,
-        _loop_offset(metrics), saturation_words(found, "saturates "), _oscillation(found),
-        _ticks(found, metrics),
+        *_broken(run.trace), _hold(run, metrics), _arrival(run), _waits(run),
+        _motion(run), _limits(run, unseen), _speed(run), _acceleration(run), loop,
+        _loop_offset(metrics), saturation_words(run, "saturates "), _oscillation(run),
+        _ticks(run, metrics),
     ]  # fmt: skip
     text = "; ".join(part for part in parts if part)
     return text[0].upper() + text[1:] + "."
 
 
-def _arrival(found: Assessment) -> str:
-    if found.ended or found.held is False:
+def _arrival(run: Assessment) -> str:
+    if run.ended or run.held is False:
         return "reaches no goal"
-    if unfollowed := not_followed(found):
+    if unfollowed := not_followed(run):
         return f"reaches no goal: {unfollowed}"
-    if not found.missed and (yielded := _gives_way(found)):
+    if not run.missed and (yielded := _gives_way(run)):
         return yielded
-    if not found.missed:
-        torn = any(task.torn for task in found.tasks)
+    if not run.missed:
+        torn = any(task.torn for task in run.tasks)
         return "ends at the goal, but loses the object on the way" if torn else "reaches the goal"
-    task = found.missed[0]
+    task = run.missed[0]
     if np.isnan(task.error):
         return f"loses {_called(task)}: its error is no number"
     far = _far(task.error, task.unit)
     if task.oscillates:
-        return f"oscillates to the end, up to {far} off the goal of {_called(task)}{_others(found)}"
-    where = _where(found, found.tasks.index(task))
-    return f"ends {far} off the goal of {_called(task)}{_others(found)}{where}"
+        return f"oscillates to the end, up to {far} off the goal of {_called(task)}{_others(run)}"
+    where = _where(run, run.tasks.index(task))
+    return f"ends {far} off the goal of {_called(task)}{_others(run)}{where}"
 
 
 def _called(task: TaskEnd) -> str:
@@ -68,38 +68,38 @@ def _called(task: TaskEnd) -> str:
     return name if task.mode == "soft" else f"{task.mode} task {name}"
 
 
-def _others(found: Assessment) -> str:
+def _others(run: Assessment) -> str:
     """How far off other missed tasks are: those that come after the first, then the rest."""
-    later = found.gave_way
-    beside = [task for task in found.missed[1:] if task not in later]
+    later = run.gave_way
+    others = [task for task in run.missed[1:] if task not in later]
     verb = "comes" if len(later) == 1 else "come"
     after = f" and {_off(later)}, which {verb} after it" if later else ""
-    return f"{after}{',' if later and beside else ''}{f' and {_off(beside)}' if beside else ''}"
+    return f"{after}{',' if later and others else ''}{f' and {_off(others)}' if others else ''}"
 
 
 def _off(tasks: Sequence[TaskEnd]) -> str:
-    said = [
+    clauses = [
         f"at no number of that of {_called(task)}"
         if np.isnan(task.error)
         else f"{_far(task.error, task.unit)} off that of {_called(task)}"
-        for task in tasks[:MOST_NAMES]
+        for task in tasks[:MAX_NAMES]
     ]
-    more = [f"that of {len(tasks) - MOST_NAMES} more"] if len(tasks) > MOST_NAMES else []
-    return " and ".join([*said, *more])
+    more = [f"that of {len(tasks) - MAX_NAMES} more"] if len(tasks) > MAX_NAMES else []
+    return " and ".join([*clauses, *more])
 
 
-def _motion(found: Assessment) -> str:
+def _motion(run: Assessment) -> str:
     """Of a run that has missed a place, that it is still on its way."""
-    places = [task for task in found.missed if not task.unit.endswith("/s")]
-    if not places or found.motion != "moving" or not found.fastest:
+    places = [task for task in run.missed if not task.unit.endswith("/s")]
+    if not places or run.motion != "moving" or not run.fastest:
         return ""
-    joint, speed, unit = found.fastest
+    joint, speed, unit = run.fastest
     return f"still moves when the run ends, {joint} at {_amount(speed, unit)}"
 
 
-def _waits(found: Assessment) -> str:
+def _waits(run: Assessment) -> str:
     """How far each phase has come along a way whose clock waits, if not to its end."""
-    trace, said = found.trace, list[str]()
+    trace, clauses = run.trace, list[str]()
     phases = [(phase.first, f" of '{phase.name}'") for phase in trace.phases] or [(0, "")]
     ends = [*(first for first, _ in phases[1:]), trace.ticks]
     for name in (name for name, kept in trace.inputs.items() if kept.kind == CLOCK):
@@ -110,8 +110,8 @@ def _waits(found: Assessment) -> str:
             lasted = float(trace.t[end - 1] - trace.t[first])
             if end and gone[end - 1] < min(whole, lasted) - trace.dt:
                 words = f"the joints are held back at {gone[end - 1]:.2f} of the {whole:.2f} s"
-                said.append(f"{words}{of}")
-    return "; ".join(said)
+                clauses.append(f"{words}{of}")
+    return "; ".join(clauses)
 
 
 def _far(error: float, unit: str) -> str:
@@ -121,58 +121,58 @@ def _far(error: float, unit: str) -> str:
     return f"{1e3 * error:.1f} mm" if error >= 1e-4 else f"{1e3 * error:.2g} mm"
 
 
-def _gives_way(found: Assessment) -> str:
+def _gives_way(run: Assessment) -> str:
     """How far impedances have given way to what pushes the object to the end, as asked."""
-    said, trace = [], found.trace
-    for k, task in enumerate(found.tasks):
+    clauses, trace = [], run.trace
+    for k, task in enumerate(run.tasks):
         far = float(trace.task_error[trace.last_instants[k], k])
         if pushed(trace, k) and far > task.tolerance and not task.torn:
             amount = _far(far, task.unit)
-            said.append(f"gives way {amount} to what pushes it, as '{task.name}' was asked to")
-    return "; ".join(said)
+            clauses.append(f"gives way {amount} to what pushes it, as '{task.name}' was asked to")
+    return "; ".join(clauses)
 
 
-def not_followed(found: Assessment) -> str:
+def not_followed(run: Assessment) -> str:
     """Why goals that are inputs are not what was sent; empty if they are."""
-    if found.inputs.nothing_at:
-        listed = " and ".join(found.inputs.nothing_at)
+    if run.inputs.nothing_at:
+        listed = " and ".join(run.inputs.nothing_at)
         return f"nothing that can be used arrives at the input {listed}"
-    if found.inputs.refused_at_end:
+    if run.inputs.refused_at_end:
         return "what arrives at an input is refused to the end"
     return ""
 
 
-def _where(found: Assessment, k: int) -> str:
+def _where(run: Assessment, k: int) -> str:
     """What can be seen where task k is missed; a search would make comparisons wait."""
-    if found.trace.manipulability[k] < thresholds.SINGULAR:
+    if run.trace.manipulability[k] < thresholds.SINGULAR:
         return ", at a pose in which the arms can hardly move it that way"
-    names = found.at_limits(k)
+    names = run.at_limits(k)
     return f", with {listed_limits(names)} at the limit; 'coopqp explain' says why" if names else ""
 
 
 def listed_limits(names: Sequence[str]) -> str:
     """The first of the limits at which a run ends, and how many more there are."""
-    more = f" and {len(names) - MOST_NAMES} more" if len(names) > MOST_NAMES else ""
-    return f"{' and '.join(names[:MOST_NAMES])}{more}"
+    more = f" and {len(names) - MAX_NAMES} more" if len(names) > MAX_NAMES else ""
+    return f"{' and '.join(names[:MAX_NAMES])}{more}"
 
 
-def _limits(found: Assessment, unseen: Sequence[str]) -> str:
-    if found.ended:
+def _limits(run: Assessment, unseen: Sequence[str]) -> str:
+    if run.ended:
         return ""
-    unaudited = found.trace.unaudited
+    unaudited = run.trace.unaudited
     verb = "is" if len(unaudited) == 1 else "are"
     silent = [f"{' and '.join(unaudited)} {verb} not audited"] if unaudited else []
-    others = "; ".join((*map(_beyond, found.limits), *silent))
-    if not found.joints and not found.limits:
-        return ", but ".join((f"keeps {_kept(found.trace, unseen)}", *silent))
-    if not found.joints:
+    others = "; ".join((*map(_beyond, run.limits), *silent))
+    if not run.joints and not run.limits:
+        return ", but ".join((f"keeps {_kept(run.trace, unseen)}", *silent))
+    if not run.joints:
         return others
-    worst = next((violation for violation in found.joints if violation.farther), found.joints[0])
+    worst = next((violation for violation in run.joints if violation.farther), run.joints[0])
     if worst.farther:
         far = _amount(worst.by, worst.row.unit)
         joints = f"drives {worst.name} {far} beyond its limit"
     else:
-        joints = _recovery(found, worst)
+        joints = _recovery(run, worst)
     return f"{joints}; {others}" if others else joints
 
 
@@ -183,9 +183,9 @@ def _kept(trace: Trace, unseen: Sequence[str]) -> str:
         return "every joint inside its limits"
     if not unseen:
         return "every limit"
-    told, *more = dict.fromkeys(line.partition(":")[0] for line in unseen)
+    first, *more = dict.fromkeys(line.partition(":")[0] for line in unseen)
     others_too = f" and {len(more)} more, see the notes" if more else ""
-    return f"every limit as far as it is watched: {told}{others_too}"
+    return f"every limit as far as it is watched: {first}{others_too}"
 
 
 def _beyond(violation: LimitViolation) -> str:
@@ -218,9 +218,9 @@ def _too_near(violation: LimitViolation) -> str:
     return f"brings {what}{start}"
 
 
-def _recovery(found: Assessment, worst: LimitViolation) -> str:
+def _recovery(run: Assessment, worst: LimitViolation) -> str:
     """Of a run that starts outside, and goes no farther out."""
-    trace = found.trace
+    trace = run.trace
     far = _amount(worst.at_start, worst.row.unit)
     start = f"starts with {worst.name} {far} beyond its limit"
     outside = beyond(trace).max(axis=1)
@@ -230,32 +230,32 @@ def _recovery(found: Assessment, worst: LimitViolation) -> str:
     return f"{start}, is inside after {back:.2g} s and stays there"
 
 
-def _speed(found: Assessment) -> str:
-    if not found.speeds:
+def _speed(run: Assessment) -> str:
+    if not run.speeds:
         return ""
-    worst = found.speeds[0]
-    limit = found.trace.velocity[found.trace.joints.index(worst.row.joint)]
+    worst = run.speeds[0]
+    limit = run.trace.velocity[run.trace.joints.index(worst.row.joint)]
     share = 1.0 + worst.by / limit
     if share < HARDLY:
         return f"needs {_round(100.0 * (share - 1.0))} % more speed than {worst.row.joint} has"
     return f"needs {_round(share)} times the speed {worst.row.joint} has"
 
 
-def _acceleration(found: Assessment) -> str:
-    worst = found.acceleration
+def _acceleration(run: Assessment) -> str:
+    worst = run.acceleration
     if worst is None or not worst.exceeds:
         return ""
     share = worst.value / worst.allowed
     hardly = f"{_round(100.0 * (share - 1.0))} % more than"
     beyond = hardly if share < HARDLY else f"{_round(share)} times"
     what = f"accelerates {worst.joint} by {_amount(worst.value, worst.unit)}, {beyond} what"
-    advice = ": add joint_acceleration to limits" if found.acceleration_free else ""
+    advice = ": add joint_acceleration to limits" if run.acceleration_free else ""
     return f"{what} the loop for robots allows{advice}"
 
 
-def loop_words(found: Assessment) -> str:
+def loop_words(run: Assessment) -> str:
     """How far the loops were open at most."""
-    position, orientation = found.loop
+    position, orientation = run.loop
     sizes = []
     if resolved(position, thresholds.LOOP_CLOSED):
         sizes.append(f"{_round(1e3 * position)} mm")
@@ -276,36 +276,36 @@ def _loop_offset(metrics: Mapping[str, Any]) -> str:
     return f"the hands are {' and '.join(apart)} apart from what the model says{advice}"
 
 
-def saturation_words(found: Assessment, verb: str) -> str:
+def saturation_words(run: Assessment, verb: str) -> str:
     """That it saturates the motor that is most often at its limit; empty where none is."""
-    for joint, share in found.saturated.items():
+    for joint, share in run.saturated.items():
         return f"{verb}the motor of {joint} in {100.0 * share:.0f} % of the ticks"
     return ""
 
 
-def _oscillation(found: Assessment) -> str:
-    oscillation = found.oscillation
+def _oscillation(run: Assessment) -> str:
+    oscillation = run.oscillation
     if oscillation is None:
         return ""
-    size = _amount(oscillation.size, found.trace.units[oscillation.joint])
-    joint = found.trace.joints[oscillation.joint]
+    size = _amount(oscillation.size, run.trace.units[oscillation.joint])
+    joint = run.trace.joints[oscillation.joint]
     return f"{joint} oscillates to the end by {size} at {oscillation.frequency:.2g} Hz"
 
 
 def _broken(trace: Trace) -> list[str]:
     """What is first to be said where code raised an error, or the plant broke down."""
     lost = Status.OBJECT_LOST.value
-    said = [failure for failure in trace.failures if failure.note and failure.cause != lost]
-    return [f"stands still from {trace.t[said[0].tick]:.3g} s: {said[0].note}"] if said else []
+    noted = [failure for failure in trace.failures if failure.note and failure.cause != lost]
+    return [f"stands still from {trace.t[noted[0].tick]:.3g} s: {noted[0].note}"] if noted else []
 
 
-def _hold(found: Assessment, metrics: Mapping[str, Any]) -> str:
+def _hold(run: Assessment, metrics: Mapping[str, Any]) -> str:
     """Whether hands that press hold the object, and how much friction they leave unused."""
     held = metrics.get("held")
     if held is None:
         return ""
     if not held["held"]:
-        failures = found.trace.failures
+        failures = run.trace.failures
         lost = [f.note for f in failures if f.cause == Status.OBJECT_LOST.value]
         why = f": {lost[0].removeprefix('the object is lost: ')}" if lost else ""
         return f"loses the object at {held['lost_at']:.3g} s{why}"
@@ -313,36 +313,36 @@ def _hold(found: Assessment, metrics: Mapping[str, Any]) -> str:
     margin, edge, slip = (metrics[name] for name in names)
     if margin is None:  # a run that was over before they pressed
         return "holds the object so far"
-    lately = found.trace.signals["slip"][-1 - round(thresholds.SETTLED / found.trace.dt) :]
+    lately = run.trace.signals["slip"][-1 - round(thresholds.SETTLED / run.trace.dt) :]
     slips = (lately[-1] - lately[0]).max() > thresholds.SLIPPED
     if slips:  # whether friction holds it yet is not known
         return f"lets the object slip, by {_round(1e3 * slip)} mm and still at the end"
-    said = "at the edge of its friction"
+    clause = "at the edge of its friction"
     if margin >= thresholds.FRICTION_LEFT:
-        said = f"with {100.0 * margin:.0f} % of the friction unused"
+        clause = f"with {100.0 * margin:.0f} % of the friction unused"
     if edge is not None and edge <= thresholds.ON_EDGE:
-        said += " and a pad on its edge"
+        clause += " and a pad on its edge"
     slipped = f"; it slips {_round(1e3 * slip)} mm" if slip > thresholds.SLIPPED else ""
-    return f"holds the object {said}{slipped}"
+    return f"holds the object {clause}{slipped}"
 
 
-def _ticks(found: Assessment, metrics: Mapping[str, Any]) -> str:
-    failed, causes = found.failed
-    relaxed, ticks = metrics["relaxed_ticks"], found.trace.ticks
-    said = []
+def _ticks(run: Assessment, metrics: Mapping[str, Any]) -> str:
+    failed, causes = run.failed
+    relaxed, ticks = metrics["relaxed_ticks"], run.trace.ticks
+    clauses = []
     if failed and Status.OBJECT_LOST.value not in causes:
         why = next(iter(causes)).removeprefix("stands still: ")
-        said.append(f"holds still in {failed} of {ticks} ticks: {why}")
-    if found.inputs.refused:
-        said.append(f"has an input refused in {found.inputs.refused} of {ticks} ticks")
-    if found.inputs.stale:
-        said.append(f"has an input stale in {found.inputs.stale} of {ticks} ticks")
-    said += [
+        clauses.append(f"holds still in {failed} of {ticks} ticks: {why}")
+    if run.inputs.refused:
+        clauses.append(f"has an input refused in {run.inputs.refused} of {ticks} ticks")
+    if run.inputs.stale:
+        clauses.append(f"has an input stale in {run.inputs.stale} of {ticks} ticks")
+    clauses += [
         f"{words} in {relaxed[cause]} of {ticks} ticks"
         for cause, words in RELAXED.items()
         if cause in relaxed
     ]
-    return "; ".join(said)
+    return "; ".join(clauses)
 
 
 def _amount(value: float, unit: str) -> str:

@@ -53,12 +53,12 @@ class Command(click.Command):
         except SystemExit as error:
             if isinstance(error.__context__, BrokenPipeError):  # rich makes this of it
                 raise error.__context__ from None
-            code, words = _ending(error)
+            code, message = _ending(error)
         except BaseException as error:  # noqa: BLE001 - the last resort; code of users may exit
-            code, words = _ending(error)
+            code, message = _ending(error)
             if debug and code == OUR_FAULT:
                 traceback.print_exception(error.__cause__ or error)
-        for line in words.splitlines():
+        for line in message.splitlines():
             click.echo(one_line(line), err=True)
         return ctx.exit(code)
 

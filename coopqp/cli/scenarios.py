@@ -9,22 +9,8 @@ from typing import Any
 import click
 
 from coopqp.base.errors import CoopqpError, Fault, ScenarioError
-from coopqp.cli.options import (
-    FOLDER,
-    JSON,
-    SCENARIO,
-    SOLVER,
-    WRITTEN,
-    bar,
-    catalogued,
-    print_json,
-    print_notes,
-    read_scenario,
-    say,
-    say_left_out,
-    say_wrote,
-    show,
-)
+from coopqp.cli import options
+from coopqp.cli.options import print_json, read_scenario, say, say_left_out, say_wrote, show
 
 COLLECTIONS = (
     "robots", "grasps", "tasks", "signals", "limits", "controllers", "solvers", "plants", "metrics",
@@ -43,12 +29,12 @@ class _Range(click.FloatRange):
 
 
 @click.command()
-@SCENARIO
-@click.option("--out", type=WRITTEN, help="Folder for the report and the data.")
+@options.SCENARIO
+@click.option("--out", type=options.WRITTEN, help="Folder for the report and the data.")
 @click.option("--controllers", default="", help="Comma-separated, instead of the scenario's.")
-@SOLVER
-@catalogued
-@JSON
+@options.SOLVER
+@options.catalogued
+@options.JSON
 def compare(scenario: str, controllers: str, solver: str | None, catalog: Any, **to: Any) -> None:
     """Run a scenario under several controllers and report what each of them did.
 
@@ -60,50 +46,49 @@ def compare(scenario: str, controllers: str, solver: str | None, catalog: Any, *
 
 
 @click.command()
-@SCENARIO
+@options.SCENARIO
 @click.option("--controller", required=True, help="Which one.")
-@click.option("--out", type=WRITTEN, help="Folder for the report and the data.")
-@SOLVER
-@catalogued
-@JSON
+@click.option("--out", type=options.WRITTEN, help="Folder for the report and the data.")
+@options.SOLVER
+@options.catalogued
+@options.JSON
 def run(scenario: str, controller: str, solver: str | None, catalog: Any, **to: Any) -> None:
     """Run one controller on a scenario."""
     compare_on(read_scenario(scenario, catalog, solver), [controller], **to)
 
 
 @click.command()
-@SCENARIO
+@options.SCENARIO
 @click.option("--actuated", help="Scheme to ask about: joints, or q1,q2,... by order.")
 @click.option("--phase", help="Which phase of the scenario; the first if omitted.")
-@click.option("--html", "page", type=WRITTEN, help="Write a page to this file.")
-@catalogued
-@JSON
+@click.option("--html", "page", type=options.WRITTEN, help="Write a page to this file.")
+@options.catalogued
+@options.JSON
 def mobility(
     scenario: str, actuated: str | None, phase: str | None, page: Path | None, catalog: Any,
     as_json: bool,
 ) -> None:  # fmt: skip
     """Tell what a scenario's grasp allows, before anything moves."""
-    from coopqp.report import files
-    from coopqp.report import mobility as report
+    from coopqp.report import files, mobility
 
     scheme = [name.strip() for name in actuated.split(",")] if actuated is not None else None
-    study = report.study(read_scenario(scenario, catalog), scheme, phase=phase)
+    study = mobility.study(read_scenario(scenario, catalog), scheme, phase=phase)
     if page:
-        files.write_one(page, report.page(study))
+        files.write_one(page, mobility.page(study))
     if as_json:
-        print_json(report.as_json(study))
+        print_json(mobility.as_json(study))
     else:
-        show(*report.tables(study), study.verdict())
+        show(*mobility.tables(study), study.verdict())
         say_wrote(*filter(None, [page]))
     if study.refused:
         raise study.refused
 
 
 @click.command(name="solve-start")
-@SCENARIO
+@options.SCENARIO
 @click.option("--seed", type=click.IntRange(0), help="Of the tries, instead of the scenario's.")
-@catalogued
-@JSON
+@options.catalogued
+@options.JSON
 def solve_start(scenario: str, seed: int | None, catalog: Any, as_json: bool) -> None:
     """Find joint values, inside the limits, with which every arm reaches its grasp.
 
@@ -113,7 +98,7 @@ def solve_start(scenario: str, seed: int | None, catalog: Any, as_json: bool) ->
     from coopqp.scenario.loader import load_and_solve
     from coopqp.scenario.start_solver import yaml_text
 
-    with bar("solving") as progress:
+    with options.bar("solving") as progress:
         report = lambda done, total: progress(done / total)  # noqa: E731
         start = load_and_solve(scenario, catalog, seed=seed, progress=report)
     if as_json:
@@ -123,10 +108,10 @@ def solve_start(scenario: str, seed: int | None, catalog: Any, as_json: bool) ->
 
 
 @click.command()
-@SCENARIO
+@options.SCENARIO
 @click.option("--seed", type=click.IntRange(0), help="Of the starts, instead of the scenario's.")
-@catalogued
-@JSON
+@options.catalogued
+@options.JSON
 def reach(scenario: str, seed: int | None, catalog: Any, as_json: bool) -> None:
     """Look for configurations inside all limits that meet a scenario's tasks at their goals.
 
@@ -137,28 +122,28 @@ def reach(scenario: str, seed: int | None, catalog: Any, as_json: bool) -> None:
     from coopqp.planning import reach as look
     from coopqp.report import planning as report
 
-    with bar("looking") as progress:
-        found = look(read_scenario(scenario, catalog), seed=seed, progress=progress)
+    with options.bar("looking") as progress:
+        result = look(read_scenario(scenario, catalog), seed=seed, progress=progress)
     if as_json:
-        click.echo(report.reach_json(found))
+        click.echo(report.reach_json(result))
         return
-    say(found.sentence, aside=False)
-    if found.found:
-        show(report.configurations(found))
+    say(result.sentence, aside=False)
+    if result.found:
+        show(report.configurations(result))
 
 
 @click.command()
-@SCENARIO
+@options.SCENARIO
 @click.option(
-    "--out", type=WRITTEN, help="Folder for the path, and for a scenario that follows it."
+    "--out", type=options.WRITTEN, help="Folder for the path, and for a scenario that follows it."
 )
 @click.option("--keep", multiple=True, metavar="TASK", help="Met all along; more than once.")
 @click.option(
     "--seconds", type=_Range(0.01, 3600.0), default=10.0, show_default=True, help="At most."
 )
 @click.option("--seed", type=click.IntRange(0), help="Of the search, instead of the scenario's.")
-@catalogued
-@JSON
+@options.catalogued
+@options.JSON
 def plan(
     scenario: str, out: Path | None, keep: tuple[str, ...], seconds: float, seed: int | None,
     catalog: Any, as_json: bool,
@@ -167,31 +152,29 @@ def plan(
 
     SCENARIO is a YAML file or the name of a shipped scenario (coopqp list scenarios).
     """
-    from coopqp.planning import Budget
-    from coopqp.planning import plan as find
-    from coopqp.report import files
-    from coopqp.report import planning as report
+    from coopqp.planning import Budget, plan
+    from coopqp.report import files, planning
 
     loaded = read_scenario(scenario, catalog)
     budget = Budget(seconds=seconds, seed=loaded.seed if seed is None else seed)
-    report.check_written(out, loaded, report.PATH)
-    with files.checked_folder(out), bar("planning") as progress:
-        found = find(loaded, keep=keep, budget=budget, progress=progress)
-        if not found.found:
-            raise CoopqpError(found.sentence)
-        written = report.write_plan(found, loaded, out, keep) if out else ()
-    click.echo(report.plan_json(found)) if as_json else say(found.sentence, aside=False)
+    planning.check_written(out, loaded, planning.PATH)
+    with files.checked_folder(out), options.bar("planning") as progress:
+        result = plan(loaded, keep=keep, budget=budget, progress=progress)
+        if not result.found:
+            raise CoopqpError(result.sentence)
+        written = planning.write_plan(result, loaded, out, keep) if out else ()
+    click.echo(planning.plan_json(result)) if as_json else say(result.sentence, aside=False)
     say_wrote(*written, aside=as_json)
 
 
 @click.command(name="check-robot")
-@SCENARIO
+@options.SCENARIO
 @click.option(
     "--driver", type=click.Path(exists=True, dir_okay=False, path_type=Path),
     help="Python file with robot(scenario), a driver with read and write; else one is simulated.",
 )  # fmt: skip
 @click.option("--posed", is_flag=True, help="Its arms are put by hand as at the scenario's start.")
-@catalogued
+@options.catalogued
 def check_robot(scenario: str, driver: Path | None, posed: bool, catalog: Any) -> None:
     """Move each joint of a robot by a degree before it holds anything, and name what is wrong.
 
@@ -217,7 +200,7 @@ def check_robot(scenario: str, driver: Path | None, posed: bool, catalog: Any) -
 
 
 @click.command()
-@click.argument("dataset", type=FOLDER)
+@click.argument("dataset", type=options.FOLDER)
 @click.option("--scenario", default="two_so101", help="With the robot; two_so101 if omitted.")
 @click.option("--column", type=click.Choice(["action", "observation.state"]), default="action")
 @click.option("--calibration", nargs=2, type=click.Path(exists=True), metavar="LEFT RIGHT",
@@ -225,7 +208,7 @@ def check_robot(scenario: str, driver: Path | None, posed: bool, catalog: Any) -
 @click.option("--shares", is_flag=True, help="Joints are -100 to 100 of their range, not degrees.")
 @click.option("--distance", type=_Range(0.0), default=0.01, help="Between the arms [m].")
 @click.option("--loop", type=_Range(0.0, min_open=True), default=1e-3, help="May open by [m].")
-@catalogued
+@options.catalogued
 def audit(
     dataset: Path, scenario: str, column: str, calibration: tuple[str, str] | None, shares: bool,
     distance: float, loop: float, catalog: Any,
@@ -279,7 +262,7 @@ def _blamed(file: Path | None, *, always: bool = False) -> Iterator[None]:
 
 @click.command()
 @click.argument("scenarios", nargs=-1, required=True)
-@catalogued
+@options.catalogued
 def validate(scenarios: tuple[str, ...], catalog: Any) -> None:
     """Check scenarios, and studies, files or shipped; every fault is listed with its line."""
     faults: list[Fault] = []
@@ -329,14 +312,14 @@ def _refused(scenario: Any, names: list[str], place: str = "") -> dict[str, Coop
             refused[name] = error
     if len(refused) < len(names):
         say_left_out(refused, place)
-    print_notes(scenario, [name for name in names if name not in refused])
+    options.print_notes(scenario, [name for name in names if name not in refused])
     return refused
 
 
 @click.command(name="list")
 @click.argument("kind", required=False, type=click.Choice(COLLECTIONS))
-@catalogued
-@JSON
+@options.catalogued
+@options.JSON
 def list_(kind: str | None, catalog: Any, as_json: bool) -> None:
     """List what scenarios can name, with a line of help each."""
     from coopqp.report.table import help_lines, names_table
@@ -350,7 +333,7 @@ def list_(kind: str | None, catalog: Any, as_json: bool) -> None:
 
 @click.command()
 @click.option("--study", is_flag=True, help="Of study files instead, which coopqp sweep runs.")
-@catalogued
+@options.catalogued
 def schema(catalog: Any, study: bool) -> None:
     """Print the JSON Schema of scenario files, for editors."""
     from coopqp.scenario.form import file_model
@@ -364,14 +347,13 @@ def compare_on(scenario: Any, controllers: list[str], out: Path | None, *, as_js
     """Run, print the table or JSON, and write the report to a folder, if one is given."""
     from coopqp.execution.comparison import compare as run_all
     from coopqp.report import files, table
-    from coopqp.report.table import progress_bars
 
-    told = _refused(scenario, controllers)
+    refused = _refused(scenario, controllers)
     if out:
         files.check_folder(out)
-    with progress_bars(controllers, scenario.ticks) as progress:
+    with table.progress_bars(controllers, scenario.ticks) as progress:
         comparison = run_all(scenario, controllers=controllers, progress=progress)
-    say_left_out({name: why for name, why in comparison.refused.items() if name not in told})
+    say_left_out({name: why for name, why in comparison.refused.items() if name not in refused})
     for line in comparison.faults:
         say(f"warning: {line}")
     if as_json:
@@ -385,7 +367,7 @@ def compare_on(scenario: Any, controllers: list[str], out: Path | None, *, as_js
 
 
 @click.command()
-@SCENARIO
+@options.SCENARIO
 @click.option(
     "--controller", "controllers", multiple=True,
     help="Which; may be given more than once. All of the scenario's if omitted.",
@@ -398,11 +380,11 @@ def compare_on(scenario: Any, controllers: list[str], out: Path | None, *, as_js
 )  # fmt: skip
 @click.option("--speed", type=_Range(0.05, 4.0), default=1.0, help="Times real time, at first.")
 @click.option(
-    "--record", type=WRITTEN,
+    "--record", type=options.WRITTEN,
     help="Folder for a recording, which coopqp compare replays; written at the end too.",
 )  # fmt: skip
-@SOLVER
-@catalogued
+@options.SOLVER
+@options.catalogued
 def play(
     scenario: str, controllers: tuple[str, ...], port: int, host: str, origins: tuple[str, ...],
     speed: float, record: Path | None, solver: str | None, catalog: Any,
@@ -411,26 +393,24 @@ def play(
 
     SCENARIO is a YAML file or the name of a shipped scenario (coopqp list scenarios).
     """
-    from coopqp.viewer import play as viewer
-    from coopqp.viewer.gate import checked_origins
+    from coopqp.viewer import gate, play, steering
     from coopqp.viewer.player import Player
-    from coopqp.viewer.steering import check_folder
 
-    viewer.check_viewer()
-    viewer.check_address(host, port)
-    checked_origins(origins)
+    play.check_viewer()
+    play.check_address(host, port)
+    gate.checked_origins(origins)
     if record:
-        check_folder(record)
+        steering.check_folder(record)
     loaded = read_scenario(scenario, catalog, solver)
     player = Player(loaded, controllers, record)
     player.speed = speed
     say_left_out(player.refused)
     for line in player.faults:
         say(f"warning: {line}")
-    print_notes(loaded, [run.name for run in player.controllers], steered=True)
+    options.print_notes(loaded, [run.name for run in player.controllers], steered=True)
     try:
         opened = lambda page: click.echo(f"{page}  (Ctrl-C ends it)")  # noqa: E731
-        viewer.play(player, host, port, opened, origins=origins)
+        play.play(player, host, port, opened, origins=origins)
     except CoopqpError:
         player.save()  # the recording survives the page
         raise
@@ -443,9 +423,9 @@ def play(
 
 
 @click.command(context_settings={"ignore_unknown_options": True})
-@SCENARIO
+@options.SCENARIO
 @click.argument("ros_args", nargs=-1, type=click.UNPROCESSED, metavar="[--ros-args ...]")
-@catalogued
+@options.catalogued
 def ros(scenario: str, ros_args: tuple[str, ...], catalog: Any) -> None:
     """Run a scenario on a robot as a node of ROS 2 (docs/ros.md).
 

@@ -11,21 +11,8 @@ import click
 
 from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.reading import absolute
-from coopqp.cli.options import (
-    JSON,
-    WRITTEN,
-    bar,
-    catalogued,
-    engined,
-    print_json,
-    printed_aside,
-    read_scenario,
-    read_tick,
-    read_trace,
-    say,
-    say_wrote,
-    show,
-)
+from coopqp.cli import options
+from coopqp.cli.options import print_json, read_scenario, read_trace, say, say_wrote, show
 
 FORMATS = ("mcap", "rosbag2", "parquet", "lerobot")
 
@@ -33,7 +20,7 @@ FORMATS = ("mcap", "rosbag2", "parquet", "lerobot")
 @click.command(name="time")
 @click.argument("path", type=click.Path(exists=True, path_type=Path))
 @click.option("--scenario", help="Whose robot and limits count; that of a recorded run if omitted.")
-@click.option("--out", type=WRITTEN, help="Folder for the timed path.")
+@click.option("--out", type=options.WRITTEN, help="Folder for the timed path.")
 @click.option("--controller", help="Of a recorded run; the first if omitted.")
 @click.option("--torque", type=float, default=1.0, help="Share of each motor that is planned with.")
 @click.option(
@@ -46,8 +33,8 @@ FORMATS = ("mcap", "rosbag2", "parquet", "lerobot")
 )  # fmt: skip
 @click.option("--rise", type=float, default=0.0, help="Time in which accelerations change [s].")
 @click.option("--points", type=int, default=200, help="Intervals of the grid.")
-@catalogued
-@JSON
+@options.catalogued
+@options.JSON
 def time_(
     path: Path, scenario: str | None, out: Path | None, catalog: Any, *, as_json: bool, **how: Any
 ) -> None:
@@ -62,7 +49,7 @@ def time_(
     from coopqp.report.planning import TIMED, check_written, limits_table, phase_titles, write_timed
 
     if scenario is None and (table := table_of(path)):
-        scenario = _beside(table)
+        scenario = _scenario_for(table)
     loaded = read_scenario(scenario, catalog) if scenario else read_trace(path, catalog)[1]
     check_written(out, loaded, TIMED)
     with files.checked_folder(out), _named(path):
@@ -99,7 +86,7 @@ def _named(path: Path) -> Iterator[None]:
         raise InvalidValueError(f"{path}: {str(error)[6:]}") from None
 
 
-def _beside(table: Path) -> str:
+def _scenario_for(table: Path) -> str:
     """The scenario that stands beside a table of joints, as 'coopqp plan' writes it."""
     found = sorted(table.parent.glob("*.yaml"))
     if len(found) != 1:
@@ -116,12 +103,12 @@ def _beside(table: Path) -> str:
 )
 @click.option(
     "--save",
-    type=WRITTEN,
+    type=options.WRITTEN,
     help="Keep a tick in this file; if --tick is omitted, the "
     "first that gave something up, else the last.",
 )
-@catalogued
-@JSON
+@options.catalogued
+@options.JSON
 def explain(
     trace: Path, tick: int | None, controller: str | None, save: Path | None, catalog: Any,
     as_json: bool,
@@ -133,11 +120,10 @@ def explain(
     """
     from coopqp.planning import way_round
     from coopqp.report import files, table
-    from coopqp.study.explanation import explain_run
-    from coopqp.study.trace_file import trace_from_file, worth_explaining
+    from coopqp.study import explanation, trace_file
 
     if tick is not None or save:
-        record = read_tick(trace, catalog, controller, tick)
+        record = options.read_tick(trace, catalog, controller, tick)
         click.echo(table.tick_text(record, as_json=as_json))
         if save:
             files.write_one(save, record.text())
@@ -145,11 +131,11 @@ def explain(
         return
     run, scenario = read_trace(trace, catalog)
     if controller:
-        recorded = trace_from_file(run, scenario, controller)
+        recorded = trace_file.trace_from_file(run, scenario, controller)
     else:
-        recorded = worth_explaining(run, scenario)
-    with bar("explaining") as report:
-        explained = explain_run(scenario, recorded, report)
+        recorded = trace_file.worth_explaining(run, scenario)
+    with options.bar("explaining") as report:
+        explained = explanation.explain_run(scenario, recorded, report)
         beside = run.path.with_name("scenario.yaml")  # recordings of other formats hold theirs
         explained = way_round(scenario, explained, str(beside) if beside.exists() else "SCENARIO")
     click.echo(table.run_text(explained, absolute(run.path.parent).name, as_json=as_json))
@@ -159,8 +145,8 @@ def explain(
 @click.argument("run", type=click.Path(path_type=Path))
 @click.option("--to", required=True, type=click.Choice(FORMATS), help="Format.")
 @click.option("--controller", help="Whose; all of them, a file each, if omitted.")
-@click.option("--out", type=WRITTEN, help="File; CONTROLLER.FORMAT beside RUN if omitted.")
-@catalogued
+@click.option("--out", type=options.WRITTEN, help="File; CONTROLLER.FORMAT beside RUN if omitted.")
+@options.catalogued
 def export(run: Path, to: str, controller: str | None, out: Path | None, catalog: Any) -> None:
     """Write a recorded run for Foxglove, ROS 2, PlotJuggler, pandas or LeRobot.
 
@@ -189,8 +175,8 @@ def export(run: Path, to: str, controller: str | None, out: Path | None, catalog
 @click.argument("trace", type=click.Path(path_type=Path))
 @click.option("--controller", help="Whose; the first with measured joints if omitted.")
 @click.option("--encoders", is_flag=True, help="Look for offsets of the encoders as well.")
-@catalogued
-@JSON
+@options.catalogued
+@options.JSON
 def calibrate(
     trace: Path, controller: str | None, encoders: bool, catalog: Any, as_json: bool
 ) -> None:
@@ -220,8 +206,8 @@ def calibrate(
 @click.option("--tick", type=int, help="Which tick of a run; as 'explain --save' if omitted.")
 @click.option("--controller", help="Whose tick of a run; the first QP controller's if omitted.")
 @click.option("--solver", multiple=True, help="Which; may be given more than once. All if omitted.")
-@catalogued
-@JSON
+@options.catalogued
+@options.JSON
 def replay(
     file: Path, tick: int | None, controller: str | None, solver: tuple[str, ...], catalog: Any,
     as_json: bool,
@@ -233,13 +219,12 @@ def replay(
     from coopqp.recordings import is_run
     from coopqp.report import table
     from coopqp.scenario.loader import solver_by_name, solver_names
-    from coopqp.study.tick_record import TickRecord
-    from coopqp.study.tick_record import replay as solve_again
+    from coopqp.study import tick_record
 
-    is_tick = not is_run(file)
-    record = TickRecord.read(file) if is_tick else read_tick(file, catalog, controller, tick)
+    read = tick_record.TickRecord.read
+    record = options.read_tick(file, catalog, controller, tick) if is_run(file) else read(file)
     answers = {
-        name: solve_again(record, solver_by_name(name, catalog))
+        name: tick_record.replay(record, solver_by_name(name, catalog))
         for name in solver or solver_names(catalog)
     }
     if as_json:
@@ -270,13 +255,13 @@ statistics = _moved("statistics", "goals", "random_goals")
 
 @click.command()
 @click.argument("what", type=click.Path(path_type=Path), metavar="STUDY | FOLDER")
-@click.option("--out", type=WRITTEN, help="Folder for journal, results and page.")
-@engined
+@click.option("--out", type=options.WRITTEN, help="Folder for journal, results and page.")
+@options.engined
 @click.option("--watch", is_flag=True, help="Draw the page anew while it runs.")
 @click.option("--table", is_flag=True, help="Print what there is by now; with a folder.")
 @click.option("--show", type=int, metavar="ROW", help="Compare on one row; with a folder.")
-@catalogued
-@JSON
+@options.catalogued
+@options.JSON
 def sweep(
     what: Path, out: Path | None, engine: Any, watch: bool, table: bool, show: int | None,
     catalog: Any, as_json: bool,
@@ -304,12 +289,12 @@ def _run(what: Path, out: Path, engine: Any, catalog: Any, *, watch: bool, as_js
     from coopqp.report.sweep.table import shown
     from coopqp.study import sweep as study_of
 
-    with printed_aside(as_json):
+    with options.printed_aside(as_json):
         study = study_of.read_study(what, catalog)
     for note in study.notes:
         say(f"note: {note}")
     page = _LivePage(out, study) if watch else None
-    with printed_aside(as_json), shown(study) as show_progress:
+    with options.printed_aside(as_json), shown(study) as show_progress:
 
         def progress(state: Any) -> None:
             show_progress(state)
@@ -324,21 +309,20 @@ def _run(what: Path, out: Path, engine: Any, catalog: Any, *, watch: bool, as_js
 
 def _look(folder: Path, catalog: Any, *, watch: bool, show: int | None, as_json: bool) -> None:
     """Print, draw or rerun from a folder, also while another command runs the study."""
-    from coopqp.study.sweep import kept_study
-    from coopqp.study.sweep.results import compact, needs_arrow
+    from coopqp.study.sweep import kept_study, results
 
     study = kept_study(folder, catalog)
     if show is not None:
         _show(study, folder, show)
         return
-    needs_arrow()
-    index = compact(study, folder)
+    results.needs_arrow()
+    index = results.compact(study, folder)
     if index.damaged:
         say(f"warning: {_records(index.damaged)} damaged; what stands there does not count")
     while watch and index.done < study.points.count:
         _print(study, folder, as_json=as_json)
         time.sleep(_LivePage.EVERY)
-        index = compact(study, folder)
+        index = results.compact(study, folder)
     _print(study, folder, as_json=as_json)
 
 
@@ -396,7 +380,6 @@ class _LivePage:
         self._next = time.monotonic() + self.EVERY
 
     def update(self) -> None:
-        """Draw it if it is time."""
         from coopqp.report.sweep.page import write
         from coopqp.study.sweep.results import Columns, compact
         from coopqp.study.sweep.summary import summarize

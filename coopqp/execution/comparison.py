@@ -29,8 +29,9 @@ class Comparison:
     notes: Sequence[str] = ()  #: What limits do not bound of the robot, and its faults.
 
     def __str__(self) -> str:
-        said = {**self.verdicts, **{name: f"left out: {why}" for name, why in self.refused.items()}}
-        return "\n".join(f"{name}: {words}" for name, words in said.items())
+        left_out = {name: f"left out: {why}" for name, why in self.refused.items()}
+        lines = {**self.verdicts, **left_out}
+        return "\n".join(f"{name}: {words}" for name, words in lines.items())
 
     def as_json(self) -> dict[str, Any]:
         """The content of ``metrics.json``."""
@@ -84,8 +85,8 @@ def summarize(scenario: Scenario, traces: Mapping[str, Trace]) -> Comparison:
     """Metrics and verdicts of traces; a metric that raises is None."""
     entries = scenario.catalog.entries("metrics")
     plugins = {name: entry.cls() for name, entry in entries.items()}
-    told = {name: measured(plugins, trace) for name, trace in traces.items()}
-    metrics = {name: values for name, (values, _) in told.items()}
+    results = {name: measured(plugins, trace) for name, trace in traces.items()}
+    metrics = {name: values for name, (values, _) in results.items()}
     chain, limits = scenario.chain, scenario.limits
     unseen = [line for limit in limits for line in limit.unseen(chain)]
     verdicts = {
@@ -96,6 +97,6 @@ def summarize(scenario: Scenario, traces: Mapping[str, Trace]) -> Comparison:
         traces,
         metrics,
         verdicts,
-        faults=tuple(dict.fromkeys(fault for _, faults in told.values() for fault in faults)),
+        faults=tuple(dict.fromkeys(fault for _, faults in results.values() for fault in faults)),
         notes=(*(line for k in limits for line in k.notes(chain)), *of_faults(scenario)),
     )

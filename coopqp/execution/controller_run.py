@@ -1,4 +1,4 @@
-"""Run one controller through all phases of a scenario.
+"""Run one controller through all phases of a scenario, or from many starts on several threads.
 
 A comparison, the page of ``coopqp play`` and the loop for robots differ in who measures and who
 sends inputs. How a phase begins, ends and hands over is the same: the next phase begins at the
@@ -7,24 +7,30 @@ measured joints, with their speed, and the hands that then hold the object hold 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import os
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
+import numpy as np
 import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
 
 from coopqp.base.errors import CoopqpError, InternalError, InvalidValueError, UnknownNameError
-from coopqp.base.spec import Array
+from coopqp.base.spec import Array, array, finite
 from coopqp.base.wording import by_user, raised
-from coopqp.controller import Controller, ControlProblem, Law
+from coopqp.controller import MAX_TICKS, Controller, ControlProblem, Law
 from coopqp.execution.rollout import rollout
 from coopqp.model.state import State
 from coopqp.plant import PlantModel
 from coopqp.scenario.input import Feed, Inputs
 from coopqp.scenario.scenario import Phase, Scenario, needs_scenario
 from coopqp.solver import Status
-from coopqp.trace import PhaseInfo, Trace, join
+from coopqp.trace import PhaseInfo, TickBatch, Trace, join
 
 #: After these there is no next phase.
 ENDED = (Status.PLANT_FAILED.value, Status.OBJECT_LOST.value)
@@ -71,12 +77,10 @@ class PhaseRun:
 
     @property
     def over(self) -> bool:
-        """Whether its time is up."""
         return self.ticks >= self.phase.ticks(self.problem.dt)
 
     @property
     def is_last(self) -> bool:
-        """Whether none follows."""
         return self.index + 1 == len(self.scenario.schedule)
 
     @property
@@ -168,10 +172,6 @@ def run(
     parts: list[tuple[PhaseInfo, Trace]] = []
     begun: PhaseRun | None = None
 
-    def told(k: int) -> None:
-        if progress and begun:
-            progress(controller, begun.first + k)
-
     with _one_line_errors(controller):
         held = scenario.held_by(controller)
         for phase in held.schedule:
@@ -185,7 +185,7 @@ def run(
                 controller=controller,
                 solver=scenario.solver_name if chosen.uses_solver else None,
                 supports=chosen.supports,
-                progress=told,
+                progress=progress and partial(_advance, progress, controller, begun.first),
                 state=begun.state,
                 feed=begun.feed(),
                 timed=timed,
@@ -195,6 +195,10 @@ def run(
                 words = f"phase '{phase.name}' does not end: {trace.failures[-1].note}"
                 raise InvalidValueError(f"{controller}: {words}")
         return join(parts) if scenario.phases else parts[0][1]
+
+
+def _advance(progress: Progress, controller: str, first: int, k: int) -> None:
+    progress(controller, first + k)
 
 
 def built(scenario: Scenario, controller: str) -> PhaseRun:
@@ -236,3 +240,105 @@ def controller_of(scenario: Scenario, name: str) -> Controller:
     chosen = known[name].cls()
     assert isinstance(chosen, Controller)  # what the catalogue holds there
     return chosen
+
+
+#: Motions that a thread takes at a time, and their ticks: so long Ctrl-C waits.
+CHUNK, AT_ONCE = 16, 200_000
+
+
+@dataclass(frozen=True)
+class Motions:
+    """M motions of T ticks each."""
+
+    q: Array  #: Joints before each tick and at the end, shape (M, T + 1, n) [rad, m].
+    v: Array  #: Commands, shape (M, T, n) [rad/s, m/s].
+    outcomes: NDArray[np.uint8]  #: Of each tick, an index of ``causes``, shape (M, T).
+    causes: tuple[tuple[Status, ...], ...]  #: All outcomes; the first is OPTIMAL alone.
+    compiled: NDArray[np.bool_]  #: Whether the kernel decided the tick, shape (M, T).
+
+    def share(self, status: Status) -> float:
+        """Share of all ticks with a status."""
+        among = [i for i, causes in enumerate(self.causes) if status in causes]
+        return float(np.isin(self.outcomes, among).mean()) if self.outcomes.size else 0.0
+
+
+def run_many(
+    scenario: Scenario,
+    starts: ArrayLike,
+    *,
+    controller: str = "qp",
+    ticks: int | None = None,
+    threads: int | None = None,
+) -> Motions:
+    """Run one controller from many starts, on ideal joints and without inputs from outside.
+
+    Each motion is ``law.run(law.start(q), ticks)``, bit for bit, whatever the number of threads.
+    Where nothing of the tasks, limits and signals is Python's, it is computed in C++ as a whole and
+    without Python's lock.
+
+    Args:
+        scenario: from :func:`coopqp.load`, without phases; references set out from its own start.
+        starts: joints, shape (M, n) [rad, m].
+        controller: its name in the scenario, or any controller's type name.
+        ticks: of each motion; the scenario's when omitted.
+        threads: one a processor when omitted.
+
+    Raises:
+        InvalidValueError: an argument is none of these, or the controller commands torques.
+        CoopqpError: the controller cannot be built for this scenario.
+    """
+    needs_scenario(scenario)
+    chosen, n = controller_of(scenario, controller), scenario.chain.n
+    if scenario.phases or chosen.commands_torques:
+        what = "phases" if scenario.phases else "torques"
+        raise InvalidValueError(f"run_many: found {what}, needs one motion in velocities")
+    given = np.ascontiguousarray(finite("starts", array("starts", starts)))
+    if given.ndim != 2 or given.shape[1] != n:
+        raise InvalidValueError(f"starts: found shape {given.shape}, needs (M, {n})")
+    count = _whole("threads", threads, os.cpu_count() or 1, 1)
+    steps = _whole("ticks", ticks, scenario.ticks, 0)
+    problem = scenario.held_by(controller).problem()
+    useful = max(1, -(-len(given) // CHUNK))
+    return _run_all([chosen.unprepared(problem) for _ in range(min(count, useful))], given, steps)
+
+
+def _run_all(laws: Sequence[Law], starts: Array, ticks: int) -> Motions:
+    m, n = starts.shape
+    try:
+        q, v = np.empty((m, ticks + 1, n)), np.empty((m, ticks, n))
+        outcomes = np.zeros((m, ticks), np.uint8)
+    except MemoryError:
+        words = f"found {m} motions of {ticks} ticks, needs fewer: they do not fit into memory"
+        raise InvalidValueError(f"starts: {words}") from None
+    size = max(1, min(CHUNK, AT_ONCE // max(ticks, 1)))
+    free, plain = deque(laws), dict[int, TickBatch]()
+
+    def run(first: int) -> None:
+        law, part = free.pop(), slice(first, first + size)
+        try:
+            done = law.run_starts(starts[part], q[part], v[part], outcomes[part])
+            for i in (first + np.flatnonzero(done < ticks)).tolist():  # in which Python decides
+                plain[i] = law.run(law.start(starts[i]), ticks)
+        finally:
+            free.append(law)
+
+    with ThreadPoolExecutor(len(laws)) as pool:
+        list(pool.map(run, range(0, m, size)))
+    compiled, index = np.ones((m, ticks), bool), np.zeros(256, np.uint8)
+    causes: dict[tuple[Status, ...], int] = {(Status.OPTIMAL,): 0}
+    by_kernel = np.isin(np.arange(m), list(plain), invert=True)
+    for outcome in np.unique(outcomes[by_kernel]).tolist():
+        index[outcome] = causes.setdefault(laws[0].outcomes[outcome], len(causes))
+    outcomes[by_kernel] = index[outcomes[by_kernel]]
+    for i, made in sorted(plain.items()):
+        q[i], v[i], compiled[i] = made.q, made.v, made.compiled
+        outcomes[i] = [causes.setdefault(all_of, len(causes)) for all_of in made.causes]
+    return Motions(q, v, outcomes, tuple(causes), compiled)
+
+
+def _whole(name: str, value: int | None, omitted: int, lower: int) -> int:
+    found = omitted if value is None else value
+    if type(found) is not int or not lower <= found <= MAX_TICKS:
+        words = f"found {value!r}, needs a whole number, {lower} to {MAX_TICKS}"
+        raise InvalidValueError(f"{name}: {words}")
+    return found

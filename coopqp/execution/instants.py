@@ -116,25 +116,25 @@ class Instants:
         if self._evaluation is None:
             self.points = arm_points(chain, q)
             return
-        found = self._evaluation.look(t, q, v if self._velocities else None)
-        self.position, self.rotation = found.position, found.rotation
-        apart = found.loop_error[:, : len(offset)] - offset
+        evaluated = self._evaluation.look(t, q, v if self._velocities else None)
+        self.position, self.rotation = evaluated.position, evaluated.rotation
+        apart = evaluated.loop_error[:, : len(offset)] - offset
         sizes = np.linalg.norm(apart.reshape(len(t), -1, 2, 3), axis=3)
         self.loop = sizes.max(axis=1, initial=0.0)
-        rows = found.e.shape[1] // 2
+        rows = evaluated.e.shape[1] // 2
         self.task_error, self.goal_error = np.zeros((2, len(t), len(self.parts)))
         for error, first in ((self.task_error, 0), (self.goal_error, rows)):
             for i, (_, part) in enumerate(self.parts):
                 own = slice(first + part.start, first + part.stop)
                 if i not in self._velocities:
-                    error[:, i] = np.linalg.norm(found.e[:, own], axis=1)
-                elif found.moved is not None:
-                    missed = found.moved[:, own] - found.rate[:-1, own]
+                    error[:, i] = np.linalg.norm(evaluated.e[:, own], axis=1)
+                elif evaluated.moved is not None:
+                    missed = evaluated.moved[:, own] - evaluated.rate[:-1, own]
                     error[1:, i] = np.linalg.norm(missed, axis=1)
-        self.e, self.rate = found.e[:, :rows], found.rate[:, :rows]
+        self.e, self.rate = evaluated.e[:, :rows], evaluated.rate[:, :rows]
         self.points, at = {}, 0
         for arm, points in chain.once(joint_points).items():
-            self.points[arm] = found.points[:, at : at + len(points)]
+            self.points[arm] = evaluated.points[:, at : at + len(points)]
             at += len(points)
 
     def directional_manipulability(
@@ -190,10 +190,10 @@ def _beginning(problem: ControlProblem, start: State) -> State:
 
 def parts_of(tasks: Sequence[Task], chain: ClosedChain) -> list[tuple[TaskInfo, slice]]:
     """Trace info of each part of each task, and its rows in the stack."""
-    found, at = [], 0
+    parts, at = [], 0
     for task in tasks:
-        first, asked = at, task.impedance
-        pairs = zip(asked.axes, asked.stiffness.tolist(), strict=True) if asked else ()
+        first, impedance = at, task.impedance
+        pairs = zip(impedance.axes, impedance.stiffness.tolist(), strict=True) if impedance else ()
         springs = tuple((row, *pair) for row, pair in enumerate(pairs))
         for part in task.parts(chain):
             name = f"{task.name}.{part.name}" if part.name else task.name
@@ -202,9 +202,9 @@ def parts_of(tasks: Sequence[Task], chain: ClosedChain) -> list[tuple[TaskInfo, 
                 springs=springs[at - first : at - first + part.rows],
                 mode=task.mode, priority=task.priority,
             )  # fmt: skip
-            found.append((info, slice(at, at + part.rows)))
+            parts.append((info, slice(at, at + part.rows)))
             at += part.rows
-    return found
+    return parts
 
 
 def rows_of(tasks: Sequence[Task], chain: ClosedChain) -> tuple[str, ...]:

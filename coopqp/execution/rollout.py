@@ -191,15 +191,15 @@ class _Recorder:
         law, t, corrected = self._law, state.t, state.corrected
         q, v, remembered = state.q.copy(), state.v.copy(), state.memory.numbers.copy()
         with np.errstate(all="ignore"):  # what overflows is found below
-            found = law.run(state, len(self.batch.v))
-            if not settled(found.q[1:], found.v):
+            batch = law.run(state, len(self.batch.v))
+            if not settled(batch.q[1:], batch.v):
                 state.t, state.q[:], state.v[:] = t, q, v
                 state.memory.numbers[:], state.corrected = remembered, corrected
                 state.update()
                 return False
         self.t[0], self.t[1:] = t, law.problem.dt
         np.add.accumulate(self.t, out=self.t)  # as tick by tick, to the last digit
-        self.batch, self.commanded = found, found.q[:-1]
+        self.batch, self.commanded = batch, batch.q[:-1]
         self.loop_offset[:, : len(self._offset)] = self._offset
         return True
 

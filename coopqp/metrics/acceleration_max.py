@@ -1,16 +1,14 @@
-from typing import Any, ClassVar
+from typing import Any
 
 from coopqp.assessment import assess
-from coopqp.base.spec import spec
-from coopqp.metric import Metric
-from coopqp.trace import Trace
+from coopqp.metric import Metric, Trace, spec
 
 
 @spec
 class AccelerationMax(Metric):
     """The joint whose speed changes most from tick to tick, for what robots are allowed."""
 
-    unit: ClassVar[str] = "rad/s2 or m/s2"
+    unit = "rad/s2 or m/s2"
 
     def measure(self, trace: Trace) -> dict[str, Any] | None:
         worst = assess(trace).acceleration

@@ -1,7 +1,5 @@
-from coopqp.base.spec import spec
-from coopqp.metric import Metric
+from coopqp.metric import Metric, Trace, spec
 from coopqp.metrics._hands import by_hand, margin
-from coopqp.trace import Trace
 
 
 @spec

@@ -2,9 +2,7 @@ from typing import Any
 
 import numpy as np
 
-from coopqp.base.spec import spec
-from coopqp.metric import Metric
-from coopqp.trace import Trace
+from coopqp.metric import Metric, Trace, spec
 
 
 @spec

@@ -1,10 +1,6 @@
-from typing import ClassVar
-
 import numpy as np
 
-from coopqp.base.spec import spec
-from coopqp.metric import Metric
-from coopqp.trace import Trace
+from coopqp.metric import Metric, Trace, spec
 
 #: What counts as the end of a run [s].
 END = 0.5
@@ -14,7 +10,7 @@ END = 0.5
 class InternalForce(Metric):
     """How hard the hands squeeze and twist the object against each other, if the plant tells it."""
 
-    unit: ClassVar[str] = "N, N m"
+    unit = "N, N m"
 
     def measure(self, trace: Trace) -> dict[str, float] | None:
         """Largest force and moment of a hand that others cancel: worst, and mean at the end."""

@@ -9,20 +9,16 @@ Joints without a range, and those that it does not let move, do not count. Both 
 so they are shown for every law, with the term and without.
 """
 
-from typing import ClassVar
-
 import numpy as np
 
-from coopqp.base.spec import Array, spec
-from coopqp.metric import Metric
-from coopqp.trace import Trace
+from coopqp.metric import Array, Metric, Trace, spec
 
 
 @spec
 class LimitCriterion(Metric):
     """How near the joints are to their limits: 1 at a limit; the worst, and at the end."""
 
-    unit: ClassVar[str] = "1"
+    unit = "1"
 
     def measure(self, trace: Trace) -> dict[str, float]:
         found = limit_criterion(trace)

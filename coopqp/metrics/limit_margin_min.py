@@ -1,16 +1,12 @@
-from typing import ClassVar
-
 from coopqp.assessment.limits import beyond
-from coopqp.base.spec import spec
-from coopqp.metric import Metric
-from coopqp.trace import Trace
+from coopqp.metric import Metric, Trace, spec
 
 
 @spec
 class LimitMarginMin(Metric):
     """Least distance of a joint to its position limit; negative beyond it."""
 
-    unit: ClassVar[str] = "rad or m"
+    unit = "rad or m"
 
     def measure(self, trace: Trace) -> float:
         return 0.0 - float(beyond(trace).max())  # no negative zero

@@ -1,16 +1,12 @@
-from typing import ClassVar
-
 from coopqp.assessment.limits import beyond
-from coopqp.base.spec import spec
-from coopqp.metric import Metric
-from coopqp.trace import Trace
+from coopqp.metric import Metric, Trace, spec
 
 
 @spec
 class LimitViolationMax(Metric):
     """How far the worst joint went beyond its position limit."""
 
-    unit: ClassVar[str] = "rad or m"
+    unit = "rad or m"
 
     def measure(self, trace: Trace) -> float:
         return max(0.0, float(beyond(trace).max()))

@@ -1,9 +1,7 @@
 import numpy as np
 
-from coopqp.base.spec import spec
-from coopqp.metric import Metric
+from coopqp.metric import Metric, Trace, spec
 from coopqp.metrics._hands import by_hand
-from coopqp.trace import Trace
 
 #: Smaller total lifting forces carry nothing [N].
 MIN_LIFT = 1e-3

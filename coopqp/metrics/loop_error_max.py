@@ -1,16 +1,12 @@
-from typing import ClassVar
-
 from coopqp.assessment import assess
-from coopqp.base.spec import spec
-from coopqp.metric import Metric
-from coopqp.trace import Trace
+from coopqp.metric import Metric, Trace, spec
 
 
 @spec
 class LoopErrorMax(Metric):
     """Largest distance and angle between where two arms carry the object."""
 
-    unit: ClassVar[str] = "m, rad"
+    unit = "m, rad"
 
     def measure(self, trace: Trace) -> dict[str, float]:
         position, orientation = assess(trace).loop

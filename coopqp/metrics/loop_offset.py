@@ -1,17 +1,13 @@
-from typing import ClassVar
-
 import numpy as np
 
-from coopqp.base.spec import Array, spec
-from coopqp.metric import Metric
-from coopqp.trace import Trace
+from coopqp.metric import Array, Metric, Trace, spec
 
 
 @spec
 class LoopOffset(Metric):
     """How far the hands end apart from what the model says: its calibration error."""
 
-    unit: ClassVar[str] = "m, rad"
+    unit = "m, rad"
 
     def measure(self, trace: Trace) -> dict[str, float]:
         """The largest of the loops in the last tick, as the controller observed it.
@@ -31,8 +27,8 @@ class LoopOffset(Metric):
 def _squeezed_along(trace: Trace) -> Array | None:
     """Direction between two hands of which a squeeze is asked; None where it is not."""
     points = trace.signals.get("hand_point")
-    asked = "forces" in trace.supports and any(task.unit == "N" for task in trace.tasks)
-    if points is None or not asked or not trace.ticks or not len(trace.loop_offset[-1]):
+    squeezes = "forces" in trace.supports and any(task.unit == "N" for task in trace.tasks)
+    if points is None or not squeezes or not trace.ticks or not len(trace.loop_offset[-1]):
         return None
     last = points[-1].reshape(-1, 3)
     held = last[(last != 0.0).any(axis=1)]

@@ -1,9 +1,7 @@
 from collections import Counter
 
-from coopqp.base.spec import spec
-from coopqp.metric import Metric
+from coopqp.metric import Metric, Trace, spec
 from coopqp.solver import causes_of
-from coopqp.trace import Trace
 
 
 @spec

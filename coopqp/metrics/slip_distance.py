@@ -1,16 +1,12 @@
-from typing import ClassVar
-
-from coopqp.base.spec import spec
-from coopqp.metric import Metric
+from coopqp.metric import Metric, Trace, spec
 from coopqp.metrics._hands import by_hand
-from coopqp.trace import Trace
 
 
 @spec
 class SlipDistance(Metric):
     """How far the object slipped along a hand that presses, at most, while it was held."""
 
-    unit: ClassVar[str] = "m"
+    unit = "m"
 
     def measure(self, trace: Trace) -> float | None:
         """None where no hand presses."""

@@ -1,19 +1,15 @@
-from typing import ClassVar
-
 import numpy as np
 
-from coopqp.base.spec import spec
 from coopqp.closed_loop.forces import squeezes
-from coopqp.metric import Metric
+from coopqp.metric import Metric, Trace, spec
 from coopqp.metrics._hands import by_hand
-from coopqp.trace import Trace
 
 
 @spec
 class Squeeze(Metric):
     """How hard the hands press on the object: least, mean and worst, where the plant tells it."""
 
-    unit: ClassVar[str] = "N"
+    unit = "N"
 
     def measure(self, trace: Trace) -> dict[str, float] | None:
         """Normal forces of hands that press; the squeeze between two or three fastened ones.
@@ -26,11 +22,11 @@ class Squeeze(Metric):
             return None
         holds = (points != 0.0).any(axis=2)  # hands that hold nothing have no point
         if normal is not None:
-            found = normal[:, :, 0][holds & (wrenches != 0.0).any(axis=2)]
+            forces = normal[:, :, 0][holds & (wrenches != 0.0).any(axis=2)]
         else:
             ticks = zip(points, wrenches, strict=True)
-            found = np.array([newtons for p, h in ticks for newtons in squeezes(p, h)])
-        if not found.size:
+            forces = np.array([newtons for p, h in ticks for newtons in squeezes(p, h)])
+        if not forces.size:
             return None
-        least, mean, worst = float(found.min()), float(found.mean()), float(found.max())
+        least, mean, worst = float(forces.min()), float(forces.mean()), float(forces.max())
         return {"least": least, "mean": mean, "worst": worst}

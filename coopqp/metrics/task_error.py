@@ -1,16 +1,12 @@
-from typing import ClassVar
-
 from coopqp.assessment import assess
-from coopqp.base.spec import spec
-from coopqp.metric import Metric
-from coopqp.trace import Trace
+from coopqp.metric import Metric, Trace, spec
 
 
 @spec
 class TaskError(Metric):
     """Each task's error at its end; a force's largest of the last 0.2 s."""
 
-    unit: ClassVar[str] = "the task's own"
+    unit = "the task's own"
 
     def measure(self, trace: Trace) -> dict[str, float]:
         """By task name."""

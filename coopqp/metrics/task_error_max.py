@@ -1,17 +1,13 @@
-from typing import ClassVar
-
 import numpy as np
 
-from coopqp.base.spec import spec
-from coopqp.metric import Metric
-from coopqp.trace import Trace
+from coopqp.metric import Metric, Trace, spec
 
 
 @spec
 class TaskErrorMax(Metric):
     """How far each row of the tasks was from its reference at most, such as "springs.y"."""
 
-    unit: ClassVar[str] = "the task's own"
+    unit = "the task's own"
 
     def measure(self, trace: Trace) -> dict[str, float | None]:
         """By row, without a sign; None where it has no number in any tick."""

@@ -1,18 +1,14 @@
-from typing import ClassVar
-
 import numpy as np
 
-from coopqp.base.spec import spec
-from coopqp.metric import Metric
-from coopqp.trace import Trace
+from coopqp.metric import Metric, Trace, spec
 
 
 @spec
 class TickUs(Metric):
     """Time from reading the joints to the verified command."""
 
-    unit: ClassVar[str] = "us"
-    timed: ClassVar[bool] = True
+    unit = "us"
+    timed = True
 
     def measure(self, trace: Trace) -> dict[str, float] | None:
         """None where many ticks were done at once."""

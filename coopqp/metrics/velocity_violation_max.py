@@ -1,17 +1,13 @@
-from typing import ClassVar
-
 import numpy as np
 
-from coopqp.base.spec import spec
-from coopqp.metric import Metric
-from coopqp.trace import Trace
+from coopqp.metric import Metric, Trace, spec
 
 
 @spec
 class VelocityViolationMax(Metric):
     """How far the worst joint's speed went beyond its limit."""
 
-    unit: ClassVar[str] = "rad/s or m/s"
+    unit = "rad/s or m/s"
 
     def measure(self, trace: Trace) -> float:
         return max(0.0, float((np.abs(trace.v) - trace.velocity).max(initial=0.0)))

@@ -171,10 +171,9 @@ class _Fit:
 
     def solve(self, q: Array) -> _Solution:
         x, sigma = np.zeros(len(self.names)), FIRST
-        solution = _Solution(x, x, np.zeros((len(x), 0)))
         for _ in range(STEPS):
-            e, J = self._linearised(q, solution.x)
-            solution = _step(e, J, sigma, solution.x)
+            e, J = self._linearised(q, x)
+            solution = _step(e, J, sigma, x)
             residual = e + np.einsum("tlkip,p->tlki", J, solution.x - x)
             sigma = np.maximum(np.sqrt(np.mean(residual**2, axis=(0, 1, 3))), SMALLEST)
             x = solution.x
@@ -183,8 +182,7 @@ class _Fit:
     def offsets(self, solution: _Solution) -> tuple[Offset, ...]:
         share = np.linalg.norm(solution.hidden, axis=1)
         deviations = np.where(share > SHARE, np.inf, solution.deviations)
-        of = zip(self.names, self.units, solution.x.tolist(), deviations.tolist(), strict=True)
-        return tuple(Offset(*each) for each in of)
+        return tuple(map(Offset, self.names, self.units, solution.x.tolist(), deviations.tolist()))
 
     def _linearised(self, q: Array, x: Array) -> tuple[Array, Array]:
         """Errors and their derivatives, shapes (T, L, 2, 3) and (T, L, 2, 3, P)."""

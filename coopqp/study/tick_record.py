@@ -24,7 +24,7 @@ from coopqp.qp_law.law import QPLaw
 from coopqp.solver import Budget, Solution, Solver, Status, Verifier, written
 from coopqp.task import Mode, TaskStack
 
-MOST_BYTES = 64 << 20  # of a file
+MAX_BYTES = 64 << 20  # of a file
 SIDES: tuple[Side, Side] = "lower", "upper"
 UNBOUNDED = 1e30  # what an infinite bound is written as
 
@@ -73,7 +73,7 @@ class TickRecord:
     @staticmethod
     def read(path: Path) -> TickRecord:
         """Read what :meth:`text` gave; CoopqpError where it is no saved tick."""
-        text = read_text(path, MOST_BYTES)
+        text = read_text(path, MAX_BYTES)
         try:
             record = _RECORD.validate_json(text)
         except ValidationError as error:
@@ -126,7 +126,6 @@ class TickRecord:
         return None
 
     def qp(self) -> QP:
-        """The program, in arrays."""
         qp = QP(Rows(tuple(self.variables), tuple(self.inequality_rows), tuple(self.equality_rows)))
         qp.P[:], qp.q[:] = self.P, self.q_cost
         if self.C:
@@ -216,15 +215,14 @@ class NamedBounds:
         self.update(state)
 
     def update(self, state: State) -> None:
-        """Evaluate all at a state."""
         n = len(state.v)
-        self.below, self.above = found = [*self._none[0]], [*self._none[1]]
+        self.below, self.above = tightest_rows = [*self._none[0]], [*self._none[1]]
         tightest = np.full((2, n), np.inf)
         for alone, rows in self._each:
             alone.update(state)
             bounds = np.array([-alone.lb, alone.ub])
             for k, i in np.argwhere(bounds < tightest).tolist():
-                found[k][i] = rows[k][i]
+                tightest_rows[k][i] = rows[k][i]
             np.minimum(tightest, bounds, out=tightest)
         self.lb, self.ub = -tightest[0], tightest[1]
         self.G = np.vstack([np.zeros((0, n)), *(alone.G for alone, _ in self._each)])

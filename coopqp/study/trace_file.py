@@ -64,12 +64,12 @@ def trace_from_file(path: Path | Run, scenario: Scenario, controller: str) -> Tr
         v_before = v[first - 1] if first else None
         part = _phase(run.only(slice(first, end + 1)), problem, begin, v_before)
         parts.append((PhaseInfo(phase.name, first, phase.released), part))
-    told = run.only(slice(ticks))
-    inputs = {name: _input(told, name, kind) for name, kind in held.followed().items()}
+    steps = run.only(slice(ticks))
+    inputs = {name: _input(steps, name, kind) for name, kind in held.followed().items()}
     signals = {
-        "tau": told.joints("tau", held.chain.joint_names, empty=True),  # passive joints have none
-        "held": told.numbers(["held"], empty=True),
-        "push": told.numbers(of_field("push", Layout(joints=())), empty=True),
+        "tau": steps.joints("tau", held.chain.joint_names, empty=True),  # passive joints have none
+        "held": steps.numbers(["held"], empty=True),
+        "push": steps.numbers(of_field("push", Layout(joints=())), empty=True),
     }
     signals = {name: np.nan_to_num(of) for name, of in signals.items() if np.isfinite(of).any()}
     trace = join(parts) if held.phases else parts[0][1]
@@ -93,19 +93,19 @@ def worth_explaining(run: Run, scenario: Scenario) -> Trace:
 
 def _phase(run: Run, problem: ControlProblem, begin: str, v_before: Array | None) -> Trace:
     """The rows of one phase, with its end; with ``begin`` the names of its tasks begin there."""
-    chain, dt, told = problem.chain, problem.dt, run.only(slice(-1))
-    joints, ticks, nothing = chain.joint_names, len(told), np.zeros((len(run), 0))
-    q, v = run.joints("q", joints), told.joints("v", joints)
+    chain, dt, steps = problem.chain, problem.dt, run.only(slice(-1))
+    joints, ticks, nothing = chain.joint_names, len(steps), np.zeros((len(run), 0))
+    q, v = run.joints("q", joints), steps.joints("v", joints)
     loop = run.numbers(["loop_position", "loop_orientation"])
-    asked = (*problem.tasks, *problem.wrenches)
-    tasks, rows = tuple(info for info, _ in parts_of(asked, chain)), rows_of(asked, chain)
+    every = (*problem.tasks, *problem.wrenches)
+    tasks, rows = tuple(info for info, _ in parts_of(every, chain)), rows_of(every, chain)
     layout = Layout(
         joints=(),
         tasks=tuple(begin + of.name for of in tasks),
         rows=tuple(begin + row for row in rows),
     )
     e, rate = (run.numbers(of_field(name, layout), empty=True) for name in ("e", "rate"))
-    causes = [causes_of(word)[0] for word in told.columns["status"]]
+    causes = [causes_of(word)[0] for word in steps.columns["status"]]
     failed = (Failure(k, cause.value) for k, cause in enumerate(causes) if not cause.usable)
     return Trace(
         controller=run.controllers[0], solver=None, engine=None, dt=dt, kappa=problem.kappa,
@@ -118,7 +118,7 @@ def _phase(run: Run, problem: ControlProblem, begin: str, v_before: Array | None
         task_error=_errors(run, layout, tasks), goal_error=nothing,
         task_rows=rows, e=e, rate=rate,
         usable=np.array([cause.usable for cause in causes]), inaccurate=np.zeros(ticks, bool),
-        status=tuple(told.columns["status"].tolist()), scale=np.ones(ticks),
+        status=tuple(steps.columns["status"].tolist()), scale=np.ones(ticks),
         compiled=np.zeros(ticks, bool), tick_us=np.zeros(ticks), points={}, supports=frozenset(),
         failures=tuple(failed),
         **vars(audit(problem.limits, chain, q, v, dt, v_before)),
@@ -131,13 +131,13 @@ def _errors(run: Run, layout: Layout, tasks: Sequence[TaskInfo]) -> Array:
     for name, column in zip(layout.tasks, columns, strict=True):
         if column not in run.columns:
             raise CoopqpError(f"{run.header}: has no error of '{name}'; {OTHER}")
-    found, known = run.numbers(columns, empty=True), [of.unit not in FORCES for of in tasks]
+    errors, known = run.numbers(columns, empty=True), [of.unit not in FORCES for of in tasks]
     usable = np.array([bool(word) and causes_of(word)[0].usable for word in run.columns["status"]])
-    lost = np.argwhere(np.isnan(found) & known & usable[:, None])
+    lost = np.argwhere(np.isnan(errors) & known & usable[:, None])
     if len(lost):
         k, i = lost[0].tolist()
         raise run.fault(k, f"{columns[i]}: found nothing, needs a finite number")
-    return found
+    return errors
 
 
 def check_trace(run: Run, scenario: Scenario, controller: str) -> None:
@@ -160,13 +160,13 @@ def _check_moves(run: Run, scenario: Scenario) -> None:
     if not isinstance(scenario.plant, Kinematic) or scenario.disturbance != Disturbance():
         return
     q, v = run.joints("q", joints), run.only(slice(-1)).joints("v", joints)
-    told = np.vstack([scenario.chain.q_start, q[:-1] + dt * v])
-    moved = np.abs(q - told) > ROUNDING * np.maximum(1.0, np.abs(q))
+    expected = np.vstack([scenario.chain.q_start, q[:-1] + dt * v])
+    moved = np.abs(q - expected) > ROUNDING * np.maximum(1.0, np.abs(q))
     moved[[first + 1 for first in scenario.first_ticks[1:]]] = False  # hands may have let go
     moved[1:][(q[1:] == q[:-1]).all(axis=1)] = False  # the plant broke down
     if moved.any():
         k, i = np.argwhere(moved)[0].tolist()
-        words = f"q[{joints[i]}]: found {q[k, i]:g}, but it was moved to {told[k, i]:g}"
+        words = f"q[{joints[i]}]: found {q[k, i]:g}, but it was moved to {expected[k, i]:g}"
         raise CoopqpError(f"{run.place(k)}: {words}; {OTHER}")
 
 

@@ -12,7 +12,7 @@ from stress.trial import one_rollout
 from coopqp.assessment import Assessment, assess
 from coopqp.assessment.assessment import FORCES
 from coopqp.assessment.thresholds import matters
-from coopqp.assessment.verdict import MOST_NAMES, verdict
+from coopqp.assessment.verdict import MAX_NAMES, verdict
 from coopqp.controller import ControlProblem
 from coopqp.execution.comparison import summarize
 from coopqp.execution.rollout import rollout
@@ -130,7 +130,7 @@ def _explained(
     k = found.tasks.index(found.missed[0]) if found.missed else None
     at = found.at_limits(k) if k is not None and answer.kind not in WITHOUT_LIMITS else ()
     return {
-        "explain, limits": (all(name in answer.sentence for name in at[:MOST_NAMES]), True),
+        "explain, limits": (all(name in answer.sentence for name in at[:MAX_NAMES]), True),
         "explain, succeeds": (answer.kind == "reached", found.succeeds),
         "explain, words": ("every goal is reached" in answer.sentence, found.succeeds),
         "explain, reached": (there, found.reached),

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from coopqp.assessment.oscillation import SHORTEST, least_size, reach
+from coopqp.assessment.oscillation import SHORTEST, reach, smallest_ranges
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem, Law
 from coopqp.kernel.trajectory_evaluation import TrajectoryEvaluation, survey
@@ -105,7 +105,7 @@ def turns(q: Array, units: Sequence[str]) -> bool:
         return False
     late = q[-(len(q) // 2) :]
     size = reach(late)
-    wide = size > least_size(units)
+    wide = size > smallest_ranges(units)
     if not wide.any():
         return False
     path = np.abs(late[1:] - late[:-1]).sum(axis=0)

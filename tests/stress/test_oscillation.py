@@ -17,7 +17,7 @@ import pytest
 from laws import problem
 from numpy.typing import NDArray
 
-from coopqp.assessment.oscillation import LEAST, Oscillation, oscillation
+from coopqp.assessment.oscillation import MIN_RANGE, Oscillation, oscillation
 from coopqp.base.spec import Array
 from coopqp.controller import ControlProblem, Law
 from coopqp.limits import JointPosition, JointVelocity
@@ -146,7 +146,7 @@ def test_what_arrives_is_no_oscillation(q: Array) -> None:
 
 @pytest.mark.parametrize("unit", ["rad", "m"])
 def test_an_oscillation_too_small_to_see_is_none(unit: str) -> None:
-    half = 0.5 * LEAST[unit]
+    half = 0.5 * MIN_RANGE[unit]
     assert oscillates(record(sine(3.0, 0.9 * half), unit=unit)) is None
     assert oscillates(record(sine(3.0, 1.1 * half), unit=unit)) is not None
     assert oscillates(record(sine(3.0, 1.1 * half), unit=unit), noise=1e-4) is None

@@ -25,16 +25,8 @@ from coopqp.assessment.thresholds import BEYOND
 from coopqp.base.rank import independent_rows, matrix_rank, null_space
 from coopqp.base.spec import Array
 from coopqp.scenario.bounded_steps import BoundedSteps, Stop
-from coopqp.study.explanation.goal import (
-    Goal,
-    PartOfTask,
-    Place,
-    Room,
-    Search,
-    Share,
-    forces,
-    shares,
-)
+from coopqp.study.explanation import goal as geometry
+from coopqp.study.explanation.goal import Goal, PartOfTask, Place, Room, Search, Share, shares
 from coopqp.task import Task
 
 T = TypeVar("T")
@@ -149,7 +141,7 @@ class TooFewFreedoms:
     """The loops leave fewer motions than the one task asks for."""
 
     tasks: tuple[Task, ...]
-    asked: int
+    requested: int
     left: int
 
 
@@ -186,12 +178,12 @@ def diagnose(goal: Goal, room: Room, q: Array) -> Diagnosis:
     if at.reached:
         return NotBlocked(at)
     near = free.from_(at.q)
-    found = near if near.reached else free.best(at.q)
-    if found.reached:
+    place = near if near.reached else free.best(at.q)
+    if place.reached:
         held, other = _held_back(goal, room, at.q), inside.best(at.q)
         if other.reached and not (near.reached and room.violation(near.q) > BEYOND):
             return Elsewhere(held, other)
-        return BlockedByLimits(held, at, found.q, other if other.reached else None)
+        return BlockedByLimits(held, at, place.q, other if other.reached else None)
     contradiction = _contradiction(goal, at.q)
     if len(contradiction.tasks) > 1:
         return contradiction
@@ -200,11 +192,10 @@ def diagnose(goal: Goal, room: Room, q: Array) -> Diagnosis:
 
 
 def _held_back(goal: Goal, room: Room, q: Array) -> tuple[Share, ...]:
-    """Shares of the limits that hold the goal back at a configuration."""
     goal.look(q)
     Z = null_space(goal.state.J_loop)
     pull = -Z.T @ goal.stack.J.T @ (goal.weights * goal.stack.e)
-    return shares(forces(pull, Z, room.at_bound(q)))
+    return shares(geometry.forces(pull, Z, room.at_bound(q)))
 
 
 def _too_few(goal: Goal, q: Array) -> TooFewFreedoms | None:
@@ -219,13 +210,13 @@ def _too_few(goal: Goal, q: Array) -> TooFewFreedoms | None:
             alone.append(goal.stack.J.copy())
     if not within:
         return None
-    asked = max(matrix_rank(J, RANK) for J in alone)
+    requested = max(matrix_rank(J, RANK) for J in alone)
     best = max(within, key=lambda JZ: matrix_rank(JZ, RANK))
     left = matrix_rank(best, RANK)
     rows = independent_rows(best, most=left)
-    if left >= asked or not rows or not Search(goal.masked(rows)).best(q).reached:
+    if left >= requested or not rows or not Search(goal.masked(rows)).best(q).reached:
         return None
-    return TooFewFreedoms(goal.tasks, int(asked), left)
+    return TooFewFreedoms(goal.tasks, int(requested), left)
 
 
 def _unreachable(goal: Goal, room: Room, q: Array) -> TooFar:

@@ -15,8 +15,6 @@ of a metre. A law may stop short with it, where its path leads into a saddle; th
 without position limits, and the largest violation on its path is enough.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -38,21 +36,10 @@ from coopqp.model.closed_chain import ClosedChain
 from coopqp.scenario.scenario import Scenario
 from coopqp.signal import InputValues
 from coopqp.solver import Status, causes_of
+from coopqp.study.explanation import goal as geometry
 from coopqp.study.explanation import words
 from coopqp.study.explanation.diagnosis import BlockedByLimits
-from coopqp.study.explanation.goal import (
-    NEAR,
-    PLACE_UNITS,
-    Goal,
-    Missed,
-    Room,
-    Search,
-    Share,
-    least_relaxation,
-    parts_of,
-    placed,
-    thing_of,
-)
+from coopqp.study.explanation.goal import Goal, Missed, Room, Search, Share, parts_of, placed
 from coopqp.study.explanation.words import Needed, RunExplanation
 from coopqp.task import Level, Task
 from coopqp.trace import InputTrace, Trace, followed
@@ -66,7 +53,6 @@ class ExplainedPhase:
     name: str  # of the controller
     problem: ControlProblem  # without limits where the controller supports none
     index: int  # in the schedule
-    phase_name: str  # empty if it is the only one
     first: int  # its first tick
     q: Array  # shape (K + 1, n)
     v: Array  # shape (K, n)
@@ -95,7 +81,6 @@ class ExplainedPhase:
 
     @property
     def stands_still(self) -> str:
-        """In how many ticks it stands still, in words."""
         count = sum(not causes[0].usable for causes in self.causes)
         return f"it stands still in {count} of {len(self.causes)} ticks"
 
@@ -124,8 +109,8 @@ def explained_phases(
     ``level`` is the last that counts, if not that of the first task that a phase misses.
     """
     controller = controller_of(scenario, trace.controller)
-    found = assess(trace)
-    errors = {task.name: task.error for task in found.tasks}
+    result = assess(trace)
+    errors = {task.name: task.error for task in result.tasks}
     tau = trace.signals.get("tau", trace.v[:0])
     ends = pairwise((*scenario.first_ticks, scenario.ticks))
     problems = scenario.problems(lambda first: trace.q[first])
@@ -136,12 +121,12 @@ def explained_phases(
         if strange := [name for name in named if name not in errors]:
             why = "the trace is of another scenario than the one beside it"
             raise InvalidValueError(f"no error of '{strange[0]}' in the trace; {why}")
-        own = [of for of in found.missed if of.name in named]
+        own = [of for of in result.missed if of.name in named]
         missed = tuple((named[of.name], of.error) for of in own)
         last = level or next((of.level for of in own), None)
         count, ticks = sum(last is None or of.level <= last for of in own), slice(first, end)
         yield ExplainedPhase(
-            scenario=scenario, name=trace.controller, index=i, phase_name=phase.name, first=first,
+            scenario=scenario, name=trace.controller, index=i, first=first,
             problem=problem if "limits" in controller.supports else replace(problem, limits=()),
             q=trace.q[first : end + 1], v=trace.v[ticks], tau=tau[ticks],
             causes=tuple(causes_of(word) for word in trace.status[ticks]),
@@ -242,13 +227,13 @@ class Violation:
 
 def violations_along(room: Room, qs: Array) -> list[Violation]:
     """The largest violation of each limit along configurations, shape (T, n)."""
-    slack, found = np.array([room.slack(q) for q in qs]), []
+    slack, violations = np.array([room.slack(q) for q in qs]), []
     for owner in np.unique(room.owners).tolist():
         own = np.flatnonzero(room.owners == owner)
         row = room.all_rows[own[slack[-1, own].argmin()]]
         limit = room.limits[owner - len(room.sides)] if owner >= len(room.sides) else None
-        found.append(Violation(row, float(-slack[:, own].min()), limit))
-    return [violation for violation in found if violation.amount > NOTHING]
+        violations.append(Violation(row, float(-slack[:, own].min()), limit))
+    return [violation for violation in violations if violation.amount > NOTHING]
 
 
 def _cost(row: Row) -> float:
@@ -281,14 +266,14 @@ class _Programs:
                 step *= SHRINK
         return violations_along(self._room, q[None])
 
-    def _step(self, q: Array, most: float) -> Array | None:
+    def _step(self, q: Array, max_step: float) -> Array | None:
         room, (C, r) = self._room, self._equalities(q)
         U, values, Vt = np.linalg.svd(C, full_matrices=False)
         kept = int((values > CUT).sum())
         equal = Vt[:kept], -(U[:, :kept].T @ r) / values[:kept]
         limits = room.ways(q), room.slack(q)
-        found = least_relaxation(equal, limits, room.owners, self._costs, most)
-        return found and found[0]
+        relaxed = geometry.least_relaxation(equal, limits, room.owners, self._costs, max_step)
+        return relaxed and relaxed[0]
 
     def _back(self, q: Array) -> Array:
         """Newton steps to where the equalities hold again, so that steps may be long."""
@@ -326,10 +311,10 @@ class SuggestedRelaxation:
 
 
 def by_geometry(
-    phase: ExplainedPhase, goal: Goal, found: BlockedByLimits, report: Callable[[float], None]
+    phase: ExplainedPhase, goal: Goal, blocked: BlockedByLimits, report: Callable[[float], None]
 ) -> SuggestedRelaxation | None:
     """Relaxations where limits keep a phase from its goal; None where none were found."""
-    needs = minimal_relaxations(goal, phase.room, found)
+    needs = minimal_relaxations(goal, phase.room, blocked)
     report(0.5)
     first = _tried(phase, needs, goal)
     if first and first.reached:
@@ -345,7 +330,10 @@ def by_rerun(phase: ExplainedPhase, goal: Goal | None) -> SuggestedRelaxation | 
     limits = tuple(  # without those of position, which braking before an end stop is as well
         limit
         for limit in phase.scenario.limits
-        if all(row.unit not in PLACE_UNITS for row in audit([limit], chain, q, v, 0.01).margins)
+        if all(
+            row.unit not in geometry.PLACE_UNITS
+            for row in audit([limit], chain, q, v, 0.01).margins
+        )
     )
     free = rerun(phase, limits=limits)
     if free.missed and goal:
@@ -355,12 +343,12 @@ def by_rerun(phase: ExplainedPhase, goal: Goal | None) -> SuggestedRelaxation | 
     return _tried(phase, _rounded(violations_along(phase.room, free.q)), goal)
 
 
-def minimal_relaxations(goal: Goal, room: Room, found: BlockedByLimits) -> tuple[Violation, ...]:
+def minimal_relaxations(goal: Goal, room: Room, blocked: BlockedByLimits) -> tuple[Violation, ...]:
     """The smallest found from the configuration at the goal, and from others near by."""
     search, rng = Search(goal), np.random.default_rng(2)
-    starts = [found.start]
+    starts = [blocked.start]
     for _ in range(STARTS - 1):
-        other = search.from_(found.start + rng.normal(scale=NEAR, size=goal.chain.n))
+        other = search.from_(blocked.start + rng.normal(scale=geometry.NEAR, size=goal.chain.n))
         if other.reached:
             starts.append(other.q)
     programs = _Programs(goal, room)
@@ -393,10 +381,10 @@ def _tried(
     return SuggestedRelaxation(needs, after)
 
 
-def _rounded(found: Sequence[Violation]) -> tuple[Violation, ...]:
+def _rounded(violations: Sequence[Violation]) -> tuple[Violation, ...]:
     """A little more than the minimum, rounded up to two digits, the largest first."""
     needs = []
-    for violation in found:
+    for violation in violations:
         more = SHARE * violation.amount + MORE
         step = 10.0 ** (math.floor(math.log10(more)) - DIGITS + 1)
         needs.append(replace(violation, amount=round(math.ceil(more / step - 1e-9) * step, 9)))
@@ -410,7 +398,7 @@ def with_suggestion(
     *more: str,
 ) -> RunExplanation:
     """That limits hold a run back, and which relaxation would do."""
-    sentence = "; ".join([words.holding(shares), _said(suggestion, shares), *more])
+    sentence = "; ".join([words.holding(shares), _suggested(suggestion, shares), *more])
     if suggestion is None:
         return base.because("limits", sentence, shares)
     needs = tuple(
@@ -421,12 +409,12 @@ def with_suggestion(
     return base.because("limits", sentence, shares, needed=needs, tried=tried, time=time)
 
 
-def _said(suggestion: SuggestedRelaxation | None, shares: Sequence[Share]) -> str:
+def _suggested(suggestion: SuggestedRelaxation | None, shares: Sequence[Share]) -> str:
     if suggestion is None:
         return "even without limits of place the law does not get there"
-    now = {thing_of(share.row) for share in shares}
-    first = [need for need in suggestion.needs if thing_of(need.row) in now]
-    later = [need for need in suggestion.needs if thing_of(need.row) not in now]
+    now = {geometry.thing_of(share.row) for share in shares}
+    first = [need for need in suggestion.needs if geometry.thing_of(need.row) in now]
+    later = [need for need in suggestion.needs if geometry.thing_of(need.row) not in now]
     text = f"to get there {needed(first)}" if first else "to get there"
     if later:
         text += f"{';' if first else ''} next would come {needed(later, alone=False)}, idle now"

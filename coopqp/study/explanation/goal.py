@@ -90,12 +90,12 @@ class Room:
     @cached_property
     def _spaces(self) -> list[tuple[tuple[Row, ...], Clearance, Callable[[State], Array]]]:
         """Rows, clearances and their gradient of each limit in space."""
-        found = []
+        spaces = []
         for limit in self.limits:
             if left := limit.clearance(self.chain):
                 rows = limit.rows(self.chain)[: len(left(self._state))]
-                found.append((rows, left, _slope(limit, self.chain, self._dt, len(rows))))
-        return found
+                spaces.append((rows, left, _slope(limit, self.chain, self._dt, len(rows))))
+        return spaces
 
     @cached_property
     def rows(self) -> tuple[Row, ...]:
@@ -143,8 +143,7 @@ class Room:
 
     def violation(self, q: Array) -> float:
         """Largest violation at a configuration [rad, m]."""
-        joints = np.maximum(self.lower - q, q - self.upper).max(initial=0.0)
-        return float(max(joints, -self.at(q).min(initial=0.0)))
+        return -float(self.slack(q).min(initial=0.0))
 
     def at_bound(self, q: Array) -> list[tuple[Row, Array]]:
         """Active limits, each with the joint motion that violates it."""
@@ -191,12 +190,12 @@ def least_relaxation(
     limits: tuple[Array, Array],
     owners: NDArray[np.intp],
     costs: Sequence[float],
-    most: float = np.inf,
+    max_step: float = np.inf,
 ) -> tuple[Array, Array] | None:
     """A motion d with the cheapest relaxations r of limits, by an open solver (HiGHS).
 
         minimise    costs' r
-        subject to  A d = b,   W d - r[owners] <= left,   r >= 0,   |d_i| <= most
+        subject to  A d = b,   W d - r[owners] <= left,   r >= 0,   |d_i| <= max_step
 
     ``equal`` is A and b, ``limits`` is W and left. None where no relaxation is enough.
     """
@@ -204,28 +203,27 @@ def least_relaxation(
 
     (A, b), (W, left), n, count = equal, limits, limits[0].shape[1], len(costs)
     bounded = np.isfinite(left)
-    found = linprog(
+    result = linprog(
         np.concatenate([np.zeros(n), costs]),
         A_ub=np.hstack([W, -np.eye(count)[owners]])[bounded],
         b_ub=left[bounded],
         A_eq=np.hstack([A, np.zeros((len(A), count))]),
         b_eq=b,
-        bounds=[(-most, most)] * n + [(0.0, None)] * count,
+        bounds=[(-max_step, max_step)] * n + [(0.0, None)] * count,
     )
-    return (found.x[:n], found.x[n:]) if found.success else None
+    return (result.x[:n], result.x[n:]) if result.success else None
 
 
-def shares(found: Iterable[tuple[Row, float]]) -> tuple[Share, ...]:
+def shares(forces: Iterable[tuple[Row, float]]) -> tuple[Share, ...]:
     """The limits' shares, largest first; forces on corners or sides of one limit are summed."""
     by_thing: dict[str, list[tuple[Row, float]]] = {}
-    for row, amount in found:
+    for row, amount in forces:
         by_thing.setdefault(thing_of(row), []).append((row, amount))
     sums = [sum(amount for _, amount in own) for own in by_thing.values()]
     total = max(sum(sums), 1e-300)
     leaders = [max(own, key=lambda one: one[1])[0] for own in by_thing.values()]
-    named = [Share(row, amount / total) for row, amount in zip(leaders, sums, strict=True)]
-    large = [share for share in named if share.share >= IDLE]
-    return tuple(sorted(large, key=lambda share: -share.share))
+    every = (Share(row, amount / total) for row, amount in zip(leaders, sums, strict=True))
+    return tuple(sorted((s for s in every if s.share >= IDLE), key=lambda share: -share.share))
 
 
 def thing_of(row: Row) -> str:
@@ -377,13 +375,10 @@ class Search:
         self._bounds = (room.lower, room.upper) if room else (-far, far)
         self._steps = BoundedSteps(n, len(room.rows) if room else 0)
         self._root = np.sqrt(goal.weights)
-        tolerances = np.repeat(
-            [p.part.tolerance for p in goal.parts], [p.part.rows for p in goal.parts]
-        )
-        self._small = ENOUGH * tolerances * self._root
+        tolerances = [p.part.tolerance for p in goal.parts for _ in range(p.part.rows)]
+        self._small = ENOUGH * np.array(tolerances) * self._root
 
     def from_(self, q: Array) -> Place:
-        """Descend from a configuration."""
         x = np.clip(q, *self._bounds)
         for weight in STAGES:
             self._down(x, weight)
@@ -394,14 +389,14 @@ class Search:
 
     def best(self, q: Array) -> Place:
         """The best of several starts; the first that reaches the goal ends it."""
-        found, rng = self.from_(q), np.random.default_rng(0)
+        best, rng = self.from_(q), np.random.default_rng(0)
         for i in range(RESTARTS):
-            if found.reached:
+            if best.reached:
                 break
             other = self.from_(self._begin(rng, q, near=i % 2 == 0))
-            if other.valid and (not found.valid or self.cost(other) < self.cost(found)):
-                found = other
-        return found
+            if other.valid and (not best.valid or self.cost(other) < self.cost(best)):
+                best = other
+        return best
 
     def cost(self, place: Place) -> float:
         """The weighted sum of squares, e' W e."""

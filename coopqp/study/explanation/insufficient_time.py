@@ -19,23 +19,11 @@ from coopqp.closed_loop.screw import LENGTH
 from coopqp.model.closed_chain import AXES
 from coopqp.plant import Disturbance
 from coopqp.solver import Status
-from coopqp.study.explanation import words
+from coopqp.study.explanation import explained_phase, tick, words
 from coopqp.study.explanation.diagnosis import TooFar
-from coopqp.study.explanation.explained_phase import (
-    ExplainedPhase,
-    arrival,
-    by_rerun,
-    rerun,
-    with_suggestion,
-)
+from coopqp.study.explanation.explained_phase import ExplainedPhase, arrival, rerun
 from coopqp.study.explanation.goal import Goal, PartOfTask, Place, Room, Share, least_relaxation
-from coopqp.study.explanation.tick import (
-    PhaseTicks,
-    contradicting_rows,
-    held_up,
-    relaxed,
-    speed_share,
-)
+from coopqp.study.explanation.tick import PhaseTicks, held_up, relaxed, speed_share
 from coopqp.study.explanation.words import RunExplanation
 from coopqp.task import Task, level_of
 
@@ -88,13 +76,13 @@ def stands(phase: ExplainedPhase, *, blocked: bool) -> str:
     """Of a phase that ends at rest as not all can hold: why, and what would do; else empty."""
     if phase.causes[-1][0] is not Status.INFEASIBLE:
         return ""
-    asked = phase.problem.on_infeasible
-    if asked == "scale" or "on_infeasible" not in phase.controller.supports:
+    policy = phase.problem.on_infeasible
+    if policy == "scale" or "on_infeasible" not in phase.controller.supports:
         return f"{phase.stands_still}: not all could hold in them; --tick says what"
     after = rerun(phase, longer=True, on_infeasible="scale")
     lacking = [task.task for task in relaxed([after])]
     who = words.listed([f"'{name}'" for name in lacking]) or "loops and limits"
-    text = f"{phase.stands_still}, as on_infeasible is {asked} and {who} cannot be met in full"
+    text = f"{phase.stands_still}, as on_infeasible is {policy} and {who} cannot be met in full"
     ways = [("on_infeasible: scale", after), *(() if blocked else _calmer(phase, lacking))]
     times = [(way, arrival(done.goal(), done)) for way, done in ways if not done.missed]
     if times:
@@ -106,10 +94,10 @@ def stands(phase: ExplainedPhase, *, blocked: bool) -> str:
 def _calmer(phase: ExplainedPhase, names: Sequence[str]) -> Iterator[tuple[str, ExplainedPhase]]:
     """Reruns in which some hard tasks ask for less speed, and how."""
     tasks = phase.scenario.schedule[phase.index].tasks
-    asked = replace(phase, level=max(phase.missed[0][0].task.level, level_of("scaled", 0)))
+    strict = replace(phase, level=max(phase.missed[0][0].task.level, level_of("scaled", 0)))
     for way, slower in ("mode: scaled", False), (f"profile.duration times {SLOWER:g}", True):
         changed = [_calm(task, slower=slower) if task.name in names else task for task in tasks]
-        yield way, rerun(asked, longer=True, tasks=changed)
+        yield way, rerun(strict, longer=True, tasks=changed)
 
 
 def _calm(task: Task, *, slower: bool) -> Task:
@@ -142,11 +130,11 @@ def _too_short(
     return base.because(kind, f"{why}{gain}; {then}", held, tried=time is not None, time=time)
 
 
-def behind(phase: ExplainedPhase, found: TooFar) -> str:
+def behind(phase: ExplainedPhase, too_far: TooFar) -> str:
     """What lack of time adds to an unreachable goal, where a rerun comes to rest nearer to it."""
-    part, unit = found.part, found.part.part.unit
+    part, unit = too_far.part, too_far.part.part.unit
     error = phase.errors[part.name]
-    if error - found.distance - found.cost <= max(part.part.tolerance, FALLS * error):
+    if error - too_far.distance - too_far.cost <= max(part.part.tolerance, FALLS * error):
         return ""
     after = rerun(phase, longer=True)
     then = after.errors[part.name]
@@ -214,14 +202,14 @@ def _misled_by_model(phase: ExplainedPhase) -> str:
 
 
 def _budget(phase: ExplainedPhase, base: RunExplanation) -> RunExplanation:
-    kappa, most = phase.problem.kappa, 1.0 / phase.problem.dt
+    kappa, highest = phase.problem.kappa, 1.0 / phase.problem.dt
     text = f"the loops' budget is used up (kappa {kappa:g})"
-    if kappa >= most * (1.0 - 1e-9):
+    if kappa >= highest * (1.0 - 1e-9):
         return base.because("budget", f"{text}, although kappa is as large as it can be")
-    after = rerun(phase, kappa=most)
-    sentence = f"{text}; kappa: {most:g} would do (tried: reached)"
+    after = rerun(phase, kappa=highest)
+    sentence = f"{text}; kappa: {highest:g} would do (tried: reached)"
     if after.missed:
-        sentence = f"{text}; with kappa: {most:g} {words.stops_short(*after.missed[0])}"
+        sentence = f"{text}; with kappa: {highest:g} {words.stops_short(*after.missed[0])}"
     return base.because("budget", sentence, tried=not after.missed)
 
 
@@ -283,7 +271,7 @@ def explain_velocity(phase: ExplainedPhase, base: RunExplanation) -> RunExplanat
         return _at_the_edge(part, axes, u, base)
     held = held_up(phase, range(max(0, k - EVALUATED), k + 1))
     if held and speed_share(held) <= MOSTLY:
-        return with_suggestion(base, held, by_rerun(phase, None))
+        return explained_phase.with_suggestion(base, held, explained_phase.by_rerun(phase, None))
     why = words.slow(held) if held else "the law does not follow it"
     more = f"; it asks for {needed:.2g} times the speed there is" if needed > 1.0 else ""
     return base.because("speed", why + more, held, tasks=(part.task.name,))
@@ -326,6 +314,6 @@ def contradicting(phase: ExplainedPhase) -> tuple[str, ...]:
     own = [i for i in look.counted if stack.rows[i].owner in free]
     wanted, owners = stack.wanted[own], [stack.rows[i].owner for i in own]
     allowed = np.full(len(own), SOLVED * np.linalg.norm(wanted))
-    return contradicting_rows(
+    return tick.contradicting_rows(
         loops, np.zeros(len(loops)), stack.J[own], wanted, owners, allowed, CUT
     )

@@ -37,16 +37,10 @@ from coopqp.base.rank import null_space
 from coopqp.base.spec import Array
 from coopqp.model.state import State
 from coopqp.solver import HALTS, Budget, Status, causes_of, norm
+from coopqp.study.explanation import goal as geometry
 from coopqp.study.explanation.diagnosis import contradicting
 from coopqp.study.explanation.explained_phase import ExplainedPhase
-from coopqp.study.explanation.goal import (
-    PLACE_UNITS,
-    Share,
-    forces,
-    least_relaxation,
-    shares,
-    thing_of,
-)
+from coopqp.study.explanation.goal import Share, forces, least_relaxation, shares
 from coopqp.study.explanation.words import Relaxed, listed, percent, with_note
 from coopqp.study.tick_record import NamedBounds, TickRecord
 from coopqp.task import Mode, TaskStack
@@ -160,7 +154,7 @@ def held_up(phase: ExplainedPhase, ticks: range | None = None) -> tuple[Share, .
 
 def speed_share(shares: Sequence[Share]) -> float:
     """Share of the limits of speeds and accelerations."""
-    rates = (s for s in shares if not s.row.of_place and s.row.unit not in PLACE_UNITS)
+    rates = (s for s in shares if not s.row.of_place and s.row.unit not in geometry.PLACE_UNITS)
     return sum(share.share for share in rates)
 
 
@@ -194,9 +188,9 @@ def relaxed(phases: Sequence[ExplainedPhase]) -> tuple[Relaxed, ...]:
             off, wanted = look.look(k), look.stack.wanted
             got = wanted - off
             lacks = {task.name: 1.0 - _part_of_rate(got[own], wanted[own]) for task, own in firm}
-            most = max(lacks.values(), default=0.0) if is_relaxed else WORTH_COUNTING
-            least = min(most, WORTH_COUNTING)
-            lacks = {name: lack for name, lack in lacks.items() if lack >= least > 0.0}
+            worst = max(lacks.values(), default=0.0) if is_relaxed else WORTH_COUNTING
+            counts_from = min(worst, WORTH_COUNTING)
+            lacks = {name: lack for name, lack in lacks.items() if lack >= counts_from > 0.0}
             ticks.update(lacks.keys() if is_relaxed else ())
             missing = lacks if is_last else {}
     return tuple(
@@ -263,7 +257,7 @@ def explain(record: TickRecord) -> Explanation:
     against = _contradiction(record, tick, b, impossible)
     held = () if against else shares(tick.forces(AT_BOUND))
     answer = None if against else _relaxations(record, tick, b, open_rows)
-    found = Explanation(
+    result = Explanation(
         missed=missed_names,
         impossible=tuple(names[i] for i in impossible),
         relaxations=answer or (),
@@ -273,13 +267,13 @@ def explain(record: TickRecord) -> Explanation:
         unmet=unmet,
     )
     along = [names[i] for i in np.flatnonzero(_missed(record)) if i not in impossible]
-    return replace(found, sentence=_sentence(found, along, held, relaxed=answer is not None))
+    return replace(result, sentence=_sentence(result, along, held, relaxed=answer is not None))
 
 
 def at_bound(record: TickRecord) -> tuple[Row, ...]:
     """Active limits, each side of a joint and each limit in space once."""
     tick, _ = _rows_then(record)
-    return tuple({thing_of(row): row for row, _ in tick.at_limits(AT_BOUND)}.values())
+    return tuple({geometry.thing_of(row): row for row, _ in tick.at_limits(AT_BOUND)}.values())
 
 
 def _allowed(record: TickRecord) -> Array:
@@ -290,7 +284,6 @@ def _allowed(record: TickRecord) -> Array:
 
 
 def _missed(record: TickRecord) -> NDArray[np.bool_]:
-    """Which task rows the answer misses."""
     J = np.array(record.J).reshape(-1, len(record.answer))
     return np.asarray(np.abs(J @ record.answer - record.wanted) > _allowed(record))
 
@@ -381,32 +374,32 @@ def _relaxations(
     if result is None:
         return None
     rows = zip(tick.limit_rows, result[1].tolist(), tick.slack.tolist(), strict=False)
-    found = [
+    relaxations = [
         Relaxation(
             row.name, x * (record.dt if row.of_place else 1.0), row.unit, row.words, left < AT_BOUND
         )
         for row, x, left in rows
         if x > NOTHING
     ]
-    return tuple(sorted(found, key=lambda relaxation: -relaxation.amount))
+    return tuple(sorted(relaxations, key=lambda relaxation: -relaxation.amount))
 
 
 def _sentence(
-    found: Explanation, along: Sequence[str], held: Sequence[Share], *, relaxed: bool
+    result: Explanation, along: Sequence[str], held: Sequence[Share], *, relaxed: bool
 ) -> str:
     clauses = [
         f"{task.mode} task '{task.task}' gets {percent(task.share)} of its rate"
-        for task in found.unmet
+        for task in result.unmet
     ]
-    if found.impossible:
-        clauses.append(f"the loops alone leave no motion along {listed(found.impossible)}")
-    if found.contradicting:
-        clauses.append(f"{listed(found.contradicting)} ask for motions that rule each other out")
-    elif along and found.relaxations:
-        more = {r.name: r for r in found.relaxations}
+    if result.impossible:
+        clauses.append(f"the loops alone leave no motion along {listed(result.impossible)}")
+    if result.contradicting:
+        clauses.append(f"{listed(result.contradicting)} ask for motions that rule each other out")
+    elif along and result.relaxations:
+        more = {r.name: r for r in result.relaxations}
         now = [_with_amount(share.row.words, more.get(share.row.name)) for share in held]
-        now = now or [_with_amount(r.words, r) for r in found.relaxations if r.now]
-        coming = [r.words for r in found.relaxations if not r.now]
+        now = now or [_with_amount(r.words, r) for r in result.relaxations if r.now]
+        coming = [r.words for r in result.relaxations if not r.now]
         who = listed(["the loop", *now])
         clauses.append(f"{who} leave{'' if now else 's'} no more motion along {listed(along)}")
         if coming:
@@ -414,13 +407,14 @@ def _sentence(
     elif along and not relaxed:
         clauses.append(f"no relaxation of the limits makes {listed(along)} possible")
     elif along:
-        other = " or the least squares of its rows" if found.unmet else ", weights or a later level"
+        other = " or the least squares of its rows"
+        other = other if result.unmet else ", weights or a later level"
         clauses.append(f"{listed(along)} could be met; damping{other} gave it up")
     return "; ".join(clauses)
 
 
-def _with_amount(words: str, relaxation: Relaxation | None) -> str:
+def _with_amount(limit: str, relaxation: Relaxation | None) -> str:
     if relaxation is None or not relaxation.unit.endswith(("/s", "/s2")):
-        return words
+        return limit
     lacks = f"{relaxation.amount:.3g} {relaxation.unit} short"
-    return with_note(Row(name=words, kind="limit"), lacks)
+    return with_note(Row(name=limit, kind="limit"), lacks)

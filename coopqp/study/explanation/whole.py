@@ -23,15 +23,8 @@ from coopqp.execution.controller_run import run
 from coopqp.metrics.friction_margin import FrictionMargin
 from coopqp.scenario.scenario import Scenario
 from coopqp.solver import Status
-from coopqp.study.explanation import diagnosis, insufficient_time, words
-from coopqp.study.explanation.explained_phase import (
-    ExplainedPhase,
-    by_geometry,
-    explained_phases,
-    minimal_relaxations,
-    needed,
-    with_suggestion,
-)
+from coopqp.study.explanation import diagnosis, explained_phase, insufficient_time, words
+from coopqp.study.explanation.explained_phase import ExplainedPhase
 from coopqp.study.explanation.goal import Goal, Room, Search, placed
 from coopqp.study.explanation.tick import relaxed
 from coopqp.study.explanation.words import MissedPart, RunExplanation, listed
@@ -49,10 +42,11 @@ def explain_run(
 
     ``report`` is called now and then with the share that is done.
     """
-    found, phases = assess(trace), list(explained_phases(scenario.held_by(trace.controller), trace))
+    held = scenario.held_by(trace.controller)
+    result, phases = assess(trace), list(explained_phase.explained_phases(held, trace))
     phase = next((phase for phase in phases if phase.missed), phases[-1])
-    explained = _explained(found, phases, phase, report)
-    more = saturation_words(found, "it saturates ") if explained.kind != "motors" else ""
+    explained = _explained(result, phases, phase, report)
+    more = saturation_words(result, "it saturates ") if explained.kind != "motors" else ""
     return _sentence(explained, explained.sentence, more, _rows_in_python(phase))
 
 
@@ -77,36 +71,36 @@ def _rows_in_python(phase: ExplainedPhase) -> str:
 
 
 def _explained(
-    found: Assessment, phases: Sequence[ExplainedPhase], phase: ExplainedPhase, report: Report
+    result: Assessment, phases: Sequence[ExplainedPhase], phase: ExplainedPhase, report: Report
 ) -> RunExplanation:
     every = *phase.missed, *phase.gave_way
     missed = tuple(MissedPart(task=p.name, error=e, unit=p.part.unit) for p, e in every)
-    last = phase.first + len(phase.v) - 1
-    base = RunExplanation(controller=phase.name, phase=phase.phase_name, tick=last, missed=missed)
-    torn = any(task.torn for task in found.tasks)
-    suspect = phase.missed or torn or found.held is False
+    last, name = phase.first + len(phase.v) - 1, phase.scenario.schedule[phase.index].name
+    base = RunExplanation(controller=phase.name, phase=name, tick=last, missed=missed)
+    torn = any(task.torn for task in result.tasks)
+    suspect = phase.missed or torn or result.held is False
     if suspect and (gone := _lost(phase, base)):
         return gone
-    if unfollowed := not_followed(found):
+    if unfollowed := not_followed(result):
         return base.because("input", f"no goal counts as reached: {unfollowed}")
     if torn and not phase.missed:
-        why = f"no goal counts as reached: the loop came open by {loop_words(found)} on the way"
+        why = f"no goal counts as reached: the loop came open by {loop_words(result)} on the way"
         return base.because("open", why)
     stops = replace(base, sentence=words.stops_short(*phase.missed[0])) if phase.missed else base
-    if (phase.missed or not found.reached) and (failed := _failed(phase)):
+    if (phase.missed or not result.reached) and (failed := _failed(phase)):
         return stops.because("failed", failed)
     if strange := [words.stops_short(part, error) for part, error in every if np.isnan(error)]:
         return _sentence(replace(base, kind="failed"), stops.sentence, *strange)
     given_up = relaxed([phase] if phase.missed else phases)
-    violated = words.opened(found, phases[0].problem.kappa), words.broken(found)
+    violated = words.opened(result, phases[0].problem.kappa), words.broken(result)
     if not phase.missed:
-        return _kept(found, phases, violated, replace(base, relaxed=given_up))
+        return _kept(result, phases, violated, replace(base, relaxed=given_up))
     answer = _blocked(phase, replace(stops, relaxed=given_up), report)
     standing = "" if answer.kind == "failed" else insufficient_time.stands(phase, blocked=True)
-    names = found.at_limits(found.tasks.index(found.missed[0]))
+    names = result.at_limits(result.tasks.index(result.missed[0]))
     ends = f"it ends with {listed_limits(names)} at the limit"
     said = all(name in answer.sentence for name in names)
-    relaxed_tasks = (task.words for task in given_up)
+    relaxed_tasks = (task.sentence for task in given_up)
     gave_way = _gave_way(phase, answer)
     clauses = (standing, *gave_way, *relaxed_tasks, "" if said else ends, *violated)
     return _sentence(answer, answer.sentence, *clauses)
@@ -126,16 +120,16 @@ def _gave_way(phase: ExplainedPhase, answer: RunExplanation) -> Iterator[str]:
 
 
 def _kept(
-    found: Assessment,
+    result: Assessment,
     phases: Sequence[ExplainedPhase],
     violated: Sequence[str],
     base: RunExplanation,
 ) -> RunExplanation:
     """Of a run that reached its goals, but perhaps not as it should."""
     kind, goals = "reached", "every goal is reached"
-    if not found.succeeds:
-        kind, goals = "broken" if found.loop_closed else "open", "the goals are reached"
-    clauses = [*filter(None, violated), *(task.words for task in base.relaxed)]
+    if not result.succeeds:
+        kind, goals = "broken" if result.loop_closed else "open", "the goals are reached"
+    clauses = [*filter(None, violated), *(task.sentence for task in base.relaxed)]
     count = sum(Status.TASKS_RELAXED in causes for phase in phases for causes in phase.causes)
     if base.relaxed:
         clauses.append("--tick says why")
@@ -167,37 +161,37 @@ def _blocked(phase: ExplainedPhase, base: RunExplanation, report: Report) -> Run
         return base.because("way", why)
     if not places:
         return base.because("unplaced", "it asks for no place")
-    found = diagnosis.diagnose(goal, phase.room, phase.q[-1])
+    cause = diagnosis.diagnose(goal, phase.room, phase.q[-1])
     report(0.4)
-    if isinstance(found, diagnosis.NotBlocked):
+    if isinstance(cause, diagnosis.NotBlocked):
         if velocities:
             return insufficient_time.explain_velocity(phase, base)
-        return insufficient_time.explain(phase, goal, found.place, base)
-    if isinstance(found, diagnosis.BlockedByLimits):
-        suggestion = by_geometry(phase, goal, found, report)
-        other = found.elsewhere
-        more = [words.elsewhere(other, goal.chain)] if other else []
-        if other:
-            base = replace(base, elsewhere=tuple(other.q.tolist()))
-        return with_suggestion(base, found.shares, suggestion, *more)
-    return _by_geometry(phase, found, base)
+        return insufficient_time.explain(phase, goal, cause.place, base)
+    if isinstance(cause, diagnosis.BlockedByLimits):
+        suggestion = explained_phase.by_geometry(phase, goal, cause, report)
+        if (other := cause.elsewhere) is None:
+            return explained_phase.with_suggestion(base, cause.shares, suggestion)
+        base = replace(base, elsewhere=tuple(other.q.tolist()))
+        elsewhere = words.elsewhere(other, goal.chain)
+        return explained_phase.with_suggestion(base, cause.shares, suggestion, elsewhere)
+    return _by_geometry(phase, cause, base)
 
 
 def _by_geometry(
-    phase: ExplainedPhase, found: diagnosis.Unreachable, base: RunExplanation
+    phase: ExplainedPhase, cause: diagnosis.Unreachable, base: RunExplanation
 ) -> RunExplanation:
-    sentence = words.geometry(found, phase.missed, phase.problem.chain, ordered=phase.ordered)
-    base = replace(base, sentence="", tasks=tuple(task.name for task in found.tasks))
-    if isinstance(found, diagnosis.Elsewhere):
-        at = tuple(found.place.q.tolist())
-        return base.because("elsewhere", sentence, found.shares, elsewhere=at)
-    if isinstance(found, diagnosis.Contradiction):
-        return base.because("contradiction", sentence, any_robot=found.any_robot)
-    if isinstance(found, diagnosis.TooFewFreedoms):
+    sentence = words.geometry(cause, phase.missed, phase.problem.chain, ordered=phase.ordered)
+    base = replace(base, sentence="", tasks=tuple(task.name for task in cause.tasks))
+    if isinstance(cause, diagnosis.Elsewhere):
+        at = tuple(cause.place.q.tolist())
+        return base.because("elsewhere", sentence, cause.shares, elsewhere=at)
+    if isinstance(cause, diagnosis.Contradiction):
+        return base.because("contradiction", sentence, any_robot=cause.any_robot)
+    if isinstance(cause, diagnosis.TooFewFreedoms):
         return base.because("freedom", sentence)
-    sentence += insufficient_time.behind(phase, found)
-    way = tuple((found.gap / max(found.distance, 1e-300)).tolist()) if found.in_world else ()
-    return base.because("reach", sentence, found.shares, distance=found.distance, way=way)
+    sentence += insufficient_time.behind(phase, cause)
+    way = tuple((cause.gap / max(cause.distance, 1e-300)).tolist()) if cause.in_world else ()
+    return base.because("reach", sentence, cause.shares, distance=cause.distance, way=way)
 
 
 #: Share of a contact's capacity from which it is at its limit.
@@ -231,30 +225,30 @@ def _culprits(phase: ExplainedPhase, trace: Trace, tick: int) -> str:
     """Which hands were at the limit of their contacts first, and by what."""
     slipped = np.flatnonzero((trace.signals["slip"][: tick + 1] > SLIPPED).any(axis=1))
     k = int(slipped[0]) if len(slipped) else tick
-    found = _used_up(phase, trace, k)
+    by_reason = _used_up(phase, trace, k)
     while k > 0 and (before := _used_up(phase, trace, k - 1)):
-        k, found = k - 1, before
-    return listed([f"{why} at {listed(arms)}" for why, arms in found.items()])
+        k, by_reason = k - 1, before
+    return listed([f"{why} at {listed(arms)}" for why, arms in by_reason.items()])
 
 
 def _used_up(phase: ExplainedPhase, trace: Trace, k: int) -> dict[str, list[str]]:
     """Arms whose contact is at its limit in a tick, by why."""
-    robot, found = [arm.name for arm in phase.scenario.robot_model.arms], dict[str, list[str]]()
+    robot, by_reason = [arm.name for arm in phase.scenario.robot_model.arms], dict[str, list[str]]()
     friction, edge = (trace.signals[name][k] for name in ("friction_use", "edge_use"))
     for hand in hands(phase.problem.chain):
         if hand.contact is None:
             continue
         i = robot.index(hand.arm)
         if edge[i] >= TIPS:
-            found.setdefault("the pressure reaches the pad's edge", []).append(hand.arm)
+            by_reason.setdefault("the pressure reaches the pad's edge", []).append(hand.arm)
         elif not friction[i] < TIPS:  # NaN: nothing presses there
             modelled, factor = hand.contact.friction, phase.scenario.disturbance.friction
             there = f"friction of {modelled:g}"
             if factor != 1.0:
                 believed = f"where the controller is told {modelled:g}"
                 there = f"friction of {modelled * factor:.2g}, {believed},"
-            found.setdefault(f"{there} does not do", []).append(hand.arm)
-    return found
+            by_reason.setdefault(f"{there} does not do", []).append(hand.arm)
+    return by_reason
 
 
 def _friction(phase: ExplainedPhase) -> str:
@@ -268,10 +262,10 @@ def _friction(phase: ExplainedPhase) -> str:
 
     known = tried(1.0)
     margin = FrictionMargin().measure(known) if known else None
-    needed = 1.0 if margin is None else round(SPARE * (1.0 - margin), 2)
-    if not there < needed < 1.0 or tried(needed) is None:
+    enough = 1.0 if margin is None else round(SPARE * (1.0 - margin), 2)
+    if not there < enough < 1.0 or tried(enough) is None:
         return ""
-    return f"{needed:g} of the modelled friction instead of {there:g}"
+    return f"{enough:g} of the modelled friction instead of {there:g}"
 
 
 def _pressing(phase: ExplainedPhase) -> str:
@@ -321,19 +315,19 @@ def explain_standing(
     if not missed:
         return Standing(True, False, "at every goal" if goal.parts else "")
     short, room = words.stops_short(*missed[0]), Room(problem)
-    found = diagnosis.diagnose(goal, room, q)
-    if isinstance(found, diagnosis.NotBlocked):
+    cause = diagnosis.diagnose(goal, room, q)
+    if isinstance(cause, diagnosis.NotBlocked):
         return Standing(False, False, f"{short}; it can be reached from here")
-    if not isinstance(found, diagnosis.BlockedByLimits):
+    if not isinstance(cause, diagnosis.BlockedByLimits):
         # At one instant nobody knows which law acts, and which task it puts first.
-        sentence = words.geometry(found, missed, chain, ordered=False)
+        sentence = words.geometry(cause, missed, chain, ordered=False)
         return Standing(False, True, sentence)
-    if not rests and (nearest := goal.missed(found.place.q)):
+    if not rests and (nearest := goal.missed(cause.place.q)):
         part, error = nearest[0]
         short = f"{part.name} gets no nearer than {words.size(error, part.part.unit)}"
-    parts = [short, words.holding(found.shares)]
-    if needs := minimal_relaxations(goal, room, found):
-        parts.append(f"to get there {needed(needs)} (not tried)")
-    if found.elsewhere:
-        parts.append(words.elsewhere(found.elsewhere, chain))
+    parts = [short, words.holding(cause.shares)]
+    if needs := explained_phase.minimal_relaxations(goal, room, cause):
+        parts.append(f"to get there {explained_phase.needed(needs)} (not tried)")
+    if cause.elsewhere:
+        parts.append(words.elsewhere(cause.elsewhere, chain))
     return Standing(False, True, "; ".join(parts))

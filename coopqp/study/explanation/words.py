@@ -12,6 +12,7 @@ from coopqp.assessment import Assessment
 from coopqp.assessment.verdict import loop_words
 from coopqp.base.qp import Row
 from coopqp.base.spec import Array
+from coopqp.base.wording import counted
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.study.explanation.diagnosis import Contradiction, Elsewhere, TooFar, Unreachable
 from coopqp.study.explanation.goal import Missed, PartOfTask, Place, Share
@@ -89,18 +90,18 @@ def slow(shares: Sequence[Share]) -> str:
 
 
 def geometry(
-    found: Unreachable, missed: Sequence[Missed], chain: ClosedChain, *, ordered: bool
+    cause: Unreachable, missed: Sequence[Missed], chain: ClosedChain, *, ordered: bool
 ) -> str:
     """What keeps a chain from its goal, if not limits alone; ordered: as the law has levels."""
-    if isinstance(found, Contradiction):
-        return _contradiction(found, missed, ordered=ordered)
-    if isinstance(found, TooFar):
-        return _reach(found)
+    if isinstance(cause, Contradiction):
+        return _contradiction(cause, missed, ordered=ordered)
+    if isinstance(cause, TooFar):
+        return _reach(cause)
     short = stops_short(*missed[0])
-    if isinstance(found, Elsewhere):
-        return f"{short}; {holding(found.shares)}; {elsewhere(found.place, chain)}"
-    asks = f"{found.tasks[0].name} asks for {found.asked} motions"
-    return f"{short}; {asks}, the loops leave {found.left}"
+    if isinstance(cause, Elsewhere):
+        return f"{short}; {holding(cause.shares)}; {elsewhere(cause.place, chain)}"
+    asks = f"{cause.tasks[0].name} asks for {cause.requested} motions"
+    return f"{short}; {asks}, the loops leave {cause.left}"
 
 
 def elsewhere(place: Place, chain: ClosedChain) -> str:
@@ -116,27 +117,27 @@ def start(q: Array, chain: ClosedChain) -> str:
     return "; ".join(f"{name} [{', '.join(numbers)}]" for name, numbers in arms)
 
 
-def _reach(found: TooFar) -> str:
-    part, several, named = found.part, len(found.shares) > 1, found.shares[:MAX_NAMED]
+def _reach(cause: TooFar) -> str:
+    part, several, named = cause.part, len(cause.shares) > 1, cause.shares[:MAX_NAMED]
     text, unit = part.task.name, part.part.unit
     held = listed(_with_percents(named) if several else [share.row.words for share in named])
-    if found.cost > found.distance:
+    if cause.cost > cause.distance:
         verb = "hold" if several else "holds"
-        text = f"{held} {verb} {text} back by {size(found.cost, unit)}; beyond that it"
-    text += f" is unreachable by {size(found.distance, unit)}"
-    if found.in_world:
-        text += f" along {_direction(found.gap)}"
+        text = f"{held} {verb} {text} back by {size(cause.cost, unit)}; beyond that it"
+    text += f" is unreachable by {size(cause.distance, unit)}"
+    if cause.in_world:
+        text += f" along {_direction(cause.gap)}"
     elif part.part.name:
         text += f" of {part.part.name}"
     text += ", whatever the limits"
-    if found.in_world:
-        found.goal.look(found.nearest.q)
-        point = found.goal.state.point(np.array(getattr(part.task, "point", (0.0, 0.0, 0.0))))
+    if cause.in_world:
+        cause.goal.look(cause.nearest.q)
+        point = cause.goal.state.point(np.array(getattr(part.task, "point", (0.0, 0.0, 0.0))))
         text += f"; the nearest point is {_point(point)}"
-    if 0.0 < found.cost <= found.distance:
-        text += f"; limits cost another {size(found.cost, unit)}: {held}"
-    if found.elsewhere is not None:
-        text += f"; from another configuration {size(part.size(found.elsewhere.e), unit)}"
+    if 0.0 < cause.cost <= cause.distance:
+        text += f"; limits cost another {size(cause.cost, unit)}: {held}"
+    if cause.elsewhere is not None:
+        text += f"; from another configuration {size(part.size(cause.elsewhere.e), unit)}"
     return text
 
 
@@ -152,16 +153,16 @@ def _point(p: Array, digits: int = 3) -> str:
     return f"({', '.join(f'{x:.{digits}f}' for x in rounded)})"
 
 
-def _contradiction(found: Contradiction, missed: Sequence[Missed], *, ordered: bool) -> str:
-    where = "on any robot" if found.any_robot else "on this robot, whatever the limits"
-    text = f"{listed([task.name for task in found.tasks])} cannot hold together, {where}"
-    mine = [(part, e) for part, e in missed if part.task in found.tasks]
+def _contradiction(cause: Contradiction, missed: Sequence[Missed], *, ordered: bool) -> str:
+    where = "on any robot" if cause.any_robot else "on this robot, whatever the limits"
+    text = f"{listed([task.name for task in cause.tasks])} cannot hold together, {where}"
+    mine = [(part, e) for part, e in missed if part.task in cause.tasks]
     if not mine:
         return text
-    first = min(task.level for task in found.tasks)
+    first = min(task.level for task in cause.tasks)
     offs = [f"{part.name} stays {size(e, part.part.unit)} off" for part, e in mine]
-    before = [task.name for task in found.tasks if task.level == first]
-    if ordered and len(before) < len(found.tasks):
+    before = [task.name for task in cause.tasks if task.level == first]
+    if ordered and len(before) < len(cause.tasks):
         verb = "comes" if len(before) == 1 else "come"
         return f"{text}; {listed(before)} {verb} first, {listed(offs)}"
     sizes = {size(e, part.part.unit) for part, e in mine}
@@ -170,17 +171,17 @@ def _contradiction(found: Contradiction, missed: Sequence[Missed], *, ordered: b
     return f"{text}; {listed(offs)}"
 
 
-def opened(found: Assessment, kappa: float) -> str:
+def opened(result: Assessment, kappa: float) -> str:
     """How far the loops came open, and what corrects it; empty where they were closed."""
-    if found.loop_closed:
+    if result.loop_closed:
         return ""
     why = f"with kappa: {kappa:g} 1/s" if kappa else "kappa: 0 corrects no drift"
-    return f"the loop came open by {loop_words(found)} ({why})"
+    return f"the loop came open by {loop_words(result)} ({why})"
 
 
-def broken(found: Assessment) -> str:
+def broken(result: Assessment) -> str:
     """Limits that a run went beyond; empty where there are none."""
-    violated = [o for o in (*found.joints, *found.limits, *found.speeds) if o.farther]
+    violated = [o for o in (*result.joints, *result.limits, *result.speeds) if o.farther]
     amounts = [f"{o.row.words} by {size(o.by, o.row.unit)}" for o in violated]
     return f"beyond limits: {_first(amounts)}" if amounts else ""
 
@@ -195,8 +196,8 @@ class Relaxed:
     missing: float  # share of its rate that it lacks in the last tick
 
     @property
-    def words(self) -> str:
-        ticks = f"{self.ticks} tick{'' if self.ticks == 1 else 's'}"
+    def sentence(self) -> str:
+        ticks = counted(self.ticks, "tick")
         end = f"lacks {percent(self.missing)} of its rate" if self.missing else "is met"
         return f"{self.mode} task '{self.task}' is not met in full in {ticks} and {end} at the end"
 
@@ -259,10 +260,10 @@ class RunExplanation:
     relaxed: tuple[Relaxed, ...] = ()  # hard and scaled tasks that were not met in full on the way
 
     def because(
-        self, kind: str, words: str, shares: Sequence[Share] = (), **more: Any
+        self, kind: str, cause: str, shares: Sequence[Share] = (), **more: Any
     ) -> RunExplanation:
         """With its cause, in words after what it misses, and more attributes."""
-        sentence = f"{self.sentence}; {words}" if self.sentence else words
+        sentence = f"{self.sentence}; {cause}" if self.sentence else cause
         held = tuple(HeldBack(limit=s.row.name, words=s.row.words, share=s.share) for s in shares)
         return replace(self, kind=kind, sentence=sentence, held_back=held, **more)
 

@@ -11,16 +11,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    ValidationError,
-    ValidationInfo,
-    create_model,
-)
+import pydantic
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from coopqp.base import wording
 from coopqp.base.errors import CoopqpError, Fault, InvalidValueError, ScenarioError, unknown_name
@@ -33,7 +25,7 @@ from coopqp.scenario.form import STRICT, check, file_model
 from coopqp.scenario.loader import find
 from coopqp.scenario.yaml import MisplacedError, Wrong, YamlFile, parsed, read_yaml
 from coopqp.study.sweep import space
-from coopqp.study.sweep.space import GRID, MOST, SAMPLES, Points, Variation, needs
+from coopqp.study.sweep.space import GRID, MAX_POINTS, SAMPLES, Points, Variation, needs
 from coopqp.study.sweep.study import CONTROLLERS, SEED, Study, Varied, located, put
 
 NAMED = "needs the path of a scenario, or the name of a shipped one"
@@ -42,9 +34,9 @@ EMPTY = "is empty; needs a path of the scenario: what to vary it over"
 
 def _variation(value: Any) -> Any:
     if not isinstance(value, dict) or len(value) != 1:
-        found = f"found {len(value)} keys" if isinstance(value, dict) else "found no mapping"
+        given = f"found {len(value)} keys" if isinstance(value, dict) else "found no mapping"
         raise ValueError(
-            f"{found}; needs exactly one of {', '.join(space.KINDS)}, such as range: [0, 1]"
+            f"{given}; needs exactly one of {', '.join(space.KINDS)}, such as range: [0, 1]"
         )
     (kind,) = value
     if kind not in space.KINDS:
@@ -57,32 +49,32 @@ def _samples(value: Any) -> Any:
     if not isinstance(value, str | dict):
         raise ValueError("needs a way to sample, such as sobol: 1024, or grid")
     named = value if isinstance(value, dict) else {value: None}
-    asked = [key for key in named if key != SEED]
-    for key in asked:
+    chosen = [key for key in named if key != SEED]
+    for key in chosen:
         if key not in SAMPLES:
             raise ValueError(unknown_name("way to sample", key, SAMPLES))
-    if len(asked) != 1:
+    if len(chosen) != 1:
         ways = ", ".join((GRID, *(way for way in SAMPLES if way != GRID)))
-        raise ValueError(f"found {len(asked)}; needs exactly one of {ways}, such as sobol: 1024")
+        raise ValueError(f"found {len(chosen)}; needs exactly one of {ways}, such as sobol: 1024")
     return named
 
 
-def _metric(name: str, info: ValidationInfo) -> str:
+def _metric(name: str, info: pydantic.ValidationInfo) -> str:
     known = (info.context or {}).get("metrics")
     if known is not None and name not in known:
         raise ValueError(unknown_name("metric", name, known))
     return name
 
 
-_MANY = f"needs a whole number of 1 to {MOST:,}"
-_COUNTS = needs(lambda x: type(x) is int and 1 <= x <= MOST, _MANY)
-Count = Annotated[int, Field(ge=1, le=MOST), _COUNTS]
+_MANY = f"needs a whole number of 1 to {MAX_POINTS:,}"
+_COUNTS = needs(lambda x: type(x) is int and 1 <= x <= MAX_POINTS, _MANY)
+Count = Annotated[int, Field(ge=1, le=MAX_POINTS), _COUNTS]
 
 
-def _one_of(name: str, about: str, most: int, fields: dict[str, Any]) -> Any:
+def _one_of(name: str, about: str, max_keys: int, fields: dict[str, Any]) -> Any:
     """A model with at least one of its fields and at most so many."""
-    counts = ConfigDict(**STRICT, json_schema_extra={"minProperties": 1, "maxProperties": most})
-    return create_model(name, __config__=counts, __doc__=about, **fields)
+    counts = ConfigDict(**STRICT, json_schema_extra={"minProperties": 1, "maxProperties": max_keys})
+    return pydantic.create_model(name, __config__=counts, __doc__=about, **fields)
 
 
 _KINDS: dict[str, Any] = {
@@ -120,12 +112,6 @@ class StudyFile(BaseModel):
     )
 
     @property
-    def variations(self) -> dict[str, space.Variation]:
-        """What each path is varied over."""
-        given = ((path, dict(over), over.model_fields_set) for path, over in self.vary.items())
-        return {path: over[kind] for path, over, (kind,) in given}
-
-    @property
     def sampled(self) -> tuple[str, int]:
         """The way to sample, and how many; 0 where levels say it."""
         (way,) = self.samples.model_fields_set - {SEED}
@@ -134,9 +120,9 @@ class StudyFile(BaseModel):
 
 def schema(catalog: Catalog) -> dict[str, Any]:
     """The JSON Schema, for editors."""
-    found = StudyFile.model_json_schema()
-    found["properties"]["metrics"]["items"] = {"enum": list(catalog.entries("metrics"))}
-    vary = found["properties"]["vary"]
+    form = StudyFile.model_json_schema()
+    form["properties"]["metrics"]["items"] = {"enum": list(catalog.entries("metrics"))}
+    vary = form["properties"]["vary"]
     fields = file_model(catalog).model_fields
     # Any path is a key; editors propose those that lead to a key of the scenario itself.
     vary["properties"] = {
@@ -153,12 +139,12 @@ def schema(catalog: Catalog) -> dict[str, Any]:
         "required": ["choice"],
         "additionalProperties": False,
     }
-    return found
+    return form
 
 
 #: Measured in every study, because its page shows them.
 ALWAYS = ("reached", "task_error", "limit_margin_min", "limit_violation_max")
-MOST_TRIED = 1000  # values of a key that are checked before anything runs
+MAX_TRIED = 1000  # values of a key that are checked before anything runs
 
 
 def read_study(path: Path, catalog: Catalog | None = None) -> Study:
@@ -189,7 +175,8 @@ def _study(file: YamlFile, catalog: Catalog, scenario: YamlFile | None) -> Study
     scenario = scenario or _scenario(file, wrong)
     if not form or not scenario or wrong:
         raise MisplacedError(wrong)
-    defaults, vary = _defaults(file_model(catalog)), form.variations
+    given = ((path, dict(over), over.model_fields_set) for path, over in form.vary.items())
+    defaults, vary = _defaults(file_model(catalog)), {path: x[kind] for path, x, (kind,) in given}
     base = scenario.changed(copy.deepcopy(scenario.data))
     chosen = vary.pop(CONTROLLERS, None)
     wrong += [] if chosen is None else _controllers(chosen, base, catalog, kept=kept)
@@ -226,13 +213,13 @@ def _scenario(file: YamlFile, wrong: list[Wrong]) -> YamlFile | None:
         return None  # its form is faulted
     beside = file.path.parent / given
     try:
-        found = read_yaml(beside if beside.exists() else find(given))
+        scenario = read_yaml(beside if beside.exists() else find(given))
     except ScenarioError as error:
         wrong += [Wrong(["scenario"], str(fault)) for fault in error.faults]
         return None
-    if "vary" in found.data and "robot" not in found.data:
+    if "vary" in scenario.data and "robot" not in scenario.data:
         wrong.append(Wrong(["scenario"], f"'{given}' is a study; needs a scenario"))
-    return found
+    return scenario
 
 
 def _located(
@@ -270,14 +257,14 @@ def _controllers(
     base.data[CONTROLLERS] = chosen = list(over.values)
     if kept:
         return
-    found = [
+    refused = [
         Wrong(place, fault.message, ["choice", i])
         for i, one in enumerate(chosen)
         for fault in _faults(base.changed({**base.data, CONTROLLERS: [one]}), catalog)
         if f": {CONTROLLERS}" in fault.place
     ]
-    yield from found
-    names = [] if found else list(map(_name, chosen))
+    yield from refused
+    names = [] if refused else list(map(_name, chosen))
     for i, taken in taken_names(names):
         words = f"{taken}; give this one another, such as {{{names[i]}: {{name: other}}}}"
         yield Wrong(place, words, ["choice", i])
@@ -293,18 +280,18 @@ def _tried(
     for one in varied:
         alone = {**copy.deepcopy(scenario.data), **plain}
         located(alone, one.path, _defaults(file_model(catalog)))
-        taken, words, own = [], [], list[Wrong]()
-        for i, value in enumerate(one.over.tried()[:MOST_TRIED]):
+        taken, messages, own = [], [], list[Wrong]()
+        for i, value in enumerate(one.over.tried()[:MAX_TRIED]):
             tried = scenario.changed(put(alone, one.location, value))
             new = [fault for fault in _faults(tried, catalog) if fault.message not in known]
-            words += [fault.message for fault in new]
+            messages += [fault.message for fault in new]
             taken += [] if new else [value]
             if one.over.values is not None:
                 own += _own_faults(file, one, i, new)
         if taken:
             data = put(data, one.location, taken[0])
         elif not own:
-            own = [Wrong(["vary", one.path], words[0])]
+            own = [Wrong(["vary", one.path], messages[0])]
         refused = refused or bool(own)
         yield from own
     if not refused and (found := _faults(base.changed(data), catalog)):
@@ -339,7 +326,7 @@ def _points(form: StudyFile, varied: Sequence[Varied]) -> tuple[Points, Sequence
     if method != GRID:
         dimensions = sum(len(one.over.sides) for one in varied)
         return space.drawn(method, count, dimensions, form.samples.seed), varied
-    wrong, levels, found = list[Wrong](), list[int](), list[Varied]()
+    wrong, levels, gridded = list[Wrong](), list[int](), list[Varied]()
     for one in varied:
         own = one.over.levels(count)
         if not all(own):
@@ -347,12 +334,12 @@ def _points(form: StudyFile, varied: Sequence[Varied]) -> tuple[Points, Sequence
             advice = "levels, or say samples: {grid: LEVELS}" if some else "values: [...]"
             wrong.append(Wrong(["vary", one.path], f"has no levels for a grid; give it {advice}"))
         levels += own
-        found.append(replace(one, over=one.over.gridded(own)))
-    if math.prod(levels) > MOST:
-        words = f"the grid has {math.prod(levels):,} points; needs at most {MOST:,}"
+        gridded.append(replace(one, over=one.over.gridded(own)))
+    if (size := math.prod(levels)) > MAX_POINTS:
+        words = f"the grid has {size:,} points; needs at most {MAX_POINTS:,}"
         wrong.append(Wrong(["samples"], words))
     refuse(wrong)
-    return space.grid(levels), found
+    return Points(size, tuple(levels)), gridded
 
 
 def _defaults(model: type[BaseModel]) -> dict[str, Any]:

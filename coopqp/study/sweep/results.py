@@ -37,7 +37,7 @@ from coopqp.base.errors import CoopqpError, needs
 from coopqp.base.reading import check_plain
 from coopqp.base.spec import Array
 from coopqp.study.engine import Share
-from coopqp.study.sweep.study import DONE, Row, Study
+from coopqp.study.sweep.study import DONE, SEED, Row, Study
 
 PATTERN = "journal*.sqlite3"
 #: Journals of coopqp 0.1, with a line a variant.
@@ -95,10 +95,10 @@ def records(path: Path) -> Iterator[tuple[int, dict[str, Any] | None]]:
             last = chunk[-1][0]
 
 
-def _read(said: Any, crc: Any) -> dict[str, Any] | None:
-    if not isinstance(said, bytes) or crc32(said) != crc:
+def _read(text: Any, crc: Any) -> dict[str, Any] | None:
+    if not isinstance(text, bytes) or crc32(text) != crc:
         return None
-    found: dict[str, Any] = json.loads(said)
+    found: dict[str, Any] = json.loads(text)
     return found
 
 
@@ -159,13 +159,13 @@ class Journal:
                         journal._insert([(HEAD, head)])
                 yield journal
 
-    def append(self, said: Iterable[tuple[int | None, dict[str, Any]]]) -> None:
+    def append(self, records: Iterable[tuple[int | None, dict[str, Any]]]) -> None:
         """Write records by number, None for the next one, and see them on the disk."""
         with self._written():
-            self._insert(said)
+            self._insert(records)
 
-    def _insert(self, said: Iterable[tuple[int | None, dict[str, Any]]]) -> None:
-        texts = [(number, json.dumps(one, separators=(",", ":"))) for number, one in said]
+    def _insert(self, records: Iterable[tuple[int | None, dict[str, Any]]]) -> None:
+        texts = [(number, json.dumps(one, separators=(",", ":"))) for number, one in records]
         rows = [(number, text, crc32(text.encode())) for number, text in texts]
         self._database.executemany("INSERT OR REPLACE INTO records VALUES (?, ?, ?)", rows)
 
@@ -238,7 +238,6 @@ class Index:
 
     @property
     def done(self) -> int:
-        """Number of variants."""
         return int(self._there.sum())
 
     def missing(self, among: Sequence[int]) -> NDArray[np.int64]:
@@ -248,8 +247,8 @@ class Index:
 
     def rows(self) -> Iterator[tuple[int, list[Row]]]:
         """Each variant that is there, in order, with its rows."""
-        found = ((variant, rows) for variant, rows in self._records() if rows is not None)
-        return (one for one in found if self._there[one[0]])
+        records = self._records()
+        return ((i, rows) for i, rows in records if rows is not None and self._there[i])
 
 
 def _kind_of(value: Any) -> str:
@@ -321,7 +320,8 @@ def _rows(study: Study, index: Index, kinds: dict[str, str]) -> Iterator[list[An
     rest = list(kinds)[len(FIRST) + 1 + len(study.columns) :]
     for number, rows in index.rows():
         variant = study.variant(number)
-        values = [study.seed_of(variant), *study.parts(variant)]
+        varied = dict(zip(study.locations, variant.values, strict=True))
+        values = [varied.get((SEED,), variant.seed), *study.parts(variant)]
         for k, (controller, row) in enumerate(zip(study.controllers, rows, strict=True)):
             own = [row["state"], row["reason"], *values, *map(row.get, rest)]
             place = number * len(study.controllers) + k

@@ -17,7 +17,7 @@ import math
 import types
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from hashlib import sha256
 from typing import Annotated, Any
 
@@ -28,9 +28,9 @@ from scipy.special import ndtri
 from coopqp.base.spec import Array
 from coopqp.base.wording import shown
 
-LEAST = 2.0**-40  # u of a normal variation is between this and 1 - this
-MOST_LEVELS = 1_000_000
-MOST = 10_000_000  # points of a study
+MIN_U = 2.0**-40  # u of a normal variation is between this and 1 - this
+MAX_LEVELS = 1_000_000
+MAX_POINTS = 10_000_000  # points of a study
 CORNERS = "needs two corners, [[lows], [highs]], and levels if you like"
 #: What the samples' seed is mixed with, so that it gives other numbers than the variants' seeds.
 MIXED = 0x5A3B
@@ -77,7 +77,7 @@ class Normal:
     tries = (0.5,)
 
     def at(self, u: float) -> float:
-        return self.mean + self.deviation * float(ndtri(np.clip(u, LEAST, 1.0 - LEAST)))
+        return self.mean + self.deviation * float(ndtri(np.clip(u, MIN_U, 1.0 - MIN_U)))
 
     def levels(self, count: int) -> int:
         return 0
@@ -110,7 +110,6 @@ class Variation:
 
     sides: tuple[Interval | Normal | Listed, ...]
     numbers: int = 0  # of a value that is a list of so many; 0 where it is no list
-    boxed: bool = False  # whether each side makes one of them
 
     @property
     def values(self) -> tuple[Any, ...] | None:
@@ -124,14 +123,13 @@ class Variation:
     def at(self, u: Array) -> Any:
         """The value of numbers in [0, 1), one for each side."""
         found = [side.at(float(x)) for side, x in zip(self.sides, u, strict=True)]
-        return found if self.boxed else found[0]
+        return found if self.numbers and self.values is None else found[0]
 
     def levels(self, count: int) -> tuple[int, ...]:
         """How many levels a grid has on each side."""
         return tuple(side.levels(count) for side in self.sides)
 
     def gridded(self, levels: Sequence[int]) -> Variation:
-        """The same with levels."""
         sides = (
             replace(side, count=count) if isinstance(side, Interval) else side
             for side, count in zip(self.sides, levels, strict=True)
@@ -145,11 +143,14 @@ class Variation:
 
 @dataclass(frozen=True)
 class Points:
-    """Points of the unit cube: of a grid, with its levels, or drawn, shape (count, dimensions)."""
+    """Points of the unit cube: of a grid, with its levels, or drawn, shape (count, dimensions).
+
+    Of a grid every level comes with every other; the last dimension changes first.
+    """
 
     count: int
-    levels: tuple[int, ...]
-    drawn: Array
+    levels: tuple[int, ...] = ()
+    drawn: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     def at(self, index: int) -> Array:
         """A point, shape (dimensions,); of a grid in the middle of a level's part."""
@@ -165,22 +166,17 @@ class Points:
         return sha256(repr(self.levels).encode() + self.drawn.tobytes()).hexdigest()[:16]
 
 
-def grid(levels: Sequence[int]) -> Points:
-    """Every level with every other; the last dimension changes first."""
-    return Points(math.prod(levels), tuple(levels), np.zeros((0, 0)))
-
-
 def drawn(method: str, count: int, dimensions: int, seed: int) -> Points:
     """Points of another way to sample."""
     rng = np.random.default_rng([seed, MIXED])
     if method == "random" or not dimensions:
-        return Points(count, (), rng.random((count, dimensions)))
+        return Points(count, drawn=rng.random((count, dimensions)))
     from scipy.stats import qmc  # workers, who draw nothing, do not wait for it
 
     sampler = {"sobol": qmc.Sobol, "latin_hypercube": qmc.LatinHypercube}[method]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # counts that are not a power of two; the reader notes it
-        return Points(count, (), sampler(dimensions, seed=rng).random(count))
+        return Points(count, drawn=sampler(dimensions, seed=rng).random(count))
 
 
 #: A number as it is, so that levels between whole numbers are whole.
@@ -188,21 +184,21 @@ Number = Annotated[float, WrapValidator(lambda value, check: (check(value), valu
 Numbers = Annotated[list[Number], Field(min_length=1)]
 
 
-def needs(test: Callable[[Any], bool], words: str) -> BeforeValidator:
+def needs(test: Callable[[Any], bool], message: str) -> BeforeValidator:
     """Refuse, in words, what does not pass a test."""
 
     def check(value: Any) -> Any:
         if not test(value):
-            raise ValueError(words)
+            raise ValueError(message)
         return value
 
     return BeforeValidator(check)
 
 
-def _list(item: Any, least: int, most: int | None, words: str) -> Any:
+def _list(item: Any, lower: int, upper: int | None, message: str) -> Any:
     of_item = types.GenericAlias(list, (item,))
-    many = needs(lambda x: isinstance(x, list) and least <= len(x) <= (most or len(x)), words)
-    return Annotated[of_item, Field(min_length=least, max_length=most), many]
+    many = needs(lambda x: isinstance(x, list) and lower <= len(x) <= (upper or len(x)), message)
+    return Annotated[of_item, Field(min_length=lower, max_length=upper), many]
 
 
 def _box(given: list[Any]) -> Variation:
@@ -215,7 +211,7 @@ def _box(given: list[Any]) -> Variation:
         raise ValueError(f"needs corners of one length; found {len(low)} and {len(high)}")
     if len(listed) != len(low):
         raise ValueError(f"found {len(listed)} levels; needs {len(low)}, or one for all")
-    return Variation(tuple(map(_interval, low, high, listed)), len(low), boxed=True)
+    return Variation(tuple(map(_interval, low, high, listed)), len(low))
 
 
 def _range(given: list[Any]) -> Variation:
@@ -235,7 +231,7 @@ def _interval(low: Any, high: Any, count: Any = None) -> Interval:
         raise ValueError(f"is empty: {low:g} to {high:g}; give the least first")
     if count is None:
         return Interval(low, high)
-    if not isinstance(count, int) or not 1 <= count <= MOST_LEVELS:
+    if not isinstance(count, int) or not 1 <= count <= MAX_LEVELS:
         raise ValueError(f"found {shown(count)} levels; needs a whole number, at least 1")
     if count == 1 and low != high:
         raise ValueError("found 1 level between two numbers; needs at least 2")

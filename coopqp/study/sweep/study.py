@@ -102,11 +102,6 @@ class Study:
         child = np.random.SeedSequence(self.seed, spawn_key=(index,))
         return Variant(index, int(child.generate_state(1)[0]), tuple(values))
 
-    def seed_of(self, variant: Variant) -> Any:
-        """The scenario's in a variant; the variant's own unless it is varied."""
-        values = zip(self.varied, variant.values, strict=True)
-        return next((x for one, x in values if one.location == (SEED,)), variant.seed)
-
     def parts(self, variant: Variant) -> tuple[Any, ...]:
         """What stands in the columns; what is neither number nor text, as JSON."""
         found: list[Any] = []
@@ -197,17 +192,17 @@ def _in_list(here: list[Any], rest: str, path: str) -> tuple[list[str | int], st
         if after:
             _check_slot(_opened(here, step), after, path)
         return [step], after
-    found: list[str | int] = [i for i, item in enumerate(names) if step in item]
-    if not found and not known:
+    places: list[str | int] = [i for i, item in enumerate(names) if step in item]
+    if not places and not known:
         words = "is a list of values; needs a place in it, from [0] on"
         raise InvalidValueError(f"'{path.removesuffix(rest).rstrip('.')}' {words}")
-    if not found:
+    if not places:
         what = path.removesuffix(rest).rpartition(".")[2].rstrip("s") or "name"
         raise InvalidValueError(unknown_name(what, step, known))
-    if len(found) > 1:
-        raise InvalidValueError(f"'{step}' is the name of {len(found)} of them; needs [i] instead")
-    item = _opened(here, found[0])
-    return (found if "name" in item else [*found, next(iter(item))]), after
+    if len(places) > 1:
+        raise InvalidValueError(f"'{step}' is the name of {len(places)} of them; needs [i] instead")
+    item = _opened(here, places[0])
+    return (places if "name" in item else [*places, next(iter(item))]), after
 
 
 def _check_slot(item: Any, after: str, path: str) -> None:

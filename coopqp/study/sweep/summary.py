@@ -98,17 +98,17 @@ def success(one: NDArray[np.bool_], reference: NDArray[np.bool_]) -> Success:
 def median(one: Array, reference: Array) -> Difference:
     """Compare numbers of two controllers, shapes (n,); a NaN is no difference."""
     with np.errstate(invalid="ignore"):  # of two infinite errors
-        found = one - reference
-    found = np.sort(found[~np.isnan(found)])
-    n = len(found)
+        differences = one - reference
+    differences = np.sort(differences[~np.isnan(differences)])
+    n = len(differences)
     if not n:
         return Difference(math.nan, -math.inf, math.inf, 1.0, 0)
     low, high = -math.inf, math.inf
     if bdtr(0, n, 0.5) <= TAIL:
         outside = math.floor(bdtrik(TAIL, n, 0.5))  # so many at each end are no part of it
-        low, high = float(found[outside]), float(found[n - 1 - outside])
-    p = heads(int((found > 0.0).sum()), int((found < 0.0).sum()))
-    return Difference(float(np.median(found)), low, high, p, n)
+        low, high = float(differences[outside]), float(differences[n - 1 - outside])
+    p = heads(int((differences > 0.0).sum()), int((differences < 0.0).sum()))
+    return Difference(float(np.median(differences)), low, high, p, n)
 
 
 def heads(b: int, c: int) -> float:
@@ -230,7 +230,6 @@ def _quantiles(values: NDArray[np.float64], outer: float) -> tuple[float, float]
 
 
 def _texts(rows: Rows, codes: NDArray[np.int64], texts: list[str]) -> Iterator[tuple[str, int]]:
-    """How often each text is there."""
     counts = np.bincount(codes[rows & (codes >= 0)], minlength=len(texts))
     return zip(texts, counts.tolist(), strict=True)
 

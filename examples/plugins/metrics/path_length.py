@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import numpy as np
 
 from coopqp import Metric, Trace, spec
@@ -13,7 +11,7 @@ from coopqp import Metric, Trace, spec
 class PathLength(Metric):
     """Length of the path of the object's origin."""
 
-    unit: ClassVar[str] = "m"
+    unit = "m"
 
     def measure(self, trace: Trace) -> float:
         """Sum of the distances between the instants."""
