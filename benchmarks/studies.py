@@ -6,10 +6,10 @@
     python -m benchmarks.studies --dask --kills 10    on a scheduler and two workers that it starts,
                                                       which are killed on the way
 
-The first prints how much faster two processes do the study than one does (--jobs 1), and than a plain
-loop over its variants, which keeps no results; and what two processes without any engine reach, each
-with half of the variants: no engine can do more than that on a machine whose cores slow each other
-down. They take turns, each as often as --rounds says; the best of each counts.
+The first prints how much faster two processes do the study than one does (--jobs 1), and than a
+plain loop over its variants, which keeps no results; and what two processes without any engine
+reach, each with half of the variants: no engine can do more than that on a machine whose cores slow
+each other down. They take turns, each as often as --rounds says; the best of each counts.
 """
 
 from __future__ import annotations
@@ -138,15 +138,17 @@ def throughput(folder: Path, variants: int, jobs: int, rounds: int) -> None:
         alone = in_one_process(folder, study)
         swept, whole, here = with_engine(folder, study, jobs)
         found.append((plain, ceiling, alone, swept, whole, here))
-        print(f"plain loop {plain:.2f} s, one process {alone:.2f} s, {jobs} processes {swept:.2f} s: "
-              f"{alone / swept:.2f} times one, of at most {ceiling:.2f} without an engine")  # fmt: skip
+        print(f"plain loop {plain:.2f} s, one process {alone:.2f} s, {jobs} processes {swept:.2f} s:"
+              f" {alone / swept:.2f} times one, of {ceiling:.2f} without an engine")  # fmt: skip
     plain, alone, swept = (min(row[k] for row in found) for k in (0, 2, 3))
     ceiling = plain / min(row[0] / row[1] for row in found)
     print(f"best of {rounds}: {variants} variants of {TICKS} ticks, {jobs} processes")
     print(f"plain loop {plain:.1f} s, {1e3 * plain / variants:.2f} ms a variant")
     print(f"sweep {swept:.1f} s, {variants / swept:.0f} variants a second")
-    reached = f"{alone / swept:.2f} times one process, {plain / swept:.2f} times the plain loop"
-    print(f"that is {reached}, of at most {ceiling:.2f} times without an engine on this machine now")
+    print(
+        f"that is {alone / swept:.2f} times one process, {plain / swept:.2f} times the plain loop"
+    )
+    print(f"of at most {ceiling:.2f} times without an engine on this machine now")
     whole, here = (1e3 * min(row[k] for row in found) / variants for k in (4, 5))
     print(f"processor time a variant: {whole:.2f} ms, with the workers' start")
     print(f"of that in the process that hands out and writes: {here:.2f} ms")

@@ -128,7 +128,7 @@ def _gives_way(run: Assessment) -> str:
         far = float(trace.task_error[trace.last_instants[k], k])
         if pushed(trace, k) and far > task.tolerance and not task.torn:
             amount = _far(far, task.unit)
-            clauses.append(f"gives way {amount} to what pushes it, as '{task.name}' was asked to")
+            clauses.append(f"yields {amount} to the push, as '{task.name}' specifies")
     return "; ".join(clauses)
 
 
@@ -136,9 +136,9 @@ def not_followed(run: Assessment) -> str:
     """Why goals that are inputs are not what was sent; empty if they are."""
     if run.inputs.nothing_at:
         listed = " and ".join(run.inputs.nothing_at)
-        return f"nothing that can be used arrives at the input {listed}"
+        return f"no usable value arrives at the input {listed}"
     if run.inputs.refused_at_end:
-        return "what arrives at an input is refused to the end"
+        return "the last values at an input are refused"
     return ""
 
 
@@ -203,17 +203,18 @@ def _beyond(violation: LimitViolation) -> str:
 
 
 def _too_near(violation: LimitViolation) -> str:
-    """Two bodies that were nearer to each other than asked."""
+    """Two bodies that were nearer to each other than their limit allows."""
     row, far = violation.row, _amount(violation.by, "m")
     one, other = row.bodies
     left = row.kept - violation.by
-    what = f"{one} {far} nearer to {other} than asked"
+    what = f"{one} {far} closer to {other} than allowed"
     if left > 0.0:
         what += f" ({_round(1e3 * left)} of {_round(1e3 * row.kept)} mm left)"
     elif left < 0.0:
-        what += f", {_amount(-left, 'm')} deep in it"
+        what += f", {_amount(-left, 'm')} inside it"
     if not violation.farther:
-        return f"starts with {what} and {'ends so' if matters(violation.at_end, 'm') else 'parts'}"
+        end = "ends so" if matters(violation.at_end, "m") else "separates"
+        return f"starts with {what} and {end}"
     start = f", {_amount(violation.at_start, 'm')} at the start" if violation.at_start else ""
     return f"brings {what}{start}"
 
@@ -237,8 +238,8 @@ def _speed(run: Assessment) -> str:
     limit = run.trace.velocity[run.trace.joints.index(worst.row.joint)]
     share = 1.0 + worst.by / limit
     if share < HARDLY:
-        return f"needs {_round(100.0 * (share - 1.0))} % more speed than {worst.row.joint} has"
-    return f"needs {_round(share)} times the speed {worst.row.joint} has"
+        return f"exceeds the speed limit of {worst.row.joint} by {_round(100.0 * (share - 1.0))} %"
+    return f"needs {_round(share)} times the speed limit of {worst.row.joint}"
 
 
 def _acceleration(run: Assessment) -> str:
@@ -273,7 +274,7 @@ def _loop_offset(metrics: Mapping[str, Any]) -> str:
         apart.append(f"{_round(1e3 * orientation)} mrad")
     off = position > thresholds.CALIBRATE or orientation > thresholds.CALIBRATE_ANGLE
     advice = ": calibrate" if off else ""
-    return f"the hands are {' and '.join(apart)} apart from what the model says{advice}"
+    return f"the hands are {' and '.join(apart)} from where the model has them{advice}"
 
 
 def saturation_words(run: Assessment, verb: str) -> str:

@@ -5,7 +5,7 @@ from coopqp.metric import Array, Metric, Trace, spec
 
 @spec
 class LoopOffset(Metric):
-    """How far the hands end apart from what the model says: its calibration error."""
+    """How far the hands end from where the model has them: its calibration error."""
 
     unit = "m, rad"
 

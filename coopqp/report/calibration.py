@@ -33,7 +33,7 @@ def table(result: Calibration) -> Table:
 def sentences(result: Calibration, *, encoders: bool) -> Iterator[str]:
     """The offsets' effect, and how reliable they are."""
     yield (
-        f"The hands were {_both(result.before)} apart from what the model says (root mean square, "
+        f"The hands were {_both(result.before)} from where the model has them (root mean square, "
         f"{result.ticks} tick{'s' * (result.ticks > 1)}); with these offsets {_both(result.after)}"
         + (f", of which noise is {_both(result.noise)}." if result.ticks > 1 else ".")
     )

@@ -124,7 +124,7 @@ def _broken(controller: SimulatedController, state: State) -> str:
         i = int(fast.argmax())
         texts.append(f"{chain.joint_names[i]} is told to go {fast[i]:.3g} times its fastest speed")
     if controller.torn:
-        texts.append("the loop came open so far that no goal counts any more")
+        texts.append("the loop opened so far that no goal counts any more")
     elif not closed(state.loop_position_error, state.loop_orientation_error):
         texts.append(f"the loop is open by {size(state.loop_position_error, 'm')}")
     if not controller.command.status.usable:

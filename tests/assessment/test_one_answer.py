@@ -86,9 +86,9 @@ def test_an_input_that_nobody_feeds_reaches_nothing() -> None:
     trace = run(scenario, controller="qp")
     assert not list(disagreements(scenario, trace, drawn_too=True))
     said, kind, sentence = said_of(scenario, trace)
-    assert "nothing that can be used arrives at the input target" in said
+    assert "no usable value arrives at the input target" in said
     assert kind == "input"
-    assert "nothing that can be used arrives at the input target" in sentence
+    assert "no usable value arrives at the input target" in sentence
 
 
 def test_an_input_that_is_refused_to_the_end_reaches_nothing(tmp_path: Path) -> None:
@@ -119,7 +119,7 @@ def test_a_loop_that_nothing_corrects_opens_and_no_goal_counts_as_kept() -> None
     said, kind, sentence = said_of(scenario, trace)
     assert "lets the loop open by" in said
     assert kind == "open"
-    assert "kappa: 0 corrects no drift" in sentence
+    assert "kappa: 0, no Baumgarte stabilisation" in sentence
 
 
 def test_hands_torn_apart_reach_nothing() -> None:

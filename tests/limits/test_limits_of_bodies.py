@@ -143,7 +143,7 @@ def test_bodies_that_came_too_near_are_told_by_their_distance_left() -> None:
     pairs = obstacles.watched(scenario.chain)
     least = distances_along(scenario.chain, pairs, trace.q).min()
     far, deep = re.findall(
-        r"brings object (\d+) mm nearer to ball than asked, (\d+) mm deep", said
+        r"brings object (\d+) mm closer to ball than allowed, (\d+) mm inside", said
     )[0]
     assert float(far) == pytest.approx(1e3 * (0.02 - least), abs=0.5)
     assert float(deep) == pytest.approx(-1e3 * least, abs=0.5)
@@ -171,7 +171,8 @@ def test_a_run_that_starts_too_near_and_parts_is_told_so() -> None:
     down = PointOnPoint(name="down", goal=(start[0], start[1], start[2] - 0.03))
     found = coopqp.compare(replace(near, tasks=(down,)), controllers=["qp"])
     said = found.verdicts["qp"]
-    assert "starts with object 16 mm nearer to ball than asked (4 of 20 mm left) and parts" in said
+    near = "object 16 mm closer to ball than allowed (4 of 20 mm left)"
+    assert f"starts with {near} and separates" in said
     assert cells(found.traces["qp"], found.metrics["qp"])["limit"].bad is None
 
 

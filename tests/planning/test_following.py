@@ -183,7 +183,7 @@ def test_shoved_into_the_board_a_run_leaves_it_tick_by_tick_and_says_so(share: f
     undisturbed = coopqp.run(calm, controller="qp")
     assert astray(trace)[gone + 100 :].max() <= astray(undisturbed).max()
     assert assess(trace).reached
-    said = f"brings left/panda_link5 {-1e3 * least[deepest]:.2g} mm nearer to board than asked"
+    said = f"brings left/panda_link5 {-1e3 * least[deepest]:.2g} mm closer to board than allowed"
     assert said in ran.verdicts["qp"]
 
 

@@ -243,11 +243,11 @@ def test_the_loop_offset_is_in_the_verdict() -> None:
     metrics, said = comparison.metrics["qp"], comparison.verdicts["qp"]
     assert metrics["reached"]
     assert metrics["internal_force"]["end"] < 0.1
-    assert "the hands are 3.3 mm and 17 mrad apart from what the model says." in said
+    assert "the hands are 3.3 mm and 17 mrad from where the model has them." in said
     worse = Disturbance(encoder_offset=0.01, grasp_offset=5e-3)
     scenario = replace(comparison.scenario, plant=Kinematic(), disturbance=worse)
     said = coopqp.compare(scenario, controllers=["qp"]).verdicts["qp"]
-    assert "apart from what the model says: calibrate" in said
+    assert "from where the model has them: calibrate" in said
 
 
 # Scenario files

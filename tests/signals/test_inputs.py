@@ -143,7 +143,7 @@ def test_a_goal_that_was_never_heard_of_is_not_reached(tmp_path: Path) -> None:
     for found, refused_in in ((fed, 2), (silent, 0)):
         metrics, verdict = found.metrics["qp"], found.verdicts["qp"]
         assert not metrics["reached"]
-        assert verdict.startswith("Reaches no goal: nothing that can be used arrives at the input")
+        assert verdict.startswith("Reaches no goal: no usable value arrives at the input")
         assert metrics["input_ticks"]["refused"] == refused_in
         assert metrics["input_ticks"]["stale"] == metrics["ticks"] == 200
         assert "has an input stale in 200 of 200 ticks" in verdict
@@ -159,7 +159,7 @@ def test_a_goal_that_is_refused_to_the_end_is_not_reached() -> None:
     found = compare(scenario, controllers=["qp"])
     assert found.metrics["qp"]["input_ticks"]["refused"] == 199
     assert not found.metrics["qp"]["reached"]
-    assert "Reaches no goal: what arrives at an input is refused to the end" in found.verdicts["qp"]
+    assert "Reaches no goal: the last values at an input are refused" in found.verdicts["qp"]
 
 
 def test_inputs_that_are_followed_are_none_of_a_verdicts_business() -> None:

@@ -34,7 +34,7 @@ def test_a_lost_object_is_said_first_and_what_is_advised_holds_it() -> None:
     found = explained(scenario, "torque_qp")
     assert found.kind == "lost"
     assert found.sentence.startswith("the object is lost at ")
-    assert "friction of 0.2, where the controller is told 0.5" in found.sentence
+    assert "friction coefficient 0.2 (modelled as 0.5)" in found.sentence
     assert "left/arm" in found.sentence
     assert "hold it back" not in found.sentence  # no limit of a joint is spoken of
     assert found.tried

@@ -149,7 +149,7 @@ def test_what_would_do_for_a_hard_task_is_no_matter_of_soft_ones() -> None:
     """A soft height that contradicts the hard point; the same limits help the point."""
     height = PointOnPlane(name="height", normal=(0, 0, 1), through=(0.1, 0, 0.05), priority=2)
     alone, beside = relaxation_for(()), relaxation_for((height,))
-    would = "to get there RShoulderRoll (upper) would need 0.13 rad more"
+    would = "to reach the goal, relax RShoulderRoll (upper) by 0.13 rad"
     assert would in alone
     assert would in beside
     assert "(tried: reached)" in alone

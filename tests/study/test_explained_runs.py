@@ -81,14 +81,14 @@ def test_a_run_that_is_too_short_blames_nobody() -> None:
     task = replace(REACH, gain=2.0, profile=STEP)
     found = explained(nao(task, duration=1.0))
     assert (found.kind, found.tried, found.held_back) == ("short", True, ())
-    assert "nothing is in the way; the run ends too early" in found.sentence
+    assert "no limit is active; the run is too short" in found.sentence
 
 
 def test_a_twist_that_is_too_fast_is_told_by_how_much() -> None:
     scenario = nao(Twist(name="tele", velocity={"z": 2.0}), duration=0.3)
     found = explained(scenario)
     assert found.kind == "speed"
-    assert "times the speed there is" in found.sentence
+    assert "times the available speed" in found.sentence
     assert all(held.words.startswith("velocity of ") for held in found.held_back)
 
 
@@ -169,7 +169,7 @@ def test_no_goal_counts_as_reached_where_the_loop_came_open() -> None:
     far = run(scenario, controller="pseudoinverse").loop_position.max()
     assert far > 0.1
     assert found.kind == "open"
-    assert f"open by {1e3 * far:.3g} mm" in found.sentence
+    assert f"opened by {1e3 * far:.3g} mm" in found.sentence
 
 
 def test_limits_are_as_wide_in_later_phases_as_in_the_first() -> None:
@@ -216,7 +216,7 @@ def test_a_robot_beside_its_scenario_is_found_again(
     said = typed("explain", out)
     assert said.exit_code == 0
     assert "rail (upper)" in said.output
-    assert "mm more (tried: reached)" in said.output
+    assert "mm (tried: reached)" in said.output
     assert of_case("gantry").kind == "reached"
 
 

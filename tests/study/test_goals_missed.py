@@ -159,7 +159,7 @@ def test_a_pose_asks_for_more_than_firm_hands_leave() -> None:
     pose = Pose(name="carry", goal=PoseValue(position=(0.175, 0.008, 0.02), rpy_deg=(-9, 12, 0)))
     found = explained(nao(pose))
     assert found.kind == "freedom"
-    assert "carry asks for 6 motions, the loops leave 4" in found.sentence
+    assert "carry needs 6 degrees of freedom, the loops leave 4" in found.sentence
 
 
 @pytest.mark.parametrize(("speed", "said"), [(0.2, "it keeps moving"), (1e-6, "it rests")])

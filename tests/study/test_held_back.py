@@ -178,8 +178,8 @@ def test_a_wall_is_named_alone_in_millimetres_and_moved_as_a_whole() -> None:
     (need,) = found.needed
     assert need.unit == "m"
     assert 0.01 < need.amount < 0.0125  # 5 % and half a millimetre more, rounded up
-    assert "the wall, point (0, 0, 0) of the object holds it back alone" in found.sentence
-    assert "mm more room (tried: reached)" in found.sentence
+    assert "the wall, point (0, 0, 0) of the object alone holds it back" in found.sentence
+    assert "mm (tried: reached)" in found.sentence
 
 
 def test_bodies_that_would_have_to_sink_into_each_other_are_not_called_curable() -> None:

@@ -48,7 +48,7 @@ def test_what_the_model_gets_wrong_is_not_blamed_on_the_law(tmp_path: Path) -> N
     scenario = replace(given, duration=2.5, plant=plant, disturbance=wrong)
     found = explained(scenario, tmp_path)
     assert found.kind == "model", found.sentence
-    assert "what the model gets wrong" in found.sentence
+    assert "the model's errors are the cause" in found.sentence
 
 
 @pytest.mark.full
@@ -83,5 +83,5 @@ def test_a_load_heavier_than_told_asks_for_its_mass(tmp_path: Path) -> None:
         disturbance=Disturbance(object_mass=6.0),
     )
     sentence = explained(scenario, tmp_path).sentence
-    assert "the object is heavier than told: with object.mass 6 the goal is reached" in sentence
+    assert "the object is heavier than modelled: with object.mass 6 the goal is reached" in sentence
     assert "calibrate" not in sentence

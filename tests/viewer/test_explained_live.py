@@ -110,7 +110,7 @@ def test_the_limit_that_stops_it_is_named_with_what_it_would_have_to_give() -> N
     off = np.linalg.norm(player.controllers[0].state.p_WO - (0.13, 0.05, 0.13))
     assert short == pytest.approx(1e3 * off, rel=5e-3)
     assert "LElbowRoll (lower" in found.sentence
-    amounts = dict(re.findall(r"(\w+) \(\w+\) (?:would need )?([\d.]+) rad more", found.sentence))
+    amounts = dict(re.findall(r"(\w+) \(\w+\) by ([\d.]+) rad", found.sentence))
     assert "LElbowRoll (lower)" in found.active
     # With so much more room the law gets there: tried here by hand, in a run of its own.
     scenario = load("point_on_point")

@@ -121,7 +121,7 @@ def test_two_browsers_one_goes_and_comes_back_and_the_end_is_one_line(
     first.crash()
     second.drag(0.13, 0.05, 0.13)
     back = Browser(url)
-    back.until(lambda: "LElbowRoll (lower" in back.words and "rad more" in back.words)
+    back.until(lambda: "LElbowRoll (lower" in back.words and "relax " in back.words)
     assert back.gizmo == pytest.approx((0.13, 0.05, 0.13))
     os.killpg(playing.pid, signal.SIGINT)  # as a terminal does: to all processes
     back.until(lambda: "coopqp play has ended" in back.words)

@@ -411,13 +411,13 @@ def with_suggestion(
 
 def _suggested(suggestion: SuggestedRelaxation | None, shares: Sequence[Share]) -> str:
     if suggestion is None:
-        return "even without limits of place the law does not get there"
+        return "even without position limits the controller does not reach the goal"
     now = {geometry.thing_of(share.row) for share in shares}
     first = [need for need in suggestion.needs if geometry.thing_of(need.row) in now]
     later = [need for need in suggestion.needs if geometry.thing_of(need.row) not in now]
-    text = f"to get there {needed(first)}" if first else "to get there"
-    if later:
-        text += f"{';' if first else ''} next would come {needed(later, alone=False)}, idle now"
+    text = f"to reach the goal, relax {needed(first or later)}"
+    if first and later:
+        text += f", and then {needed(later)}, inactive now"
     if suggestion.after is None:
         why = "no setting gives so much"
         if name := suggestion.untried:
@@ -426,17 +426,15 @@ def _suggested(suggestion: SuggestedRelaxation | None, shares: Sequence[Share]) 
         return f"{text} (not tried: {why})"
     if suggestion.after.missed:
         return f"{text}; tried, but then {words.stops_short(*suggestion.after.missed[0])}"
-    time = "" if suggestion.time is None else f" and the run {suggestion.time:.3g} s"
+    time = "" if suggestion.time is None else f", and run for {suggestion.time:.3g} s"
     others = [f"; {words.stops_short(*late)}" for late in suggestion.after.gave_way[:1]]
     return f"{text}{time} (tried: reached{''.join(others)})"
 
 
-def needed(needs: Sequence[Violation], *, alone: bool = True) -> str:
-    """Limits with their relaxations; the verb with the first."""
-    clauses: list[str] = []
+def needed(needs: Sequence[Violation]) -> str:
+    """Limits with their relaxations."""
+    clauses = []
     for need in needs:
         name = need.row.words if need.limit is None else need.row.owner.replace("_", " ")
-        amount = words.size(need.amount, need.row.unit)
-        verb = "would need " if alone and not clauses else ""
-        clauses.append(f"{name} {verb}{amount} more{'' if need.limit is None else ' room'}")
+        clauses.append(f"{name} by {words.size(need.amount, need.row.unit)}")
     return words.listed(clauses)

@@ -45,7 +45,7 @@ def explain(
     """Why, with a rerun that shows it, although there is a place at the goal inside the limits."""
     goal.look(phase.q[-1])
     if goal.miss <= 1.0:
-        sentence = "by its model it has arrived; the rest is what the model gets wrong"
+        sentence = "by the model it has arrived; the remaining error is the model's"
         return base.because("model", sentence)
     if standing := stands(phase, blocked=False):
         return base.because("failed", standing)
@@ -117,12 +117,12 @@ def _too_short(
     *,
     slow: bool,
 ) -> RunExplanation:
-    why = words.slow(held) if slow else "nothing is in the way; the run ends too early"
+    why = words.slow(held) if slow else "no limit is active; the run is too short"
     task = phase.missed[0][0].task
     gain = "" if slow or task.impedance else f" (gain {task.gain:g} 1/s)"
     time = None if after.missed else arrival(goal, after)
     then = (
-        f"{time:.3g} s instead of {phase.t_end:.3g} s would do (tried: reached)"
+        f"{time:.3g} s instead of {phase.t_end:.3g} s is enough (tried: reached)"
         if time is not None
         else f"after {after.t_end:.3g} s {words.stops_short(*after.missed[0])}"
     )
@@ -148,7 +148,7 @@ def behind(phase: ExplainedPhase, too_far: TooFar) -> str:
 
 def _rests(phase: ExplainedPhase, place: Place, held: Sequence[Share]) -> str:
     if not phase.problem.limits:
-        return "it rests there, although the goal is in reach"
+        return "it rests there, although the goal is reachable"
     ends = "it rests" if rests(phase.v[-1]) else "it keeps moving"  # as where a reference goes on
     why = f"{words.holding(held)}, and {ends}" if held else ends
     at = words.start(place.q, phase.problem.chain)
@@ -194,11 +194,11 @@ def _misled_by_model(phase: ExplainedPhase) -> str:
     mass, right = known.object_mass * held.mass, replace(known, object_mass=1.0)
     if right != known and reaches(disturbance=right, held=replace(held, mass=mass)):
         way = "heavier" if mass > held.mass else "lighter"
-        return f"the object is {way} than told: with object.mass {mass:.3g} {reached}"
+        return f"the object is {way} than modelled: with object.mass {mass:.3g} {reached}"
     if known.push and reaches(disturbance=replace(known, push=None)):
         return f"a push holds it away: without it {reached}"
-    why = f"this is what the model gets wrong: without the disturbance {reached}"
-    return f"{why}; 'coopqp calibrate' may find out what"
+    why = f"the model's errors are the cause: without the disturbance {reached}"
+    return f"{why}; 'coopqp calibrate' may identify them"
 
 
 def _budget(phase: ExplainedPhase, base: RunExplanation) -> RunExplanation:
@@ -207,7 +207,7 @@ def _budget(phase: ExplainedPhase, base: RunExplanation) -> RunExplanation:
     if kappa >= highest * (1.0 - 1e-9):
         return base.because("budget", f"{text}, although kappa is as large as it can be")
     after = rerun(phase, kappa=highest)
-    sentence = f"{text}; kappa: {highest:g} would do (tried: reached)"
+    sentence = f"{text}; kappa: {highest:g} is enough (tried: reached)"
     if after.missed:
         sentence = f"{text}; with kappa: {highest:g} {words.stops_short(*after.missed[0])}"
     return base.because("budget", sentence, tried=not after.missed)
@@ -240,10 +240,10 @@ def _gives_way(phase: ExplainedPhase, goal: Goal, base: RunExplanation) -> RunEx
         unit, way = ("N m", "about") if turns[i] else ("N", "along")
         loads.append(f"{forces[i]:.3g} {unit} {way} {axes[i].removeprefix('rot_')}")
     bear = words.listed(loads)
-    why = f"it gives way as asked: its springs bear {bear} there, and move by F/K"
+    why = f"it yields as specified: its springs carry {bear} there, and deflect by F/K"
     if misled := _misled_by_model(phase):
         return base.because("model", f"{why}; {misled}", tried=True)
-    others = "that is a push, a weight that is wrong, or another task that pulls"
+    others = "that is a push, a wrong mass, or another task that pulls"
     return base.because("springs", f"{why}; {others}")
 
 
@@ -272,8 +272,8 @@ def explain_velocity(phase: ExplainedPhase, base: RunExplanation) -> RunExplanat
     held = held_up(phase, range(max(0, k - EVALUATED), k + 1))
     if held and speed_share(held) <= MOSTLY:
         return explained_phase.with_suggestion(base, held, explained_phase.by_rerun(phase, None))
-    why = words.slow(held) if held else "the law does not follow it"
-    more = f"; it asks for {needed:.2g} times the speed there is" if needed > 1.0 else ""
+    why = words.slow(held) if held else "the controller does not follow it"
+    more = f"; it needs {needed:.2g} times the available speed" if needed > 1.0 else ""
     return base.because("speed", why + more, held, tasks=(part.task.name,))
 
 

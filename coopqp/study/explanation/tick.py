@@ -249,7 +249,7 @@ def explain(record: TickRecord) -> Explanation:
         return Explanation((), (), (), f"the tick stands still: {causes[0].value}")
     missed = _missed(record)
     if not missed.any():
-        return Explanation((), (), (), "nothing was in the way: every task row was met")
+        return Explanation((), (), (), "every task row was met")
     missed_names = tuple(record.task_rows[i].name for i in np.flatnonzero(missed))
     unmet, record = _unmet(record, missed), _until_missed(record, missed)
     tick, b = _rows_then(record)
@@ -403,7 +403,7 @@ def _sentence(
         who = listed(["the loop", *now])
         clauses.append(f"{who} leave{'' if now else 's'} no more motion along {listed(along)}")
         if coming:
-            clauses.append(f"next would come {listed(coming)}")
+            clauses.append(f"the next limits would be {listed(coming)}")
     elif along and not relaxed:
         clauses.append(f"no relaxation of the limits makes {listed(along)} possible")
     elif along:

@@ -84,7 +84,7 @@ def _explained(
     if unfollowed := not_followed(result):
         return base.because("input", f"no goal counts as reached: {unfollowed}")
     if torn and not phase.missed:
-        why = f"no goal counts as reached: the loop came open by {loop_words(result)} on the way"
+        why = f"no goal counts as reached: the loop opened by {loop_words(result)} on the way"
         return base.because("open", why)
     stops = replace(base, sentence=words.stops_short(*phase.missed[0])) if phase.missed else base
     if (phase.missed or not result.reached) and (failed := _failed(phase)):
@@ -243,11 +243,10 @@ def _used_up(phase: ExplainedPhase, trace: Trace, k: int) -> dict[str, list[str]
             by_reason.setdefault("the pressure reaches the pad's edge", []).append(hand.arm)
         elif not friction[i] < TIPS:  # NaN: nothing presses there
             modelled, factor = hand.contact.friction, phase.scenario.disturbance.friction
-            there = f"friction of {modelled:g}"
+            there = f"the friction coefficient {modelled * factor:.2g}"
             if factor != 1.0:
-                believed = f"where the controller is told {modelled:g}"
-                there = f"friction of {modelled * factor:.2g}, {believed},"
-            by_reason.setdefault(f"{there} does not do", []).append(hand.arm)
+                there += f" (modelled as {modelled:g})"
+            by_reason.setdefault(f"{there} is too low", []).append(hand.arm)
     return by_reason
 
 
@@ -327,7 +326,7 @@ def explain_standing(
         short = f"{part.name} gets no nearer than {words.size(error, part.part.unit)}"
     parts = [short, words.holding(cause.shares)]
     if needs := explained_phase.minimal_relaxations(goal, room, cause):
-        parts.append(f"to get there {explained_phase.needed(needs)} (not tried)")
+        parts.append(f"to reach the goal, relax {explained_phase.needed(needs)} (not tried)")
     if cause.elsewhere:
         parts.append(words.elsewhere(cause.elsewhere, chain))
     return Standing(False, True, "; ".join(parts))

@@ -79,14 +79,14 @@ def holding(shares: Sequence[Share]) -> str:
     if not shares:
         return "the limits hold it back"
     if len(shares) == 1:
-        return f"{shares[0].row.words} holds it back alone"
-    return f"{_first(_with_percents(shares, ' of the force'))} hold it back"
+        return f"{shares[0].row.words} alone holds it back"
+    return f"{_first(_with_percents(shares, ' of the constraint force'))} hold it back"
 
 
 def slow(shares: Sequence[Share]) -> str:
-    """Speeds that hold up."""
-    verb = "holds" if len(shares) == 1 else "hold"
-    return f"{listed(_with_percents(shares[:MAX_NAMED]))} {verb} it up"
+    """Speed limits that slow it down, with their shares."""
+    verb = "slows" if len(shares) == 1 else "slow"
+    return f"{listed(_with_percents(shares[:MAX_NAMED]))} {verb} it down"
 
 
 def geometry(
@@ -100,8 +100,8 @@ def geometry(
     short = stops_short(*missed[0])
     if isinstance(cause, Elsewhere):
         return f"{short}; {holding(cause.shares)}; {elsewhere(cause.place, chain)}"
-    asks = f"{cause.tasks[0].name} asks for {cause.requested} motions"
-    return f"{short}; {asks}, the loops leave {cause.left}"
+    needs = f"{cause.tasks[0].name} needs {cause.requested} degrees of freedom"
+    return f"{short}; {needs}, the loops leave {cause.left}"
 
 
 def elsewhere(place: Place, chain: ClosedChain) -> str:
@@ -172,11 +172,11 @@ def _contradiction(cause: Contradiction, missed: Sequence[Missed], *, ordered: b
 
 
 def opened(result: Assessment, kappa: float) -> str:
-    """How far the loops came open, and what corrects it; empty where they were closed."""
+    """How far the loops opened, and what corrects it; empty where they were closed."""
     if result.loop_closed:
         return ""
-    why = f"with kappa: {kappa:g} 1/s" if kappa else "kappa: 0 corrects no drift"
-    return f"the loop came open by {loop_words(result)} ({why})"
+    why = f"kappa {kappa:g} 1/s" if kappa else "kappa: 0, no Baumgarte stabilisation"
+    return f"the loop opened by {loop_words(result)} ({why})"
 
 
 def broken(result: Assessment) -> str:
