@@ -138,8 +138,8 @@ def throughput(folder: Path, variants: int, jobs: int, rounds: int) -> None:
         alone = in_one_process(folder, study)
         swept, whole, here = with_engine(folder, study, jobs)
         found.append((plain, ceiling, alone, swept, whole, here))
-        print(f"plain loop {plain:.2f} s, one process {alone:.2f} s, {jobs} processes {swept:.2f} s:"
-              f" {alone / swept:.2f} times one, of {ceiling:.2f} without an engine")  # fmt: skip
+        print(f"loop {plain:.2f} s, one process {alone:.2f} s, {jobs} processes {swept:.2f} s: "
+              f"{alone / swept:.2f} times one, of {ceiling:.2f} without an engine")  # fmt: skip
     plain, alone, swept = (min(row[k] for row in found) for k in (0, 2, 3))
     ceiling = plain / min(row[0] / row[1] for row in found)
     print(f"best of {rounds}: {variants} variants of {TICKS} ticks, {jobs} processes")
