@@ -30,8 +30,6 @@ from coopqp.base.spec import Array, NonNegative, Positive, spec
 from coopqp.closed_loop.constraint_equations import motor_indices
 from coopqp.model.closed_chain import ClosedChain
 
-_NOTHING = np.zeros(0)
-
 
 @spec
 class Friction:
@@ -245,10 +243,8 @@ class ClosedLoopDynamics:
         self._wrench[:] = 0.0
         self._wrench[self.kept] = wrench
         self._tau[act] = Gamma_a - wrench.dot(J_a)
-        undone = Gamma_p - wrench.dot(J_p) if singular else _NOTHING
-        return InverseResult(
-            self._tau, self._wrench, singular, float(np.abs(undone).max(initial=0.0))
-        )
+        undone = np.abs(Gamma_p - wrench.dot(J_p)) if singular else np.zeros(1)
+        return InverseResult(self._tau, self._wrench, singular, float(undone.max(initial=0.0)))
 
     def null_space(self) -> Array:
         """Orthonormal basis N of the null space of J_c as of the last update, shape (n, f)."""

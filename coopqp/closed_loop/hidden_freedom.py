@@ -50,7 +50,7 @@ class HiddenFreedom:
         """Whether the start alone hides it: closed loops have the freedom."""
         return not self.taken and max(self.walk) < 10.0 * EXACT
 
-    def words(self) -> str:
+    def describe(self) -> str:
         """The fault and its remedy in words."""
         closes = f"the start closes the loops only to {_sizes(*self.start)}"
         if self.taken:
@@ -84,7 +84,7 @@ def hidden_freedom(chain: ClosedChain) -> HiddenFreedom | None:
     if not chain.loops.rank or _resisting(chain, chain.q_start) >= chain.loops.rank:
         return None
     poses = list(_walk(chain))
-    errors = np.array([_error(chain, q) for q in poses])
+    errors = np.array([chain.loop_error_sizes(q) for q in poses])
     resisting = max(_resisting(chain, q) for q in poses)
     position, orientation = errors.max(axis=0).tolist()
     closed = position <= CLOSED_POSITION and orientation <= CLOSED_ORIENTATION
@@ -94,7 +94,7 @@ def hidden_freedom(chain: ClosedChain) -> HiddenFreedom | None:
     way = np.ptp(poses, axis=0)
     joint = int(way.argmax())
     return HiddenFreedom(
-        start=_error(chain, chain.q_start),
+        start=chain.loop_error_sizes(chain.q_start),
         walk=(position, orientation),
         rank=chain.loops.rank,
         resisting=resisting,
@@ -137,22 +137,11 @@ def _walk(chain: ClosedChain) -> Iterator[Array]:
 
 
 def _resisting(chain: ClosedChain, q: Array) -> int:
-    """How many rows constrain motions."""
     values = np.linalg.svd(scaled(chain.loop_jacobian(q)), compute_uv=False)
     return int(np.sum(values > SLACK))
 
 
-def _error(chain: ClosedChain, q: Array) -> tuple[float, float]:
-    """Largest error of the loops [m, rad]."""
-    errors = chain.loop_error(q).reshape(-1, 2, 3)
-    position, orientation = np.linalg.norm(errors, axis=2).max(axis=0).tolist()
-    return position, orientation
-
-
-def _sizes(position: float, orientation: float) -> str:
-    return f"{_size(position)} mm and {_size(orientation)} mrad"
-
-
-def _size(value: float) -> str:
-    """In thousandths, rounded up to ``RESOLUTION``."""
-    return f"{1e3 * value:.2g}" if value >= RESOLUTION else f"{1e3 * RESOLUTION:g}"
+def _sizes(*errors: float) -> str:
+    """Of position and orientation, at least ``RESOLUTION``."""
+    mm, mrad = (f"{1e3 * x:.2g}" if x >= RESOLUTION else f"{1e3 * RESOLUTION:g}" for x in errors)
+    return f"{mm} mm and {mrad} mrad"

@@ -79,7 +79,7 @@ class Mobility:
     schemes_total: int  # number of choices of f among the actuated joints
     schemes: tuple[Scheme, ...]  # those that were tried, best first
     schemes_complete: bool  # whether these are all
-    asked: Scheme | None  # that the user asked about
+    requested: Scheme | None  # that the user asked about
     hidden: HiddenFreedom | None = None  # the freedom that rounded values hide, if they hide one
 
     @property
@@ -115,7 +115,7 @@ def mobility(
     chain: ClosedChain,
     *,
     task_rows: Sequence[tuple[str, Array]] = (),
-    asked: Sequence[str] | None = None,
+    requested: Sequence[str] | None = None,
     samples: int = 24,
     seed: int = 0,
 ) -> Mobility:
@@ -124,12 +124,12 @@ def mobility(
     Args:
         chain: the closed chain, at its start.
         task_rows: name and Jacobian (k, n) of each task at the start.
-        asked: an actuation scheme to report on.
+        requested: an actuation scheme to report on.
         samples: number of generic poses.
         seed: of the generic poses.
 
-    UnknownNameError, InvalidValueError: ``asked`` is no scheme of this chain. InvalidValueError: a
-    task's rows do not fit the joints, no sample, or a negative seed.
+    UnknownNameError, InvalidValueError: ``requested`` is no scheme of this chain.
+    InvalidValueError: a task's rows do not fit the joints, no sample, or a negative seed.
     """
     for name, J in task_rows:
         if np.shape(J)[1:] != (chain.n,):
@@ -147,7 +147,7 @@ def mobility(
     regular = [pose for pose, r in zip(poses, ranks, strict=True) if r == rank]
     total = math.comb(len(active), chain.n - rank)
     schemes = _schemes(chain, active, regular, start, chain.n - rank)
-    asked_index = scheme(chain, asked) if asked is not None else None
+    choice = scheme(chain, requested) if requested is not None else None
     tasks = [_of_task(name, J, start) for name, J in task_rows]
     together = _of_task("", np.vstack([np.zeros((0, chain.n)), *(J for _, J in task_rows)]), start)
     return Mobility(
@@ -172,7 +172,7 @@ def mobility(
         schemes_total=total,
         schemes=schemes,
         schemes_complete=total <= MAX_SCHEMES,
-        asked=_rate(chain, [asked_index], regular, start)[0] if asked_index else None,
+        requested=_rate(chain, [choice], regular, start)[0] if choice else None,
         hidden=hidden_freedom(chain),
     )
 
@@ -285,7 +285,7 @@ def _sentences(m: Mobility) -> list[str]:
         f"object can move in {m.object_freedom} of 6 directions."
     ]
     if m.hidden:
-        words = m.hidden.words()
+        words = m.hidden.describe()
         said.append(f"{words[0].upper()}{words[1:]}.")
     if m.freedom > m.object_freedom:
         more = m.freedom - m.object_freedom
@@ -307,8 +307,8 @@ def _sentences(m: Mobility) -> list[str]:
             )
     if m.tasks_rows:
         said.append(_about_tasks(m))
-    if m.asked:
-        said.append(_about_scheme(m.asked))
+    if m.requested:
+        said.append(_about_scheme(m.requested))
     return said
 
 

@@ -133,6 +133,7 @@ class ClosedChain:
         self.upper = np.array(self.model.upperPositionLimit)
         self.velocity = np.array(self.model.velocityLimit)
         self._made: dict[Callable[[ClosedChain], Any], Any] = {}
+        self._spare: list[pin.Data] = []  # memory that nobody uses now
         for kept in (
             self.alpha, self.mixing, self.lower, self.upper, self.velocity, self.passive
         ):  # fmt: skip
@@ -184,7 +185,7 @@ class ClosedChain:
         return other
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**vars(self), "_made": {}}  # made again where it is asked for
+        return {**vars(self), "_made": {}, "_spare": []}  # made again where it is asked for
 
     def once(self, make: Callable[[ClosedChain], Made]) -> Made:
         """What ``make`` makes, once for all chains that differ in start and object alone."""
@@ -246,15 +247,14 @@ class ClosedChain:
     @contextmanager
     def _data(self) -> Iterator[pin.Data]:
         """Pinocchio's memory for one computation; used again, for its pages cost more than that."""
-        spare = self.once(_spare)
         try:
-            data = spare.pop()
+            data = self._spare.pop()
         except IndexError:  # asked for, not looked for: another thread may take it in between
             data = self.model.createData()
         try:
             yield data
         finally:
-            spare.append(data)
+            self._spare.append(data)
 
     @cached_property
     def reach(self) -> float:
@@ -264,8 +264,7 @@ class ClosedChain:
             carried = self._carried(self.q_start, data)
             for X, (joints, slides) in zip(carried, self.once(_ways), strict=True):
                 places = [*(data.oMi[j].translation for j in joints), X.translation]
-                steps = np.diff(np.array(places), axis=0)
-                way = float(np.sqrt(np.square(steps).sum(axis=1)).sum())
+                way = float(np.linalg.norm(np.diff(np.array(places), axis=0), axis=1).sum())
                 longest = max(longest, way + 1.0 if slides else way)
         return longest
 
@@ -319,7 +318,6 @@ class ClosedChain:
         return rng.uniform(lower, upper, (count, self.n))
 
     def _independent_rows(self) -> LoopRows:
-        """Which loop rows are independent, here and in general."""
         found = self.once(_generic_rows)
         if not found.closed or matrix_rank(self.loop_jacobian(self.q_start)) >= found.rank:
             return found
@@ -358,10 +356,13 @@ class ClosedChain:
                  for X in others]
             )  # fmt: skip
 
-
-def _spare(chain: ClosedChain) -> list[pin.Data]:
-    """Memory that nobody uses now, of which a thread takes its own."""
-    return []
+    def loop_error_sizes(self, q: Array) -> tuple[float, float]:
+        """Largest position and rotation by which closed loops are open at q [m], [rad]."""
+        if self.holding < 2:
+            return 0.0, 0.0
+        sizes = np.linalg.norm(self.loop_error(q).reshape(-1, 2, 3), axis=2)
+        position, orientation = sizes.max(axis=0).tolist()
+        return position, orientation
 
 
 def _ways(chain: ClosedChain) -> list[tuple[list[int], bool]]:

@@ -6,6 +6,7 @@ with the chain's weights alpha: p = sum alpha_i p_i, and R = exp(sum alpha_i log
 
 from __future__ import annotations
 
+import copy
 import itertools
 import math
 from collections.abc import Mapping
@@ -29,31 +30,17 @@ class Memory:
         self.sizes = dict(sizes)
         ends = list(itertools.accumulate(self.sizes.values(), initial=0))
         self.numbers = np.zeros(ends[-1])
-        self._of = {
-            name: self.numbers[a:b]
-            for name, (a, b) in zip(self.sizes, itertools.pairwise(ends), strict=True)
-        }
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        # Copies of views are no views: a copy is made anew.
-        return _memory, (self.sizes, self.numbers)
+        self._parts = dict(zip(self.sizes, map(slice, ends, ends[1:]), strict=True))
 
     def __getitem__(self, name: str) -> Array:
         """The numbers of one name; a view, to be written to."""
-        return self._of[name]
+        return self.numbers[self._parts[name]]
 
     def shown(self) -> Memory:
         """The same numbers, for those who must not write to them."""
-        other = Memory({})
-        other.sizes, other.numbers = self.sizes, read_only(self.numbers)
-        other._of = {name: read_only(part) for name, part in self._of.items()}
+        other = copy.copy(self)
+        other.numbers = read_only(self.numbers)
         return other
-
-
-def _memory(sizes: Mapping[str, int], numbers: Array) -> Memory:
-    memory = Memory(sizes)
-    memory.numbers[:] = numbers
-    return memory
 
 
 class State:

@@ -95,20 +95,11 @@ def check_resumed(chain: ClosedChain, q: Array, *, outside: bool) -> None:
 
 def _elsewhere(chain: ClosedChain, q: Array) -> tuple[str, str]:
     """Words on hands that are farther off than a model's error, and the likely mistake."""
-    apart, turned = hands_off(chain, q)
+    apart, turned = chain.loop_error_sizes(q)
     if apart <= MOST_POSITION and turned <= MOST_ORIENTATION:
         return "", ""
     where = f"the hands are {1e3 * apart:.0f} mm and {1e3 * turned:.0f} mrad from how"
     return where, likely_mistake(chain, q)
-
-
-def hands_off(chain: ClosedChain, q: Array) -> tuple[float, float]:
-    """How far hands lie from where they do at the chain's start, at most [m], [rad]."""
-    if chain.holding < 2:
-        return 0.0, 0.0
-    loops = chain.loop_error(q).reshape(-1, 2, 3)
-    apart, turned = np.linalg.norm(loops, axis=2).max(axis=0, initial=0.0)
-    return float(apart), float(turned)
 
 
 def likely_mistake(chain: ClosedChain, q: Array) -> str:
@@ -120,7 +111,7 @@ def likely_mistake(chain: ClosedChain, q: Array) -> str:
     for words, other in _changes(chain, q):
         if (_beyond(chain, other) > 0.0).any():
             continue
-        apart, turned = hands_off(chain, other)
+        apart, turned = chain.loop_error_sizes(other)
         if apart <= FITS_POSITION and turned <= FITS_ORIENTATION:
             found.append(words)
     outside, degrees = _beyond(chain, q) > 0.0, _in_radians(chain, q)

@@ -55,41 +55,25 @@ _STATUSES = tuple(Status)
 
 @dataclass(frozen=True)
 class LoopTicks:
-    """Some ticks, oldest first; T of them.
+    """Some ticks, oldest first; T of them."""
 
-    Attributes:
-        number: since the loop was made, shape (T,).
-        clock: start by the loop's clock, shape (T,) [s].
-        t: time of the references, shape (T,) [s].
-        q, v: configuration before the tick, and command, shape (T, n).
-        measured: joints; NaN without a usable reading, shape (T, n).
-        position, rotation: of the object at q, shapes (T, 3) [m] and (T, 3, 3).
-        loop_position, loop_orientation: largest loop error, shape (T,) [m], [rad].
-        us: computing time, shape (T,) [us].
-        causes: one bit for each status, in their order, shape (T,).
-    """
-
-    number: NDArray[np.int64]
-    clock: Array
-    t: Array
-    q: Array
-    v: Array
-    measured: Array
-    position: Array
-    rotation: Array
-    loop_position: Array
-    loop_orientation: Array
-    us: Array
-    causes: NDArray[np.int64]
+    number: NDArray[np.int64]  # since the loop was made, shape (T,)
+    clock: Array  # start by the loop's clock, shape (T,) [s]
+    t: Array  # time of the references, shape (T,) [s]
+    q: Array  # configuration before the tick, shape (T, n)
+    v: Array  # command, shape (T, n)
+    measured: Array  # joints; NaN without a usable reading, shape (T, n)
+    position: Array  # of the object at q, shape (T, 3) [m]
+    rotation: Array  # of the object at q, shape (T, 3, 3)
+    loop_position: Array  # largest loop error, shape (T,) [m]
+    loop_orientation: Array  # largest loop error, shape (T,) [rad]
+    us: Array  # computing time, shape (T,) [us]
+    causes: NDArray[np.int64]  # one bit for each status, in their order, shape (T,)
 
     def causes_at(self, k: int) -> tuple[Status, ...]:
         """Statuses of a tick, in their order, not by severity."""
         bits = int(self.causes[k])
         return tuple(status for i, status in enumerate(_STATUSES) if bits >> i & 1)
-
-    def share(self, status: Status) -> float:
-        """Share of the ticks with a status."""
-        return float(np.mean((self.causes & _bits((status,))) != 0)) if len(self.causes) else 0.0
 
 
 @cache

@@ -39,7 +39,7 @@ from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.grasp_configuration import grasp_of_each
 from coopqp.model.state import Memory, State
 from coopqp.online.arrivals import Arrivals
-from coopqp.online.beginning import check_hands, check_object, check_range, check_resumed, hands_off
+from coopqp.online.beginning import check_hands, check_object, check_range, check_resumed
 from coopqp.online.faults import FaultMonitor
 from coopqp.scenario.input import Arrival
 from coopqp.scenario.scenario import Scenario
@@ -392,6 +392,6 @@ def as_held(scenario: Scenario, q: Array, pose: Pose | None = None) -> Scenario:
     without_places = {arm: replace(grasps[arm], object_in_hand=None) for arm in holders}
     held, grasps = replace(scenario.held, pose=pose), {**grasps, **without_places}
     # The arms' error here counts as the grasps', which turn with the object as the arms' does not.
-    most = scenario.observer.most + (hands_off(chain, q)[0] if placed else 0.0)
+    most = scenario.observer.most + (chain.loop_error_sizes(q)[0] if placed else 0.0)
     observer = replace(scenario.observer, most=most)
     return scenario.changed(start=start, held=held, grasps=grasps, observer=observer)

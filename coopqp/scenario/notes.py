@@ -70,7 +70,7 @@ def notes(
         *of_limits,
         *contact_notes(scenario.chain),
         *_far_hands(scenario.chain),
-        *([hidden.words()] if hidden else []),
+        *([hidden.describe()] if hidden else []),
         *_coarse_steps(scenario),
         *_of_inputs(scenario, steered=steered),
         *_of_forces(scenario, chosen),

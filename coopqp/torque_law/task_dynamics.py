@@ -127,7 +127,7 @@ def require_motor_freedom(problem: ControlProblem, controller: str, *, free: boo
                 f"decide only {decided} of them independently; leave out rows, or use qp"
             )
     found = mobility(problem.chain, task_rows=[("all", tasks.J)], samples=1)
-    missing = [screw.words() for screw in (*found.impossible, *found.uncontrolled)]
+    missing = [screw.describe() for screw in (*found.impossible, *found.uncontrolled)]
     rows = len(tasks.e)
     if rows > found.motor_freedom_start or found.tasks_rank < rows:
         why = f"missing: {'; '.join(missing)}"
