@@ -79,7 +79,7 @@ class FaultMonitor:
     Those of the phase ``before`` are kept.
 
     Attributes:
-        found: the faults since :meth:`forget`, oldest first.
+        faults: those since :meth:`forget`, oldest first.
         failing: for how many ticks now a joint does not follow, or is doubted to.
     """
 
@@ -88,13 +88,13 @@ class FaultMonitor:
         self._names, self._law, self._dt, self._at_bound = chain.joint_names, law, dt, 0.0
         self._joints = JointFollowing(chain, dt, law.observer) if observed else None
         self._forces = ForceMonitor(law)
-        self.found: tuple[Fault, ...] = before.found if before else ()
+        self.faults: tuple[Fault, ...] = before.faults if before else ()
         self._misled: bool = before._misled if before else False
         self.failing: int = before.failing if before else 0
         law.observer.paused = self._misled
 
     def forget(self) -> None:
-        self.found = ()
+        self.faults = ()
         self._forces.forget()
         self._misled = self._law.observer.paused = False
         if self._joints:
@@ -117,9 +117,9 @@ class FaultMonitor:
             self._law.observer.paused = self._joints.doubtful or self._misled
         self.failing = self.failing + 1 if self._misled or self.doubt else 0
         for kind, where, note in filter(None, findings):
-            if not any((kind, where) == fault[:2] for fault in self.found):
+            if not any((kind, where) == fault[:2] for fault in self.faults):
                 fault = Fault(kind, where, state.t, note)
-                self.found = (*self.found, fault)
+                self.faults = (*self.faults, fault)
                 return fault
         return None
 
@@ -205,9 +205,9 @@ class ForceMonitor:
             or self._near_slip(w, state)
         )
 
-    def heavier(self, weight: float, words: str) -> Finding:
-        """What is said of an object of another weight [N], in words with a gap for its mass."""
-        found = words.format(f"{weight / self._g:.3g} kg")
+    def heavier(self, weight: float, template: str) -> Finding:
+        """What is said of an object of another weight [N]; the template has a gap for its mass."""
+        found = template.format(f"{weight / self._g:.3g} kg")
         return "load_heavier", (), f"{found}: object.mass says {self._mass:g} kg"
 
     def _contrary(self, state: State) -> Finding | None:
@@ -224,9 +224,9 @@ class ForceMonitor:
         # Sound hands that still pull, pull less as they close.
         if lasts < LASTING or (way - self._first[0]) * (squeeze - self._first[1]) > 0.0:
             return None
-        told, pull = ("close", "pull") if way > 0.0 else ("part", "press")
+        close, pull = ("close", "pull") if way > 0.0 else ("part", "press")
         words = (
-            f"the hands are told to {told}, and {pull} by what their forces say: are the sensors "
+            f"the hands are told to {close}, and {pull} by what their forces say: are the sensors "
             "of the arms swapped, or of the wrong sign?"
         )
         return "force_sensor_reversed", self._arms, words

@@ -158,8 +158,8 @@ class _Check:
         self._own = np.setdiff1d(np.flatnonzero(self._way > LOCKED), chain.passive)
         self._ours = np.isin(np.arange(chain.n), self._own)
         self._speed = np.minimum(SPEED * scale, SHARE * np.abs(chain.velocity))
-        most = SHARE * acceleration_limits(loop.problem)
-        self._step = np.minimum(ACCELERATION * scale, most) * dt
+        max_acceleration = SHARE * acceleration_limits(loop.problem)
+        self._step = np.minimum(ACCELERATION * scale, max_acceleration) * dt
         self._readings, self._rest = Readings(chain), chain.q_start
         self._q, self._v, self._gone = chain.q_start.copy(), np.zeros(chain.n), np.zeros(chain.n)
         self._noise, self._unsure, self._margin = np.zeros((3, chain.n))
@@ -188,7 +188,7 @@ class _Check:
             for k, i in enumerate(own):
                 if self.stopped:
                     break
-                answer, rest = self._ask(int(i), *rest)
+                answer, rest = self._test_joint(int(i), *rest)
                 if not self.stopped:
                     response[k] = answer
         finally:
@@ -197,7 +197,7 @@ class _Check:
                 self._period(i, self._toward(i, 0.0))
         return JointCheck(tuple(names[i] for i in own), response, self.faults, self.stopped)
 
-    def _ask(self, i: int, *rest: Array) -> tuple[Array, tuple[Array, Array]]:
+    def _test_joint(self, i: int, *rest: Array) -> tuple[Array, tuple[Array, Array]]:
         """The answer r of the robot's joints to one that is moved, and the rest after it."""
         if self._unsure[i] > STILL:  # it would seem to go astray: it stays
             self.faults[self._chain.joint_names[i]] = _hidden(self._unsure[i])

@@ -202,7 +202,7 @@ class OnlineLoop:
         self._readings, self._stops = Readings(chain, silent_after, rates=torques), Stops(patience)
         self.measured = self._readings.q
         self.setpoint, self._no_reading = chain.q_start.copy(), np.full(chain.n, np.nan)
-        self._found = self._no_reading.copy()  # before it has begun
+        self._idle_q = self._no_reading.copy()  # before it has begun
         self._refusal, self._holding = Command(chain.n), Command(chain.n)
         self._waiting = Waiting()
         self._keeper = Keeper(self, None if out is None else Path(out), record)
@@ -220,7 +220,7 @@ class OnlineLoop:
             self.ticks, self.begun, self._built = 0, False, False
             self._moved, self._behind, self._forgives = False, 0.0, False
             self._pace = self._pace_before = 1.0
-            self.setpoint[:], self._found[:] = self._phases.now.problem.chain.q_start, np.nan
+            self.setpoint[:], self._idle_q[:] = self._phases.now.problem.chain.q_start, np.nan
             self._say(self._refuse(Status.OPTIMAL, ""))
 
     @property
@@ -271,7 +271,7 @@ class OnlineLoop:
     @property
     def faults(self) -> tuple[Fault, ...]:
         """Faults of the robot that were found since it began or went on, oldest first."""
-        return self._phases.monitor.found
+        return self._phases.monitor.faults
 
     @property
     def at_rest(self) -> bool:
@@ -315,7 +315,7 @@ class OnlineLoop:
         Raises:
             InvalidValueError: there is none.
         """
-        self._phases.ask()
+        self._phases.request_next()
 
     def begin(self, q: ArrayLike, object_pose: Pose | ArrayLike | None = None) -> None:
         """Take hold at measured joints, as in :meth:`tick`; else the first tick does it.
@@ -377,8 +377,8 @@ class OnlineLoop:
         state, history = self._phases.now.state, self.history
         measured = self._no_reading if self._wrong else self._readings.q
         i = history.add(now, state, measured, command, self.setpoint)
-        if not self.begun and np.isfinite(self._found).all():
-            self.setpoint[:] = self._found  # servos that are sent there stay
+        if not self.begun and np.isfinite(self._idle_q).all():
+            self.setpoint[:] = self._idle_q  # servos that are sent there stay
         history.us[i] = us = 1e-3 * (time.perf_counter_ns() - before)
         self._keeper.tick(state, command, us)
 
@@ -427,7 +427,7 @@ class OnlineLoop:
 
     def _tick(self, q: Any, inputs: Any, now: float) -> Command:
         self._advance()
-        others, felt = self._phases.sense(inputs, now, self._time.ahead)
+        others, hand_wrench = self._phases.sense(inputs, now, self._time.ahead)
         if self._stops.look():
             self._readings.forget()
         if self._forgives:  # it may have been slowed down, not stopped
@@ -443,7 +443,7 @@ class OnlineLoop:
         self._go_by_measurement()
         if is_late:
             self._phases.arrivals.age(self.watch.elapsed - self.problem.dt)
-        self._keeper.arrived(self._phases.take(others, felt, now, self._time.ahead))
+        self._keeper.arrived(self._phases.take(others, hand_wrench, now, self._time.ahead))
         command = self._decide()
         command.told, self._phases.missed = (*command.told, *self._phases.missed), ()
         if faults := self.faults:
@@ -455,18 +455,15 @@ class OnlineLoop:
     def _try_to_begin(self) -> Command | None:
         if self._wrong:
             return self._refuse(self._wrong, self._time.wrong or self._readings.note)
-        self._found[:] = self._readings.q
+        self._idle_q[:] = self._readings.q
         if not self._stops.why:
             try:
-                self._begin(self._phases.seen)
+                self._begin(self._phases.object_pose)
                 return None
             except CoopqpError as error:  # not again by itself, when somebody moves the robot
-                self._give_up(error)
+                self._stops.halt(str(error))
+                self._readings.forget()
         return self._refuse(Status.NOT_BEGUN, self._stops.why)
-
-    def _give_up(self, error: CoopqpError) -> None:
-        self._stops.halt(str(error))
-        self._readings.forget()
 
     def _advance(self) -> None:
         """Integrate the last command; the loop's time stands still while it brakes."""
@@ -484,8 +481,9 @@ class OnlineLoop:
         measured, stops = None if self._wrong else self._readings.q, self._stops
         if stops.goes_on_again and measured is not None and not stops.why:
             stops.goes_on_again = False
-            if self._phases.holding or not self._last.v.any():
-                self._take_up(measured.copy())
+            rests = self._phases.holding or not self._last.v.any()
+            if rests and not self._goes_on(self._phases.take_up, measured.copy()):
+                self._readings.forget()
         if self._observed:
             self.state.q_measured = self._no_reading if measured is None else measured
         elif measured is not None:
@@ -493,22 +491,18 @@ class OnlineLoop:
             if self.by_torques:
                 self.state.v[:] = self._readings.v
         if measured is not None and not stops.why and self._phases.can_hand_over:
-            self._hand_over(measured.copy())
+            self._built = True
+            self._goes_on(self._phases.hand_over, measured.copy())
 
-    def _hand_over(self, q: Array) -> None:
-        self._built = True
+    def _goes_on(self, begin: Callable[[Array], None], q: Array) -> bool:
+        """Whether it can begin anew at joints q; else it stops."""
         try:
-            self._phases.hand_over(q)
+            begin(q)
             self._keeper.go_on()
         except CoopqpError as error:
             self._stops.halt(str(error))
-
-    def _take_up(self, q: Array) -> None:
-        try:
-            self._phases.take_up(q)
-            self._keeper.go_on()
-        except CoopqpError as error:
-            self._give_up(error)
+            return False
+        return True
 
     def _decide(self) -> Command:
         phases, run = self._phases, self._phases.now
@@ -543,12 +537,12 @@ class OnlineLoop:
         fault = monitor.update(self.state, q, readings.misread)
         if fault and self._reactions[fault.kind] == "rest":
             self._stops.halt(fault.note)
-        if not monitor.found and self._pace == 1.0:
+        if not monitor.faults and self._pace == 1.0:
             return
-        slow = any(self._reactions[fault.kind] == "slow_down" for fault in monitor.found)
+        slow = any(self._reactions[fault.kind] == "slow_down" for fault in monitor.faults)
         if slow and self.by_torques:  # a torque has no pace
             slow = False
-            self._stops.halt(monitor.found[-1].note)
+            self._stops.halt(monitor.faults[-1].note)
         step = self.problem.dt / SLOWING
         self._pace = max(SLOW, self._pace - step) if slow else min(1.0, self._pace + step)
 

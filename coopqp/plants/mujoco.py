@@ -457,9 +457,8 @@ class MujocoModel(DynamicModel):
                 continue
             mujoco.mj_contactForce(self._model, data, k, found)
             sign = -1.0 if contact.geom2 in self._pads else 1.0  # it acts on the second body
-            frame = sign * contact.frame.reshape(3, 3).T
-            at = np.concatenate([frame @ found[:3], frame @ found[3:]])
-            by_arm[pad] += moved(at, contact.pos, data.xpos[self._object])
+            w = in_axes(found, sign * contact.frame.reshape(3, 3).T)
+            by_arm[pad] += moved(w, contact.pos, data.xpos[self._object])
             borne[pad] += np.hypot(found[1], found[2])
         return by_arm, borne
 

@@ -86,13 +86,10 @@ class RigidBodyModel(_dynamic.DynamicModel):
         chain, mass_scale = self.true.chain, self.disturbance.object_mass
         # Where planar arms leave it open who carries the weight, each carries its share.
         self._dynamics = ClosedLoopDynamics(
-            chain,
-            shares=chain.alpha,
-            friction=self._settings.friction,
-            mass_scale=mass_scale,
+            chain, shares=chain.alpha, friction=self._settings.friction, mass_scale=mass_scale
         )
         self._stops = EndStops(chain, self.h) if self._settings.end_stops else None
-        self._seen = b""  # the state that the dynamics are up to date with, if that may come again
+        self._updated = b""  # the state of the dynamics, if that may come again
 
     def integrate(self) -> None:
         """One Runge-Kutta step, then a projection on the closed loops."""
@@ -139,14 +136,14 @@ class RigidBodyModel(_dynamic.DynamicModel):
 
     def _follow(self, q: Array, v: Array) -> None:
         """Bring the dynamics up to date, unless that is the state of the last period's end."""
-        seen = q.tobytes() + v.tobytes()
-        if seen != self._seen:
+        state = q.tobytes() + v.tobytes()
+        if state != self._updated:
             self._dynamics.update(q, v)
-            self._seen = seen
+            self._updated = state
 
     def _acceleration(self, q: Array, v: Array, t: float) -> Array:
         self._dynamics.update(q, v)
-        self._seen = b""
+        self._updated = b""
         return self._accelerated(q, v, t)
 
     def _accelerated(self, q: Array, v: Array, t: float) -> Array:
@@ -176,25 +173,25 @@ class EndStops:
         self._upper = np.maximum(chain.upper, chain.q_start)
         effort = _dynamic.full_effort(chain)
         # A passive joint's stop is a part of the hand: as firm as the weakest motor's.
-        least = effort[effort > 0.0].min(initial=_dynamic.UNLIMITED_EFFORT)
-        self._firm = np.where(effort > 0.0, effort, least) / STOP_ANGLE
+        weakest = effort[effort > 0.0].min(initial=_dynamic.UNLIMITED_EFFORT)
+        self._firm = np.where(effort > 0.0, effort, weakest) / STOP_ANGLE
         self._k, self._d = self._firm, np.zeros(chain.n)
-        self._most = (STABLE / h) ** 2
-        self._seen: tuple[Array, Array] | None = None
+        self._max_square = (STABLE / h) ** 2  # of the natural frequency
+        self._terms: tuple[Array, Array] | None = None
         self._nothing = np.zeros(chain.n)
 
     def update(self, dynamics: ClosedLoopDynamics) -> None:
         # Kept until a joint is at its stop, which few are: the inertia takes a decomposition.
-        self._seen = dynamics.A.copy(), dynamics.J.copy()
+        self._terms = dynamics.A.copy(), dynamics.J.copy()
 
     def torque(self, q: Array, v: Array) -> Array:
         """Torques of the stops on the joints, shape (n,) [N m]; not to be written to."""
         if not (np.count_nonzero(q > self._upper) or np.count_nonzero(q < self._lower)):
             return self._nothing
-        if self._seen:
-            W = _dynamic.inertia_seen(*self._seen)
-            self._k = np.minimum(self._firm, W * self._most)
-            self._d, self._seen = 2.0 * np.sqrt(self._k * W), None
+        if self._terms:
+            W = _dynamic.inertia_seen(*self._terms)
+            self._k = np.minimum(self._firm, W * self._max_square)
+            self._d, self._terms = 2.0 * np.sqrt(self._k * W), None
         above, below = q - self._upper, self._lower - q
         push = np.where(below > 0.0, np.maximum(self._k * below - self._d * v, 0.0), 0.0)
         push -= np.where(above > 0.0, np.maximum(self._k * above + self._d * v, 0.0), 0.0)

@@ -173,18 +173,18 @@ class Program:
         qp, layout, costs = self.qp, self._layout, self._layout.costs
         tasks, hands, wrenches = layout.level.tasks, layout.hands, layout.wrenches
         qp.P[:], qp.q[:] = 0.0, 0.0
-        P, q = self._asked(0, tasks.J, tasks.weights, wanted, soften)
+        P, q = self._of_level(0, tasks.J, tasks.weights, wanted, soften)
         qp.P[layout.a, layout.a], qp.q[layout.a] = P, q
         if hands.hands:
             grip, pull = hands.cost(wrenches)
-            P, q = self._asked(1, wrenches.J, wrenches.weights, wrenches.wanted, soften)
+            P, q = self._of_level(1, wrenches.J, wrenches.weights, wrenches.wanted, soften)
             qp.P[layout.h, layout.h], qp.q[layout.h] = costs.grip * grip + P, costs.grip * pull + q
         qp.P[: len(self._diagonal), : len(self._diagonal)] += np.diag(self._diagonal)
         qp.q[layout.a] += costs.damping / costs.damping_time * state.v
         if hands.pressing:
             qp.q[layout.sigma], qp.P[layout.sigma, layout.sigma] = LEAVING
 
-    def _asked(
+    def _of_level(
         self, of: int, rows: Array, weights: Array, wanted: Array, soften: bool
     ) -> tuple[Array, Array]:
         """P and q of the level's own motion rows (0) or wrench rows (1), and of softened ones."""
@@ -218,7 +218,7 @@ class Program:
         qp.lb[layout.a], qp.ub[layout.a] = lb, ub
         qp.G[: len(h), layout.a], qp.h[: len(h)] = G, h
         if hands.pressing:
-            qp.G[layout.cones, layout.h], qp.h[layout.cones] = hands.cones, hands.most
+            qp.G[layout.cones, layout.h], qp.h[layout.cones] = hands.cones, hands.upper
 
     def _fill_exact(self, wanted: Array, before: Array | None, soften: bool) -> None:
         """Hard rows, and what was decided before, as far as they are independent."""
@@ -272,7 +272,7 @@ class HeldTorques:
     compared with the arms' weight, but possibly much for a light object. Cones hold for both, with
     twice the change:
 
-        C h <= most,   C (h + 2 d) <= most
+        C h <= upper,   C (h + 2 d) <= upper
 
     d is observed on the last answer: in the dynamics of this instant, with the torques of the tick
     before, the least change of its accelerations and wrenches. A steady motion repeats it.
@@ -290,22 +290,22 @@ class HeldTorques:
         self.memory_sizes: dict[str, int] = sizes if hands.pressing else {}
 
     def foresee(self, state: State, qp: QP) -> None:
-        """Tighten ``hands.most`` and the QP's cones, whose dynamics are those of this instant."""
+        """Tighten ``hands.upper`` and the QP's cones, whose dynamics are those of this instant."""
         hands, layout = self._hands, self._layout
         if not hands.pressing:
             return
         answer = state.memory["answer"].copy()
-        hands.most[:] = hands.stated
+        hands.upper[:] = hands.stated
         if answer.any():
             answer[layout.h] = _turned(answer[layout.h], hands.turned.transpose(0, 2, 1))
             A, b = qp.A[: layout.common, : layout.h.stop], qp.b[: layout.common].copy()
             # What is seen of the loops since then is no part of what the arms' motion does.
             b[self._loops] = -self._dynamics.drift - state.memory["back"]
-            change = self._least(A, b - A @ answer)
-            hands.most -= AHEAD * hands.in_cone * np.maximum(hands.cones @ change, 0.0)
-        qp.h[layout.cones] = hands.most
+            change = self._smallest_change(A, b - A @ answer)
+            hands.upper -= AHEAD * hands.in_cone * np.maximum(hands.cones @ change, 0.0)
+        qp.h[layout.cones] = hands.upper
 
-    def _least(self, A: Array, right: Array) -> Array:
+    def _smallest_change(self, A: Array, right: Array) -> Array:
         """The wrenches of the smallest change with that effect; normally it is unique."""
         layout, n, saddle = self._layout, self._layout.n, self._saddle
         if saddle is None:

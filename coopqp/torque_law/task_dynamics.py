@@ -239,8 +239,8 @@ def require_impedances(
     level.update(State(problem.chain))
     impedances.update()
     C, R, dt = impedances.B * impedances.K, impedances.R, problem.dt
-    asked, found = spring_damping(C, R, dt, None), spring_damping(C, R, dt, DELAY)
-    if found < (needed := min(MIN_DAMPING, 0.5 * asked)):
+    stated, found = spring_damping(C, R, dt, None), spring_damping(C, R, dt, DELAY)
+    if found < (needed := min(MIN_DAMPING, 0.5 * stated)):
         at_least = f"{needed:.2f}" if needed >= 5e-3 else "more than 0"  # where none was asked for
         raise InvalidValueError(
             f"{which} oscillates at dt {1e3 * dt:g} ms when commands are a tick late (damping "
@@ -274,8 +274,8 @@ def leaks(problem: ControlProblem) -> tuple[str, str, float] | None:
     own = W[np.ix_(sprung, sprung)]
     if np.linalg.matrix_rank(own) < len(sprung):
         return None  # an axis that cannot move; laws refuse that
-    felt = np.linalg.solve(own, W[np.ix_(sprung, others)])
+    coupling = np.linalg.solve(own, W[np.ix_(sprung, others)])
     lengths = np.array([1.0 if axis < 3 else LENGTH for axis in range(6)])
-    share = np.abs(felt) * lengths[others] / lengths[sprung][:, None]
+    share = np.abs(coupling) * lengths[others] / lengths[sprung][:, None]
     i, j = np.unravel_index(int(share.argmax()), share.shape)
-    return AXES[sprung[i]], AXES[others[j]], float(felt[i, j])
+    return AXES[sprung[i]], AXES[others[j]], float(coupling[i, j])
