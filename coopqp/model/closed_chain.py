@@ -31,11 +31,20 @@ from typing import Any, TypeVar
 import numpy as np
 import pinocchio as pin
 
+from coopqp.base.errors import GraspError, require_known
 from coopqp.base.qp import Row, names_of
 from coopqp.base.rank import independent_rows, matrix_rank
-from coopqp.base.spec import Array, vector
+from coopqp.base.spec import Array, finite, vector
 from coopqp.grasp import Grasp
-from coopqp.model.grasp_configuration import SUPPORT, GraspConfiguration, HeldObject, attach
+from coopqp.model.grasp_configuration import (
+    SUPPORT,
+    GraspConfiguration,
+    HeldObject,
+    arm_weights,
+    at_start,
+    grasp_of_each,
+    with_passive_start,
+)
 from coopqp.robot import RobotModel, joint_units
 from coopqp.signal import ENDLESS
 
@@ -157,9 +166,41 @@ class ClosedChain:
         passive_start: Mapping[str, float] | None = None,
         released: Collection[str] = (),
     ) -> ClosedChain:
-        """Close the loops where the arms are; arguments and errors of the function ``attach``."""
-        others = {"alpha": alpha, "passive_start": passive_start, "released": released}
-        return cls(attach(robot, q_start, grasps, held, **others))  # type: ignore[arg-type]
+        """Close the loops where the arms are.
+
+        Args:
+            robot: with at least two arms.
+            q_start: its configuration when it takes hold, shape (robot.model.nq,) [rad, m].
+            grasps: one for all arms, or one for each by the arm's name.
+            held: the object.
+            alpha: weights of the arms in the absolute variables, by name, at least 0 and with sum
+                1; an arm not named has 0; all the same when omitted.
+            passive_start: where the grasps' passive joints start, by name such as "right.hinge"
+                [rad, m]; zero when omitted.
+            released: names of the arms that do not hold the object.
+
+        GraspError: fewer than two arms, grasps that do not close at the start, or no arm that holds
+        and no pose of the object. UnknownNameError: a grasp, weight or passive joint that the robot
+        does not have. InvalidValueError: q_start of a wrong shape; weights that are negative or do
+        not sum to 1.
+        """
+        by_arm, arms = grasp_of_each(robot, grasps), robot.arms
+        if len(arms) < 2:
+            words = f"robot {robot.name} has {len(arms)} arm; a loop needs two"
+            raise GraspError(words).at("robot")
+        start = finite("q_start", vector("q_start", q_start, robot.model.nq))
+        require_known("arm", released, [arm.name for arm in arms])
+        data = robot.model.createData()
+        pin.framesForwardKinematics(robot.model, data, start)
+        turned = {a.name: data.oMf[robot.model.getFrameId(a.tip)].rotation.copy() for a in arms}
+        passive = {name: by_arm[name].passive_joints(R_WT) for name, R_WT in turned.items()}
+        hold = GraspConfiguration(
+            robot=robot, grasps=by_arm, passive=passive, weights=arm_weights(robot, alpha),
+            released=tuple(released), held=held,
+            q=with_passive_start(robot, passive, start, passive_start or {}),
+            p_WO=np.zeros(3), X_EO={},
+        )  # fmt: skip
+        return cls(at_start(hold))
 
     def moved(self, q: Array) -> ClosedChain:
         """The same chain, object and grasps, starting at q with the loops closed, shape (n,)."""
