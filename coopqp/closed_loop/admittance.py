@@ -109,8 +109,13 @@ class InternalForceControl:
                 f"leave kappa out, or give up to 1/dt = {1.0 / dt:g} 1/s"
             )
         self.gain, self._settings, self._dt = settings.gain_of(dt, problem.kappa), settings, dt
-        if fault := _gain_fault(settings, self.gain, dt):
-            raise InvalidValueError(fault)
+        limit = stability_limit(settings.delay)
+        if not self.gain * settings.stiffness * dt < limit:
+            raise InvalidValueError(
+                f"admittance.gain: found {self.gain:g} m/(s N), which is unstable with "
+                f"{settings.stiffness:g} N/m and {counted(settings.delay, 'tick')} of delay; needs "
+                f"less than {limit / (settings.stiffness * dt):.3g}, or leave it out"
+            )
         self._hands = hands(chain)
         self._readings, self.note, self.wanted = WrenchReadings(chain), "", math.nan
         self._wrenches = WrenchStack(problem.wrenches, State(chain))
@@ -209,7 +214,6 @@ def unstated(task: str) -> str:
 
 
 def _check_tasks(tasks: Sequence[Task]) -> None:
-    """Raise InvalidValueError for anything but one soft squeeze."""
     if len(tasks) != 1:
         names = ", ".join(f"'{task.name}'" for task in tasks)
         raise InvalidValueError(f"admittance: controls one squeeze, and {names} ask for forces")
@@ -224,15 +228,3 @@ def _check_tasks(tasks: Sequence[Task]) -> None:
             f"admittance: '{task.name}' is hard, but the squeeze converges over time; leave "
             "mode out"
         )
-
-
-def _gain_fault(settings: Admittance, gain: float, dt: float) -> str:
-    """What is wrong with a gain; empty if nothing is."""
-    limit = stability_limit(settings.delay)
-    if gain * settings.stiffness * dt < limit:
-        return ""
-    return (
-        f"admittance.gain: found {gain:g} m/(s N), which is unstable with "
-        f"{settings.stiffness:g} N/m and {counted(settings.delay, 'tick')} of delay; needs less "
-        f"than {limit / (settings.stiffness * dt):.3g}, or leave it out"
-    )

@@ -286,17 +286,13 @@ class Forces:
                     yield f"{words[0].upper()}{words[1:]} {', '.join(names)}."
         for squeeze in self.squeezes:
             yield f"Squeeze of {' and '.join(squeeze.arms)} at rest: {squeeze.summary}."
-        if self.contacts:
-            yield self._carried()
-
-    def _carried(self) -> str:
-        share = self.load.value
-        if share < 1.0:
-            return f"The hands cannot hold the object at safety {self.safety:g}: {self.why_not}."
-        return (
-            f"At rest and safety {self.safety:g} they could carry {share:.3g} times its weight; "
-            f"then {self.load.active} are at their limits."
-        )
+        if self.contacts and self.load.value < 1.0:
+            yield f"The hands cannot hold the object at safety {self.safety:g}: {self.why_not}."
+        elif self.contacts:
+            yield (
+                f"At rest and safety {self.safety:g} they could carry {self.load.value:.3g} times "
+                f"its weight; then {self.load.active} are at their limits."
+            )
 
 
 def forces(chain: ClosedChain, *, safety: float = SAFETY) -> Forces:

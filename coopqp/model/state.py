@@ -317,11 +317,6 @@ class State:
         self._refresh()
         pin.updateGeometryPlacements(self._model, self._data, geometry, placed)
 
-    def point_jacobian(self, lever: Array, out: Array) -> None:
-        """Write J_v - [lever]x J_omega of a point, (3, n); lever from O to it, world axes [m]."""
-        J = self.J_task
-        np.subtract(J[:3], pin.skew(lever).dot(J[3:]), out)
-
     @property
     def loop_position_error(self) -> float:
         """Largest drift between where two arms carry the object [m]."""
@@ -406,4 +401,5 @@ class PointOfObject:
     def update(self, state: State) -> None:
         lever = state.R_WO.dot(self._p_O)
         np.add(state.p_WO, lever, self.p)
-        state.point_jacobian(lever, self.J)
+        J = state.J_task
+        np.subtract(J[:3], pin.skew(lever).dot(J[3:]), self.J)

@@ -60,7 +60,11 @@ class Arrivals:
     def _read(self, name: Any, value: Any, t: float, now: float) -> Iterator[Arrival]:
         channel = self._inputs.channels.get(name)
         if channel is None:
-            self._refuse_unknown(str(name))
+            name = str(name)
+            new = name not in self._unknown and len(self._unknown) < MAX_NAMES
+            if new and name not in self._names:
+                self._unknown.add(name)
+                self.refused.append(unknown_name("input", name, self._names))
             return
         stamped = isinstance(value, tuple) and len(value) == 2
         if not stamped or isinstance(value[0], Real):  # two numbers are a value
@@ -107,12 +111,6 @@ class Arrivals:
         elif stamp < last:
             why = f"is older than the last, sent at {stamp:.3f} s after {last:.3f} s"
         return stamp, why
-
-    def _refuse_unknown(self, name: str) -> None:
-        new = name not in self._unknown and len(self._unknown) < MAX_NAMES
-        if new and name not in self._names:
-            self._unknown.add(name)
-            self.refused.append(unknown_name("input", name, self._names))
 
 
 def in_columns(kind: Kind, value: Any) -> Any:

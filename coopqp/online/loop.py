@@ -120,9 +120,7 @@ class History:
         kept = min(self.count, self.capacity)
         count = kept if ticks is None else max(0, min(ticks, kept))
         rows = np.arange(self.count - count, self.count) % self.capacity
-        return LoopTicks(
-            *(getattr(self._all, name)[rows] for name in LoopTicks.__dataclass_fields__)
-        )
+        return LoopTicks(*(column[rows] for column in vars(self._all).values()))
 
 
 class OnlineLoop:
@@ -510,7 +508,9 @@ class OnlineLoop:
         halts = [self._wrong] if self._wrong else []
         if self._stops.why or phases.over:
             halts.append(Status.STOPPED)
-        doubt = "" if halts else self._doubt()
+        # Braking begins while it is not known yet whether there is a fault.
+        kind, _, doubt = self._phases.monitor.doubt or ("", (), "")
+        doubt = doubt if not halts and kind and self._reactions[kind] == "rest" else ""
         if doubt:
             halts.append(Status.JOINT_DOUBTED)
         self._moved = not halts
@@ -545,11 +545,6 @@ class OnlineLoop:
             self._stops.halt(monitor.faults[-1].note)
         step = self.problem.dt / SLOWING
         self._pace = max(SLOW, self._pace - step) if slow else min(1.0, self._pace + step)
-
-    def _doubt(self) -> str:
-        """Why to brake until it is known whether there is a fault; empty without such a doubt."""
-        kind, _, note = self._phases.monitor.doubt or ("", (), "")
-        return note if kind and self._reactions[kind] == "rest" else ""
 
     def _at_pace(self, run: PhaseRun) -> Command:
         """The law's command; slowed down, the same path in more time, references with it."""

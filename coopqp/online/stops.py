@@ -238,10 +238,10 @@ class Stops:
         elif self._wrong_since is None:
             self._wrong_since = now
         elif now - self._wrong_since >= ALL * self._patience:
-            self.halt(f"for {now - self._wrong_since:.3g} s {_WORDS[wrong]}")
+            self.halt(f"for {now - self._wrong_since:.3g} s {_MISSING[wrong]}")
 
 
-_WORDS = {
+_MISSING = {
     Status.ROBOT_SILENT: "the robot has not said where it is",
     Status.NOT_MEASURED: "the measured joints were no numbers",
     Status.MEASURED_JUMPED: "the measured joints were elsewhere",

@@ -286,8 +286,13 @@ class DynamicModel(PlantModel):
         firm = true_chain(problem.chain, seed, disturbance)
         self.true, self._truth = State(firm), State(firm)
         self.hand_signals = HandSignals(firm, disturbance.friction)
-        self._steps = _whole_steps(problem.dt, time_step)
-        self.h = problem.dt / self._steps
+        dt, self._steps = problem.dt, round(problem.dt / time_step)
+        if self._steps < 1 or abs(self._steps * time_step - dt) > 1e-9 * dt:
+            raise InvalidValueError(
+                f"time_step: found {time_step:g} s, stated or by default, needs a whole part of dt "
+                f"= {dt:g} s; state one, such as time_step: {dt / math.ceil(dt / time_step):g}"
+            ).at("time_step")
+        self.h = dt / self._steps
         self._rng = seeded(seed)
         self._late: deque[Command] = deque(Command(n) for _ in range(disturbance.delay))
         self._at_limit = np.zeros(n)
@@ -386,13 +391,3 @@ class DynamicModel(PlantModel):
         if not deviation:
             return values.copy()
         return values + self._rng.normal(0.0, deviation, len(values))
-
-
-def _whole_steps(dt: float, time_step: float) -> int:
-    steps = round(dt / time_step)
-    if steps < 1 or abs(steps * time_step - dt) > 1e-9 * dt:
-        raise InvalidValueError(
-            f"time_step: found {time_step:g} s, stated or by default, needs a whole part of dt = "
-            f"{dt:g} s; state one, such as time_step: {dt / math.ceil(dt / time_step):g}"
-        ).at("time_step")
-    return steps

@@ -377,7 +377,10 @@ class MujocoModel(DynamicModel):
         self._follow_balls(R_WO)
         wrenches, borne = self._wrenches()
         signals = self.hand_signals
-        self.signals["gap"][0] = self._gap(place)
+        held = zip(self._ends, self.hand_signals.hands, strict=True)
+        fastened = [data.site_xpos[k] - place for k, hand in held if not hand.contact]
+        gaps = (float(np.linalg.norm(way)) for way in fastened)
+        self.signals["gap"][0] = max(gaps, default=0.0)
         points = contact_points(signals.hands, place, R_WO)
         at_hands = [moved(h, place, p) for h, p in zip(wrenches, points, strict=True)]
         signals.write(np.array(at_hands), points, self._in_contacts(at_hands, points, R_WO), borne)
@@ -389,12 +392,6 @@ class MujocoModel(DynamicModel):
         self._mujoco.mj_energyPos(self._model, data)
         self._mujoco.mj_energyVel(self._model, data)
         return float(data.energy[1]), float(data.energy[0])
-
-    def _gap(self, place: Array) -> float:
-        """Largest distance between the object and where a fastened hand holds it [m]."""
-        held = zip(self._ends, self.hand_signals.hands, strict=True)
-        fastened = [self._data.site_xpos[k] - place for k, hand in held if not hand.contact]
-        return max((float(np.linalg.norm(way)) for way in fastened), default=0.0)
 
     def _in_contacts(self, at_hands: Sequence[Array], points: Array, R_WO: Array) -> Array:
         """The hands' wrenches in their contacts' frames, shape (holding, 6).

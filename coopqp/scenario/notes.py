@@ -241,7 +241,7 @@ def _far(scenario: Scenario) -> Iterator[str]:
     chain, distances = scenario.chain, list[tuple[str, float]]()
     for phase in scenario.schedule:
         for task in phase.tasks:
-            marks = marker.asked(task.name, partial(task.marks, Moment(phase.duration)), [])
+            marks = marker.marks_of(task.name, partial(task.marks, Moment(phase.duration)), [])
             far = max((_distance(mark, chain.start_position) for mark in marks), default=0.0)
             distances.append((f"the goal of '{task.name}' is", far))
     for name, kind in scenario.followed().items():
