@@ -182,12 +182,12 @@ class InternalForceControl:
 
     def _needed(self, state: State, measured: Array, wanted: float, pressed: float) -> float:
         """The force with which friction suffices, at most the contacts' [N]; zero if it does."""
-        use, most = 0.0, math.inf
+        use, upper = 0.0, math.inf
         for _, contact, need in friction_needed(self._hands, measured, state.R_WO):
-            use, most = max(use, need / contact.friction), min(most, contact.most)
+            use, upper = max(use, need / contact.friction), min(upper, contact.most)
         if not NEAR_SLIP < use < math.inf:
             return 0.0
-        return min(pressed * use / ENOUGH, MOST_GROWN * wanted if most == math.inf else most)
+        return min(pressed * use / ENOUGH, MOST_GROWN * wanted if upper == math.inf else upper)
 
 
 def internal_force_control(

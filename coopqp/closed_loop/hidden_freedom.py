@@ -109,10 +109,10 @@ def hidden_freedom(chain: ClosedChain) -> HiddenFreedom | None:
 def closed_near(chain: ClosedChain, q: Array) -> Array:
     """The configuration near q, shape (n,), that closes the loops best, by Newton's method."""
     for _ in range(NEWTON):
-        gap = scaled(chain.loop_error(q)[:, None])[:, 0]
+        error = scaled(chain.loop_error(q)[:, None])[:, 0]
         U, values, Vt = np.linalg.svd(scaled(chain.loop_jacobian(q)), full_matrices=False)
         firm = values > SLACK
-        step = Vt[firm].T @ ((U[:, firm].T @ gap) / values[firm])
+        step = Vt[firm].T @ ((U[:, firm].T @ error) / values[firm])
         q = q - step
         if np.linalg.norm(step) < 1e-14:
             break

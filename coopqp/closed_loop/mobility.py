@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -256,13 +256,13 @@ def _rate(
     others = np.array([[i for i in range(chain.n) if i not in c] for c in choices], np.intp)
     by_pose = np.array([_conditions(pose, others) for pose in poses])
     at_start = _conditions(start, others)
-    middle, least = np.median(by_pose, axis=0), by_pose.min(axis=0)
+    middle, best = np.median(by_pose, axis=0), by_pose.min(axis=0)
     return [
         Scheme(
             joints=tuple(chain.joint_names[j] for j in choice),
             condition=float(middle[i]),
             condition_start=float(at_start[i]),
-            admissible=bool(least[i] < SINGULAR_CONDITION),
+            admissible=bool(best[i] < SINGULAR_CONDITION),
             admissible_start=bool(at_start[i] < SINGULAR_CONDITION),
         )
         for i, choice in enumerate(choices)
@@ -279,20 +279,20 @@ def _conditions(pose: _Pose, others: NDArray[np.intp]) -> Array:
         return np.where(values[:, -1] > 0.0, values[:, 0] / values[:, -1], np.inf)
 
 
-def _sentences(m: Mobility) -> list[str]:
-    said = [
+def _sentences(m: Mobility) -> Iterator[str]:
+    yield (
         f"{len(m.joints)} joints and loop rows of rank {m.rank} leave {_degrees(m.freedom)}; the "
         f"object can move in {m.object_freedom} of 6 directions."
-    ]
+    )
     if m.hidden:
         words = m.hidden.describe()
-        said.append(f"{words[0].upper()}{words[1:]}.")
+        yield f"{words[0].upper()}{words[1:]}."
     if m.freedom > m.object_freedom:
         more = m.freedom - m.object_freedom
         moves = "moves" if more == 1 else "move"
-        said.append(f"{_degrees(more)} {moves} the joints and not the object.")
+        yield f"{_degrees(more)} {moves} the joints and not the object."
     if (m.rank, m.object_freedom) != (m.rank_start, m.object_freedom_start):
-        said.append(
+        yield (
             f"The start is singular: rank {m.rank_start} there, "
             f"{counted(m.object_freedom_start, 'direction')}."
         )
@@ -301,15 +301,14 @@ def _sentences(m: Mobility) -> list[str]:
         ("At the start ", m.motor_freedom_start, m.object_freedom_start),
     ):
         if motors < all_motions:
-            said.append(
+            yield (
                 f"{where or 'T'}{'t' if where else ''}he motors decide only {motors} of them: the "
                 f"object can move by itself in {all_motions - motors}."
             )
     if m.tasks_rows:
-        said.append(_about_tasks(m))
+        yield _about_tasks(m)
     if m.requested:
-        said.append(_about_scheme(m.requested))
-    return said
+        yield _about_scheme(m.requested)
 
 
 def _degrees(count: int) -> str:
@@ -319,16 +318,16 @@ def _degrees(count: int) -> str:
 def _about_tasks(m: Mobility) -> str:
     names = ", ".join(f"'{task.name}' ({task.rows})" for task in m.tasks)
     rows = counted(m.tasks_rows, "row")
-    said = f"The tasks {names} ask {rows}, of which only {m.tasks_rank} can be met."
+    text = f"The tasks {names} ask {rows}, of which only {m.tasks_rank} can be met."
     if m.tasks_rank == m.tasks_rows:
         left = _degrees(m.freedom_start - m.tasks_rows)
-        said = f"The tasks {names} can all be met: {rows}, {left} left."
+        text = f"The tasks {names} can all be met: {rows}, {left} left."
     if m.tasks_weakest < WEAK:
-        said += (
+        text += (
             f" One direction is weak: a unit of joint motion brings about {m.tasks_weakest:.2g} "
             "(m or rad) of it, so a goal far that way is hardly reached."
         )
-    return said
+    return text
 
 
 def _about_scheme(s: Scheme) -> str:

@@ -382,10 +382,10 @@ class ClosedChain:
     def _closed_near(self, q: Array) -> Array | None:
         """The configuration with the loops closed that Newton's method finds; None if none."""
         for _ in range(WALK_NEWTON):
-            gap = self.loop_error(q)
-            if np.linalg.norm(gap) < WALK_CLOSED:
+            error = self.loop_error(q)
+            if np.linalg.norm(error) < WALK_CLOSED:
                 return q
-            q = q - np.linalg.lstsq(self.loop_jacobian(q), gap, rcond=WALK_TOLERANCE)[0]
+            q = q - np.linalg.lstsq(self.loop_jacobian(q), error, rcond=WALK_TOLERANCE)[0]
         return None
 
     def loop_error(self, q: Array) -> Array:

@@ -175,11 +175,11 @@ class PointInReference:
     def update(self, state: State) -> None:
         tracked, reference = self._tracked, self._reference
         tracked.update(state)
-        gap = tracked.p - reference.c
-        reference.RT.dot(gap, self.x)
+        lever = tracked.p - reference.c
+        reference.RT.dot(lever, self.x)
         reference.RT.dot(tracked.J, self.J)
         if reference.moves:
-            drag = reference.c_dot + pin.skew(reference.omega).dot(gap)
+            drag = reference.c_dot + pin.skew(reference.omega).dot(lever)
             reference.RT.dot(drag, self.rate)
 
 
@@ -207,7 +207,7 @@ def polar(y: Array) -> Polar:
 LOWEST = (math.pi - CONE) / math.tan(math.pi - CONE)
 
 
-def inverse_alignment(seen: Polar) -> Array:
+def inverse_alignment(axis: Polar) -> Array:
     """E with e_dot = E omega, shape (2, 3), where an axis leans by e = theta u, turning at omega.
 
         E = [ -(1-h) u_0 u_1     h + (1-h) u_0^2   -theta u_1 ]   h = theta cot theta
@@ -218,9 +218,9 @@ def inverse_alignment(seen: Polar) -> Array:
     zero, and the object leaves. There h, the row sideways, would grow beyond bounds; within
     ``CONE`` of pi it keeps its value at the cone's edge.
     """
-    theta, (u, w) = seen.angle, seen.way
-    if seen.sine > TINY:
-        h = max(theta * math.cos(theta) / seen.sine, LOWEST)
+    theta, (u, w) = axis.angle, axis.way
+    if axis.sine > TINY:
+        h = max(theta * math.cos(theta) / axis.sine, LOWEST)
     else:
         h = 1.0 if theta < 1.0 else LOWEST
     k = 1.0 - h

@@ -201,19 +201,19 @@ def _check_reach(hold: GraspConfiguration, model: pin.Model, data: pin.Data) -> 
 
 def _agreed_pose(hold: GraspConfiguration, by_arm: Mapping[str, pin.SE3]) -> pin.SE3 | None:
     """The object's start pose; GraspError where given poses do not agree."""
-    seen = [(f"the grasp of arm '{arm}'", ["grasps", arm], X_WO) for arm, X_WO in by_arm.items()]
+    given = [(f"the grasp of arm '{arm}'", ["grasps", arm], X_WO) for arm, X_WO in by_arm.items()]
     if hold.held.pose:
-        seen.append(("object.pose", [], pose_matrix(hold.held.pose)))
-    if not seen:
+        given.append(("object.pose", [], pose_matrix(hold.held.pose)))
+    if not given:
         return None
-    (first, _, X_WO), *others = seen
+    (first, _, X_WO), *others = given
     for name, place, X in others:
-        gap = np.linalg.norm(X.translation - X_WO.translation)
+        apart = np.linalg.norm(X.translation - X_WO.translation)
         angle = np.linalg.norm(pin.log3(X_WO.rotation.T @ X.rotation))
-        if gap > CLOSED_POSITION or angle > CLOSED_ORIENTATION:
+        if apart > CLOSED_POSITION or angle > CLOSED_ORIENTATION:
             raise GraspError(
                 f"the grasp does not close at the start: {name} puts the object "
-                f"{1e3 * gap:.1f} mm and {np.degrees(angle):.1f} degrees from where {first} "
+                f"{1e3 * apart:.1f} mm and {np.degrees(angle):.1f} degrees from where {first} "
                 "puts it; change the start or leave object_in_hand out"
             ).at(*place)
     return X_WO

@@ -362,7 +362,7 @@ class JointFollowing:
         causes = np.stack([r, c, r.cumsum(axis=1) * time])
         causes = (causes - causes.mean(axis=2, keepdims=True)) @ white
         G = np.einsum("asti,bsti->sab", causes, causes)
-        short, gains = (np.linspace(0.0, most, 7) for most in ALIKE)
+        short, gains = (np.linspace(0.0, upper, 7) for upper in ALIKE)
         p = np.stack([np.ones((7, 7)), *np.meshgrid(short, gains)], axis=-1)
         return float(np.einsum("xya,sab,xyb->sxy", p, G, p).min())
 
@@ -447,13 +447,13 @@ def _white(x: Array) -> Array:
 
 def _slopes(delta: Array, motion: Array) -> Array:
     """-delta over motion (T, faults) since the onset that explains most of delta, (faults,)."""
-    slopes, most = np.zeros((2, delta.shape[1]))
+    slopes, best = np.zeros((2, delta.shape[1]))
     for onset in (int(share * len(delta)) for share in ONSETS):
         since = np.maximum(np.arange(len(delta)) - onset, 0)
         moved = motion[onset + since] - motion[onset]
         moved -= moved.mean(axis=0)
         squares = np.maximum((moved**2).sum(axis=0), 1e-12)
         along = (delta * moved).sum(axis=0)
-        better = along**2 > most * squares
-        slopes[better], most[better] = (-along / squares)[better], (along**2 / squares)[better]
+        better = along**2 > best * squares
+        slopes[better], best[better] = (-along / squares)[better], (along**2 / squares)[better]
     return slopes
