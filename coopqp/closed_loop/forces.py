@@ -362,16 +362,13 @@ def contact_notes(chain: ClosedChain) -> Iterator[str]:
             )
 
 
-def overhang(hand: Hand, half: Array) -> tuple[float, float]:
-    """How far a contact is outside its face, and its pad beyond the face's edges [m].
-
-    ``half`` are half the object's edges, shape (3,) [m].
-    """
+def overhang(hand: Hand, half_size: Array) -> tuple[float, float]:
+    """How far a contact is outside its object's face, and its pad beyond the face's edges [m]."""
     assert hand.contact
     R, p = hand.X_OC.rotation, hand.X_OC.translation
     axis = int(np.abs(R[:, 2]).argmax())
     corners = np.array(list(itertools.product((-1.0, 1.0), repeat=2))) * hand.contact.half_lengths
     places = p + corners @ R[:, :2].T
-    beyond = np.delete(np.abs(places) - half, axis, axis=1)
-    outside = -np.sign(R[axis, 2]) * p[axis] - half[axis]
+    beyond = np.delete(np.abs(places) - half_size, axis, axis=1)
+    outside = -np.sign(R[axis, 2]) * p[axis] - half_size[axis]
     return float(outside), max(0.0, float(beyond.max()))

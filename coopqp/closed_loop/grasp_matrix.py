@@ -125,10 +125,7 @@ class Section:
 
 
 def section(p_1: Array, p_2: Array) -> Section:
-    """The section between two hands at points of shape (3,) [m].
-
-    GraspError: the hands are in one place.
-    """
+    """The section between two hands at points (3,) [m]; GraspError: they are in one place."""
     way = np.asarray(p_2, float) - p_1
     length = float(np.linalg.norm(way))
     if not length > NEAREST:

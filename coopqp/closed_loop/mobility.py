@@ -178,10 +178,7 @@ def mobility(
 
 
 def manipulability(chain: ClosedChain, q: Array, task_rows: Array) -> float:
-    """Yoshikawa's measure within the closed loops, sqrt(det(M M')), M = J N.
-
-    ``task_rows`` J, shape (k, n), are at the configuration q, with closed loops.
-    """
+    """Yoshikawa's sqrt(det(M M')), M = J N, of task rows J (k, n) at q with closed loops."""
     values = np.linalg.svd(task_rows @ _pose(chain, q).N, compute_uv=False)
     return float(np.prod(values)) if len(values) == len(task_rows) else 0.0
 

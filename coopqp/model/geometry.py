@@ -64,7 +64,6 @@ class Turn:
 
     @property
     def radians(self) -> float:
-        """How far [rad]."""
         return math.radians(self.angle_deg) if self.angle is None else self.angle  # type: ignore[arg-type]
 
 

@@ -246,11 +246,10 @@ class LoopObserver:
         """A tick begins; whether the offset follows what is measured in it."""
         self.at_bound, self.note = (), ""
         learns = not (self.paused or state.corrected < 1.0 or not self.settings.enabled)
-        ticks = self._estimate[2]
         if not learns:
             self._samples[:] = math.nan
-        elif self._inertial and ticks % self._every == 0 and ticks != self._sampled:
-            self._sampled = ticks
+        elif self._inertial and (k := self._estimate[2]) % self._every == 0 and k != self._sampled:
+            self._sampled = k
             self._follow_inertia(state.q)
             if self.feels_in_motion:
                 self._feel_in_motion(state)

@@ -118,10 +118,7 @@ class State:
         return f"State(t={self.t:g}, q={self.q}, v={self.v})"
 
     def lock(self) -> None:
-        """Show arrays that nobody can write to, while code of plug-ins looks at the state.
-
-        Its attributes cannot be replaced either, see :class:`_Locked`.
-        """
+        """Show arrays that nobody can write to, and replace no attributes, while plug-ins look."""
         own = self._own
         if not (
             self.q is own["q"]

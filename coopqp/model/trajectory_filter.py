@@ -83,10 +83,7 @@ def _bounds(kind: Kind, pace: MotionLimits) -> Iterator[Array]:
 
 
 class TrajectoryFilter(Trajectory):
-    """A reference that follows its target in steps of dt [s]; at first at rest at ``value``.
-
-    It goes on by :meth:`step` alone.
-    """
+    """A reference that follows its target by :meth:`step` of dt [s]; at rest at ``value`` first."""
 
     moves = True
 

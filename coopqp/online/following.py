@@ -15,8 +15,6 @@ parallel, as of two opposite shoulders, cannot be told apart where a motor is wr
 Source: Chow and Willsky 1984, parity relations; von Neumann 1941; statics of a closed chain.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import combinations
 from typing import Any, NamedTuple

@@ -310,8 +310,7 @@ class OnlineLoop:
     def next_phase(self) -> None:
         """Go on to the next phase, as soon as the joints are slow enough to stop in one tick.
 
-        Raises:
-            InvalidValueError: there is none.
+        InvalidValueError: there is none.
         """
         self._phases.request_next()
 
@@ -385,22 +384,14 @@ class OnlineLoop:
         self._keeper.flush()
 
     def replay(self) -> Scenario:
-        """The scenario that plays the session so far again, from disk; flushes it.
-
-        Raises:
-            InvalidValueError: there is no session.
-        """
+        """The scenario that plays the session so far again; InvalidValueError: there is none."""
         if self._keeper.session is None:
             raise InvalidValueError("nothing is written: give the loop a folder, out")
         self.flush()
         return self._keeper.session.replay()
 
     def close(self) -> None:
-        """Write the record.
-
-        Raises:
-            CoopqpError: it could not be written.
-        """
+        """Write the record; CoopqpError: it could not be written."""
         self._keeper.close()
         if self._keeper.fault:
             raise CoopqpError(self._keeper.fault)

@@ -205,11 +205,7 @@ class LiveRecording:
                 self.fault = f"cannot write '{self.path}': {error}"
 
     def close(self) -> None:
-        """Write the rest and the end.
-
-        Raises:
-            CoopqpError: something could not be written.
-        """
+        """Write the rest and the end; CoopqpError: something could not be written."""
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join()

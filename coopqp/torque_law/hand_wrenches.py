@@ -256,10 +256,7 @@ def require_forces(problem: ControlProblem, safety: float, name: str) -> None:
 
 
 def unreachable_wrenches(hold: StaticHold, stack: WrenchStack) -> Iterator[str]:
-    """Wanted wrenches beyond what motors and friction give at rest, a sentence each.
-
-    ``stack`` must be up to date at the pose of ``hold``.
-    """
+    """Wanted wrenches of ``stack``, up to date, beyond what ``hold`` gives, a sentence each."""
     for row, C, wanted in zip(stack.rows, stack.J, stack.wanted, strict=True):
         lower, upper = (hold.extreme(C, sign) for sign in (-1.0, 1.0))
         if lower is None or upper is None:

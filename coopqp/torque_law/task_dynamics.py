@@ -84,10 +84,7 @@ class TaskDynamics:
         return np.asarray(np.minimum(np.maximum(tau, -self._effort), self._effort), float)
 
     def inverse_inertia(self) -> Array:
-        """Acceleration of the joints per torque on them, the loops closed, shape (n, n).
-
-        X = N (N' A N)^-1 N', with N as in :meth:`ClosedLoopDynamics.null_space`.
-        """
+        """N (N' A N)^-1 N', accelerations of the joints per torque on them, shape (n, n)."""
         N = self.dynamics.null_space()
         return np.asarray(N @ np.linalg.solve(N.T @ self.dynamics.A @ N, N.T), float)
 
