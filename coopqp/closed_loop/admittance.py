@@ -89,7 +89,6 @@ class InternalForceControl:
     Attributes:
         along: direction among all loops in which the loop offset is the squeeze's, shape (6 L,).
         gain: g [m/(s N)]. wanted: F_wanted of the last update; NaN before [N].
-        memory_sizes: what a law must remember for it.
         note: details of the last tick's status.
 
     InvalidValueError: the tasks ask for more than one squeeze between two hands, kappa is 0, or the

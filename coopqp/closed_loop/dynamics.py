@@ -77,10 +77,8 @@ class ClosedLoopDynamics:
     """Inverse and direct dynamic model of a closed chain.
 
     Args:
-        chain: arms and object.
         shares: share of the object's mass on each arm's last body, shape (N,), with sum 1; all on
             the first arm if omitted. It changes the wrench at the cut, nothing else.
-        friction: of every joint.
         actuated: names of the actuated joints; all but the passive ones if omitted.
         mass_scale: of the object's mass and inertia over the chain's.
 

@@ -125,8 +125,7 @@ def mobility(
         chain: the closed chain, at its start.
         task_rows: name and Jacobian (k, n) of each task at the start.
         requested: an actuation scheme to report on.
-        samples: number of generic poses.
-        seed: of the generic poses.
+        samples, seed: number of the generic poses, and their seed.
 
     UnknownNameError, InvalidValueError: ``requested`` is no scheme of this chain.
     InvalidValueError: a task's rows do not fit the joints, no sample, or a negative seed.

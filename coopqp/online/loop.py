@@ -315,14 +315,10 @@ class OnlineLoop:
         self._phases.request_next()
 
     def begin(self, q: ArrayLike, object_pose: Pose | ArrayLike | None = None) -> None:
-        """Take hold at measured joints, as in :meth:`tick`; else the first tick does it.
+        """Take hold at measured joints q, as in :meth:`tick`; else the first tick does it.
 
-        Args:
-            q: measured joints, as in :meth:`tick`.
-            object_pose: where the object was measured, as in :meth:`Scenario.placed`.
-
-        Raises:
-            CoopqpError: q or the pose is none, the object cannot be held so, nothing is written.
+        ``object_pose`` is where the object was measured, as in :meth:`Scenario.placed`.
+        CoopqpError: q or the pose is none, the object cannot be held so, nothing is written.
         """
         pose = None if object_pose is None else pose_of(object_pose, self._given.chain)
         with self._turn:

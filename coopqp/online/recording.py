@@ -64,7 +64,6 @@ class LiveRecording:
 
     Args:
         path: ``NAME.arrows``; must not exist.
-        scenario: that runs.
         law: of the first phase.
         start: the state before the first tick. Where it has measured joints, all ticks have.
         controller: the law's name in the scenario.

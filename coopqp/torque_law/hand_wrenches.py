@@ -331,11 +331,7 @@ class HandSensors:
     """Measures the external wrench on one chain by the hands; its state is in the law's memory.
 
     ``dynamics``, with the modelled object, must be up to date at each update. ``gain`` is the
-    inverse of the filter's time constant [1/s].
-
-    Attributes:
-        wrench: as of :class:`MomentumObserver`.
-        memory_sizes: what to remember.
+    inverse of the filter's time constant [1/s]. ``wrench`` is as of :class:`MomentumObserver`.
     """
 
     def __init__(self, dynamics: ClosedLoopDynamics, *, gain: float, dt: float) -> None:
