@@ -125,7 +125,8 @@ def mobility(
         chain: the closed chain, at its start.
         task_rows: name and Jacobian (k, n) of each task at the start.
         requested: an actuation scheme to report on.
-        samples, seed: number of the generic poses, and their seed.
+        samples: number of generic poses.
+        seed: of the generic poses.
 
     UnknownNameError, InvalidValueError: ``requested`` is no scheme of this chain.
     InvalidValueError: a task's rows do not fit the joints, no sample, or a negative seed.
