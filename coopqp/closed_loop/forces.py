@@ -127,7 +127,7 @@ class StaticHold:
             return Bound(0.0, (OWN_WEIGHT,), np.zeros((len(self.hands), 6)))
         return replace(found, value=max(0.0, found.value))
 
-    def in_the_way(self) -> str:
+    def infeasible(self) -> str:
         """What is infeasible even without the object's weight; empty where nothing is."""
         for kind, rows, why in IN_VAIN:
             names = dict.fromkeys(name for name, *_ in self._rows if name.startswith(kind))
@@ -190,8 +190,8 @@ def cannot_carry(chain: ClosedChain, hold: StaticHold, load: Bound) -> str:
         return tilted
     if not load.by:
         return _nothing(chain, hold)
-    if load.by == (OWN_WEIGHT,) and (unheard := hold.in_the_way()):
-        return unheard
+    if load.by == (OWN_WEIGHT,) and (vain := hold.infeasible()):
+        return vain
     return (
         f"the hands carry {100.0 * load.value:.0f} % of its weight; {load.holds} back; make the "
         "object lighter, friction or pads larger, the motors stronger, or press from other sides"

@@ -167,7 +167,7 @@ class ForceMonitor:
     """Judges readings of force sensors; ``weight`` is the object's as the scenario says [N]."""
 
     def __init__(self, law: Law) -> None:
-        chain, self._squeezer = law.problem.chain, law.force_control
+        chain, self._control = law.problem.chain, law.force_control
         self._hands, self._readings = hands(chain), WrenchReadings(chain)
         self._arms = tuple(hand.arm for hand in self._hands)
         self._dt, self._mass, up = law.problem.dt, chain.held.mass, -chain.model.gravity.linear
@@ -212,13 +212,13 @@ class ForceMonitor:
 
     def _contrary(self, state: State) -> Finding | None:
         """Hands that close and say that they pull, or part and say that they press."""
-        if not self._squeezer:
+        if not self._control:
             return None
-        squeeze = 0.5 * float(self._squeezer.along[:3].dot(self._smooth[0] - self._smooth[1]))
+        squeeze = 0.5 * float(self._control.along[:3].dot(self._smooth[0] - self._smooth[1]))
         way = self._closed_in(state) - self._began
         contrary = abs(way) > CLOSED_IN and abs(squeeze) > SMALL and way * squeeze < 0.0
         # By sound sensors the force becomes what is wanted, whatever way that takes.
-        contrary &= abs(self._squeezer.wanted - squeeze) > SMALL
+        contrary &= abs(self._control.wanted - squeeze) > SMALL
         lasts = self._lasts(2, contrary)
         self._first = (way, squeeze) if lasts <= self._dt else self._first
         # Sound hands that still pull, pull less as they close.
@@ -238,7 +238,7 @@ class ForceMonitor:
 
     def _closed_in(self, state: State) -> float:
         """How far the hands are told to be closer than the model says [m]."""
-        return -float(self._squeezer.along.dot(state.loop_offset)) if self._squeezer else 0.0
+        return -float(self._control.along.dot(state.loop_offset)) if self._control else 0.0
 
     def _silent(self, w: Array, step: Array, state: State) -> Finding | None:
         """A sensor that says zero, or always the same, where it cannot be so."""

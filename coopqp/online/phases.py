@@ -80,7 +80,7 @@ def acceleration_limits(problem: ControlProblem) -> Array:
     return upper
 
 
-class _Kept:
+class _FixedDistance:
     """Internal force control that keeps the hands' distance and ignores the force."""
 
     memory_sizes: Mapping[str, int] = {}
@@ -100,7 +100,7 @@ class Braking:
         problem, force_control = own.problem, own.force_control
         still = replace(problem, tasks=(), wrenches=(), secondary=())
         self._law = QPController().unprepared(still)  # begin would take a third longer otherwise
-        self._law.force_control = _Kept(force_control) if force_control else None
+        self._law.force_control = _FixedDistance(force_control) if force_control else None
         self._law.observer = own.observer
         self._memory = Memory(self._law.memory_sizes)
         self._step = acceleration_limits(problem) * problem.dt  # of the velocity in one tick

@@ -12,7 +12,7 @@ from coopqp.base.table import read_table
 from coopqp.base.wording import counted
 from coopqp.closed_loop.forces import StaticHold, contact_notes
 from coopqp.closed_loop.hands import WrenchStack
-from coopqp.closed_loop.hidden_freedom import hidden_freedom
+from coopqp.closed_loop.mobility import hidden_freedom
 from coopqp.closed_loop.screw import LENGTH
 from coopqp.controller import Controller
 from coopqp.controllers.qp import QPController

@@ -78,7 +78,7 @@ class HandWrenches:
         pressing: whether any hand holds by contact.
         points: of the hands, shape (N, 3) [m]. turned: R_CW where any presses, shape (N, 3, 3).
         G: grasp matrix, shape (6, 6 N).
-        feels: sum_i (J_i - J_0)' G_i as a matrix on h, shape (n, 6 N).
+        to_tau: sum_i (J_i - J_0)' G_i as a matrix on h, shape (n, 6 N).
         cones: shape (c, 6 N), and stated: cones @ h <= stated, shape (c,).
         upper: the right side in this tick, shape (c,); see :mod:`coopqp.torque_law.program`.
         in_cone: 1 for rows of cones, 0 for bounds of the normal force, shape (c,).
@@ -107,7 +107,7 @@ class HandWrenches:
         self._prepare_cones(safety)
         self.points, self.G = np.zeros((N, 3)), np.zeros((6, 6 * N))
         self.turned = np.zeros((N, 3, 3))
-        self.feels = np.zeros((chain.n, 6 * N))
+        self.to_tau = np.zeros((chain.n, 6 * N))
         self._metric = np.tile(np.repeat([1.0, 1.0 / HAND_RADIUS], 3), N)
         # Loops between hands that press are closed by the contact, not by the model.
         pressed = [bool(self.hands[0].contact or hand.contact) for hand in self.hands[1:]]
@@ -135,7 +135,7 @@ class HandWrenches:
         J = dynamics.J_arms
         for i in range(1, len(self.hands)):
             part = slice(6 * i, 6 * i + 6)
-            self.feels[:, part] = (J[part] - J[:6]).T @ self.G[:, part]
+            self.to_tau[:, part] = (J[part] - J[:6]).T @ self.G[:, part]
         if self.pressing:
             self.turned[:], at = into_contacts(self.hands, state.R_WO), 0
             for i, rows in self._local:

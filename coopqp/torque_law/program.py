@@ -201,7 +201,7 @@ class Program:
         n = layout.n
         tree, body, closed = slice(0, n), slice(n, n + 6), slice(n + 6, layout.common)
         J_0, (M, b) = dynamics.J_object, dynamics.object_inertia()
-        qp.A[tree, layout.a], qp.A[tree, layout.h] = dynamics.A, hands.feels
+        qp.A[tree, layout.a], qp.A[tree, layout.h] = dynamics.A, hands.to_tau
         qp.b[tree] = -dynamics.H
         qp.b[body] = 0.0  # of an object that stands, whatever the arms do
         if hands.hands:

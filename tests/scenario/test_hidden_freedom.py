@@ -14,8 +14,7 @@ from scenario_files import LOADABLE, write
 
 from coopqp.base.errors import GraspError, ScenarioError
 from coopqp.base.spec import Array, Pose
-from coopqp.closed_loop.hidden_freedom import HiddenFreedom, hidden_freedom
-from coopqp.closed_loop.mobility import mobility
+from coopqp.closed_loop.mobility import HiddenFreedom, hidden_freedom, mobility
 from coopqp.execution.comparison import compare
 from coopqp.grasps import Rigid
 from coopqp.model.closed_chain import ClosedChain
