@@ -435,7 +435,6 @@ class LoopObserver:
 
 
 def _rests(state: State) -> bool:
-    """Whether the object is commanded to rest."""
     if state.v.dot(state.v) > MOVES * MOVES:  # before anybody asks for Jacobians
         return False
     twist = state.J_task.dot(state.v) * SPEEDS

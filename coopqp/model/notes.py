@@ -73,7 +73,6 @@ class Why:
         return self._joints(np.maximum(below, above), describe)
 
     def _loops(self) -> str:
-        """The loop that is farthest open."""
         chain, loops = self._chain, self._open.reshape(-1, 2, 3)
         apart, turned = np.linalg.norm(loops, axis=2).T
         i = int(np.argmax(apart + turned))

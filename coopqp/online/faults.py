@@ -130,7 +130,6 @@ class FaultMonitor:
         return self._named(suspect) if suspect else None
 
     def _observed(self, state: State) -> Finding | None:
-        """What the observer of the loop-closure offset has found."""
         observer, forces = self._law.observer, self._forces
         self._at_bound = self._at_bound + self._dt if observer.at_bound else 0.0
         if self._at_bound > LASTING:
@@ -311,7 +310,6 @@ class ForceMonitor:
         return "force_sensor_scaled", self._arms, words
 
     def _near_slip(self, w: Array, state: State) -> Finding | None:
-        """A hand that presses and needs nearly all its friction."""
         for arm, contact, need in friction_needed(self._hands, w, state.R_WO):
             if need > NEAR_SLIP * contact.friction:
                 words = f"{arm} is about to slip: it needs {need:.2g} of {contact.friction:g}"

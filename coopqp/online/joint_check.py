@@ -235,7 +235,6 @@ class _Check:
         return moved, error, rest
 
     def _judge(self, i: int, moved: Array, error: Array) -> str:
-        """What is wrong with a joint, by r of all joints and its standard error."""
         names, r = self._chain.joint_names, moved[i]
         if SURE * error[i] > STILL:
             return _hidden(SURE * error[i])

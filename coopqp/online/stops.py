@@ -211,7 +211,6 @@ class Stops:
         self.ended = self.ended or reason(why, "it was told to end")
 
     def resume(self) -> None:
-        """Go on, unless it has ended."""
         if self._stopped and not self.ended:
             self._resumed, self._stopped = True, ""
 

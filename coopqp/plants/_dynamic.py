@@ -88,7 +88,6 @@ class ServoLaw:
         self._q_d[:] = q
 
     def begin(self, command: Command, q: Array) -> None:
-        """Take a command for the next control period."""
         self.follows = command.tau is None
         if command.tau is not None:
             self._forward[:] = command.tau
@@ -348,7 +347,6 @@ class DynamicModel(PlantModel):
         self.attach(before)
 
     def _slip(self) -> None:
-        """Let the object slip in a hand by the change since the last period."""
         distance = self.disturbance.slipped(self.true.t)
         if distance != self._slipped:
             step, self._slipped = distance - self._slipped, distance
