@@ -153,19 +153,17 @@ def _changes(chain: ClosedChain, q: Array) -> Iterator[tuple[str, Array]]:
     """Joints with one mistake undone, and what it was."""
     yield "degrees", _in_radians(chain, q)
     place = {name: i for i, name in enumerate(chain.joint_names)}
-    arms = [
-        (arm.name, [place[name] for name in chain.robot.arm_joints(arm)])
-        for arm in chain.robot.arms
-    ]
-    for (a, joints), (b, others) in itertools.combinations(arms, 2):
+    robot = chain.robot
+    arms = {arm.name: [place[name] for name in robot.arm_joints(arm)] for arm in robot.arms}
+    for (a, joints), (b, others) in itertools.combinations(arms.items(), 2):
         if len(joints) == len(others):
             words = "arms swapped" if len(arms) == 2 else f"arms {a} and {b} swapped"
             yield words, _with(q, [*joints, *others], q[[*others, *joints]])
-    for _, joints in arms:
+    for joints in arms.values():
         for i, j in itertools.combinations(joints, 2):
             names = f"{chain.joint_names[i]} and {chain.joint_names[j]}"
             yield f"{names} swapped", _with(q, [i, j], q[[j, i]])
-    for i in sorted({i for _, joints in arms for i in joints}):
+    for i in sorted({i for joints in arms.values() for i in joints}):
         name = chain.joint_names[i]
         yield f"sign of {name}", _with(q, [i], -q[i])
         if chain.joint_units[i] == "rad":

@@ -126,11 +126,9 @@ class JointFollowing:
         self._white = np.zeros((n, n))
         self._renew, self._fresh = max(1, round(RENEWED / h)), max(1, round(FRESH / h))
         self._kept = -(-self._spans[-1] // self._renew)  # Jacobians before, of the long window
-        arms = (set(chain.robot.arm_joints(arm)) for arm in chain.robot.arms)
-        self._arms = [
-            np.array([i for i, j in enumerate(own) if chain.joint_names[j] in arm], int)
-            for arm in arms
-        ]
+        names = [chain.joint_names[j] for j in own]
+        arms = (chain.robot.arm_joints(arm) for arm in chain.robot.arms)
+        self._arms = [np.flatnonzero([name in arm for name in names]) for arm in arms]
         decays = np.exp(-h / TIMES)
         kernels = decays ** np.arange(round(FADED * TIMES[-1] / h) + 1)[:, None]
         self._kernels = kernels / kernels.sum(axis=0)

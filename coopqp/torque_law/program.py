@@ -9,6 +9,7 @@ and then minimal.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,31 +67,20 @@ class Layout:
         ends = np.cumsum([0, self.n, self.k, hands.size, int(hands.pressing)]).tolist()
         self.a, self.tau = slice(ends[0], ends[1]), slice(ends[1], ends[2])
         self.h, self.sigma = slice(ends[2], ends[3]), slice(ends[3], ends[4])
-        names, units = chain.joint_names, chain.joint_units
-        efforts = {"rad": "N m", "m": "N"}
+        joints = list(zip(chain.joint_names, chain.joint_units, strict=True))
+        motors, force = [joints[i] for i in dynamics.actuated], {"rad": "N m", "m": "N"}
         self.variables = (
-            *(
-                Row(name=f"a[{name}]", kind="joint", unit=f"{unit}/s2", joint=name)
-                for name, unit in zip(names, units, strict=True)
-            ),
-            *(
-                Row(name=f"tau[{names[i]}]", kind="motor", unit=efforts[units[i]], joint=names[i])
-                for i in dynamics.actuated.tolist()
-            ),
+            *(Row(name=f"a[{x}]", kind="joint", unit=f"{u}/s2", joint=x) for x, u in joints),
+            *(Row(name=f"tau[{x}]", kind="motor", unit=force[u], joint=x) for x, u in motors),
             *hands.variables,
             *([Row(name="sigma", kind="hand", unit="N")] if hands.pressing else []),
         )
         self.inequalities = (*bounds.rows, *hands.cone_rows)
         self.cones = slice(len(bounds.rows), len(self.inequalities))
+        axes, row = zip(AXES, UNITS, strict=True), partial(Row, kind="dynamics")
         self.equalities = (
-            *(
-                Row(name=f"dynamics[{name}]", kind="dynamics", unit=efforts[unit], joint=name)
-                for name, unit in zip(names, units, strict=True)
-            ),
-            *(
-                Row(name=f"object.{axis}", kind="dynamics", unit=unit)
-                for axis, unit in zip(AXES, UNITS, strict=True)
-            ),
+            *(row(name=f"dynamics[{x}]", unit=force[u], joint=x) for x, u in joints),
+            *(row(name=f"object.{axis}", unit=unit) for axis, unit in axes),
             *chain.loops.kept_rows[: self.m],
         )
         self.common = len(self.equalities)
