@@ -23,17 +23,7 @@ from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array, Direction, Vector3, one_angle, spec, unit
 from coopqp.model.profile import Profile
 from coopqp.model.state import PointOfObject, State
-from coopqp.signal import (
-    DIRECTION,
-    POINT,
-    Instant,
-    Kind,
-    Moment,
-    Signal,
-    Trajectory,
-    quaternion_of,
-    trajectory_of,
-)
+from coopqp.signal import DIRECTION, POINT, Instant, Moment, Signal, Trajectory, trajectory_of
 
 #: Below this two directions count as parallel, or a point as on an axis, and any way is taken.
 TINY = 1e-14  # sine of an angle, or [m]; below it are rounding and no way
@@ -147,13 +137,6 @@ class Reference:
             share, speed = self._turning.at(at.t)
             self._RT_0.dot(pin.exp3(self._turn * share).T, self.RT)
             np.multiply(self._turn, speed, self.omega)
-
-
-def object_at(at: Instant, kind: Kind) -> Array | None:
-    """Where the object is, as a rotation or a pose; None at an instant without a state."""
-    if not isinstance(at, State):
-        return None
-    return np.concatenate([at.p_WO[: kind.numbers], quaternion_of(at.R_WO)])
 
 
 class PlaceOf(Trajectory):

@@ -20,7 +20,7 @@ from scipy.linalg import lapack
 from coopqp.base.rank import independent_rows, least_squares
 from coopqp.base.spec import Array, read_only, real, vector
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.signal import InputValues
+from coopqp.signal import InputValues, Instant, Kind, quaternion_of
 
 
 class Memory:
@@ -386,6 +386,13 @@ def state_of(chain: ClosedChain, kept: Kept) -> State:
     state.q_measured, state.hand_wrench, state.observer_state[:] = sensed
     state.update()
     return state
+
+
+def object_at(at: Instant, kind: Kind) -> Array | None:
+    """Where the object is, as a rotation or a pose; None at an instant without a state."""
+    if not isinstance(at, State):
+        return None
+    return np.concatenate([at.p_WO[: kind.numbers], quaternion_of(at.R_WO)])
 
 
 class PointOfObject:
