@@ -89,7 +89,7 @@ class RigidBodyModel(_dynamic.DynamicModel):
             chain, shares=chain.alpha, friction=self._settings.friction, mass_scale=mass_scale
         )
         self._stops = EndStops(chain, self.h) if self._settings.end_stops else None
-        self._updated = b""  # the state of the dynamics, if that may come again
+        self._updated = b""  # the state that the dynamics are up to date with
 
     def integrate(self) -> None:
         """One Runge-Kutta step, then a projection on the closed loops."""
@@ -98,7 +98,7 @@ class RigidBodyModel(_dynamic.DynamicModel):
         self._follow(q, v)
         if self._stops:
             self._stops.update(self._dynamics)
-        a1 = self._accelerated(q, v, t)
+        a1 = self._acceleration(q, v, t)
         v2 = v + 0.5 * h * a1
         a2 = self._acceleration(q + 0.5 * h * v, v2, t)
         v3 = v + 0.5 * h * a2
@@ -114,8 +114,7 @@ class RigidBodyModel(_dynamic.DynamicModel):
     def energy(self) -> tuple[float, float]:
         """Kinetic and potential energy; updates the wrench signals as well."""
         true, dynamics = self.true, self._dynamics
-        self._follow(true.q, true.v)
-        a = self._accelerated(true.q, true.v, true.t)
+        a = self._acceleration(true.q, true.v, true.t)
         wrenches = dynamics.object_wrenches(a, self._wrench, self.disturbance.wrench(true.t))
         cut = self.signals["cut_wrench"]
         cut[:] = -wrenches.by_arm[1:].ravel()[: len(cut)]
@@ -135,19 +134,14 @@ class RigidBodyModel(_dynamic.DynamicModel):
             self.lost = signals.lost
 
     def _follow(self, q: Array, v: Array) -> None:
-        """Bring the dynamics up to date, unless that is the state of the last period's end."""
+        """Bring the dynamics up to date, unless they are, as after the last period's end."""
         state = q.tobytes() + v.tobytes()
         if state != self._updated:
             self._dynamics.update(q, v)
             self._updated = state
 
     def _acceleration(self, q: Array, v: Array, t: float) -> Array:
-        self._dynamics.update(q, v)
-        self._updated = b""
-        return self._accelerated(q, v, t)
-
-    def _accelerated(self, q: Array, v: Array, t: float) -> Array:
-        """The acceleration in a state that the dynamics are up to date with."""
+        self._follow(q, v)
         dynamics = self._dynamics
         tau = self.servo.torque(q, v)
         if self._stops:
