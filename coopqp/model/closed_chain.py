@@ -222,7 +222,8 @@ class ClosedChain:
 
     def _with(self, **changes: Any) -> ClosedChain:
         other = copy.copy(self)
-        other._made, other.hold = self._made, replace(self.hold, **changes)
+        other._made, other._spare = self._made, self._spare
+        other.hold = replace(self.hold, **changes)
         return other
 
     def __getstate__(self) -> dict[str, Any]:
