@@ -36,15 +36,8 @@ from coopqp.base.qp import Row, names_of
 from coopqp.base.rank import independent_rows, matrix_rank
 from coopqp.base.spec import Array, finite, vector
 from coopqp.grasp import Grasp
-from coopqp.model.grasp_configuration import (
-    SUPPORT,
-    GraspConfiguration,
-    HeldObject,
-    arm_weights,
-    at_start,
-    grasp_of_each,
-    with_passive_start,
-)
+from coopqp.model import grasp_configuration as grasping
+from coopqp.model.grasp_configuration import SUPPORT, GraspConfiguration, HeldObject
 from coopqp.robot import RobotModel, joint_units
 from coopqp.signal import ENDLESS
 
@@ -184,7 +177,7 @@ class ClosedChain:
         does not have. InvalidValueError: q_start of a wrong shape; weights that are negative or do
         not sum to 1.
         """
-        by_arm, arms = grasp_of_each(robot, grasps), robot.arms
+        by_arm, arms = grasping.grasp_of_each(robot, grasps), robot.arms
         if len(arms) < 2:
             words = f"robot {robot.name} has {len(arms)} arm; a loop needs two"
             raise GraspError(words).at("robot")
@@ -195,12 +188,12 @@ class ClosedChain:
         turned = {a.name: data.oMf[robot.model.getFrameId(a.tip)].rotation.copy() for a in arms}
         passive = {name: by_arm[name].passive_joints(R_WT) for name, R_WT in turned.items()}
         hold = GraspConfiguration(
-            robot=robot, grasps=by_arm, passive=passive, weights=arm_weights(robot, alpha),
-            released=tuple(released), held=held,
-            q=with_passive_start(robot, passive, start, passive_start or {}),
+            robot=robot, grasps=by_arm, passive=passive, released=tuple(released), held=held,
+            weights=grasping.arm_weights(robot, alpha),
+            q=grasping.with_passive_start(robot, passive, start, passive_start or {}),
             p_WO=np.zeros(3), X_EO={},
         )  # fmt: skip
-        return cls(at_start(hold))
+        return cls(grasping.at_start(hold))
 
     def moved(self, q: Array) -> ClosedChain:
         """The same chain, object and grasps, starting at q with the loops closed, shape (n,)."""
@@ -246,19 +239,14 @@ class ClosedChain:
         object stood it may have been ``measured`` elsewhere; where all let go it stays.
         UnknownNameError: no such arm.
         """
-        q = vector("q", q, self.n)
-        X_WO, data = self.object_pose(q), self.model.createData()
-        pin.framesForwardKinematics(self.model, data, q)
-        if measured and not self.hold.holders:
-            X_WO = measured
-        carried = {a.name: data.oMf[f] for a, f in zip(self.arms, self.frames, strict=True)}
-        X_by_arm = {
-            arm: X if arm in self.hold.holders or arm in released else X_WO
-            for arm, X in carried.items()
-        }
-        X_by_arm[SUPPORT.name] = X_WO
-        p_WO = X_WO.translation.copy()
-        return ClosedChain(self.hold.handed_over(q, released, p_WO, X_by_arm))
+        q, keep = vector("q", q, self.n), (*self.hold.holders, *released)
+        X_WO = measured if measured and not self.hold.holders else self.object_pose(q)
+        with self._data() as data:
+            carried = [
+                (a.name, X.copy()) for a, X in zip(self.arms, self._carried(q, data), strict=True)
+            ]
+        X_by_arm = {arm: X if arm in keep else X_WO for arm, X in carried}
+        return ClosedChain(self.hold.handed_over(q, released, X_by_arm | {SUPPORT.name: X_WO}))
 
     def object_pose(self, q: Array) -> pin.SE3:
         """Pose of the object in the world at q, the mean over the arms that hold it."""

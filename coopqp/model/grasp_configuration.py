@@ -133,10 +133,11 @@ class GraspConfiguration:
         return arm.tip if arm.name in (SUPPORT.name, *self.released) else ends[arm.name]
 
     def handed_over(
-        self, q: Array, released: Collection[str], p_WO: Array, X_WO: Mapping[str, pin.SE3]
+        self, q: Array, released: Collection[str], X_WO: Mapping[str, pin.SE3]
     ) -> GraspConfiguration:
         """With other arms holding the object, X_WO by arm; UnknownNameError: no such arm."""
         require_known("arm", released, [arm.name for arm in self.robot.arms])
+        p_WO = X_WO[SUPPORT.name].translation.copy()
         other = replace(self, q=q, p_WO=p_WO, released=tuple(released))
         return replace(other, X_EO=other.in_hands(X_WO))
 
