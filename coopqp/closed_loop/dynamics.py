@@ -122,12 +122,11 @@ class ClosedLoopDynamics:
             words = f"needs {len(chain.arms)}, one an arm, of at least 0 that sum to 1"
             raise InvalidValueError(f"shares: found {a.tolist()}, {words}")
         self.model = chain.model.copy()
-        for frame, share in zip(chain.frames, self.shares, strict=True):
+        for index, share in zip(chain.frames, self.shares, strict=True):
             if share > 0.0:
+                frame = chain.model.frames[index]
                 part = pin.Inertia(share * self._mass, body.lever, share * self._inertia)
-                self.model.appendBodyToJoint(
-                    chain.model.frames[frame].parentJoint, part, chain.model.frames[frame].placement
-                )
+                self.model.appendBodyToJoint(frame.parentJoint, part, frame.placement)
         self.actuated = np.setdiff1d(np.arange(chain.n), chain.passive)
         if actuated is not None:
             motors, freedom = motor_indices(chain, actuated), chain.n - chain.loops.rank
