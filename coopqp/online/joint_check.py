@@ -55,19 +55,12 @@ SURE = 4.0
 
 @dataclass(frozen=True)
 class JointCheck:
-    """What a check of the joints has found; its text is what to tell people.
+    """What a check of the joints has found; its text is what to tell people."""
 
-    Attributes:
-        joints: that were to be checked, k of them.
-        response: r of all joints (columns) to each (rows), NaN if not checked, shape (k, k).
-        faults: by joint, what is wrong with it.
-        stopped: why it did not come to its end; empty if it did.
-    """
-
-    joints: tuple[str, ...]
-    response: Array
-    faults: dict[str, str]
-    stopped: str
+    joints: tuple[str, ...]  #: That were to be checked, k of them.
+    response: Array  #: r of all joints (columns) to each (rows), NaN if not checked, shape (k, k).
+    faults: dict[str, str]  #: By joint, what is wrong with it.
+    stopped: str  #: Why it did not come to its end; empty if it did.
 
     @property
     def ok(self) -> bool:
