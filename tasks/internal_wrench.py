@@ -19,8 +19,7 @@ import numpy as np
 
 from coopqp.base.errors import GraspError, require_known, under
 from coopqp.base.spec import Array, Positive, spec
-from coopqp.closed_loop.forces import squeeze_rows
-from coopqp.closed_loop.grasp_matrix import COMPONENTS, UNITS, section
+from coopqp.closed_loop.grasp_matrix import COMPONENTS, UNITS, section, squeeze_rows
 from coopqp.closed_loop.hands import Hand, hands, points
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State

@@ -11,8 +11,8 @@ from typing import ClassVar
 from coopqp.base.spec import Pose, Positive, Vector3, one_angle, spec
 from coopqp.grasp import pose_matrix
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.geometry import object_at
 from coopqp.model.profile import Profile
+from coopqp.model.state import object_at
 from coopqp.program import Primitive, rotation
 from coopqp.signal import ROTATION, Instant, MovingRotation, Trajectory, quaternion_of
 from coopqp.task import Task

@@ -11,8 +11,9 @@ With R_e = R R_r' and Jl the left Jacobian of SO(3),
 
 from coopqp.base.spec import Positive, spec
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.model.geometry import PlaceOf, Reference, object_at
+from coopqp.model.geometry import PlaceOf, Reference
 from coopqp.model.profile import Profile
+from coopqp.model.state import object_at
 from coopqp.program import Primitive, point, rotation
 from coopqp.signal import POSE, Instant, MovingPose, trajectory_of
 from coopqp.task import Part, Task, pose_parts

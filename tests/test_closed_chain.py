@@ -16,7 +16,7 @@ from coopqp.base.spec import Array, Pose
 from coopqp.grasps import Rigid
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.grasp_configuration import HeldObject
-from coopqp.model.state import State
+from coopqp.model.state import PointOfObject, State
 from coopqp.robot import RobotModel
 
 H = 1e-5  # step of the central differences [rad]
@@ -150,12 +150,12 @@ def test_relative_jacobian_is_the_rate_of_the_loop_error(
 def test_object_point_moves_with_its_jacobian(chain: ClosedChain, closed_loop_walk: Walk) -> None:
     point = np.array([0.03, -0.02, 0.05])
     for q in closed_loop_walk(chain, 5):
-        state, J = State(chain, q), np.zeros((3, chain.n))
-        state.point_jacobian(state.R_WO @ point, J)
+        tracked = PointOfObject(point, chain.n)
+        tracked.update(State(chain, q))
         for joint, unit in enumerate(np.eye(chain.n)):
             before, after = State(chain, q - H * unit), State(chain, q + H * unit)
             rate = (after.point(point) - before.point(point)) / (2 * H)
-            np.testing.assert_allclose(J[:, joint], rate, atol=1e-8)
+            np.testing.assert_allclose(tracked.J[:, joint], rate, atol=1e-8)
 
 
 def test_planar_arms_have_three_loop_rows_and_name_the_rest() -> None:

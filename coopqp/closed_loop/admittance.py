@@ -89,7 +89,6 @@ class InternalForceControl:
     Attributes:
         along: direction among all loops in which the loop offset is the squeeze's, shape (6 L,).
         gain: g [m/(s N)]. wanted: F_wanted of the last update; NaN before [N].
-        memory_sizes: what a law must remember for it.
         note: details of the last tick's status.
 
     InvalidValueError: the tasks ask for more than one squeeze between two hands, kappa is 0, or the
@@ -109,8 +108,13 @@ class InternalForceControl:
                 f"leave kappa out, or give up to 1/dt = {1.0 / dt:g} 1/s"
             )
         self.gain, self._settings, self._dt = settings.gain_of(dt, problem.kappa), settings, dt
-        if fault := _gain_fault(settings, self.gain, dt):
-            raise InvalidValueError(fault)
+        limit = stability_limit(settings.delay)
+        if not self.gain * settings.stiffness * dt < limit:
+            raise InvalidValueError(
+                f"admittance.gain: found {self.gain:g} m/(s N), which is unstable with "
+                f"{settings.stiffness:g} N/m and {counted(settings.delay, 'tick')} of delay; needs "
+                f"less than {limit / (settings.stiffness * dt):.3g}, or leave it out"
+            )
         self._hands = hands(chain)
         self._readings, self.note, self.wanted = WrenchReadings(chain), "", math.nan
         self._wrenches = WrenchStack(problem.wrenches, State(chain))
@@ -177,12 +181,12 @@ class InternalForceControl:
 
     def _needed(self, state: State, measured: Array, wanted: float, pressed: float) -> float:
         """The force with which friction suffices, at most the contacts' [N]; zero if it does."""
-        use, most = 0.0, math.inf
+        use, upper = 0.0, math.inf
         for _, contact, need in friction_needed(self._hands, measured, state.R_WO):
-            use, most = max(use, need / contact.friction), min(most, contact.most)
+            use, upper = max(use, need / contact.friction), min(upper, contact.most)
         if not NEAR_SLIP < use < math.inf:
             return 0.0
-        return min(pressed * use / ENOUGH, MOST_GROWN * wanted if most == math.inf else most)
+        return min(pressed * use / ENOUGH, MOST_GROWN * wanted if upper == math.inf else upper)
 
 
 def internal_force_control(
@@ -209,7 +213,6 @@ def unstated(task: str) -> str:
 
 
 def _check_tasks(tasks: Sequence[Task]) -> None:
-    """Raise InvalidValueError for anything but one soft squeeze."""
     if len(tasks) != 1:
         names = ", ".join(f"'{task.name}'" for task in tasks)
         raise InvalidValueError(f"admittance: controls one squeeze, and {names} ask for forces")
@@ -224,15 +227,3 @@ def _check_tasks(tasks: Sequence[Task]) -> None:
             f"admittance: '{task.name}' is hard, but the squeeze converges over time; leave "
             "mode out"
         )
-
-
-def _gain_fault(settings: Admittance, gain: float, dt: float) -> str:
-    """What is wrong with a gain; empty if nothing is."""
-    limit = stability_limit(settings.delay)
-    if gain * settings.stiffness * dt < limit:
-        return ""
-    return (
-        f"admittance.gain: found {gain:g} m/(s N), which is unstable with "
-        f"{settings.stiffness:g} N/m and {counted(settings.delay, 'tick')} of delay; needs less "
-        f"than {limit / (settings.stiffness * dt):.3g}, or leave it out"
-    )

@@ -30,8 +30,6 @@ from coopqp.base.spec import Array, NonNegative, Positive, spec
 from coopqp.closed_loop.constraint_equations import motor_indices
 from coopqp.model.closed_chain import ClosedChain
 
-_NOTHING = np.zeros(0)
-
 
 @spec
 class Friction:
@@ -79,10 +77,8 @@ class ClosedLoopDynamics:
     """Inverse and direct dynamic model of a closed chain.
 
     Args:
-        chain: arms and object.
         shares: share of the object's mass on each arm's last body, shape (N,), with sum 1; all on
             the first arm if omitted. It changes the wrench at the cut, nothing else.
-        friction: of every joint.
         actuated: names of the actuated joints; all but the passive ones if omitted.
         mass_scale: of the object's mass and inertia over the chain's.
 
@@ -126,12 +122,11 @@ class ClosedLoopDynamics:
             words = f"needs {len(chain.arms)}, one an arm, of at least 0 that sum to 1"
             raise InvalidValueError(f"shares: found {a.tolist()}, {words}")
         self.model = chain.model.copy()
-        for frame, share in zip(chain.frames, self.shares, strict=True):
+        for index, share in zip(chain.frames, self.shares, strict=True):
             if share > 0.0:
+                frame = chain.model.frames[index]
                 part = pin.Inertia(share * self._mass, body.lever, share * self._inertia)
-                self.model.appendBodyToJoint(
-                    chain.model.frames[frame].parentJoint, part, chain.model.frames[frame].placement
-                )
+                self.model.appendBodyToJoint(frame.parentJoint, part, frame.placement)
         self.actuated = np.setdiff1d(np.arange(chain.n), chain.passive)
         if actuated is not None:
             motors, freedom = motor_indices(chain, actuated), chain.n - chain.loops.rank
@@ -245,10 +240,8 @@ class ClosedLoopDynamics:
         self._wrench[:] = 0.0
         self._wrench[self.kept] = wrench
         self._tau[act] = Gamma_a - wrench.dot(J_a)
-        undone = Gamma_p - wrench.dot(J_p) if singular else _NOTHING
-        return InverseResult(
-            self._tau, self._wrench, singular, float(np.abs(undone).max(initial=0.0))
-        )
+        undone = np.abs(Gamma_p - wrench.dot(J_p)) if singular else np.zeros(1)
+        return InverseResult(self._tau, self._wrench, singular, float(undone.max(initial=0.0)))
 
     def null_space(self) -> Array:
         """Orthonormal basis N of the null space of J_c as of the last update, shape (n, f)."""

@@ -21,24 +21,10 @@ import pinocchio as pin
 
 from coopqp.base.errors import CoopqpError
 from coopqp.base.spec import Array
-from coopqp.closed_loop.grasp_matrix import (
-    EDGES,
-    FLAT,
-    flatness,
-    grasp_matrix,
-    section,
-    virtual_linkage,
-)
+from coopqp.closed_loop.grasp_matrix import grasp_matrix, squeeze_rows
 from coopqp.closed_loop.hands import Hand, hands, into_contacts, points
 from coopqp.closed_loop.screw import LENGTH
-from coopqp.closed_loop.transmission import (
-    COMMANDED,
-    LET_GO,
-    MIXED,
-    STRUCTURE,
-    Transmission,
-    transmission,
-)
+from coopqp.closed_loop.transmission import COMMANDED, FATES, Transmission, transmission
 from coopqp.grasp import SAFETY
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.state import State
@@ -51,8 +37,6 @@ MAX_LOAD = 100.0
 WORDS = {
     "friction": "friction", "edge": "pad's edge", "least": "least force", "most": "most force",
 }  # fmt: skip
-
-
 #: What may be asked for in vain, the kinds of rows that ask for it, and what it is then.
 #: A pad's edge is kept by what is above the least force.
 IN_VAIN = (
@@ -63,6 +47,8 @@ IN_VAIN = (
 ON_LINE = 1e-9
 #: What stands where nothing at all can be carried.
 OWN_WEIGHT = "the arms' own weight"
+#: A contact that is farther from the object's face is worth a word [m].
+OFF_FACE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -74,7 +60,7 @@ class Bound:
     h: Array  # the wrenches with which it is reached, shape (N, 6) [N, N m]
 
     @property
-    def words(self) -> str:
+    def active(self) -> str:
         """The active constraints in words, such as "motor a and friction of b"."""
         *before, last = self.by or ("nothing",)
         return f"{', '.join(before)} and {last}" if before else last
@@ -82,7 +68,7 @@ class Bound:
     @property
     def holds(self) -> str:
         """These with their verb, such as "motor a and friction of b hold it"."""
-        return f"{self.words} {'hold' if len(self.by) > 1 else 'holds'} it"
+        return f"{self.active} {'hold' if len(self.by) > 1 else 'holds'} it"
 
 
 class StaticHold:
@@ -103,9 +89,7 @@ class StaticHold:
         force = -body.mass * chain.model.gravity.linear
         self.weight = np.concatenate([force, np.cross(X_WO.rotation @ body.lever, force)])
         self._G = grasp_matrix(self.points, self._origin)
-        self._names: list[str] = []
-        self._rows: list[Array] = []
-        self._most: list[float] = []
+        self._rows: list[tuple[str, Array, float]] = []  # name, row and upper bound
         self._add_joints(chain, at)
         self._add_contacts(X_WO.rotation, safety)
         # Torques as forces at LENGTH, so that one tolerance serves all variables.
@@ -116,13 +100,13 @@ class StaticHold:
         own = np.asarray(pin.computeGeneralizedGravity(model, model.createData(), q), float)
         J = chain.object_jacobians(q)[:N]
         at_origin = [self._G[:, 6 * i : 6 * i + 6] for i in range(N)]
-        felt = np.hstack([J_i.T @ G_i for J_i, G_i in zip(J, at_origin, strict=True)])
-        self._passive = felt[chain.passive], -own[chain.passive]
+        torque = np.hstack([J_i.T @ G_i for J_i, G_i in zip(J, at_origin, strict=True)])
+        self._passive = torque[chain.passive], -own[chain.passive]
         effort = model.effortLimit
         for i, name in enumerate(chain.joint_names):
             if i not in chain.passive and np.isfinite(effort[i]):
-                self._bound(f"motor {name}", felt[i], effort[i] - own[i])
-                self._bound(f"motor {name}", -felt[i], effort[i] + own[i])
+                self._rows.append((f"motor {name}", torque[i], effort[i] - own[i]))
+                self._rows.append((f"motor {name}", -torque[i], effort[i] + own[i]))
 
     def _add_contacts(self, R_WO: Array, safety: float) -> None:
         turned = into_contacts(self.hands, R_WO)
@@ -132,14 +116,9 @@ class StaticHold:
             into = np.zeros((6, 6 * len(self.hands)))
             into[:, 6 * i : 6 * i + 6] = np.kron(np.eye(2), R)
             kept = hand.contact.force_rows(safety)
-            for row, most, label in zip(kept.rows, kept.most, kept.labels, strict=True):
+            for row, upper, label in zip(kept.rows, kept.most, kept.labels, strict=True):
                 what = WORDS[label.partition("[")[0]]
-                self._bound(f"{what} of {hand.arm}", row @ into, float(most))
-
-    def _bound(self, name: str, row: Array, most: float) -> None:
-        self._names.append(name)
-        self._rows.append(row)
-        self._most.append(most)
+                self._rows.append((f"{what} of {hand.arm}", row @ into, float(upper)))
 
     def load(self) -> Bound:
         """The largest share s of the object's weight that can be carried; below 1 it falls."""
@@ -148,10 +127,10 @@ class StaticHold:
             return Bound(0.0, (OWN_WEIGHT,), np.zeros((len(self.hands), 6)))
         return replace(found, value=max(0.0, found.value))
 
-    def in_the_way(self) -> str:
+    def infeasible(self) -> str:
         """What is infeasible even without the object's weight; empty where nothing is."""
         for kind, rows, why in IN_VAIN:
-            names = dict.fromkeys(name for name in self._names if name.startswith(kind))
+            names = dict.fromkeys(name for name, *_ in self._rows if name.startswith(kind))
             if names and self._load(without=rows):
                 return f"the {' and '.join(names)} is {why}"
         return ""
@@ -187,11 +166,11 @@ class StaticHold:
         A = np.pad(np.vstack([self._G, self._passive[0], more]), ((0, 0), (0, 1)))
         A[:6, -1] = -self.weight
         b = np.concatenate([np.zeros(6), self._passive[1], values])
-        kept = [i for i, n in enumerate(self._names) if not n.startswith(without)]
-        names, most = [self._names[i] for i in kept], [self._most[i] for i in kept]
-        G = np.pad(np.reshape([self._rows[i] for i in kept], (-1, size)), ((0, 0), (0, 1)))
+        kept = [row for row in self._rows if not row[0].startswith(without)]
+        G = np.pad(np.reshape([row for _, row, _ in kept], (-1, size)), ((0, 0), (0, 1)))
+        upper = [upper for *_, upper in kept]
         found = linprog(
-            cost * scale, A_ub=G * scale, b_ub=most, A_eq=A * scale, b_eq=b,
+            cost * scale, A_ub=G * scale, b_ub=upper, A_eq=A * scale, b_eq=b,
             bounds=[(None, None)] * size + [share], method="highs",
         )  # fmt: skip
         if found.status == 3:  # unbounded: nothing holds it back
@@ -199,8 +178,8 @@ class StaticHold:
         if found.status != 0:
             return None
         pull = np.abs(found.ineqlin.marginals)
-        felt = pull > IDLE * max(pull.max(initial=0.0), 1e-12)
-        by = tuple(dict.fromkeys(n for n, on in zip(names, felt, strict=True) if on))
+        active = pull > IDLE * max(pull.max(initial=0.0), 1e-12)
+        by = tuple(dict.fromkeys(row[0] for row, on in zip(kept, active, strict=True) if on))
         h = (found.x * scale)[:size].reshape(-1, 6)
         return Bound(-float(found.fun), by, h)
 
@@ -211,8 +190,8 @@ def cannot_carry(chain: ClosedChain, hold: StaticHold, load: Bound) -> str:
         return tilted
     if not load.by:
         return _nothing(chain, hold)
-    if load.by == (OWN_WEIGHT,) and (unheard := hold.in_the_way()):
-        return unheard
+    if load.by == (OWN_WEIGHT,) and (vain := hold.infeasible()):
+        return vain
     return (
         f"the hands carry {100.0 * load.value:.0f} % of its weight; {load.holds} back; make the "
         "object lighter, friction or pads larger, the motors stronger, or press from other sides"
@@ -256,17 +235,7 @@ def _nothing(chain: ClosedChain, hold: StaticHold) -> str:
 
 
 def _is_tip(hand: Hand) -> bool:
-    """Whether it presses at a point."""
     return hand.contact is not None and not any(hand.contact.half_lengths)
-
-
-#: Classes of components of a section wrench, in the order of the report.
-FATES = {
-    COMMANDED: "the motors command",
-    MIXED: "only together with others they command",
-    STRUCTURE: "the structure bears, unseen by any motor,",
-    LET_GO: "a passive joint does not transmit",
-}
 
 
 @dataclass(frozen=True)
@@ -274,25 +243,25 @@ class Squeeze:
     """Range of the squeeze of two arms at rest; None where the object cannot be carried."""
 
     arms: tuple[str, str]
-    least: Bound | None
-    most: Bound | None
+    lower: Bound | None
+    upper: Bound | None
 
     @property
-    def words(self) -> str:
+    def summary(self) -> str:
         """Such as "42 to 226 N (least by friction of left; most by motor joint6)"."""
-        if self.least is None or self.most is None:
+        lower, upper = self.lower, self.upper
+        if lower is None or upper is None:
             return "none: the object cannot be carried"
-        least, most = self.least, self.most
-        match bool(np.isfinite(least.value)), bool(np.isfinite(most.value)):
+        match bool(np.isfinite(lower.value)), bool(np.isfinite(upper.value)):
             case True, True:
-                ends = f"{least.value:.3g} to {most.value:.3g} N"
-                if sorted(least.by) == sorted(most.by):
-                    return f"{ends} (both by {least.words})"
-                return f"{ends} (least by {least.words}; most by {most.words})"
+                ends = f"{lower.value:.3g} to {upper.value:.3g} N"
+                if sorted(lower.by) == sorted(upper.by):
+                    return f"{ends} (both by {lower.active})"
+                return f"{ends} (least by {lower.active}; most by {upper.active})"
             case True, False:
-                return f"from {least.value:.3g} N (by {least.words}), unlimited above"
+                return f"from {lower.value:.3g} N (by {lower.active}), unlimited above"
             case False, True:
-                return f"up to {most.value:.3g} N (by {most.words}), unlimited below"
+                return f"up to {upper.value:.3g} N (by {upper.active}), unlimited below"
         return "unlimited"
 
 
@@ -309,25 +278,21 @@ class Forces:
 
     def sentences(self) -> Iterator[str]:
         found = self.transmission
-        yield f"Of {found.dimensions} internal wrenches {found.all.words}."
+        yield f"Of {found.dimensions} internal wrenches {found.all.summary}."
         for pair in found.pairs if len(found.arms) == 2 else ():
             for fate, words in FATES.items():
-                names = [name for name, said in pair.components.items() if said == fate]
+                names = [name for name, own in pair.components.items() if own == fate]
                 if names and fate != COMMANDED:
                     yield f"{words[0].upper()}{words[1:]} {', '.join(names)}."
         for squeeze in self.squeezes:
-            yield f"Squeeze of {' and '.join(squeeze.arms)} at rest: {squeeze.words}."
-        if self.contacts:
-            yield self._carried()
-
-    def _carried(self) -> str:
-        share = self.load.value
-        if share < 1.0:
-            return f"The hands cannot hold the object at safety {self.safety:g}: {self.why_not}."
-        return (
-            f"At rest and safety {self.safety:g} they could carry {share:.3g} times its weight; "
-            f"then {self.load.words} are at their limits."
-        )
+            yield f"Squeeze of {' and '.join(squeeze.arms)} at rest: {squeeze.summary}."
+        if self.contacts and self.load.value < 1.0:
+            yield f"The hands cannot hold the object at safety {self.safety:g}: {self.why_not}."
+        elif self.contacts:
+            yield (
+                f"At rest and safety {self.safety:g} they could carry {self.load.value:.3g} times "
+                f"its weight; then {self.load.active} are at their limits."
+            )
 
 
 def forces(chain: ClosedChain, *, safety: float = SAFETY) -> Forces:
@@ -343,20 +308,6 @@ def forces(chain: ClosedChain, *, safety: float = SAFETY) -> Forces:
     load = hold.load()
     why_not = cannot_carry(chain, hold, load) if load.value < 1.0 else ""
     return Forces(found, load, tuple(squeezes), safety, pressing, why_not)
-
-
-def squeeze_rows(points: Array) -> dict[tuple[int, int], Array]:
-    """Rows, shape (6 N,), from the hands' wrenches to the squeeze of each pair, by pair.
-
-    The section's of two hands, the virtual linkage's of three; none where that does not exist.
-    """
-    if len(points) == 2:
-        return {(0, 1): section(points[0], points[1]).rows[0]}
-    if len(points) != 3 or flatness(points) < FLAT:
-        return {}
-    rows = np.zeros((3, 3, 6))
-    rows[:, :, :3] = virtual_linkage(points).reshape(3, 3, 3)
-    return dict(zip(EDGES, rows.reshape(3, 18), strict=True))
 
 
 def squeezes(points: Array, wrenches: Array) -> list[float]:
@@ -411,20 +362,13 @@ def contact_notes(chain: ClosedChain) -> Iterator[str]:
             )
 
 
-#: A contact that is farther from the object's face is worth a word [m].
-OFF_FACE = 1e-3
-
-
-def overhang(hand: Hand, half: Array) -> tuple[float, float]:
-    """How far a contact is outside its face, and its pad beyond the face's edges [m].
-
-    ``half`` are half the object's edges, shape (3,) [m].
-    """
+def overhang(hand: Hand, half_size: Array) -> tuple[float, float]:
+    """How far a contact is outside its object's face, and its pad beyond the face's edges [m]."""
     assert hand.contact
     R, p = hand.X_OC.rotation, hand.X_OC.translation
     axis = int(np.abs(R[:, 2]).argmax())
     corners = np.array(list(itertools.product((-1.0, 1.0), repeat=2))) * hand.contact.half_lengths
     places = p + corners @ R[:, :2].T
-    beyond = np.delete(np.abs(places) - half, axis, axis=1)
-    outside = -np.sign(R[axis, 2]) * p[axis] - half[axis]
+    beyond = np.delete(np.abs(places) - half_size, axis, axis=1)
+    outside = -np.sign(R[axis, 2]) * p[axis] - half_size[axis]
     return float(outside), max(0.0, float(beyond.max()))

@@ -125,10 +125,7 @@ class Section:
 
 
 def section(p_1: Array, p_2: Array) -> Section:
-    """The section between two hands at points of shape (3,) [m].
-
-    GraspError: the hands are in one place.
-    """
+    """The section between two hands at points (3,) [m]; GraspError: they are in one place."""
     way = np.asarray(p_2, float) - p_1
     length = float(np.linalg.norm(way))
     if not length > NEAREST:
@@ -179,9 +176,19 @@ def virtual_linkage(points: Array) -> Array:
     return np.asarray(np.linalg.pinv(E), float)
 
 
-def flatness(points: Array) -> float:
-    """Height of a triangle over its longest side; zero on one line."""
-    p = np.asarray(points, float)
-    longest = max(float(np.linalg.norm(p[j] - p[i])) for i, j in EDGES)
-    area = float(np.linalg.norm(np.cross(p[1] - p[0], p[2] - p[0])))
-    return area / longest**2 if longest else 0.0
+def squeeze_rows(points: Array) -> dict[tuple[int, int], Array]:
+    """Rows, shape (6 N,), from the hands' wrenches to the squeeze of each pair, by pair.
+
+    The section's of two hands, the virtual linkage's of three; none where that does not exist.
+    """
+    if len(points) == 2:
+        return {(0, 1): section(points[0], points[1]).rows[0]}
+    if len(points) != 3:
+        return {}
+    longest = max(float(np.linalg.norm(points[j] - points[i])) for i, j in EDGES)
+    area = float(np.linalg.norm(np.cross(points[1] - points[0], points[2] - points[0])))
+    if not longest or area / longest**2 < FLAT:
+        return {}
+    rows = np.zeros((3, 3, 6))
+    rows[:, :, :3] = virtual_linkage(points).reshape(3, 3, 3)
+    return dict(zip(EDGES, rows.reshape(3, 18), strict=True))

@@ -72,10 +72,7 @@ def friction_needed(
 
 
 class WrenchReadings:
-    """Checks what force sensors in the hands of a chain send before it is used.
-
-    ``fault`` says why the last reading cannot be used; it is empty if it can.
-    """
+    """Checks readings of force sensors; ``fault`` says why the last is not usable, else empty."""
 
     def __init__(self, chain: ClosedChain) -> None:
         self._size, self._at, self.fault = 6 * len(chain.robot.arms), robot_indices(chain), ""

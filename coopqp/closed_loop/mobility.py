@@ -5,32 +5,48 @@ degrees of freedom, N (l, f) a basis of the null space of J_c, J_o (6, l) the ob
 
 Generic poses are random configurations within the limits at which the object is grasped anew, so
 that the loops are closed in each; the start can be less or more mobile than they are.
+
+A linkage such as Bennett's moves because its loop rows depend on each other wherever the loops are
+closed. Where they are closed to rounding only, the smallest singular value of J_c is about as large
+as the rounding, and counts as a constraint: rank(J_c) is too large and l - rank too small. Such a
+:class:`HiddenFreedom` is found by a walk: rows with a singular value below ``SLACK`` count as none,
+and the joints move in the null space of the others. It is there where the loops stay closed
+(``model.hold``) on the whole walk and fewer rows constrain it than J_c has rank. At a singular pose
+the walk comes to poses where all rows constrain, opens the loops by the square of its length, or
+returns.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coopqp.base.errors import InvalidValueError
-from coopqp.base.rank import matrix_rank, null_space
+from coopqp.base.rank import RANK_TOLERANCE, matrix_rank, null_space
 from coopqp.base.spec import Array, seeded
 from coopqp.base.wording import counted
 from coopqp.closed_loop.constraint_equations import SINGULAR_CONDITION, scheme
-from coopqp.closed_loop.hidden_freedom import HiddenFreedom, hidden_freedom
 from coopqp.closed_loop.screw import LENGTH, MOTION_TOLERANCE, Screw, rank_of, scaled, screw_of
 from coopqp.model.closed_chain import ClosedChain
+from coopqp.model.grasp_configuration import CLOSED_ORIENTATION, CLOSED_POSITION
 
 #: All schemes are tried up to this many; beyond it only the asked-for and the best.
 MAX_SCHEMES = 5000
-
 #: Motions below this are weak: the joints turn fast, and the object hardly moves.
 WEAK = 0.02
+#: Rows that open by less than this resist no motion [m for a unit of joint motion].
+SLACK = 1e-3
+#: Steps of the walk, and their size [rad or m].
+STEPS, STEP = 6, 0.05
+#: Errors below this count as equal [m or rad].
+RESOLUTION = 1e-6
+#: Newton steps back onto the loops, and a loop error that is rounding alone [m or rad].
+NEWTON, EXACT = 20, 1e-10
 
 
 @dataclass(frozen=True)
@@ -79,7 +95,7 @@ class Mobility:
     schemes_total: int  # number of choices of f among the actuated joints
     schemes: tuple[Scheme, ...]  # those that were tried, best first
     schemes_complete: bool  # whether these are all
-    asked: Scheme | None  # that the user asked about
+    requested: Scheme | None  # that the user asked about
     hidden: HiddenFreedom | None = None  # the freedom that rounded values hide, if they hide one
 
     @property
@@ -115,7 +131,7 @@ def mobility(
     chain: ClosedChain,
     *,
     task_rows: Sequence[tuple[str, Array]] = (),
-    asked: Sequence[str] | None = None,
+    requested: Sequence[str] | None = None,
     samples: int = 24,
     seed: int = 0,
 ) -> Mobility:
@@ -124,12 +140,12 @@ def mobility(
     Args:
         chain: the closed chain, at its start.
         task_rows: name and Jacobian (k, n) of each task at the start.
-        asked: an actuation scheme to report on.
+        requested: an actuation scheme to report on.
         samples: number of generic poses.
         seed: of the generic poses.
 
-    UnknownNameError, InvalidValueError: ``asked`` is no scheme of this chain. InvalidValueError: a
-    task's rows do not fit the joints, no sample, or a negative seed.
+    UnknownNameError, InvalidValueError: ``requested`` is no scheme of this chain.
+    InvalidValueError: a task's rows do not fit the joints, no sample, or a negative seed.
     """
     for name, J in task_rows:
         if np.shape(J)[1:] != (chain.n,):
@@ -147,7 +163,7 @@ def mobility(
     regular = [pose for pose, r in zip(poses, ranks, strict=True) if r == rank]
     total = math.comb(len(active), chain.n - rank)
     schemes = _schemes(chain, active, regular, start, chain.n - rank)
-    asked_index = scheme(chain, asked) if asked is not None else None
+    choice = scheme(chain, requested) if requested is not None else None
     tasks = [_of_task(name, J, start) for name, J in task_rows]
     together = _of_task("", np.vstack([np.zeros((0, chain.n)), *(J for _, J in task_rows)]), start)
     return Mobility(
@@ -172,16 +188,13 @@ def mobility(
         schemes_total=total,
         schemes=schemes,
         schemes_complete=total <= MAX_SCHEMES,
-        asked=_rate(chain, [asked_index], regular, start)[0] if asked_index else None,
+        requested=_rate(chain, [choice], regular, start)[0] if choice else None,
         hidden=hidden_freedom(chain),
     )
 
 
 def manipulability(chain: ClosedChain, q: Array, task_rows: Array) -> float:
-    """Yoshikawa's measure within the closed loops, sqrt(det(M M')), M = J N.
-
-    ``task_rows`` J, shape (k, n), are at the configuration q, with closed loops.
-    """
+    """Yoshikawa's sqrt(det(M M')), M = J N, of task rows J (k, n) at q with closed loops."""
     values = np.linalg.svd(task_rows @ _pose(chain, q).N, compute_uv=False)
     return float(np.prod(values)) if len(values) == len(task_rows) else 0.0
 
@@ -256,13 +269,13 @@ def _rate(
     others = np.array([[i for i in range(chain.n) if i not in c] for c in choices], np.intp)
     by_pose = np.array([_conditions(pose, others) for pose in poses])
     at_start = _conditions(start, others)
-    middle, least = np.median(by_pose, axis=0), by_pose.min(axis=0)
+    middle, best = np.median(by_pose, axis=0), by_pose.min(axis=0)
     return [
         Scheme(
             joints=tuple(chain.joint_names[j] for j in choice),
             condition=float(middle[i]),
             condition_start=float(at_start[i]),
-            admissible=bool(least[i] < SINGULAR_CONDITION),
+            admissible=bool(best[i] < SINGULAR_CONDITION),
             admissible_start=bool(at_start[i] < SINGULAR_CONDITION),
         )
         for i, choice in enumerate(choices)
@@ -279,20 +292,20 @@ def _conditions(pose: _Pose, others: NDArray[np.intp]) -> Array:
         return np.where(values[:, -1] > 0.0, values[:, 0] / values[:, -1], np.inf)
 
 
-def _sentences(m: Mobility) -> list[str]:
-    said = [
+def _sentences(m: Mobility) -> Iterator[str]:
+    yield (
         f"{len(m.joints)} joints and loop rows of rank {m.rank} leave {_degrees(m.freedom)}; the "
         f"object can move in {m.object_freedom} of 6 directions."
-    ]
+    )
     if m.hidden:
-        words = m.hidden.words()
-        said.append(f"{words[0].upper()}{words[1:]}.")
+        words = m.hidden.describe()
+        yield f"{words[0].upper()}{words[1:]}."
     if m.freedom > m.object_freedom:
         more = m.freedom - m.object_freedom
         moves = "moves" if more == 1 else "move"
-        said.append(f"{_degrees(more)} {moves} the joints and not the object.")
+        yield f"{_degrees(more)} {moves} the joints and not the object."
     if (m.rank, m.object_freedom) != (m.rank_start, m.object_freedom_start):
-        said.append(
+        yield (
             f"The start is singular: rank {m.rank_start} there, "
             f"{counted(m.object_freedom_start, 'direction')}."
         )
@@ -301,15 +314,14 @@ def _sentences(m: Mobility) -> list[str]:
         ("At the start ", m.motor_freedom_start, m.object_freedom_start),
     ):
         if motors < all_motions:
-            said.append(
+            yield (
                 f"{where or 'T'}{'t' if where else ''}he motors decide only {motors} of them: the "
                 f"object can move by itself in {all_motions - motors}."
             )
     if m.tasks_rows:
-        said.append(_about_tasks(m))
-    if m.asked:
-        said.append(_about_scheme(m.asked))
-    return said
+        yield _about_tasks(m)
+    if m.requested:
+        yield _about_scheme(m.requested)
 
 
 def _degrees(count: int) -> str:
@@ -319,16 +331,16 @@ def _degrees(count: int) -> str:
 def _about_tasks(m: Mobility) -> str:
     names = ", ".join(f"'{task.name}' ({task.rows})" for task in m.tasks)
     rows = counted(m.tasks_rows, "row")
-    said = f"The tasks {names} ask {rows}, of which only {m.tasks_rank} can be met."
+    text = f"The tasks {names} ask {rows}, of which only {m.tasks_rank} can be met."
     if m.tasks_rank == m.tasks_rows:
         left = _degrees(m.freedom_start - m.tasks_rows)
-        said = f"The tasks {names} can all be met: {rows}, {left} left."
+        text = f"The tasks {names} can all be met: {rows}, {left} left."
     if m.tasks_weakest < WEAK:
-        said += (
+        text += (
             f" One direction is weak: a unit of joint motion brings about {m.tasks_weakest:.2g} "
             "(m or rad) of it, so a goal far that way is hardly reached."
         )
-    return said
+    return text
 
 
 def _about_scheme(s: Scheme) -> str:
@@ -344,3 +356,119 @@ def _about_scheme(s: Scheme) -> str:
         f"Actuating {names} is admissible (condition {s.condition:.0f}, "
         f"{s.condition_start:.0f} at the start)."
     )
+
+
+@dataclass(frozen=True)
+class HiddenFreedom:
+    """A motion that the loop rows forbid and the loops allow."""
+
+    start: tuple[float, float]  # loop error at the start [m, rad]
+    walk: tuple[float, float]  # largest loop error on the walk [m, rad]
+    rank: int  # of the loop rows, by the tolerance of all coopqp
+    resisting: int  # rows that constrain the walk
+    joint: str  # the joint that moves most on it
+    way: float  # how far that joint goes [rad or m]
+    unit: str  # of ``way``
+    taken: tuple[str, ...]  # arms whose grasp has no object_in_hand, so that the start decides it
+    placed: bool  # whether the object's pose is given
+
+    @property
+    def of_the_start(self) -> bool:
+        """Whether the start alone hides it: closed loops have the freedom."""
+        return not self.taken and max(self.walk) < 10.0 * EXACT
+
+    def describe(self) -> str:
+        """The fault and its remedy in words."""
+        closes = f"the start closes the loops only to {_sizes(*self.start)}"
+        if self.taken:
+            closes = "the hands hold the object where a rounded start puts them"
+        hidden = self.rank - self.resisting
+        freedoms = "a freedom" if hidden == 1 else f"{hidden} freedoms"
+        return (
+            f"{closes}, which may hide {freedoms}: the loop rows have rank {self.rank}, but "
+            f"{self.joint} can move by {self.way:.2g} {self.unit} with the loops open by at most "
+            f"{_sizes(*self.walk)}; {self._remedy()}"
+        )
+
+    def _remedy(self) -> str:
+        if self.of_the_start:
+            without = " with object.pose left out" if self.placed else ""
+            return f"paste the start that `coopqp solve-start` prints{without}"
+        if self.taken:
+            arms = " and ".join(self.taken)
+            return (
+                f"give object_in_hand in the grasp of {arms} with all its digits, and then paste "
+                "the start that `coopqp solve-start` prints"
+            )
+        return (
+            "solve-start cannot help, since no start closes them better on this way: give the "
+            "lengths and angles of the robot and of object_in_hand with more digits"
+        )
+
+
+def hidden_freedom(chain: ClosedChain) -> HiddenFreedom | None:
+    """The freedom that rounded values hide at a chain's start; None where there is none."""
+    if not chain.loops.rank or _resisting(chain, chain.q_start) >= chain.loops.rank:
+        return None
+    poses = list(_walk(chain))
+    errors = np.array([chain.loop_error_sizes(q) for q in poses])
+    resisting = max(_resisting(chain, q) for q in poses)
+    position, orientation = errors.max(axis=0).tolist()
+    closed = position <= CLOSED_POSITION and orientation <= CLOSED_ORIENTATION
+    moved = float(np.linalg.norm(poses[-1] - poses[0])) > 0.5 * STEPS * STEP
+    if resisting >= chain.loops.rank or not (closed and moved):
+        return None
+    way = np.ptp(poses, axis=0)
+    joint = int(way.argmax())
+    return HiddenFreedom(
+        start=chain.loop_error_sizes(chain.q_start),
+        walk=(position, orientation),
+        rank=chain.loops.rank,
+        resisting=resisting,
+        joint=chain.joint_names[joint],
+        way=float(way[joint]),
+        unit=chain.joint_units[joint],
+        taken=tuple(a for a in chain.hold.holders if chain.grasps[a].object_in_hand is None),
+        placed=chain.held.pose is not None,
+    )
+
+
+def closed_near(chain: ClosedChain, q: Array) -> Array:
+    """The configuration near q, shape (n,), that closes the loops best, by Newton's method."""
+    for _ in range(NEWTON):
+        error = scaled(chain.loop_error(q)[:, None])[:, 0]
+        U, values, Vt = np.linalg.svd(scaled(chain.loop_jacobian(q)), full_matrices=False)
+        firm = values > SLACK
+        step = Vt[firm].T @ ((U[:, firm].T @ error) / values[firm])
+        q = q - step
+        if np.linalg.norm(step) < 1e-14:
+            break
+    return q
+
+
+def _walk(chain: ClosedChain) -> Iterator[Array]:
+    """The pose near the start that closes the loops best, and the further steps of the walk."""
+    q = closed_near(chain, chain.q_start)
+    _, values, Vt = np.linalg.svd(scaled(chain.loop_jacobian(chain.q_start)))
+    resisted = np.append(values, np.zeros(chain.n))[: chain.n]
+    slack = Vt[(resisted <= SLACK) & (resisted > RANK_TOLERANCE * values[0])]
+    ahead = slack.T @ np.random.default_rng(0).normal(size=len(slack))
+    yield q
+    for _ in range(STEPS):
+        _, values, Vt = np.linalg.svd(scaled(chain.loop_jacobian(q)))
+        free = Vt[np.sum(values > SLACK) :]
+        ahead = free.T @ (free @ ahead)
+        ahead /= max(float(np.linalg.norm(ahead)), RANK_TOLERANCE)
+        q = closed_near(chain, q + STEP * ahead)
+        yield q
+
+
+def _resisting(chain: ClosedChain, q: Array) -> int:
+    values = np.linalg.svd(scaled(chain.loop_jacobian(q)), compute_uv=False)
+    return int(np.sum(values > SLACK))
+
+
+def _sizes(*errors: float) -> str:
+    """Of position and orientation, at least ``RESOLUTION``."""
+    mm, mrad = (f"{1e3 * x:.2g}" if x >= RESOLUTION else f"{1e3 * RESOLUTION:g}" for x in errors)
+    return f"{mm} mm and {mrad} mrad"

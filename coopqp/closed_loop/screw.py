@@ -15,6 +15,8 @@ MOTION_TOLERANCE = 1e-5
 #: A screw that turns the object by less than this, for a translation of as much, is nearly a
 #: translation; its axis is more than half a metre away.
 LITTLE = 0.2
+#: A wrench with less torque than this along its force is a force [N mm for a newton].
+MAX_PITCH = 0.5
 #: What people who stand behind the robot call its axes, and how near to one a direction must be.
 PEOPLE, NEARLY = {"x": "forward (x)", "y": "sideways (y)", "z": "up (z)"}, 0.99
 
@@ -30,19 +32,19 @@ class Screw:
     point: tuple[float, ...]
     pitch: float  # translation per turn [m/rad]; infinite for a translation
 
-    def words(self) -> str:
+    def describe(self) -> str:
         """Such as "rotation about y through (0.300, 0.000, 0.200) m"."""
-        direction = axis_words(np.array(self.axis))
+        direction = axis_name(np.array(self.axis))
         if math.isinf(self.pitch):
             return f"translation along {direction}"
         v, turn = np.array(self.twist[:3]), float(np.linalg.norm(self.twist[3:]))
         far = float(np.linalg.norm(v))
         if turn * LENGTH < LITTLE * far:
-            way = axis_words(v / far, NEARLY)
+            way = axis_name(v / far, NEARLY)
             angle = np.degrees(turn / far * LENGTH)
             return (
                 f"{PEOPLE.get(way, f'translation along {way}')}, with a little turning about "
-                f"{axis_words(np.array(self.axis), NEARLY)} ({angle:.2g} degrees per "
+                f"{axis_name(np.array(self.axis), NEARLY)} ({angle:.2g} degrees per "
                 f"{1e3 * LENGTH:.0f} mm)"
             )
         at = f"{numbers(np.array(self.point))} m"
@@ -50,16 +52,26 @@ class Screw:
             return f"rotation about {direction} through {at}"
         return f"screw about {direction} through {at}, {1e3 * self.pitch:.1f} mm per radian"
 
+    def describe_force(self) -> str:
+        """As a wrench, such as "force along x through (0.000, 0.000, 0.200) m"."""
+        direction = axis_name(np.array(self.axis))
+        if math.isinf(self.pitch):
+            return f"torque about {direction}"
+        line = f"force along {direction} through {numbers(np.array(self.point))} m"
+        turning = 1e3 * self.pitch
+        return line if abs(turning) < MAX_PITCH else f"{line}, with {turning:.0f} N mm a newton"
+
 
 def screw_of(twist: Array, origin: Array) -> Screw:
     """The screw of a twist (v; omega) at an origin in world axes."""
     v, omega = twist[:3], twist[3:]
-    turn = float(np.linalg.norm(omega))
+    turn, pitch = float(np.linalg.norm(omega)), math.inf
     if turn * LENGTH < 1e-6 * max(float(np.linalg.norm(v)), 1e-12):
-        axis = v / np.linalg.norm(v)
-        return Screw(_tuple(twist), _tuple(axis), _tuple(origin), math.inf)
-    point = origin + np.cross(omega, v) / turn**2
-    return Screw(_tuple(twist), _tuple(omega / turn), _tuple(point), float(omega @ v) / turn**2)
+        axis, point = v / np.linalg.norm(v), origin
+    else:
+        axis, point = omega / turn, origin + np.cross(omega, v) / turn**2
+        pitch = float(omega @ v) / turn**2
+    return Screw(tuple(twist.tolist()), tuple(axis.tolist()), tuple(point.tolist()), pitch)
 
 
 def scaled(rows: Array, length: float = LENGTH) -> Array:
@@ -73,10 +85,10 @@ def rank_of(rows: Array) -> int:
     return int(np.linalg.matrix_rank(rows, tol=MOTION_TOLERANCE)) if rows.size else 0
 
 
-def axis_words(direction: Array, least: float = 1.0 - 1e-6) -> str:
+def axis_name(direction: Array, min_part: float = 1.0 - 1e-6) -> str:
     """The axis along which a direction has at least this part, or its numbers."""
     for i, name in enumerate(("x", "y", "z")):
-        if abs(direction[i]) >= least:
+        if abs(direction[i]) >= min_part:
             return name
     return numbers(direction)
 
@@ -84,7 +96,3 @@ def axis_words(direction: Array, least: float = 1.0 - 1e-6) -> str:
 def numbers(values: Array) -> str:
     """Three numbers in brackets."""
     return "({:.3f}, {:.3f}, {:.3f})".format(*(np.round(values, 3) + 0.0))
-
-
-def _tuple(values: Array) -> tuple[float, ...]:
-    return tuple(float(x) for x in values)

@@ -21,22 +21,17 @@ from numpy.typing import NDArray
 from coopqp.base.spec import Array
 from coopqp.closed_loop.grasp_matrix import COMPONENTS, grasp_matrix, section
 from coopqp.closed_loop.hands import hands
-from coopqp.closed_loop.screw import (
-    LENGTH,
-    MOTION_TOLERANCE,
-    Screw,
-    axis_words,
-    numbers,
-    rank_of,
-    scaled,
-    screw_of,
-)
+from coopqp.closed_loop.screw import LENGTH, MOTION_TOLERANCE, Screw, rank_of, scaled, screw_of
 from coopqp.model.closed_chain import ClosedChain
 
-#: A wrench with less torque than this along its force is a force [N mm for a newton].
-MAX_PITCH = 0.5
-
 COMMANDED, STRUCTURE, LET_GO, MIXED = "commanded", "structure", "not transmitted", "not alone"
+#: These of components of a section wrench, in the order of the report.
+FATES = {
+    COMMANDED: "the motors command",
+    MIXED: "only together with others they command",
+    STRUCTURE: "the structure bears, unseen by any motor,",
+    LET_GO: "a passive joint does not transmit",
+}
 
 
 @dataclass(frozen=True)
@@ -49,7 +44,7 @@ class Counts:
     weakest: float  # smallest singular value that is not zero [m or rad for a unit of joint motion]
 
     @property
-    def words(self) -> str:
+    def summary(self) -> str:
         """Such as "4 commanded, 0 borne by the structure, 2 not transmitted"."""
         return (
             f"{self.commanded} commanded, {self.structure} borne by the structure, "
@@ -117,32 +112,20 @@ def transmission(chain: ClosedChain, q: Array) -> Transmission:
 def counts(rows: Array, passive: NDArray[np.int_] | Sequence[int]) -> Counts:
     """The three ranks for a Jacobian, shape (r, n), with rotations scaled to lengths."""
     values = np.linalg.svd(rows, compute_uv=False) if rows.size else np.zeros(0)
-    felt = values[values > MOTION_TOLERANCE]
+    moving = values[values > MOTION_TOLERANCE]
     let_go = rank_of(rows[:, list(passive)])
-    weakest = float(felt.min(initial=np.inf))
-    return Counts(len(felt) - let_go, len(rows) - len(felt), let_go, weakest)
+    weakest = float(moving.min(initial=np.inf))
+    return Counts(len(moving) - let_go, len(rows) - len(moving), let_go, weakest)
 
 
 def _components(rows: Array, units: Array, passive: NDArray[np.int_]) -> dict[str, str]:
-    """Class of a unit of each component alone."""
     found = {}
     for name, unit in zip(COMPONENTS, units.T, strict=True):
-        unit = unit / np.linalg.norm(unit)
-        felt = rows.T @ unit
-        if np.linalg.norm(felt) < MOTION_TOLERANCE:
+        torque = rows.T @ (unit / np.linalg.norm(unit))
+        if np.linalg.norm(torque) < MOTION_TOLERANCE:
             found[name] = STRUCTURE
-        elif np.linalg.norm(felt[passive]) < MOTION_TOLERANCE:
+        elif np.linalg.norm(torque[passive]) < MOTION_TOLERANCE:
             found[name] = COMMANDED
         else:
             found[name] = MIXED if rank_of(rows[:, passive]) < len(rows) else LET_GO
     return found
-
-
-def force_words(screw: Screw) -> str:
-    """A wrench as a screw in words, such as "force along x through (0.000, 0.000, 0.200) m"."""
-    direction = axis_words(np.array(screw.axis))
-    if np.isinf(screw.pitch):
-        return f"torque about {direction}"
-    line = f"force along {direction} through {numbers(np.array(screw.point))} m"
-    turning = 1e3 * screw.pitch
-    return line if abs(turning) < MAX_PITCH else f"{line}, with {turning:.0f} N mm a newton"

@@ -85,9 +85,9 @@ class WrenchSplitLaw(Law):
         split = hands.split
         tree = dynamics.A @ a + dynamics.H
         h = split.X @ w + self._squeeze()
-        h = h + self._freed(split, tree + hands.feels @ h)
+        h = h + self._freed(split, tree + hands.to_tau @ h)
         assert command.tau is not None
-        tau = tree + hands.feels @ h
+        tau = tree + hands.to_tau @ h
         np.clip(tau, -self._effort, self._effort, out=command.tau)
         if not np.isfinite(command.tau).all():
             return self.refuse(Status.NOT_FINITE)
@@ -121,7 +121,7 @@ class WrenchSplitLaw(Law):
         if not len(passive):
             return np.zeros(self._hands.size)
         P = split.projector
-        return np.asarray(P @ least_squares(self._hands.feels[passive] @ P, -tau[passive]), float)
+        return np.asarray(P @ least_squares(self._hands.to_tau[passive] @ P, -tau[passive]), float)
 
     def hold_still(self, state: State) -> None:
         assert self.command.tau is not None

@@ -31,11 +31,13 @@ from typing import Any, TypeVar
 import numpy as np
 import pinocchio as pin
 
+from coopqp.base.errors import GraspError, require_known
 from coopqp.base.qp import Row, names_of
 from coopqp.base.rank import independent_rows, matrix_rank
-from coopqp.base.spec import Array, vector
+from coopqp.base.spec import Array, finite, vector
 from coopqp.grasp import Grasp
-from coopqp.model.grasp_configuration import SUPPORT, GraspConfiguration, HeldObject, attach
+from coopqp.model import grasp_configuration as grasping
+from coopqp.model.grasp_configuration import SUPPORT, GraspConfiguration, HeldObject
 from coopqp.robot import RobotModel, joint_units
 from coopqp.signal import ENDLESS
 
@@ -133,6 +135,7 @@ class ClosedChain:
         self.upper = np.array(self.model.upperPositionLimit)
         self.velocity = np.array(self.model.velocityLimit)
         self._made: dict[Callable[[ClosedChain], Any], Any] = {}
+        self._spare: list[pin.Data] = []  # memory that nobody uses now
         for kept in (
             self.alpha, self.mixing, self.lower, self.upper, self.velocity, self.passive
         ):  # fmt: skip
@@ -156,9 +159,41 @@ class ClosedChain:
         passive_start: Mapping[str, float] | None = None,
         released: Collection[str] = (),
     ) -> ClosedChain:
-        """Close the loops where the arms are; arguments and errors of the function ``attach``."""
-        others = {"alpha": alpha, "passive_start": passive_start, "released": released}
-        return cls(attach(robot, q_start, grasps, held, **others))  # type: ignore[arg-type]
+        """Close the loops where the arms are.
+
+        Args:
+            robot: with at least two arms.
+            q_start: its configuration when it takes hold, shape (robot.model.nq,) [rad, m].
+            grasps: one for all arms, or one for each by the arm's name.
+            held: the object.
+            alpha: weights of the arms in the absolute variables, by name, at least 0 and with sum
+                1; an arm not named has 0; all the same when omitted.
+            passive_start: where the grasps' passive joints start, by name such as "right.hinge"
+                [rad, m]; zero when omitted.
+            released: names of the arms that do not hold the object.
+
+        GraspError: fewer than two arms, grasps that do not close at the start, or no arm that holds
+        and no pose of the object. UnknownNameError: a grasp, weight or passive joint that the robot
+        does not have. InvalidValueError: q_start of a wrong shape; weights that are negative or do
+        not sum to 1.
+        """
+        by_arm, arms = grasping.grasp_of_each(robot, grasps), robot.arms
+        if len(arms) < 2:
+            words = f"robot {robot.name} has {len(arms)} arm; a loop needs two"
+            raise GraspError(words).at("robot")
+        start = finite("q_start", vector("q_start", q_start, robot.model.nq))
+        require_known("arm", released, [arm.name for arm in arms])
+        data = robot.model.createData()
+        pin.framesForwardKinematics(robot.model, data, start)
+        turned = {a.name: data.oMf[robot.model.getFrameId(a.tip)].rotation.copy() for a in arms}
+        passive = {name: by_arm[name].passive_joints(R_WT) for name, R_WT in turned.items()}
+        hold = GraspConfiguration(
+            robot=robot, grasps=by_arm, passive=passive, released=tuple(released), held=held,
+            weights=grasping.arm_weights(robot, alpha),
+            q=grasping.with_passive_start(robot, passive, start, passive_start or {}),
+            p_WO=np.zeros(3), X_EO={},
+        )  # fmt: skip
+        return cls(grasping.at_start(hold))
 
     def moved(self, q: Array) -> ClosedChain:
         """The same chain, object and grasps, starting at q with the loops closed, shape (n,)."""
@@ -180,11 +215,12 @@ class ClosedChain:
 
     def _with(self, **changes: Any) -> ClosedChain:
         other = copy.copy(self)
-        other._made, other.hold = self._made, replace(self.hold, **changes)
+        other._made, other._spare = self._made, self._spare
+        other.hold = replace(self.hold, **changes)
         return other
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**vars(self), "_made": {}}  # made again where it is asked for
+        return {**vars(self), "_made": {}, "_spare": []}  # made again where it is asked for
 
     def once(self, make: Callable[[ClosedChain], Made]) -> Made:
         """What ``make`` makes, once for all chains that differ in start and object alone."""
@@ -203,19 +239,14 @@ class ClosedChain:
         object stood it may have been ``measured`` elsewhere; where all let go it stays.
         UnknownNameError: no such arm.
         """
-        q = vector("q", q, self.n)
-        X_WO, data = self.object_pose(q), self.model.createData()
-        pin.framesForwardKinematics(self.model, data, q)
-        if measured and not self.hold.holders:
-            X_WO = measured
-        carried = {a.name: data.oMf[f] for a, f in zip(self.arms, self.frames, strict=True)}
-        X_by_arm = {
-            arm: X if arm in self.hold.holders or arm in released else X_WO
-            for arm, X in carried.items()
-        }
-        X_by_arm[SUPPORT.name] = X_WO
-        p_WO = X_WO.translation.copy()
-        return ClosedChain(self.hold.handed_over(q, released, p_WO, X_by_arm))
+        q, keep = vector("q", q, self.n), (*self.hold.holders, *released)
+        X_WO = measured if measured and not self.hold.holders else self.object_pose(q)
+        with self._data() as data:
+            carried = [
+                (a.name, X.copy()) for a, X in zip(self.arms, self._carried(q, data), strict=True)
+            ]
+        X_by_arm = {arm: X if arm in keep else X_WO for arm, X in carried}
+        return ClosedChain(self.hold.handed_over(q, released, X_by_arm | {SUPPORT.name: X_WO}))
 
     def object_pose(self, q: Array) -> pin.SE3:
         """Pose of the object in the world at q, the mean over the arms that hold it."""
@@ -246,15 +277,14 @@ class ClosedChain:
     @contextmanager
     def _data(self) -> Iterator[pin.Data]:
         """Pinocchio's memory for one computation; used again, for its pages cost more than that."""
-        spare = self.once(_spare)
         try:
-            data = spare.pop()
+            data = self._spare.pop()
         except IndexError:  # asked for, not looked for: another thread may take it in between
             data = self.model.createData()
         try:
             yield data
         finally:
-            spare.append(data)
+            self._spare.append(data)
 
     @cached_property
     def reach(self) -> float:
@@ -264,8 +294,7 @@ class ClosedChain:
             carried = self._carried(self.q_start, data)
             for X, (joints, slides) in zip(carried, self.once(_ways), strict=True):
                 places = [*(data.oMi[j].translation for j in joints), X.translation]
-                steps = np.diff(np.array(places), axis=0)
-                way = float(np.sqrt(np.square(steps).sum(axis=1)).sum())
+                way = float(np.linalg.norm(np.diff(np.array(places), axis=0), axis=1).sum())
                 longest = max(longest, way + 1.0 if slides else way)
         return longest
 
@@ -319,7 +348,6 @@ class ClosedChain:
         return rng.uniform(lower, upper, (count, self.n))
 
     def _independent_rows(self) -> LoopRows:
-        """Which loop rows are independent, here and in general."""
         found = self.once(_generic_rows)
         if not found.closed or matrix_rank(self.loop_jacobian(self.q_start)) >= found.rank:
             return found
@@ -343,10 +371,10 @@ class ClosedChain:
     def _closed_near(self, q: Array) -> Array | None:
         """The configuration with the loops closed that Newton's method finds; None if none."""
         for _ in range(WALK_NEWTON):
-            gap = self.loop_error(q)
-            if np.linalg.norm(gap) < WALK_CLOSED:
+            error = self.loop_error(q)
+            if np.linalg.norm(error) < WALK_CLOSED:
                 return q
-            q = q - np.linalg.lstsq(self.loop_jacobian(q), gap, rcond=WALK_TOLERANCE)[0]
+            q = q - np.linalg.lstsq(self.loop_jacobian(q), error, rcond=WALK_TOLERANCE)[0]
         return None
 
     def loop_error(self, q: Array) -> Array:
@@ -358,10 +386,13 @@ class ClosedChain:
                  for X in others]
             )  # fmt: skip
 
-
-def _spare(chain: ClosedChain) -> list[pin.Data]:
-    """Memory that nobody uses now, of which a thread takes its own."""
-    return []
+    def loop_error_sizes(self, q: Array) -> tuple[float, float]:
+        """Largest position and rotation by which closed loops are open at q [m], [rad]."""
+        if self.holding < 2:
+            return 0.0, 0.0
+        sizes = np.linalg.norm(self.loop_error(q).reshape(-1, 2, 3), axis=2)
+        position, orientation = sizes.max(axis=0).tolist()
+        return position, orientation
 
 
 def _ways(chain: ClosedChain) -> list[tuple[list[int], bool]]:

@@ -23,17 +23,7 @@ from coopqp.base.errors import InvalidValueError
 from coopqp.base.spec import Array, Direction, Vector3, one_angle, spec, unit
 from coopqp.model.profile import Profile
 from coopqp.model.state import PointOfObject, State
-from coopqp.signal import (
-    DIRECTION,
-    POINT,
-    Instant,
-    Kind,
-    Moment,
-    Signal,
-    Trajectory,
-    quaternion_of,
-    trajectory_of,
-)
+from coopqp.signal import DIRECTION, POINT, Instant, Moment, Signal, Trajectory, trajectory_of
 
 #: Below this two directions count as parallel, or a point as on an axis, and any way is taken.
 TINY = 1e-14  # sine of an angle, or [m]; below it are rounding and no way
@@ -64,7 +54,6 @@ class Turn:
 
     @property
     def radians(self) -> float:
-        """How far [rad]."""
         return math.radians(self.angle_deg) if self.angle is None else self.angle  # type: ignore[arg-type]
 
 
@@ -150,13 +139,6 @@ class Reference:
             np.multiply(self._turn, speed, self.omega)
 
 
-def object_at(at: Instant, kind: Kind) -> Array | None:
-    """Where the object is, as a rotation or a pose; None at an instant without a state."""
-    if not isinstance(at, State):
-        return None
-    return np.concatenate([at.p_WO[: kind.numbers], quaternion_of(at.R_WO)])
-
-
 class PlaceOf(Trajectory):
     """The place of a pose, as the origin of a reference; its follower has moved the pose before."""
 
@@ -175,11 +157,11 @@ class PointInReference:
     def update(self, state: State) -> None:
         tracked, reference = self._tracked, self._reference
         tracked.update(state)
-        gap = tracked.p - reference.c
-        reference.RT.dot(gap, self.x)
+        lever = tracked.p - reference.c
+        reference.RT.dot(lever, self.x)
         reference.RT.dot(tracked.J, self.J)
         if reference.moves:
-            drag = reference.c_dot + pin.skew(reference.omega).dot(gap)
+            drag = reference.c_dot + pin.skew(reference.omega).dot(lever)
             reference.RT.dot(drag, self.rate)
 
 
@@ -207,7 +189,7 @@ def polar(y: Array) -> Polar:
 LOWEST = (math.pi - CONE) / math.tan(math.pi - CONE)
 
 
-def inverse_alignment(seen: Polar) -> Array:
+def inverse_alignment(axis: Polar) -> Array:
     """E with e_dot = E omega, shape (2, 3), where an axis leans by e = theta u, turning at omega.
 
         E = [ -(1-h) u_0 u_1     h + (1-h) u_0^2   -theta u_1 ]   h = theta cot theta
@@ -218,9 +200,9 @@ def inverse_alignment(seen: Polar) -> Array:
     zero, and the object leaves. There h, the row sideways, would grow beyond bounds; within
     ``CONE`` of pi it keeps its value at the cone's edge.
     """
-    theta, (u, w) = seen.angle, seen.way
-    if seen.sine > TINY:
-        h = max(theta * math.cos(theta) / seen.sine, LOWEST)
+    theta, (u, w) = axis.angle, axis.way
+    if axis.sine > TINY:
+        h = max(theta * math.cos(theta) / axis.sine, LOWEST)
     else:
         h = 1.0 if theta < 1.0 else LOWEST
     k = 1.0 - h

@@ -20,18 +20,7 @@ import numpy as np
 import pinocchio as pin
 
 from coopqp.base.errors import GraspError, InvalidValueError, require_known
-from coopqp.base.spec import (
-    FARTHEST,
-    Array,
-    Lengths3,
-    NonNegative,
-    Pose,
-    Vector3,
-    Vector6,
-    finite,
-    spec,
-    vector,
-)
+from coopqp.base.spec import FARTHEST, Array, Lengths3, NonNegative, Pose, Vector3, Vector6, spec
 from coopqp.grasp import Grasp, PassiveJoint, pose_matrix
 from coopqp.robot import Arm, RobotModel, copy_per_velocity
 
@@ -144,10 +133,11 @@ class GraspConfiguration:
         return arm.tip if arm.name in (SUPPORT.name, *self.released) else ends[arm.name]
 
     def handed_over(
-        self, q: Array, released: Collection[str], p_WO: Array, X_WO: Mapping[str, pin.SE3]
+        self, q: Array, released: Collection[str], X_WO: Mapping[str, pin.SE3]
     ) -> GraspConfiguration:
-        """With other arms holding the object, X_WO by arm; errors as of :func:`check_released`."""
-        check_released(self.robot, released)
+        """With other arms holding the object, X_WO by arm; UnknownNameError: no such arm."""
+        require_known("arm", released, [arm.name for arm in self.robot.arms])
+        p_WO = X_WO[SUPPORT.name].translation.copy()
         other = replace(self, q=q, p_WO=p_WO, released=tuple(released))
         return replace(other, X_EO=other.in_hands(X_WO))
 
@@ -160,75 +150,13 @@ class GraspConfiguration:
         return {arm: X.actInv(X_WO[arm]) for arm, X in X_WE.items()}
 
 
-def attach(
-    robot: RobotModel,
-    q_start: Array,
-    grasps: Grasp | Mapping[str, Grasp],
-    held: HeldObject,
-    *,
-    alpha: Mapping[str, float] | None = None,
-    passive_start: Mapping[str, float] | None = None,
-    released: Collection[str] = (),
-) -> GraspConfiguration:
-    """The first grasp configuration of a robot's arms on an object.
-
-    Args:
-        robot: with at least two arms.
-        q_start: its configuration when it takes hold, shape (robot.model.nq,) [rad, m].
-        grasps: one for all arms, or one for each by the arm's name.
-        held: the object.
-        alpha: weights of the arms in the absolute variables, by name, at least 0 and with sum 1; an
-            arm not named has 0; all the same when omitted.
-        passive_start: where the grasps' passive joints start, by name such as "right.hinge" [rad,
-            m]; zero when omitted.
-        released: names of the arms that do not hold the object.
-
-    GraspError: fewer than two arms, grasps that do not close at the start, or no arm that holds and
-    no pose of the object. UnknownNameError: a grasp, weight or passive joint that the robot does
-    not have. InvalidValueError: q_start of a wrong shape; weights that are negative or do not sum
-    to 1.
-    """
-    by_arm = grasp_of_each(robot, grasps)
-    if len(robot.arms) < 2:
-        words = f"robot {robot.name} has {len(robot.arms)} arm; a loop needs two"
-        raise GraspError(words).at("robot")
-    start = finite("q_start", vector("q_start", q_start, robot.model.nq))
-    check_released(robot, released)
-    data = robot.model.createData()
-    pin.framesForwardKinematics(robot.model, data, start)
-    passive = {
-        arm.name: by_arm[arm.name].passive_joints(
-            data.oMf[robot.model.getFrameId(arm.tip)].rotation.copy()
-        )
-        for arm in robot.arms
-    }
-    hold = GraspConfiguration(
-        robot=robot,
-        grasps=by_arm,
-        passive=passive,
-        weights=arm_weights(robot, alpha),
-        released=tuple(released),
-        held=held,
-        q=_with_passive_start(robot, passive, start, passive_start or {}),
-        p_WO=np.zeros(3),
-        X_EO={},
-    )
-    p_WO, X_WO = _object_at_start(hold)
-    return replace(hold, p_WO=p_WO, X_EO=hold.in_hands(X_WO))
-
-
-def check_released(robot: RobotModel, released: Collection[str]) -> None:
-    """UnknownNameError for arms that do not exist."""
-    require_known("arm", released, [arm.name for arm in robot.arms])
-
-
-def _with_passive_start(
+def with_passive_start(
     robot: RobotModel,
     passive: Mapping[str, Sequence[PassiveJoint]],
     q: Array,
     passive_start: Mapping[str, float],
 ) -> Array:
-    """Configuration of the model with its passive joints."""
+    """Configuration of the robot's model with its passive joints, from the robot's own q."""
     model, _ = with_passive_joints(robot, passive)
     strangers = [name for name in model.names[1:] if name not in robot.joint_names]
     require_known("passive joint", passive_start, strangers, at=("passive_start",))
@@ -239,8 +167,8 @@ def _with_passive_start(
     return extended
 
 
-def _object_at_start(hold: GraspConfiguration) -> tuple[Array, dict[str, pin.SE3]]:
-    """The object's place, and where each arm (a released one too) carries it, eq. (1)."""
+def at_start(hold: GraspConfiguration) -> GraspConfiguration:
+    """The same with the object where each arm (a released one too) carries it, eq. (1)."""
     model, ends = with_passive_joints(hold.robot, hold.passive)
     data = model.createData()
     pin.framesForwardKinematics(model, data, hold.q)
@@ -258,8 +186,8 @@ def _object_at_start(hold: GraspConfiguration) -> tuple[Array, dict[str, pin.SE3
     if held_at is None:
         middle = np.mean([data.oMf[tips[arm]].translation for arm in hold.holders], axis=0)
         held_at = pin.SE3(np.eye(3), middle)
-    X_WO = {arm: given.get(arm, held_at) for arm in hold.grasps}
-    return held_at.translation.copy(), {**X_WO, SUPPORT.name: held_at}
+    X_WO = {arm: given.get(arm, held_at) for arm in hold.grasps} | {SUPPORT.name: held_at}
+    return replace(hold, p_WO=held_at.translation.copy(), X_EO=hold.in_hands(X_WO))
 
 
 def _check_reach(hold: GraspConfiguration, model: pin.Model, data: pin.Data) -> None:
@@ -274,19 +202,19 @@ def _check_reach(hold: GraspConfiguration, model: pin.Model, data: pin.Data) -> 
 
 def _agreed_pose(hold: GraspConfiguration, by_arm: Mapping[str, pin.SE3]) -> pin.SE3 | None:
     """The object's start pose; GraspError where given poses do not agree."""
-    seen = [(f"the grasp of arm '{arm}'", ["grasps", arm], X_WO) for arm, X_WO in by_arm.items()]
+    given = [(f"the grasp of arm '{arm}'", ["grasps", arm], X_WO) for arm, X_WO in by_arm.items()]
     if hold.held.pose:
-        seen.append(("object.pose", [], pose_matrix(hold.held.pose)))
-    if not seen:
+        given.append(("object.pose", [], pose_matrix(hold.held.pose)))
+    if not given:
         return None
-    (first, _, X_WO), *others = seen
+    (first, _, X_WO), *others = given
     for name, place, X in others:
-        gap = np.linalg.norm(X.translation - X_WO.translation)
+        apart = np.linalg.norm(X.translation - X_WO.translation)
         angle = np.linalg.norm(pin.log3(X_WO.rotation.T @ X.rotation))
-        if gap > CLOSED_POSITION or angle > CLOSED_ORIENTATION:
+        if apart > CLOSED_POSITION or angle > CLOSED_ORIENTATION:
             raise GraspError(
                 f"the grasp does not close at the start: {name} puts the object "
-                f"{1e3 * gap:.1f} mm and {np.degrees(angle):.1f} degrees from where {first} "
+                f"{1e3 * apart:.1f} mm and {np.degrees(angle):.1f} degrees from where {first} "
                 "puts it; change the start or leave object_in_hand out"
             ).at(*place)
     return X_WO

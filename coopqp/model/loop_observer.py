@@ -190,7 +190,7 @@ class LoopObserver:
         self._follow_inertia(chain.q_start)
         self._samples = np.full((3, 2, chain.n), math.nan)  # commanded and measured, newest first
         self._sampled = -1.0
-        self._most = self.settings.most, ROTATION * self.settings.most
+        self._bounds = self.settings.most, ROTATION * self.settings.most
         self.dead_band = by_joint(
             chain, self.settings.dead_band, np.zeros(chain.n), "observer", "dead_band"
         )
@@ -201,7 +201,7 @@ class LoopObserver:
         self.at_bound: tuple[str, ...] = ()
         self.note, self.paused = "", False
         self._every = max(1, round(RENEWED / dt))
-        self._told = np.array([math.nan, math.inf, 0.0])  # load, doubt, number of ticks
+        self._estimate = np.array([math.nan, math.inf, 0.0])  # load, doubt, number of ticks
         self._span = max(1, round(SPAN / dt))
         loops = len(chain.arms) - 1
         # What is left of position and rotation of each loop, counted as speeds are: summed since a
@@ -227,20 +227,20 @@ class LoopObserver:
     @property
     def load(self) -> float:
         """The weight that the arms carry [N]; NaN while it is not known."""
-        return float(self._told[0]) + self._fed_forward
+        return float(self._estimate[0]) + self._fed_forward
 
     @property
     def doubt(self) -> float:
         """What readings that are half a milliradian off add to it [N]."""
-        return float(self._told[1])
+        return float(self._estimate[1])
 
     def flat(self) -> dict[str, Any]:
         """Numbers, and arrays that the kernel writes where it does an :meth:`update` itself."""
-        own = {"told": self._told, "dt": self._dt, "share": self._share, "every": self._every}
+        own = {"told": self._estimate, "dt": self._dt, "share": self._share, "every": self._every}
         own |= {"left": self._left, "stalled": self._halves}
         own |= {"spent": self._spent, "span": self._span, "band": self._band}
         own["compliance"] = self._compliance.ravel()  # a view, which follows the inertia
-        return {**vars(self._sag), **own, "most": np.array(self._most), "known": self._known}
+        return {**vars(self._sag), **own, "most": np.array(self._bounds), "known": self._known}
 
     def begins(self, state: State) -> bool:
         """A tick begins; whether the offset follows what is measured in it."""
@@ -248,8 +248,8 @@ class LoopObserver:
         learns = not (self.paused or state.corrected < 1.0 or not self.settings.enabled)
         if not learns:
             self._samples[:] = math.nan
-        elif self._inertial and self._told[2] % self._every == 0 and self._told[2] != self._sampled:
-            self._sampled = self._told[2]
+        elif self._inertial and (k := self._estimate[2]) % self._every == 0 and k != self._sampled:
+            self._sampled = k
             self._follow_inertia(state.q)
             if self.feels_in_motion:
                 self._feel_in_motion(state)
@@ -291,7 +291,7 @@ class LoopObserver:
         if math.isnan(state.observer_state[0]):
             measured.update_poses()
             self._first(state, measured.loop_error)
-        began, before = self._told[2] == 0.0, self._sag.opened.copy()
+        began, before = self._estimate[2] == 0.0, self._sag.opened.copy()
         rests = _rests(state)
         load = self._unload(state, along, rests=rests)
         opened = load * self._sag.opened
@@ -315,7 +315,7 @@ class LoopObserver:
         """Believe in the object's weight where the servos' stiffness says what it does."""
         state.observer_state[0] = self._weight - self._fed_forward if self._known else 0.0
         state.observer_state[1], state.observer_state[2:] = 0.0, error
-        self._told[2], self._sampled = 0.0, -1.0
+        self._estimate[2], self._sampled = 0.0, -1.0
         self._samples[:] = math.nan
         self._look_back(self._left[2], rests=False)
         self._sag  # noqa: B018 - made now, not in a tick
@@ -359,11 +359,11 @@ class LoopObserver:
 
     def _unload(self, state: State, along: Array | None, *, rests: bool) -> float:
         """Take sag and squeeze out of the measured joints; the load that makes them sag."""
-        sag, felt, q, known = self._sag, state.observer_state, self._measured.q, self._known
-        if self._told[2] % self._every == 0:
+        sag, own, q, known = self._sag, state.observer_state, self._measured.q, self._known
+        if self._estimate[2] % self._every == 0:
             sag.update(state, along if known else None)
-            self._told[1] = DOUBT / max(float(np.abs(sag.sag).max()), TINY)
-        self._told[2] += 1
+            self._estimate[1] = DOUBT / max(float(np.abs(sag.sag).max()), TINY)
+        self._estimate[2] += 1
         lag, load = q - state.q, math.nan
         if self._yields_late:
             lag -= np.clip(lag, -self._band, self._band)
@@ -373,11 +373,11 @@ class LoopObserver:
             np.add(state.q, lag, out=q)
         if rests and (along is None or known):  # else a squeeze could not be told from a load
             load = sag.load(lag)
-        felt[1] = felt[1] + self._dt if math.isfinite(load) else 0.0
-        if felt[1] > AFTER:
-            felt[0] += min(1.0, self._dt / FEELS) * (load - felt[0])
-        self._told[0] = felt[0] if known else math.nan
-        load = float(felt[0])
+        own[1] = own[1] + self._dt if math.isfinite(load) else 0.0
+        if own[1] > AFTER:
+            own[0] += min(1.0, self._dt / FEELS) * (load - own[0])
+        self._estimate[0] = own[0] if known else math.nan
+        load = float(own[0])
         if not known and load * np.abs(sag.sag).max() < SLIGHT:
             load = 0.0
         q -= load * sag.sag
@@ -416,10 +416,10 @@ class LoopObserver:
         offset += learnt
         away = (offset - about).tolist()
         for i in range(0, 6 * (self._chain.holding - 1), 3):
-            most, size = self._most[i // 3 % 2], math.hypot(*away[i : i + 3])
-            if size > most:
+            bound, size = self._bounds[i // 3 % 2], math.hypot(*away[i : i + 3])
+            if size > bound:
                 part = slice(i, i + 3)
-                offset[part] = about[part] + most / size * (offset[part] - about[part])
+                offset[part] = about[part] + bound / size * (offset[part] - about[part])
                 self._left[1, i // 3], self._stalled[i // 3] = math.nan, 0.0  # can come no nearer
                 self._say(i)
 
@@ -427,7 +427,7 @@ class LoopObserver:
         first, *others = (arm.name for arm in self._chain.arms)
         arm, turn = others[row // 6], row // 3 % 2
         self.at_bound = tuple(dict.fromkeys((*self.at_bound, arm)))
-        size = f"{1e3 * self._most[turn]:g} {'mrad' if turn else 'mm'}"
+        size = f"{1e3 * self._bounds[turn]:g} {'mrad' if turn else 'mm'}"
         self.note = (
             f"the model's error between {arm} and {first} has changed by {size}, the most that "
             "observer.most lets it; has the object slipped, or is a joint's reading wrong?"
@@ -435,7 +435,6 @@ class LoopObserver:
 
 
 def _rests(state: State) -> bool:
-    """Whether the object is commanded to rest."""
     if state.v.dot(state.v) > MOVES * MOVES:  # before anybody asks for Jacobians
         return False
     twist = state.J_task.dot(state.v) * SPEEDS

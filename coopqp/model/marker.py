@@ -171,7 +171,7 @@ def markers_fault(marks: object) -> str:
     return f"{type(strange[0]).__name__} among its marks, needs {', '.join(others)} or {last}"
 
 
-def asked(
+def marks_of(
     name: str, marks: Callable[[], Sequence[Marker]], faults: list[str]
 ) -> tuple[Marker, ...]:
     """The markers of a task or a limit; none, and a sentence in ``faults``, where code fails."""

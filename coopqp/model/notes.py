@@ -23,7 +23,7 @@ class Why:
 
     def __init__(self, law: Any, state: State, command: Any) -> None:
         self._law, self._problem, self._chain = law, law.problem, state.chain
-        self._names, self._words, self._stale = state.chain.joint_names, "", state.inputs.stale
+        self._names, self._text, self._stale = state.chain.joint_names, "", state.inputs.stale
         self._causes, self._tells_itself = command.causes, bool(command.told)
         self._scale, self._drift, self._t = command.scale, command.drift, state.t
         arrays = map(np.array, (state.q, state.v, command.v, state.drift))
@@ -34,53 +34,52 @@ class Why:
         if "OVERWRITTEN" in names:
             self._moved_by = state.overwritten_by
         elif "NOT_MEASURED" in names:
-            self._seen = _numbers(state.q_measured)
+            self._reading = _numbers(state.q_measured)
 
     def leave_out(self, cause: Any) -> None:
         """Say nothing of a cause that somebody else has told."""
         self._causes = tuple(each for each in self._causes if each is not cause)
 
     def __str__(self) -> str:
-        if not self._words:
+        if not self._text:
             with np.errstate(all="ignore"):
-                self._words = "; ".join(filter(None, map(self._of, self._causes)))
-        return self._words
+                self._text = "; ".join(filter(None, map(self._of, self._causes)))
+        return self._text
 
     def _of(self, cause: Any) -> str:
-        """Words on a :class:`coopqp.solver.Status`."""
-        told = _TOLD.get(cause.name)
-        if told is None or (self._tells_itself and cause.name in TELL_THEMSELVES):
+        """The note of a :class:`coopqp.solver.Status`."""
+        note = _NOTES.get(cause.name)
+        if note is None or (self._tells_itself and cause.name in TELL_THEMSELVES):
             return ""
-        words = ""
+        text = ""
         with suppressed():  # margins of a user's limit may raise anything
-            words = told(self)
-        return str(words or cause.value)
+            text = note(self)
+        return str(text or cause.value)
 
-    def _joints(self, sizes: Array, words: Callable[[int], str]) -> str:
-        """Words on the joints of which something is more than zero, the worst first."""
+    def _joints(self, sizes: Array, describe: Callable[[int], str]) -> str:
+        """The joints of which something is more than zero, the worst first."""
         worst = [int(i) for i in np.argsort(-sizes)[:MOST_NAMED]]
-        return ", ".join(words(i) for i in worst if sizes[i] > 0.0 or i == worst[0])
+        return ", ".join(describe(i) for i in worst if sizes[i] > 0.0 or i == worst[0])
 
     def _outside(self) -> str:
         chain, q = self._problem.chain, self._q
         below, above = chain.lower - q, q - chain.upper
 
-        def words(i: int) -> str:
+        def describe(i: int) -> str:
             side, out = ("below", below[i]) if below[i] > above[i] else ("above", above[i])
             far = f"{out:.2g} {chain.joint_units[i]} {side}" if out > 0.0 else "at the end of"
             return f"{self._names[i]} is {far} its range"
 
-        return self._joints(np.maximum(below, above), words)
+        return self._joints(np.maximum(below, above), describe)
 
     def _loops(self) -> str:
-        """The loop that is farthest open."""
         chain, loops = self._chain, self._open.reshape(-1, 2, 3)
         apart, turned = np.linalg.norm(loops, axis=2).T
         i = int(np.argmax(apart + turned))
         far = f"{1e3 * apart[i]:.1f} mm, {1e3 * turned[i]:.1f} mrad"
         return f"loop of {chain.arms[i + 1].name} is {far} open"
 
-    def _limits(self, words: str = "", first: bool = False) -> str:
+    def _limits(self, prefix: str = "", first: bool = False) -> str:
         """The limits that are reached after this tick; with ``first`` broken ones that may be."""
         problem, dt = self._problem, self._problem.dt
         v = np.array([self._before, self._v])
@@ -91,8 +90,8 @@ class Why:
                 with suppressed():
                     margins = limit.margins(problem.chain, q, v, dt)
                     found |= {row.words: float(left[-1]) for row, left in margins.items()}
-        least = sorted((left, name) for name, left in found.items() if left <= REACHED)
-        return words * bool(least) + ", ".join(name for _, name in least[:MOST_NAMED])
+        reached = sorted((left, name) for name, left in found.items() if left <= REACHED)
+        return prefix * bool(reached) + ", ".join(name for _, name in reached[:MOST_NAMED])
 
     def _infeasible(self) -> str:
         kept = "on_infeasible: scale would relax tasks, loop correction and accelerations"
@@ -125,8 +124,8 @@ class Why:
 
     def _opened(self) -> str:
         budget = self._problem.budget
-        most = f"{1e3 * budget.loop_position:g} mm, {1e3 * budget.loop_orientation:g} mrad"
-        return f"{self._loops()}, of {most} of the budget: slow the references, or a smaller dt"
+        allowed = f"{1e3 * budget.loop_position:g} mm, {1e3 * budget.loop_orientation:g} mrad"
+        return f"{self._loops()}, of {allowed} of the budget: slow the references, or a smaller dt"
 
     def _slowed(self) -> str:
         corrected = f"{100.0 * self._drift:.0f} % is corrected"
@@ -161,12 +160,12 @@ class Why:
         return f"nothing new at {', '.join(self._stale)}; see its sender"
 
     def _unmeasured(self) -> str:
-        seen = self._seen
-        if isinstance(seen, str):
-            return f"q_measured: {seen}"
-        if seen.shape != self._q.shape:
-            return f"q_measured: found shape {seen.shape}, needs {self._q.shape}"
-        return self._chain.unusable(seen)
+        reading = self._reading
+        if isinstance(reading, str):
+            return f"q_measured: {reading}"
+        if reading.shape != self._q.shape:
+            return f"q_measured: found shape {reading.shape}, needs {self._q.shape}"
+        return self._chain.unusable(reading)
 
 
 def _numbers(found: Any) -> Array | str:
@@ -178,7 +177,7 @@ def _numbers(found: Any) -> Array | str:
 
 
 #: What Why has words for; the others are the loop's and the plants', which have their own.
-_TOLD: dict[str, Callable[[Why], str]] = {
+_NOTES: dict[str, Callable[[Why], str]] = {
     **dict.fromkeys(
         ("INACCURATE", "UNBOUNDED", "ITERATION_LIMIT", "SOLVER_ERROR", "SOLVER_FAILED",
          "EQUALITY_RESIDUAL", "BOUND_RESIDUAL"), Why._solver,
@@ -193,6 +192,6 @@ _TOLD: dict[str, Callable[[Why], str]] = {
 TELL_THEMSELVES = {"NOT_FINITE", "SOLVER_ERROR", "INACCURATE"}
 
 
-def note_of(told: tuple[str | Why, ...]) -> str:
-    """The note of what a tick has told; it may be asked for later than the tick."""
-    return "; ".join(dict.fromkeys(filter(None, map(str, told))))
+def note_of(messages: tuple[str | Why, ...]) -> str:
+    """The note of a tick's messages; it may be asked for later than the tick."""
+    return "; ".join(dict.fromkeys(filter(None, map(str, messages))))

@@ -6,6 +6,7 @@ with the chain's weights alpha: p = sum alpha_i p_i, and R = exp(sum alpha_i log
 
 from __future__ import annotations
 
+import copy
 import itertools
 import math
 from collections.abc import Mapping
@@ -19,7 +20,7 @@ from scipy.linalg import lapack
 from coopqp.base.rank import independent_rows, least_squares
 from coopqp.base.spec import Array, read_only, real, vector
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.signal import InputValues
+from coopqp.signal import InputValues, Instant, Kind, quaternion_of
 
 
 class Memory:
@@ -29,31 +30,17 @@ class Memory:
         self.sizes = dict(sizes)
         ends = list(itertools.accumulate(self.sizes.values(), initial=0))
         self.numbers = np.zeros(ends[-1])
-        self._of = {
-            name: self.numbers[a:b]
-            for name, (a, b) in zip(self.sizes, itertools.pairwise(ends), strict=True)
-        }
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        # Copies of views are no views: a copy is made anew.
-        return _memory, (self.sizes, self.numbers)
+        self._parts = dict(zip(self.sizes, map(slice, ends, ends[1:]), strict=True))
 
     def __getitem__(self, name: str) -> Array:
         """The numbers of one name; a view, to be written to."""
-        return self._of[name]
+        return self.numbers[self._parts[name]]
 
     def shown(self) -> Memory:
         """The same numbers, for those who must not write to them."""
-        other = Memory({})
-        other.sizes, other.numbers = self.sizes, read_only(self.numbers)
-        other._of = {name: read_only(part) for name, part in self._of.items()}
+        other = copy.copy(self)
+        other.numbers = read_only(self.numbers)
         return other
-
-
-def _memory(sizes: Mapping[str, int], numbers: Array) -> Memory:
-    memory = Memory(sizes)
-    memory.numbers[:] = numbers
-    return memory
 
 
 class State:
@@ -131,10 +118,7 @@ class State:
         return f"State(t={self.t:g}, q={self.q}, v={self.v})"
 
     def lock(self) -> None:
-        """Show arrays that nobody can write to, while code of plug-ins looks at the state.
-
-        Its attributes cannot be replaced either, see :class:`_Locked`.
-        """
+        """Show arrays that nobody can write to, and replace no attributes, while plug-ins look."""
         own = self._own
         if not (
             self.q is own["q"]
@@ -330,11 +314,6 @@ class State:
         self._refresh()
         pin.updateGeometryPlacements(self._model, self._data, geometry, placed)
 
-    def point_jacobian(self, lever: Array, out: Array) -> None:
-        """Write J_v - [lever]x J_omega of a point, (3, n); lever from O to it, world axes [m]."""
-        J = self.J_task
-        np.subtract(J[:3], pin.skew(lever).dot(J[3:]), out)
-
     @property
     def loop_position_error(self) -> float:
         """Largest drift between where two arms carry the object [m]."""
@@ -409,6 +388,13 @@ def state_of(chain: ClosedChain, kept: Kept) -> State:
     return state
 
 
+def object_at(at: Instant, kind: Kind) -> Array | None:
+    """Where the object is, as a rotation or a pose; None at an instant without a state."""
+    if not isinstance(at, State):
+        return None
+    return np.concatenate([at.p_WO[: kind.numbers], quaternion_of(at.R_WO)])
+
+
 class PointOfObject:
     """A point of the object, p_O [m]: its place p in the world and velocity Jacobian J (3, n)."""
 
@@ -419,4 +405,5 @@ class PointOfObject:
     def update(self, state: State) -> None:
         lever = state.R_WO.dot(self._p_O)
         np.add(state.p_WO, lever, self.p)
-        state.point_jacobian(lever, self.J)
+        J = state.J_task
+        np.subtract(J[:3], pin.skew(lever).dot(J[3:]), self.J)

@@ -18,7 +18,7 @@ import pinocchio as pin
 from ruckig import ControlInterface, InputParameter, OutputParameter, Ruckig, RuckigError
 
 from coopqp.base.spec import Array, Positive, spec
-from coopqp.signal import Instant, Kind, Trajectory, matrix, quaternion_of, shortest_way
+from coopqp.signal import Kind, Trajectory, matrix, quaternion_of, shortest_way
 
 #: Within these there is always a way; they are those of arms, and wider [SI].
 VELOCITIES, ACCELERATIONS, JERKS = (1e-3, 100.0), (1e-3, 1e4), (1e-3, 1e6)
@@ -56,17 +56,16 @@ class MotionLimits:
             ):
                 _within(name, x, bounds, one)
             for k in (1, 2):
-                low, high = RAMPS
-                least, most = of[k - 1] / high, of[k - 1] / low
-                beside = f", beside {names[k - 1]} {of[k - 1]:g} {units[k - 1]}"
-                _within(names[k], of[k], (least, most), units[k], beside)
+                bounds = of[k - 1] / RAMPS[1], of[k - 1] / RAMPS[0]
+                before = f", beside {names[k - 1]} {of[k - 1]:g} {units[k - 1]}"
+                _within(names[k], of[k], bounds, units[k], before)
 
 
-def _within(name: str, x: float, bounds: tuple[float, float], unit: str, beside: str = "") -> None:
+def _within(name: str, x: float, bounds: tuple[float, float], unit: str, before: str = "") -> None:
     """Refuse a bound with which there may be no way; a little beyond is rounding."""
     low, high = bounds
     if not low * (1.0 - ROUNDING) <= x <= high * (1.0 + ROUNDING):
-        raise ValueError(f"{name}: found {x:g}, needs {low:g} to {high:g} {unit}{beside}")
+        raise ValueError(f"{name}: found {x:g}, needs {low:g} to {high:g} {unit}{before}")
 
 
 def _bounds(kind: Kind, pace: MotionLimits) -> Iterator[Array]:
@@ -84,7 +83,7 @@ def _bounds(kind: Kind, pace: MotionLimits) -> Iterator[Array]:
 
 
 class TrajectoryFilter(Trajectory):
-    """A reference that follows its target in steps of dt [s]; at first at rest at ``value``."""
+    """A reference that follows its target by :meth:`step` of dt [s]; at rest at ``value`` first."""
 
     moves = True
 
@@ -96,10 +95,6 @@ class TrajectoryFilter(Trajectory):
         self._fastest, _, self._jerk = bounds
         self._planner, self._out = Ruckig(count, dt), OutputParameter(count)
         self._plan, self._brake = _plan(kind, bounds), _plan(kind, bounds, brakes=True)
-
-    def update(self, at: Instant) -> None:
-        """Nothing: it goes on by :meth:`step` alone."""
-        return
 
     def step(self, target: Array | None) -> bool:
         """Go on for dt to a target (None: brake); False, and standing still, without a way."""

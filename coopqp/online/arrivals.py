@@ -60,7 +60,11 @@ class Arrivals:
     def _read(self, name: Any, value: Any, t: float, now: float) -> Iterator[Arrival]:
         channel = self._inputs.channels.get(name)
         if channel is None:
-            self._refuse_unknown(str(name))
+            name = str(name)
+            new = name not in self._unknown and len(self._unknown) < MAX_NAMES
+            if new and name not in self._names:
+                self._unknown.add(name)
+                self.refused.append(unknown_name("input", name, self._names))
             return
         stamped = isinstance(value, tuple) and len(value) == 2
         if not stamped or isinstance(value[0], Real):  # two numbers are a value
@@ -77,7 +81,7 @@ class Arrivals:
         self._stamped[name] = stamp
         yield name, in_columns(channel.kind, value), self._shared(name, min(sent, t))
 
-    def check_seen(self, name: str, given: Any, now: float, ahead: float) -> None:
+    def check_stamp(self, name: str, given: Any, now: float, ahead: float) -> None:
         """Refuse what cannot count that was sent then; InvalidValueError says why."""
         stamp, why = self._stamp(name, given, now, ahead)
         if not why and now - stamp > InputSettings.stale_after:
@@ -107,12 +111,6 @@ class Arrivals:
         elif stamp < last:
             why = f"is older than the last, sent at {stamp:.3f} s after {last:.3f} s"
         return stamp, why
-
-    def _refuse_unknown(self, name: str) -> None:
-        new = name not in self._unknown and len(self._unknown) < MAX_NAMES
-        if new and name not in self._names:
-            self._unknown.add(name)
-            self.refused.append(unknown_name("input", name, self._names))
 
 
 def in_columns(kind: Kind, value: Any) -> Any:
@@ -206,13 +204,12 @@ class Readings:
     def _judge_rates(self, v: Any, moved: Array, elapsed: float) -> Status | None:
         """Velocities that no joint can have, or that do not move it (NaN: nobody knows)."""
         assert self.v is not None
-        most = self._max_speed
         if elapsed > 0.0 and np.isfinite(moved).all():
             self._compare(v, moved, elapsed)
         v = self._slope if self.misread else v  # as likely all are wrong
-        if (wrong := np.abs(v) > most).any():
+        if (wrong := np.abs(v) > self._max_speed).any():
             i = int(np.argmax(wrong))
-            unit, limit = self._chain.joint_units[i], most[i] / FASTER
+            unit, limit = self._chain.joint_units[i], self._max_speed[i] / FASTER
             at = f"{self._chain.joint_names[i]} at {v[i]:+.3g} {unit}/s"
             self.note = f"{at}, but its limit is {limit:.3g}"
             return Status.NOT_MEASURED
@@ -221,14 +218,14 @@ class Readings:
 
     def _compare(self, v: Array, moved: Array, elapsed: float) -> None:
         """Find joints that do not go as far as their velocities say, and how fast they go."""
-        most, ways = self._max_speed, self._ways
+        max_speed, ways = self._max_speed, self._ways
         self._slope += (moved - elapsed * self._slope) / max(SLOPE_TIME, elapsed)
-        np.clip(self._slope, -most, most, self._slope)
-        beyond = np.abs(v) > most
-        told = np.where(beyond & ~self._beyond, moved, np.clip(v, -most, most) * elapsed)
+        np.clip(self._slope, -max_speed, max_speed, self._slope)
+        beyond = np.abs(v) > max_speed
+        way = np.where(beyond & ~self._beyond, moved, np.clip(v, -max_speed, max_speed) * elapsed)
         self._beyond = beyond  # a single one is a reading that is lost
         ways *= math.exp(-elapsed / COMPARED)
-        ways += np.stack([told, moved])
+        ways += np.stack([way, moved])
         off = np.abs(ways[0] - ways[1]) - SHARE * np.abs(ways).max(axis=0)
         found = np.flatnonzero(off > NOISE).tolist()
         self.misread = tuple(dict.fromkeys((*self.misread, *found)))

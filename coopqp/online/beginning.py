@@ -95,20 +95,11 @@ def check_resumed(chain: ClosedChain, q: Array, *, outside: bool) -> None:
 
 def _elsewhere(chain: ClosedChain, q: Array) -> tuple[str, str]:
     """Words on hands that are farther off than a model's error, and the likely mistake."""
-    apart, turned = hands_off(chain, q)
+    apart, turned = chain.loop_error_sizes(q)
     if apart <= MOST_POSITION and turned <= MOST_ORIENTATION:
         return "", ""
     where = f"the hands are {1e3 * apart:.0f} mm and {1e3 * turned:.0f} mrad from how"
     return where, likely_mistake(chain, q)
-
-
-def hands_off(chain: ClosedChain, q: Array) -> tuple[float, float]:
-    """How far hands lie from where they do at the chain's start, at most [m], [rad]."""
-    if chain.holding < 2:
-        return 0.0, 0.0
-    loops = chain.loop_error(q).reshape(-1, 2, 3)
-    apart, turned = np.linalg.norm(loops, axis=2).max(axis=0, initial=0.0)
-    return float(apart), float(turned)
 
 
 def likely_mistake(chain: ClosedChain, q: Array) -> str:
@@ -120,7 +111,7 @@ def likely_mistake(chain: ClosedChain, q: Array) -> str:
     for words, other in _changes(chain, q):
         if (_beyond(chain, other) > 0.0).any():
             continue
-        apart, turned = hands_off(chain, other)
+        apart, turned = chain.loop_error_sizes(other)
         if apart <= FITS_POSITION and turned <= FITS_ORIENTATION:
             found.append(words)
     outside, degrees = _beyond(chain, q) > 0.0, _in_radians(chain, q)
@@ -162,19 +153,17 @@ def _changes(chain: ClosedChain, q: Array) -> Iterator[tuple[str, Array]]:
     """Joints with one mistake undone, and what it was."""
     yield "degrees", _in_radians(chain, q)
     place = {name: i for i, name in enumerate(chain.joint_names)}
-    arms = [
-        (arm.name, [place[name] for name in chain.robot.arm_joints(arm)])
-        for arm in chain.robot.arms
-    ]
-    for (a, joints), (b, others) in itertools.combinations(arms, 2):
+    robot = chain.robot
+    arms = {arm.name: [place[name] for name in robot.arm_joints(arm)] for arm in robot.arms}
+    for (a, joints), (b, others) in itertools.combinations(arms.items(), 2):
         if len(joints) == len(others):
             words = "arms swapped" if len(arms) == 2 else f"arms {a} and {b} swapped"
             yield words, _with(q, [*joints, *others], q[[*others, *joints]])
-    for _, joints in arms:
+    for joints in arms.values():
         for i, j in itertools.combinations(joints, 2):
             names = f"{chain.joint_names[i]} and {chain.joint_names[j]}"
             yield f"{names} swapped", _with(q, [i, j], q[[j, i]])
-    for i in sorted({i for _, joints in arms for i in joints}):
+    for i in sorted({i for joints in arms.values() for i in joints}):
         name = chain.joint_names[i]
         yield f"sign of {name}", _with(q, [i], -q[i])
         if chain.joint_units[i] == "rad":

@@ -79,7 +79,7 @@ class FaultMonitor:
     Those of the phase ``before`` are kept.
 
     Attributes:
-        found: the faults since :meth:`forget`, oldest first.
+        faults: those since :meth:`forget`, oldest first.
         failing: for how many ticks now a joint does not follow, or is doubted to.
     """
 
@@ -88,13 +88,13 @@ class FaultMonitor:
         self._names, self._law, self._dt, self._at_bound = chain.joint_names, law, dt, 0.0
         self._joints = JointFollowing(chain, dt, law.observer) if observed else None
         self._forces = ForceMonitor(law)
-        self.found: tuple[Fault, ...] = before.found if before else ()
+        self.faults: tuple[Fault, ...] = before.faults if before else ()
         self._misled: bool = before._misled if before else False
         self.failing: int = before.failing if before else 0
         law.observer.paused = self._misled
 
     def forget(self) -> None:
-        self.found = ()
+        self.faults = ()
         self._forces.forget()
         self._misled = self._law.observer.paused = False
         if self._joints:
@@ -117,9 +117,9 @@ class FaultMonitor:
             self._law.observer.paused = self._joints.doubtful or self._misled
         self.failing = self.failing + 1 if self._misled or self.doubt else 0
         for kind, where, note in filter(None, findings):
-            if not any((kind, where) == fault[:2] for fault in self.found):
+            if not any((kind, where) == fault[:2] for fault in self.faults):
                 fault = Fault(kind, where, state.t, note)
-                self.found = (*self.found, fault)
+                self.faults = (*self.faults, fault)
                 return fault
         return None
 
@@ -130,7 +130,6 @@ class FaultMonitor:
         return self._named(suspect) if suspect else None
 
     def _observed(self, state: State) -> Finding | None:
-        """What the observer of the loop-closure offset has found."""
         observer, forces = self._law.observer, self._forces
         self._at_bound = self._at_bound + self._dt if observer.at_bound else 0.0
         if self._at_bound > LASTING:
@@ -167,7 +166,7 @@ class ForceMonitor:
     """Judges readings of force sensors; ``weight`` is the object's as the scenario says [N]."""
 
     def __init__(self, law: Law) -> None:
-        chain, self._squeezer = law.problem.chain, law.force_control
+        chain, self._control = law.problem.chain, law.force_control
         self._hands, self._readings = hands(chain), WrenchReadings(chain)
         self._arms = tuple(hand.arm for hand in self._hands)
         self._dt, self._mass, up = law.problem.dt, chain.held.mass, -chain.model.gravity.linear
@@ -205,28 +204,28 @@ class ForceMonitor:
             or self._near_slip(w, state)
         )
 
-    def heavier(self, weight: float, words: str) -> Finding:
-        """What is said of an object of another weight [N], in words with a gap for its mass."""
-        found = words.format(f"{weight / self._g:.3g} kg")
+    def heavier(self, weight: float, template: str) -> Finding:
+        """What is said of an object of another weight [N]; the template has a gap for its mass."""
+        found = template.format(f"{weight / self._g:.3g} kg")
         return "load_heavier", (), f"{found}: object.mass says {self._mass:g} kg"
 
     def _contrary(self, state: State) -> Finding | None:
         """Hands that close and say that they pull, or part and say that they press."""
-        if not self._squeezer:
+        if not self._control:
             return None
-        squeeze = 0.5 * float(self._squeezer.along[:3].dot(self._smooth[0] - self._smooth[1]))
+        squeeze = 0.5 * float(self._control.along[:3].dot(self._smooth[0] - self._smooth[1]))
         way = self._closed_in(state) - self._began
         contrary = abs(way) > CLOSED_IN and abs(squeeze) > SMALL and way * squeeze < 0.0
         # By sound sensors the force becomes what is wanted, whatever way that takes.
-        contrary &= abs(self._squeezer.wanted - squeeze) > SMALL
+        contrary &= abs(self._control.wanted - squeeze) > SMALL
         lasts = self._lasts(2, contrary)
         self._first = (way, squeeze) if lasts <= self._dt else self._first
         # Sound hands that still pull, pull less as they close.
         if lasts < LASTING or (way - self._first[0]) * (squeeze - self._first[1]) > 0.0:
             return None
-        told, pull = ("close", "pull") if way > 0.0 else ("part", "press")
+        close, pull = ("close", "pull") if way > 0.0 else ("part", "press")
         words = (
-            f"the hands are told to {told}, and {pull} by what their forces say: are the sensors "
+            f"the hands are told to {close}, and {pull} by what their forces say: are the sensors "
             "of the arms swapped, or of the wrong sign?"
         )
         return "force_sensor_reversed", self._arms, words
@@ -238,7 +237,7 @@ class ForceMonitor:
 
     def _closed_in(self, state: State) -> float:
         """How far the hands are told to be closer than the model says [m]."""
-        return -float(self._squeezer.along.dot(state.loop_offset)) if self._squeezer else 0.0
+        return -float(self._control.along.dot(state.loop_offset)) if self._control else 0.0
 
     def _silent(self, w: Array, step: Array, state: State) -> Finding | None:
         """A sensor that says zero, or always the same, where it cannot be so."""
@@ -311,7 +310,6 @@ class ForceMonitor:
         return "force_sensor_scaled", self._arms, words
 
     def _near_slip(self, w: Array, state: State) -> Finding | None:
-        """A hand that presses and needs nearly all its friction."""
         for arm, contact, need in friction_needed(self._hands, w, state.R_WO):
             if need > NEAR_SLIP * contact.friction:
                 words = f"{arm} is about to slip: it needs {need:.2g} of {contact.friction:g}"

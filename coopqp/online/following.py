@@ -15,8 +15,6 @@ parallel, as of two opposite shoulders, cannot be told apart where a motor is wr
 Source: Chow and Willsky 1984, parity relations; von Neumann 1941; statics of a closed chain.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import combinations
 from typing import Any, NamedTuple
@@ -107,7 +105,7 @@ class JointFollowing:
         self._observer, stiffness = observer, observer.stated_stiffness
         self._own = own = np.setdiff1d(np.arange(chain.n), chain.passive)
         self._passive, n = chain.passive, len(own)
-        self._least, self._most = chain.lower[own], chain.upper[own]
+        self._lower, self._upper = chain.lower[own], chain.upper[own]
         K = chain.model.effortLimit[own] if stiffness is None else stiffness[own]
         usable = (K > 0.0).all() and np.isfinite(K).any()
         self._compliance = 1.0 / K if usable else np.ones(n)
@@ -128,11 +126,9 @@ class JointFollowing:
         self._white = np.zeros((n, n))
         self._renew, self._fresh = max(1, round(RENEWED / h)), max(1, round(FRESH / h))
         self._kept = -(-self._spans[-1] // self._renew)  # Jacobians before, of the long window
-        arms = (set(chain.robot.arm_joints(arm)) for arm in chain.robot.arms)
-        self._arms = [
-            np.array([i for i, j in enumerate(own) if chain.joint_names[j] in arm], int)
-            for arm in arms
-        ]
+        names = [chain.joint_names[j] for j in own]
+        arms = (chain.robot.arm_joints(arm) for arm in chain.robot.arms)
+        self._arms = [np.flatnonzero([name in arm for name in names]) for arm in arms]
         decays = np.exp(-h / TIMES)
         kernels = decays ** np.arange(round(FADED * TIMES[-1] / h) + 1)[:, None]
         self._kernels = kernels / kernels.sum(axis=0)
@@ -223,13 +219,13 @@ class JointFollowing:
 
     def _stuck(self, span: int) -> Suspect | None:
         """An arm of which no reading has changed by a bit while it was commanded to move."""
-        last, least = self._samples - 1, MOVED * span / self._stuck_for + self._band
+        last, min_way = self._samples - 1, MOVED * span / self._stuck_for + self._band
         if last < span:
             return None
         at = np.arange(last - span, last + 1)
         for arm in (arm for arm in self._arms if len(arm) > 1):
             m, c = (np.diff(self._of(ring, at)[:, arm], axis=0) for ring in (self._m, self._c))
-            if not m.any() and c.any(axis=1).all() and np.abs(c).sum(axis=0).max() > least:
+            if not m.any() and c.any(axis=1).all() and np.abs(c).sum(axis=0).max() > min_way:
                 return Suspect("readings_stuck", tuple(int(j) for j in self._own[arm]), 0.0)
         return None
 
@@ -242,10 +238,11 @@ class JointFollowing:
         m, c = self._of(self._m, at), self._of(self._c, at)
         for j in np.flatnonzero((m[-1 - self._stuck_for :] == m[-1]).all(axis=0)):
             first = int(np.flatnonzero(np.append(True, m[:-1, j] != m[-1, j]))[-1])
-            told = c[first:, j]
-            way = np.abs(told[: max(1, len(told) - late)] - told[0]).max()
+            commands = c[first:, j]
+            way = np.abs(commands[: max(1, len(commands) - late)] - commands[0]).max()
             lively = first >= self._stuck_for and np.diff(m[: first + 1, j]).all()
-            stops = min(told.min() - self._least[j], self._most[j] - told.max()) < NEAR
+            margins = commands.min() - self._lower[j], self._upper[j] - commands.max()
+            stops = min(margins) < NEAR
             if way > MOVED * (1.0 if lively else STICKS) + self._band and not stops:
                 return Suspect("joint_stands_still", (int(self._own[j]),), 1.0)
         return None
@@ -273,7 +270,7 @@ class JointFollowing:
         rank = int(np.sum(values > SINGULAR * values.max(initial=1e-12)))
         U, parity = U[:, :rank], U[:, rank:]
         at = np.arange(max(0, last - span), last + 1)
-        m, c = self._of(self._m, at), self._told(at, self._lag)
+        m, c = self._of(self._m, at), self._commanded(at, self._lag)
         r = (m - c) - (m[0] - c[0])
         sag = np.mean((r @ U @ U.T) ** 2, axis=0)
         speed = np.abs(np.diff(c, axis=0)).mean(axis=0) / self._h
@@ -283,9 +280,9 @@ class JointFollowing:
         variance = noise**2 + self._band**2 + (LAG_NOISE * speed) ** 2 + STIFFNESS_NOISE**2 * sag
         variance += (INERTIA_NOISE * a) ** 2
         # What pulled as now pulled otherwise before J_c turned with the joints.
-        least = (SINGULAR * values.max(initial=1e-12)) ** 2 * np.identity(A.shape[1])
+        floor = (SINGULAR * values.max(initial=1e-12)) ** 2 * np.identity(A.shape[1])
         lags = (m - c)[-1:] if span <= self._spans[1] else m - c
-        pull = np.linalg.solve(A.T @ A + least, A.T @ lags.T)
+        pull = np.linalg.solve(A.T @ A + floor, A.T @ lags.T)
         turns = self._compliance[:, None] * ((J - before) @ pull)
         variance += np.mean(turns**2, axis=1) / 3.0  # on the way
         # The object's weight is no internal wrench, changes with the pose, and may be told wrong.
@@ -299,7 +296,7 @@ class JointFollowing:
             last = self._samples - 1
             first = max(0, last - span)
             r = self._of(self._m, last) - self._of(self._m, first)
-            r += self._told(first, self._lag) - self._told(last, self._lag)
+            r += self._commanded(first, self._lag) - self._commanded(last, self._lag)
             z = r.dot(self._white)
             is_long = span == self._spans[-1]
             if z.dot(z) < SUSPICIOUS and not (is_long and self._before[1]):
@@ -312,7 +309,7 @@ class JointFollowing:
                 return found, span
         return None, 0
 
-    def _told(self, at: Any, lag: Any) -> Array:
+    def _commanded(self, at: Any, lag: Any) -> Array:
         """Commands some half samples before."""
         c = self._c
         return 0.5 * (self._of(c, at - lag // 2) + self._of(c, at - (lag + 1) // 2))
@@ -328,7 +325,7 @@ class JointFollowing:
         at = np.arange(last, first + step - 2, -step)[::-1] - np.arange(step)[:, None]
         m = self._of(self._m, at).mean(axis=0)
         m = m - m.mean(axis=0)
-        c = self._told(at[:, None, :], self._lags[:, None]).mean(axis=0)
+        c = self._commanded(at[:, None, :], self._lags[:, None]).mean(axis=0)
         c = c - c.mean(axis=1, keepdims=True)  # (lags, T, n)
         z = (m - c) @ white
         sizes = np.einsum("ltd,ltd->l", z, z)
@@ -361,7 +358,7 @@ class JointFollowing:
         causes = np.stack([r, c, r.cumsum(axis=1) * time])
         causes = (causes - causes.mean(axis=2, keepdims=True)) @ white
         G = np.einsum("asti,bsti->sab", causes, causes)
-        short, gains = (np.linspace(0.0, most, 7) for most in ALIKE)
+        short, gains = (np.linspace(0.0, upper, 7) for upper in ALIKE)
         p = np.stack([np.ones((7, 7)), *np.meshgrid(short, gains)], axis=-1)
         return float(np.einsum("xya,sab,xyb->sxy", p, G, p).min())
 
@@ -384,7 +381,7 @@ class JointFollowing:
         z = r @ white
         sizes = np.einsum("ltd,ltd->l", z, z)
         n, pairs, above = len(self._own), self._pairs, sizes.min() - self._noise
-        told = self._told(at[0], self._lag)
+        commands = self._commanded(at[0], self._lag)
         signs = self._faults @ white  # (faults, d)
         lengths = np.einsum("fd,fd->f", signs, signs)
         lengths[lengths < LEAST_SIGNATURE * lengths.max()] = np.inf
@@ -412,7 +409,7 @@ class JointFollowing:
         if first >= n and share[first] < ALONE * min(1.0, share[second]):
             good[first] = exchanged[first]
         alike = self._alike(r, c, self._h * len(at), white) - self._noise
-        stops = np.minimum(told - self._least, self._most - told).min(axis=0) < NEAR
+        stops = np.minimum(commands - self._lower, self._upper - commands).min(axis=0) < NEAR
         stopped = (share[:n][stops] < 1.0 - EXPLAINED).any()
         if stopped or not good.any() or alike < max(LAGGING * above, self._enough):
             return None
@@ -446,13 +443,13 @@ def _white(x: Array) -> Array:
 
 def _slopes(delta: Array, motion: Array) -> Array:
     """-delta over motion (T, faults) since the onset that explains most of delta, (faults,)."""
-    slopes, most = np.zeros((2, delta.shape[1]))
+    slopes, best = np.zeros((2, delta.shape[1]))
     for onset in (int(share * len(delta)) for share in ONSETS):
         since = np.maximum(np.arange(len(delta)) - onset, 0)
         moved = motion[onset + since] - motion[onset]
         moved -= moved.mean(axis=0)
         squares = np.maximum((moved**2).sum(axis=0), 1e-12)
         along = (delta * moved).sum(axis=0)
-        better = along**2 > most * squares
-        slopes[better], most[better] = (-along / squares)[better], (along**2 / squares)[better]
+        better = along**2 > best * squares
+        slopes[better], best[better] = (-along / squares)[better], (along**2 / squares)[better]
     return slopes

@@ -27,6 +27,9 @@ from coopqp.online.phases import acceleration_limits
 from coopqp.online.real_time import Robot, UserCode, check_driver
 from coopqp.online.stops import Interrupts
 
+Rest = tuple[Array, Array]
+"""Mean and standard error of what each joint measures at rest."""
+
 #: How far joints go [rad], [m]; less where half of the range is less.
 WAY, WAY_SLIDING = 0.02, 0.01
 #: A joint that seems not to follow goes again, so many times as far: backlash of a degree takes up
@@ -52,19 +55,12 @@ SURE = 4.0
 
 @dataclass(frozen=True)
 class JointCheck:
-    """What a check of the joints has found; its text is what to tell people.
+    """What a check of the joints has found; its text is what to tell people."""
 
-    Attributes:
-        joints: that were to be checked, k of them.
-        response: r of all joints (columns) to each (rows), NaN if not checked, shape (k, k).
-        faults: by joint, what is wrong with it.
-        stopped: why it did not come to its end; empty if it did.
-    """
-
-    joints: tuple[str, ...]
-    response: Array
-    faults: dict[str, str]
-    stopped: str
+    joints: tuple[str, ...]  #: That were to be checked, k of them.
+    response: Array  #: r of all joints (columns) to each (rows), NaN if not checked, shape (k, k).
+    faults: dict[str, str]  #: By joint, what is wrong with it.
+    stopped: str  #: Why it did not come to its end; empty if it did.
 
     @property
     def ok(self) -> bool:
@@ -158,8 +154,8 @@ class _Check:
         self._own = np.setdiff1d(np.flatnonzero(self._way > LOCKED), chain.passive)
         self._ours = np.isin(np.arange(chain.n), self._own)
         self._speed = np.minimum(SPEED * scale, SHARE * np.abs(chain.velocity))
-        most = SHARE * acceleration_limits(loop.problem)
-        self._step = np.minimum(ACCELERATION * scale, most) * dt
+        max_acceleration = SHARE * acceleration_limits(loop.problem)
+        self._step = np.minimum(ACCELERATION * scale, max_acceleration) * dt
         self._readings, self._rest = Readings(chain), chain.q_start
         self._q, self._v, self._gone = chain.q_start.copy(), np.zeros(chain.n), np.zeros(chain.n)
         self._noise, self._unsure, self._margin = np.zeros((3, chain.n))
@@ -188,7 +184,7 @@ class _Check:
             for k, i in enumerate(own):
                 if self.stopped:
                     break
-                answer, rest = self._ask(int(i), *rest)
+                answer, rest = self._test_joint(int(i), rest)
                 if not self.stopped:
                     response[k] = answer
         finally:
@@ -197,27 +193,22 @@ class _Check:
                 self._period(i, self._toward(i, 0.0))
         return JointCheck(tuple(names[i] for i in own), response, self.faults, self.stopped)
 
-    def _ask(self, i: int, *rest: Array) -> tuple[Array, tuple[Array, Array]]:
+    def _test_joint(self, i: int, rest: Rest) -> tuple[Array, Rest]:
         """The answer r of the robot's joints to one that is moved, and the rest after it."""
         if self._unsure[i] > STILL:  # it would seem to go astray: it stays
             self.faults[self._chain.joint_names[i]] = _hidden(self._unsure[i])
-            return np.full(len(self._own), np.nan), (rest[0], rest[1])
-        moved, error, rest = self._moved(i, *rest)
-        if not self.stopped and self._lags(i, moved):
-            moved, error, rest = self._moved(i, *rest, times=AGAIN)
+            return np.full(len(self._own), np.nan), rest
+        moved, error, rest = self._moved(i, rest)
+        alone = np.abs(np.delete(moved, i)).max(initial=0.0) < STILL
+        if not self.stopped and -STILL < moved[i] < LEAST and alone:  # maybe for its backlash
+            moved, error, rest = self._moved(i, rest, times=AGAIN)
         if not self.stopped and (words := self._judge(i, moved, error)):
             self.faults[self._chain.joint_names[i]] = words
         return moved[self._own], rest
 
-    def _lags(self, i: int, moved: Array) -> bool:
-        """Whether a joint follows too little, and none does instead: maybe for its backlash."""
-        others = np.abs(np.delete(moved, i))
-        return bool(-STILL < moved[i] < LEAST and others.max(initial=0.0) < STILL)
-
-    def _moved(
-        self, i: int, before: Array, error: Array, *, times: float = 1.0
-    ) -> tuple[Array, Array, tuple[Array, Array]]:
+    def _moved(self, i: int, rest: Rest, *, times: float = 1.0) -> tuple[Array, Array, Rest]:
         """How far all joints go by the way of one, the standard error, and the rest after it."""
+        before, error = rest
         home, lower, upper = self._q[i], self._chain.lower[i], self._chain.upper[i]
         far = min(times * self._way[i], 0.5 * (upper - lower))
         way = -far if home - lower > upper - home else far
@@ -237,7 +228,6 @@ class _Check:
         return moved, error, rest
 
     def _judge(self, i: int, moved: Array, error: Array) -> str:
-        """What is wrong with a joint, by r of all joints and its standard error."""
         names, r = self._chain.joint_names, moved[i]
         if SURE * error[i] > STILL:
             return _hidden(SURE * error[i])
@@ -297,7 +287,7 @@ class _Check:
     def _astray(self) -> bool:
         return bool((np.abs(self._gone) > ASTRAY * self._way + self._margin)[self._own].any())
 
-    def _look(self, wait: float = 0.0, *, runs: bool = False) -> tuple[Array, Array]:
+    def _look(self, wait: float = 0.0, *, runs: bool = False) -> Rest:
         """Rest; mean and standard error of what each joint measures after a while.
 
         With ``runs`` a joint may run away, and two readings of it are enough to stop.

@@ -55,41 +55,25 @@ _STATUSES = tuple(Status)
 
 @dataclass(frozen=True)
 class LoopTicks:
-    """Some ticks, oldest first; T of them.
+    """Some ticks, oldest first; T of them."""
 
-    Attributes:
-        number: since the loop was made, shape (T,).
-        clock: start by the loop's clock, shape (T,) [s].
-        t: time of the references, shape (T,) [s].
-        q, v: configuration before the tick, and command, shape (T, n).
-        measured: joints; NaN without a usable reading, shape (T, n).
-        position, rotation: of the object at q, shapes (T, 3) [m] and (T, 3, 3).
-        loop_position, loop_orientation: largest loop error, shape (T,) [m], [rad].
-        us: computing time, shape (T,) [us].
-        causes: one bit for each status, in their order, shape (T,).
-    """
-
-    number: NDArray[np.int64]
-    clock: Array
-    t: Array
-    q: Array
-    v: Array
-    measured: Array
-    position: Array
-    rotation: Array
-    loop_position: Array
-    loop_orientation: Array
-    us: Array
-    causes: NDArray[np.int64]
+    number: NDArray[np.int64]  # since the loop was made, shape (T,)
+    clock: Array  # start by the loop's clock, shape (T,) [s]
+    t: Array  # time of the references, shape (T,) [s]
+    q: Array  # configuration before the tick, shape (T, n)
+    v: Array  # command, shape (T, n)
+    measured: Array  # joints; NaN without a usable reading, shape (T, n)
+    position: Array  # of the object at q, shape (T, 3) [m]
+    rotation: Array  # of the object at q, shape (T, 3, 3)
+    loop_position: Array  # largest loop error, shape (T,) [m]
+    loop_orientation: Array  # largest loop error, shape (T,) [rad]
+    us: Array  # computing time, shape (T,) [us]
+    causes: NDArray[np.int64]  # one bit for each status, in their order, shape (T,)
 
     def causes_at(self, k: int) -> tuple[Status, ...]:
         """Statuses of a tick, in their order, not by severity."""
         bits = int(self.causes[k])
         return tuple(status for i, status in enumerate(_STATUSES) if bits >> i & 1)
-
-    def share(self, status: Status) -> float:
-        """Share of the ticks with a status."""
-        return float(np.mean((self.causes & _bits((status,))) != 0)) if len(self.causes) else 0.0
 
 
 @cache
@@ -136,9 +120,7 @@ class History:
         kept = min(self.count, self.capacity)
         count = kept if ticks is None else max(0, min(ticks, kept))
         rows = np.arange(self.count - count, self.count) % self.capacity
-        return LoopTicks(
-            *(getattr(self._all, name)[rows] for name in LoopTicks.__dataclass_fields__)
-        )
+        return LoopTicks(*(column[rows] for column in vars(self._all).values()))
 
 
 class OnlineLoop:
@@ -218,7 +200,7 @@ class OnlineLoop:
         self._readings, self._stops = Readings(chain, silent_after, rates=torques), Stops(patience)
         self.measured = self._readings.q
         self.setpoint, self._no_reading = chain.q_start.copy(), np.full(chain.n, np.nan)
-        self._found = self._no_reading.copy()  # before it has begun
+        self._idle_q = self._no_reading.copy()  # before it has begun
         self._refusal, self._holding = Command(chain.n), Command(chain.n)
         self._waiting = Waiting()
         self._keeper = Keeper(self, None if out is None else Path(out), record)
@@ -236,7 +218,7 @@ class OnlineLoop:
             self.ticks, self.begun, self._built = 0, False, False
             self._moved, self._behind, self._forgives = False, 0.0, False
             self._pace = self._pace_before = 1.0
-            self.setpoint[:], self._found[:] = self._phases.now.problem.chain.q_start, np.nan
+            self.setpoint[:], self._idle_q[:] = self._phases.now.problem.chain.q_start, np.nan
             self._say(self._refuse(Status.OPTIMAL, ""))
 
     @property
@@ -287,7 +269,7 @@ class OnlineLoop:
     @property
     def faults(self) -> tuple[Fault, ...]:
         """Faults of the robot that were found since it began or went on, oldest first."""
-        return self._phases.monitor.found
+        return self._phases.monitor.faults
 
     @property
     def at_rest(self) -> bool:
@@ -328,20 +310,15 @@ class OnlineLoop:
     def next_phase(self) -> None:
         """Go on to the next phase, as soon as the joints are slow enough to stop in one tick.
 
-        Raises:
-            InvalidValueError: there is none.
+        InvalidValueError: there is none.
         """
-        self._phases.ask()
+        self._phases.request_next()
 
     def begin(self, q: ArrayLike, object_pose: Pose | ArrayLike | None = None) -> None:
-        """Take hold at measured joints, as in :meth:`tick`; else the first tick does it.
+        """Take hold at measured joints q, as in :meth:`tick`; else the first tick does it.
 
-        Args:
-            q: measured joints, as in :meth:`tick`.
-            object_pose: where the object was measured, as in :meth:`Scenario.placed`.
-
-        Raises:
-            CoopqpError: q or the pose is none, the object cannot be held so, nothing is written.
+        ``object_pose`` is where the object was measured, as in :meth:`Scenario.placed`.
+        CoopqpError: q or the pose is none, the object cannot be held so, nothing is written.
         """
         pose = None if object_pose is None else pose_of(object_pose, self._given.chain)
         with self._turn:
@@ -393,8 +370,8 @@ class OnlineLoop:
         state, history = self._phases.now.state, self.history
         measured = self._no_reading if self._wrong else self._readings.q
         i = history.add(now, state, measured, command, self.setpoint)
-        if not self.begun and np.isfinite(self._found).all():
-            self.setpoint[:] = self._found  # servos that are sent there stay
+        if not self.begun and np.isfinite(self._idle_q).all():
+            self.setpoint[:] = self._idle_q  # servos that are sent there stay
         history.us[i] = us = 1e-3 * (time.perf_counter_ns() - before)
         self._keeper.tick(state, command, us)
 
@@ -403,22 +380,14 @@ class OnlineLoop:
         self._keeper.flush()
 
     def replay(self) -> Scenario:
-        """The scenario that plays the session so far again, from disk; flushes it.
-
-        Raises:
-            InvalidValueError: there is no session.
-        """
+        """The scenario that plays the session so far again; InvalidValueError: there is none."""
         if self._keeper.session is None:
             raise InvalidValueError("nothing is written: give the loop a folder, out")
         self.flush()
         return self._keeper.session.replay()
 
     def close(self) -> None:
-        """Write the record.
-
-        Raises:
-            CoopqpError: it could not be written.
-        """
+        """Write the record; CoopqpError: it could not be written."""
         self._keeper.close()
         if self._keeper.fault:
             raise CoopqpError(self._keeper.fault)
@@ -443,7 +412,7 @@ class OnlineLoop:
 
     def _tick(self, q: Any, inputs: Any, now: float) -> Command:
         self._advance()
-        others, felt = self._phases.sense(inputs, now, self._time.ahead)
+        others, hand_wrench = self._phases.sense(inputs, now, self._time.ahead)
         if self._stops.look():
             self._readings.forget()
         if self._forgives:  # it may have been slowed down, not stopped
@@ -459,7 +428,7 @@ class OnlineLoop:
         self._go_by_measurement()
         if is_late:
             self._phases.arrivals.age(self.watch.elapsed - self.problem.dt)
-        self._keeper.arrived(self._phases.take(others, felt, now, self._time.ahead))
+        self._keeper.arrived(self._phases.take(others, hand_wrench, now, self._time.ahead))
         command = self._decide()
         command.told, self._phases.missed = (*command.told, *self._phases.missed), ()
         if faults := self.faults:
@@ -471,18 +440,15 @@ class OnlineLoop:
     def _try_to_begin(self) -> Command | None:
         if self._wrong:
             return self._refuse(self._wrong, self._time.wrong or self._readings.note)
-        self._found[:] = self._readings.q
+        self._idle_q[:] = self._readings.q
         if not self._stops.why:
             try:
-                self._begin(self._phases.seen)
+                self._begin(self._phases.object_pose)
                 return None
             except CoopqpError as error:  # not again by itself, when somebody moves the robot
-                self._give_up(error)
+                self._stops.halt(str(error))
+                self._readings.forget()
         return self._refuse(Status.NOT_BEGUN, self._stops.why)
-
-    def _give_up(self, error: CoopqpError) -> None:
-        self._stops.halt(str(error))
-        self._readings.forget()
 
     def _advance(self) -> None:
         """Integrate the last command; the loop's time stands still while it brakes."""
@@ -500,8 +466,9 @@ class OnlineLoop:
         measured, stops = None if self._wrong else self._readings.q, self._stops
         if stops.goes_on_again and measured is not None and not stops.why:
             stops.goes_on_again = False
-            if self._phases.holding or not self._last.v.any():
-                self._take_up(measured.copy())
+            rests = self._phases.holding or not self._last.v.any()
+            if rests and not self._goes_on(self._phases.take_up, measured.copy()):
+                self._readings.forget()
         if self._observed:
             self.state.q_measured = self._no_reading if measured is None else measured
         elif measured is not None:
@@ -509,22 +476,18 @@ class OnlineLoop:
             if self.by_torques:
                 self.state.v[:] = self._readings.v
         if measured is not None and not stops.why and self._phases.can_hand_over:
-            self._hand_over(measured.copy())
+            self._built = True
+            self._goes_on(self._phases.hand_over, measured.copy())
 
-    def _hand_over(self, q: Array) -> None:
-        self._built = True
+    def _goes_on(self, begin: Callable[[Array], None], q: Array) -> bool:
+        """Whether it can begin anew at joints q; else it stops."""
         try:
-            self._phases.hand_over(q)
+            begin(q)
             self._keeper.go_on()
         except CoopqpError as error:
             self._stops.halt(str(error))
-
-    def _take_up(self, q: Array) -> None:
-        try:
-            self._phases.take_up(q)
-            self._keeper.go_on()
-        except CoopqpError as error:
-            self._give_up(error)
+            return False
+        return True
 
     def _decide(self) -> Command:
         phases, run = self._phases, self._phases.now
@@ -532,7 +495,9 @@ class OnlineLoop:
         halts = [self._wrong] if self._wrong else []
         if self._stops.why or phases.over:
             halts.append(Status.STOPPED)
-        doubt = "" if halts else self._doubt()
+        # Braking begins while it is not known yet whether there is a fault.
+        kind, _, doubt = self._phases.monitor.doubt or ("", (), "")
+        doubt = doubt if not halts and kind and self._reactions[kind] == "rest" else ""
         if doubt:
             halts.append(Status.JOINT_DOUBTED)
         self._moved = not halts
@@ -559,19 +524,14 @@ class OnlineLoop:
         fault = monitor.update(self.state, q, readings.misread)
         if fault and self._reactions[fault.kind] == "rest":
             self._stops.halt(fault.note)
-        if not monitor.found and self._pace == 1.0:
+        if not monitor.faults and self._pace == 1.0:
             return
-        slow = any(self._reactions[fault.kind] == "slow_down" for fault in monitor.found)
+        slow = any(self._reactions[fault.kind] == "slow_down" for fault in monitor.faults)
         if slow and self.by_torques:  # a torque has no pace
             slow = False
-            self._stops.halt(monitor.found[-1].note)
+            self._stops.halt(monitor.faults[-1].note)
         step = self.problem.dt / SLOWING
         self._pace = max(SLOW, self._pace - step) if slow else min(1.0, self._pace + step)
-
-    def _doubt(self) -> str:
-        """Why to brake until it is known whether there is a fault; empty without such a doubt."""
-        kind, _, note = self._phases.monitor.doubt or ("", (), "")
-        return note if kind and self._reactions[kind] == "rest" else ""
 
     def _at_pace(self, run: PhaseRun) -> Command:
         """The law's command; slowed down, the same path in more time, references with it."""

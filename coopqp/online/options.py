@@ -56,17 +56,15 @@ def _faults(options: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     for name, kind in CHOICES.items():
         if options[name] not in get_args(kind):
             yield name, unknown_name("choice", str(options[name]), get_args(kind))
-    times = {
+    faults = {
         "speed_up": time_fault(options["speed_up"], none=True),
         "patience": time_fault(options["patience"]),
         "keep": time_fault(options["keep"], maximum=MAX_KEPT),
         "silent_after": time_fault(options["silent_after"], zero=True),
+        "clock": _clock_fault(options["clock"]),
+        "out": _folder_fault(options["out"]),
     }
-    yield from ((name, fault) for name, fault in times.items() if fault)
-    if fault := _clock_fault(options["clock"]):
-        yield "clock", fault
-    if fault := _folder_fault(options["out"]):
-        yield "out", fault
+    yield from ((name, fault) for name, fault in faults.items() if fault)
     if not (options["observer"] is None or isinstance(options["observer"], Observer)):
         yield "observer", f"found {options['observer']!r}; needs a coopqp.Observer"
     if not (options["record"] is None or callable(options["record"])):

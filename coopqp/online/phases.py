@@ -39,7 +39,7 @@ from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.grasp_configuration import grasp_of_each
 from coopqp.model.state import Memory, State
 from coopqp.online.arrivals import Arrivals
-from coopqp.online.beginning import check_hands, check_object, check_range, check_resumed, hands_off
+from coopqp.online.beginning import check_hands, check_object, check_range, check_resumed
 from coopqp.online.faults import FaultMonitor
 from coopqp.scenario.input import Arrival
 from coopqp.scenario.scenario import Scenario
@@ -72,15 +72,15 @@ def with_acceleration(
 
 def acceleration_limits(problem: ControlProblem) -> Array:
     """Largest acceleration of each joint, infinite where there is none, (n,) [rad/s2, m/s2]."""
-    most = np.full(problem.chain.n, np.inf)
+    upper = np.full(problem.chain.n, np.inf)
     for limit in problem.limits:
         if isinstance(limit, JointAcceleration):
             own = [limit.joints.get(name, limit.max) for name in problem.chain.joint_names]
-            np.minimum(most, own, out=most)
-    return most
+            np.minimum(upper, own, out=upper)
+    return upper
 
 
-class _Kept:
+class _FixedDistance:
     """Internal force control that keeps the hands' distance and ignores the force."""
 
     memory_sizes: Mapping[str, int] = {}
@@ -100,7 +100,7 @@ class Braking:
         problem, force_control = own.problem, own.force_control
         still = replace(problem, tasks=(), wrenches=(), secondary=())
         self._law = QPController().unprepared(still)  # begin would take a third longer otherwise
-        self._law.force_control = _Kept(force_control) if force_control else None
+        self._law.force_control = _FixedDistance(force_control) if force_control else None
         self._law.observer = own.observer
         self._memory = Memory(self._law.memory_sizes)
         self._step = acceleration_limits(problem) * problem.dt  # of the velocity in one tick
@@ -222,7 +222,7 @@ class Phases:
             same of torques, else None. monitor: of the robot's faults.
         grippers: what each arm's gripper shall do in this phase, "open" or "close".
         missed: which tasks of the phase before ended out of tolerance, for its first tick to say.
-        seen: where the object was last seen in this phase; None where it was not.
+        object_pose: where it was last seen in this phase; None where it was not.
     """
 
     def __init__(
@@ -231,10 +231,10 @@ class Phases:
     ) -> None:  # fmt: skip
         self.scenario = self._given = given
         self._controller, self._observed, self._by_time = controller, observed, by_time
-        self._asked, self._held, self._haste = False, held, haste
+        self._requested, self._held, self._haste = False, held, haste
         self.done: tuple[PhaseRun, ...] = ()
-        self.seen: Pose | None = None
-        self._unseen: tuple[str, ...] = ()
+        self.object_pose: Pose | None = None
+        self._pose_faults: tuple[str, ...] = ()
         self._enter(None, None)
 
     def begin(self, q: Array, pose: Pose | None) -> None:
@@ -255,11 +255,12 @@ class Phases:
         self.done = (self.now,)
 
     def _enter(self, before: PhaseRun | None, q: Array | None) -> None:
-        X_WO = None if self.seen is None else pose_matrix(self.seen)
+        X_WO = None if self.object_pose is None else pose_matrix(self.object_pose)
         robot = Measured(q, self._observed, X_WO)
         self.now = now = begin_phase(self.scenario, self._controller, before, robot=robot)
         self._start = State(now.problem.chain, now.state.q, now.state.t)
-        self._start.inputs, self.seen, self._is_last = now.state.inputs, None, now.is_last
+        self._start.inputs, self.object_pose = now.state.inputs, None
+        self._is_last = now.is_last
         self.missed: tuple[str, ...] = ()
         hold = now.problem.chain.hold
         self.grippers: dict[str, Gripper] = {
@@ -272,14 +273,14 @@ class Phases:
         self.holding = Holding(now.law) if self._controller.commands_torques else None
         self.braking = self.holding or Braking(now.law, self.monitor, self._haste)
 
-    def ask(self) -> None:
+    def request_next(self) -> None:
         if self.now.is_last:
             raise InvalidValueError(f"phase '{self.now.phase.name}' is the last")
-        self._asked = True
+        self._requested = True
 
     @property
     def over(self) -> bool:
-        return not self._is_last and (self._asked or (self._by_time and self.now.over))
+        return not self._is_last and (self._requested or (self._by_time and self.now.over))
 
     @property
     def next_name(self) -> str:
@@ -295,7 +296,7 @@ class Phases:
 
     def hand_over(self, q: Array) -> None:
         """Begin the next phase at the present speed; CoopqpError where it cannot begin."""
-        self._asked, missed = False, self._out_of_tolerance()
+        self._requested, missed = False, self._out_of_tolerance()
         try:
             self._enter(self.now, q)
         except CoopqpError as error:
@@ -339,26 +340,27 @@ class Phases:
             others = {} if inputs is None else dict(inputs)
         except Exception:  # noqa: BLE001 - a mapping of a user's class; who reads it says so
             return inputs, None
-        seen, felt = others.pop(OBJECT_POSE, None), others.pop(HAND_WRENCH, None)
+        pose, hand_wrench = others.pop(OBJECT_POSE, None), others.pop(HAND_WRENCH, None)
         try:
-            if type(seen) is tuple and len(seen) == 2:
-                seen, sent = seen
-                self.arrivals.check_seen(OBJECT_POSE, sent, now, ahead)
-            self.seen = self.seen if seen is None else pose_of(seen, self._given.chain)
+            if type(pose) is tuple and len(pose) == 2:
+                pose, sent = pose
+                self.arrivals.check_stamp(OBJECT_POSE, sent, now, ahead)
+            if pose is not None:
+                self.object_pose = pose_of(pose, self._given.chain)
         except Exception as error:  # noqa: BLE001 - anything can come from a camera
-            self._unseen = (said(error) or f"object_pose: found a {type(seen).__name__}",)
-        return others, felt
+            self._pose_faults = (said(error) or f"object_pose: found a {type(pose).__name__}",)
+        return others, hand_wrench
 
-    def take(self, inputs: Any, felt: Any, now: float, ahead: float) -> list[Arrival]:
+    def take(self, inputs: Any, hand_wrench: Any, now: float, ahead: float) -> list[Arrival]:
         """Pass on what has come since the last tick, as :meth:`Arrivals.read` takes it."""
         state = self.now.state
-        state.hand_wrench, state.inputs.refused = felt, ()
-        if type(inputs) is dict and not (inputs or self._unseen or self.now.inputs.move):
+        state.hand_wrench, state.inputs.refused = hand_wrench, ()
+        if type(inputs) is dict and not (inputs or self._pose_faults or self.now.inputs.move):
             return []
         arrivals = self.arrivals.read(inputs, state.t, now, ahead)
         self.now.inputs.step(state, arrivals)
-        state.inputs.refused = (*self._unseen, *self.arrivals.refused, *state.inputs.refused)
-        self._unseen = ()
+        state.inputs.refused = (*self._pose_faults, *self.arrivals.refused, *state.inputs.refused)
+        self._pose_faults = ()
         return arrivals
 
     def rest_inputs(self) -> None:
@@ -392,6 +394,6 @@ def as_held(scenario: Scenario, q: Array, pose: Pose | None = None) -> Scenario:
     without_places = {arm: replace(grasps[arm], object_in_hand=None) for arm in holders}
     held, grasps = replace(scenario.held, pose=pose), {**grasps, **without_places}
     # The arms' error here counts as the grasps', which turn with the object as the arms' does not.
-    most = scenario.observer.most + (hands_off(chain, q)[0] if placed else 0.0)
-    observer = replace(scenario.observer, most=most)
+    own = chain.loop_error_sizes(q)[0] if placed else 0.0
+    observer = replace(scenario.observer, most=scenario.observer.most + own)
     return scenario.changed(start=start, held=held, grasps=grasps, observer=observer)

@@ -64,7 +64,6 @@ class LiveRecording:
 
     Args:
         path: ``NAME.arrows``; must not exist.
-        scenario: that runs.
         law: of the first phase.
         start: the state before the first tick. Where it has measured joints, all ticks have.
         controller: the law's name in the scenario.
@@ -205,11 +204,7 @@ class LiveRecording:
                 self.fault = f"cannot write '{self.path}': {error}"
 
     def close(self) -> None:
-        """Write the rest and the end.
-
-        Raises:
-            CoopqpError: something could not be written.
-        """
+        """Write the rest and the end; CoopqpError: something could not be written."""
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join()

@@ -42,7 +42,6 @@ class _File(InputRows):
         self.path, self.written = path, False
 
     def flush(self, now: float) -> None:
-        """Write all rows before a time [s]."""
         if not (lines := self.take(now)):
             return
         whole = self.path.stat().st_size if self.written else 0

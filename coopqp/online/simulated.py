@@ -25,10 +25,7 @@ class SimulatedRobot:
         self._command = Command(loop.problem.chain.n)
 
     def read(self) -> Array:
-        """Measured joints, shape (n,) [rad, m]; NaN where readings are lost.
-
-        Where torques are commanded joints and their velocities, shape (2, n).
-        """
+        """As of :class:`coopqp.online.real_time.Robot`, or TorqueRobot; NaN is a lost reading."""
         state = self.state
         measured = self.plant.measured if state.q_measured is None else state.q_measured
         q = state.q.copy() if measured is None else measured.copy()

@@ -48,57 +48,55 @@ class LoopTime:
 
     def __init__(self, clock: Clock, dt: float) -> None:
         self._clock, self._dt = clock, dt
-        self._most = FINE * dt / EPSILON
+        self._latest = FINE * dt / EPSILON  # beyond it a period is too small a part of the time
         self.forget()
 
     def forget(self) -> None:
-        self.now = self._seen = -math.inf
+        self.now = self._before = -math.inf  # of this tick, and by the clock at the last one
         self.ahead, self._stood, self.wrong, self._fault = 0.0, 0, "", ""
 
     def read(self) -> float:
-        said = self._ask()
-        return self._begun - self.ahead if said is None else said
+        time = self._read_clock()
+        return self._begun - self.ahead if time is None else time
 
     def tick(self) -> float:
-        before, seen, said = self.now, self._seen, self._ask()
+        now, before, time = self.now, self._before, self._read_clock()
         self.wrong = self._fault
-        if said is None:
+        if time is None:
             self.now = self._begun + self._dt
             return self.now
-        self._seen, self._stood = said, self._stood + 1 if said == seen else 0
+        self._before, self._stood = time, self._stood + 1 if time == before else 0
         if self._stood >= STANDS:
-            self.wrong, self.now = f"the clock stands at {said:.6g} s", before + self._dt
+            self.wrong, self.now = f"the clock stands at {time:.6g} s", now + self._dt
         if self._stood:
             return self.now
-        self.now = said + self.ahead
-        if said < seen:
-            self.wrong = f"the clock went back by {seen - said:.3g} s"
-        if said < seen or self.now <= before:  # or more periods were counted than have gone by
-            self.now = before + self._dt
-            self.ahead = self.now - said
+        self.now = time + self.ahead
+        if time < before:
+            self.wrong = f"the clock went back by {before - time:.3g} s"
+        if time < before or self.now <= now:  # or more periods were counted than have gone by
+            self.now = now + self._dt
+            self.ahead = self.now - time
         return self.now
 
     @property
     def _begun(self) -> float:
         return 0.0 if self.now == -math.inf else self.now
 
-    def _ask(self) -> float | None:
+    def _read_clock(self) -> float | None:
         """A time that tells a period from none; None where there is none, with the reason."""
         self._fault = ""
         try:
-            said = self._clock()
+            reading = self._clock()
         except Exception as error:  # noqa: BLE001 - it is a user's
             self._fault = f"the clock {raised(error)}"
             return None
-        if type(said) is float and abs(said) < self._most:
-            return said
-        found = as_time(said)
-        if found is not None and abs(found) < self._most:
-            return found
-        words = f"a {type(said).__name__}"
+        time = reading if type(reading) is float else as_time(reading)
+        if time is not None and abs(time) < self._latest:
+            return time
+        shown = f"a {type(reading).__name__}"
         with suppress(Exception):  # an object may not say what it is
-            words = f"{said!r:.60}"
-        self._fault = f"the clock says {words}, needs seconds"
+            shown = f"{reading!r:.60}"
+        self._fault = f"the clock says {shown}, needs seconds"
         return None
 
 
@@ -213,7 +211,6 @@ class Stops:
         self.ended = self.ended or reason(why, "it was told to end")
 
     def resume(self) -> None:
-        """Go on, unless it has ended."""
         if self._stopped and not self.ended:
             self._resumed, self._stopped = True, ""
 
@@ -240,10 +237,10 @@ class Stops:
         elif self._wrong_since is None:
             self._wrong_since = now
         elif now - self._wrong_since >= ALL * self._patience:
-            self.halt(f"for {now - self._wrong_since:.3g} s {_WORDS[wrong]}")
+            self.halt(f"for {now - self._wrong_since:.3g} s {_MISSING[wrong]}")
 
 
-_WORDS = {
+_MISSING = {
     Status.ROBOT_SILENT: "the robot has not said where it is",
     Status.NOT_MEASURED: "the measured joints were no numbers",
     Status.MEASURED_JUMPED: "the measured joints were elsewhere",

@@ -59,7 +59,7 @@ class ServoLaw:
     """The servos of one chain.
 
     Attributes:
-        tau, asked: torques as of the last :meth:`torque`, and before they were limited by
+        tau, requested: torques as of the last :meth:`torque`, and before they were limited by
             ``effort``, which is zero for passive joints, shape (n,) [N m].
         stiffness: K, zero for passive joints, shape (n,) [N m/rad]; not used with a frequency.
         follows: whether the last command was a velocity, or there was none.
@@ -75,24 +75,23 @@ class ServoLaw:
         self._compensate = servo.gravity_compensation
         self._q_d, self.follows = chain.q_start.copy(), True
         self._rest, self._damping, self._v_d, self._forward = np.zeros((4, chain.n))
-        self.tau, self.asked = np.zeros((2, chain.n))
+        self.tau, self.requested = np.zeros((2, chain.n))
 
     def resume(self, before: ServoLaw) -> None:
         """Keep the desired angles of the servos of the phase before."""
         self._q_d[:], self._v_d[:] = before._q_d, before._v_d
         self._forward[:], self.follows = before._forward, before.follows
-        self._ask(self._forward)
+        self._request(self._forward)
 
     def hold(self, q: Array) -> None:
         """Hold these angles, from where velocity commands go on."""
         self._q_d[:] = q
 
     def begin(self, command: Command, q: Array) -> None:
-        """Take a command for the next control period."""
         self.follows = command.tau is None
         if command.tau is not None:
             self._forward[:] = command.tau
-            self._ask(self._forward)
+            self._request(self._forward)
             return
         self._v_d[:] = command.v
         self._model.update(q, self._rest)
@@ -125,13 +124,12 @@ class ServoLaw:
             following = self._model.A @ (w**2 * behind + 2.0 * self._ratio * w * slower)
         else:
             following = self.stiffness * behind + self._damping * slower
-        self._ask(following + self._forward)
+        self._request(following + self._forward)
         return self.tau
 
-    def _ask(self, asked: Array) -> None:
-        """Torques within the motors' limits; those of a command stay for its period."""
-        self.asked[:] = asked
-        np.maximum(asked, -self.effort, out=self.tau)
+    def _request(self, torque: Array) -> None:
+        self.requested[:] = torque
+        np.maximum(torque, -self.effort, out=self.tau)
         np.minimum(self.tau, self.effort, out=self.tau)
 
 
@@ -210,18 +208,18 @@ class HandSignals:
         contacts' frames; ``borne`` is the sum of the friction forces' sizes over all points of each
         contact [N], by its own model of friction if omitted.
         """
-        told = self.signals
-        for name in told.keys() - {"held", "slip"}:
-            told[name][:] = 0.0
-        told["hand_wrench"].reshape(-1, 6)[self.at] = wrenches.reshape(-1, 6)
-        told["hand_point"].reshape(-1, 3)[self.at] = points
+        signals = self.signals
+        for name in signals.keys() - {"held", "slip"}:
+            signals[name][:] = 0.0
+        signals["hand_wrench"].reshape(-1, 6)[self.at] = wrenches.reshape(-1, 6)
+        signals["hand_point"].reshape(-1, 3)[self.at] = points
         for k, _, contact, i in self._pressing:
-            w = in_contacts[k]
-            told["normal_force"][i], told["tangential_force"][i] = w[2], np.hypot(w[0], w[1])
-            told["edge_use"][i], told["friction_use"][i] = contact.edge_use(w), np.nan
+            w, use = in_contacts[k], np.nan
             if w[2] > NO_CONTACT:
                 needed = contact.friction_needed(w) if borne is None else borne[k] / w[2]
-                told["friction_use"][i] = min(needed / (self._friction * contact.friction), MAX_USE)
+                use = min(needed / (self._friction * contact.friction), MAX_USE)
+            signals["normal_force"][i], signals["tangential_force"][i] = w[2], np.hypot(w[0], w[1])
+            signals["edge_use"][i], signals["friction_use"][i] = contact.edge_use(w), use
 
     def split(self, wrenches: Array, alpha: Array) -> None:
         """Write what cancels of wrenches at the object's origin; after :meth:`write`."""
@@ -287,8 +285,13 @@ class DynamicModel(PlantModel):
         firm = true_chain(problem.chain, seed, disturbance)
         self.true, self._truth = State(firm), State(firm)
         self.hand_signals = HandSignals(firm, disturbance.friction)
-        self._steps = _whole_steps(problem.dt, time_step)
-        self.h = problem.dt / self._steps
+        dt, self._steps = problem.dt, round(problem.dt / time_step)
+        if self._steps < 1 or abs(self._steps * time_step - dt) > 1e-9 * dt:
+            raise InvalidValueError(
+                f"time_step: found {time_step:g} s, stated or by default, needs a whole part of dt "
+                f"= {dt:g} s; state one, such as time_step: {dt / math.ceil(dt / time_step):g}"
+            ).at("time_step")
+        self.h = dt / self._steps
         self._rng = seeded(seed)
         self._late: deque[Command] = deque(Command(n) for _ in range(disturbance.delay))
         self._at_limit = np.zeros(n)
@@ -308,8 +311,8 @@ class DynamicModel(PlantModel):
         for _ in range(self._steps):
             self.integrate()
             self.servo.advance(self.h)
-            asked = np.abs(self.servo.asked)
-            self._at_limit += (asked >= self.servo.effort) & (asked > 0.0)
+            requested = np.abs(self.servo.requested)
+            self._at_limit += (requested >= self.servo.effort) & (requested > 0.0)
         np.divide(self._at_limit, self._steps, self.signals["saturated"])
         self.signals["energy"][:] = self.energy()
         push = self.disturbance.wrench(self.true.t)
@@ -344,7 +347,6 @@ class DynamicModel(PlantModel):
         self.attach(before)
 
     def _slip(self) -> None:
-        """Let the object slip in a hand by the change since the last period."""
         distance = self.disturbance.slipped(self.true.t)
         if distance != self._slipped:
             step, self._slipped = distance - self._slipped, distance
@@ -387,13 +389,3 @@ class DynamicModel(PlantModel):
         if not deviation:
             return values.copy()
         return values + self._rng.normal(0.0, deviation, len(values))
-
-
-def _whole_steps(dt: float, time_step: float) -> int:
-    steps = round(dt / time_step)
-    if steps < 1 or abs(steps * time_step - dt) > 1e-9 * dt:
-        raise InvalidValueError(
-            f"time_step: found {time_step:g} s, stated or by default, needs a whole part of dt = "
-            f"{dt:g} s; state one, such as time_step: {dt / math.ceil(dt / time_step):g}"
-        ).at("time_step")
-    return steps

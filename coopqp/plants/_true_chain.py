@@ -85,7 +85,6 @@ def _with_errors(
 def _misplaced(
     hold: GraspConfiguration, rng: np.random.Generator, disturbance: Disturbance
 ) -> Mapping[str, pin.SE3]:
-    """The object's pose in each hand, with an error."""
     X_EO = dict(hold.X_EO)
     for arm in hold.robot.arms:
         shift = disturbance.grasp_offset * _direction(rng)

@@ -377,7 +377,10 @@ class MujocoModel(DynamicModel):
         self._follow_balls(R_WO)
         wrenches, borne = self._wrenches()
         signals = self.hand_signals
-        self.signals["gap"][0] = self._gap(place)
+        held = zip(self._ends, self.hand_signals.hands, strict=True)
+        fastened = [data.site_xpos[k] - place for k, hand in held if not hand.contact]
+        gaps = (float(np.linalg.norm(way)) for way in fastened)
+        self.signals["gap"][0] = max(gaps, default=0.0)
         points = contact_points(signals.hands, place, R_WO)
         at_hands = [moved(h, place, p) for h, p in zip(wrenches, points, strict=True)]
         signals.write(np.array(at_hands), points, self._in_contacts(at_hands, points, R_WO), borne)
@@ -389,12 +392,6 @@ class MujocoModel(DynamicModel):
         self._mujoco.mj_energyPos(self._model, data)
         self._mujoco.mj_energyVel(self._model, data)
         return float(data.energy[1]), float(data.energy[0])
-
-    def _gap(self, place: Array) -> float:
-        """Largest distance between the object and where a fastened hand holds it [m]."""
-        held = zip(self._ends, self.hand_signals.hands, strict=True)
-        fastened = [self._data.site_xpos[k] - place for k, hand in held if not hand.contact]
-        return max((float(np.linalg.norm(way)) for way in fastened), default=0.0)
 
     def _in_contacts(self, at_hands: Sequence[Array], points: Array, R_WO: Array) -> Array:
         """The hands' wrenches in their contacts' frames, shape (holding, 6).
@@ -457,9 +454,8 @@ class MujocoModel(DynamicModel):
                 continue
             mujoco.mj_contactForce(self._model, data, k, found)
             sign = -1.0 if contact.geom2 in self._pads else 1.0  # it acts on the second body
-            frame = sign * contact.frame.reshape(3, 3).T
-            at = np.concatenate([frame @ found[:3], frame @ found[3:]])
-            by_arm[pad] += moved(at, contact.pos, data.xpos[self._object])
+            w = in_axes(found, sign * contact.frame.reshape(3, 3).T)
+            by_arm[pad] += moved(w, contact.pos, data.xpos[self._object])
             borne[pad] += np.hypot(found[1], found[2])
         return by_arm, borne
 

@@ -155,7 +155,7 @@ class QuasiStaticModel(DynamicModel):
         self._wrench, self._at = wrench.reshape(-1, 6), self._on_object()
         own = pin.computeGeneralizedGravity(true.chain.model, self._data, true.q)
         servo.tau[:] = np.where(self._moves, own + J.T @ wrench, 0.0)
-        servo.asked[:] = servo.tau
+        servo.requested[:] = servo.tau
 
     def _solved(
         self, J: Array, G: Array, strained: Array, B_1: Array, push: Array
@@ -186,12 +186,12 @@ class QuasiStaticModel(DynamicModel):
 
     def _slipping(self, wrench: Array, slips: Array) -> Array:
         """Compliance with which hands slip, so that their forces are at the limit [m/N]."""
-        most, firm = self._settings.slip_force, 1.0 / self._settings.grip
-        if most is None:
+        max_force, firm = self._settings.slip_force, 1.0 / self._settings.grip
+        if max_force is None:
             return slips
         found = np.zeros((len(self._hands), 6))
         sizes = np.linalg.norm(wrench.reshape(-1, 6)[:, :3], axis=1)
-        found[:, :3] = np.maximum((slips[::6] + firm) * sizes / most - firm, 0.0)[:, None]
+        found[:, :3] = np.maximum((slips[::6] + firm) * sizes / max_force - firm, 0.0)[:, None]
         return found.ravel()
 
     def energy(self) -> tuple[float, float]:

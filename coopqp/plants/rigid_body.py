@@ -86,13 +86,10 @@ class RigidBodyModel(_dynamic.DynamicModel):
         chain, mass_scale = self.true.chain, self.disturbance.object_mass
         # Where planar arms leave it open who carries the weight, each carries its share.
         self._dynamics = ClosedLoopDynamics(
-            chain,
-            shares=chain.alpha,
-            friction=self._settings.friction,
-            mass_scale=mass_scale,
+            chain, shares=chain.alpha, friction=self._settings.friction, mass_scale=mass_scale
         )
         self._stops = EndStops(chain, self.h) if self._settings.end_stops else None
-        self._seen = b""  # the state that the dynamics are up to date with, if that may come again
+        self._updated = b""  # the state that the dynamics are up to date with
 
     def integrate(self) -> None:
         """One Runge-Kutta step, then a projection on the closed loops."""
@@ -101,7 +98,7 @@ class RigidBodyModel(_dynamic.DynamicModel):
         self._follow(q, v)
         if self._stops:
             self._stops.update(self._dynamics)
-        a1 = self._accelerated(q, v, t)
+        a1 = self._acceleration(q, v, t)
         v2 = v + 0.5 * h * a1
         a2 = self._acceleration(q + 0.5 * h * v, v2, t)
         v3 = v + 0.5 * h * a2
@@ -117,8 +114,7 @@ class RigidBodyModel(_dynamic.DynamicModel):
     def energy(self) -> tuple[float, float]:
         """Kinetic and potential energy; updates the wrench signals as well."""
         true, dynamics = self.true, self._dynamics
-        self._follow(true.q, true.v)
-        a = self._accelerated(true.q, true.v, true.t)
+        a = self._acceleration(true.q, true.v, true.t)
         wrenches = dynamics.object_wrenches(a, self._wrench, self.disturbance.wrench(true.t))
         cut = self.signals["cut_wrench"]
         cut[:] = -wrenches.by_arm[1:].ravel()[: len(cut)]
@@ -138,19 +134,14 @@ class RigidBodyModel(_dynamic.DynamicModel):
             self.lost = signals.lost
 
     def _follow(self, q: Array, v: Array) -> None:
-        """Bring the dynamics up to date, unless that is the state of the last period's end."""
-        seen = q.tobytes() + v.tobytes()
-        if seen != self._seen:
+        """Bring the dynamics up to date, unless they are, as after the last period's end."""
+        state = q.tobytes() + v.tobytes()
+        if state != self._updated:
             self._dynamics.update(q, v)
-            self._seen = seen
+            self._updated = state
 
     def _acceleration(self, q: Array, v: Array, t: float) -> Array:
-        self._dynamics.update(q, v)
-        self._seen = b""
-        return self._accelerated(q, v, t)
-
-    def _accelerated(self, q: Array, v: Array, t: float) -> Array:
-        """The acceleration in a state that the dynamics are up to date with."""
+        self._follow(q, v)
         dynamics = self._dynamics
         tau = self.servo.torque(q, v)
         if self._stops:
@@ -176,25 +167,25 @@ class EndStops:
         self._upper = np.maximum(chain.upper, chain.q_start)
         effort = _dynamic.full_effort(chain)
         # A passive joint's stop is a part of the hand: as firm as the weakest motor's.
-        least = effort[effort > 0.0].min(initial=_dynamic.UNLIMITED_EFFORT)
-        self._firm = np.where(effort > 0.0, effort, least) / STOP_ANGLE
+        weakest = effort[effort > 0.0].min(initial=_dynamic.UNLIMITED_EFFORT)
+        self._firm = np.where(effort > 0.0, effort, weakest) / STOP_ANGLE
         self._k, self._d = self._firm, np.zeros(chain.n)
-        self._most = (STABLE / h) ** 2
-        self._seen: tuple[Array, Array] | None = None
+        self._max_square = (STABLE / h) ** 2  # of the natural frequency
+        self._terms: tuple[Array, Array] | None = None
         self._nothing = np.zeros(chain.n)
 
     def update(self, dynamics: ClosedLoopDynamics) -> None:
         # Kept until a joint is at its stop, which few are: the inertia takes a decomposition.
-        self._seen = dynamics.A.copy(), dynamics.J.copy()
+        self._terms = dynamics.A.copy(), dynamics.J.copy()
 
     def torque(self, q: Array, v: Array) -> Array:
         """Torques of the stops on the joints, shape (n,) [N m]; not to be written to."""
         if not (np.count_nonzero(q > self._upper) or np.count_nonzero(q < self._lower)):
             return self._nothing
-        if self._seen:
-            W = _dynamic.inertia_seen(*self._seen)
-            self._k = np.minimum(self._firm, W * self._most)
-            self._d, self._seen = 2.0 * np.sqrt(self._k * W), None
+        if self._terms:
+            W = _dynamic.inertia_seen(*self._terms)
+            self._k = np.minimum(self._firm, W * self._max_square)
+            self._d, self._terms = 2.0 * np.sqrt(self._k * W), None
         above, below = q - self._upper, self._lower - q
         push = np.where(below > 0.0, np.maximum(self._k * below - self._d * v, 0.0), 0.0)
         push -= np.where(above > 0.0, np.maximum(self._k * above + self._d * v, 0.0), 0.0)

@@ -18,7 +18,6 @@ from coopqp.base.spec import Array
 from coopqp.base.wording import counted
 from coopqp.closed_loop.forces import Bound, Forces, forces
 from coopqp.closed_loop.mobility import WEAK, Mobility, manipulability, mobility
-from coopqp.closed_loop.transmission import force_words
 from coopqp.execution.controller_run import run
 from coopqp.model.state import State
 from coopqp.report.page import asset, html_table, script_json, text
@@ -82,7 +81,7 @@ def study(
     rows = [(task.name, tasks.J[part].copy()) for task, part in slices]
     joints = {f"q{i}": name for i, name in enumerate(chain.joint_names, start=1)}
     names = None if scheme is None else [joints.get(name, name) for name in scheme]
-    analysis = mobility(chain, task_rows=rows, asked=names, seed=scenario.seed)
+    analysis = mobility(chain, task_rows=rows, requested=names, seed=scenario.seed)
     first = scenario.first_ticks[number]
     last = first + scenario.schedule[number].ticks(scenario.dt)
     kept = slice(first, last + 1, max(1, (last - first) // MAX_POINTS))
@@ -111,9 +110,9 @@ def _run(scenario: Scenario) -> tuple[Array, Array, CoopqpError | None]:
 def as_json(result: Study) -> dict[str, Any]:
     """Everything, with infinities as null."""
     m = result.mobility
-    data = asdict(m)
+    data = {"asked" if key == "requested" else key: value for key, value in asdict(m).items()}
     for key in ("impossible", "uncontrolled"):
-        data[key] = [asdict(s) | {"words": s.words()} for s in getattr(m, key)]
+        data[key] = [asdict(s) | {"words": s.describe()} for s in getattr(m, key)]
     data |= {
         "scenario": result.scenario.name,
         "phase": result.phase,
@@ -135,7 +134,7 @@ def _forces_json(internal: Forces | None) -> dict[str, Any] | None:
         "dimensions": ranks.dimensions,
         "all": ranks.all,
         "arms": {
-            arm.arm: asdict(arm.counts) | {"borne": [*map(force_words, arm.borne)]}
+            arm.arm: asdict(arm.counts) | {"borne": [screw.describe_force() for screw in arm.borne]}
             for arm in ranks.arms
         },
         "pairs": [
@@ -143,7 +142,7 @@ def _forces_json(internal: Forces | None) -> dict[str, Any] | None:
             for pair in ranks.pairs
         ],
         "squeeze": [
-            {"arms": s.arms, "least": _bound_json(s.least), "most": _bound_json(s.most)}
+            {"arms": s.arms, "least": _bound_json(s.lower), "most": _bound_json(s.upper)}
             for s in internal.squeezes
         ],
         "load": _bound_json(internal.load),
@@ -175,8 +174,8 @@ def rows(result: Study) -> list[tuple[str, str, str]]:
     if len(m.tasks) > 1:
         free = _free(m.tasks_rank, m.tasks_weakest)
         lines.append((f"all tasks, {m.tasks_rows} rows", "", free))
-    lines += [("impossible motion", "", screw.words()) for screw in m.impossible]
-    lines += [("motion no motor decides", "", screw.words()) for screw in m.uncontrolled]
+    lines += [("impossible motion", "", screw.describe()) for screw in m.impossible]
+    lines += [("motion no motor decides", "", screw.describe()) for screw in m.uncontrolled]
     lines += _force_rows(result.forces) if result.forces else []
     low, high = result.manipulability.min(), result.manipulability.max()
     return [*lines, ("manipulability on the way", "", f"{low:.3g} to {high:.3g}")]
@@ -184,13 +183,13 @@ def rows(result: Study) -> list[tuple[str, str, str]]:
 
 def _force_rows(internal: Forces) -> list[tuple[str, str, str]]:
     ranks = internal.transmission
-    lines = [(f"internal wrenches, {ranks.dimensions}", "", ranks.all.words)]
+    lines = [(f"internal wrenches, {ranks.dimensions}", "", ranks.all.summary)]
     for arm in ranks.arms:
-        borne = "".join(f"; borne: {force_words(screw)}" for screw in arm.borne)
-        lines.append((f"wrenches of {arm.arm} alone, 6", "", f"{arm.counts.words}{borne}"))
+        borne = "".join(f"; borne: {screw.describe_force()}" for screw in arm.borne)
+        lines.append((f"wrenches of {arm.arm} alone, 6", "", f"{arm.counts.summary}{borne}"))
     if len(ranks.pairs) > 1:
-        lines += [(f"between {' and '.join(p.arms)}, 6", "", p.counts.words) for p in ranks.pairs]
-    ends = ((s.arms, s.words.partition(" (")[0]) for s in internal.squeezes)  # motors: verdict
+        lines += [(f"between {' and '.join(p.arms)}, 6", "", p.counts.summary) for p in ranks.pairs]
+    ends = ((s.arms, s.summary.partition(" (")[0]) for s in internal.squeezes)  # motors: verdict
     lines += [(f"squeeze of {' and '.join(arms)}", "", words) for arms, words in ends]
     return lines
 
@@ -208,13 +207,13 @@ def schemes(result: Study) -> list[tuple[str, str, str]]:
             f"{s.condition:.3g}" if s.admissible else "inadmissible",
             f"{s.condition_start:.3g}" if s.admissible_start else "singular",
         )
-        for s in ([m.asked] if m.asked else []) + list(m.schemes[:SHOWN])
+        for s in ([m.requested] if m.requested else []) + list(m.schemes[:SHOWN])
     ]
 
 
 def tables(result: Study) -> list[Table]:
     """For the terminal."""
-    shown = "asked for, then best" if result.mobility.asked else "best"
+    shown = "asked for, then best" if result.mobility.requested else "best"
     titles = f"mobility of {result.name}", "actuation schemes: condition number"
     headings = ("", *POSES), (shown, "generic", "start")
     every = []

@@ -12,7 +12,7 @@ from coopqp.base.table import read_table
 from coopqp.base.wording import counted
 from coopqp.closed_loop.forces import StaticHold, contact_notes
 from coopqp.closed_loop.hands import WrenchStack
-from coopqp.closed_loop.hidden_freedom import hidden_freedom
+from coopqp.closed_loop.mobility import hidden_freedom
 from coopqp.closed_loop.screw import LENGTH
 from coopqp.controller import Controller
 from coopqp.controllers.qp import QPController
@@ -70,7 +70,7 @@ def notes(
         *of_limits,
         *contact_notes(scenario.chain),
         *_far_hands(scenario.chain),
-        *([hidden.words()] if hidden else []),
+        *([hidden.describe()] if hidden else []),
         *_coarse_steps(scenario),
         *_of_inputs(scenario, steered=steered),
         *_of_forces(scenario, chosen),
@@ -241,7 +241,7 @@ def _far(scenario: Scenario) -> Iterator[str]:
     chain, distances = scenario.chain, list[tuple[str, float]]()
     for phase in scenario.schedule:
         for task in phase.tasks:
-            marks = marker.asked(task.name, partial(task.marks, Moment(phase.duration)), [])
+            marks = marker.marks_of(task.name, partial(task.marks, Moment(phase.duration)), [])
             far = max((_distance(mark, chain.start_position) for mark in marks), default=0.0)
             distances.append((f"the goal of '{task.name}' is", far))
     for name, kind in scenario.followed().items():

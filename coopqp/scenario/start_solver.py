@@ -31,7 +31,7 @@ from scipy.sparse.csgraph import connected_components
 from coopqp.assessment.thresholds import AT_LIMIT, LOOP_CLOSED
 from coopqp.base.errors import GraspError
 from coopqp.base.spec import Array, seeded
-from coopqp.closed_loop.hidden_freedom import EXACT, closed_near
+from coopqp.closed_loop.mobility import EXACT, closed_near
 from coopqp.closed_loop.screw import LENGTH
 from coopqp.grasp import Grasp, pose_matrix
 from coopqp.model.closed_chain import ClosedChain

@@ -78,9 +78,9 @@ class HandWrenches:
         pressing: whether any hand holds by contact.
         points: of the hands, shape (N, 3) [m]. turned: R_CW where any presses, shape (N, 3, 3).
         G: grasp matrix, shape (6, 6 N).
-        feels: sum_i (J_i - J_0)' G_i as a matrix on h, shape (n, 6 N).
+        to_tau: sum_i (J_i - J_0)' G_i as a matrix on h, shape (n, 6 N).
         cones: shape (c, 6 N), and stated: cones @ h <= stated, shape (c,).
-        most: the right side in this tick, shape (c,); see :mod:`coopqp.torque_law.program`.
+        upper: the right side in this tick, shape (c,); see :mod:`coopqp.torque_law.program`.
         in_cone: 1 for rows of cones, 0 for bounds of the normal force, shape (c,).
         split: of this instant.
     """
@@ -107,7 +107,7 @@ class HandWrenches:
         self._prepare_cones(safety)
         self.points, self.G = np.zeros((N, 3)), np.zeros((6, 6 * N))
         self.turned = np.zeros((N, 3, 3))
-        self.feels = np.zeros((chain.n, 6 * N))
+        self.to_tau = np.zeros((chain.n, 6 * N))
         self._metric = np.tile(np.repeat([1.0, 1.0 / HAND_RADIUS], 3), N)
         # Loops between hands that press are closed by the contact, not by the model.
         pressed = [bool(self.hands[0].contact or hand.contact) for hand in self.hands[1:]]
@@ -125,9 +125,9 @@ class HandWrenches:
             for arm, label in names
         )
         self.stated = np.concatenate([*(rows.most for *_, rows in pressing), np.zeros(0)])
-        self.most = self.stated.copy()
+        self.upper = self.stated.copy()
         self.in_cone = np.array([label not in ("least", "most") for _, label in names], float)
-        self.cones = np.zeros((len(self.most), self.size))
+        self.cones = np.zeros((len(self.upper), self.size))
 
     def update(self, state: State, dynamics: ClosedLoopDynamics) -> None:
         self.points[:] = points(self.hands, state.p_WO, state.R_WO)
@@ -135,7 +135,7 @@ class HandWrenches:
         J = dynamics.J_arms
         for i in range(1, len(self.hands)):
             part = slice(6 * i, 6 * i + 6)
-            self.feels[:, part] = (J[part] - J[:6]).T @ self.G[:, part]
+            self.to_tau[:, part] = (J[part] - J[:6]).T @ self.G[:, part]
         if self.pressing:
             self.turned[:], at = into_contacts(self.hands, state.R_WO), 0
             for i, rows in self._local:
@@ -175,8 +175,8 @@ class HandWrenches:
             return P, np.zeros(self.size)
         # The least internal wrench that does what is asked.
         internal = self.split.projector / self._metric
-        least = internal @ least_squares(wrenches.J @ internal, wrenches.wanted)
-        return P, -B.T @ (self._metric * least)
+        smallest = internal @ least_squares(wrenches.J @ internal, wrenches.wanted)
+        return P, -B.T @ (self._metric * smallest)
 
     def _reserves(self, state: State, dynamics: ClosedLoopDynamics) -> Array:
         """Shares in proportion to how much of the object's weight each arm alone could carry."""
@@ -185,13 +185,12 @@ class HandWrenches:
         _, weight = dynamics.object_inertia()
         left = model.effortLimit - np.abs(own)
         left[chain.passive] = np.inf
-        found = np.zeros(len(self.hands))
+        found, h = np.zeros(len(self.hands)), np.append(weight[:3], np.zeros(3))
         for i in range(len(self.hands)):
             part = slice(6 * i, 6 * i + 6)
-            h = np.concatenate([weight[:3], np.zeros(3)])
-            felt = np.abs(dynamics.J_arms[part].T @ (self.G[:, part] @ h))
-            felt[chain.passive] = 0.0
-            found[i] = np.min(np.maximum(left, 0.0) / np.maximum(felt, 1e-9))
+            torque = np.abs(dynamics.J_arms[part].T @ (self.G[:, part] @ h))
+            torque[chain.passive] = 0.0
+            found[i] = np.min(np.maximum(left, 0.0) / np.maximum(torque, 1e-9))
         found = np.maximum(found, MIN_RESERVE * max(float(found.max()), 1e-9))
         return np.asarray(found / found.sum(), float)
 
@@ -214,8 +213,8 @@ def _shares(chain: ClosedChain, shares: Shares) -> Array:
     """By hand that holds, with sum 1, shape (N,)."""
     held = chain.hold.holders
     if isinstance(shares, str):
-        found = chain.alpha[: len(held)].copy()
-        return np.asarray(found / found.sum(), float)
+        alpha = chain.alpha[: len(held)]
+        return np.asarray(alpha / alpha.sum(), float)
     every = [arm.name for arm in chain.arms]
     require_known("arm", shares, every, "shares: ")
     values = np.array([shares.get(name, 0.0) for name in held])
@@ -236,19 +235,19 @@ def require_forces(problem: ControlProblem, safety: float, name: str) -> None:
     if problem.chain.holding < 2 or not (pressing or problem.wrenches):
         return
     start = State(problem.chain)
-    hold, asked = StaticHold(problem.chain, safety=safety), WrenchStack(problem.wrenches, start)
+    hold, stack = StaticHold(problem.chain, safety=safety), WrenchStack(problem.wrenches, start)
     if pressing and (load := hold.load()).value < 1.0:
         raise GraspError(
             f"{name}: cannot hold the object at rest with safety {safety:g}: "
             f"{cannot_carry(problem.chain, hold, load)}"
         )
-    asked.update(start)
-    for fault in unreachable_wrenches(hold, asked):
+    stack.update(start)
+    for fault in unreachable_wrenches(hold, stack):
         raise InvalidValueError(f"{name}: {fault}")
-    hard = np.flatnonzero(asked.hard)
-    if not len(hard) or _can(hold, asked, hard):
+    hard = np.flatnonzero(stack.hard)
+    if not len(hard) or _can(hold, stack, hard):
         return
-    culprits = [asked.rows[i].name for i in hard if _can(hold, asked, hard[hard != i])]
+    culprits = [stack.rows[i].name for i in hard if _can(hold, stack, hard[hard != i])]
     which = ", ".join(culprits) or "several of them"
     raise GraspError(
         f"{name}: the grasp cannot bear all hard wrenches together; without one of {which} it "
@@ -256,28 +255,25 @@ def require_forces(problem: ControlProblem, safety: float, name: str) -> None:
     )
 
 
-def unreachable_wrenches(hold: StaticHold, asked: WrenchStack) -> Iterator[str]:
-    """Wanted wrenches beyond what motors and friction give at rest, a sentence each.
-
-    ``asked`` must be up to date at the pose of ``hold``.
-    """
-    for row, C, wanted in zip(asked.rows, asked.J, asked.wanted, strict=True):
-        least, most = (hold.extreme(C, sign) for sign in (-1.0, 1.0))
-        if least is None or most is None:
+def unreachable_wrenches(hold: StaticHold, stack: WrenchStack) -> Iterator[str]:
+    """Wanted wrenches of ``stack``, up to date, beyond what ``hold`` gives, a sentence each."""
+    for row, C, wanted in zip(stack.rows, stack.J, stack.wanted, strict=True):
+        lower, upper = (hold.extreme(C, sign) for sign in (-1.0, 1.0))
+        if lower is None or upper is None:
             return  # the object cannot be carried; reported elsewhere where hands press
-        if least.value - ROUNDING <= wanted <= most.value + ROUNDING:
+        if lower.value - ROUNDING <= wanted <= upper.value + ROUNDING:
             continue
-        near = least if wanted < least.value else most
+        near = lower if wanted < lower.value else upper
         yield (
             f"{row.name} wants {wanted:.3g} {row.unit}, but at rest at the start the hands "
-            f"can do {least.value:.3g} to {most.value:.3g} {row.unit}; {near.holds} back"
+            f"can do {lower.value:.3g} to {upper.value:.3g} {row.unit}; {near.holds} back"
         )
 
 
-def _can(hold: StaticHold, asked: WrenchStack, rows: NDArray[np.intp]) -> bool:
+def _can(hold: StaticHold, stack: WrenchStack, rows: NDArray[np.intp]) -> bool:
     """Whether these rows can have their values at once."""
-    nothing = np.zeros(asked.J.shape[1])
-    return hold.extreme(nothing, 1.0, (asked.J[rows], asked.wanted[rows])) is not None
+    nothing = np.zeros(stack.J.shape[1])
+    return hold.extreme(nothing, 1.0, (stack.J[rows], stack.wanted[rows])) is not None
 
 
 class MomentumObserver:
@@ -318,8 +314,8 @@ class MomentumObserver:
         integral, known = memory["observer.integral"], memory["observer.known"]
         r = memory["observer.residual"]
         if memory["observer.begun"][0]:
-            tau, felt = memory["observer.tau"], dynamics.J_object.T.dot(memory["observer.wrench"])
-            of_loops = dynamics.direct(tau + felt).wrench[dynamics.kept].dot(dynamics.J)
+            tau, push = memory["observer.tau"], dynamics.J_object.T.dot(memory["observer.wrench"])
+            of_loops = dynamics.direct(tau + push).wrench[dynamics.kept].dot(dynamics.J)
             integral += dt * (tau + of_loops + 0.5 * (known + now) + r)
         else:
             integral[:], memory["observer.begun"][0] = momentum, 1.0
@@ -335,11 +331,7 @@ class HandSensors:
     """Measures the external wrench on one chain by the hands; its state is in the law's memory.
 
     ``dynamics``, with the modelled object, must be up to date at each update. ``gain`` is the
-    inverse of the filter's time constant [1/s].
-
-    Attributes:
-        wrench: as of :class:`MomentumObserver`.
-        memory_sizes: what to remember.
+    inverse of the filter's time constant [1/s]. ``wrench`` is as of :class:`MomentumObserver`.
     """
 
     def __init__(self, dynamics: ClosedLoopDynamics, *, gain: float, dt: float) -> None:
@@ -357,8 +349,7 @@ class HandSensors:
     def update(self, state: State) -> Array:
         """The wrench at the end of a period; zero at first, the last where nothing is measured."""
         dynamics, twist = self._dynamics, self._dynamics.J_object.dot(state.v)
-        memory = state.memory
-        kept = memory["sensors.wrench"]
+        memory, kept = state.memory, state.memory["sensors.wrench"]
         found = self._readings.read(state.hand_wrench)
         if memory["sensors.begun"][0] and found is not None:
             M, b = dynamics.object_inertia()

@@ -179,13 +179,13 @@ def damped(loop: TorqueLoop | VelocityLoop) -> bool:
     return loop.damping() >= MIN_DAMPING
 
 
-def largest(good: Callable[[float], bool], most: float) -> float:
-    """Largest good number below ``most``, which is not, to two digits; 0 below a hundredth."""
-    low, high = 0.0, most
+def largest(good: Callable[[float], bool], upper: float) -> float:
+    """Largest good number below ``upper``, which is not, to two digits; 0 below a hundredth."""
+    low, high = 0.0, upper
     for _ in range(20):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if good(middle) else (low, middle)
-    if low <= 1e-2 * most:
+    if low <= 1e-2 * upper:
         return 0.0
     digit = 10.0 ** (math.floor(math.log10(low)) - 1)
     return math.floor(low / digit) * digit
@@ -196,9 +196,9 @@ def require_damped_models(problem: ControlProblem, controller: str) -> None:
     dt = problem.dt
     for task in problem.tasks:
         if task.impedance is None and not damped(row_loop(task.gain, 0.0, dt)):
-            most = largest(lambda gain: damped(row_loop(gain, 0.0, dt)), task.gain)
+            max_gain = largest(lambda gain: damped(row_loop(gain, 0.0, dt)), task.gain)
             raise InvalidValueError(
                 f"task {task.name}: found gain {task.gain:g} 1/s, {controller} needs at most "
-                f"{most:g} 1/s at dt {1e3 * dt:g} ms; more oscillates when commands are a tick "
+                f"{max_gain:g} 1/s at dt {1e3 * dt:g} ms; more oscillates when commands are a tick "
                 "late, so lower it, or dt"
             )

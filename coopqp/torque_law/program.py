@@ -9,6 +9,7 @@ and then minimal.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,31 +67,20 @@ class Layout:
         ends = np.cumsum([0, self.n, self.k, hands.size, int(hands.pressing)]).tolist()
         self.a, self.tau = slice(ends[0], ends[1]), slice(ends[1], ends[2])
         self.h, self.sigma = slice(ends[2], ends[3]), slice(ends[3], ends[4])
-        names, units = chain.joint_names, chain.joint_units
-        efforts = {"rad": "N m", "m": "N"}
+        joints = list(zip(chain.joint_names, chain.joint_units, strict=True))
+        motors, force = [joints[i] for i in dynamics.actuated], {"rad": "N m", "m": "N"}
         self.variables = (
-            *(
-                Row(name=f"a[{name}]", kind="joint", unit=f"{unit}/s2", joint=name)
-                for name, unit in zip(names, units, strict=True)
-            ),
-            *(
-                Row(name=f"tau[{names[i]}]", kind="motor", unit=efforts[units[i]], joint=names[i])
-                for i in dynamics.actuated.tolist()
-            ),
+            *(Row(name=f"a[{x}]", kind="joint", unit=f"{u}/s2", joint=x) for x, u in joints),
+            *(Row(name=f"tau[{x}]", kind="motor", unit=force[u], joint=x) for x, u in motors),
             *hands.variables,
             *([Row(name="sigma", kind="hand", unit="N")] if hands.pressing else []),
         )
         self.inequalities = (*bounds.rows, *hands.cone_rows)
         self.cones = slice(len(bounds.rows), len(self.inequalities))
+        axes, row = zip(AXES, UNITS, strict=True), partial(Row, kind="dynamics")
         self.equalities = (
-            *(
-                Row(name=f"dynamics[{name}]", kind="dynamics", unit=efforts[unit], joint=name)
-                for name, unit in zip(names, units, strict=True)
-            ),
-            *(
-                Row(name=f"object.{axis}", kind="dynamics", unit=unit)
-                for axis, unit in zip(AXES, UNITS, strict=True)
-            ),
+            *(row(name=f"dynamics[{x}]", unit=force[u], joint=x) for x, u in joints),
+            *(row(name=f"object.{axis}", unit=unit) for axis, unit in axes),
             *chain.loops.kept_rows[: self.m],
         )
         self.common = len(self.equalities)
@@ -173,18 +163,18 @@ class Program:
         qp, layout, costs = self.qp, self._layout, self._layout.costs
         tasks, hands, wrenches = layout.level.tasks, layout.hands, layout.wrenches
         qp.P[:], qp.q[:] = 0.0, 0.0
-        P, q = self._asked(0, tasks.J, tasks.weights, wanted, soften)
+        P, q = self._of_level(0, tasks.J, tasks.weights, wanted, soften)
         qp.P[layout.a, layout.a], qp.q[layout.a] = P, q
         if hands.hands:
             grip, pull = hands.cost(wrenches)
-            P, q = self._asked(1, wrenches.J, wrenches.weights, wrenches.wanted, soften)
+            P, q = self._of_level(1, wrenches.J, wrenches.weights, wrenches.wanted, soften)
             qp.P[layout.h, layout.h], qp.q[layout.h] = costs.grip * grip + P, costs.grip * pull + q
         qp.P[: len(self._diagonal), : len(self._diagonal)] += np.diag(self._diagonal)
         qp.q[layout.a] += costs.damping / costs.damping_time * state.v
         if hands.pressing:
             qp.q[layout.sigma], qp.P[layout.sigma, layout.sigma] = LEAVING
 
-    def _asked(
+    def _of_level(
         self, of: int, rows: Array, weights: Array, wanted: Array, soften: bool
     ) -> tuple[Array, Array]:
         """P and q of the level's own motion rows (0) or wrench rows (1), and of softened ones."""
@@ -201,7 +191,7 @@ class Program:
         n = layout.n
         tree, body, closed = slice(0, n), slice(n, n + 6), slice(n + 6, layout.common)
         J_0, (M, b) = dynamics.J_object, dynamics.object_inertia()
-        qp.A[tree, layout.a], qp.A[tree, layout.h] = dynamics.A, hands.feels
+        qp.A[tree, layout.a], qp.A[tree, layout.h] = dynamics.A, hands.to_tau
         qp.b[tree] = -dynamics.H
         qp.b[body] = 0.0  # of an object that stands, whatever the arms do
         if hands.hands:
@@ -218,7 +208,7 @@ class Program:
         qp.lb[layout.a], qp.ub[layout.a] = lb, ub
         qp.G[: len(h), layout.a], qp.h[: len(h)] = G, h
         if hands.pressing:
-            qp.G[layout.cones, layout.h], qp.h[layout.cones] = hands.cones, hands.most
+            qp.G[layout.cones, layout.h], qp.h[layout.cones] = hands.cones, hands.upper
 
     def _fill_exact(self, wanted: Array, before: Array | None, soften: bool) -> None:
         """Hard rows, and what was decided before, as far as they are independent."""
@@ -272,7 +262,7 @@ class HeldTorques:
     compared with the arms' weight, but possibly much for a light object. Cones hold for both, with
     twice the change:
 
-        C h <= most,   C (h + 2 d) <= most
+        C h <= upper,   C (h + 2 d) <= upper
 
     d is observed on the last answer: in the dynamics of this instant, with the torques of the tick
     before, the least change of its accelerations and wrenches. A steady motion repeats it.
@@ -290,22 +280,22 @@ class HeldTorques:
         self.memory_sizes: dict[str, int] = sizes if hands.pressing else {}
 
     def foresee(self, state: State, qp: QP) -> None:
-        """Tighten ``hands.most`` and the QP's cones, whose dynamics are those of this instant."""
+        """Tighten ``hands.upper`` and the QP's cones, whose dynamics are those of this instant."""
         hands, layout = self._hands, self._layout
         if not hands.pressing:
             return
         answer = state.memory["answer"].copy()
-        hands.most[:] = hands.stated
+        hands.upper[:] = hands.stated
         if answer.any():
             answer[layout.h] = _turned(answer[layout.h], hands.turned.transpose(0, 2, 1))
             A, b = qp.A[: layout.common, : layout.h.stop], qp.b[: layout.common].copy()
             # What is seen of the loops since then is no part of what the arms' motion does.
             b[self._loops] = -self._dynamics.drift - state.memory["back"]
-            change = self._least(A, b - A @ answer)
-            hands.most -= AHEAD * hands.in_cone * np.maximum(hands.cones @ change, 0.0)
-        qp.h[layout.cones] = hands.most
+            change = self._smallest_change(A, b - A @ answer)
+            hands.upper -= AHEAD * hands.in_cone * np.maximum(hands.cones @ change, 0.0)
+        qp.h[layout.cones] = hands.upper
 
-    def _least(self, A: Array, right: Array) -> Array:
+    def _smallest_change(self, A: Array, right: Array) -> Array:
         """The wrenches of the smallest change with that effect; normally it is unique."""
         layout, n, saddle = self._layout, self._layout.n, self._saddle
         if saddle is None:

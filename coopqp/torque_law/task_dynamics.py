@@ -84,10 +84,7 @@ class TaskDynamics:
         return np.asarray(np.minimum(np.maximum(tau, -self._effort), self._effort), float)
 
     def inverse_inertia(self) -> Array:
-        """Acceleration of the joints per torque on them, the loops closed, shape (n, n).
-
-        X = N (N' A N)^-1 N', with N as in :meth:`ClosedLoopDynamics.null_space`.
-        """
+        """N (N' A N)^-1 N', accelerations of the joints per torque on them, shape (n, n)."""
         N = self.dynamics.null_space()
         return np.asarray(N @ np.linalg.solve(N.T @ self.dynamics.A @ N, N.T), float)
 
@@ -127,7 +124,7 @@ def require_motor_freedom(problem: ControlProblem, controller: str, *, free: boo
                 f"decide only {decided} of them independently; leave out rows, or use qp"
             )
     found = mobility(problem.chain, task_rows=[("all", tasks.J)], samples=1)
-    missing = [screw.words() for screw in (*found.impossible, *found.uncontrolled)]
+    missing = [screw.describe() for screw in (*found.impossible, *found.uncontrolled)]
     rows = len(tasks.e)
     if rows > found.motor_freedom_start or found.tasks_rank < rows:
         why = f"missing: {'; '.join(missing)}"
@@ -239,8 +236,8 @@ def require_impedances(
     level.update(State(problem.chain))
     impedances.update()
     C, R, dt = impedances.B * impedances.K, impedances.R, problem.dt
-    asked, found = spring_damping(C, R, dt, None), spring_damping(C, R, dt, DELAY)
-    if found < (needed := min(MIN_DAMPING, 0.5 * asked)):
+    stated, found = spring_damping(C, R, dt, None), spring_damping(C, R, dt, DELAY)
+    if found < (needed := min(MIN_DAMPING, 0.5 * stated)):
         at_least = f"{needed:.2f}" if needed >= 5e-3 else "more than 0"  # where none was asked for
         raise InvalidValueError(
             f"{which} oscillates at dt {1e3 * dt:g} ms when commands are a tick late (damping "
@@ -274,8 +271,8 @@ def leaks(problem: ControlProblem) -> tuple[str, str, float] | None:
     own = W[np.ix_(sprung, sprung)]
     if np.linalg.matrix_rank(own) < len(sprung):
         return None  # an axis that cannot move; laws refuse that
-    felt = np.linalg.solve(own, W[np.ix_(sprung, others)])
+    coupling = np.linalg.solve(own, W[np.ix_(sprung, others)])
     lengths = np.array([1.0 if axis < 3 else LENGTH for axis in range(6)])
-    share = np.abs(felt) * lengths[others] / lengths[sprung][:, None]
+    share = np.abs(coupling) * lengths[others] / lengths[sprung][:, None]
     i, j = np.unravel_index(int(share.argmax()), share.shape)
-    return AXES[sprung[i]], AXES[others[j]], float(felt[i, j])
+    return AXES[sprung[i]], AXES[others[j]], float(coupling[i, j])

@@ -10,7 +10,7 @@ import pinocchio as pin
 
 from coopqp.assessment.thresholds import AT_LIMIT, TOO_FAST, closed, matters, within
 from coopqp.base.spec import Array
-from coopqp.model.marker import SolidMarker, asked
+from coopqp.model.marker import SolidMarker, marks_of
 from coopqp.model.state import State
 from coopqp.report.scene.bodies import Body, moved, robot_bodies, solid_body
 from coopqp.report.scene.playback import MIN_FORCE, Place, squeeze_words, weight
@@ -75,7 +75,7 @@ def outlines(controller: SimulatedController, place: Place) -> Array:
     """The tasks' markers as line segments, shape (s, 2, 3) [m]."""
     state, segments = controller.state, [NOTHING]
     for task in controller.run.problem.tasks:
-        for mark in asked(task.name, partial(task.marks, state), []):
+        for mark in marks_of(task.name, partial(task.marks, state), []):
             kind, values = place.drawn(mark)
             match kind:
                 case "planes":

@@ -31,4 +31,4 @@ def hinged_states(hinged_box: ClosedChain) -> list[Closed]:
 
 @pytest.fixture(scope="session")
 def firm(chain: ClosedChain) -> Mobility:
-    return mobility(chain, asked=PAPER_SCHEME)
+    return mobility(chain, requested=PAPER_SCHEME)

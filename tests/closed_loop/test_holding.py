@@ -55,16 +55,16 @@ def test_the_range_of_squeeze_of_the_notes(
     found = forces(scenario_pads(name, mass, half, reach=1.0, least=0.0))
     (between,) = found.squeezes
     if squeeze is None:
-        assert between.least is between.most is None
+        assert between.lower is between.upper is None
         assert found.load.value < 1.0
         assert "cannot hold the object" in " ".join(found.sentences())
         return
-    assert between.least
-    assert between.most
-    assert between.least.value == pytest.approx(squeeze[0], rel=5e-3)
-    assert between.most.value == pytest.approx(squeeze[1], rel=5e-3)
-    assert {*between.least.by} == {f"friction of {arm}" for arm in found.contacts}
-    assert any(name.startswith("motor") for name in between.most.by)
+    assert between.lower
+    assert between.upper
+    assert between.lower.value == pytest.approx(squeeze[0], rel=5e-3)
+    assert between.upper.value == pytest.approx(squeeze[1], rel=5e-3)
+    assert {*between.lower.by} == {f"friction of {arm}" for arm in found.contacts}
+    assert any(name.startswith("motor") for name in between.upper.by)
 
 
 def at_corners(pad: Contact) -> tuple[Array, Array, Array]:
@@ -137,8 +137,8 @@ def test_the_hardest_squeeze_is_that_of_forces_at_the_corners_that_are_counted_o
         pytest.skip("needs coopqp[robots]")
     chain = scenario_pads(name, mass, half, reach=reach)
     (between,) = forces(chain).squeezes
-    assert between.most
-    assert between.most.value == pytest.approx(squeezed(chain), rel=1e-6)
+    assert between.upper
+    assert between.upper.value == pytest.approx(squeezed(chain), rel=1e-6)
 
 
 def test_naos_hinges_bear_no_torque_of_the_weight_either() -> None:
@@ -163,9 +163,9 @@ def test_the_least_squeeze_is_the_closed_form(chain: ClosedChain) -> None:
     """Two pads carry m g / 2 each along a pad's axis: m g / (2 mu / (sqrt(2) SF))."""
     for safety in (1.0, 1.5):
         (between,) = forces(pressing(chain, 0.2, 0.02), safety=safety).squeezes
-        assert between.least
+        assert between.lower
         closed = 0.2 * G / (2.0 * 0.5 / (math.sqrt(2.0) * safety))
-        assert between.least.value == pytest.approx(closed, rel=1e-6)
+        assert between.lower.value == pytest.approx(closed, rel=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -332,9 +332,9 @@ def test_two_fingertips_are_told_what_they_do_not_hold() -> None:
 )
 def test_words_of_a_squeeze(least: float, most: float, words: str) -> None:
     ends = Bound(least, ("friction of left",), np.zeros(0)), Bound(most, ("motor a",), np.zeros(0))
-    assert Squeeze(("right", "left"), *ends).words == words
+    assert Squeeze(("right", "left"), *ends).summary == words
 
 
 def test_motors_that_bound_a_squeeze_from_both_sides_are_named_once() -> None:
     ends = (Bound(end, by, np.zeros(0)) for end, by in ((-9.0, ("a", "b")), (9.0, ("b", "a"))))
-    assert Squeeze(("right", "left"), *ends).words == "-9 to 9 N (both by a and b)"
+    assert Squeeze(("right", "left"), *ends).summary == "-9 to 9 N (both by a and b)"

@@ -82,7 +82,7 @@ def test_planar_pair_names_its_three_redundant_rows() -> None:
 
 
 def test_impossible_motions_of_the_planar_pair_leave_the_plane() -> None:
-    words = {screw.words() for screw in mobility(planar_pair()).impossible}
+    words = {screw.describe() for screw in mobility(planar_pair()).impossible}
     assert "translation along z" in words
     assert len(words) == 3
     for screw in mobility(planar_pair()).impossible:
@@ -116,7 +116,7 @@ def test_hinges_on_one_line_leave_the_object_free_to_spin_about_it(
     assert spin.pitch == pytest.approx(0, abs=1e-9)
     lever = np.array(spin.point) - state.p_WO
     np.testing.assert_allclose(np.cross(lever, spin.axis), 0, atol=1e-9)
-    assert spin.words().startswith("rotation about y through")
+    assert spin.describe().startswith("rotation about y through")
 
 
 def test_motors_of_hinges_on_one_line_decide_five_motions_in_every_pose(
@@ -184,7 +184,7 @@ def test_screws_are_their_twists(chain: ClosedChain, firm: Mobility) -> None:
 
 def test_words_of_screws() -> None:
     def screw(twist: tuple[float, ...], axis: tuple[float, ...], pitch: float) -> str:
-        return Screw(twist=twist, axis=axis, point=(0.1, 0.0, 0.2), pitch=pitch).words()
+        return Screw(twist=twist, axis=axis, point=(0.1, 0.0, 0.2), pitch=pitch).describe()
 
     zero = (0.0,) * 6
     assert screw(zero, (0.0, 0.0, -1.0), math.inf) == "translation along z"
@@ -197,10 +197,10 @@ def test_words_of_screws() -> None:
 def test_a_screw_about_a_far_axis_reads_as_the_way_that_it_goes() -> None:
     """The bar of two SO-101: an axis 1.27 m below, which no owner can picture."""
     far = screw_of(np.array([0.0, 1.0, 0.0, 0.79, 0.0, 0.0]), np.array([0.36, 0.0, 0.147]))
-    assert far.words() == "sideways (y), with a little turning about x (4.5 degrees per 100 mm)"
-    oblique = screw_of(np.array([0.6, 0.8, 0.0, 0.0, 0.0, 0.5]), np.zeros(3)).words()
+    assert far.describe() == "sideways (y), with a little turning about x (4.5 degrees per 100 mm)"
+    oblique = screw_of(np.array([0.6, 0.8, 0.0, 0.0, 0.0, 0.5]), np.zeros(3)).describe()
     assert oblique.startswith("translation along (0.600, 0.800, 0.000), with a little turning ab")
-    near = screw_of(np.array([0.0, 1.0, 0.0, 3.0, 0.0, 0.0]), np.zeros(3)).words()
+    near = screw_of(np.array([0.0, 1.0, 0.0, 3.0, 0.0, 0.0]), np.zeros(3)).describe()
     assert near == "rotation about x through (0.000, 0.000, 0.333) m"
 
 
@@ -236,7 +236,7 @@ def test_two_so101_cannot_turn_the_bar_about_the_vertical_and_hardly_move_it_sid
     to = PointOnPoint(name="aside", goal=(0.36, 0.06, 0.2))
     aside = study(replace(like, tasks=(to,))).mobility
     assert aside.tasks_weakest == pytest.approx(0.0056, abs=1e-4)
-    words = {screw.words() for screw in aside.impossible}
+    words = {screw.describe() for screw in aside.impossible}
     assert any(line.startswith("sideways (y), with a little turning about x") for line in words)
     assert any(line.startswith("rotation about z") for line in words)
 

@@ -36,12 +36,12 @@ def test_schemes_are_judged_as_the_free_motions_say(chain: ClosedChain, firm: Mo
 
 
 def test_papers_scheme_is_lost_at_the_start(firm: Mobility) -> None:
-    assert firm.asked is not None
-    assert firm.asked.joints == PAPER_SCHEME
-    assert firm.asked.admissible
-    assert not firm.asked.admissible_start
-    assert 50 < firm.asked.condition < 5000
-    assert firm.asked in firm.lost_at_start
+    assert firm.requested is not None
+    assert firm.requested.joints == PAPER_SCHEME
+    assert firm.requested.admissible
+    assert not firm.requested.admissible_start
+    assert 50 < firm.requested.condition < 5000
+    assert firm.requested in firm.lost_at_start
     assert len(firm.lost_at_start) == 20
     assert "admissible at generic poses" in firm.verdict()
     assert "singular at the start" in firm.verdict()
@@ -57,9 +57,9 @@ def test_schemes_come_best_first(firm: Mobility) -> None:
 def test_verdict_on_an_inadmissible_and_on_a_good_scheme(
     chain: ClosedChain, firm: Mobility
 ) -> None:
-    bad = mobility(chain, asked=firm.schemes[-1].joints).verdict()
+    bad = mobility(chain, requested=firm.schemes[-1].joints).verdict()
     assert "is inadmissible: it is singular at every pose" in bad
-    good = mobility(chain, asked=firm.schemes[0].joints).verdict()
+    good = mobility(chain, requested=firm.schemes[0].joints).verdict()
     assert "is admissible (condition" in good
 
 
@@ -75,9 +75,9 @@ def test_verdict_on_an_inadmissible_and_on_a_good_scheme(
 )
 def test_asked_for_scheme_that_is_none(chain: ClosedChain, asked: list[str], message: str) -> None:
     with pytest.raises((InvalidValueError, UnknownNameError), match=message):
-        mobility(chain, asked=asked)
+        mobility(chain, requested=asked)
 
 
 def test_passive_joint_is_no_part_of_a_scheme(hinged: ClosedChain) -> None:
     with pytest.raises(InvalidValueError, match="passive"):
-        mobility(hinged, asked=[*hinged.joint_names[:5], "right.hinge"])
+        mobility(hinged, requested=[*hinged.joint_names[:5], "right.hinge"])

@@ -7,7 +7,6 @@ import pytest
 
 from coopqp.base.errors import GraspError
 from coopqp.base.spec import Array
-from coopqp.closed_loop.forces import squeeze_rows
 from coopqp.closed_loop.grasp_matrix import (
     COMPONENTS,
     Split,
@@ -15,6 +14,7 @@ from coopqp.closed_loop.grasp_matrix import (
     grasp_matrix,
     moved,
     section,
+    squeeze_rows,
     virtual_inertia,
     virtual_linkage,
     walker,

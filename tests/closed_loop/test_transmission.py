@@ -13,7 +13,7 @@ from scenario_files import LOADABLE
 import coopqp
 from coopqp.base.spec import Array
 from coopqp.closed_loop.hands import hands, points
-from coopqp.closed_loop.transmission import LENGTH, force_words, transmission
+from coopqp.closed_loop.transmission import LENGTH, transmission
 from coopqp.grasps import Spherical
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.grasp_configuration import HeldObject
@@ -128,8 +128,8 @@ def test_an_arm_of_nao_bears_a_force_along_the_line_from_shoulder_to_elbow(
         assert abs(way @ np.array(borne.axis)) == pytest.approx(1.0)
         assert np.linalg.norm(np.cross(shoulder - np.array(borne.point), way)) < 1e-9
         assert abs(borne.pitch) < 1e-9
-        assert force_words(borne).startswith("force along (")
-    assert found.pairs[0].counts.words == (
+        assert borne.describe_force().startswith("force along (")
+    assert found.pairs[0].counts.summary == (
         "6 commanded, 0 borne by the structure, 0 not transmitted"
     )
 

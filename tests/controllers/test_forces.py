@@ -128,7 +128,7 @@ def test_hands_that_press_stay_in_their_cones(nao: RobotModel) -> None:
     firm = ClosedChain.attach(nao, nao.configuration(HANDS), Rigid(), HeldObject(mass=0.2))
     law, h = decided(pressing(firm, 0.2, 0.02))
     assert not law.solution.v[law.layout.sigma].any()
-    assert (law.hands.cones @ h <= law.hands.most + 1e-8).all()
+    assert (law.hands.cones @ h <= law.hands.upper + 1e-8).all()
     assert np.isclose(components(law, h)[0], 4.162, rtol=2e-3)
 
 
@@ -147,7 +147,7 @@ def test_cones_are_left_only_where_nothing_keeps_them(nao: RobotModel) -> None:
     command = law.tick(law.start())
     assert Status.TASKS_RELAXED in command.causes
     assert isinstance(law, TorqueQpLaw)
-    assert (law.hands.cones @ law.solution.v[law.layout.h] <= law.hands.most + 1e-6).all()
+    assert (law.hands.cones @ law.solution.v[law.layout.h] <= law.hands.upper + 1e-6).all()
 
 
 @pytest.mark.parametrize(

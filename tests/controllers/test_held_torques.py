@@ -51,7 +51,7 @@ def test_the_end_of_a_tick_is_foreseen_as_it_was(chain: ClosedChain) -> None:
             came_to = turned(law, plant.signals["hand_wrench"], state)
             change = turned(law, came_to - before, state, back=True)
             rows = hands.in_cone * np.maximum(hands.cones @ change, 0.0)
-            foreseen = (hands.stated - hands.most) / AHEAD
+            foreseen = (hands.stated - hands.upper) / AHEAD
             assert np.allclose(foreseen, rows, atol=1e-5)
             moved = max(moved, float(foreseen.max()))
         assert command.causes == (Status.OPTIMAL,)
@@ -67,4 +67,4 @@ def test_after_other_torques_nothing_is_foreseen(chain: ClosedChain) -> None:
     law.hold_still(state)
     assert not state.memory["answer"].any()
     law.tick(state)
-    assert np.array_equal(law.hands.most, law.hands.stated)
+    assert np.array_equal(law.hands.upper, law.hands.stated)

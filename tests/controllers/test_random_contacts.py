@@ -74,7 +74,7 @@ def test_cones_and_motors_are_kept_in_random_ticks_or_it_is_said(chain: ClosedCh
                 assert set(command.causes) <= NAMED
                 continue
             h = law.solution.v[law.layout.h]
-            assert (law.hands.cones @ h <= law.hands.most + KEPT).all()
+            assert (law.hands.cones @ h <= law.hands.upper + KEPT).all()
             assert not law.solution.v[law.layout.sigma].any()
             if seen["OPTIMAL"] % 5 == 0:
                 assert coulomb_keeps(law, h, state.R_WO, law.settings.safety)

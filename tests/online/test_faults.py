@@ -480,7 +480,7 @@ def test_the_next_phase_keeps_the_faults() -> None:
     loop, robot = simulated(scenario, reference="commanded")
     go(loop, robot, 10)
     wet = found.Fault("slip_near", (), 0.0, "wet hands")
-    loop._phases.monitor.found = (wet,)
+    loop._phases.monitor.faults = (wet,)
     go(loop, robot, 700)
     assert len(loop.phases) > 1
     assert loop.faults == (wet,)
@@ -508,7 +508,7 @@ def test_what_slows_down_takes_the_same_path_in_more_time() -> None:
     go(fast, robot, 300)
     slow, robot = simulated(scenario, reference="commanded", reactions={"slip_near": "slow_down"})
     go(slow, robot, 1)
-    slow._phases.monitor.found = (found.Fault("slip_near", (), 0.0, "wet hands"),)
+    slow._phases.monitor.faults = (found.Fault("slip_near", (), 0.0, "wet hands"),)
     go(slow, robot, 1200)
     path, slowly = fast.history.last().position, slow.history.last().position
     apart = np.linalg.norm(slowly[:, None] - path[None], axis=2).min(axis=1)
@@ -528,7 +528,7 @@ def test_an_offset_is_at_its_bound_where_it_stays_there(stays: bool) -> None:
     for k in range(40):
         loop.law.observer.at_bound = ("right",) if stays or k % 9 else ()
         monitor.update(loop.state, None, ())
-    assert [fault.kind for fault in monitor.found] == ["loop_offset_at_bound"] * stays
+    assert [fault.kind for fault in monitor.faults] == ["loop_offset_at_bound"] * stays
 
 
 def test_reactions_are_checked() -> None:

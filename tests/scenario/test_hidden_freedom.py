@@ -14,8 +14,7 @@ from scenario_files import LOADABLE, write
 
 from coopqp.base.errors import GraspError, ScenarioError
 from coopqp.base.spec import Array, Pose
-from coopqp.closed_loop.hidden_freedom import HiddenFreedom, hidden_freedom
-from coopqp.closed_loop.mobility import mobility
+from coopqp.closed_loop.mobility import HiddenFreedom, hidden_freedom, mobility
 from coopqp.execution.comparison import compare
 from coopqp.grasps import Rigid
 from coopqp.model.closed_chain import ClosedChain
@@ -70,7 +69,7 @@ def bennett(folder: Path, digits: int, old: str = "", new: str = "") -> Path:
 def found(scenario: Scenario) -> HiddenFreedom:
     hidden = hidden_freedom(scenario.chain)
     assert hidden is not None
-    assert hidden.words() in notes(scenario)
+    assert hidden.describe() in notes(scenario)
     return hidden
 
 
@@ -98,7 +97,7 @@ def test_a_rounded_start_hides_the_freedom_and_solve_start_finds_it(
         np.linalg.norm(scenario.chain.loop_error(scenario.chain.q_start)[:3])
     )
     assert hidden.walk[0] < 1e-12
-    assert "paste the start that `coopqp solve-start` prints" in hidden.words()
+    assert "paste the start that `coopqp solve-start` prints" in hidden.describe()
     told = mobility(scenario.chain)
     assert told.freedom == 0
     assert "which may hide a freedom" in told.verdict()
@@ -134,7 +133,7 @@ def test_grasps_taken_at_a_rounded_start_hide_it_too(tmp_path: Path) -> None:
     path = bennett(tmp_path, 4, grasps)
     hidden = found(load(path))
     assert hidden.taken == ("a", "b")
-    assert "give object_in_hand in the grasp of a and b" in hidden.words()
+    assert "give object_in_hand in the grasp of a and b" in hidden.describe()
     with pytest.raises(ScenarioError, match="give object_in_hand in the grasp of a and b"):
         load_and_solve(path)
 
@@ -143,7 +142,7 @@ def test_where_lengths_are_rounded_solve_start_cannot_help(tmp_path: Path) -> No
     path = bennett(tmp_path, 4, "d: 0.2, alpha_deg: 30", "d: 0.2, alpha: 0.5236")
     hidden = found(load(path))
     assert not hidden.of_the_start
-    assert "solve-start cannot help" in hidden.words()
+    assert "solve-start cannot help" in hidden.describe()
     with pytest.raises(ScenarioError, match="no start near this one closes the loops exactly"):
         load_and_solve(path)
 
@@ -156,7 +155,7 @@ def test_a_rounded_pose_is_to_be_left_out(tmp_path: Path) -> None:
     rpy = np.round(pin.rpy.matrixToRpy(X_WO.rotation), 6).tolist()
     posed = f"object: {{pose: {{position: {position}, rpy: {rpy}}}, size"
     path = bennett(tmp_path, 4, "object: {size", posed)
-    assert "prints with object.pose left out" in found(load(path)).words()
+    assert "prints with object.pose left out" in found(load(path)).describe()
     with pytest.raises(ScenarioError, match=r"the pose is rounded: leave object\.pose out"):
         load_and_solve(path)
 

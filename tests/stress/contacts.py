@@ -303,7 +303,7 @@ def look(law: TorqueQpLaw, state: State, command: Command, seen: Seen) -> None:
             seen.given_up[status.name] += 1
             return
     h = law.programs[-1].solution.v[law.layout.h]
-    left = (law.hands.cones @ h - law.hands.most).max()
+    left = (law.hands.cones @ h - law.hands.upper).max()
     seen.cone = max(seen.cone, float(left))
     if seen.ticks % EVERY == 1:
         seen.round_left |= not _borne(law, h, state)

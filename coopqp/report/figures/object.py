@@ -31,7 +31,7 @@ from coopqp.base.wording import suppressed
 from coopqp.closed_loop.screw import LENGTH
 from coopqp.controller import ControlProblem
 from coopqp.model import marker
-from coopqp.model.marker import Marker, asked
+from coopqp.model.marker import Marker, marks_of
 from coopqp.model.state import State
 from coopqp.report import curves
 from coopqp.report.curves import Chart, Figure, Json, Window
@@ -162,7 +162,7 @@ def targets(chart: Chart, quantity: Quantity) -> list[Target]:
         first = int(rows[0])
         for task in phase.tasks:
             nows = [trace.moment(k, float(t[k] - t[first])) for k in rows.tolist()]
-            marks = [asked(task.name, partial(task.marks, now), []) for now in nows]
+            marks = [marks_of(task.name, partial(task.marks, now), []) for now in nows]
             goal = np.array([quantity.goal(then) for then in marks])
             if np.isnan(goal).all():
                 continue
@@ -180,7 +180,7 @@ def targets(chart: Chart, quantity: Quantity) -> list[Target]:
 def _points(chart: Chart) -> list[tuple[float, float, float]]:
     """Points of the object that tasks steer, the origin first if it is one of them."""
     tasks = [task for phase in chart.comparison.scenario.schedule for task in phase.tasks]
-    marks = [m for task in tasks for m in asked(task.name, partial(task.marks, Moment()), [])]
+    marks = [m for task in tasks for m in marks_of(task.name, partial(task.marks, Moment()), [])]
     points = dict.fromkeys(mark.point for mark in marks if isinstance(mark, marker.TrackedMarker))
     return sorted(points, key=lambda point: point != ORIGIN) or [ORIGIN]
 

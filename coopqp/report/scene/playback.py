@@ -23,7 +23,7 @@ from coopqp.closed_loop.forces import squeezes
 from coopqp.execution.comparison import Comparison
 from coopqp.execution.instants import arm_points
 from coopqp.model import marker
-from coopqp.model.marker import Marker, asked
+from coopqp.model.marker import Marker, marks_of
 from coopqp.report.cells import length
 from coopqp.report.curves import styles
 from coopqp.report.figures.joints import joint_units, margin
@@ -338,13 +338,13 @@ def shown_marks(
         times = {k: float(trace.t[frames[k]]) - tick * scenario.dt for k in own}
         for task in phase.tasks:
             marks = {
-                k: asked(task.name, partial(task.marks, trace.moment(int(frames[k]), t)), faults)
+                k: marks_of(task.name, partial(task.marks, trace.moment(int(frames[k]), t)), faults)
                 for k, t in times.items()
             }
             every += _through_time(marks, task.name, place, limit=False)
         for limit in scenario.limits:
             name = type_name(type(limit))
-            marks = {k: asked(name, partial(limit.marks, t), faults) for k, t in times.items()}
+            marks = {k: marks_of(name, partial(limit.marks, t), faults) for k, t in times.items()}
             every += _through_time(marks, name, place, limit=True)
     return every
 
