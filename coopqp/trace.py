@@ -129,8 +129,8 @@ def _times(parts: list[Array], phases: Phases) -> Array:
 
 def _padded(parts: list[Array], phases: Phases) -> Array:
     """A row a tick; the laws of some phases remember less, and others have a loop less."""
-    most = max(rows.shape[1] for rows in parts)
-    return np.concatenate([np.pad(rows, ((0, 0), (0, most - rows.shape[1]))) for rows in parts])
+    width = max(rows.shape[1] for rows in parts)
+    return np.concatenate([np.pad(rows, ((0, 0), (0, width - rows.shape[1]))) for rows in parts])
 
 
 def _chained(parts: list[tuple[str, ...]], phases: Phases) -> tuple[str, ...]:

@@ -49,7 +49,7 @@ class FormulaLaw(Law):
             return super()._tick(state)
         state.joints_due, state.jacobians_due, state.corrected = True, False, 1.0
         command = self.command
-        command.told = ()
+        command.messages = ()
         command.say(Status.OPTIMAL)
         return command
 
