@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import os
 import threading
@@ -28,7 +29,7 @@ from coopqp.model.profile import FASTEST
 from coopqp.model.state import Memory, State
 from coopqp.signal import Signal
 from coopqp.solver import Budget, Solver, Status
-from coopqp.task import Task, TaskRows, evaluate_all, refuse_impedances
+from coopqp.task import Task, TaskRows, evaluate_all
 from coopqp.trace import TickBatch
 
 
@@ -234,12 +235,8 @@ class Command:
         return f"Command({self.status.name}, {what})"
 
     def copy(self) -> Command:
-        other = Command(len(self.v))
-        other.v[:] = self.v
-        other.tau = None if self.tau is None else self.tau.copy()
-        other.causes = self.causes
-        other.scale, other.drift, other.messages = self.scale, self.drift, self.messages
-        other.grippers = self.grippers
+        other = copy.copy(self)
+        other.v, other.tau = self.v.copy(), None if self.tau is None else self.tau.copy()
         return other
 
 
@@ -286,8 +283,12 @@ class Law(ABC):
         gives_way: bool = False,
         force_control: InternalForceControl | None = None,
     ) -> None:
-        if not gives_way:
-            refuse_impedances(problem.tasks)
+        yields = [task.name for task in problem.tasks if task.impedance is not None]
+        if yields and not gives_way:
+            raise InvalidValueError(
+                f"task '{yields[0]}' asks for an impedance, which this controller does not have; "
+                "use torque_qp, with plant: rigid_body or plant: mujoco"
+            )
         self.problem, self.force_control = problem, force_control
         self.compiled = False
         self.command = Command(problem.chain.n, torques=torques)

@@ -298,16 +298,6 @@ class TaskStack:
         return float(self.weights.dot(self.curvatures(v)))
 
 
-def refuse_impedances(tasks: Sequence[Task]) -> None:
-    """Raise InvalidValueError at the first task that yields to pushes, for laws that cannot."""
-    for task in tasks:
-        if task.impedance is not None:
-            raise InvalidValueError(
-                f"task '{task.name}' asks for an impedance, which this controller does not have; "
-                "use torque_qp, with plant: rigid_body or plant: mujoco"
-            )
-
-
 class Programs:
     """The programs of tasks that set out from one unchanging state, each made when first needed."""
 

@@ -205,15 +205,14 @@ def _inputs(parts: list[dict[str, InputTrace]], phases: Phases) -> dict[str, Inp
     found = {}
     for name in dict.fromkeys(itertools.chain.from_iterable(parts)):
         kind = next(of[name].kind for of in parts if name in of)
-        kept = [
+        traces = [
             of.get(name) or no_input(kind, part.ticks)
             for of, (_, part) in zip(parts, phases, strict=True)
         ]
-        arrays = (
-            np.concatenate([getattr(one, key) for one in kept])
-            for key in ("arrived", "sent", "value", "rate")
+        columns = zip(
+            *((one.arrived, one.sent, one.value, one.rate) for one in traces), strict=True
         )
-        found[name] = InputTrace(kind, *arrays)
+        found[name] = InputTrace(kind, *map(np.concatenate, columns))
     return found
 
 
