@@ -5,6 +5,8 @@ nearby, with the loops closed, along a random v that keeps them closed: central 
 along v at one time must be J v, and over time at one configuration -rate. Without such a
 derivative, only the declaration is tried: ``joint_space`` (J is the identity), ``asks_velocity`` (e
 is zero), and e and rate always zero (J v itself is the error).
+
+A limit with a clearance promises that its rows are dampers: G v is how fast the clearance shrinks.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ from coopqp.base.qp import names_of
 from coopqp.base.rank import null_space
 from coopqp.base.spec import Array, taken_names, type_name
 from coopqp.base.wording import counted, raised, written_in
-from coopqp.limit import Limit, LimitRows
+from coopqp.limit import Clearance, Limit, LimitRows, Tighten
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.marker import markers_fault
 from coopqp.model.state import State
@@ -159,9 +161,9 @@ class _Look:
         rows = self.at(place.here, t)
         moved = self.at(place.ahead, t).e - self.at(place.behind, t).e
         passed = self.at(place.here, t + STEP).e - self.at(place.here, t - STEP).e
-        return self._compare("J v", rows.J @ place.v, moved / (2.0 * STEP)) or self._compare(
-            "rate", rows.rate, -passed / (2.0 * STEP)
-        )
+        return _disagreement(
+            self.names, "J v", rows.J @ place.v, "e", moved / (2.0 * STEP)
+        ) or _disagreement(self.names, "rate", rows.rate, "e", -passed / (2.0 * STEP))
 
     def too_far(self, place: _Nearby, t: float) -> InvalidValueError | None:
         """What to say where errors are so large that differences of them are lost in rounding."""
@@ -172,16 +174,20 @@ class _Look:
         row = self.names[int(e.argmax())]
         return InvalidValueError(f"row {row}: is {e.max():.3g} off, {words}")
 
-    def _compare(self, what: str, promised: Array, measured: Array) -> str:
-        allowed = RELATIVE * (np.abs(promised) + np.abs(measured)) + ABSOLUTE
-        deviation = np.abs(promised - measured) - allowed
-        row = int(np.argmax(deviation))
-        if deviation[row] <= 0.0:
-            return ""
-        return (
-            f"row {self.names[row]}: {what} is {promised[row]:.4g}, finite differences of e say "
-            f"{measured[row]:.4g}"
-        )
+
+def _disagreement(
+    names: Sequence[str], what: str, promised: Array, of: str, measured: Array
+) -> str:
+    """The row in which a rate is farthest from what finite differences say; empty where none is."""
+    allowed = RELATIVE * (np.abs(promised) + np.abs(measured)) + ABSOLUTE
+    deviation = np.abs(promised - measured) - allowed
+    if (deviation <= 0.0).all():
+        return ""
+    row = int(np.argmax(deviation))
+    return (
+        f"row {names[row]}: {what} is {promised[row]:.4g}, finite differences of {of} say "
+        f"{measured[row]:.4g}"
+    )
 
 
 def _check_identity(names: Sequence[str], J: Array) -> None:
@@ -221,6 +227,28 @@ def try_limit(limit: Limit, places: Places, dt: float) -> None:
                 if not h > -np.inf:
                     raise _PromiseError(f"row {name}: h is {h} or not written, needs a number")
             _check_bounds(chain, open_, shut, inside=state is start and chain.starts_inside)
+        if left := limit.clearance(chain):
+            for i, place in enumerate(places.nearby):
+                if _not_damped(tighten, left, names, place) and (
+                    wrong := _not_damped(tighten, left, names, places.farther[i])
+                ):
+                    raise _PromiseError(wrong)
+
+
+def _not_damped(tighten: Tighten, left: Clearance, names: Sequence[str], place: _Nearby) -> str:
+    """The row whose G v is not how fast its clearance shrinks; of what is far both may be still."""
+    n, p = len(place.v), len(names)
+    rows = LimitRows(np.full(n, -np.inf), np.full(n, np.inf), np.zeros((p, n)), np.full(p, np.inf))
+    evaluate_all([(tighten, rows)], place.here)
+    ahead, behind = (np.asarray(left(state), float) for state in (place.ahead, place.behind))
+    if ahead.ndim != 1 or len(ahead) > p:
+        needs = f"needs a list of at most {counted(p, 'number')}, one a row"
+        raise _PromiseError(f"clearance() gives the shape {ahead.shape}, {needs}")
+    G = rows.G[: len(ahead)]
+    shrinks = (behind - ahead) / (2.0 * STEP)
+    both = G.any(axis=1) & (shrinks != 0.0) & np.isfinite(shrinks)
+    shrinks[~both] = 0.0
+    return _disagreement(names, "G v", G @ place.v * both, "clearance()", shrinks)
 
 
 def _check_finite(key: str, names: Sequence[str], values: Array, chain: ClosedChain) -> None:
