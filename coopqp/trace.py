@@ -280,9 +280,6 @@ class Trace:
     e: Annotated[Array, _task_errors]
     #: How fast each row's reference moves, shape (T + 1, R) [unit/s].
     rate: Annotated[Array, _task_errors]
-    usable: Annotated[NDArray[np.bool_], _ticks]  #: Whether the tick's answer was used, shape (T,).
-    #: Whether it was used although not optimal to the declared accuracy, shape (T,).
-    inaccurate: Annotated[NDArray[np.bool_], _ticks]
     #: Of each tick, as :func:`coopqp.solver.written` writes it, shape (T,).
     status: Annotated[tuple[str, ...], _chained]
     #: Least share of its rate at which a hard or scaled task ran, else 1, shape (T,).

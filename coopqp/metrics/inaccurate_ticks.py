@@ -1,5 +1,6 @@
 from coopqp.base.spec import spec
 from coopqp.metric import Metric
+from coopqp.solver import Status, causes_of
 from coopqp.trace import Trace
 
 
@@ -8,4 +9,4 @@ class InaccurateTicks(Metric):
     """Ticks that were feasible but not optimal to the declared accuracy."""
 
     def measure(self, trace: Trace) -> int:
-        return int(trace.inaccurate.sum())
+        return sum(causes_of(word)[0] is Status.INACCURATE for word in trace.status)
