@@ -372,14 +372,11 @@ class Law(ABC):
     def run(self, state: State, ticks: int) -> TickBatch:
         """Many ticks on ideal joints, without inputs from outside; ``state`` is written.
 
-        Threads take turns.
-
-        InvalidValueError: ``ticks`` is no whole number from 0 to ``MAX_TICKS``.
+        Threads take turns. InvalidValueError: ``ticks`` is no whole number, 0 to ``MAX_TICKS``.
         """
         if type(ticks) is not int or not 0 <= ticks <= MAX_TICKS:
-            raise InvalidValueError(
-                f"ticks: found {ticks!r}, needs a whole number, 0 to {MAX_TICKS}"
-            )
+            needs = f"needs a whole number, 0 to {MAX_TICKS}"
+            raise InvalidValueError(f"ticks: found {ticks!r}, {needs}")
         with self._turn:
             self._serve(state)
             if state.memory.sizes != self.memory_sizes:

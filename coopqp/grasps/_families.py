@@ -54,10 +54,8 @@ class Pressing(Grasp):
             raise ValueError("along: goes along the normal; needs a direction across it")
         x /= length
         frame = pin.SE3(np.column_stack([x, np.cross(z, x), z]), np.array(self.position))
-        return {
-            "placement": frame, "friction": self.friction, "min_force": self.least,
-            "max_force": math.inf if self.most is None else self.most,
-        }  # fmt: skip
+        forces = {"min_force": self.least, "max_force": self.most or math.inf}
+        return {"placement": frame, "friction": self.friction, **forces}
 
 
 @spec

@@ -13,13 +13,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import FrozenInstanceError, dataclass
 from functools import cached_property
+from typing import Any, TypeVar
 
 import numpy as np
 
 from coopqp.base.errors import CoopqpError, InvalidValueError
-from coopqp.base.qp import names_of
+from coopqp.base.qp import Row, names_of
 from coopqp.base.rank import null_space
 from coopqp.base.spec import Array, taken_names, type_name
 from coopqp.base.wording import counted, raised, written_in
@@ -51,6 +52,9 @@ STEP = 1e-6
 FAR = 1e4
 #: What derivatives may differ by: a share of their size, and of one unit per second.
 RELATIVE, ABSOLUTE = 1e-3, 1e-5
+
+
+Made = TypeVar("Made")
 
 
 @dataclass(frozen=True)
@@ -99,9 +103,10 @@ def try_task(task: Task, places: Places, duration: float) -> None:
     with blamed(task):
         start = places.start
         names = task.rows(start.chain)
+        _check_list("rows", names, str, "names, such as ('z',)")
         _check_parts(names, task.parts(start.chain))
         columns = 6 * start.chain.holding if task.of_forces else start.chain.n
-        look = _Look(task, names, task.bind(start), columns)
+        look = _Look(task, names, _function(task.bind(start)), columns)
         look.at(start, start.t)
         for t in (0.0, duration):
             _check_marks(task.marks(Moment(t)))
@@ -130,6 +135,19 @@ def _check_parts(names: Sequence[str], parts: Sequence[Part]) -> None:
     _check_names("parts", [part.name for part in parts])
     if wrong := [part.tolerance for part in parts if not part.tolerance > 0.0]:
         raise _PromiseError(f"parts(): found a tolerance of {wrong[0]}, needs more than 0")
+
+
+def _check_list(method: str, found: Any, of: type, what: str) -> None:
+    """Refuse a text, whose letters are texts as well, and one thing where several belong."""
+    one = isinstance(found, str) or not isinstance(found, Sequence)
+    if one or not all(isinstance(each, of) for each in found):
+        raise _PromiseError(f"{method}() gives {found!r:.60}, needs a tuple of {what}")
+
+
+def _function(found: Made) -> Made:
+    if not callable(found):
+        raise _PromiseError(f"bind() gives {found!r:.60}, needs to return the function inside it")
+    return found
 
 
 def _check_names(method: str, names: Sequence[str]) -> None:
@@ -210,9 +228,10 @@ def try_limit(limit: Limit, places: Places, dt: float) -> None:
     """CoopqpError: the limit cannot be bound, raises, or does not write what it must."""
     with blamed(limit):
         start, chain = places.start, places.start.chain
+        _check_list("rows", limit.rows(chain), Row, "Rows, (Row(...),)")
         names = names_of(limit.rows(chain))
         _check_names("rows", names)
-        tighten = limit.bind(chain, dt)
+        tighten = _function(limit.bind(chain, dt))
         _check_marks(limit.marks(0.0))
         for state in (start, *(place.here for place in places.nearby)):
             # Rows that it leaves as they were show as NaN in h; zeros of G need not be written.
@@ -301,5 +320,8 @@ def blamed(plugin: Task | Limit | Plant, method: str = "bind") -> Iterator[None]
         raise
     except _PromiseError as error:
         raise InvalidValueError(f"{file}: {error}") from None
+    except FrozenInstanceError as error:
+        words = "rows are written in place: rows.e[:] = ..."
+        raise InvalidValueError(f"{raised(error, file)}; {words}") from error
     except BaseException as error:
         raise InvalidValueError(raised(error, file)) from error

@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -105,8 +106,13 @@ BROKEN = {
         ("s = min(state.t, 1.0)", "s = 1 / 0"),
         r":18: raises ZeroDivisionError: division by zero",
     ),
-    "no function": (("return evaluate", "return None"), r"raises TypeError: 'NoneType'"),
+    "no function": (("return evaluate", "return None"), r"bind\(\) gives None, needs to return"),
     "no rows": (('return ("y", "z")', "return ()"), r"rows\(\) names 0 rows"),
+    "a text": (('("y", "z")', '("up")'), r"rows\(\) gives 'up', needs a tuple of names"),
+    "not in place": (
+        ("rows.J[:] = state.J_task[1:3]", "rows.J = state.J_task[1:3]"),
+        r":20: raises FrozenInstanceError: .*rows are written in place: rows\.e\[:\] = \.\.\.$",
+    ),
     "an error of its own": (
         ("y, z = start", "raise InvalidValueError('lift.height: too high')"),
         r"lift\.yaml:4: tasks\[0\]: lift\.height: too high$",
@@ -328,6 +334,17 @@ class _Damper(Limit):
 
     def clearance(self, chain: ClosedChain) -> Clearance:
         return lambda state: self.left(state.p_WO[2])  # type: ignore[return-value]
+
+
+def test_rows_of_a_limit_are_rows(places: Places) -> None:
+    class Texts(_Damper):
+        def rows(self, chain: ClosedChain) -> Any:
+            return ("limit.ceiling",)
+
+    with pytest.raises(
+        CoopqpError, match=r"rows\(\) gives \('limit.ceiling',\), needs a tuple of Rows"
+    ):
+        try_limit(Texts(left=lambda z: [z]), places, 0.01)
 
 
 def test_rows_of_a_limit_in_space_are_how_fast_its_clearance_shrinks(places: Places) -> None:
