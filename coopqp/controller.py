@@ -325,10 +325,9 @@ class Law(ABC):
         """
         with self._turn:
             self._serve(state)
-            return self._tick(state)
+            return self._tick_in_turn(state)
 
-    def _tick(self, state: State) -> Command:
-        """The same in a thread's turn."""
+    def _tick_in_turn(self, state: State) -> Command:
         self.command.messages = ()
         if not self._fits(state):
             return self.with_why(state, self.refuse(Status.WRONG_STATE))
@@ -337,7 +336,7 @@ class Law(ABC):
         if state.memory.sizes != self.memory_sizes:
             state.memory = Memory(self.memory_sizes)
         state.update()
-        command, wrong = self._decided(state)
+        command, wrong = self._observe_and_decide(state)
         if state.overwritten:
             wrong.append(Status.OVERWRITTEN)
         return self._with_faults(state, command, wrong)
@@ -418,7 +417,7 @@ class Law(ABC):
             state.advance(command.v, self.problem.dt)
         return command
 
-    def _decided(self, state: State) -> tuple[Command, list[Status]]:
+    def _observe_and_decide(self, state: State) -> tuple[Command, list[Status]]:
         """What :meth:`decide` says, and what was not measured; to stand still where code raises."""
         wrong, pressed = list[Status](), self.force_control
         try:
@@ -428,7 +427,7 @@ class Law(ABC):
                 wrong.append(Status.NOT_MEASURED)
             if self.observer.at_bound:
                 wrong.append(Status.OFFSET_AT_BOUND)
-            return self._decide(state), wrong
+            return self._decide_quietly(state), wrong
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # noqa: BLE001 - code of plug-ins may raise anything
@@ -436,7 +435,7 @@ class Law(ABC):
             self.hold_still(state)
             return command, wrong
 
-    def _decide(self, state: State) -> Command:
+    def _decide_quietly(self, state: State) -> Command:
         """Whatever a user has set for numpy, a tick warns nobody."""
         with np.errstate(all="ignore"):
             return self.decide(state)

@@ -109,7 +109,7 @@ class KernelLaw(Law):
         self.plain.prepare()
         return self
 
-    def _tick(self, state: State) -> Command:
+    def _tick_in_turn(self, state: State) -> Command:
         """Without pinocchio where possible."""
         self._asked, self._raised, self._raised_in_step = False, self._raised_in_step, None
         if not self._raised and self._alone(state) and not self._stopped[0]:
@@ -120,7 +120,7 @@ class KernelLaw(Law):
                 if self.whole.outcome or state.inputs.stale or state.inputs.refused:
                     return self._with_faults(state, self.command, [])
                 return self.command
-        return super()._tick(state)
+        return super()._tick_in_turn(state)
 
     def decide(self, state: State) -> Command:
         """Fill Python's rows and let the kernel decide; the plain law where it has no answer."""
@@ -141,7 +141,7 @@ class KernelLaw(Law):
         command.say(*other.causes)
         return command
 
-    def _decide(self, state: State) -> Command:
+    def _decide_quietly(self, state: State) -> Command:
         """Whatever of a tick is Python's looks after numpy's warnings itself."""
         return self.decide(state)
 
