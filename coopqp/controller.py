@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import os
 import threading
@@ -28,7 +29,7 @@ from coopqp.model.profile import FASTEST
 from coopqp.model.state import Memory, State
 from coopqp.signal import Signal
 from coopqp.solver import Budget, Solver, Status
-from coopqp.task import Task, TaskRows, evaluate_all, refuse_impedances
+from coopqp.task import Task, TaskRows, evaluate_all
 from coopqp.trace import TickBatch
 
 
@@ -97,9 +98,9 @@ class ControlProblem:
     def __post_init__(self) -> None:
         if self.kappa == math.inf and self.dt > 0.0:
             object.__setattr__(self, "kappa", 1.0 / self.dt)
-        asked = (*self.tasks, *self.wrenches)
-        found = list(problem_faults(self.dt, self.kappa, asked, self.secondary))
-        if any(task.way and task.way.kind == FASTEST for task in asked):
+        tasks = (*self.tasks, *self.wrenches)
+        found = list(problem_faults(self.dt, self.kappa, tasks, self.secondary))
+        if any(task.way and task.way.kind == FASTEST for task in tasks):
             words = "fastest is found when a file is read; call coopqp.with_fastest_profiles"
             found.append((("profile",), f"{words} for other scenarios"))
         if self.on_infeasible not in get_args(OnInfeasible):
@@ -189,7 +190,7 @@ class Command:
             v = 0, or torques only hold.
         scale: least share of its rate at which a hard or scaled task runs; 1 where there are none.
         drift: share of the Baumgarte correction that is done.
-        told: of the note: texts, such as what a task raised, and a :class:`Why`.
+        messages: of the note: texts, such as what a task raised, and a :class:`Why`.
         grippers: of the loop for robots: "open" or "close" by arm; those that hold are closed.
     """
 
@@ -198,22 +199,22 @@ class Command:
         self.tau = np.zeros(n) if torques else None
         self.causes: tuple[Status, ...] = (Status.OPTIMAL,)
         self.scale = self.drift = 1.0
-        self.told: tuple[str | Why, ...] = ()
+        self.messages: tuple[str | Why, ...] = ()
         self.grippers: Mapping[str, str] = {}
 
     @property
     def note(self) -> str:
         """Which joints, loops, limits, tasks or inputs are behind the causes; empty if OPTIMAL."""
-        return note_of(self.told)
+        return note_of(self.messages)
 
     @note.setter
-    def note(self, words: str) -> None:
-        self.told = (words,) if words else ()
+    def note(self, text: str) -> None:
+        self.messages = (text,) if text else ()
 
     @property
     def remark(self) -> str:
         """The part of the note that is no :class:`Why`, such as what a task raised."""
-        return "; ".join(part for part in self.told if isinstance(part, str))
+        return "; ".join(part for part in self.messages if isinstance(part, str))
 
     @property
     def status(self) -> Status:
@@ -224,22 +225,18 @@ class Command:
         """Set all that is true of this tick, the gravest first."""
         self.causes = causes
 
-    def add(self, status: Status, *told: str) -> None:
+    def add(self, status: Status, *messages: str) -> None:
         """Add what else is true of this tick, after what is graver."""
         self.causes = *(c for c in self.causes if c is not Status.OPTIMAL), status
-        self.told = (*self.told, *told)
+        self.messages = (*self.messages, *messages)
 
     def __repr__(self) -> str:
         what = f"v={self.v}" if self.tau is None else f"tau={self.tau}"
         return f"Command({self.status.name}, {what})"
 
     def copy(self) -> Command:
-        other = Command(len(self.v))
-        other.v[:] = self.v
-        other.tau = None if self.tau is None else self.tau.copy()
-        other.causes = self.causes
-        other.scale, other.drift, other.told = self.scale, self.drift, self.told
-        other.grippers = self.grippers
+        other = copy.copy(self)
+        other.v, other.tau = self.v.copy(), None if self.tau is None else self.tau.copy()
         return other
 
 
@@ -286,8 +283,12 @@ class Law(ABC):
         gives_way: bool = False,
         force_control: InternalForceControl | None = None,
     ) -> None:
-        if not gives_way:
-            refuse_impedances(problem.tasks)
+        yields = [task.name for task in problem.tasks if task.impedance is not None]
+        if yields and not gives_way:
+            raise InvalidValueError(
+                f"task '{yields[0]}' asks for an impedance, which this controller does not have; "
+                "use torque_qp, with plant: rigid_body or plant: mujoco"
+            )
         self.problem, self.force_control = problem, force_control
         self.compiled = False
         self.command = Command(problem.chain.n, torques=torques)
@@ -324,11 +325,10 @@ class Law(ABC):
         """
         with self._turn:
             self._serve(state)
-            return self._tick(state)
+            return self._tick_in_turn(state)
 
-    def _tick(self, state: State) -> Command:
-        """The same in a thread's turn."""
-        self.command.told = ()
+    def _tick_in_turn(self, state: State) -> Command:
+        self.command.messages = ()
         if not self._fits(state):
             return self.with_why(state, self.refuse(Status.WRONG_STATE))
         if not math.isfinite(math.hypot(*state.q.tolist(), *state.v.tolist(), state.t)):
@@ -336,12 +336,12 @@ class Law(ABC):
         if state.memory.sizes != self.memory_sizes:
             state.memory = Memory(self.memory_sizes)
         state.update()
-        command, wrong = self._decided(state)
+        command, wrong = self._observe_and_decide(state)
         if state.overwritten:
             wrong.append(Status.OVERWRITTEN)
-        return self._told(state, command, wrong)
+        return self._with_faults(state, command, wrong)
 
-    def _told(self, state: State, command: Command, wrong: list[Status]) -> Command:
+    def _with_faults(self, state: State, command: Command, wrong: list[Status]) -> Command:
         """The command with what was wrong, also of what came from outside."""
         if state.inputs.stale:
             wrong.append(Status.INPUT_STALE)
@@ -352,7 +352,7 @@ class Law(ABC):
                 command.note = not_finite(self.problem, state)
         if wrong:
             own = self.force_control.note if self.force_control else "", self.observer.note
-            command.told = tuple(filter(None, (command.note, *own, *state.inputs.refused)))
+            command.messages = tuple(filter(None, (command.note, *own, *state.inputs.refused)))
             command.say(*(c for c in command.causes if c is not Status.OPTIMAL), *wrong)
         state.corrected = command.drift
         return command if command.causes == ALL_WELL else self.with_why(state, command)
@@ -365,20 +365,17 @@ class Law(ABC):
 
     def with_why(self, state: State, command: Command) -> Command:
         """The command of a tick that is not optimal, with who is behind its causes."""
-        command.told = (*command.told, Why(self, state, command))
+        command.messages = (*command.messages, Why(self, state, command))
         return command
 
     def run(self, state: State, ticks: int) -> TickBatch:
         """Many ticks on ideal joints, without inputs from outside; ``state`` is written.
 
-        Threads take turns.
-
-        InvalidValueError: ``ticks`` is no whole number from 0 to ``MAX_TICKS``.
+        Threads take turns. InvalidValueError: ``ticks`` is no whole number, 0 to ``MAX_TICKS``.
         """
         if type(ticks) is not int or not 0 <= ticks <= MAX_TICKS:
-            raise InvalidValueError(
-                f"ticks: found {ticks!r}, needs a whole number, 0 to {MAX_TICKS}"
-            )
+            needs = f"needs a whole number, 0 to {MAX_TICKS}"
+            raise InvalidValueError(f"ticks: found {ticks!r}, {needs}")
         with self._turn:
             self._serve(state)
             if state.memory.sizes != self.memory_sizes:
@@ -390,7 +387,7 @@ class Law(ABC):
         return found
 
     def run_starts(
-        self, starts: Array, q: Array, v: Array, said: NDArray[np.uint8]
+        self, starts: Array, q: Array, v: Array, outcomes: NDArray[np.uint8]
     ) -> NDArray[np.int32]:
         """Motions from starts (M, n), as far as they can be done without Python.
 
@@ -410,7 +407,7 @@ class Law(ABC):
         command = Law.step(self, state)
         found.v[k], found.causes[k], found.compiled[k] = command.v, command.causes, self.compiled
         found.scale[k] = command.scale
-        if command.told and command.remark:
+        if command.messages and command.remark:
             found.notes[k] = command.remark
 
     def step(self, state: State) -> Command:
@@ -420,7 +417,7 @@ class Law(ABC):
             state.advance(command.v, self.problem.dt)
         return command
 
-    def _decided(self, state: State) -> tuple[Command, list[Status]]:
+    def _observe_and_decide(self, state: State) -> tuple[Command, list[Status]]:
         """What :meth:`decide` says, and what was not measured; to stand still where code raises."""
         wrong, pressed = list[Status](), self.force_control
         try:
@@ -430,7 +427,7 @@ class Law(ABC):
                 wrong.append(Status.NOT_MEASURED)
             if self.observer.at_bound:
                 wrong.append(Status.OFFSET_AT_BOUND)
-            return self._decide(state), wrong
+            return self._decide_quietly(state), wrong
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # noqa: BLE001 - code of plug-ins may raise anything
@@ -438,7 +435,7 @@ class Law(ABC):
             self.hold_still(state)
             return command, wrong
 
-    def _decide(self, state: State) -> Command:
+    def _decide_quietly(self, state: State) -> Command:
         """Whatever a user has set for numpy, a tick warns nobody."""
         with np.errstate(all="ignore"):
             return self.decide(state)

@@ -31,13 +31,13 @@ BEYOND = 1e-5
 
 @dataclass(frozen=True)
 class ForceRows:
-    """What a contact wrench has to keep, rows @ w <= most [N], shapes (r, 6) and (r,).
+    """What a contact wrench has to keep, rows @ w <= upper [N], shapes (r, 6) and (r,).
 
     The labels are such as "friction[3]", "edge[2]", "least" and "most".
     """
 
     rows: Array
-    most: Array
+    upper: Array
     labels: tuple[str, ...]
 
 
@@ -49,8 +49,8 @@ class Contact(ABC):
     friction: float  # coefficient mu
     half_lengths: tuple[float, float] = (0.0, 0.0)  # of the pad along x and y [m]; 0 for a point
     reach: float = 1.0  # share of these that is counted on; what holds is the whole pad
-    least: float = 0.0  # least, most: bounds on the normal force [N]
-    most: float = np.inf
+    min_force: float = 0.0  # min_force, max_force: bounds on the normal force [N]
+    max_force: float = np.inf
 
     @abstractmethod
     def rows(self, friction: float) -> Array:
@@ -72,11 +72,11 @@ class Contact(ABC):
         kinds = np.where(tilts, "edge", "friction")
         normal = np.zeros((2, 6))
         normal[:, 2] = -1.0, 1.0
-        bounds, labels = [-self.least, self.most], ["least", "most"]
-        ends = 1 if np.isinf(self.most) else 2
+        bounds, labels = [-self.min_force, self.max_force], ["least", "most"]
+        ends = 1 if np.isinf(self.max_force) else 2
         return ForceRows(
             np.vstack([cone, normal[:ends]]),
-            np.concatenate([self.least * cone[:, 2] * tilts, bounds[:ends]]),
+            np.concatenate([self.min_force * cone[:, 2] * tilts, bounds[:ends]]),
             tuple([f"{kind}[{i}]" for i, kind in enumerate(kinds)] + labels[:ends]),
         )
 

@@ -19,7 +19,7 @@ OF_STUDIES = frozenset(
      "variant_seed")
 )  # fmt: skip
 #: Larger whole numbers are kept as others are.
-MOST = 2**53
+MAX_WHOLE = 2**53
 
 
 @spec
@@ -56,4 +56,4 @@ def measured(metrics: Mapping[str, Metric], trace: Trace) -> tuple[dict[str, Any
 
 def _whole(digits: str) -> float:
     number = int(digits)
-    return number if abs(number) <= MOST else float(number)
+    return number if abs(number) <= MAX_WHOLE else float(number)

@@ -118,7 +118,7 @@ class Fault:
         return since >= 0.0 and (self.duration is None or since < self.duration)
 
     @property
-    def words(self) -> str:
+    def description(self) -> str:
         """What is wrong from when on: "encoder_stuck of left.3 from 0.5 s"."""
         where = " and ".join(self.joints or filter(None, (self.joint or self.arm,)))
         size = "" if self.by is None else f" by {self.by:g}"

@@ -150,10 +150,10 @@ def begin(p: Primitive, start: State) -> Begin:
         away = math.hypot(x[0], x[1]) if p.planar else math.hypot(*x)
         return Begin(np.array([away - p.length]))
     if p.kind in (Kind.LEAN, Kind.TILT):
-        seen = polar(RT @ start.R_WO @ np.array(p.axis))
+        axis = polar(RT @ start.R_WO @ np.array(p.axis))
         if p.kind is Kind.TILT:
-            return Begin(np.array([0.5 * math.pi - seen.angle]))
-        return Begin(phi=seen.angle * np.array([-seen.way[1], seen.way[0], 0.0]))
+            return Begin(np.array([0.5 * math.pi - axis.angle]))
+        return Begin(phi=axis.angle * np.array([-axis.way[1], axis.way[0], 0.0]))
     if p.kind is Kind.ROTATION:
         Q = RT @ start.R_WO
         return Begin(phi=np.array(pin.log3(goal.R @ Q.T)) if goal else np.zeros(3), Q=Q)
@@ -210,72 +210,61 @@ def evaluated(program: Sequence[Primitive], start: State) -> Fill:
     """The rows of a task's primitives, in numpy; their references move once a state."""
     goals: dict[int, Reference | Trajectory] = {id(p.goal): p.goal for p in program if p.goal}
     moving: dict[int, Reference | Trajectory] = {id(p.reference): p.reference for p in program}
-    seen: dict[tuple[int, Vector3], PointInReference] = {}
-    for p in program:
-        if p.kind in (Kind.POINT, Kind.RADIAL):
-            place = PointInReference(p.point, p.reference, start.chain.n)
-            seen.setdefault((id(p.reference), p.point), place)
+    places: dict[tuple[int, Vector3], PointInReference] = {}
     moves = [*goals.values(), *moving.values()]  # a reference may be a goal's place
-    blocks, at = list[tuple[Fill, slice]](), 0
+    blocks, at = list[tuple[Fill, slice, Profile, Array]](), 0
     for p in program:
         of_all = p.of_joints or p.kind is Kind.POSTURE
         part = slice(None) if of_all else slice(at, at + len(p.rows))
-        blocks.append((_FILLS[p.kind](p, start, seen.get((id(p.reference), p.point))), part))
+        if p.kind in (Kind.POINT, Kind.RADIAL):
+            place = PointInReference(p.point, p.reference, start.chain.n)
+            place = places.setdefault((id(p.reference), p.point), place)
+            block = (_point_rows if p.kind is Kind.POINT else _radial_rows)(p, place)
+        else:
+            block = _FILLS[p.kind](p, start)
+        blocks.append((block, part, p.profile, begin(p, start).e))
         at += len(p.rows)
 
     def fill(state: State, e: Array, J: Array, rate: Array) -> None:
         for move in moves:
             move.update(state)
-        for place in seen.values():
+        for place in places.values():
             place.update(state)
-        for block, part in blocks:
+        for block, part, profile, e_start in blocks:
             block(state, e[part], J[part], rate[part])
+            share, speed = profile.at(state.t)
+            if share < 1.0:  # the error shrinks to zero from what it is at the start
+                first = slice(part.start, (part.start or 0) + len(e_start))
+                e[first] -= e_start * (1.0 - share)
+                rate[first] -= e_start * speed
 
     return fill
 
 
-def _approach(p: Primitive, start: State) -> Callable[[float, Array, Array], None]:
-    """Lets an error shrink to zero: subtracts (1 - s) e_start from e, and adds its rate, at t."""
-    profile, e_start = p.profile, begin(p, start).e
-
-    def shift(t: float, e: Array, rate: Array) -> None:
-        share, speed = profile.at(t)
-        if share < 1.0:
-            e -= e_start * (1.0 - share)
-            rate -= e_start * speed
-
-    return shift
-
-
-def _point_rows(p: Primitive, start: State, seen: PointInReference | None) -> Fill:
-    assert seen is not None
-    shift, rows = _approach(p, start), slice(p.rows[0], p.rows[-1] + 1)
+def _point_rows(p: Primitive, place: PointInReference) -> Fill:
+    rows = slice(p.rows[0], p.rows[-1] + 1)
 
     def fill(state: State, e: Array, J: Array, rate: Array) -> None:
-        e[:], J[:], rate[:] = seen.x[rows], seen.J[rows], seen.rate[rows]
-        shift(state.t, e, rate)
+        e[:], J[:], rate[:] = place.x[rows], place.J[rows], place.rate[rows]
 
     return fill
 
 
-def _radial_rows(p: Primitive, start: State, seen: PointInReference | None) -> Fill:
-    assert seen is not None
-    shift, away = _approach(p, start), np.zeros(3)
-    across = slice(0, 2 if p.planar else 3)
+def _radial_rows(p: Primitive, place: PointInReference) -> Fill:
+    away, across = np.zeros(3), slice(0, 2 if p.planar else 3)
 
     def fill(state: State, e: Array, J: Array, rate: Array) -> None:
-        distance = math.hypot(*seen.x[across].tolist())
+        distance = math.hypot(*place.x[across].tolist())
         away[:] = 1.0, 0.0, 0.0
         if distance > TINY:
-            np.divide(seen.x[across], distance, away[across])
-        e[0], rate[0] = distance - p.length, away.dot(seen.rate)
-        away.dot(seen.J, J[0])
-        shift(state.t, e, rate)
+            np.divide(place.x[across], distance, away[across])
+        e[0], rate[0] = distance - p.length, away.dot(place.rate)
+        away.dot(place.J, J[0])
 
     return fill
 
 
-def _lean_rows(p: Primitive, start: State, seen: PointInReference | None) -> Fill:
+def _lean_rows(p: Primitive, start: State) -> Fill:
     """An axis of the object goes into the direction of the reference, :func:`inverse_alignment`.
 
     The reference direction goes from the axis at the start to the reference's third axis on the
@@ -298,9 +287,9 @@ def _lean_rows(p: Primitive, start: State, seen: PointInReference | None) -> Fil
     return fill
 
 
-def _tilt_rows(p: Primitive, start: State, seen: PointInReference | None) -> Fill:
+def _tilt_rows(p: Primitive, start: State) -> Fill:
     """A line of the object goes into the plane of the reference's first two axes."""
-    shift, a_O, plane = _approach(p, start), np.array(p.axis), p.reference
+    a_O, plane = np.array(p.axis), p.reference
     aside, across = np.zeros(3), np.zeros(3)  # normal to the line's way; in the world's axes
 
     def fill(state: State, e: Array, J: Array, rate: Array) -> None:
@@ -309,12 +298,11 @@ def _tilt_rows(p: Primitive, start: State, seen: PointInReference | None) -> Fil
         aside.dot(plane.RT, across)
         e[0], rate[0] = 0.5 * math.pi - line.angle, across.dot(plane.omega)
         across.dot(state.J_task[3:], J[0])
-        shift(state.t, e, rate)
 
     return fill
 
 
-def _rotation_rows(p: Primitive, start: State, seen: PointInReference | None) -> Fill:
+def _rotation_rows(p: Primitive, start: State) -> Fill:
     begins, reference, Q = begin(p, start), p.reference, np.zeros((3, 3))
     error = RotationError(p.goal, p.profile, begins.phi, begins.Q)
 
@@ -327,7 +315,7 @@ def _rotation_rows(p: Primitive, start: State, seen: PointInReference | None) ->
     return fill
 
 
-def _twist_rows(p: Primitive, start: State, seen: PointInReference | None) -> Fill:
+def _twist_rows(p: Primitive, start: State) -> Fill:
     assert p.goal is not None
     tracked, goal = PointOfObject(p.point, start.chain.n), p.goal
     rows, order, V = np.array(p.rows), np.array(p.order), np.zeros((6, start.chain.n))
@@ -346,7 +334,7 @@ def _twist_rows(p: Primitive, start: State, seen: PointInReference | None) -> Fi
     return fill
 
 
-def _centering_rows(p: Primitive, start: State, seen: PointInReference | None) -> Fill:
+def _centering_rows(p: Primitive, start: State) -> Fill:
     middle, scale = p.numbers
 
     def fill(state: State, e: Array, J: Array, rate: Array) -> None:
@@ -356,7 +344,7 @@ def _centering_rows(p: Primitive, start: State, seen: PointInReference | None) -
     return fill
 
 
-def _barrier_rows(p: Primitive, start: State, seen: PointInReference | None) -> Fill:
+def _barrier_rows(p: Primitive, start: State) -> Fill:
     middle, per_half, per_range = p.numbers
     x = np.zeros(start.chain.n)
 
@@ -370,9 +358,9 @@ def _barrier_rows(p: Primitive, start: State, seen: PointInReference | None) -> 
     return fill
 
 
-def _posture_rows(p: Primitive, start: State, seen: PointInReference | None) -> Fill:
+def _posture_rows(p: Primitive, start: State) -> Fill:
     assert p.goal is not None
-    goal, shift, diagonal = p.goal, _approach(p, start), np.arange(start.chain.n)
+    goal, diagonal = p.goal, np.arange(start.chain.n)
     given = np.isfinite(goal.value).astype(float)
 
     def fill(state: State, e: Array, J: Array, rate: Array) -> None:
@@ -380,7 +368,6 @@ def _posture_rows(p: Primitive, start: State, seen: PointInReference | None) -> 
         np.subtract(state.q, goal.value, e)
         e[given == 0.0] = 0.0
         rate[:] = goal.rate
-        shift(state.t, e, rate)
 
     return fill
 
@@ -400,9 +387,9 @@ class RelativePose:
         R_0.T.dot(turned.dot(R_0), self.Q)
 
 
-def _relative_rows(p: Primitive, start: State, seen: PointInReference | None) -> Fill:
+def _relative_rows(p: Primitive, start: State) -> Fill:
     assert p.goal is not None
-    chain, goal, shift, begins = start.chain, p.goal, _approach(p, start), begin(p, start)
+    chain, goal, begins = start.chain, p.goal, begin(p, start)
     arms = RelativePose(chain, p.loop)
     error = RotationError(goal, p.profile, begins.phi, begins.Q)
     first = np.linalg.inv(chain.mixing)[3:6]  # J_0 = J_task - sum alpha_i J_rel,i
@@ -418,15 +405,13 @@ def _relative_rows(p: Primitive, start: State, seen: PointInReference | None) ->
         np.add(J_gap, J_rel[:3], J_gap)
         R_0.T.dot(J_gap, J[:3])
         rate[:3] = goal.rate[:3]
-        shift(state.t, e[:3], rate[:3])
         error.fill(state.t, arms.Q, R_0.T, J_rel[3:], (e[3:], J[3:], rate[3:]))
 
     return fill
 
 
 _FILLS = {
-    Kind.POINT: _point_rows, Kind.RADIAL: _radial_rows, Kind.LEAN: _lean_rows,
-    Kind.TILT: _tilt_rows, Kind.ROTATION: _rotation_rows, Kind.TWIST: _twist_rows,
-    Kind.CENTERING: _centering_rows, Kind.BARRIER: _barrier_rows, Kind.POSTURE: _posture_rows,
-    Kind.RELATIVE: _relative_rows,
+    Kind.LEAN: _lean_rows, Kind.TILT: _tilt_rows, Kind.ROTATION: _rotation_rows,
+    Kind.TWIST: _twist_rows, Kind.CENTERING: _centering_rows, Kind.BARRIER: _barrier_rows,
+    Kind.POSTURE: _posture_rows, Kind.RELATIVE: _relative_rows,
 }  # fmt: skip

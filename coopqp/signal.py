@@ -287,10 +287,10 @@ def trajectory_of(
 
 def check_places(key: str, numbers: Array) -> None:
     """InvalidValueError: a number (none of a quaternion) is beyond what any place can be."""
-    most = float(np.abs(numbers).max(initial=0.0))
-    if most > FARTHEST:
-        words = f"found {most:g}, needs at most {FARTHEST:g} (metres, radians; of forces N)"
-        raise InvalidValueError(f"{key}: {words}")
+    size = float(np.abs(numbers).max(initial=0.0))
+    if size > FARTHEST:
+        needs = f"needs at most {FARTHEST:g} (metres, radians; of forces N)"
+        raise InvalidValueError(f"{key}: found {size:g}, {needs}")
 
 
 def check_speed(key: str, speed: float) -> None:

@@ -223,14 +223,14 @@ class Verifier:
             return Status.BOUND_RESIDUAL
         if gap > budget.equality:
             return Status.EQUALITY_RESIDUAL
-        most = budget.accuracy
-        sure = astray <= most and (off <= most or off <= most + self._rounding())
-        return Status.OPTIMAL if sure and self._unsure(slack) <= most else Status.INACCURATE
+        enough = budget.accuracy
+        sure = astray <= enough and (off <= enough or off <= enough + self._rounding())
+        return Status.OPTIMAL if sure and self._unsure(slack) <= enough else Status.INACCURATE
 
-    def polish(self, found: Status) -> Status:
+    def polish(self, checked: Status) -> Status:
         """After a check let equalities and active limits hold, where the answer is as good then."""
-        if self._correction is None or not found.usable:
-            return found
+        if self._correction is None or not checked.usable:
+            return checked
         kept = self.solution.answer.copy()
         self.solution.answer += self._correction
         if self.check() is Status.OPTIMAL:
@@ -285,10 +285,10 @@ class Verifier:
         Whether one is may matter much where its row nearly depends on others that hold. Without
         equalities limits that do give way (:class:`coopqp.qp_law.level.Step`).
         """
-        qp, solution, n, most = self.qp, self.solution, self.qp.n, 0.0
+        qp, solution, n, worst = self.qp, self.solution, self.qp.n, 0.0
         pushes = np.abs(solution.multipliers[: n + qp.p]) > IDLE * self.curvature
         if not qp.m or not pushes.any():
-            return most
+            return worst
         margin = np.concatenate([np.minimum(solution.v - qp.lb, qp.ub - solution.v), slack])
         reached = margin <= IDLE
         on, held = pushes | reached, np.concatenate([pushes, np.ones(qp.m, bool)])
@@ -296,19 +296,19 @@ class Verifier:
         values = np.linalg.svd(C[:, ~on[:n]], compute_uv=False)  # of rows but bounds
         values /= max(np.abs(C).max(), EPSILON)
         if not ((values > DEPENDENT) & (values < NEARLY)).any():
-            return most
+            return worst
         root = np.linalg.cholesky(qp.P)
         rows = np.linalg.solve(root, np.concatenate([np.eye(n), qp.C]).T).T  # as :meth:`_astray`
         sizes, holds = np.maximum(np.linalg.norm(rows, axis=1), EPSILON), np.flatnonzero(held)
         rows /= sizes[:, None]
         for i in np.flatnonzero(reached).tolist():
             free = null_space(rows[holds[holds != i]])
-            seen = rows[i] @ free
-            left = norm(seen)
+            part = rows[i] @ free
+            left = norm(part)
             if DEPENDENT < left < NEARLY:
-                step = np.linalg.solve(root.T, free @ seen)
-                most = max(most, IDLE / sizes[i] * norm(step) / left**2)
-        return most
+                step = np.linalg.solve(root.T, free @ part)
+                worst = max(worst, IDLE / sizes[i] * norm(step) / left**2)
+        return worst
 
     def _distance(self) -> float:
         """Norm of a projected gradient step, an estimate of |v - v*|."""

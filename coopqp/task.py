@@ -259,11 +259,10 @@ class TaskStack:
         #: Largest second derivative of each row's error [unit/rad2].
         bounds = (curvature_bounds_of(task, start.chain) for task in tasks)
         self.curvature_bounds = np.array([*itertools.chain(*bounds)], float).reshape(k)
-        self._asking = [
-            part for task, part in zip(tasks, self.slices, strict=True) if task.asks_velocity
-        ]
+        parts = list(zip(tasks, self.slices, strict=True))
+        self._velocities = [part for task, part in parts if task.asks_velocity]
         self.bound: list[tuple[Evaluate, TaskRows]] = []
-        for task, part in zip(tasks, self.slices, strict=True):
+        for task, part in parts:
             if task.joint_space:
                 self.J[part] = np.eye(n)
             block = TaskRows(self.e[part], self.J[part], self.rate[part])
@@ -288,25 +287,15 @@ class TaskStack:
 
         For a task that asks for a velocity alone |J v - rate| stands for g |e|.
         """
-        most = self.gains * np.abs(self.e)
-        for part in self._asking:
-            most[part] = np.abs(self.J[part].dot(v) - self.rate[part])
-        most *= self.curvature_bounds
-        return most
+        sizes = self.gains * np.abs(self.e)
+        for part in self._velocities:
+            sizes[part] = np.abs(self.J[part].dot(v) - self.rate[part])
+        sizes *= self.curvature_bounds
+        return sizes
 
     def curvature(self, v: Array) -> float:
         """All of it in the cost, sum_i w_i g_i |e_i| L_i."""
         return float(self.weights.dot(self.curvatures(v)))
-
-
-def refuse_impedances(tasks: Sequence[Task]) -> None:
-    """Raise InvalidValueError at the first task that yields to pushes, for laws that cannot."""
-    for task in tasks:
-        if task.impedance is not None:
-            raise InvalidValueError(
-                f"task '{task.name}' asks for an impedance, which this controller does not have; "
-                "use torque_qp, with plant: rigid_body or plant: mujoco"
-            )
 
 
 class Programs:

@@ -129,8 +129,8 @@ def _times(parts: list[Array], phases: Phases) -> Array:
 
 def _padded(parts: list[Array], phases: Phases) -> Array:
     """A row a tick; the laws of some phases remember less, and others have a loop less."""
-    most = max(rows.shape[1] for rows in parts)
-    return np.concatenate([np.pad(rows, ((0, 0), (0, most - rows.shape[1]))) for rows in parts])
+    width = max(rows.shape[1] for rows in parts)
+    return np.concatenate([np.pad(rows, ((0, 0), (0, width - rows.shape[1]))) for rows in parts])
 
 
 def _chained(parts: list[tuple[str, ...]], phases: Phases) -> tuple[str, ...]:
@@ -205,15 +205,14 @@ def _inputs(parts: list[dict[str, InputTrace]], phases: Phases) -> dict[str, Inp
     found = {}
     for name in dict.fromkeys(itertools.chain.from_iterable(parts)):
         kind = next(of[name].kind for of in parts if name in of)
-        kept = [
+        traces = [
             of.get(name) or no_input(kind, part.ticks)
             for of, (_, part) in zip(parts, phases, strict=True)
         ]
-        arrays = (
-            np.concatenate([getattr(one, key) for one in kept])
-            for key in ("arrived", "sent", "value", "rate")
+        columns = zip(
+            *((one.arrived, one.sent, one.value, one.rate) for one in traces), strict=True
         )
-        found[name] = InputTrace(kind, *arrays)
+        found[name] = InputTrace(kind, *map(np.concatenate, columns))
     return found
 
 
@@ -281,9 +280,6 @@ class Trace:
     e: Annotated[Array, _task_errors]
     #: How fast each row's reference moves, shape (T + 1, R) [unit/s].
     rate: Annotated[Array, _task_errors]
-    usable: Annotated[NDArray[np.bool_], _ticks]  #: Whether the tick's answer was used, shape (T,).
-    #: Whether it was used although not optimal to the declared accuracy, shape (T,).
-    inaccurate: Annotated[NDArray[np.bool_], _ticks]
     #: Of each tick, as :func:`coopqp.solver.written` writes it, shape (T,).
     status: Annotated[tuple[str, ...], _chained]
     #: Least share of its rate at which a hard or scaled task ran, else 1, shape (T,).

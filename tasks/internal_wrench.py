@@ -15,8 +15,6 @@ forces, which differ by the object's weight along the line between the hands.
 from dataclasses import replace
 from typing import Annotated, ClassVar
 
-import numpy as np
-
 from coopqp.base.errors import GraspError, require_known, under
 from coopqp.base.spec import Array, Positive, spec
 from coopqp.closed_loop.grasp_matrix import COMPONENTS, UNITS, section, squeeze_rows
@@ -90,8 +88,8 @@ class InternalWrench(Task):
         held = hands(start.chain)
         i, j = self._pair(held)
         chosen = [COMPONENTS.index(name) for name in self.components]
-        wanted = [trajectory_of(_value(getattr(self, n)), FORCE, start) for n in self.components]
-        swapped = i > j
+        given = [getattr(self, name) for name in self.components]
+        wanted = [trajectory_of(x if isinstance(x, Signal) else [x], FORCE, start) for x in given]
 
         def evaluate(state: State, rows: TaskRows) -> None:
             at = points(held, state.p_WO, state.R_WO)
@@ -100,7 +98,7 @@ class InternalWrench(Task):
                 found = section(at[i], at[j]).rows[chosen].reshape(-1, 2, 6)
                 rows.J.reshape(-1, 2, 6)[:, [i, j]] = found
             else:
-                rows.J[0] = squeeze_rows(at)[(j, i) if swapped else (i, j)]
+                rows.J[0] = squeeze_rows(at)[min(i, j), max(i, j)]
             for row, followed in enumerate(wanted):
                 followed.update(state)
                 rows.rate[row] = followed.value[0]
@@ -137,7 +135,3 @@ class InternalWrench(Task):
             words = "three hands are on one line" if len(at) == 3 else f"found {len(at)} hands"
             raise GraspError(f"{words}: pushes along their edges are not independent; needs two "
                              "hands, or three off one line")  # fmt: skip
-
-
-def _value(given: float | Signal) -> Signal | Array:
-    return given if isinstance(given, Signal) else np.array([given], float)

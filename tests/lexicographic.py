@@ -125,7 +125,7 @@ class Cascade:
         J_k, ways = self._moved(scaled.J), _ways(scaled)
         rows, sides = _exact(J_h, w_h, J_k, ways)
         best = np.ones(ways.shape[1], LONG)
-        d = self._damping.least + (self._pulled(scaled) if scaled.tasks else 0.0)
+        d = self._damping.base + (self._pulled(scaled) if scaled.tasks else 0.0)
         v, lacks = self._hard(hard, J_h, w_h)
         near, shares = v, best
         slow = leaves = min(float(np.sqrt(lacks @ lacks)) / SLOW, 1.0)
@@ -147,12 +147,12 @@ class Cascade:
 
     def _hard(self, tasks: TaskStack, J: Array, w: Array) -> tuple[Array, Array]:
         """The motion of hard tasks, and what it lacks."""
-        least = self._damping.least * (LESS * float(tasks.weights.max()) if tasks.tasks else 1.0)
+        least = self._damping.base * (LESS * float(tasks.weights.max()) if tasks.tasks else 1.0)
         v = near = self._nearest(J, w, tasks.weights, least)
         missed, exact, counts = J @ v - w, v, 1.0
         size = float(np.sqrt(missed @ missed))
         if tasks.tasks and size < SLOW and self._can_hold(J, w):
-            exact = self._shares(J, w, np.zeros(0, LONG), self._damping.least)[0]
+            exact = self._shares(J, w, np.zeros(0, LONG), self._damping.base)[0]
             counts = min(max(self._at_limits(exact), 2.0 * size / SLOW - 1.0), 1.0)
             counts = _counting(missed) * counts
         pulls = counts * _counting(missed) * np.abs(missed)
@@ -218,7 +218,7 @@ class Cascade:
             J: its rows.
             pull: at the rows decided before it, in the last tick.
         """
-        d = self._damping.least + self._damping.of_tasks(tasks, self._state)
+        d = self._damping.base + self._damping.of_tasks(tasks, self._state)
         needed = self._damping.of(pull, self._state)
         share = MOST_DAMPING / max(needed, MOST_DAMPING)  # of the step that is made
         wanted = tasks.wanted.astype(LONG)

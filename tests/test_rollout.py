@@ -33,7 +33,6 @@ pytestmark = needs_kernel
 TICKS = 25  # of a phase
 #: What the law decides, and from what: the same bits, whoever looks at it.
 DECIDED = {"q", "v", "t", "commanded", "loop_offset", "memory", "scale", "compiled", "status"}
-DECIDED |= {"usable"}
 
 
 @cache

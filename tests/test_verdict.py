@@ -169,12 +169,9 @@ def test_a_microradian_has_no_red_cross(walled: Comparison, by: float, bad: bool
 
 def test_standing_still_says_why() -> None:
     trace = run(nao(PointOnPoint(goal=(0.19, 0.0, 0.06)), duration=0.1), controller="qp")
-    usable = np.zeros_like(trace.usable)
     cause = coopqp.Status.LOOP_BUDGET.value
     failures = tuple(coopqp.trace.Failure(k, cause) for k in range(trace.ticks))
-    found = summarize(
-        coopqp.load("point_on_point"), {"qp": replace(trace, usable=usable, failures=failures)}
-    )
+    found = summarize(coopqp.load("point_on_point"), {"qp": replace(trace, failures=failures)})
     assert "holds still in 10 of 10 ticks: the loop budget is used up" in found.verdicts["qp"]
 
 

@@ -356,7 +356,7 @@ class Assessment:
     def failed(self) -> tuple[int, dict[str, int]]:
         """Ticks that held still, and how often for which cause, the most frequent first."""
         causes = Counter(failure.cause for failure in self.trace.failures)
-        return int((~self.trace.usable).sum()), dict(causes.most_common())
+        return len(self.trace.failures), dict(causes.most_common())
 
     @cached_property
     def _causes(self) -> set[Status]:

@@ -183,7 +183,7 @@ class InternalForceControl:
         """The force with which friction suffices, at most the contacts' [N]; zero if it does."""
         use, upper = 0.0, math.inf
         for _, contact, need in friction_needed(self._hands, measured, state.R_WO):
-            use, upper = max(use, need / contact.friction), min(upper, contact.most)
+            use, upper = max(use, need / contact.friction), min(upper, contact.max_force)
         if not NEAR_SLIP < use < math.inf:
             return 0.0
         return min(pressed * use / ENOUGH, MOST_GROWN * wanted if upper == math.inf else upper)

@@ -116,7 +116,7 @@ class StaticHold:
             into = np.zeros((6, 6 * len(self.hands)))
             into[:, 6 * i : 6 * i + 6] = np.kron(np.eye(2), R)
             kept = hand.contact.force_rows(safety)
-            for row, upper, label in zip(kept.rows, kept.most, kept.labels, strict=True):
+            for row, upper, label in zip(kept.rows, kept.upper, kept.labels, strict=True):
                 what = WORDS[label.partition("[")[0]]
                 self._rows.append((f"{what} of {hand.arm}", row @ into, float(upper)))
 

@@ -60,7 +60,6 @@ class ResolvedRateLaw(FormulaLaw):
         self._invert, self._rows = invert, StackedRows(problem)
         own = problem.secondary if null_space else ()
         self._secondary = TaskStack(own, State(problem.chain))
-        self._Z = np.zeros(problem.chain.n)
         # Several objectives share Z by their weights, as they share the cost of the QP.
         weights = np.array([task.weight for task in self._secondary.tasks])
         self._shares = weights / max(float(weights.sum()), 1e-300)
@@ -80,9 +79,8 @@ class ResolvedRateLaw(FormulaLaw):
     def _add_null_space(self, state: State, inverse: NDArray[np.floating[Any]]) -> None:
         if not self._secondary.tasks:
             return
-        self._secondary.update(state)
-        Z, stack = self._Z, self._secondary
-        Z[:] = 0.0
+        stack, Z = self._secondary, np.zeros(len(state.q))
+        stack.update(state)
         for task, part, share in zip(stack.tasks, stack.slices, self._shares, strict=True):
             J, wanted = stack.J[part], stack.wanted[part]
             Z += share * (wanted if task.joint_space else least_squares(J, wanted))

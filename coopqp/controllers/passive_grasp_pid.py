@@ -133,15 +133,15 @@ class TorquePid(Law):
         By the wrench at the cut, which leaves passive joints free, then comes near to what is
         asked, then spares the motors. Hands exert shares of what gives the object a_r, and it.
         """
-        asked, dynamics = self._wrenches, self._level.dynamics
-        if not asked.tasks:
+        wrenches, dynamics = self._wrenches, self._level.dynamics
+        if not wrenches.tasks:
             return dynamics.distribute(Gamma).tau
-        asked.update(state)
+        wrenches.update(state)
         at = points(self._hands, state.p_WO, state.R_WO)
-        C = np.split(np.sqrt(asked.weights)[:, None] * asked.J, len(at), axis=1)
+        C = np.split(np.sqrt(wrenches.weights)[:, None] * wrenches.J, len(at), axis=1)
         C = [part @ grasp_matrix([state.p_WO], p) for part, p in zip(C, at, strict=True)]
         carried = dynamics.object_wrenches(a_r, np.zeros(len(dynamics.J_arms) - 6)).needed
-        right = np.sqrt(asked.weights) * asked.wanted - C[0] @ carried
+        right = np.sqrt(wrenches.weights) * wrenches.wanted - C[0] @ carried
         rows = np.hstack([C[0] - part for part in C[1:]])[:, dynamics.kept]
         passive, motors = dynamics.J[:, dynamics.passive].T, dynamics.J[:, dynamics.actuated].T
         cut, free = np.zeros(len(dynamics.J)), np.eye(len(dynamics.J))

@@ -69,9 +69,9 @@ def saturate(
         if beyond.max() <= ROUNDING:
             return Saturated(v, 1.0)
         low, high = _scales(a, b, lb, ub)
-        least, most = max(0.0, float(low.max())), min(1.0, float(high.min()))
-        if least <= most and (best is None or most > best.scale):
-            best = Saturated(b + most * a, most)
+        smallest, largest = max(0.0, float(low.max())), min(1.0, float(high.min()))
+        if smallest <= largest and (best is None or largest > best.scale):
+            best = Saturated(b + largest * a, largest)
         critical = int(np.argmin(np.where(beyond > ROUNDING, high, np.inf)))
         rank = matrix_rank(J @ free) if rank < 0 else rank
         joints.append(critical)

@@ -106,8 +106,8 @@ class TorqueQp(Controller):
         task_dynamics.require_impedances(
             problem, task_dynamics.TaskDynamics(problem), name, knows_wrench=knows
         )
-        self._require_times(problem.dt, name)
-        self._require_damped_integral(problem, name)
+        self._require_times(problem.dt)
+        self._require_damped_integral(problem)
         return TorqueQpLaw(problem, self)
 
     def observer(
@@ -123,17 +123,17 @@ class TorqueQp(Controller):
         except InvalidValueError as error:
             raise InvalidValueError(f"{self.name}: observer_{error}") from None
 
-    def _require_times(self, dt: float, name: str) -> None:
+    def _require_times(self, dt: float) -> None:
         """What dies out or brakes within a tick or two overshoots, and passes the stop."""
         for key in ("damping_time", "brake_time"):
             found = getattr(self, key)
             if found < MIN_TICKS * dt:
                 raise InvalidValueError(
-                    f"{name}.{key}: found {found:g} s, needs at least {MIN_TICKS} ticks, "
+                    f"{self.name}.{key}: found {found:g} s, needs at least {MIN_TICKS} ticks, "
                     f"{MIN_TICKS * dt:g} s"
                 )
 
-    def _require_damped_integral(self, problem: ControlProblem, name: str) -> None:
+    def _require_damped_integral(self, problem: ControlProblem) -> None:
         dt = problem.dt
         for task in problem.tasks:
 
@@ -142,7 +142,7 @@ class TorqueQp(Controller):
 
             if not holds(self.integral):
                 raise InvalidValueError(
-                    f"{name}.integral: found {self.integral:g}, needs at most "
+                    f"{self.name}.integral: found {self.integral:g}, needs at most "
                     f"{margins.largest(holds, self.integral):g} at gain {task.gain:g} 1/s (task "
                     f"{task.name}) and dt {1e3 * dt:g} ms; more oscillates, so lower it"
                 )

@@ -9,7 +9,7 @@ too much at rest or too little in a push, which is what this baseline shows; see
 and Marcus 1991, Erhart and Hirche 2015, and the pseudoinverse as ``minimum_norm``.
 """
 
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from coopqp.base.errors import GraspError
 from coopqp.base.rank import least_squares, null_space
 from coopqp.base.spec import Array, NonNegative, Positive, spec
 from coopqp.closed_loop.grasp_matrix import Split, section
-from coopqp.controller import NO_FEATURES, Command, Controller, ControlProblem, Features, Law
+from coopqp.controller import Command, Controller, ControlProblem, Law
 from coopqp.model.state import State
 from coopqp.solver import Status
 from coopqp.torque_law.hand_wrenches import HandWrenches
@@ -31,8 +31,6 @@ DAMPING = 1e-5
 @spec
 class WrenchSplit(Controller):
     """Inverse dynamics with the load split by a formula and a fixed squeeze; knows no friction."""
-
-    supports: ClassVar[Features] = NO_FEATURES
 
     split: Literal["walker", "virtual_inertia", "minimum_norm"] = "virtual_inertia"
     """Which formula: shares of everything, virtual bodies, or the pseudoinverse."""

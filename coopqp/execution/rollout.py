@@ -238,13 +238,11 @@ class _Recorder:
         problem, instants, batch = self._law.problem, self.instants, self.batch
         chain, q, v = problem.chain, batch.q, batch.v
         instants.follow(self.t, q, v, self._offset)
-        usable, inaccurate = np.ones(len(v), bool), np.zeros(len(v), bool)
         status, failures = [Status.OPTIMAL.name] * len(v), list[Failure]()
         for k, causes in enumerate(batch.causes):
             if causes == OPTIMAL:
                 continue
             first, status[k] = causes[0], written(causes)
-            usable[k], inaccurate[k] = first.usable, first is Status.INACCURATE
             if not first.usable:
                 failures.append(Failure(k, first.value, batch.notes.get(k, "")))
         return Trace(
@@ -266,8 +264,6 @@ class _Recorder:
             loop_position=instants.loop[:, 0],
             loop_orientation=instants.loop[:, 1],
             task_rows=rows_of((*problem.tasks, *problem.wrenches), chain),
-            usable=usable,
-            inaccurate=inaccurate,
             status=tuple(status),
             rows_in_python=self._law.rows_in_python,
             supports=supports,

@@ -54,8 +54,8 @@ class Pressing(Grasp):
             raise ValueError("along: goes along the normal; needs a direction across it")
         x /= length
         frame = pin.SE3(np.column_stack([x, np.cross(z, x), z]), np.array(self.position))
-        most = math.inf if self.most is None else self.most
-        return {"placement": frame, "friction": self.friction, "least": self.least, "most": most}
+        forces = {"min_force": self.least, "max_force": self.most or math.inf}
+        return {"placement": frame, "friction": self.friction, **forces}
 
 
 @spec

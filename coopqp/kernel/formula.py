@@ -41,15 +41,15 @@ class FormulaLaw(Law):
         self._whole = _compiled(problem, secondary)
         self._shown: tuple[Any, ...] = (None,) * 5
 
-    def _tick(self, state: State) -> Command:
+    def _tick_in_turn(self, state: State) -> Command:
         inputs = state.inputs
         sensed = state.q_measured is not None or inputs.stale or inputs.refused
         self.compiled = bool(self._whole and not sensed and self._solves(self._whole, state))
         if not self.compiled:
-            return super()._tick(state)
+            return super()._tick_in_turn(state)
         state.joints_due, state.jacobians_due, state.corrected = True, False, 1.0
         command = self.command
-        command.told = ()
+        command.messages = ()
         command.say(Status.OPTIMAL)
         return command
 

@@ -109,7 +109,7 @@ class KernelLaw(Law):
         self.plain.prepare()
         return self
 
-    def _tick(self, state: State) -> Command:
+    def _tick_in_turn(self, state: State) -> Command:
         """Without pinocchio where possible."""
         self._asked, self._raised, self._raised_in_step = False, self._raised_in_step, None
         if not self._raised and self._alone(state) and not self._stopped[0]:
@@ -118,9 +118,9 @@ class KernelLaw(Law):
                 state.jacobians_due = self.whole.alone
                 state.corrected = 1.0
                 if self.whole.outcome or state.inputs.stale or state.inputs.refused:
-                    return self._told(state, self.command, [])
+                    return self._with_faults(state, self.command, [])
                 return self.command
-        return super()._tick(state)
+        return super()._tick_in_turn(state)
 
     def decide(self, state: State) -> Command:
         """Fill Python's rows and let the kernel decide; the plain law where it has no answer."""
@@ -141,7 +141,7 @@ class KernelLaw(Law):
         command.say(*other.causes)
         return command
 
-    def _decide(self, state: State) -> Command:
+    def _decide_quietly(self, state: State) -> Command:
         """Whatever of a tick is Python's looks after numpy's warnings itself."""
         return self.decide(state)
 
@@ -198,15 +198,15 @@ class KernelLaw(Law):
         return self.with_why(state, command)
 
     def run_starts(
-        self, starts: Array, q: Array, v: Array, said: NDArray[np.uint8]
+        self, starts: Array, q: Array, v: Array, outcomes: NDArray[np.uint8]
     ) -> NDArray[np.int32]:
         """Without the GIL, bit-equal to :meth:`run`."""
         with self._turn:
             state, done = self.start(), np.full(len(starts), -1, np.int32)
             self._serve(state)
             if self._runs and self._alone(state):
-                memory = state.memory.numbers
-                self.whole.engine.run_starts(state.t, starts, q, v, said, memory, done, self._stops)
+                into = q, v, outcomes, state.memory.numbers, done
+                self.whole.engine.run_starts(state.t, starts, *into, self._stops)
             return done
 
     def _run_all(self, state: State, found: TickBatch) -> None:
@@ -242,7 +242,7 @@ class KernelLaw(Law):
     def _say(self, causes: tuple[Status, ...]) -> None:
         self.compiled = True
         self.command.drift = 1.0
-        self.command.causes, self.command.told = causes, ()
+        self.command.causes, self.command.messages = causes, ()
 
     def _rests(self, outcome: int) -> bool:
         """Whether the engine's answer for an infeasible tick, at rest or recovering, is usable."""
@@ -284,7 +284,7 @@ class KernelLaw(Law):
             return False
         same = [*((own, name, own[name]) for name in BOUND_TO), *arriving]
         usual = [(own, "q_measured", None), (sent, "stale", ()), (sent, "refused", ())]
-        optimal = {"causes": ALL_WELL[OPTIMAL], "told": (), "drift": 1.0, "scale": 1.0}
+        optimal = {"causes": ALL_WELL[OPTIMAL], "messages": (), "drift": 1.0, "scale": 1.0}
         said = [(vars(self.command), *pair) for pair in optimal.items()]
         engine.bind_owner(state, self.command, same, usual, said)
         self._stopped = memory["stopped"]

@@ -24,7 +24,7 @@ class Why:
     def __init__(self, law: Any, state: State, command: Any) -> None:
         self._law, self._problem, self._chain = law, law.problem, state.chain
         self._names, self._text, self._stale = state.chain.joint_names, "", state.inputs.stale
-        self._causes, self._tells_itself = command.causes, bool(command.told)
+        self._causes, self._tells_itself = command.causes, bool(command.messages)
         self._scale, self._drift, self._t = command.scale, command.drift, state.t
         arrays = map(np.array, (state.q, state.v, command.v, state.drift))
         self._q, self._before, self._v, self._open = arrays

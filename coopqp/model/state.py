@@ -374,6 +374,8 @@ class _Locked(State):
         object.__setattr__(self, name, value)
 
 
+_Locked.__name__ = State.__name__  # which errors of plug-ins name
+
 Kept = tuple[Array, float, Memory, tuple[Any, ...], InputValues]
 
 

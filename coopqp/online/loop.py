@@ -430,7 +430,7 @@ class OnlineLoop:
             self._phases.arrivals.age(self.watch.elapsed - self.problem.dt)
         self._keeper.arrived(self._phases.take(others, hand_wrench, now, self._time.ahead))
         command = self._decide()
-        command.told, self._phases.missed = (*command.told, *self._phases.missed), ()
+        command.messages, self._phases.missed = (*command.messages, *self._phases.missed), ()
         if faults := self.faults:
             command.add(Status.FAULT, *(fault.note for fault in faults))
         if is_late:
@@ -508,13 +508,13 @@ class OnlineLoop:
             phases.rest_inputs()
         own = (c for c in command.causes if c not in (Status.OPTIMAL, Status.NOT_MEASURED, *halts))
         command.say(*dict.fromkeys(halts), *own)
-        for why in command.told:
+        for why in command.messages:
             if isinstance(why, Why):  # the reading's own note has it
                 why.leave_out(Status.NOT_MEASURED)
         waits = f"slows down for phase {phases.next_name}" if phases.over else ""
         wrong = self._time.wrong, self._readings.note, self._stops.why, doubt
         notes = (*wrong, waits, *run.state.inputs.refused)
-        command.told = (*filter(None, notes), *command.told)
+        command.messages = (*filter(None, notes), *command.messages)
         return command
 
     def _look_for_faults(self) -> None:

@@ -258,7 +258,7 @@ class _Cones:
             turn[:3, :3], turn[3:, 3:], turn[3:, :3] = R.T, R.T, -R.T @ pin.skew(p)
             self._each.append((i, found.rows @ turn))
             names += [f"{label.partition('[')[0]} of {hand.arm}" for label in found.labels]
-            most.append(found.most)
+            most.append(found.upper)
         self.names, self.most = tuple(names), np.concatenate(most)
 
     def at(

@@ -47,10 +47,10 @@ class Damping:
     That holds of each level alone. Two that share one nearly singular direction may overshoot
     together: then joints reverse again and again, and all damping grows (:func:`note_chatter`).
 
-    ``least`` is d without curvature, ``share`` c of what rules out any overshoot, dt in s.
+    ``base`` is d without curvature, ``share`` c of what rules out any overshoot, dt in s.
     """
 
-    least: float
+    base: float
     share: float
     dt: float
 

@@ -205,8 +205,8 @@ class QPLaw(Law):
         if not (status.usable and self._scaled):
             return status, v, v, 0.0
         leaves = min(norm(self._missed(v)) / SLOW, 1.0)
-        beside, least = self._scale_beside(state, kappa, v) if leaves < 1.0 else (v, 1.0)
-        return status, beside, beside + leaves * (v - beside), max(leaves, least)
+        scaled_v, share = self._largest_shares(state, kappa, v) if leaves < 1.0 else (v, 1.0)
+        return status, scaled_v, scaled_v + leaves * (v - scaled_v), max(leaves, share)
 
     def _overreaches(self, rows: slice, v: Array) -> float:
         exact = self.exact
@@ -226,13 +226,13 @@ class QPLaw(Law):
             return False
         if met or not self._hard:
             return True
-        share = LESS * float(weights.max()) * self._damping.least / self.first.curvature
+        share = LESS * float(weights.max()) * self._damping.base / self.first.curvature
         lacks = share * norm(y[self._hard_rows] / np.sqrt(weights))
         return lacks <= MET * float(np.sqrt(weights.min()))
 
-    def _scale_beside(self, state: State, kappa: float, v: Array) -> tuple[Array, float]:
+    def _largest_shares(self, state: State, kappa: float, v: Array) -> tuple[Array, float]:
         """The largest shares beside the motion v of hard tasks; how far these may be left."""
-        level, wanted, got = self.nearest.beside, self.exact.wanted.copy(), self.exact.J @ v
+        level, wanted, got = self.nearest.scaling, self.exact.wanted.copy(), self.exact.J @ v
         hard, self._shares = self._hard_rows, level.shares[:-1]
         wanted[hard] = got[hard]
         aside = got * (SLOW / min(max(norm(got[hard.stop :]), MET), SLOW))

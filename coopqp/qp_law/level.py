@@ -62,22 +62,22 @@ class Level(Program):
         self, given: Given, tasks: TaskStack, more: Sequence[Row] = (),
         shares: Sequence[str] = (), *, slows: bool = False,
     ) -> None:  # fmt: skip
-        chain, n, least = given.problem.chain, given.problem.chain.n, given.damping.least
+        chain, n, base = given.problem.chain, given.problem.chain.n, given.damping.base
         shares = ["Baumgarte stabilisation"] if slows else shares
         scales = (Row(name=f"scale[{name}]", kind="share", owner=name, unit="1") for name in shares)
         variables = (*joint_rows(chain.joint_names, chain.joint_units), *scales)
         rows = Rows(variables, given.bounds.rows, (*chain.loops.solver_rows, *more))
-        super().__init__(given.problem, rows, least)
-        self.tasks, self._bounds, self._least, self._slows = tasks, given.bounds, least, slows
+        super().__init__(given.problem, rows, base)
+        self.tasks, self._bounds, self._base, self._slows = tasks, given.bounds, base, slows
         self.v, self.shares, self._eye = self.solution.v[:n], self.solution.v[n:], np.eye(n)
         self.qp.lb[n:], self.qp.ub[n:] = 0.0, 1.0
         np.fill_diagonal(self.qp.P[n:, n:], SCALE_WEIGHT)
         self.qp.q[n:] = -SCALE_WEIGHT
 
     def assemble(self, state: State, kappa: float, damping: float = 0.0) -> None:
-        """Write objective, limits and loops; kappa in 1/s, damping is added to the least one."""
+        """Write objective, limits and loops; kappa in 1/s, damping is added to the base."""
         qp, n, m, J = self.qp, len(self.v), len(state.e_loop), self.tasks.J
-        self.curvature = self._least + damping
+        self.curvature = self._base + damping
         JW = J.T * self.tasks.weights
         qp.P[:n, :n] = JW.dot(J) + self.curvature * self._eye
         qp.q[:n] = -JW.dot(self.tasks.wanted)
@@ -102,7 +102,7 @@ class Step:
 
     def __init__(self, given: Given, tasks: TaskStack) -> None:
         self._given, self._programs = given, dict[int, Program]()
-        self.tasks, self.curvature = tasks, given.damping.least
+        self.tasks, self.curvature = tasks, given.damping.base
         self.v, self.slope = np.zeros((2, given.problem.chain.n))
 
     def step(self, v: Array, Z: Array, d: float, held: Array | float = 0.0) -> Status:
@@ -112,11 +112,11 @@ class Step:
             return Status.OPTIMAL
         tasks, bounds, program = self.tasks, self._given.bounds, self._program(len(Z))
         qp, solution, C, program.curvature = program.qp, program.solution, bounds.C, d
-        JW, seen = tasks.J.T * tasks.weights, Z.T
-        np.dot(Z.dot(JW), tasks.J.dot(seen), out=qp.P)
+        JW, Z_T = tasks.J.T * tasks.weights, Z.T
+        np.dot(Z.dot(JW), tasks.J.dot(Z_T), out=qp.P)
         qp.P.ravel()[:: len(Z) + 1] += d + held
         qp.q[:] = Z.dot(JW.dot(tasks.J.dot(v) - tasks.wanted) + d * v)
-        rows, of_rows = C.dot(seen), np.linalg.norm(C, axis=1)
+        rows, of_rows = C.dot(Z_T), np.linalg.norm(C, axis=1)
         sizes = np.linalg.norm(rows, axis=1)
         unseen = sizes <= UNSEEN * of_rows
         rows[unseen], sizes[unseen] = 0.0, 1.0  # which ask for nothing
@@ -129,7 +129,7 @@ class Step:
         status = program.solve()
         if not status.usable:
             return Status.INACCURATE
-        np.minimum(np.maximum(v + seen.dot(solution.v), bounds.lb), bounds.ub, out=self.v)
+        np.minimum(np.maximum(v + Z_T.dot(solution.v), bounds.lb), bounds.ub, out=self.v)
         self.slope[:] = JW.dot(tasks.J.dot(self.v) - tasks.wanted) + (solution.z / sizes).dot(C)
         return status
 

@@ -59,7 +59,7 @@ class LimitRecovery:
     def levels(self) -> tuple[Level, Level, Level]:
         """Of the recovery, with all of the Baumgarte correction and a share; of a share alone."""
         given = Given(self._problem, self.bounds, self._damping)
-        back = replace(given, damping=replace(self._damping, least=LEAST_MOTION))
+        back = replace(given, damping=replace(self._damping, base=LEAST_MOTION))
         whole, slowed = Level(back, self._nothing), Level(back, self._nothing, slows=True)
         return whole, slowed, Level(given, self._nothing, slows=True)
 

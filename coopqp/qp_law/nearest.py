@@ -52,24 +52,24 @@ ASIDE = 1e3
 
 
 class Nearest:
-    """Levels of hard and scaled tasks; that of v_s is ``beside``, its last share t."""
+    """Levels of hard and scaled tasks; that of v_s is ``scaling``, its last share t."""
 
     def __init__(self, given: Given, order: Order) -> None:
         self._damping, self._bounds = given.damping, given.bounds
         hard, scaled, none = (TaskStack(t, order.start) for t in (order.hard, order.scaled, ()))
-        least = given.damping.least * (LESS * float(hard.weights.max()) if order.hard else 1.0)
-        firm = replace(given, damping=replace(given.damping, least=least))
+        base = given.damping.base * (LESS * float(hard.weights.max()) if order.hard else 1.0)
+        firm = replace(given, damping=replace(given.damping, base=base))
         self.hard, self._refined = Level(firm, hard), Step(firm, hard)
         self.held = Level(given, none, hard.rows)
         self.scaled = LaterLevel(given, scaled, [hard])
         names = [*(task.name for task in order.scaled), "hard tasks"]
-        self.beside = Level(given, none, [*hard.rows, *scaled.rows], names)
-        self.beside.qp.q[-1] = ASIDE * SCALE_WEIGHT
+        self.scaling = Level(given, none, [*hard.rows, *scaled.rows], names)
+        self.scaling.qp.q[-1] = ASIDE * SCALE_WEIGHT
 
     def of_hard(self, state: State, kappa: float) -> Status:
         """Solve it, by a step from the answer with more damping, which has all its digits."""
         self.hard.tasks.update(state)
-        self.hard.assemble(state, kappa, self._damping.least)
+        self.hard.assemble(state, kappa, self._damping.base)
         status = self.hard.solve()
         return self.damp(state, kappa, np.zeros(1)) if status.usable else status
 

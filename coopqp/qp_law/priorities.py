@@ -90,7 +90,7 @@ class LaterLevel(Step):
         """
         damping = self._given.damping
         needed, own = damping.of(pull[0], state), damping.of_tasks(self.tasks, state)
-        d = damping.least + own + min(needed, MOST_DAMPING)
+        d = damping.base + own + min(needed, MOST_DAMPING)
         self.share = MOST_DAMPING / max(needed, MOST_DAMPING)
         decided = np.concatenate([stack.J for stack in self._before])
         if not np.isfinite(decided).all():

@@ -23,7 +23,7 @@ class StepVerification:
 
     def __init__(self, problem: ControlProblem) -> None:
         self._dt, self._second_order = problem.dt, opening(problem.chain, problem.dt)
-        self._most = np.array([problem.budget.loop_position, problem.budget.loop_orientation])
+        self._budget = np.array([problem.budget.loop_position, problem.budget.loop_orientation])
         self._chain, self._lengths = problem.chain, np.array([problem.chain.reach, 1.0])
 
     def shorten(self, state: State, command: Command) -> None:
@@ -42,20 +42,20 @@ class StepVerification:
         """Whether the loops are within budget after a step v dt, or no worse than before it."""
         now = state.closed_error
         opened = self._lengths * self._second_order.dot(v * v).max(initial=0.0)
-        if (2.0 * norm(now) + opened <= self._most).all():
+        if (2.0 * norm(now) + opened <= self._budget).all():
             return True
         then = self._chain.loop_error(state.q + self._dt * v) - state.loop_offset[: len(now)]
         # A loop that is open already may be closed by steps that leave it open for now.
-        return bool((_sizes(then) <= np.maximum(_sizes(now), self._most)).all())
+        return bool((_sizes(then) <= np.maximum(_sizes(now), self._budget)).all())
 
 
 def drift_gain(problem: ControlProblem, state: State, share: float = 1.0) -> float:
     """Baumgarte gain: a share of the problem's, or more as the budget is used up (if kappa = 0)."""
-    slow, most, budget = share * problem.kappa, 1.0 / problem.dt, problem.budget
-    if slow >= most:
+    slow, fast, budget = share * problem.kappa, 1.0 / problem.dt, problem.budget
+    if slow >= fast:
         return slow
     sizes = _sizes(state.closed_error) / (budget.loop_position, budget.loop_orientation)
-    return max(slow, min(max(2.0 * float(sizes.max(initial=0.0)) - 1.0, 0.0), 1.0) * most)
+    return max(slow, min(max(2.0 * float(sizes.max(initial=0.0)) - 1.0, 0.0), 1.0) * fast)
 
 
 def _sizes(error: Array) -> Array:

@@ -31,10 +31,8 @@ class ExampleRobot(DescribedRobot):
         return _described(known[self.name])
 
 
-@lru_cache(maxsize=16)
-def _described(file: Path) -> Description:
-    """What a file says; the files of an installed package do not change."""
-    return read_urdf(file)
+#: The files of an installed package do not change.
+_described = lru_cache(maxsize=16)(read_urdf)
 
 
 def robots() -> dict[str, Path]:

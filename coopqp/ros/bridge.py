@@ -311,7 +311,7 @@ class Bridge:
             turned = pin.Quaternion(state.R_WO).coeffs()
             self._transport.place(state.p_WO.tolist(), turned.tolist())
         self._causes |= dict.fromkeys(command.causes)
-        self._told = command.told or self._told
+        self._told = command.messages or self._told
         if self._loop.now - self._reported_at >= settings.diagnostics_every:
             self.say()
 

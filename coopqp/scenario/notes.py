@@ -185,7 +185,7 @@ def _of_friction(scenario: Scenario) -> Iterator[str]:
 def of_faults(scenario: Scenario) -> Iterator[str]:
     """Faults that the run has, so that nobody takes them for the controller's."""
     if faults := scenario.disturbance.faults:
-        yield f"injected: {', '.join(fault.words for fault in faults)}"
+        yield f"injected: {', '.join(fault.description for fault in faults)}"
 
 
 def _coarse_steps(scenario: Scenario) -> Iterator[str]:

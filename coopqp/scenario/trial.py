@@ -5,23 +5,26 @@ nearby, with the loops closed, along a random v that keeps them closed: central 
 along v at one time must be J v, and over time at one configuration -rate. Without such a
 derivative, only the declaration is tried: ``joint_space`` (J is the identity), ``asks_velocity`` (e
 is zero), and e and rate always zero (J v itself is the error).
+
+A limit with a clearance promises that its rows are dampers: G v is how fast the clearance shrinks.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import FrozenInstanceError, dataclass
 from functools import cached_property
+from typing import Any, TypeVar
 
 import numpy as np
 
 from coopqp.base.errors import CoopqpError, InvalidValueError
-from coopqp.base.qp import names_of
+from coopqp.base.qp import Row, names_of
 from coopqp.base.rank import null_space
 from coopqp.base.spec import Array, taken_names, type_name
 from coopqp.base.wording import counted, raised, written_in
-from coopqp.limit import Limit, LimitRows
+from coopqp.limit import Clearance, Limit, LimitRows, Tighten
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.marker import markers_fault
 from coopqp.model.state import State
@@ -49,6 +52,9 @@ STEP = 1e-6
 FAR = 1e4
 #: What derivatives may differ by: a share of their size, and of one unit per second.
 RELATIVE, ABSOLUTE = 1e-3, 1e-5
+
+
+Made = TypeVar("Made")
 
 
 @dataclass(frozen=True)
@@ -97,9 +103,10 @@ def try_task(task: Task, places: Places, duration: float) -> None:
     with blamed(task):
         start = places.start
         names = task.rows(start.chain)
+        _check_list("rows", names, str, "names, such as ('z',)")
         _check_parts(names, task.parts(start.chain))
         columns = 6 * start.chain.holding if task.of_forces else start.chain.n
-        look = _Look(task, names, task.bind(start), columns)
+        look = _Look(task, names, _function(task.bind(start)), columns)
         look.at(start, start.t)
         for t in (0.0, duration):
             _check_marks(task.marks(Moment(t)))
@@ -128,6 +135,19 @@ def _check_parts(names: Sequence[str], parts: Sequence[Part]) -> None:
     _check_names("parts", [part.name for part in parts])
     if wrong := [part.tolerance for part in parts if not part.tolerance > 0.0]:
         raise _PromiseError(f"parts(): found a tolerance of {wrong[0]}, needs more than 0")
+
+
+def _check_list(method: str, found: Any, of: type, what: str) -> None:
+    """Refuse a text, whose letters are texts as well, and one thing where several belong."""
+    one = isinstance(found, str) or not isinstance(found, Sequence)
+    if one or not all(isinstance(each, of) for each in found):
+        raise _PromiseError(f"{method}() gives {found!r:.60}, needs a tuple of {what}")
+
+
+def _function(found: Made) -> Made:
+    if not callable(found):
+        raise _PromiseError(f"bind() gives {found!r:.60}, needs to return the function inside it")
+    return found
 
 
 def _check_names(method: str, names: Sequence[str]) -> None:
@@ -159,9 +179,9 @@ class _Look:
         rows = self.at(place.here, t)
         moved = self.at(place.ahead, t).e - self.at(place.behind, t).e
         passed = self.at(place.here, t + STEP).e - self.at(place.here, t - STEP).e
-        return self._compare("J v", rows.J @ place.v, moved / (2.0 * STEP)) or self._compare(
-            "rate", rows.rate, -passed / (2.0 * STEP)
-        )
+        return _disagreement(
+            self.names, "J v", rows.J @ place.v, "e", moved / (2.0 * STEP)
+        ) or _disagreement(self.names, "rate", rows.rate, "e", -passed / (2.0 * STEP))
 
     def too_far(self, place: _Nearby, t: float) -> InvalidValueError | None:
         """What to say where errors are so large that differences of them are lost in rounding."""
@@ -172,16 +192,20 @@ class _Look:
         row = self.names[int(e.argmax())]
         return InvalidValueError(f"row {row}: is {e.max():.3g} off, {words}")
 
-    def _compare(self, what: str, promised: Array, measured: Array) -> str:
-        allowed = RELATIVE * (np.abs(promised) + np.abs(measured)) + ABSOLUTE
-        deviation = np.abs(promised - measured) - allowed
-        row = int(np.argmax(deviation))
-        if deviation[row] <= 0.0:
-            return ""
-        return (
-            f"row {self.names[row]}: {what} is {promised[row]:.4g}, finite differences of e say "
-            f"{measured[row]:.4g}"
-        )
+
+def _disagreement(
+    names: Sequence[str], what: str, promised: Array, of: str, measured: Array
+) -> str:
+    """The row in which a rate is farthest from what finite differences say; empty where none is."""
+    allowed = RELATIVE * (np.abs(promised) + np.abs(measured)) + ABSOLUTE
+    deviation = np.abs(promised - measured) - allowed
+    if (deviation <= 0.0).all():
+        return ""
+    row = int(np.argmax(deviation))
+    return (
+        f"row {names[row]}: {what} is {promised[row]:.4g}, finite differences of {of} say "
+        f"{measured[row]:.4g}"
+    )
 
 
 def _check_identity(names: Sequence[str], J: Array) -> None:
@@ -204,9 +228,10 @@ def try_limit(limit: Limit, places: Places, dt: float) -> None:
     """CoopqpError: the limit cannot be bound, raises, or does not write what it must."""
     with blamed(limit):
         start, chain = places.start, places.start.chain
+        _check_list("rows", limit.rows(chain), Row, "Rows, (Row(...),)")
         names = names_of(limit.rows(chain))
         _check_names("rows", names)
-        tighten = limit.bind(chain, dt)
+        tighten = _function(limit.bind(chain, dt))
         _check_marks(limit.marks(0.0))
         for state in (start, *(place.here for place in places.nearby)):
             # Rows that it leaves as they were show as NaN in h; zeros of G need not be written.
@@ -221,6 +246,28 @@ def try_limit(limit: Limit, places: Places, dt: float) -> None:
                 if not h > -np.inf:
                     raise _PromiseError(f"row {name}: h is {h} or not written, needs a number")
             _check_bounds(chain, open_, shut, inside=state is start and chain.starts_inside)
+        if left := limit.clearance(chain):
+            for i, place in enumerate(places.nearby):
+                if _not_damped(tighten, left, names, place) and (
+                    wrong := _not_damped(tighten, left, names, places.farther[i])
+                ):
+                    raise _PromiseError(wrong)
+
+
+def _not_damped(tighten: Tighten, left: Clearance, names: Sequence[str], place: _Nearby) -> str:
+    """The row whose G v is not how fast its clearance shrinks; of what is far both may be still."""
+    n, p = len(place.v), len(names)
+    rows = LimitRows(np.full(n, -np.inf), np.full(n, np.inf), np.zeros((p, n)), np.full(p, np.inf))
+    evaluate_all([(tighten, rows)], place.here)
+    ahead, behind = (np.asarray(left(state), float) for state in (place.ahead, place.behind))
+    if ahead.ndim != 1 or len(ahead) > p:
+        needs = f"needs a list of at most {counted(p, 'number')}, one a row"
+        raise _PromiseError(f"clearance() gives the shape {ahead.shape}, {needs}")
+    G = rows.G[: len(ahead)]
+    shrinks = (behind - ahead) / (2.0 * STEP)
+    both = G.any(axis=1) & (shrinks != 0.0) & np.isfinite(shrinks)
+    shrinks[~both] = 0.0
+    return _disagreement(names, "G v", G @ place.v * both, "clearance()", shrinks)
 
 
 def _check_finite(key: str, names: Sequence[str], values: Array, chain: ClosedChain) -> None:
@@ -273,5 +320,8 @@ def blamed(plugin: Task | Limit | Plant, method: str = "bind") -> Iterator[None]
         raise
     except _PromiseError as error:
         raise InvalidValueError(f"{file}: {error}") from None
+    except FrozenInstanceError as error:
+        words = "rows are written in place: rows.e[:] = ..."
+        raise InvalidValueError(f"{raised(error, file)}; {words}") from error
     except BaseException as error:
         raise InvalidValueError(raised(error, file)) from error

@@ -46,22 +46,17 @@ class Circle(Signal):
         check_speed("circle.period", 2.0 * math.pi * self.radius / self.period)
         return _Round(kind, self)
 
-    @property
-    def axes(self) -> Array:
-        """U and w as rows, shape (2, 3)."""
-        first, _, n = axes_along(self.normal)
-        if self.begin is not None:
-            first = np.array(self.begin) - (n @ np.array(self.begin)) * n
-            first /= np.linalg.norm(first)
-        return np.array([first, np.cross(n, first)])
-
 
 class _Round(Trajectory):
     moves = True
 
     def __init__(self, kind: Kind, circle: Circle) -> None:
         self._center = np.array(circle.center)
-        self._axes = circle.radius * circle.axes
+        u, _, n = axes_along(circle.normal)
+        if circle.begin is not None:
+            u = np.array(circle.begin) - (n @ np.array(circle.begin)) * n
+            u /= np.linalg.norm(u)
+        self._axes = circle.radius * np.array([u, np.cross(n, u)])
         self._speed, self._ramp = 2.0 * math.pi / circle.period, circle.ramp
         super().__init__(kind, self._center + self._axes[0])
 

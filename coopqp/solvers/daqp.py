@@ -62,18 +62,16 @@ class Daqp(Solver):
         clean = np.zeros(qp.n + qp.p + qp.m, dtype=np.intc)
         clean[qp.n + qp.p :] = EQUALITY
         sense = clean.copy()
-        first = {
-            "primal_tol": self.primal_tol,
-            "dual_tol": self.dual_tol,
-            "iter_limit": self.iter_limit,
-        }
-        second = {**first, "primal_tol": self.second_tol}
-        last = {**second, "primal_tol": self.last_tol, "eps_prox": self.prox}
-        first["sing_tol"] = self.sing_tol
+        common = {"dual_tol": self.dual_tol, "iter_limit": self.iter_limit}
+        tries = (
+            {**common, "primal_tol": self.primal_tol, "sing_tol": self.sing_tol},
+            {**common, "primal_tol": self.second_tol},
+            {**common, "primal_tol": self.last_tol, "eps_prox": self.prox},
+        )
 
         def solve() -> None:
             flag = CYCLING
-            for settings in (first, second, last):
+            for settings in tries:
                 before = flag
                 sense[:] = clean
                 v, _, flag, info = daqp.solve(

@@ -39,9 +39,9 @@ class Osqp(Solver):
         constraint osqp would print that there is nothing to polish, whatever its verbosity.
         """
         n, rows = qp.n, qp.p + qp.m
-        upper = np.triu_indices(n)
-        order = np.lexsort((upper[0], upper[1]))  # column by column, as CSC stores them
-        row, column = upper[0][order], upper[1][order]
+        half = np.triu_indices(n)
+        order = np.lexsort((half[0], half[1]))  # column by column, as CSC stores them
+        row, column = half[0][order], half[1][order]
         ends = np.cumsum([0, *range(1, n + 1), 1])
         cost = np.append(qp.P[row, column], LEAN)
         P = scipy.sparse.csc_matrix((cost, np.append(row, n), ends), shape=(n + 1, n + 1))
@@ -55,9 +55,9 @@ class Osqp(Solver):
             shape=(n + rows + 1, n + 1),
         )
         backend = osqp.OSQP()
-        least, most = np.minimum(qp.lower, qp.upper), np.maximum(qp.lower, qp.upper)
+        lower, upper = np.minimum(qp.lower, qp.upper), np.maximum(qp.lower, qp.upper)
         backend.setup(  # refuses bounds that cross, which a tick may have
-            P, np.append(qp.q, -LEAN), A, np.append(least, -np.inf), np.append(most, 0.0),
+            P, np.append(qp.q, -LEAN), A, np.append(lower, -np.inf), np.append(upper, 0.0),
             eps_abs=self.eps_abs, eps_rel=0.0, eps_prim_inf=self.eps_prim_inf,
             max_iter=self.max_iter, verbose=False, polishing=True, warm_starting=True,
         )  # fmt: skip

@@ -38,15 +38,16 @@ class Proxqp(Solver):
         backend.settings.max_iter_in = self.max_iter_in
         backend.settings.initial_guess = proxqp.InitialGuess.WARM_START_WITH_PREVIOUS_RESULT
         unbounded = np.full(qp.p, -np.inf)
-        backend.init(qp.P, qp.q, qp.A, qp.b, qp.G, unbounded, qp.h, qp.lb, qp.ub)
+        problem = qp.P, qp.q, qp.A, qp.b, qp.G, unbounded, qp.h, qp.lb, qp.ub
+        backend.init(*problem)
 
         def solve() -> None:
-            backend.update(qp.P, qp.q, qp.A, qp.b, qp.G, unbounded, qp.h, qp.lb, qp.ub)
+            backend.update(*problem)
             backend.solve()
             if backend.results.info.status != proxqp.PROXQP_SOLVED:
                 # A far warm start makes it call feasible problems infeasible: ask again, cold.
                 backend.cleanup()
-                backend.update(qp.P, qp.q, qp.A, qp.b, qp.G, unbounded, qp.h, qp.lb, qp.ub)
+                backend.update(*problem)
                 backend.solve()
             results = backend.results
             solution.v[:] = results.x

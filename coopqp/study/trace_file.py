@@ -117,7 +117,6 @@ def _phase(run: Run, problem: ControlProblem, begin: str, v_before: Array | None
         loop_position=loop[:, 0], loop_orientation=loop[:, 1],
         task_error=_errors(run, layout, tasks), goal_error=nothing,
         task_rows=rows, e=e, rate=rate,
-        usable=np.array([cause.usable for cause in causes]), inaccurate=np.zeros(ticks, bool),
         status=tuple(steps.columns["status"].tolist()), scale=np.ones(ticks),
         compiled=np.zeros(ticks, bool), tick_us=np.zeros(ticks), points={}, supports=frozenset(),
         failures=tuple(failed),

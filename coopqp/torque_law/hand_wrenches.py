@@ -124,7 +124,7 @@ class HandWrenches:
             Row(name=f"contact[{arm}].{label}", kind="hand", owner=arm, unit="N")
             for arm, label in names
         )
-        self.stated = np.concatenate([*(rows.most for *_, rows in pressing), np.zeros(0)])
+        self.stated = np.concatenate([*(rows.upper for *_, rows in pressing), np.zeros(0)])
         self.upper = self.stated.copy()
         self.in_cone = np.array([label not in ("least", "most") for _, label in names], float)
         self.cones = np.zeros((len(self.upper), self.size))

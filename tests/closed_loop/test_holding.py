@@ -77,7 +77,7 @@ def at_corners(pad: Contact) -> tuple[Array, Array, Array]:
     _, _, fz, tx, ty, _ = does
     tilts = [tx - Y * fz, -tx - Y * fz, ty - X * fz, -ty - X * fz]
     rows = np.vstack([np.kron(np.eye(4), square), *tilts, -fz])
-    return does, rows, -pad.least * np.array([0.0] * 16 + [Y, Y, X, X, 1.0])
+    return does, rows, -pad.min_force * np.array([0.0] * 16 + [Y, Y, X, X, 1.0])
 
 
 def squeezed(chain: ClosedChain, hinged: Array | None = None) -> float:

@@ -108,7 +108,7 @@ def test_words_are_made_once_and_only_where_they_are_read(chain: ClosedChain) ->
     assert command.note == command.copy().note
     assert asked == [1]
     law.says = Status.OPTIMAL
-    assert law.tick(law.start()).told == ()
+    assert law.tick(law.start()).messages == ()
     assert (law.command.note, command.note) == ("", "'reach' made soft")
 
 

@@ -133,14 +133,14 @@ def test_what_tilts_a_pad_is_counted_on_short_of_its_edge() -> None:
         for share, counted_on in ((0.999, True), (1.001, False)):
             w = np.array([0.0, 0.0, 10.0, 0.0, 0.0, 0.0])
             w[axis] = -share * 0.9 * half * (10.0 - 2.0)
-            assert (kept.rows @ w <= kept.most).all() == counted_on
+            assert (kept.rows @ w <= kept.upper).all() == counted_on
             w[axis] = share * half * 10.0
             assert (friction_for(pad, w) <= 0.5) == counted_on
     left = [label for label in kept.labels if label.startswith("edge")]
     assert len(left) == 4
     # Without tilt, friction and normal force are what they are on the whole pad.
     w = np.array([0.0, 0.999 * 10.0 * 0.5 / 1.5 / math.sqrt(2.0), 10.0, 0.0, 0.0, 0.0])
-    assert (kept.rows @ w <= kept.most).all()
+    assert (kept.rows @ w <= kept.upper).all()
 
 
 def test_beyond_a_pads_edge_friction_is_told_as_on_it_and_the_edge_by_itself() -> None:

@@ -81,7 +81,7 @@ def test_ranks_are_decided_in_python(controller: Controller, chain: ClosedChain)
 def test_python_does_what_the_kernel_cannot(chain: ClosedChain) -> None:
     """Loops that change, measured joints, states that are none."""
     varying = Pseudoinverse().build(problem(short_pair(), JointCentering(gain=0.5)))
-    assert formula.why_not(varying.problem) or not varying.tick(varying.start()).told
+    assert formula.why_not(varying.problem) or not varying.tick(varying.start()).messages
     law = Pseudoinverse().build(problem(chain, PointOnPoint(goal=NEAR)))
     assert law.tick(law.start(q_measured=chain.q_start)).status is Status.OPTIMAL
     assert not law.compiled

@@ -303,7 +303,7 @@ def pressed(found: TimedPath, safety: float) -> float:
             h = moved(0.5 * w + internal, now.p_WO, at)
             h = in_axes(h, (now.R_WO @ hand.X_OC.rotation).T)
             cone = hand.contact.force_rows(safety)
-            worst = max(worst, float((cone.rows @ h - cone.most).max()))
+            worst = max(worst, float((cone.rows @ h - cone.upper).max()))
     return worst
 
 

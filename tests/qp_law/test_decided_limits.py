@@ -17,7 +17,7 @@ def test_a_limit_gives_way_continuously_as_its_share_vanishes(chain: ClosedChain
     start = Order(problem).start
     bounds = Bounds((), start, laws.DT)
     bounds.lb[1] = 0.0
-    damping = Damping(least=1.0, share=0.0, dt=laws.DT)
+    damping = Damping(base=1.0, share=0.0, dt=laws.DT)
     step = Step(Given(problem, bounds, damping), TaskStack((), start))
     v = np.eye(chain.n)[0]
 

@@ -111,7 +111,6 @@ def test_solver_that_always_fails_leaves_the_robot_standing(
         on_infeasible=on_infeasible,
     )
     trace = run(PLAIN, given, 30)
-    assert not trace.usable.any()
     assert not trace.v.any()
     np.testing.assert_array_equal(trace.q, np.tile(chain.q_start, (31, 1)))
     assert len(trace.failures) == 30

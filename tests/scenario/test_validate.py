@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -13,7 +14,7 @@ import pytest
 from scenario_files import LOADABLE
 
 from coopqp import CoopqpError, Limit, LimitRows, Row, ScenarioError, State, Task, TaskRows, spec
-from coopqp.limit import Tighten
+from coopqp.limit import Clearance, Tighten
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.model.profile import Profile
 from coopqp.scenario.catalog import Catalog
@@ -105,8 +106,13 @@ BROKEN = {
         ("s = min(state.t, 1.0)", "s = 1 / 0"),
         r":18: raises ZeroDivisionError: division by zero",
     ),
-    "no function": (("return evaluate", "return None"), r"raises TypeError: 'NoneType'"),
+    "no function": (("return evaluate", "return None"), r"bind\(\) gives None, needs to return"),
     "no rows": (('return ("y", "z")', "return ()"), r"rows\(\) names 0 rows"),
+    "a text": (('("y", "z")', '("up")'), r"rows\(\) gives 'up', needs a tuple of names"),
+    "not in place": (
+        ("rows.J[:] = state.J_task[1:3]", "rows.J = state.J_task[1:3]"),
+        r":20: raises FrozenInstanceError: .*rows are written in place: rows\.e\[:\] = \.\.\.$",
+    ),
     "an error of its own": (
         ("y, z = start", "raise InvalidValueError('lift.height: too high')"),
         r"lift\.yaml:4: tasks\[0\]: lift\.height: too high$",
@@ -308,6 +314,53 @@ def test_a_broken_limit_is_told_with_its_file(how: str, words: str, places: Plac
         try_limit(_Bound(how=how), places, 0.01)
     assert str(caught.value).startswith(__file__)
     assert "\n" not in str(caught.value)
+
+
+@spec
+class _Damper(Limit):
+    """The object stays below a height, or does not."""
+
+    left: Callable[[float], object]
+    """What is said to be left below it."""
+
+    def rows(self, chain: ClosedChain) -> tuple[Row, ...]:
+        return (Row(name="limit.ceiling", kind="limit", unit="m", of_place=True),)
+
+    def bind(self, chain: ClosedChain, dt: float) -> Tighten:
+        def tighten(state: State, rows: LimitRows) -> None:
+            rows.G[0], rows.h[0] = state.J_task[2], 1.0
+
+        return tighten
+
+    def clearance(self, chain: ClosedChain) -> Clearance:
+        return lambda state: self.left(state.p_WO[2])  # type: ignore[return-value]
+
+
+def test_rows_of_a_limit_are_rows(places: Places) -> None:
+    class Texts(_Damper):
+        def rows(self, chain: ClosedChain) -> Any:
+            return ("limit.ceiling",)
+
+    with pytest.raises(
+        CoopqpError, match=r"rows\(\) gives \('limit.ceiling',\), needs a tuple of Rows"
+    ):
+        try_limit(Texts(left=lambda z: [z]), places, 0.01)
+
+
+def test_rows_of_a_limit_in_space_are_how_fast_its_clearance_shrinks(places: Places) -> None:
+    try_limit(_Damper(left=lambda z: np.array([1.0 - z])), places, 0.01)
+    try_limit(_Damper(left=lambda z: [np.inf]), places, 0.01)  # which is far
+    for left, words in (
+        (lambda z: [z], r"row limit\.ceiling: G v is .*finite differences of clearance\(\) say"),
+        (
+            lambda z: 1.0 - z,
+            r"clearance\(\) gives the shape \(\), needs a list of at most 1 number",
+        ),
+        (lambda z: [1.0 - z, 1.0], r"clearance\(\) gives the shape \(2,\), needs"),
+        (lambda z: 1.0 / 0.0, r"test_validate\.py:\d+: raises ZeroDivisionError"),
+    ):
+        with pytest.raises(CoopqpError, match=words):
+            try_limit(_Damper(left=left), places, 0.01)
 
 
 # What is shipped.

@@ -94,7 +94,7 @@ def _run(seed: int, solver: Solver, plant: Plant) -> Rollout:
         grasp=drawn.grasp,
         errors=faults[0].kind if len(faults) == 1 else "two at a time",
         outcome="silent" if silent else "spoken",
-        reason=", ".join(fault.words for fault in faults),
+        reason=", ".join(fault.description for fault in faults),
         broken=(*signs.violations(record, problem.budget), *untrue(record, lost)),
         ticks=len(v),
         position_excess=signs.position_excess(record),

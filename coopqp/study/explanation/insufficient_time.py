@@ -189,7 +189,7 @@ def _misled_by_model(phase: ExplainedPhase) -> str:
     if known == Disturbance() or not reaches(disturbance=Disturbance()):
         return ""
     if known.faults:
-        named = words.listed([fault.words for fault in known.faults])
+        named = words.listed([fault.description for fault in known.faults])
         return f"it has faults ({named}): without the disturbance {reached}"
     mass, right = known.object_mass * held.mass, replace(known, object_mass=1.0)
     if right != known and reaches(disturbance=right, held=replace(held, mass=mass)):
