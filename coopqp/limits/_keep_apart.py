@@ -71,7 +71,7 @@ class KeepApart(Limit):
     """A limit that keeps pairs of bodies at a distance, by dampers."""
 
     name: Name
-    """Yours for it."""
+    """Your name for it in rows and tables; give it when there are several."""
     distance: NonNegative = 0.01
     """Kept free between two that are watched [m]."""
     gain: Positive = 10.0

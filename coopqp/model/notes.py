@@ -90,7 +90,7 @@ class Why:
             if first <= limit.sacrificed_first:
                 with suppressed():
                     margins = limit.margins(problem.chain, q, v, dt)
-                    found |= {row.words: float(left[-1]) for row, left in margins.items()}
+                    found |= {row.label: float(left[-1]) for row, left in margins.items()}
         least = sorted((left, name) for name, left in found.items() if left <= REACHED)
         return words * bool(least) + ", ".join(name for _, name in least[:MOST_NAMED])
 

@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 
 from coopqp.base.errors import InvalidValueError
-from coopqp.base.reading import open_bytes
+from coopqp.base.reading import Table, open_bytes, read_table
 from coopqp.base.spec import Array
-from coopqp.base.table import Table, read_table
 from coopqp.execution.controller_run import run
 from coopqp.model.profile import Profile
 from coopqp.plant import Disturbance

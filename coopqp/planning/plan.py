@@ -246,7 +246,7 @@ class Planner:
             clearance = space.room.at(q)
             row = space.room.rows[int(clearance.argmin())]
             raise InvalidValueError(
-                f"start: {row.words} is {-1e3 * clearance.min():.2f} mm less than its limit keeps; "
+                f"start: {row.label} is {-1e3 * clearance.min():.2f} mm less than its limit keeps; "
                 "move the start, or let the limit keep less"
             ).at("start")
 

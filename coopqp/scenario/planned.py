@@ -16,9 +16,8 @@ import numpy as np
 import coopqp
 from coopqp.assessment.limits import audit
 from coopqp.base.errors import InvalidValueError, require_known, under
-from coopqp.base.reading import FilePath
+from coopqp.base.reading import FilePath, Table, read_table
 from coopqp.base.spec import Array, Name, NonNegative, Positive, spec
-from coopqp.base.table import Table, read_table
 from coopqp.closed_loop.grasp_matrix import COMPONENTS
 from coopqp.controller import Controller, ControlProblem
 from coopqp.model.closed_chain import ClosedChain
@@ -212,5 +211,5 @@ def _beyond(problem: ControlProblem, t: Array, q: Array) -> str:
         for row, margin in audit([limit], problem.chain, rows, v, problem.dt).margins.items():
             if row.unit in OF_SPEED and len(v) and (least := float(margin.min())) < -BEYOND:
                 place = f"at {at[int(margin.argmin()) + 1]:.3f} s"
-                return f"{row.words} is broken by {-least:.2g} {row.unit} {place}"
+                return f"{row.label} is broken by {-least:.2g} {row.unit} {place}"
     return ""

@@ -21,9 +21,8 @@ from pydantic import Field
 
 from coopqp.assessment.limits import audit
 from coopqp.base.errors import CoopqpError, Fault, InvalidValueError, ScenarioError
-from coopqp.base.reading import absolute
+from coopqp.base.reading import Table, absolute
 from coopqp.base.spec import Array, Name, NonNegative, Pose, Positive, type_name
-from coopqp.base.table import Table
 from coopqp.base.wording import dotted
 from coopqp.closed_loop.forces import contact_faults
 from coopqp.controller import Controller, ControlProblem, OnInfeasible, period_fault
@@ -181,11 +180,9 @@ class Scenario:
     catalog: Annotated[Catalog, NO_KEY] = field(default_factory=Catalog, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        looked_at = (
-            (name, _stranger(getattr(self, name), hint)) for name, hint in _types().items()
-        )
-        if strange := [f"{name}: {words}" for name, words in looked_at if words]:
-            raise InvalidValueError("\n".join(strange))
+        wrong_types = {key: _wrong_type(getattr(self, key), hint) for key, hint in _hints().items()}
+        if found := [f"{key}: {message}" for key, message in wrong_types.items() if message]:
+            raise InvalidValueError("\n".join(found))
         wrong = period_fault(self.dt)
         found = [f"dt: {wrong}"] if wrong else []
         found += [
@@ -407,11 +404,11 @@ WIDER: dict[Any, tuple[Any, str]] = {
 
 
 @functools.cache
-def _types() -> dict[str, Any]:
+def _hints() -> dict[str, Any]:
     return typing.get_type_hints(Scenario)
 
 
-def _stranger(value: Any, hint: Any) -> str:
+def _wrong_type(value: Any, hint: Any) -> str:
     """What is wrong with a value that is of another type than it must be; empty where it is not."""
     options = typing.get_args(hint) if typing.get_origin(hint) in UNIONS else (hint,)
     needed = []
@@ -423,7 +420,7 @@ def _stranger(value: Any, hint: Any) -> str:
         if isinstance(value, kind) and not truth:
             part = [p for p in typing.get_args(option) if isinstance(p, type) and p is not str]
             inside = value.values() if isinstance(value, Mapping) else value
-            words = [words for x in inside if (words := _stranger(x, part[0]))] if part else []
+            words = [words for x in inside if (words := _wrong_type(x, part[0]))] if part else []
             return words[0].replace(", needs", " in it, needs") if words else ""
         needed += [called] if option is not type(None) else []
     return f"found {value!r:.60}, needs {' or '.join(needed)}"

@@ -80,7 +80,7 @@ class _Explainer:
             record = record_tick(self._law, state, scenario="", controller=self._name, tick=0)
         except CoopqpError as error:
             return (), str(error)
-        return tuple(row.words for row in at_bound(record)), explain(record).sentence
+        return tuple(row.label for row in at_bound(record)), explain(record).sentence
 
 
 def serve_ways(peer: Peer, scenario: Scenario) -> None:

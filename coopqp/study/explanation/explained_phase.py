@@ -414,7 +414,7 @@ def with_suggestion(
     if suggestion is None:
         return base.because("limits", sentence, shares)
     needs = tuple(
-        Needed(limit=n.row.name, words=n.row.words, amount=n.amount, unit=n.row.unit)
+        Needed(limit=n.row.name, words=n.row.label, amount=n.amount, unit=n.row.unit)
         for n in suggestion.needs
     )
     tried, time = suggestion.reached, suggestion.time
@@ -447,7 +447,7 @@ def needed(needs: Sequence[Violation], *, alone: bool = True) -> str:
     """Limits with their relaxations; the verb with the first."""
     clauses: list[str] = []
     for need in needs:
-        name = need.row.words if need.limit is None else need.row.owner.replace("_", " ")
+        name = need.row.label if need.limit is None else need.row.owner.replace("_", " ")
         amount = words.size(need.amount, need.row.unit)
         verb = "would need " if alone and not clauses else ""
         clauses.append(f"{name} {verb}{amount} more{'' if need.limit is None else ' room'}")

@@ -51,7 +51,7 @@ def percent(share: float) -> str:
 
 def with_note(row: Row, note: str) -> str:
     """A limit's words with a note in its brackets."""
-    words = row.words
+    words = row.label
     return f"{words[:-1]}, {note})" if words.endswith(")") else f"{words} ({note})"
 
 
@@ -78,7 +78,7 @@ def holding(shares: Sequence[Share]) -> str:
     if not shares:
         return "the limits hold it back"
     if len(shares) == 1:
-        return f"{shares[0].row.words} holds it back alone"
+        return f"{shares[0].row.label} holds it back alone"
     return f"{_first(_with_percents(shares, ' of the force'))} hold it back"
 
 
@@ -119,7 +119,7 @@ def start(q: Array, chain: ClosedChain) -> str:
 def _reach(found: TooFar) -> str:
     part, several, named = found.part, len(found.shares) > 1, found.shares[:MAX_NAMED]
     text, unit = part.task.name, part.part.unit
-    held = listed(_with_percents(named) if several else [share.row.words for share in named])
+    held = listed(_with_percents(named) if several else [share.row.label for share in named])
     if found.cost > found.distance:
         verb = "hold" if several else "holds"
         text = f"{held} {verb} {text} back by {size(found.cost, unit)}; beyond that it"
@@ -181,7 +181,7 @@ def opened(found: Assessment, kappa: float) -> str:
 def broken(found: Assessment) -> str:
     """Limits that a run went beyond; empty where there are none."""
     violated = [o for o in (*found.joints, *found.limits, *found.speeds) if o.farther]
-    amounts = [f"{o.row.words} by {size(o.by, o.row.unit)}" for o in violated]
+    amounts = [f"{o.row.label} by {size(o.by, o.row.unit)}" for o in violated]
     return f"beyond limits: {_first(amounts)}" if amounts else ""
 
 
@@ -263,7 +263,7 @@ class RunExplanation:
     ) -> RunExplanation:
         """With its cause, in words after what it misses, and more attributes."""
         sentence = f"{self.sentence}; {words}" if self.sentence else words
-        held = tuple(HeldBack(limit=s.row.name, words=s.row.words, share=s.share) for s in shares)
+        held = tuple(HeldBack(limit=s.row.name, words=s.row.label, share=s.share) for s in shares)
         return replace(self, kind=kind, sentence=sentence, held_back=held, **more)
 
     def as_json(self) -> dict[str, Any]:
