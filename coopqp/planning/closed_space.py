@@ -7,7 +7,7 @@ good as the mean logarithm of the smallest singular value of its followers' colu
 """
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
@@ -221,7 +221,9 @@ def _charts(chain: ClosedChain, J: Array) -> NDArray[np.bool_]:
     charts, worst = [], 0.0
     for leader in chain.arms[: chain.holding]:
         own = [chain.joint_names.index(joint) for joint in chain.robot.arm_joints(leader)]
-        for follow in _best(J, _followers(chain.n, own, rank)):
+        sets = filter(None, _followers(chain.n, own, rank))
+        worth = {follow: float(np.log(_least(J, follow) + 1e-4).mean()) for follow in sets}
+        for follow in sorted(worth, key=lambda one: -worth[one])[:EACH]:
             charts.append(np.isin(np.arange(chain.n), follow, invert=True))
             worst = max(worst, float((_least(J, follow) < DEPENDENT).mean()))
     if worst > MOST or not charts:
@@ -237,12 +239,6 @@ def _followers(n: int, leading: Sequence[int], rank: int) -> Iterator[tuple[int,
         return
     for more in itertools.islice(itertools.combinations(leading, rank - len(others)), MOST_SETS):
         yield (*others, *more)
-
-
-def _best(J: Array, sets: Iterable[tuple[int, ...]]) -> list[tuple[int, ...]]:
-    """The sets of followers that are worth most."""
-    worth = {follow: float(np.log(_least(J, follow) + 1e-4).mean()) for follow in sets if follow}
-    return sorted(worth, key=lambda follow: -worth[follow])[:EACH]
 
 
 def _least(J: Array, follow: Sequence[int]) -> Array:

@@ -194,39 +194,32 @@ class RowMaker:
     def at(self, s: Array) -> Rows:
         """The rows at places of shape (N,)."""
         along = self.path.at(s, self.loops)
-        a, b, c = self.torques(along)
         J = relative(along.moved.J)[:, self.kept]
         N, m, at, quick = len(s), J.shape[1], self._limited, self._quick
         nothing, free = np.zeros_like(along.q), np.zeros((N, m))
-        cones = self._cones.at(self.loads, along, self.kept)
+        cones, cones_by_wrench = self._cones.at(self.loads, along, self.kept)
         twist = times(along.moved.J[:, 0], along.dq)
-        felt = [
-            np.hstack([by_joint[:, quick], tau[:, at], free, cone])
-            for by_joint, tau, cone in zip(
-                (along.dq, along.ddq, nothing), (a, b, c), cones[:3], strict=True
-            )
-        ]
+        parts = zip((along.dq, along.ddq, nothing), self.torques(along), cones, strict=True)
+        R = [np.hstack([rate[:, quick], tau[:, at], free, cone]) for rate, tau, cone in parts]
         by_wrench = [
             np.zeros((N, len(quick), m)), -J.transpose(0, 2, 1)[:, at],
-            np.tile(np.eye(m), (N, 1, 1)), cones[3],
+            np.tile(np.eye(m), (N, 1, 1)), cones_by_wrench,
         ]  # fmt: skip
-        return Rows(
-            self, s, along, np.array(felt), np.concatenate(by_wrench, axis=1),
-            np.hstack([along.dq, twist]),
-        )  # fmt: skip
+        Rl, rates = np.concatenate(by_wrench, axis=1), np.hstack([along.dq, twist])
+        return Rows(self, s, along, np.array(R), Rl, rates)
 
-    def torques(self, along: Along) -> tuple[Array, Array, Array]:
-        """a, b and c of the tree's torques, each (N, n)."""
+    def torques(self, along: Along) -> Array:
+        """a, b and c of the tree's torques, shape (3, N, n)."""
         found = np.zeros((3, *along.q.shape))
         if not self.bounds.forces:
-            return found[0], found[1], found[2]
+            return found
         model, data, nothing = self.dynamics.model, self.loops.data, np.zeros(along.q.shape[1])
         for k, (q, dq, ddq) in enumerate(zip(along.q, along.dq, along.ddq, strict=True)):
             found[2, k] = pin.rnea(model, data, q, nothing, nothing)
             found[0, k] = pin.rnea(model, data, q, nothing, dq)
             found[1, k] = pin.rnea(model, data, q, dq, ddq)
         found[:2] -= found[2]
-        return found[0], found[1], found[2]
+        return found
 
     def loads(self, along: Along) -> Array:
         """What moves the object for u, for x and at rest, at its origin, shape (3, N, 6)."""
@@ -261,25 +254,16 @@ class _Cones:
             most.append(found.most)
         self.names, self.most = tuple(names), np.concatenate(most)
 
-    def at(
-        self, loads: Callable[[Along], Array], along: Along, kept: Array
-    ) -> tuple[Array, Array, Array, Array]:
-        """Ru, Rx, Rc, each (N, r), and Rl, (N, r, m)."""
-        N, m = len(along.q), len(kept)
+    def at(self, loads: Callable[[Along], Array], along: Along, kept: Array) -> tuple[Array, Array]:
+        """R, shape (3, N, r), and Rl, shape (N, r, m)."""
+        N, m, count = len(along.q), len(kept), len(self._hands)
         if not self._each:
-            return (*np.zeros((3, N, 0)), np.zeros((N, 0, m)))
-        w = loads(along)
-        R, count = along.moved.R[:, 0], len(self._hands)
-        parts = []
+            return np.zeros((3, N, 0)), np.zeros((N, 0, m))
+        w, R_OW = loads(along), along.moved.R[:, 0].transpose(0, 2, 1)
+        R, Rl = [], []
         for i, rows in self._each:
-            turned = np.concatenate(
-                [rows[:, :3] @ R.transpose(0, 2, 1), rows[:, 3:] @ R.transpose(0, 2, 1)], axis=2
-            )
-            shared = [times(turned, part) / count for part in w]
-            split = np.zeros((6, 6 * (count - 1)))
-            for j in range(1, count):
-                if i in (0, j):
-                    split[:, 6 * j - 6 : 6 * j] = np.eye(6) * (1.0 if i == 0 else -1.0)
-            parts.append((*shared, turned @ split[:, kept]))
-        u, x, c, lam = (np.concatenate(found, axis=1) for found in zip(*parts, strict=True))
-        return u, x, c, lam
+            turned = np.concatenate([rows[:, :3] @ R_OW, rows[:, 3:] @ R_OW], axis=2)
+            R.append(times(turned, w) / count)
+            signs = 1.0 * (i == 0) - (np.arange(1, count) == i)  # of each lambda in h_i
+            Rl.append(turned @ np.kron(signs, np.eye(6))[:, kept])
+        return np.concatenate(R, axis=2), np.concatenate(Rl, axis=1)

@@ -25,9 +25,15 @@ from coopqp.closed_loop.grasp_matrix import COMPONENTS, moved, section
 from coopqp.closed_loop.hands import hands, points
 from coopqp.grasp import SAFETY
 from coopqp.model.closed_chain import ClosedChain
-from coopqp.planning.closed_path import STILL, ClosedPath, closed_path, relative, still_path
+from coopqp.planning.closed_path import (
+    STILL,
+    ClosedPath,
+    closed_path,
+    given_path,
+    relative,
+    still_path,
+)
 from coopqp.planning.forward_backward_pass import FORCE, Passes, Profile, Share, Stuck, program
-from coopqp.planning.given_path import given_path
 from coopqp.planning.path_constraints import AXES, Bounds, RowMaker, Rows, bounds_of
 from coopqp.scenario.planned import PHASE
 from coopqp.scenario.scenario import Scenario, needs_scenario
