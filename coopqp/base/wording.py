@@ -21,7 +21,7 @@ Location = Sequence[str | int]
 """Keys and indices from the outermost mapping to a value."""
 
 #: Pydantic's words and their replacements, applied one after the other.
-WORDS = {
+REPLACEMENTS = {
     r"^Input should (be )?": "needs ",
     r"^needs a valid (array|list|tuple)": "needs a list",
     r"^needs (an object|a valid dictionary)": "needs a mapping, such as {key: value}",
@@ -36,7 +36,7 @@ WORDS = {
     r"^String should have (at (?:least|most) \d+) characters?": r"needs \1 character(s)",
 }  # fmt: skip
 UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")  # what pydantic calls such keys
-MOST_SAID = 300  # characters of what an error says of itself
+MAX_MESSAGE = 300  # characters of what an error says of itself
 USERS = "coopqp.scenario.user_folders."  # how names of modules begin that lie in users' folders
 
 
@@ -73,12 +73,12 @@ def faults(
     return list(_either(dict.fromkeys(kept)))
 
 
-def said(error: BaseException) -> str:
+def message_of(error: BaseException) -> str:
     """What an error says of itself, in one line; empty where it cannot even do that."""
     words = ""
     with suppressed():  # an error may be of a user's class
         words = " ".join(str(error).split())
-    return one_line(words if len(words) <= MOST_SAID else f"{words[:MOST_SAID]}...")
+    return one_line(words if len(words) <= MAX_MESSAGE else f"{words[:MAX_MESSAGE]}...")
 
 
 def raised(error: BaseException, file: str | None = None) -> str:
@@ -88,7 +88,7 @@ def raised(error: BaseException, file: str | None = None) -> str:
     if file is None:  # who called a library tells more than where in it that ended
         own = [frame for frame in own if "site-packages" not in frame.filename] or own
     place = f"{own[-1].filename}:{own[-1].lineno}" if own else file
-    words = said(error)
+    words = message_of(error)
     if isinstance(error, SyntaxError) and error.filename:  # of a file that was about to run
         place, words = f"{error.filename}:{error.lineno}", error.msg
     return f"{place}: raises {type(error).__name__}{f': {words}' if words else ''}"
@@ -188,7 +188,7 @@ def _fault(
         there = location and location[-1] == needed
         return location, "is missing" if there else f"needs the key '{needed}'"
     needs = detail["msg"].removeprefix("Value error, ")
-    for theirs, ours in WORDS.items():
+    for theirs, ours in REPLACEMENTS.items():
         needs = re.sub(theirs, ours, needs)
     if needs.startswith(("unknown ", "found ", "is empty")):
         return location, needs

@@ -117,7 +117,8 @@ def solve_start(scenario: str, seed: int | None, catalog: Any, as_json: bool) ->
         report = lambda done, total: progress(done / total)  # noqa: E731
         start = load_and_solve(scenario, catalog, seed=seed, progress=report)
     if as_json:
-        print_json({key: getattr(start, key) for key in ("start", "margin", "tries", "found")})
+        keys = {key: getattr(start, key) for key in ("start", "margin", "tries")}
+        print_json(keys | {"found": start.candidates})
     else:
         click.echo(yaml_text(start), nl=False)
 
@@ -143,7 +144,7 @@ def reach(scenario: str, seed: int | None, catalog: Any, as_json: bool) -> None:
         click.echo(report.reach_json(found))
         return
     say(found.sentence, aside=False)
-    if found.found:
+    if found.solutions:
         show(report.configurations(found))
 
 
@@ -177,7 +178,7 @@ def plan(
     report.check_written(out, loaded, report.PATH)
     with files.checked_folder(out), bar("planning") as progress:
         found = find(loaded, keep=keep, budget=budget, progress=progress)
-        if not found.found:
+        if not found.success:
             raise CoopqpError(found.sentence)
         written = report.write_plan(found, loaded, out, keep) if out else ()
     click.echo(report.plan_json(found)) if as_json else say(found.sentence, aside=False)

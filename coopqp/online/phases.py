@@ -25,7 +25,7 @@ from coopqp.assessment.assessment import allowed_acceleration
 from coopqp.assessment.thresholds import ACCELERATION_UNLIMITED
 from coopqp.base.errors import CoopqpError, InvalidValueError
 from coopqp.base.spec import Array, Pose, finite, vector
-from coopqp.base.wording import said
+from coopqp.base.wording import message_of
 from coopqp.controller import Command, Controller, ControlProblem, InternalForceControl, Law
 from coopqp.controllers import QPController, TorqueQp
 from coopqp.controllers.passive_grasp_pid import TorquePid
@@ -346,7 +346,7 @@ class Phases:
                 self.arrivals.check_seen(OBJECT_POSE, sent, now, ahead)
             self.seen = self.seen if seen is None else pose_of(seen, self._given.chain)
         except Exception as error:  # noqa: BLE001 - anything can come from a camera
-            self._unseen = (said(error) or f"object_pose: found a {type(seen).__name__}",)
+            self._unseen = (message_of(error) or f"object_pose: found a {type(seen).__name__}",)
         return others, felt
 
     def take(self, inputs: Any, felt: Any, now: float, ahead: float) -> list[Arrival]:

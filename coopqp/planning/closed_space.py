@@ -41,10 +41,10 @@ UNLIMITED = np.pi
 STEPS = 60
 
 #: Configurations at which charts are judged, how many of each leader are used, sets looked at.
-POSES, EACH, MOST_SETS = 30, 2, 200
+POSES, EACH, MAX_SETS = 30, 2, 200
 #: Followers are dependent below this singular value [m/rad, 1]; where a chart has this share of
 #: such poses, the chart in which no joint leads is used too.
-DEPENDENT, MOST = 0.02, 0.4
+DEPENDENT, MANY = 0.02, 0.4
 
 #: What a loop may be open by between the points of a path [m, rad], and a joint beyond its limit.
 OPEN, BEYOND = 1e-5, 1e-9
@@ -66,7 +66,7 @@ class Budget:
     """The same on a path [rad, m]."""
     reach: Positive = 1.5
     """Of a branch [rad, m]."""
-    most: Annotated[int, Field(ge=1)] = 20000
+    max_projections: Annotated[int, Field(ge=1)] = 20000
     """Projections after which trees begin anew, of other random numbers."""
     shortcuts: Annotated[int, Field(ge=0)] = 160
     """Tries to make a path shorter."""
@@ -141,9 +141,8 @@ class ClosedSpace:
 
     def is_free(self, q: Array) -> NDArray[np.bool_]:
         """Whether each row of q (N, n) keeps the limits in space."""
-        told = np.zeros(len(q), np.uint8)
-        self._engines[0].is_free(np.ascontiguousarray(q, float), told)
-        free = told.view(np.bool_)
+        free = np.zeros(len(q), np.bool_)
+        self._engines[0].is_free(np.ascontiguousarray(q, float), free.view(np.uint8))
         if self.others:
             free &= np.array([self.others(row) for row in q], bool)
         return free
@@ -154,11 +153,12 @@ class ClosedSpace:
         ``wait`` is called ten times a second and ends the search by raising.
         """
         low, high = self._sampled()
-        sizes = ("step", "fine", "seconds", "most", "shortcuts")
+        sizes = ("step", "fine", "seconds", "shortcuts")
         made = self._engines[0].find(
             {
                 **{name: float(getattr(budget, name)) for name in sizes},
                 "range": budget.reach,
+                "most": float(budget.max_projections),
                 "seed": int(budget.seed) % 2**64,  # the kernel's word; any number is a seed
                 "low": low,
                 "high": high,
@@ -226,7 +226,7 @@ def _charts(chain: ClosedChain, J: Array) -> NDArray[np.bool_]:
         for follow in sorted(worth, key=lambda one: -worth[one])[:EACH]:
             charts.append(np.isin(np.arange(chain.n), follow, invert=True))
             worst = max(worst, float((_least(J, follow) < DEPENDENT).mean()))
-    if worst > MOST or not charts:
+    if worst > MANY or not charts:
         charts.append(np.zeros(chain.n, bool))
     return np.array(charts)
 
@@ -235,9 +235,9 @@ def _followers(n: int, leading: Sequence[int], rank: int) -> Iterator[tuple[int,
     """Sets of joints that can follow: of the other arms first, at most so many."""
     others = [j for j in range(n) if j not in leading]
     if len(others) >= rank:
-        yield from itertools.islice(itertools.combinations(others, rank), MOST_SETS)
+        yield from itertools.islice(itertools.combinations(others, rank), MAX_SETS)
         return
-    for more in itertools.islice(itertools.combinations(leading, rank - len(others)), MOST_SETS):
+    for more in itertools.islice(itertools.combinations(leading, rank - len(others)), MAX_SETS):
         yield (*others, *more)
 
 
@@ -248,7 +248,7 @@ def _least(J: Array, follow: Sequence[int]) -> Array:
 
 @dataclass(frozen=True)
 class Verification:
-    """What was seen along a path.
+    """What a second look at a path has shown.
 
     Attributes:
         points: that were looked at.
@@ -267,7 +267,7 @@ class Verification:
         return self.open <= OPEN and self.beyond <= BEYOND and not self.hits
 
     @property
-    def words(self) -> str:
+    def message(self) -> str:
         """What is wrong; empty where nothing is."""
         wrong = [f"{self.hits} of {self.points} points break a limit in space"] * bool(self.hits)
         if self.open > OPEN:

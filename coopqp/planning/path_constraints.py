@@ -116,7 +116,7 @@ class Rows:
     Rl: Array
     rates: Array
 
-    def felt(self, u: Array, x: Array) -> Array:
+    def values(self, u: Array, x: Array) -> Array:
         """The rows' left sides without lambda, shape (N, r), for u and x of shape (N,)."""
         return np.asarray(self.R[0] * u[:, None] + self.R[1] * x[:, None] + self.R[2])
 
@@ -176,7 +176,7 @@ class RowMaker:
         self.kinds = np.repeat(["acceleration", "torque", "wrench", "contact"], counts)
         self.size = np.concatenate([
             bounds.acceleration[self._quick], bounds.torque[self._limited],
-            bounds.wrench[self.kept % 6], self._cones.most,
+            bounds.wrench[self.kept % 6], self._cones.upper,
         ])  # fmt: skip
         body = chain.held.body()
         mass, inertia = bounds.load * body.mass, bounds.load * body.inertia
@@ -240,7 +240,7 @@ class _Cones:
     def __init__(self, chain: ClosedChain, bounds: Bounds) -> None:
         self._each: list[tuple[int, Array]] = []
         names: list[str] = []
-        most: list[Array] = [np.zeros(0)]
+        upper: list[Array] = [np.zeros(0)]
         self._hands = hands(chain)
         for i, hand in enumerate(self._hands):
             if not (hand.contact and bounds.forces):
@@ -251,8 +251,8 @@ class _Cones:
             turn[:3, :3], turn[3:, 3:], turn[3:, :3] = R.T, R.T, -R.T @ pin.skew(p)
             self._each.append((i, found.rows @ turn))
             names += [f"{label.partition('[')[0]} of {hand.arm}" for label in found.labels]
-            most.append(found.most)
-        self.names, self.most = tuple(names), np.concatenate(most)
+            upper.append(found.most)
+        self.names, self.upper = tuple(names), np.concatenate(upper)
 
     def at(self, loads: Callable[[Along], Array], along: Along, kept: Array) -> tuple[Array, Array]:
         """R, shape (3, N, r), and Rl, shape (N, r, m)."""

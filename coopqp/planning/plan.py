@@ -17,7 +17,7 @@ from coopqp.controller import ControlProblem
 from coopqp.planning.closed_path import lengths
 from coopqp.planning.closed_space import Budget, ClosedSpace, Verification, Verifier
 from coopqp.planning.reach import (
-    MOST,
+    MAX_TRIES,
     PROVEN,
     Goals,
     Progress,
@@ -62,7 +62,7 @@ class Plan:
     """A way round.
 
     Attributes:
-        found: whether there is a path; without one the arrays have no rows.
+        success: whether there is a path; without one the arrays have no rows.
         sentence: in words.
         joints: names of the n joints.
         q: the path's points, closed and at most ``CLOSE`` apart, shape (K, n) [rad, m].
@@ -74,7 +74,7 @@ class Plan:
         proven: whether it is proven that there is no path.
     """
 
-    found: bool
+    success: bool
     sentence: str
     joints: tuple[str, ...]
     q: Array
@@ -155,7 +155,7 @@ def _through(
             planner = Planner(scenario.problem(phase, chains[k]), phase.duration, names)
             now = replace(budget, seconds=max(left, 1e-3), seed=budget.seed + again[k])
             found = planner.plan(now, progress=progress)
-        if found.found:
+        if found.success:
             made.append(found)
             if len(made) < most:
                 released = scenario.phases[k + 1].released
@@ -175,7 +175,7 @@ def _joined(scenario: Scenario, parts: Sequence[Plan]) -> Plan:
     keys = dict.fromkeys(key for part in parts for key in part.seconds)
     took = {key: sum(part.seconds.get(key, 0.0) for part in parts) for key in keys}
     said = [f"phase '{name}': {part.sentence}" for name, part in zip(names, parts, strict=False)]
-    if not last.found:
+    if not last.success:
         return replace(last, sentence=said[-1], seconds=took)
     ends = np.cumsum([0.0, *(part.t[-1] + scenario.dt for part in parts)])
     return replace(
@@ -206,11 +206,11 @@ def way_round(
     except CoopqpError as error:
         words = f"; {command} cannot help: {error}" if found.elsewhere else ""
         return replace(found, sentence=found.sentence + words)
-    if not (way.found or found.elsewhere):
+    if not (way.success or found.elsewhere):
         return found
     took = f"{sum(way.seconds.values()):.2g} s, {way.length:.3g} rad"
-    words = f"{command}: {f'a way round was found in {took}' if way.found else way.sentence}"
-    return replace(found, sentence=f"{found.sentence}; {words}", way_round=way.found)
+    words = f"{command}: {f'a way round was found in {took}' if way.success else way.sentence}"
+    return replace(found, sentence=f"{found.sentence}; {words}", way_round=way.success)
 
 
 class Planner:
@@ -256,7 +256,7 @@ class Planner:
         """As :func:`plan`."""
         begun = time.perf_counter()
         found = self.path(budget, goals, progress)
-        if not found.found:
+        if not found.success:
             return found
         left = max(budget.seconds - (time.perf_counter() - begun), TIMING)
         try:
@@ -274,7 +274,7 @@ class Planner:
         took["goals"] = time.perf_counter() - begun
         if not len(ends):
             return self._nothing(why, took)
-        start, seen = self.chain.q_start[None].copy(), None
+        start, look = self.chain.q_start[None].copy(), None
         self.space.project(start)
 
         def wait() -> None:
@@ -286,21 +286,22 @@ class Planner:
             if (left := budget.seconds - (at - begun)) <= 0.0:
                 break
             near = ends if goals is not None or turn % 2 else ends[:NEAREST]
-            most = budget.most << min(turn // 2, 16)  # some trees grow long, others meet early
-            now = replace(budget, seconds=left, seed=budget.seed + turn, most=most)
+            # Some trees grow long, others meet early.
+            count = budget.max_projections << min(turn // 2, 16)
+            now = replace(budget, seconds=left, seed=budget.seed + turn, max_projections=count)
             q = self._close(self.space.way(start, near, now, wait))
             took["search"] = took.get("search", 0.0) + time.perf_counter() - at
             if not len(q):
                 ends = self._more(ends)
                 continue
             at = time.perf_counter()
-            seen = self.verifier.look(q, VERIFIED)
+            look = self.verifier.look(q, VERIFIED)
             took["verify"] = took.get("verify", 0.0) + time.perf_counter() - at
-            if seen.good:
-                return self._found(q, seen, len(near), took)
-            # What the finer look has seen, the next search looks for as finely.
+            if look.good:
+                return self._found(q, look, len(near), took)
+            # What the finer look has found, the next search looks for as finely.
             budget = replace(budget, fine=0.5 * budget.fine)
-        more = f"; the last path failed the second look: {seen.words}" if seen else ""
+        more = f"; the last path failed the second look: {look.message}" if look else ""
         tried = f"not found in {time.perf_counter() - begun:.1f} s"
         to = f"no path to any of {counted(len(ends), 'goal configuration')}"
         return self._nothing(f"{tried}: {to}; that proves nothing, more time may do{more}", took)
@@ -317,17 +318,17 @@ class Planner:
             return np.zeros((0, n)), proof
         goals, why = Goals(self.problem, self._t, budget.seed), ""
         self._looked = goals
-        while len(goals.found) < GOALS and goals.tried < MOST:
+        while len(goals.solutions) < GOALS and goals.tried < MAX_TRIES:
             goals.look()
             if (gone := time.perf_counter() - begun) > 0.5 * budget.seconds:
                 why = f"not found in {gone:.1f} s: no goal configuration from {goals.tried} starts"
                 why += "; that proves nothing, more time may do"
                 break
-            if goals.found and goals.tried >= MOST // 4:
+            if goals.solutions and goals.tried >= MAX_TRIES // 4:
                 break
-        if not goals.found and not goals.cut_off:
+        if not goals.solutions and not goals.cut_off:
             why = why or explained(goals)
-        if goals.found:
+        if goals.solutions:
             return self._ordered(goals), "no goal configuration keeps the tasks that are to be kept"
         if goals.cut_off:
             them = f"all {len(goals.cut_off)} goal configurations from {goals.tried} starts"
@@ -344,7 +345,7 @@ class Planner:
 
     def _ordered(self, goals: Goals) -> Array:
         """Those that keep what is to be kept, the nearest that are off the joints' limits first."""
-        found = np.array(goals.found)
+        found = np.array(goals.solutions)
         found = found[self._off(found) < MET]  # which keep what is to be kept
         away = np.linalg.norm(found - self.chain.q_start, axis=1)
         room = self.space.room
@@ -382,13 +383,13 @@ class Planner:
             q = np.insert(q, far + 1, middle, axis=0)
         return q
 
-    def _found(self, q: Array, seen: Verification, goals: int, took: dict[str, float]) -> Plan:
+    def _found(self, q: Array, look: Verification, goals: int, took: dict[str, float]) -> Plan:
         sentence = (
             f"found in {sum(took.values()):.2g} s: {lengths(q)[-1]:.3g} rad to one of "
-            f"{counted(goals, 'goal configuration')}; {seen.points} points verified, loops closed "
-            f"within {1e3 * seen.open:.1g} mm"
+            f"{counted(goals, 'goal configuration')}; {look.points} points verified, loops closed "
+            f"within {1e3 * look.open:.1g} mm"
         )
-        return replace(self._nothing(sentence, took), found=True, q=q, verification=seen)
+        return replace(self._nothing(sentence, took), success=True, q=q, verification=look)
 
     def _timed(self, found: Plan, seconds: float) -> Plan:
         clock = Clock(seconds)
@@ -408,7 +409,7 @@ class Planner:
     def _nothing(self, why: str, took: dict[str, float]) -> Plan:
         n = self.chain.n
         return Plan(
-            found=False, sentence=why, joints=self.chain.joint_names, q=np.zeros((0, n)),
+            success=False, sentence=why, joints=self.chain.joint_names, q=np.zeros((0, n)),
             t=np.zeros(0), timed=np.zeros((0, n)), object=np.zeros((0, 7)), seconds=took,
             proven=why.startswith(PROVEN),
         )  # fmt: skip

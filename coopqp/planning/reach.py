@@ -47,9 +47,9 @@ from coopqp.study.explanation.goal import Goal, Search, placed
 from coopqp.task import Programs
 
 #: Random starts of one look, and of all looks.
-BATCH, MOST = 64, 4096
+BATCH, MAX_TRIES = 64, 4096
 #: Free configurations after which the search ends, once so many starts were tried.
-ENOUGH, LEAST = 64, 512
+ENOUGH, MIN_TRIES = 64, 512
 #: The sum of lengths proves only what is farther off than rounding [m].
 ROUNDING = 1e-6
 
@@ -94,13 +94,13 @@ class Reach:
     """Whether the tasks' goals can be met.
 
     Attributes:
-        found: configurations that meet them, of every group that with the largest margin first.
+        solutions: configurations that meet them, of every group that with the largest margin first.
         proven: whether a bound proves that there are none.
         sentence: in words.
         tried: random starts.
     """
 
-    found: tuple[Configuration, ...]
+    solutions: tuple[Configuration, ...]
     proven: bool
     sentence: str
     tried: int = 0
@@ -109,7 +109,7 @@ class Reach:
     def groups(self) -> dict[str, list[Configuration]]:
         """The configurations by which way the arms bend."""
         groups: dict[str, list[Configuration]] = {}
-        for configuration in self.found:
+        for configuration in self.solutions:
             groups.setdefault(configuration.bends, []).append(configuration)
         return groups
 
@@ -134,12 +134,13 @@ def reach(
     if proof := too_far(problem, t):
         return Reach((), True, proof)
     goals = Goals(problem, t, seed, threads or os.cpu_count() or 1)
-    for _ in range(MOST // BATCH):
+    for _ in range(MAX_TRIES // BATCH):
         goals.look()
-        progress(max(goals.tried / MOST, min(len(goals.found) / ENOUGH, goals.tried / LEAST)))
-        if len(goals.found) >= ENOUGH and goals.tried >= LEAST:
+        share = min(len(goals.solutions) / ENOUGH, goals.tried / MIN_TRIES)
+        progress(max(goals.tried / MAX_TRIES, share))
+        if len(goals.solutions) >= ENOUGH and goals.tried >= MIN_TRIES:
             break
-    why = "" if goals.found or goals.cut_off else explained(goals)
+    why = "" if goals.solutions or goals.cut_off else explained(goals)
     progress(1.0)
     if why:
         return Reach((), False, why, goals.tried)
@@ -148,7 +149,7 @@ def reach(
     sentence = f"reachable: {counted(len(found), 'configuration')} found"
     sentence += f", which bend the arms in {counted(groups, 'way')}"
     if goals.cut_off:
-        of_them = f"{len(goals.cut_off)} of them" if goals.found else "all of them"
+        of_them = f"{len(goals.cut_off)} of them" if goals.solutions else "all of them"
         sentence += f"; {of_them} no motion leads to: {goals.why}"
     return Reach(found, False, sentence, goals.tried)
 
@@ -165,7 +166,7 @@ class Goals:
 
     Attributes:
         space: of the tasks' manifold.
-        found: configurations, shape (n,) each.
+        solutions: configurations to which a motion may lead, shape (n,) each.
         cut_off: those to which no motion leads from the start.
         lost: at others nothing that hands may press with holds the object; the most they carry.
         tried: random starts so far.
@@ -174,7 +175,7 @@ class Goals:
     def __init__(self, problem: ControlProblem, t: float, seed: int, threads: int = 1) -> None:
         self.goal = Goal(problem.chain, placed(problem.tasks, problem.chain), t)
         self.space = ClosedSpace(problem, self.goal.tasks, t, threads)
-        self.found: list[Array] = []
+        self.solutions: list[Array] = []
         self.cut_off: list[Array] = []
         self._why: list[str] = []
         self.lost: list[Bound] = []
@@ -198,7 +199,7 @@ class Goals:
         q = q[self.space.is_free(q)]
         for row, why in zip(q, no_way(self.space, q), strict=True):
             if not self.goal.missed(row) and self._holds(row):
-                (self.cut_off if why else self.found).append(row.copy())
+                (self.cut_off if why else self.solutions).append(row.copy())
                 self._why += [why] * bool(why)
 
     @property
@@ -219,7 +220,7 @@ class Goals:
 def explained(goals: Goals) -> str:
     """Nothing was found by Newton steps: why, by the searches of explain, which also descend.
 
-    Empty where these find something, which is among ``goals.found`` or ``cut_off`` then.
+    Empty where these find something, which is among ``goals.solutions`` or ``cut_off`` then.
     """
     if goals.lost:
         most = max(goals.lost, key=lambda bound: bound.value)
@@ -236,7 +237,7 @@ def explained(goals: Goals) -> str:
     place = found.elsewhere if isinstance(found, BlockedByLimits) else getattr(found, "place", None)
     if place:
         goals.take(place.q[None].copy())
-    if goals.found or goals.cut_off:
+    if goals.solutions or goals.cut_off:
         return ""
     tried = f"not found from {goals.tried} starts"
     if isinstance(found, NotBlocked):
@@ -251,13 +252,13 @@ def explained(goals: Goals) -> str:
 
 def described(goals: Goals) -> tuple[Configuration, ...]:
     """Configurations with their margins and bends, groups together, the largest margins first."""
-    space, found = goals.space, [*goals.found, *goals.cut_off]
+    space, found = goals.space, [*goals.solutions, *goals.cut_off]
     bends = _bends(space.chain, found)
     all_of_them = []
     for i, (q, bend) in enumerate(zip(found, bends, strict=True)):
         joints = float(np.minimum(q - space.room.lower, space.room.upper - q).min(initial=np.inf))
         clearance = float(space.room.at(q).min(initial=np.inf))
-        all_of_them.append(Configuration(q, joints, clearance, bend, i >= len(goals.found)))
+        all_of_them.append(Configuration(q, joints, clearance, bend, i >= len(goals.solutions)))
     best: dict[str, float] = {}
     for one in all_of_them:
         best[one.bends] = max(best.get(one.bends, -np.inf), one.joint_margin)

@@ -46,7 +46,7 @@ PRESSING = (200.0, 20.0)  # [N, N m]
 #: Intervals of the grid.
 POINTS = 200
 #: Fewest that rows between them can be told from, and most that memory has room for.
-FEWEST, MOST = 8, 20_000
+MIN_POINTS, MAX_POINTS = 8, 20_000
 #: A limit is active from this share of it on; speeds, whose square counts, somewhat earlier.
 ACTIVE, ACTIVE_SPEED = 0.99, 0.98
 #: Passes that divide the limits by what was exceeded, until that is less than TOLERATED.
@@ -324,9 +324,9 @@ def _still(maker: RowMaker) -> TimedPath:
 
 def fastest(
     maker: RowMaker, points: int = POINTS, speed: tuple[float, float] = (0.0, 0.0),
-    most: Array | None = None,
+    max_x: Array | None = None,
 ) -> TimedPath:  # fmt: skip
-    """The fastest motion along a closed path by its rows, with sdot^2 <= most at the places.
+    """The fastest motion along a closed path by its rows, with sdot^2 <= max_x at the places.
 
     Else as :func:`time_along`.
     """
@@ -339,8 +339,8 @@ def fastest(
     fine = maker.at((places[:-1, None] + between).ravel())
     share = Share(fine)
     limits = {kind: np.ones(points + 1) for kind in KINDS}
-    if most is not None:
-        limits["speed"] = np.minimum(1.0, np.sqrt(most / rows.x_max))
+    if max_x is not None:
+        limits["speed"] = np.minimum(1.0, np.sqrt(max_x / rows.x_max))
     for _ in range(1 + REPEATS):
         profile = _profile(rows, limits, ends.tolist(), speed)
         uses = _uses(fine, share, profile)
@@ -351,7 +351,7 @@ def fastest(
             limits[kind] /= np.maximum(np.append(over, 1.0), np.append(1.0, over))
         limits["force"] = np.maximum(limits["force"], np.minimum(STANDS * held, 1.0))
     else:
-        if uses.largest > COARSE and most is None and 2 * points <= MOST:
+        if uses.largest > COARSE and max_x is None and 2 * points <= MAX_POINTS:
             return fastest(maker, 2 * points, speed)
     active = tuple(_active(fine, share, uses))
     hold, notes = float(held.max()), tuple(_slow(rows))
@@ -374,23 +374,23 @@ def eased(found: TimedPath, rise: float) -> TimedPath:
         least = found.duration / len(found.profile.u)
         words = f"0, or at least {least:.3g} s, the time of an interval of the grid"
         raise InvalidValueError(f"rise: found {rise:g} s, needs {words}")
-    path, maker, x, hold = found.path, found.maker, found.profile.x, found.profile.most.copy()
+    path, maker, x, hold = found.path, found.maker, found.profile.x, found.profile.max_x.copy()
     for k in np.flatnonzero((x[1:-1] <= x[:-2]) & (x[1:-1] <= x[2:])) + 1:
         near = np.abs(found.profile.t - found.profile.t[k]) <= 0.5 * rise
         hold[near] = np.minimum(hold[near], x[k])  # where it slows down, the mean would not
-    duration, found = found.duration, fastest(maker, len(x) - 1, most=hold)
+    duration, found = found.duration, fastest(maker, len(x) - 1, max_x=hold)
     count = int(np.ceil(found.duration / rise)) + 1
-    t = rise / RISE_STEPS * np.arange(min(RISE_STEPS * count, MOST) + 1)
+    t = rise / RISE_STEPS * np.arange(min(RISE_STEPS * count, MAX_POINTS) + 1)
     t *= (found.duration + rise) / t[-1]
     s, before = (np.array([found.where(float(now))[0] for now in t - gone]) for gone in (0.0, rise))
     x = ((s - before) / rise) ** 2
     s = np.concatenate([[0.0], np.cumsum(0.5 * np.diff(t) * (np.sqrt(x[1:]) + np.sqrt(x[:-1])))])
     s *= path.length / s[-1]
-    most = np.interp(s, found.profile.s, found.profile.most)
+    max_x = np.interp(s, found.profile.s, found.profile.max_x)
     fine = maker.at(np.repeat(s, 2)[1:-1])
     share, wrench = Share(fine), np.zeros((len(s) - 1, 2, fine.Rl.shape[2]))
     for _ in range(SLOWER):
-        profile = Profile(s, x, np.diff(x) / (2.0 * np.diff(s)), most, wrench)
+        profile = Profile(s, x, np.diff(x) / (2.0 * np.diff(s)), max_x, wrench)
         uses = _uses(fine, share, profile)
         if uses.largest < TOLERATED:
             break
@@ -448,7 +448,7 @@ def _raised(maker: RowMaker, name: str) -> Bounds:
 
 
 def _check(**given: Any) -> None:
-    for name, (shape, low, high, needs) in _ASKED.items():
+    for name, (shape, low, high, needs) in _OPTIONS.items():
         found = array(name, given[name])
         fits = found.shape == shape and bool(((low <= found) & (found <= high)).all())
         if not fits or (name == "points" and found % 1.0):
@@ -456,8 +456,8 @@ def _check(**given: Any) -> None:
 
 
 #: Shapes of options, their ends, and what they need in words.
-_ASKED: dict[str, tuple[tuple[int, ...], float, float, str]] = {
-    "points": ((), FEWEST, MOST, f"a whole number from {FEWEST} to {MOST}"),
+_OPTIONS: dict[str, tuple[tuple[int, ...], float, float, str]] = {
+    "points": ((), MIN_POINTS, MAX_POINTS, f"a whole number from {MIN_POINTS} to {MAX_POINTS}"),
     "torque": ((), 1e-9, 1.0, "a share in (0, 1]"),
     "safety": ((), 1.0, 1e3, "a number from 1 to 1000"),
     "wrench": ((2,), 0.0, 1e6, "two numbers from 0 to 1e6"),
@@ -494,10 +494,10 @@ def _profile(
     try:
         return Passes(rows, of, limits["speed"]).profile(*ends)
     except Stuck as stuck:
-        if stuck.place in (0, len(rows.s) - 1) and np.isfinite(stuck.most):
+        if stuck.place in (0, len(rows.s) - 1) and np.isfinite(stuck.upper):
             end = "beginning" if stuck.place == 0 else "end"
             pace = np.linalg.norm(rows.along.dq[stuck.place])
-            low, high = (pace * np.sqrt(max(x, 0.0)) for x in (stuck.least, stuck.most))
+            low, high = (pace * np.sqrt(max(x, 0.0)) for x in (stuck.lower, stuck.upper))
             found = speed[0 if stuck.place == 0 else 1]
             raise InvalidValueError(
                 f"speed: found {found:g} rad/s at the {end}, needs {low:.4g} to {high:.4g}: from "
@@ -538,7 +538,7 @@ def _uses(fine: Rows, share: Share, profile: Profile) -> _Uses:
     x = np.maximum(x, 0.0).ravel()
     speed = np.abs(fine.rates) * np.sqrt(x)[:, None] / made.speeds
     quick = made.kinds == "acceleration"
-    a = np.abs(fine.felt(u, x)[:, quick]) / made.size[quick]
+    a = np.abs(fine.values(u, x)[:, quick]) / made.size[quick]
     ends = np.stack([1.0 - part, part], axis=1)
     force = share.with_wrench((ends @ profile.wrench).reshape(len(u), -1), u, x)
     for i in np.flatnonzero(force > TOLERATED).tolist():
@@ -589,21 +589,21 @@ def _wrench(rows: Rows, u: float, x: float) -> Array:
     m, made = rows.Rl.shape[2], rows.maker
     if not m:
         return np.zeros(0)
-    felt = rows.felt(np.array([u]), np.array([x]))[0]
+    values = rows.values(np.array([u]), np.array([x]))[0]
     use, _ = Share(rows).of(0, u, x)
     beyond = max(0.0, use - 1.0 if np.isfinite(use) else 0.0)
     motors = np.flatnonzero((made.kinds == "torque") & (made.size > 0.0))
     bound = np.flatnonzero(made.kinds != "acceleration")
     W = FORCE * rows.Rl[0, motors] / made.size[motors, None]
     P = W.T @ W + SLIGHT * np.eye(m)
-    q = W.T @ (felt[motors] / made.size[motors])
+    q = W.T @ (values[motors] / made.size[motors])
     unit = np.maximum(made.unit[bound], 1e-3)
     A = np.ascontiguousarray(FORCE * rows.Rl[0, bound] / unit[:, None])
     free = np.full(m, np.inf)
     for looser in LOOSER:
         size = made.size[bound] + (beyond + looser) * made.unit[bound]
-        upper = np.concatenate([free, (size - felt[bound]) / unit])
-        low = np.where(made.two_sided[bound], (-size - felt[bound]) / unit, -np.inf)
+        upper = np.concatenate([free, (size - values[bound]) / unit])
+        low = np.where(made.two_sided[bound], (-size - values[bound]) / unit, -np.inf)
         found = program(P, q, A, upper, np.concatenate([-free, low]))
         if found is not None:
             return np.asarray(FORCE * found[0], float)

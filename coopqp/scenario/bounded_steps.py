@@ -3,7 +3,7 @@
 With r(x) the residual, J its Jacobian and mu the damping, a step d solves
 
     minimise    |r + J d|^2 + mu |d|^2
-    subject to  lower <= x + d <= upper,   |d_i| <= most,   G d <= h
+    subject to  lower <= x + d <= upper,   |d_i| <= max_step,   G d <= h
 
 and is taken when |r|^2 falls; mu grows when it does not and shrinks when it does.
 scipy's trf has no rows G, and closes fewer starts of redundant arms in more time.
@@ -37,7 +37,7 @@ class Stop:
     """When a search ends: after so many steps, with a residual small enough, or stuck."""
 
     steps: int
-    most: float  # that a variable goes in one
+    max_step: float  # of a variable
     enough: Callable[[Array], bool]  # whether the residual is
     stuck: float = STUCK  # least share of change of |r|^2
 
@@ -67,7 +67,9 @@ class BoundedSteps:
             if stop.enough(r) or mu > MOST_DAMPING:
                 break
             curvature, slope = J.T @ J, J.T @ r
-            self._limit(x, bounds, stop.most, inequalities)
+            self._limit(x, bounds, stop.max_step)
+            if inequalities:
+                self._qp.G[:], self._qp.h[:] = inequalities(x)
             while mu <= MOST_DAMPING:
                 trial = self.step(x, curvature, slope, np.full(len(x), mu), bounds)
                 trial_r, trial_J = residual(trial)
@@ -89,12 +91,12 @@ class BoundedSteps:
         slope: Array,
         damping: Array,
         bounds: tuple[Array, Array],
-        most: float | None = None,
+        max_step: float | None = None,
     ) -> Array:
-        """The best point of the quadratic model within ``most`` of x; x where there is none."""
+        """The best point of the quadratic model within ``max_step`` of x; x where there is none."""
         qp = self._qp
-        if most is not None:
-            self._limit(x, bounds, most, None)
+        if max_step is not None:
+            self._limit(x, bounds, max_step)
         qp.P[:] = curvature
         qp.P.reshape(-1)[:: qp.n + 1] += damping
         qp.q[:] = slope
@@ -104,11 +106,6 @@ class BoundedSteps:
         step = np.clip(self._solution.v, qp.lb, qp.ub)
         return np.asarray(np.clip(x + step, *bounds), float)
 
-    def _limit(
-        self, x: Array, bounds: tuple[Array, Array], most: float, inequalities: Inequalities | None
-    ) -> None:
-        qp, (lower, upper) = self._qp, bounds
-        np.maximum(lower - x, -most, out=qp.lb)
-        np.minimum(upper - x, most, out=qp.ub)
-        if inequalities:
-            qp.G[:], qp.h[:] = inequalities(x)
+    def _limit(self, x: Array, bounds: tuple[Array, Array], max_step: float) -> None:
+        np.maximum(bounds[0] - x, -max_step, out=self._qp.lb)
+        np.minimum(bounds[1] - x, max_step, out=self._qp.ub)

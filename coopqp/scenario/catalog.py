@@ -36,7 +36,7 @@ from pydantic.dataclasses import is_pydantic_dataclass
 
 from coopqp.base.errors import CoopqpError, Fault, unknown_name
 from coopqp.base.reading import absolute, version
-from coopqp.base.wording import said
+from coopqp.base.wording import message_of
 from coopqp.controller import Controller, Law
 from coopqp.grasp import Grasp
 from coopqp.limit import Limit
@@ -167,7 +167,7 @@ class Shelf:
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # noqa: BLE001 - a user's file may raise anything
-            found = Fault(_place(error, file), f"cannot be imported: {_said(error)}")
+            found = Fault(_place(error, file), f"cannot be imported: {_message(error)}")
         if isinstance(found, Fault):
             sys.modules.pop(module, None)  # so that the mended file is read
         return found
@@ -182,7 +182,7 @@ def installed() -> Iterator[Shelf | Fault]:
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # noqa: BLE001 - a package may raise anything
-            words = f"cannot be imported: {_said(error)}; mend or uninstall its package"
+            words = f"cannot be imported: {_message(error)}; mend or uninstall its package"
             yield Fault(place, words)
             continue
         if not hasattr(package, "__path__"):
@@ -231,8 +231,8 @@ def _place(error: BaseException, file: Path) -> str:
     return own[-1] if own else str(file)
 
 
-def _said(error: BaseException) -> str:
-    words = error.msg if isinstance(error, SyntaxError) else said(error)
+def _message(error: BaseException) -> str:
+    words = error.msg if isinstance(error, SyntaxError) else message_of(error)
     if isinstance(error, PydanticUserError):
         words = words.partition(". ")[0]  # what follows is about pydantic's settings
     return f"{type(error).__name__}: {' '.join(words.split())}"

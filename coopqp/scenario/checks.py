@@ -347,8 +347,8 @@ def _broken_inputs(
                 yield Wrong(used(name), unknown_name("input", name, scenario.inputs))
                 continue
             try:
-                asked = (task, *scenario.secondary)
-                Feed(scenario.inputs, Inputs(scenario.inputs, asked, start, scenario.dt))
+                tasks_of_it = (task, *scenario.secondary)
+                Feed(scenario.inputs, Inputs(scenario.inputs, tasks_of_it, start, scenario.dt))
             except CoopqpError as error:
                 yield Wrong(used(name) if here is None else ["inputs", name], str(error))
     try:

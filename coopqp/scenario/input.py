@@ -46,9 +46,9 @@ class InputSettings(MotionLimits):
     when_stale: Literal["brake", "hold"] = "brake"
     """brake: come to rest; hold: go on to the last value and stay there."""
     lower: list[float] | None = None
-    """Least of each number; a value beyond is taken as this."""
+    """Lower bound of each number; a value beyond is taken as this."""
     upper: list[float] | None = None
-    """Most of each number."""
+    """Upper bound of each number."""
     feed: Annotated[Signal | None, Reads(None)] = None
     """A signal that plays the part of who sends, in every tick of a comparison."""
     feed_file: FilePath | None = None

@@ -87,7 +87,7 @@ def following(scenario: Scenario, reference: PlanReference) -> Scenario:
             Waypoints(file=reference.plan)._table(POSE)
         else:
             way = coopqp.plan(scenario, keep=reference.keep, budget=reference.seconds)
-            if not way.found:
+            if not way.success:
                 raise InvalidValueError(f"{way.sentence}; it had 'seconds: {reference.seconds:g}'")
             table = Table(Path("plan"), way.columns, 0)
         ways = list(_ways(scenario, table))
@@ -195,8 +195,8 @@ def _damaged(chain: ClosedChain, t: Array, q: Array, X: Array, near: float) -> s
         if opened > NEAR:
             return f"a loop is open by {opened:.2g} m or rad at {at:.3f} s"
         pose = chain.object_pose(row)
-        turned, said = quaternion_of(pose.rotation), x[3:] / np.linalg.norm(x[3:])
-        apart = min(np.abs(turned - said).max(), np.abs(turned + said).max())
+        turned, given = quaternion_of(pose.rotation), x[3:] / np.linalg.norm(x[3:])
+        apart = min(np.abs(turned - given).max(), np.abs(turned + given).max())
         if max(np.abs(pose.translation - x[:3]).max(), apart) > near:
             return f"the object is not where the joints hold it at {at:.3f} s"
     return ""

@@ -390,8 +390,8 @@ class Scenario:
         """What the inputs are that tasks of any phase follow, by name."""
         found = dict[str, Kind]()
         for problem in self.problems(lambda _: self.chain.q_start):
-            asked = wanted(problem.all_tasks, State(problem.chain))
-            found |= {name: kind for name, (kind, _) in asked.items()}
+            inputs = wanted(problem.all_tasks, State(problem.chain))
+            found |= {name: kind for name, (kind, _) in inputs.items()}
         return found
 
 

@@ -110,9 +110,9 @@ def joints_outside(robot: RobotModel, start: Start, q: Array, key: str) -> Itera
         return
     for name in like:
         yield Wrong([key, name], f"{words}; start is in radians, start_deg all in degrees")
-    told = {joint for name in like for joint in given[name]}
+    in_degrees = {joint for name in like for joint in given[name]}
     of_arm = {joint: (arm, i) for arm in arms if arm in start for i, joint in enumerate(arms[arm])}
-    for joint, *value in (value for value in values if value[0] not in told):
+    for joint, *value in (value for value in values if value[0] not in in_degrees):
         place = (joint,) if joint in start else of_arm.get(joint, (joint,))
         yield from _outside((key, *place), joint, *value)
 
@@ -138,8 +138,8 @@ def _outside(
 
 def _like_degrees(robot: RobotModel, q: Array, joints: Sequence[str]) -> bool:
     lower, upper = robot.model.lowerPositionLimit, robot.model.upperPositionLimit
-    asked = zip(robot.joint_units, robot.joint_names, strict=True)
-    turns = np.array([unit == "rad" and joint in joints for unit, joint in asked])
+    units = zip(robot.joint_units, robot.joint_names, strict=True)
+    turns = np.array([unit == "rad" and joint in joints for unit, joint in units])
     outside = turns & ((q < lower) | (q > upper))
     inside = (lower <= np.radians(q)) & (np.radians(q) <= upper)
     return bool((np.abs(q[outside]) > 2.0 * math.pi).any() and inside[turns].all())
