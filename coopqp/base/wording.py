@@ -5,7 +5,7 @@ import re
 import traceback
 import types
 import typing
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from difflib import get_close_matches
@@ -37,7 +37,7 @@ REPLACEMENTS = {
 }  # fmt: skip
 UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")  # what pydantic calls such keys
 MAX_MESSAGE = 300  # characters of what an error says of itself
-USERS = "coopqp.scenario.user_folders."  # how names of modules begin that lie in users' folders
+USERS = "coopqp.scenario.catalog.at_"  # how names of modules begin that lie in users' folders
 
 
 def dotted(location: Location) -> str:
@@ -77,21 +77,26 @@ def message_of(error: BaseException) -> str:
     """What an error says of itself, in one line; empty where it cannot even do that."""
     words = ""
     with suppressed():  # an error may be of a user's class
-        words = " ".join(str(error).split())
+        words = " ".join(str(error.msg if isinstance(error, SyntaxError) else error).split())
     return one_line(words if len(words) <= MAX_MESSAGE else f"{words[:MAX_MESSAGE]}...")
 
 
 def raised(error: BaseException, file: str | None = None) -> str:
     """``FILE:LINE: raises ZeroDivisionError: division by zero``, of a file or outside libraries."""
-    frames = traceback.extract_tb(error.__traceback__)
-    own = [frame for frame in frames if file in (None, frame.filename)]
     if file is None:  # who called a library tells more than where in it that ended
-        own = [frame for frame in own if "site-packages" not in frame.filename] or own
-    place = f"{own[-1].filename}:{own[-1].lineno}" if own else file
+        place = place_of(error, lambda name: "site-packages" not in name) or place_of(error)
+    else:
+        place = place_of(error, lambda name: name == file) or file
     words = message_of(error)
-    if isinstance(error, SyntaxError) and error.filename:  # of a file that was about to run
-        place, words = f"{error.filename}:{error.lineno}", error.msg
     return f"{place}: raises {type(error).__name__}{f': {words}' if words else ''}"
+
+
+def place_of(error: BaseException, is_own: Callable[[str], bool] = lambda name: True) -> str:
+    """``FILE:LINE`` of what cannot be run, or of the last call in files that count; or empty."""
+    if isinstance(error, SyntaxError) and error.filename:
+        return f"{error.filename}:{error.lineno}"
+    frames = traceback.extract_tb(error.__traceback__)
+    return next((f"{f.filename}:{f.lineno}" for f in reversed(frames) if is_own(f.filename)), "")
 
 
 @contextmanager

@@ -189,17 +189,16 @@ class KeepApart(Limit):
 
     def nearer(self, found: Sequence[tuple[Body, Body, float]]) -> Iterator[str]:
         """A sentence on those of :meth:`at_start` that are nearer than the distance to keep."""
-        limit = self.distance - WORTH_SAYING
-        if near := [self._nearer(*pair) for pair in found if pair[2] < limit]:
+        kept = self.distance
+        near = [
+            f"{a.name} starts {-1e3 * d:.1f} mm in {b.name}" if d < 0.0 else
+            f"{a.name} starts {1e3 * (kept - d):.1f} mm nearer to {b.name} than distance "
+            f"({1e3 * d:.1f} of {1e3 * kept:g} mm)"
+            for a, b, d in found if d < kept - WORTH_SAYING
+        ]  # fmt: skip
+        if near:
             more = f", and {len(near) - SHOWN} pairs more" if len(near) > SHOWN else ""
             yield f"{self.name}: {', '.join(near[:SHOWN])}{more}"
-
-    def _nearer(self, one: Body, other: Body, d: float) -> str:
-        if d < 0.0:
-            return f"{one.name} starts {-1e3 * d:.1f} mm in {other.name}"
-        lacks = 1e3 * (self.distance - d)
-        nearer = f"{one.name} starts {lacks:.1f} mm nearer to {other.name} than distance"
-        return f"{nearer} ({1e3 * d:.1f} of {1e3 * self.distance:g} mm)"
 
 
 def distances_along(chain: ClosedChain, pairs: Sequence[Pair], q: Array) -> Array:

@@ -133,10 +133,6 @@ class _Gap:
     solids: _Solids
     ends: Array
 
-    @property
-    def length(self) -> float:
-        return float(np.linalg.norm(self.ends[1] - self.ends[0]))
-
 
 @dataclass(frozen=True, eq=False)
 class _Piece:
@@ -390,15 +386,15 @@ class ClosedLine:
             bends=bends, line=line, length=length, own=own, near=tuple(near),
         )  # fmt: skip
 
-    def _across(self, fixed: str, part: int, seen: Sequence[pin.SE3]) -> tuple[Array, float]:
+    def _across(self, fixed: str, part: int, frames: Sequence[pin.SE3]) -> tuple[Array, float]:
         """The line between the arms' first (0) or last (-1) bends, and how near it is to itself.
 
         Over the shortest gaps between bodies that are fixed to each other, from one in which the
-        straight line beyond an arm's bend is. ``seen``: from the world to these, of each arm.
+        straight line beyond an arm's bend is. ``frames``: from the world to these, of each arm.
         """
         clear = self._bodies.against(x for piece in self._pieces for x in piece.solids)
         placed, sides = dict[_Solid, _Placed](), list[list[tuple[int, Array, _Stretch]]]()
-        for arm, X in zip(self._arms, seen, strict=True):
+        for arm, X in zip(self._arms, frames, strict=True):
             joint = arm.joints[-1] if part else 0
             here = [solid for solid in self._bodies.all if solid.joint == joint and solid in clear]
             placed |= {solid: solid.at(X * self._placed[solid].X) for solid in here}
@@ -457,7 +453,8 @@ class ClosedLine:
         beyond = self._beyond(one, other, one.corners)
         yield Held(names, "bodies", other.radius(kept, LEAST, fine, beyond))
         for gap in one.gaps:
-            half, kept = 0.5 * gap.length, self._bodies.against(gap.solids)
+            half = 0.5 * float(np.linalg.norm(gap.ends[1] - gap.ends[0]))
+            kept = self._bodies.against(gap.solids)
             beyond = self._beyond(one, other, gap.ends)
             yield Held(names, "gap", other.radius(kept, half + LEAST, fine, beyond) - half)
 
@@ -558,13 +555,13 @@ def _through(
 
 def _nearest(one: _Placed, other: _Placed) -> tuple[float, Array, Array]:
     """Distance of two bodies, and where each is nearest to the other, or deepest in it."""
-    seen = coal.DistanceResult()
+    result = coal.DistanceResult()
     placed = []
     for x in (one, other):
         X = x.X * x.solid.convex.placement
         placed += [x.solid.convex.geometry, coal.Transform3s(X.rotation, X.translation)]
-    d = coal.distance(*placed, coal.DistanceRequest(), seen)
-    return d, np.array(seen.getNearestPoint1()), np.array(seen.getNearestPoint2())
+    d = coal.distance(*placed, coal.DistanceRequest(), result)
+    return d, np.array(result.getNearestPoint1()), np.array(result.getNearestPoint2())
 
 
 @lru_cache(maxsize=512)

@@ -30,7 +30,7 @@ from coopqp.planning.reach import (
 from coopqp.planning.timing import Clock, timed
 from coopqp.scenario.planned import PHASE
 from coopqp.scenario.scenario import Scenario, needs_scenario
-from coopqp.signal import TURN_COLUMNS, quaternion_of
+from coopqp.signal import POSE, quaternion_of
 from coopqp.study.explanation.goal import Goal, placed
 from coopqp.study.explanation.words import RunExplanation, size
 from coopqp.task import Task
@@ -94,7 +94,7 @@ class Plan:
     @property
     def columns(self) -> dict[str, Array]:
         """The path tick by tick, as ``way-points: {file: ...}`` names its columns."""
-        names = ("t", *self.joints, "x", "y", "z", *TURN_COLUMNS)
+        names = ("t", *self.joints, *POSE.columns)
         rows = np.column_stack([self.t, self.timed, self.object])
         phases = {PHASE: self.phase} if len(self.phase) else {}
         return dict(zip(names, rows.T, strict=True)) | phases
@@ -174,12 +174,14 @@ def _joined(scenario: Scenario, parts: Sequence[Plan]) -> Plan:
     last, names = parts[-1], [phase.name for phase in scenario.phases]
     keys = dict.fromkeys(key for part in parts for key in part.seconds)
     took = {key: sum(part.seconds.get(key, 0.0) for part in parts) for key in keys}
-    said = [f"phase '{name}': {part.sentence}" for name, part in zip(names, parts, strict=False)]
+    sentences = [
+        f"phase '{name}': {part.sentence}" for name, part in zip(names, parts, strict=False)
+    ]
     if not last.success:
-        return replace(last, sentence=said[-1], seconds=took)
+        return replace(last, sentence=sentences[-1], seconds=took)
     ends = np.cumsum([0.0, *(part.t[-1] + scenario.dt for part in parts)])
     return replace(
-        last, sentence="\n".join(said), seconds=took,
+        last, sentence="\n".join(sentences), seconds=took,
         q=np.concatenate([part.q for part in parts]),
         t=np.concatenate([part.t + end for part, end in zip(parts, ends, strict=False)]),
         timed=np.concatenate([part.timed for part in parts]),

@@ -37,7 +37,7 @@ from coopqp.planning.forward_backward_pass import FORCE, Passes, Profile, Share,
 from coopqp.planning.path_constraints import AXES, Bounds, RowMaker, Rows, bounds_of
 from coopqp.scenario.planned import PHASE
 from coopqp.scenario.scenario import Scenario, needs_scenario
-from coopqp.signal import TURN_COLUMNS, quaternion_of
+from coopqp.signal import POSE, quaternion_of
 
 #: Largest component of an internal wrench; 20 N buy two thirds and more of what any buys.
 WRENCH = (40.0, 4.0)  # [N, N m]
@@ -203,21 +203,24 @@ class TimedPath:
         joints = self.path.chain.joint_names
         arms = [arm.name for arm in self.path.chain.arms[: self.maker.arms] if self.maker.arms > 1]
         wrench = [f"internal[{arm}].{part}" for arm in arms for part in _WRENCH]
-        pose = [[*m.p_WO, *quaternion_of(m.R_WO)] for m in moments]
-        blocks = [
-            (("t",), t[:, None]),
-            (joints, np.array([m.q for m in moments])),
-            (("x", "y", "z", *TURN_COLUMNS), np.array(pose)),
-            ([f"v[{name}]" for name in joints], np.array([m.v for m in moments])),
-            ([f"tau[{name}]" for name in joints], np.array([m.tau for m in moments])),
-            (wrench, np.array([m.internal.ravel()[: len(wrench)] for m in moments])),
+        names = ["t", *joints, *POSE.columns, *(f"v[{name}]" for name in joints)]
+        names += [*(f"tau[{name}]" for name in joints), *wrench]
+        rows = [
+            [
+                now,
+                *m.q,
+                *m.p_WO,
+                *quaternion_of(m.R_WO),
+                *m.v,
+                *m.tau,
+                *m.internal.flat[: len(wrench)],
+            ]
+            for now, m in zip(t, moments, strict=True)
         ]
+        found = dict(zip(names, np.array(rows).T, strict=True))
         if self.maker.arms == 2:
             between = np.array([m.section(self.path.chain) for m in moments])
-            blocks.append((COMPONENTS, between))
-        found: dict[str, Array] = {}
-        for names, values in blocks:
-            found |= dict(zip(names, values.T, strict=True))
+            found |= dict(zip(COMPONENTS, between.T, strict=True))
         return found
 
     def coarse(self, dt: float) -> str:

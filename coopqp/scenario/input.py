@@ -185,17 +185,15 @@ class Inputs:
                 refused.append(f"{name}: {why}")
             elif channel:
                 arrived[name] = channel.sent, channel.target
-        goes_on = now > self._now > -math.inf
-        reading = state.reading
+        goes_on, reading = now > self._now > -math.inf, state.reading
         for name, clock in self.clocks.items():
             if goes_on:
                 clock.advance()
             clock.look(state.q if reading is None else reading)
             arrived[name] = now, clock.value
-        if goes_on:
-            for name, channel in self.channels.items():
-                if not channel.advance(now):
-                    refused.append(f"{name}: no way there within its bounds")
+        for name, channel in self.channels.items() if goes_on else ():
+            if not channel.advance(now):
+                refused.append(f"{name}: no way there within its bounds")
         self._now = now
         followed.arrived, followed.refused = arrived, tuple(refused)
         followed.stale = tuple(n for n, channel in self.channels.items() if channel.stale(now))
