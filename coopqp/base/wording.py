@@ -150,13 +150,13 @@ def _codes(cls: type) -> set[types.CodeType]:
 
 def _meant(found: Iterable[tuple[str, tuple[str | int, ...], str]]) -> dict[Location, str]:
     """Words on unknown keys that are missing ones mistyped; on those, which these say, none."""
-    said = dict[Location, str]()
+    meant = dict[Location, str]()
     missing = {place for kind, place, _ in found if kind.startswith("missing")}
     for place in (place for kind, place, _ in found if kind in UNKNOWN):
         keys = [str(key) for *parents, key in missing if (*parents,) == place[:-1]]
         if near := get_close_matches(str(place[-1]), keys, n=1, cutoff=0.5):
-            said |= {place: unknown_name("key", str(place[-1]), near), (*place[:-1], *near): ""}
-    return said
+            meant |= {place: unknown_name("key", str(place[-1]), near), (*place[:-1], *near): ""}
+    return meant
 
 
 def _follows(kind: str, place: Location, places: Sequence[Location]) -> bool:

@@ -45,7 +45,7 @@ CLOSED = 1e-5
 #: Of given points: ten times the verdict's, as planners and loggers round.
 GIVEN_POSITION, GIVEN_ORIENTATION = 10.0 * CLOSED_POSITION, 10.0 * CLOSED_ORIENTATION
 #: Distance of knots at first [rad, m], fewest intervals, and how often they are halved.
-SPACING, FEWEST, HALVINGS = 0.05, 12, 5
+SPACING, MIN_INTERVALS, HALVINGS = 0.05, 12, 5
 #: Places an interval at which closure and limits are looked at.
 FINER = 10
 #: Points that are nearer to the one before, as a share of the knots' distance, add their rounding.
@@ -252,7 +252,7 @@ def closed_path(chain: ClosedChain, points: Array, spacing: float = SPACING) -> 
     way, s, smooth = _thinned(Q, THINNED * spacing)
     length = float(s[-1])
     guess = _spline(s, smooth, 3)
-    intervals = max(FEWEST, int(np.ceil(length / spacing)))
+    intervals = max(MIN_INTERVALS, int(np.ceil(length / spacing)))
     for _ in range(HALVINGS):
         at = np.linspace(0.0, length, intervals + 1)
         straight = knots = guess(at)
@@ -280,8 +280,8 @@ def closed_path(chain: ClosedChain, points: Array, spacing: float = SPACING) -> 
 
 def still_path(chain: ClosedChain, q: Array, length: float) -> ClosedPath:
     """One configuration all along."""
-    s = np.linspace(0.0, length, FEWEST)
-    spline = _spline(s, np.zeros((FEWEST, len(q))), 5)
+    s = np.linspace(0.0, length, MIN_INTERVALS)
+    spline = _spline(s, np.zeros((MIN_INTERVALS, len(q))), 5)
     spline.c[:] = q
     gap = float(Loops(chain).gaps(q[None]).max())
     return ClosedPath(chain, length, spline, gap, 0.0, s[[0, -1]])
@@ -319,10 +319,10 @@ def _beyond(chain: ClosedChain, Q: Array) -> Array:
     return np.asarray(np.maximum(chain.lower - Q, Q - chain.upper))
 
 
-def _refuse_outside(chain: ClosedChain, Q: Array, most: float, place: Callable[[int], str]) -> None:
+def _refuse_outside(chain: ClosedChain, Q: Array, tol: float, place: Callable[[int], str]) -> None:
     beyond = _beyond(chain, Q)
     k, j = np.unravel_index(int(beyond.argmax()), beyond.shape)
-    if beyond[k, j] > most:
+    if beyond[k, j] > tol:
         end = chain.upper[j] if Q[k, j] > chain.upper[j] else chain.lower[j]
         unit = chain.joint_units[j]
         advice = "give one inside the limits, and points nearer together where it runs along them"
@@ -376,9 +376,9 @@ def _refuse_jumps(steps: Array) -> None:
     k, usual = int(steps.argmax()), float(np.median(steps))
     alone = len(steps) > 9 and steps[k] > max(UNLIKE * usual, 6.0 * SPACING)
     if steps[k] > JUMP or alone:
-        beside = f", where the others are {usual:.2g} apart" if alone else ""
+        others = f", where the others are {usual:.2g} apart" if alone else ""
         raise InvalidValueError(
-            f"path: it jumps by {steps[k]:.3g} rad from point {k} to point {k + 1}{beside}; give "
+            f"path: it jumps by {steps[k]:.3g} rad from point {k} to point {k + 1}{others}; give "
             "points in between"
         )
 

@@ -44,7 +44,7 @@ from coopqp.robot import Convex, axis_of
 #: What is no length, lean or turn [m, 1].
 NOTHING = 1e-6
 #: Least radius of the bodies about the line, beyond what it has to be, and its accuracy [m].
-LEAST, FINE = 1e-3, 1e-4
+MIN_RADIUS, FINE = 1e-3, 1e-4
 #: What a body more on the way costs against a longer gap [m].
 HOP = 1e-4
 #: No body is thicker [m].
@@ -78,7 +78,6 @@ class _Solid:
     convex: Convex
 
     def at(self, X: pin.SE3) -> _Placed:
-        """The body, with its joint at X."""
         faces, placed = _faces(self.convex.points.tobytes()), X * self.convex.placement
         assert faces is not None
         normals = faces[:, :3] @ placed.rotation.T
@@ -156,12 +155,12 @@ class _Piece:
     corners: Array = field(default_factory=lambda: np.zeros((0, 3)))
     bends: tuple[int, int] = (0, 0)
 
-    def radius(self, kept: _Solids, least: float, fine: bool, beyond: dict[int, float]) -> float:
-        """Of balls about its points that lie in the kept bodies [m]; 0 if below ``least``.
+    def radius(self, kept: _Solids, needed: float, fine: bool, beyond: dict[int, float]) -> float:
+        """Of balls about its points that lie in the kept bodies [m]; 0 if below ``needed``.
 
-        Just ``least`` unless ``fine``. Points nearer to a bend than ``beyond`` do not count.
+        Just ``needed`` unless ``fine``. Points nearer to a bend than ``beyond`` do not count.
         """
-        return self.ball if self.solids <= kept and self.ball >= least and not self.gaps else 0.0
+        return self.ball if self.solids <= kept and self.ball >= needed and not self.gaps else 0.0
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -182,14 +181,14 @@ class _Stretch(_Piece):
     own: tuple[_Placed, ...]
     near: tuple[_Ball, ...]
 
-    def radius(self, kept: _Solids, least: float, fine: bool, beyond: dict[int, float]) -> float:
+    def radius(self, kept: _Solids, needed: float, fine: bool, beyond: dict[int, float]) -> float:
         low = beyond.get(self.bends[0], 0.0)
         high = self.length - beyond.get(self.bends[1], 0.0)
         if low > high:
             return np.inf
-        if not self._holds(kept, least, low, high):
+        if not self._holds(kept, needed, low, high):
             return 0.0
-        known, wrong = least, THICK if fine else least
+        known, wrong = needed, THICK if fine else needed
         while wrong - known > FINE:
             r = 0.5 * (known + wrong)
             known, wrong = (r, wrong) if self._holds(kept, r, low, high) else (known, r)
@@ -203,7 +202,6 @@ class _Stretch(_Piece):
         return bool(chosen) and not _between(chosen)
 
     def _rounded(self, kept: _Solids, r: float, at: float) -> bool:
-        """Whether one of the bodies has a ball of radius r so far along it."""
         p = self.line[0] + at * self.line[1]
         return any(x.solid in kept and x.depth(p) >= r for x in self.own) or any(
             some <= kept and where == at and radius >= r for some, where, radius in self.near
@@ -239,7 +237,6 @@ class _Arm:
 
     @property
     def corners(self) -> Array:
-        """Places of the bends, shape (b, 3)."""
         return np.asarray(self.places[self.leans == 0.0])
 
     @property
@@ -275,7 +272,6 @@ class _Bodies:
         self.all = tuple(self._against)
 
     def against(self, others: Iterable[_Solid]) -> _Solids:
-        """Those that are watched against each of the others."""
         return frozenset(self.all).intersection(*(self._against[other] for other in others))
 
 
@@ -297,27 +293,25 @@ class ClosedLine:
         pin.forwardKinematics(model, zero, np.zeros(chain.n))
         self._placed = {solid: solid.at(zero.oMi[solid.joint]) for solid in bodies.all}
         self._axes = {j: axis for arm in arms for j, axis in zip(arm.joints, arm.axes, strict=True)}
-        self._twist, self._unfolded = np.zeros(chain.n), dict[int, float]()
+        self._twist = np.zeros(chain.n)
         for arm in arms:
             self._twist[[model.idx_qs[j] for j in arm.joints]] = arm.leans
-            for j in arm.bends:
-                i = model.idx_vs[j]
-                self._unfolded[j] = np.pi - max(-chain.lower[i], chain.upper[i])
+        farthest = np.maximum(-chain.lower, chain.upper)
+        bends = [j for arm in arms for j in arm.bends]
+        self._unfolded = {j: float(np.pi - farthest[model.idx_vs[j]]) for j in bends}
         self._pieces: list[_Piece] = [piece for arm in arms for piece in self._between(arm)]
         self._fixed = dict[tuple[str, int], Array]()
         self._below, below = self._across("world", 0, [pin.SE3.Identity()] * 2)
         self._above, above = self._across("object", -1, [arm.X_WO.inverse() for arm in arms])
-        self._apart = [Held(("world", "world"), "fixed", below)]
-        self._apart.append(Held(("object", "object"), "fixed", above))
+        ends = (("world", below), ("object", above))
+        self._apart = [Held((name, name), "fixed", margin) for name, margin in ends]
         self.proven = all(one.margin > 0.0 for one in self.held(fine=False))
 
     def held(self, fine: bool = True) -> list[Held]:
         """Why each two pieces never cross; margins of radii are just enough unless ``fine``."""
-        found = [*self._apart]
-        for one, other in itertools.combinations(self._pieces, 2):
-            if one.fixed != other.fixed:
-                found += self._crossing(one, other, fine)
-        return found
+        pairs = itertools.combinations(self._pieces, 2)
+        moving = ((one, other) for one, other in pairs if one.fixed != other.fixed)
+        return [*self._apart, *(held for pair in moving for held in self._crossing(*pair, fine))]
 
     def number(self, q: Array) -> float:
         """The linking number and a constant."""
@@ -339,7 +333,6 @@ class ClosedLine:
         return np.where(whole & self.proven, turns.round(), 0.0).astype(int)
 
     def _between(self, arm: _Arm) -> Iterator[_Piece]:
-        """Pieces between one bend and the next."""
         for k in range(1, len(arm.bends)):
             start, end = arm.corners[k - 1 : k + 1]
             bends = (arm.bends[k - 1], arm.bends[k])
@@ -369,7 +362,7 @@ class ClosedLine:
         """
         names = self._chain.model.names
         own = tuple(x for x in self._placed.values() if x.solid.joint in joints)
-        spans = _spans(line, own, near, LEAST)
+        spans = _spans(line, own, near, MIN_RADIUS)
         ways = [_chosen(some, 0.0, length) for some in (spans[: len(own)], spans)]
         whole = [way for way in ways if way and not _between(way)]
         chosen = next((way for way in (*whole, *ways) if way), None)
@@ -428,8 +421,8 @@ class ClosedLine:
     ) -> tuple[Array, _Stretch] | None:
         """Where the straight line beyond an arm's bend is within a body, and its piece up to it."""
         line = arm.corners[part], arm.up if part else -arm.up
-        low, high = self._placed[solid].span(*line, LEAST)
-        if high <= LEAST:
+        low, high = self._placed[solid].span(*line, MIN_RADIUS)
+        if high <= MIN_RADIUS:
             return None
         length = 0.5 * (max(low, 0.0) + high)
         own = len(arm.parts) - 1 if part else 0
@@ -451,12 +444,12 @@ class ClosedLine:
             one, other = other, one
         kept = self._bodies.against(one.solids)
         beyond = self._beyond(one, other, one.corners)
-        yield Held(names, "bodies", other.radius(kept, LEAST, fine, beyond))
+        yield Held(names, "bodies", other.radius(kept, MIN_RADIUS, fine, beyond))
         for gap in one.gaps:
             half = 0.5 * float(np.linalg.norm(gap.ends[1] - gap.ends[0]))
             kept = self._bodies.against(gap.solids)
             beyond = self._beyond(one, other, gap.ends)
-            yield Held(names, "gap", other.radius(kept, half + LEAST, fine, beyond) - half)
+            yield Held(names, "gap", other.radius(kept, half + MIN_RADIUS, fine, beyond) - half)
 
     def _beyond(self, one: _Piece, other: _Piece, corners: Array) -> dict[int, float]:
         """How far a line in the frame of one is from the other's bends that are fixed there."""
@@ -498,7 +491,6 @@ def writhe(corners: Array) -> float:
 
 
 def _solid_angle(a: Array, b: Array, c: Array) -> float:
-    """Of spherical triangles together."""
     volume = _dot(a, np.cross(b, c))
     return float(2.0 * np.arctan2(volume, 1.0 + _dot(a, b) + _dot(b, c) + _dot(c, a)).sum())
 
@@ -529,7 +521,6 @@ def _chosen(spans: Sequence[_Span], low: float, high: float) -> list[_Span]:
 
 
 def _between(chosen: Sequence[_Span]) -> list[tuple[_Solids, float, float]]:
-    """The gaps between one and the next."""
     pairs = itertools.pairwise(chosen)
     return [(one[0] | other[0], one[2], other[1]) for one, other in pairs if one[2] < other[1]]
 

@@ -143,11 +143,11 @@ def _through(
 
     Where the one after it has none, a phase is planned again, to goals of other random numbers.
     """
-    begun, most = time.perf_counter(), len(scenario.phases)
+    begun, count = time.perf_counter(), len(scenario.phases)
     made: list[Plan] = []
-    chains, again, best = [scenario.chain], [0] * most, list[Plan]()
+    chains, again, best = [scenario.chain], [0] * count, list[Plan]()
     unknown = set(keep) - {task.name for phase in scenario.phases for task in phase.tasks}
-    while len(made) < most:
+    while len(made) < count:
         k, left = len(made), budget.seconds - (time.perf_counter() - begun)
         phase = scenario.phases[k]
         names = [x for x in keep if x in unknown or x in [task.name for task in phase.tasks]]
@@ -157,14 +157,14 @@ def _through(
             found = planner.plan(now, progress=progress)
         if found.success:
             made.append(found)
-            if len(made) < most:
+            if len(made) < count:
                 released = scenario.phases[k + 1].released
                 chains = [*chains[: k + 1], chains[k].handed_over(found.q[-1], released)]
             continue
         best = max([*made, found], best, key=len)
         if not k or left <= 0.0 or again[k - 1] >= AGAIN:
             return best
-        again[k - 1 :] = [again[k - 1] + 1] + [0] * (most - k)
+        again[k - 1 :] = [again[k - 1] + 1] + [0] * (count - k)
         made.pop()
     return made
 

@@ -211,10 +211,10 @@ class Goals:
         """Whether motors and friction, with the laws' safety, hold the object where hands press."""
         if not self._presses:
             return True
-        most = StaticHold(self.space.chain, q, safety=SAFETY).load()
-        if most.value < 1.0:
-            self.lost.append(most)
-        return most.value >= 1.0
+        load = StaticHold(self.space.chain, q, safety=SAFETY).load()
+        if load.value < 1.0:
+            self.lost.append(load)
+        return load.value >= 1.0
 
 
 def explained(goals: Goals) -> str:
@@ -223,12 +223,12 @@ def explained(goals: Goals) -> str:
     Empty where these find something, which is among ``goals.solutions`` or ``cut_off`` then.
     """
     if goals.lost:
-        most = max(goals.lost, key=lambda bound: bound.value)
+        load = max(goals.lost, key=lambda bound: bound.value)
         there = counted(len(goals.lost), "configuration")
         return (
             f"not found from {goals.tried} starts: inside the other limits {there} found, but "
-            f"hands hold at most {100.0 * most.value:.0f} % of the object's weight there, as "
-            f"{most.holds}"
+            f"hands hold at most {100.0 * load.value:.0f} % of the object's weight there, as "
+            f"{load.holds}"
         )
     goal, space = goals.goal, goals.space
     q = space.chain.q_start

@@ -374,8 +374,8 @@ def eased(found: TimedPath, rise: float) -> TimedPath:
     if any(found.speed):
         raise InvalidValueError(f"rise: found {rise:g} s, needs a speed of 0 at both ends")
     if rise < found.duration / len(found.profile.u):
-        least = found.duration / len(found.profile.u)
-        words = f"0, or at least {least:.3g} s, the time of an interval of the grid"
+        shortest = found.duration / len(found.profile.u)
+        words = f"0, or at least {shortest:.3g} s, the time of an interval of the grid"
         raise InvalidValueError(f"rise: found {rise:g} s, needs {words}")
     path, maker, x, hold = found.path, found.maker, found.profile.x, found.profile.max_x.copy()
     for k in np.flatnonzero((x[1:-1] <= x[:-2]) & (x[1:-1] <= x[2:])) + 1:
@@ -569,22 +569,20 @@ def _active(fine: Rows, share: Share, uses: _Uses) -> Iterator[str]:
         yield max(best)[1]
 
 
-def _slow(rows: Rows) -> list[str]:
+def _slow(rows: Rows) -> Iterator[str]:
     """Sentences on places where the path turns back or the loops are singular."""
-    path, found = rows.maker.path, []
+    path, J = rows.maker.path, rows.along.moved.J
     pace = np.linalg.norm(rows.along.dq, axis=1)
-    if (k := int(pace.argmin())) is not None and pace[k] < STILL * float(np.median(pace)):
-        place = path.place(float(rows.s[k]))
-        found.append(f"At {place}, the path stands still or turns back; it is passed slowly.")
-    J = rows.along.moved.J
+    where = path.place(float(rows.s[pace.argmin()]))
+    if pace.min() < STILL * float(np.median(pace)):
+        yield f"At {where}, the path stands still or turns back; it is passed slowly."
     if J.shape[1] > 1:
         values = np.linalg.svd(relative(J), compute_uv=False)
         rank = min(path.chain.loops.rank, values.shape[1])
         well = values[:, rank - 1] / values[:, 0]
-        if well[k := int(well.argmin())] < SINGULAR:
-            place = path.place(float(rows.s[k]))
-            found.append(f"At {place}, the arms are singular; it is passed slowly.")
-    return found
+        if well.min() < SINGULAR:
+            where = path.place(float(rows.s[well.argmin()]))
+            yield f"At {where}, the arms are singular; it is passed slowly."
 
 
 def _wrench(rows: Rows, u: float, x: float) -> Array:

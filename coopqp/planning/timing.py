@@ -29,7 +29,7 @@ from coopqp.planning.closed_path import (
 )
 from coopqp.planning.path_constraints import RowMaker, motion_bounds, motion_limits
 from coopqp.planning.time_along import TimedPath, fastest
-from coopqp.scenario.scenario import MOST_KEPT, Scenario
+from coopqp.scenario.scenario import MAX_KEPT, Scenario
 from coopqp.task import Task
 
 #: Where no limit bounds accelerations, the highest speed is there after so long [s].
@@ -58,7 +58,7 @@ class Clock:
         self.lasts = 0.0  # the way, as far as is known [s]
 
     def parts(self, rows: NDArray[Any]) -> Iterator[NDArray[Any]]:
-        """The rows in parts of ``PART``, at least one; a TimeoutError where no time is left."""
+        """The rows in parts of ``PART``, at smallest one; a TimeoutError where no time is left."""
         for k in range(0, max(len(rows), 1), PART):
             if time.perf_counter() - self._begun > self._seconds:
                 lasts = f", as it lasts {self.lasts:.3g} s" if self.lasts else ""
@@ -78,12 +78,12 @@ def timed(problem: ControlProblem, q: Array, allowed: Allowed, clock: Clock) -> 
     the clock has run down.
     """
     chain, dt, way, loops = problem.chain, problem.dt, lengths(q), Loops(problem.chain)
-    best, least = q[:1].copy(), np.inf
+    best, smallest = q[:1].copy(), np.inf
     if len(q) < 2:
         return np.zeros(1), best
     _, push, _ = finite_limits(problem)
     for found, place in _rounded(problem, q, allowed):
-        if found.duration / dt * chain.n > MOST_KEPT:
+        if found.duration / dt * chain.n > MAX_KEPT:
             words = "more ticks than are kept; let joints go faster"
             raise InvalidValueError(f"plan: the way lasts {found.duration:.3g} s, {words}")
         slower = 1.0
@@ -98,12 +98,12 @@ def timed(problem: ControlProblem, q: Array, allowed: Allowed, clock: Clock) -> 
             parts = clock.parts(np.arange(len(near)))
             opened = max(loops.opened(near[max(part[0] - 2, 0) : part[-1] + 1]) for part in parts)
             excess = float((np.abs(pushed) / push).max(initial=opened / SHARE))
-            if excess < least:
-                best, least = near, excess
+            if excess < smallest:
+                best, smallest = near, excess
             if excess <= 1.0:
                 return np.asarray(ticks, float), near
             slower *= 1.01 * np.sqrt(excess)
-    if least == np.inf and way[-1] > 1e-6:  # else it stands still
+    if smallest == np.inf and way[-1] > 1e-6:  # else it stands still
         raise InvalidValueError("plan: a path was found, but nothing near it is free at ticks")
     return np.asarray(dt * np.arange(len(best)), float), best
 

@@ -20,7 +20,7 @@ from coopqp.solver import Solution
 from coopqp.solvers import Daqp
 
 #: Damping mu at first, at least and at most, in units of J'J.
-DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-11, 1e3
+DAMPING, MIN_DAMPING, MAX_DAMPING = 1e-3, 1e-11, 1e3
 
 #: The search has ended when a step changes |r|^2 by less than this share.
 STUCK = 1e-6
@@ -64,13 +64,13 @@ class BoundedSteps:
         mu = DAMPING
         r, J = residual(x)
         for _ in range(stop.steps):
-            if stop.enough(r) or mu > MOST_DAMPING:
+            if stop.enough(r) or mu > MAX_DAMPING:
                 break
             curvature, slope = J.T @ J, J.T @ r
             self._limit(x, bounds, stop.max_step)
             if inequalities:
                 self._qp.G[:], self._qp.h[:] = inequalities(x)
-            while mu <= MOST_DAMPING:
+            while mu <= MAX_DAMPING:
                 trial = self.step(x, curvature, slope, np.full(len(x), mu), bounds)
                 trial_r, trial_J = residual(trial)
                 if trial_r @ trial_r < r @ r:
@@ -79,7 +79,7 @@ class BoundedSteps:
             else:
                 break
             stuck = trial_r @ trial_r > (1.0 - stop.stuck) * (r @ r)
-            x[:], r, J, mu = trial, trial_r, trial_J, max(mu / 5.0, LEAST_DAMPING)
+            x[:], r, J, mu = trial, trial_r, trial_J, max(mu / 5.0, MIN_DAMPING)
             if stuck:
                 break
         return r

@@ -147,8 +147,6 @@ def _line(cls: type) -> int:
 
 
 class _Finder(MetaPathFinder):
-    """Finds packages that :func:`_package_of` has named."""
-
     def find_spec(
         self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:

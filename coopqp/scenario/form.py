@@ -150,7 +150,6 @@ def _fields(cls: Any) -> list[tuple[Any, Any, Key]]:
 
 
 def _named(default: Any) -> Any:
-    """A default as a file would say it: plug-ins by name."""
     if isinstance(default, tuple):
         return list(map(_named, default))
     return type_name(type(default)) if isinstance(default, tuple(COLLECTIONS.values())) else default
@@ -206,7 +205,6 @@ def check(file: YamlFile, catalog: Catalog) -> BaseModel:
         return chosen(read)[1]
 
     def read_signal(value: dict[str, Any], needed: bool) -> Signal | None:
-        """A signal where a task may have one."""
         named = len(value) == 1 and set(value) <= set(catalog.entries("signals"))
         return inner("signals", value) if needed or named else None
 

@@ -253,16 +253,16 @@ def _unmovable(scenario: Scenario) -> Iterator[str]:
         for task in () if phase.released and not chain.standing else phase.tasks:
             if task.joint_space or task.of_forces or task.asks_velocity or task.impedance:
                 continue
-            seen, at, names = list[Array](), 0, task.rows(chain)
+            jacobians, at, names = list[Array](), 0, task.rows(chain)
             with suppress(Exception):  # of a user's own code, of which the run tells
                 stack = TaskStack([task], State(chain))
                 for state.t, state.q[:] in ((phase.duration, chain.q_start + way) for way in ways):
                     state.update()
                     stack.update(state)
-                    seen.append(stack.J.copy())
-            for part in task.parts(chain) if len(seen) == LOOKS else ():
+                    jacobians.append(stack.J.copy())
+            for part in task.parts(chain) if len(jacobians) == LOOKS else ():
                 rows = slice(at, at := at + part.rows)
-                U, values, _ = np.linalg.svd(np.hstack(seen)[rows], full_matrices=False)
+                U, values, _ = np.linalg.svd(np.hstack(jacobians)[rows], full_matrices=False)
                 still = U[:, values < UNMOVED]
                 off = float(np.linalg.norm(still.T @ stack.e[rows]))
                 if off > part.tolerance:

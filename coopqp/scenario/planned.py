@@ -182,8 +182,8 @@ def _damaged(chain: ClosedChain, t: Array, q: Array, X: Array, near: float) -> s
     (late,) = np.nonzero(np.diff(t) > MISSING * np.median(np.diff(t)))
     if len(late):
         return f"rows are missing between {t[late[0]]:.3f} and {t[late[0] + 1]:.3f} s"
-    most = np.where(chain.velocity > 0.0, chain.velocity, np.inf)
-    jumps = np.abs(np.diff(q, axis=0)) > FAST * most * np.diff(t)[:, None]
+    fastest = np.where(chain.velocity > 0.0, chain.velocity, np.inf)
+    jumps = np.abs(np.diff(q, axis=0)) > FAST * fastest * np.diff(t)[:, None]
     if jumps.any():
         i, joint = np.argwhere(jumps)[0]
         return f"{chain.joint_names[joint]} jumps at {t[i]:.3f} s"
@@ -209,7 +209,7 @@ def _beyond(problem: ControlProblem, t: Array, q: Array) -> str:
         at, rows = t[::-every][::-1], q[::-every][::-1]
         v = np.diff(rows, axis=0) / np.diff(at)[:, None]
         for row, margin in audit([limit], problem.chain, rows, v, problem.dt).margins.items():
-            if row.unit in OF_SPEED and len(v) and (least := float(margin.min())) < -BEYOND:
+            if row.unit in OF_SPEED and len(v) and (worst := float(margin.min())) < -BEYOND:
                 place = f"at {at[int(margin.argmin()) + 1]:.3f} s"
-                return f"{row.label} is broken by {-least:.2g} {row.unit} {place}"
+                return f"{row.label} is broken by {-worst:.2g} {row.unit} {place}"
     return ""

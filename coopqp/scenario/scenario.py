@@ -49,7 +49,7 @@ from coopqp.solvers import Daqp
 from coopqp.task import Task
 
 #: Most ticks times joints of all controllers together: traces of 0.6 GB, reports of 2 GB.
-MOST_KEPT = 4_000_000
+MAX_KEPT = 4_000_000
 
 #: Fields from which the closed chain follows, beside the robot.
 OF_CHAIN = {"start", "grasps", "grasp_of", "held", "weights", "phases"}
@@ -309,11 +309,11 @@ class Scenario:
         return self.first_ticks[-1] + self.schedule[-1].ticks(self.dt)
 
     def check_size(self) -> None:
-        """Refuse runs of which more would be kept than ``MOST_KEPT``."""
+        """Refuse runs of which more would be kept than ``MAX_KEPT``."""
         each = max(1, len(self.controllers)) * len(self.robot_model.joint_names)
-        if self.ticks * each > MOST_KEPT:
+        if self.ticks * each > MAX_KEPT:
             raise InvalidValueError(
-                f"found {self.ticks} ticks, more than are kept; needs at most {MOST_KEPT // each} "
+                f"found {self.ticks} ticks, more than are kept; needs at most {MAX_KEPT // each} "
                 f"with {len(self.controllers)} controllers and {len(self.robot_model.joint_names)} "
                 "joints, so make the run shorter, or dt longer"
             )

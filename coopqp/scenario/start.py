@@ -13,7 +13,7 @@ from coopqp.base.wording import Location
 from coopqp.grasp import Grasp
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.robot import RobotModel, unit_of
-from coopqp.scenario.yaml import LEAST, Wrong
+from coopqp.scenario.yaml import SMALLEST, Wrong
 from coopqp.signal import POSE
 
 Start = Mapping[str, float | Sequence[float]]
@@ -53,7 +53,7 @@ def pose_at(X: pin.SE3) -> Pose:
 
 def without_tiny(numbers: Array) -> Array:
     """With zero where a scenario file could not have a number."""
-    return np.where(np.abs(numbers) < LEAST, 0.0, numbers)
+    return np.where(np.abs(numbers) < SMALLEST, 0.0, numbers)
 
 
 def start_of(robot: RobotModel, start: Start) -> tuple[Start, dict[str, float]]:

@@ -43,7 +43,7 @@ from coopqp.model.grasp_configuration import (
     with_passive_joints,
 )
 from coopqp.robot import RobotModel
-from coopqp.scenario.bounded_steps import LEAST_DAMPING, BoundedSteps, Stop
+from coopqp.scenario.bounded_steps import MIN_DAMPING, BoundedSteps, Stop
 from coopqp.scenario.start import Start, by_arm, start_of
 
 Progress = Callable[[int, int], None]
@@ -228,7 +228,6 @@ def solve_start(
 
 
 def _ranked(problem: StartProblem, searches: Sequence[_Search]) -> Iterator[StartSolution]:
-    """Starts put together from those of groups, the best first."""
     tries, closed = sum(one.tries for one in searches), min(one.closed for one in searches)
     choices = itertools.product(*(enumerate(search.ranked()) for search in searches))
     q = problem.middle.copy()
@@ -329,7 +328,7 @@ class _Search:
         self._steps = BoundedSteps(len(self.columns))
 
     def run(self) -> Iterator[int]:
-        """Try until enough has been found; yields the number of tries made."""
+        """Yields the number of tries made."""
         while self.tries < TRIES and self.closed < ENOUGH:
             q = self.problem.middle.copy()
             if self.tries:
@@ -381,7 +380,7 @@ class _Search:
             r, J = problem.residual(q, self.arms)
             J, x = J[:, columns], q[columns]
             slope = CLOSING_WEIGHT * J.T @ r + pull * (q - problem.middle)[columns]
-            curvature, damping = CLOSING_WEIGHT * J.T @ J, pull + LEAST_DAMPING
+            curvature, damping = CLOSING_WEIGHT * J.T @ J, pull + MIN_DAMPING
             q[columns] = self._steps.step(x, curvature, slope, damping, self._bounds, STEP)
             if np.abs(q[columns] - x).max() < 1e-3:
                 break
