@@ -174,9 +174,8 @@ def _joined(scenario: Scenario, parts: Sequence[Plan]) -> Plan:
     last, names = parts[-1], [phase.name for phase in scenario.phases]
     keys = dict.fromkeys(key for part in parts for key in part.seconds)
     took = {key: sum(part.seconds.get(key, 0.0) for part in parts) for key in keys}
-    sentences = [
-        f"phase '{name}': {part.sentence}" for name, part in zip(names, parts, strict=False)
-    ]
+    named = zip(names, parts, strict=False)
+    sentences = [f"phase '{name}': {part.sentence}" for name, part in named]
     if not last.success:
         return replace(last, sentence=sentences[-1], seconds=took)
     ends = np.cumsum([0.0, *(part.t[-1] + scenario.dt for part in parts)])

@@ -206,18 +206,10 @@ class TimedPath:
         names = ["t", *joints, *POSE.columns, *(f"v[{name}]" for name in joints)]
         names += [*(f"tau[{name}]" for name in joints), *wrench]
         rows = [
-            [
-                now,
-                *m.q,
-                *m.p_WO,
-                *quaternion_of(m.R_WO),
-                *m.v,
-                *m.tau,
-                *m.internal.flat[: len(wrench)],
-            ]
+            np.hstack([now, m.q, m.p_WO, quaternion_of(m.R_WO), m.v, m.tau, *m.internal])
             for now, m in zip(t, moments, strict=True)
         ]
-        found = dict(zip(names, np.array(rows).T, strict=True))
+        found = dict(zip(names, np.array(rows).T, strict=False))  # one arm has no internal wrench
         if self.maker.arms == 2:
             between = np.array([m.section(self.path.chain) for m in moments])
             found |= dict(zip(COMPONENTS, between.T, strict=True))
