@@ -64,10 +64,24 @@ class InputSettings(MotionLimits):
 
 
 class Channel(TrajectoryFilter):
-    """One input while the arms move, of a kind, which begins at ``value``, shape (values,)."""
+    """One input while the arms move, of a kind, at rest where it begins, shape (values,).
 
-    def __init__(self, kind: Kind, settings: InputSettings, dt: float, value: Array) -> None:
-        super().__init__(kind, settings, dt, value)
+    InvalidValueError: it begins nowhere, or settings do not fit.
+    """
+
+    def __init__(self, kind: Kind, start: Array | None, settings: InputSettings, dt: float) -> None:
+        if kind.velocity and settings.when_stale == "hold":
+            words = "when_stale: hold would go on for ever with a velocity; use brake"
+            raise InvalidValueError(words)
+        for key in ("lower", "upper"):
+            found = getattr(settings, key)
+            if found is not None and len(found) != kind.numbers:
+                needs = f"needs {kind.numbers} for a {kind.name}"
+                raise InvalidValueError(f"{key}: found {counted(len(found), 'number')}, {needs}")
+        if start is None:
+            words = f"where is the {kind.name} before anything arrives? Say it where it is used"
+            raise InvalidValueError(f"{words}, as input: {{name: ..., start: [...]}}")
+        super().__init__(kind, settings, dt, start)
         self._settings = settings
         self.target = self.value.copy()  # arrived last, or is where it began
         self.sent = -math.inf  # when that was [s]
@@ -164,7 +178,7 @@ class Inputs:
                 continue
             if name not in settings:
                 raise UnknownNameError("input", name, settings)
-            self.channels[name] = open_channel(kind, here, settings[name], dt)
+            self.channels[name] = Channel(kind, here, settings[name], dt)
         start.inputs.update(self.channels)
         start.inputs.update(self.clocks)
 
@@ -197,22 +211,6 @@ class Inputs:
         self._now = now
         followed.arrived, followed.refused = arrived, tuple(refused)
         followed.stale = tuple(n for n, channel in self.channels.items() if channel.stale(now))
-
-
-def open_channel(kind: Kind, here: Array | None, settings: InputSettings, dt: float) -> Channel:
-    """An input at rest where it begins; InvalidValueError if nowhere, or settings do not fit."""
-    if kind.velocity and settings.when_stale == "hold":
-        words = "when_stale: hold would go on for ever with a velocity; use brake"
-        raise InvalidValueError(words)
-    for key in ("lower", "upper"):
-        found = getattr(settings, key)
-        if found is not None and len(found) != kind.numbers:
-            needs = f"needs {kind.numbers} for a {kind.name}"
-            raise InvalidValueError(f"{key}: found {counted(len(found), 'number')}, {needs}")
-    if here is None:
-        words = f"where is the {kind.name} before anything arrives? Say it where it is used"
-        raise InvalidValueError(f"{words}, as input: {{name: ..., start: [...]}}")
-    return Channel(kind, settings, dt, here)
 
 
 class Feed:
