@@ -88,8 +88,7 @@ class Workspace(Limit):
         if self.frames:
             return None
         n, offset = self._plane()
-        points = self._points(chain)
-        return TwistBounds(points=points, normal=n, offset=offset, gain=self.gain)
+        return TwistBounds(points=self._points(chain), normal=n, offset=offset, gain=self.gain)
 
     def clearance(self, chain: ClosedChain) -> Clearance:
         """Distance of each point from the plane [m]."""

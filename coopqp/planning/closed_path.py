@@ -183,8 +183,7 @@ def on_lines(at: Array, s: Array, q: Array) -> Array:
 
 def lengths(q: Array) -> Array:
     """Length of a path up to each of its rows [rad, m]."""
-    steps = np.linalg.norm(np.diff(q, axis=0), axis=1)
-    return np.concatenate([[0.0], np.cumsum(steps)])
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1))])
 
 
 class Along(NamedTuple):

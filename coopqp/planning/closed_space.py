@@ -346,5 +346,4 @@ def along(q: Array, every: float) -> Array:
     s = lengths(q)
     if len(q) < 2 or s[-1] == 0.0:
         return q[:1].copy()
-    at = np.linspace(0.0, s[-1], int(np.ceil(s[-1] / every)) + 1)
-    return on_lines(at, s, q)
+    return on_lines(np.linspace(0.0, s[-1], int(np.ceil(s[-1] / every)) + 1), s, q)

@@ -93,8 +93,7 @@ def bounds_of(
     speed, acceleration, twist = motion_limits(problem)
     effort = torque * np.array(chain.model.effortLimit)
     effort[chain.passive] = 0.0
-    box = np.repeat(np.array(wrench, float), 3)
-    return Bounds(speed, acceleration, effort, twist, box, safety)
+    return Bounds(speed, acceleration, effort, twist, np.repeat(np.array(wrench, float), 3), safety)
 
 
 @dataclass(frozen=True)

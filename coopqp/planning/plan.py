@@ -374,8 +374,7 @@ class Planner:
     def _close(self, q: Array) -> Array:
         """The path with points so near to each other that the loops stay closed between them."""
         while len(q) > 1:
-            step = np.linalg.norm(np.diff(q, axis=0), axis=1)
-            (far,) = np.nonzero(step > CLOSE)
+            (far,) = np.nonzero(np.linalg.norm(np.diff(q, axis=0), axis=1) > CLOSE)
             if not len(far):
                 break
             middle = 0.5 * (q[far] + q[far + 1])

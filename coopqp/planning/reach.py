@@ -292,8 +292,7 @@ def _bends(chain: ClosedChain, found: Sequence[Array]) -> list[str]:
 def too_far(problem: ControlProblem, t: float) -> str:
     """The proof that a point's goal is beyond an arm's length; empty where there is none."""
     chain = problem.chain
-    start = State(chain)
-    programs, at = Programs(start), State(chain, t=t)
+    programs, at = Programs(State(chain)), State(chain, t=t)
     for task in placed(problem.tasks, chain):
         for primitive in programs.of(task) or ():
             if primitive.kind is not Kind.POINT or len(primitive.rows) < 3:

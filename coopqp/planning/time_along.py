@@ -91,8 +91,7 @@ class Moment(NamedTuple):
 
     def section(self, chain: ClosedChain) -> Array:
         """Squeeze, shear, twist and bend between two hands that share the load alike, (6,)."""
-        pair = hands(chain)
-        at = points(pair, self.p_WO, self.R_WO)
+        at = points(hands(chain), self.p_WO, self.R_WO)
         at_hands = [
             moved(0.5 * self.load + part, self.p_WO, place)
             for part, place in zip(self.internal, at, strict=True)

@@ -91,8 +91,7 @@ def from_degrees(robot: RobotModel, grasps: Grasp | Mapping[str, Grasp], start: 
     for key, value in start.items():
         # Names and counts that are wrong are refused where the start is used.
         slides = [units.get(joint) == "m" for joint in joints.get(key, (key,))]
-        fits = np.size(value) == len(slides)
-        kept = np.reshape(slides, np.shape(value)) if fits else False
+        kept = np.reshape(slides, np.shape(value)) if np.size(value) == len(slides) else False
         converted[key] = np.where(kept, value, np.radians(value)).tolist()
     return converted
 
