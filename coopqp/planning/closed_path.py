@@ -198,23 +198,14 @@ class Along(NamedTuple):
 
 @dataclass(frozen=True)
 class ClosedPath:
-    """q(s), a quintic spline; s is about the joints' way [rad, m].
-
-    Attributes:
-        chain: the closed chain.
-        length: s runs from 0 to it.
-        spline: of scipy, q by s.
-        gap: largest gap of the loops at ten places an interval [m].
-        deviation: farthest that a given point is from the path [rad, m].
-        points: s of the given points, shape (N,).
-    """
+    """q(s), a quintic spline; s is about the joints' way [rad, m]."""
 
     chain: ClosedChain
-    length: float
-    spline: Any
-    gap: float
-    deviation: float
-    points: Array
+    length: float  # s runs from 0 to it
+    spline: Any  # of scipy, q by s
+    gap: float  # largest gap of the loops at ten places an interval [m]
+    deviation: float  # farthest that a given point is from the path [rad, m]
+    points: Array  # s of the given points, shape (N,)
 
     @cached_property
     def _derivatives(self) -> tuple[Any, Any]:
@@ -446,8 +437,7 @@ def calm_run(scenario: Scenario, tasks: tuple[Task, ...], seconds: float, law: s
 def _carried(scenario: Scenario, table: Table) -> Array:
     """Configurations along poses of the object, as the law brings it there slowly.
 
-    Raises:
-        InvalidValueError: a pose from which it stays farther than ``CARRIED``; says which.
+    InvalidValueError: a pose from which it stays farther than ``CARRIED``; says which.
     """
     chain, poses = scenario.chain, table.take(POSE.columns)
     first = chain.object_pose(chain.q_start)

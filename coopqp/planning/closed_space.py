@@ -248,19 +248,12 @@ def _least(J: Array, follow: Sequence[int]) -> Array:
 
 @dataclass(frozen=True)
 class Verification:
-    """What a second look at a path has shown.
+    """What a second look at a path has shown."""
 
-    Attributes:
-        points: that were looked at.
-        open: largest loop error [m, rad].
-        beyond: how far a joint is outside its limits, at most [rad, m].
-        hits: points at which a limit in space is not kept.
-    """
-
-    points: int
-    open: float
-    beyond: float
-    hits: int
+    points: int  # that were looked at
+    open: float  # largest loop error [m, rad]
+    beyond: float  # how far a joint is outside its limits, at most [rad, m]
+    hits: int  # points at which a limit in space is not kept
 
     @property
     def good(self) -> bool:

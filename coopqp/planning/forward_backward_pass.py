@@ -76,19 +76,13 @@ def _by_simplex(q: Array, A: Array, upper: Array, lower: Array) -> Any:
 
 @dataclass(frozen=True)
 class Profile:
-    """A motion along a path.
+    """A motion along a path."""
 
-    Attributes:
-        s, x: places and sdot^2 there, shape (N,). u: sddot between them, shape (N - 1,).
-        max_x: largest sdot^2 from which the path can be followed, shape (N,).
-        wrench: that keeps the rows at both ends of each interval, shape (N - 1, 2, m) [N, N m].
-    """
-
-    s: Array
-    x: Array
-    u: Array
-    max_x: Array
-    wrench: Array
+    s: Array  # places, shape (N,)
+    x: Array  # sdot^2 there, shape (N,)
+    u: Array  # sddot between them, shape (N - 1,)
+    max_x: Array  # largest sdot^2 from which the path can be followed, shape (N,)
+    wrench: Array  # keeps the rows at both ends of each interval, shape (N - 1, 2, m) [N, N m]
 
     @cached_property
     def t(self) -> Array:

@@ -55,18 +55,12 @@ WHOLE = 1e-3
 
 @dataclass(frozen=True)
 class Held:
-    """Why two pieces of the line never cross.
+    """Why two pieces of the line never cross; nothing is proven where no margin is left."""
 
-    Attributes:
-        pieces: their names.
-        why: ``fixed`` to each other, ``bend``, ``bodies`` or ``gap``.
-        margin: how near pieces come that are fixed to each other [m]; what is left of a bend to
-            the folded one [rad]; the least radius of bodies about a piece, less half the gap [m].
-            Nothing is proven where it is not positive.
-    """
-
-    pieces: tuple[str, str]
-    why: str
+    pieces: tuple[str, str]  # their names
+    why: str  # "fixed" to each other, "bend", "bodies" or "gap"
+    # How near pieces come that are fixed to each other [m]; what is left of a bend to the folded
+    # one [rad]; the least radius of bodies about a piece, less half the gap [m].
     margin: float
 
 
@@ -135,25 +129,16 @@ class _Gap:
 
 @dataclass(frozen=True, eq=False)
 class _Piece:
-    """A part of the line between points of bodies that are fixed to each other.
+    """A part of the line between points of bodies that are fixed to each other."""
 
-    Attributes:
-        name: where it begins and ends.
-        fixed: what it is fixed to, the same for pieces that never move to each other.
-        solids: bodies that it lies in, but for its gaps.
-        gaps: in the frame of what it is fixed to.
-        ball: radius of balls about its points that are in these bodies, but for the gaps [m].
-        corners: in the same frame; none of a part of an arm.
-        bends: joints at its start and its end, 0 where there is no bend.
-    """
-
-    name: str
-    fixed: str
-    solids: _Solids
-    gaps: tuple[_Gap, ...] = ()
-    ball: float = 0.0
+    name: str  # where it begins and ends
+    fixed: str  # what it is fixed to, the same for pieces that never move to each other
+    solids: _Solids  # bodies that it lies in, but for its gaps
+    gaps: tuple[_Gap, ...] = ()  # in the frame of what it is fixed to
+    ball: float = 0.0  # radius of balls about its points in these bodies, but for the gaps [m]
+    # in the same frame; none of a part of an arm
     corners: Array = field(default_factory=lambda: np.zeros((0, 3)))
-    bends: tuple[int, int] = (0, 0)
+    bends: tuple[int, int] = (0, 0)  # joints at its start and its end, 0 where there is no bend
 
     def radius(self, kept: _Solids, needed: float, fine: bool, beyond: dict[int, float]) -> float:
         """Of balls about its points that lie in the kept bodies [m]; 0 if below ``needed``.
@@ -165,20 +150,14 @@ class _Piece:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _Stretch(_Piece):
-    """A straight part of an arm, told at joints zero.
+    """A straight part of an arm, told at joints zero."""
 
-    Attributes:
-        line: start (3,) and direction (3,).
-        length: [m].
-        own: bodies that only turn about it.
-        near: balls about its ends in bodies beyond the bends there, or on both sides of these: half
-            of a ball about a bend in one, the other half, on the other side along the bend's axis,
-            in the other, however it is bent.
-    """
-
-    line: tuple[Array, Array]
-    length: float
-    own: tuple[_Placed, ...]
+    line: tuple[Array, Array]  # start (3,) and direction (3,)
+    length: float  # [m]
+    own: tuple[_Placed, ...]  # bodies that only turn about it
+    # Balls about its ends in bodies beyond the bends there, or on both sides of these: half of a
+    # ball about a bend in one, the other half, on the other side along the bend's axis, in the
+    # other, however it is bent.
     near: tuple[_Ball, ...]
 
     def radius(self, kept: _Solids, needed: float, fine: bool, beyond: dict[int, float]) -> float:
@@ -280,11 +259,7 @@ class _NoLineError(Exception):
 
 
 class ClosedLine:
-    """The closed line of two arms.
-
-    Attributes:
-        proven: whether no two of its pieces ever cross.
-    """
+    """The closed line of two arms; ``proven``: whether no two of its pieces ever cross."""
 
     def __init__(self, chain: ClosedChain, arms: Sequence[_Arm], bodies: _Bodies) -> None:
         model = chain.model

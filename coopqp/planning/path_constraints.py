@@ -41,26 +41,16 @@ FASTEST = 1e4
 
 @dataclass(frozen=True)
 class Bounds:
-    """The limits of a motion; infinite where there is none.
+    """The limits of a motion; infinite where there is none."""
 
-    Attributes:
-        speed, acceleration: of joints, shape (n,) [rad/s, rad/s2; m/s, m/s2].
-        torque: of motors, shape (n,), 0 at passive joints [N m, N].
-        twist: of the object's components in world axes, shape (6,) [m/s, rad/s].
-        wrench: largest component of the internal wrench of each hand, shape (6,) [N, N m].
-        safety: by which friction is divided.
-        forces: False where speeds and accelerations alone are looked at.
-        load: share of the object's mass.
-    """
-
-    speed: Array
-    acceleration: Array
-    torque: Array
-    twist: Array
-    wrench: Array
-    safety: float = 1.0
-    forces: bool = True
-    load: float = 1.0
+    speed: Array  # of joints, shape (n,) [rad/s, m/s]
+    acceleration: Array  # of joints, shape (n,) [rad/s2, m/s2]
+    torque: Array  # of motors, shape (n,), 0 at passive joints [N m, N]
+    twist: Array  # of the object's components in world axes, shape (6,) [m/s, rad/s]
+    wrench: Array  # largest component of the internal wrench of each hand, shape (6,) [N, N m]
+    safety: float = 1.0  # by which friction is divided
+    forces: bool = True  # False where speeds and accelerations alone are looked at
+    load: float = 1.0  # share of the object's mass
 
 
 def motion_limits(of: Scenario | ControlProblem) -> tuple[Array, Array, Array]:
@@ -98,22 +88,14 @@ def bounds_of(
 
 @dataclass(frozen=True)
 class Rows:
-    """The rows at N places.
+    """The rows at N places."""
 
-    Attributes:
-        maker: of what is the same at all of them.
-        s: the places, shape (N,).
-        along: the path there.
-        R: by u, by x and at rest, shape (3, N, r); Rl, shape (N, r, m).
-        rates: of joints and of the object by s, (N, n + 6), which speeds bound.
-    """
-
-    maker: RowMaker
-    s: Array
-    along: Along
-    R: Array
-    Rl: Array
-    rates: Array
+    maker: RowMaker  # of what is the same at all of them
+    s: Array  # the places, shape (N,)
+    along: Along  # the path there
+    R: Array  # by u, by x and at rest, shape (3, N, r)
+    Rl: Array  # by lambda, shape (N, r, m)
+    rates: Array  # of joints and of the object by s, (N, n + 6), which speeds bound
 
     def values(self, u: Array, x: Array) -> Array:
         """The rows' left sides without lambda, shape (N, r), for u and x of shape (N,)."""

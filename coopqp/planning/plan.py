@@ -59,32 +59,21 @@ MET = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """A way round.
+    """A way round."""
 
-    Attributes:
-        success: whether there is a path; without one the arrays have no rows.
-        sentence: in words.
-        joints: names of the n joints.
-        q: the path's points, closed and at most ``CLOSE`` apart, shape (K, n) [rad, m].
-        t, timed: times of a rollout's ticks [s], and where the joints are then, (T,) and (T, n).
-        object: of the object then: place, and quaternion x, y, z, w, shape (T, 7).
-        verification: the second look; None without a path.
-        seconds: wall time of goals, search and second look [s].
-        phase: number of the phase that each tick leads to, shape (T,); empty without phases.
-        proven: whether it is proven that there is no path.
-    """
-
-    success: bool
-    sentence: str
-    joints: tuple[str, ...]
-    q: Array
-    t: Array
-    timed: Array
-    object: Array
-    verification: Verification | None = None
+    success: bool  #: Whether there is a path; without one the arrays have no rows.
+    sentence: str  #: In words.
+    joints: tuple[str, ...]  #: Names of the n joints.
+    q: Array  #: The path's points, closed and at most ``CLOSE`` apart, shape (K, n) [rad, m].
+    t: Array  #: Times of a rollout's ticks, shape (T,) [s].
+    timed: Array  #: Where the joints are then, shape (T, n) [rad, m].
+    object: Array  #: Where the object is then: place, and quaternion x, y, z, w, shape (T, 7).
+    verification: Verification | None = None  #: The second look; None without a path.
+    #: Wall time of goals, search and second look [s].
     seconds: dict[str, float] = field(default_factory=dict)
+    #: Number of the phase that each tick leads to, shape (T,); empty without phases.
     phase: Array = field(default_factory=lambda: np.zeros(0))
-    proven: bool = False
+    proven: bool = False  #: Whether it is proven that there is no path.
 
     @property
     def length(self) -> float:

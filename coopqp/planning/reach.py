@@ -72,38 +72,24 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True)
 class Configuration:
-    """A closed configuration that meets the tasks.
+    """A closed configuration that meets the tasks."""
 
-    Attributes:
-        q: shape (n,) [rad, m].
-        joint_margin: least distance of a joint from its limit [rad, m]; infinite without limits.
-        clearance: least distance left by limits in space [m]; infinite where there are none.
-        bends: which way each arm bends, such as ``left LElbowRoll +``.
-        cut_off: whether it is proven that no motion leads there from the start.
-    """
-
-    q: Array
-    joint_margin: float
-    clearance: float
-    bends: str
-    cut_off: bool
+    q: Array  #: Shape (n,) [rad, m].
+    joint_margin: float  #: Least distance of a joint from its limit [rad, m]; or infinite.
+    clearance: float  #: Least distance left by limits in space [m]; infinite where there are none.
+    bends: str  #: Which way each arm bends, such as ``left LElbowRoll +``.
+    cut_off: bool  #: Whether it is proven that no motion leads there from the start.
 
 
 @dataclass(frozen=True)
 class Reach:
-    """Whether the tasks' goals can be met.
+    """Whether the tasks' goals can be met."""
 
-    Attributes:
-        solutions: configurations that meet them, of every group that with the largest margin first.
-        proven: whether a bound proves that there are none.
-        sentence: in words.
-        tried: random starts.
-    """
-
+    #: Configurations that meet them, of every group that with the largest margin first.
     solutions: tuple[Configuration, ...]
-    proven: bool
-    sentence: str
-    tried: int = 0
+    proven: bool  #: Whether a bound proves that there are none.
+    sentence: str  #: In words.
+    tried: int = 0  #: Random starts.
 
     @property
     def groups(self) -> dict[str, list[Configuration]]:

@@ -69,25 +69,17 @@ NOTHING, KINDS = "nothing", ("speed", "acceleration", "force")
 
 
 class Moment(NamedTuple):
-    """One instant of a timed path.
+    """One instant of a timed path; wrenches are at the object's origin, world axes."""
 
-    Attributes:
-        s: where on the path, and q, v, a: shape (n,) [rad, rad/s, rad/s2; m].
-        p_WO, R_WO: pose of the object.
-        tau: of the motors, 0 at passive joints, shape (n,) [N m, N].
-        load: wrench that moves the object, shape (6,), and internal: what of each hand's wrench
-            cancels, shape (A, 6), both at the object's origin, world axes [N, N m].
-    """
-
-    s: float
-    q: Array
-    v: Array
-    a: Array
+    s: float  # where on the path
+    q: Array  # shape (n,) [rad, m]
+    v: Array  # shape (n,) [rad/s, m/s]
+    a: Array  # shape (n,) [rad/s2, m/s2]
     p_WO: Array
     R_WO: Array
-    tau: Array
-    load: Array
-    internal: Array
+    tau: Array  # of the motors, 0 at passive joints, shape (n,) [N m, N]
+    load: Array  # wrench that moves the object, shape (6,) [N, N m]
+    internal: Array  # what of each hand's wrench cancels, shape (A, 6) [N, N m]
 
     def section(self, chain: ClosedChain) -> Array:
         """Squeeze, shear, twist and bend between two hands that share the load alike, (6,)."""
@@ -101,27 +93,17 @@ class Moment(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class TimedPath:
-    """A path and when to be where on it.
+    """A path and when to be where on it."""
 
-    Attributes:
-        maker: of the path's rows.
-        profile: when to be where on it.
-        active: by interval, the limit that is active, such as "torque of elbow" or "nothing".
-        exceeded: largest share of a limit between the grid's places.
-        hold: largest share of a motor, a contact or the wrench that holding still somewhere takes.
-        notes: sentences on places that are passed slowly.
-        speed: along the path at its beginning and its end, |v| [rad/s].
-        rise: time over which accelerations change [s].
-    """
-
-    maker: RowMaker
-    profile: Profile
+    maker: RowMaker  #: Of the path's rows.
+    profile: Profile  #: When to be where on it.
+    #: By interval, the limit that is active, such as "torque of elbow" or "nothing".
     active: tuple[str, ...]
-    exceeded: float
-    hold: float
-    notes: tuple[str, ...]
-    speed: tuple[float, float] = (0.0, 0.0)
-    rise: float = 0.0
+    exceeded: float  #: Largest share of a limit between the grid's places.
+    hold: float  #: Largest share of a motor, contact or the wrench that holding still takes.
+    notes: tuple[str, ...]  #: Sentences on places that are passed slowly.
+    speed: tuple[float, float] = (0.0, 0.0)  #: Along the path at its two ends, |v| [rad/s].
+    rise: float = 0.0  #: Time over which accelerations change [s].
 
     @property
     def path(self) -> ClosedPath:
@@ -356,9 +338,7 @@ def eased(found: TimedPath, rise: float) -> TimedPath:
     """The motion with s(t) averaged over a time, and slowed down until it keeps all limits.
 
     Accelerations then change over the time ``rise`` [s], and a note says what that costs.
-
-    Raises:
-        InvalidValueError: the motion is not from rest to rest, or no pace keeps the limits.
+    InvalidValueError: the motion is not from rest to rest, or no pace keeps the limits.
     """
     if not rise:
         return found
