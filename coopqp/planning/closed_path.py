@@ -231,10 +231,8 @@ def closed_path(chain: ClosedChain, points: Array, spacing: float = SPACING) -> 
     """A path through closed configurations, shape (N, n) [rad, m].
 
     Corners are rounded over about ``spacing``, the distance of its knots [rad, m].
-
-    Raises:
-        InvalidValueError: points that are no numbers, outside the limits, not closed or too far
-            apart, or a path that does not move or leaves loops or limits; says where.
+    InvalidValueError: points that are no numbers, outside the limits, not closed or too far apart,
+    or a path that does not move or leaves loops or limits; says where.
     """
     loops = Loops(chain)
     Q = _checked(chain, loops, points)

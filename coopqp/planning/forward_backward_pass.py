@@ -96,12 +96,7 @@ class Profile:
 
 
 class Passes:
-    """The programs of a path's intervals.
-
-    Args:
-        rows: at the places.
-        share: of the bounds, shape (N, r), and speed: of the speeds, shape (N,).
-    """
+    """The programs of a path's intervals, with shares of the bounds (N, r) and speeds (N,)."""
 
     def __init__(self, rows: Rows, share: Array, speed: Array) -> None:
         self._x = float(np.median(rows.x_max))
@@ -134,11 +129,7 @@ class Passes:
         self._s, self._ds = rows.s, ds
 
     def profile(self, start: float = 0.0, end: float = 0.0) -> Profile:
-        """The fastest one, from sdot^2 = start to end.
-
-        Raises:
-            Stuck: there is none.
-        """
+        """The fastest one, from sdot^2 = start to end; Stuck where there is none."""
         lower, upper = self._backward(end / self._x)
         first = start / self._x
         if not lower[0] - 1e-9 <= first <= upper[0] * (1.0 + 1e-9):

@@ -148,25 +148,17 @@ def need_a_place(problem: ControlProblem) -> None:
 
 
 class Goals:
-    """Closed, free configurations at which a problem's tasks are met at t [s], as they are found.
-
-    Attributes:
-        space: of the tasks' manifold.
-        solutions: configurations to which a motion may lead, shape (n,) each.
-        cut_off: those to which no motion leads from the start.
-        lost: at others nothing that hands may press with holds the object; the most they carry.
-        tried: random starts so far.
-    """
+    """Closed, free configurations that meet a problem's tasks at t [s], as they are found."""
 
     def __init__(self, problem: ControlProblem, t: float, seed: int, threads: int = 1) -> None:
         self.goal = Goal(problem.chain, placed(problem.tasks, problem.chain), t)
         self.space = ClosedSpace(problem, self.goal.tasks, t, threads)
-        self.solutions: list[Array] = []
-        self.cut_off: list[Array] = []
+        self.solutions: list[Array] = []  # to which a motion may lead, shape (n,) each
+        self.cut_off: list[Array] = []  # to which none leads from the start
         self._why: list[str] = []
-        self.lost: list[Bound] = []
+        self.lost: list[Bound] = []  # of others, where hands that press carry less than the object
         self._presses = any(hand.contact for hand in hands(problem.chain))
-        self.tried = 0
+        self.tried = 0  # random starts
         self._rng = seeded(seed)
 
     def look(self) -> None:

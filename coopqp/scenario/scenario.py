@@ -102,26 +102,17 @@ class Scenario:
     The fields with a docstring are the keys of a scenario file, with those that only files have
     (:class:`coopqp.scenario.form.FileKeys`). InvalidValueError: a field is of another type, or a dt
     or duration is no time.
-
-    Attributes:
-        name: of its file.
-        start: where it begins, by arm, joint or passive joint [rad, m].
-        grasps: how the arms hold the object; one for all, or by arm.
-        phases_of: those of controllers that do not follow the plan of the others, by name.
-        source: text of the file it was read from.
-        folder: in which relative paths of the source begin; None where it has none.
-        follows: the plan that it follows.
-        catalog: what it can name; its metrics are measured.
     """
 
-    name: Annotated[str, NO_KEY]
+    name: Annotated[str, NO_KEY]  #: Of its file.
     description: str = ""
     """One sentence for the report."""
     robot: Robot
     """Which robot."""
-    start: Annotated[Start, NO_KEY]
+    start: Annotated[Start, NO_KEY]  #: Where it begins, by arm, joint or passive joint [rad, m].
     start_outside: bool = False
     """Whether joints may start outside their limits."""
+    #: How the arms hold the object; one for all, or by arm.
     grasps: Annotated[Grasp | Mapping[str, Grasp], NO_KEY] = field(default_factory=Rigid)
     grasp_of: Mapping[str, Grasp] = field(default_factory=dict)
     """Grasp of controllers that hold it otherwise, by name."""
@@ -137,6 +128,7 @@ class Scenario:
     ] = ()
     """One after the other, instead of tasks and duration, when arms let go of the object or take
     hold of it."""
+    #: Those of controllers that do not follow the plan of the others, by name.
     phases_of: Annotated[Mapping[str, tuple[Phase, ...]], NO_KEY] = field(default_factory=dict)
     secondary: tuple[Task, ...] = ()
     """Objectives for what the tasks leave free."""
@@ -174,9 +166,12 @@ class Scenario:
     """How the model's error is told from a squeeze, where joints are measured."""
     seed: Annotated[int, Field(ge=0)] = 0
     """Of everything random."""
-    source: Annotated[str, NO_KEY] = ""
+    source: Annotated[str, NO_KEY] = ""  #: Text of the file it was read from.
+    #: In which relative paths of the source begin; None where it has none.
     folder: Annotated[Path | None, NO_KEY] = None
+    #: The plan that it follows.
     follows: Annotated[Table | None, NO_KEY] = field(default=None, repr=False, compare=False)
+    #: What it can name; its metrics are measured.
     catalog: Annotated[Catalog, NO_KEY] = field(default_factory=Catalog, repr=False, compare=False)
 
     def __post_init__(self) -> None:
