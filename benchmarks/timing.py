@@ -116,7 +116,7 @@ def exceeded(found: TimedPath) -> float:
     share = Share(rows)
     force = max(share.of(i, u[i], x[i])[0] for i in range(len(s)))
     quick = found.maker.kinds == "acceleration"
-    a = np.abs(rows.felt(u, x)[:, quick]) / found.maker.size[quick]
+    a = np.abs(rows.values(u, x)[:, quick]) / found.maker.size[quick]
     return float(max(speed.max(), force, a.max(initial=0.0)))
 
 
