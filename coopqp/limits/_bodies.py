@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 
 from coopqp.base.errors import InvalidValueError, UnknownNameError
 from coopqp.base.reading import version
-from coopqp.base.spec import Array
+from coopqp.base.spec import UNLIMITED, Array
 from coopqp.model.closed_chain import ClosedChain
 from coopqp.robot import Capsule, Convex, Form, RobotModel, Shape
 from coopqp.robot_files.meshes import read_mesh
@@ -282,9 +282,6 @@ OBJECT = "object"
 #: Random configurations that are looked at, and the share of them in which bodies that touch by
 #: construction do.
 SAMPLES, SHARE = 100, 0.95
-
-#: Reach of a joint without limits in them [rad or m].
-UNLIMITED = np.pi
 
 
 class _Tree:

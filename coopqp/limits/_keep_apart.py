@@ -16,7 +16,7 @@ import numpy as np
 
 from coopqp.base.errors import InvalidValueError
 from coopqp.base.qp import Row
-from coopqp.base.spec import Array, Name, NonNegative, Positive, overshoot, spec
+from coopqp.base.spec import UNLIMITED, Array, Name, NonNegative, Positive, overshoot, spec
 from coopqp.limit import (
     SHALLOW,
     Clearance,
@@ -51,8 +51,6 @@ CLOSE = 0.005
 SLAB, LATER = 0.002, 3.0
 #: Sizes of corners are the same that differ by less, or by such a share [m, -].
 EVEN = 1e-9
-#: Reach of a sliding joint without limits [m].
-UNLIMITED = math.pi
 #: Speed of a joint that nothing bounds [rad/s, m/s].
 FASTEST = 1e6
 

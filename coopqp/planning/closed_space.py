@@ -20,7 +20,7 @@ from pydantic import Field
 
 from coopqp.base.errors import CoopqpError
 from coopqp.base.rank import matrix_rank
-from coopqp.base.spec import Array, NonNegative, Positive, spec
+from coopqp.base.spec import UNLIMITED, Array, NonNegative, Positive, spec
 from coopqp.controller import ControlProblem
 from coopqp.kernel import native
 from coopqp.kernel.flat import Group, Levels, flat_distances, flat_model, kept_rows
@@ -33,9 +33,6 @@ from coopqp.study.explanation.goal import Room
 from coopqp.task import Programs, Task, TaskStack
 
 LARGE = 1e300  # stands for no limit
-
-#: Joints without limits are sampled so far to both sides of the start [rad, m].
-UNLIMITED = np.pi
 
 #: Newton steps of a configuration that is far off the manifold.
 STEPS = 60

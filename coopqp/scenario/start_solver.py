@@ -30,7 +30,7 @@ from scipy.sparse.csgraph import connected_components
 
 from coopqp.assessment.thresholds import AT_LIMIT, LOOP_CLOSED
 from coopqp.base.errors import GraspError
-from coopqp.base.spec import Array, seeded
+from coopqp.base.spec import UNLIMITED, Array, seeded
 from coopqp.closed_loop.hidden_freedom import EXACT, closed_near
 from coopqp.closed_loop.screw import LENGTH
 from coopqp.grasp import Grasp, pose_matrix
@@ -48,9 +48,6 @@ from coopqp.scenario.start import Start, by_arm, start_of
 
 Progress = Callable[[int, int], None]
 """Called after each try with the number of tries made and the most there can be."""
-
-#: How far a joint without limits is turned at random [rad or m].
-UNLIMITED = np.pi
 
 #: Random configurations that are tried per group of arms, and starts after which that ends.
 TRIES, ENOUGH = 120, 12
