@@ -197,18 +197,15 @@ def _coarse_steps(scenario: Scenario) -> Iterator[str]:
 def _stated(scenario: Scenario) -> Iterator[tuple[str, str]]:
     """The parts that this scenario has beyond what every scenario has."""
     tasks = [task for phase in scenario.schedule for task in phase.tasks]
-    if scenario.limits != USUAL_LIMITS:
-        yield "limits", "the limits"
-    if any(task.mode != "soft" for task in tasks):
-        yield "modes", "that tasks are hard or scaled"
-    if any(task.priority for task in tasks):
-        yield "priorities", "the priorities of tasks"
-    if any(task.of_forces for task in tasks):
-        yield "forces", "the forces that are asked for"
-    if scenario.secondary:
-        yield "secondary", "the secondary objectives"
-    if scenario.on_infeasible != "scale":
-        yield "on_infeasible", "on_infeasible"
+    parts = (
+        ("limits", "the limits", scenario.limits != USUAL_LIMITS),
+        ("modes", "that tasks are hard or scaled", any(task.mode != "soft" for task in tasks)),
+        ("priorities", "the priorities of tasks", any(task.priority for task in tasks)),
+        ("forces", "the forces that are asked for", any(task.of_forces for task in tasks)),
+        ("secondary", "the secondary objectives", scenario.secondary),
+        ("on_infeasible", "on_infeasible", scenario.on_infeasible != "scale"),
+    )
+    return ((part, words) for part, words, stated in parts if stated)
 
 
 def _far_hands(chain: ClosedChain) -> Iterator[str]:
